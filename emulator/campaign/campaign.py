@@ -1,11 +1,11 @@
-"""A campaign: what each of its runs is, as a pure function of the campaign's content and the run's index.
+"""A campaign: the rig and values of each run are a pure function of the campaign's content and the run's index.
 
-The columns of a campaign's table: one row for each run.
+Columns of the table, one row for each run:
 
 index, campaign, outcome, error, success, margin, seed, KEY of each parameter
 verdict, broken, sim_s, frames, steps, undersampled_share, late_us
 events.*, link.NAME.*      fates and digests of the events
-program.exit, program.trouble, result.*     how the program ended, and what it wrote as its result
+program.exit, program.trouble, result.*     how the program ended, and its result
 machine.*                  host, wall time, version: the only columns that may differ when a run is repeated
 
 Placeholders in the arguments of the program under test, such as {address} or {camera.sensor.threshold_on}.
@@ -30,9 +30,9 @@ from emulator.campaign.loading import (
     Settings,
     Source,
     laid_over,
+    located,
     parse_settings,
     path_of,
-    told_at,
     with_value,
     with_worker,
 )
@@ -68,17 +68,17 @@ _LINK = ("delivered", "dropped", "dropped_in_device", "latency_p50_us", "latency
 
 
 def parameter_columns(values: Mapping[str, Any]) -> Row:
-    """Return the values of the parameters as columns: what is a table or a list, as JSON."""
+    """Return the values of the parameters as columns; a table or a list as JSON."""
     return {key: value if isinstance(value, str | int | float) else json.dumps(value) for key, value in values.items()}
 
 
 def result_columns(rig: Rig, result: RunResult, digest: str) -> Row:
-    """Return what a run has done; `digest` is of the events that its sensor read out."""
+    """Return the columns of a run's result; `digest` is of the events that its sensor read out."""
     judgements = judge(rig.verdict, result)
     ledger = result.ledger
     row: Row = {
         "verdict": good(judgements),
-        "broken": "; ".join(f"{one.rule}: {one.told}" for one in judgements if not one.good),
+        "broken": "; ".join(f"{one.rule}: {one.finding}" for one in judgements if not one.good),
         "sim_s": result.sim_seconds,
         "frames": result.frames,
         "steps": result.steps,
@@ -121,7 +121,7 @@ def check_columns(rig: Rig, settings: Settings) -> None:
     known += [f"link.{link.name}.{column}" for link in rig.links for column in _LINK]
     for rule in settings.success:
         if rule.column.startswith(_OF_PROGRAM) and settings.program is None:
-            raise TableError(f"{rule.told!r} needs a [program]", ("success",))
+            raise TableError(f"{rule.text!r} needs a [program]", ("success",))
         _check_column(rule.column, known, ("success",))
     shown = settings.report
     for column in shown.columns:
@@ -160,7 +160,7 @@ def addresses_as_placeholders(addresses: Mapping[str, str | None]) -> dict[str, 
 
 
 def check_placeholders(rig: Rig, settings: Settings, folder: Path) -> None:
-    """Raise TableError for a placeholder that nothing fills, or a program that is not there, seen from `folder`."""
+    """Raise TableError for an unknown placeholder, or for a program that is missing, seen from `folder`."""
     if settings.program is None:
         return
     known = [*_ALWAYS_PLACEHOLDERS, *(law.key for law in settings.parameters)]
@@ -189,13 +189,13 @@ _FOR_PROGRAM = "program."
 
 
 class Campaign:
-    """A campaign that was read and checked; raises CampaignError for one that cannot be run.
+    """A campaign, read and checked; raises CampaignError for one that cannot be run.
 
     Attributes
     ----------
     source : the texts that it is made of.
     settings : the campaign file.
-    content : all that the runs depend on, as plain tables.
+    content : all inputs of the runs, as plain tables.
     id : a digest of the content.
     """
 
@@ -235,7 +235,7 @@ class Campaign:
         return unit_points(s.sampling, s.count, len(s.parameters), self._seed("sampling", 0))
 
     def seed(self, index: int) -> int:
-        """Return the seed of all that is random in a run."""
+        """Return the seed of everything random in a run."""
         return self._seed("run", index)
 
     def _seed(self, purpose: str, index: int) -> int:
@@ -253,7 +253,7 @@ class Campaign:
         return {law.key: law.at(float(u)) for law, u in zip(laws, self._units[point], strict=True)}
 
     def rig(self, index: int, worker: int = 0) -> Rig:
-        """Return the rig of a run; raises CampaignError, which names the parameter to blame."""
+        """Return the rig of a run; raises CampaignError, which names the parameter at fault."""
         table = with_value(self._base, ("run", "seed"), self.seed(index))
         values = self.values(index)
         try:
@@ -262,7 +262,7 @@ class Campaign:
                     table = with_value(table, path_of(key), values[law.key])
             return rig_of_table(with_worker(table, worker), self._rig_file.stem, self._rig_file.parent)
         except TableError as error:
-            raise self._blamed(error, index, values) from error
+            raise self._error_of_run(error, index, values) from error
 
     def check_all(self, indices: Iterable[int]) -> None:
         """Raise CampaignError for the first of the runs whose rig cannot be used."""
@@ -283,11 +283,11 @@ class Campaign:
             try:
                 found.append(law.grid())
             except ValueError as error:
-                raise told_at(self.source, TableError(str(error), ("parameters", i))) from error
+                raise located(self.source, TableError(str(error), ("parameters", i))) from error
         return found
 
     def _check(self) -> None:
-        """Raise CampaignError for what can be found before the first run, but for the rigs of the single runs."""
+        """Check everything but the rigs of the single runs, before the first run; raises CampaignError."""
         settings = self.settings
         try:
             for i, law in enumerate(settings.parameters):
@@ -296,7 +296,7 @@ class Campaign:
             check_columns(rig, settings)
             check_placeholders(rig, settings, Path(self.source.file).parent)
         except TableError as error:
-            raise told_at(self.source, error) from error
+            raise located(self.source, error) from error
         ends = rig.run.seconds or (settings.program is not None and settings.program.ends_run)
         if not ends:
             raise CampaignError(
@@ -305,14 +305,14 @@ class Campaign:
         if settings.record and not rig.links:
             raise CampaignError(f"{self.source.file}: record: this rig has no link, so no event is delivered")
 
-    def _blamed(self, error: TableError, index: int, values: dict[str, Any]) -> CampaignError:
-        """Return what is wrong with a run's rig, at the line of the campaign file that it comes from."""
+    def _error_of_run(self, error: TableError, index: int, values: dict[str, Any]) -> CampaignError:
+        """Return the error in a run's rig, with the line of the campaign file that causes it."""
         for i, law in enumerate(self.settings.parameters):
             if any(_meet(path_of(key), error.path) for key in _rig_keys(law)):
-                told = f"{law.key} = {values[law.key]!r} in run {index}: {shortened(error)}"
-                return told_at(self.source, TableError(told, ("parameters", i)))
-        told = f"the rig of run {index}: {'.'.join(map(str, error.path))}: {shortened(error)}"
-        return told_at(self.source, TableError(told, ("set", *error.path)))
+                message = f"{law.key} = {values[law.key]!r} in run {index}: {shortened(error)}"
+                return located(self.source, TableError(message, ("parameters", i)))
+        message = f"the rig of run {index}: {'.'.join(map(str, error.path))}: {shortened(error)}"
+        return located(self.source, TableError(message, ("set", *error.path)))
 
 
 def _rig_keys(law: Law) -> list[str]:

@@ -1,4 +1,4 @@
-"""Campaign files: a rig, what varies in it, how it is sampled, and when a run is a success.
+"""Campaign files: a rig, its varied parameters, their sampling, and the rules of success.
 
     rig = "checkerboard"                  a name, or a path from this file's folder
     sampling, count, repeats, seed        where the runs lie
@@ -6,13 +6,12 @@
     [set]                                 tables of a rig, laid over the rig's own
     [[parameters]]                        key, kind = "uniform" | "log-uniform" | "normal" | "integers" | "list"
     [program]                             the program under test
-    [report]                              what the report shows
+    [report]                              content of the report
 
-A mistake raises CampaignError, which tells the file, the line, the key, what is wrong and what would be right.
+A mistake raises CampaignError, whose message contains the file, the line, the key, the error and the allowed values.
 
-The tables of a campaign file, as frozen types.
-
-Keys of a rig as dotted text, such as "faults[0].rate", and values laid over the tables of a rig.
+The tables of a campaign file are frozen types. Keys of a rig are dotted text, such as "faults[0].rate"; their values
+replace those in the tables of a rig.
 """
 
 from __future__ import annotations
@@ -37,10 +36,10 @@ __all__ = [
     "Source",
     "laid_over",
     "load_source",
+    "located",
     "parse_settings",
     "path_of",
     "text_of",
-    "told_at",
     "with_value",
     "with_worker",
 ]
@@ -54,7 +53,7 @@ class Program:
     ----------
     argv
         Program and arguments. Placeholders: {index}, {seed}, {folder} (the run's own, for its files), {result} (the
-        JSON file that it may write), {record} (what the links delivered), {python}, {address} (of the only link),
+        JSON file that it may write), {record} (the delivered events), {python}, {address} (of the only link),
         {address.NAME}, {port}, {port.NAME}, and {KEY} for the value of a parameter.
     start
         "with": when the links of the run are open; "after": when the run is over.
@@ -81,19 +80,19 @@ class Program:
 
 @dataclass(frozen=True)
 class Plots:
-    """What the report shows.
+    """Content of the report.
 
     Attributes
     ----------
     columns
-        Columns of which the sensitivity is told; by default success, the margin, the event rate and the numbers that
-        the program gives.
+        Columns whose sensitivity is reported; by default success, the margin, the event rate and the numbers that the
+        program gives.
     worst
         The column that orders the worst runs; by default the margin.
     worst_is
         Whether the lowest or the highest values of it are the worst.
     labels
-        What the report calls columns and parameters, with their units: "result.vertical_m_s" = "touchdown, m/s".
+        Names of columns and parameters in the report, with their units: "result.vertical_m_s" = "touchdown, m/s".
     """
 
     columns: tuple[str, ...] = ()
@@ -111,7 +110,7 @@ class Settings:
     rig
         Name of a shipped rig, or path of a rig file, absolute or from the campaign's folder.
     title
-        What the campaign is for, in one sentence.
+        Purpose of the campaign, in one sentence.
     sampling
         How the values of the parameters are chosen.
     count
@@ -119,21 +118,21 @@ class Settings:
     repeats
         Runs of each point, each with a seed of its own.
     seed
-        Changes all that is random in the campaign.
+        Seed of everything random in the campaign.
     success
-        What a run must keep to be a success: "verdict", "program" (it ends with 0), and rules "COLUMN OP VALUE".
+        Rules of a successful run: "verdict", "program" (it ends with 0), and rules "COLUMN OP VALUE".
     min_success
         Share of successes below which `evstim campaign` ends with 1.
     timeout_s
         Time after which a run is given up.
     record
-        Suffix of a recording that each run keeps of what its links delivered, such as ".npz"; none by default.
+        Suffix of each run's recording of the delivered events, such as ".npz"; none by default.
     parameters
-        What is sampled.
+        Sampled parameters.
     program
         The program under test.
     report
-        What the report shows.
+        Content of the report.
     set
         Tables of a rig, laid over the rig's own.
     """
@@ -173,7 +172,7 @@ _WORKER = "{worker}"
 
 
 def path_of(key: str) -> KeyPath:
-    """Return the path that a dotted key writes; raises ValueError."""
+    """Return a dotted key as a path; raises ValueError."""
     path: KeyPath = ()
     for part in key.split("."):
         if not (found := _PART.fullmatch(part)):
@@ -188,7 +187,7 @@ def text_of(path: KeyPath) -> str:
 
 
 def with_value(table: Any, path: KeyPath, value: Any, at: KeyPath = ()) -> Any:
-    """Return tables with one value in its place, tables that lack on the way made; the argument stays as it is."""
+    """Return tables with one value set, and missing tables on its path made; the argument is not changed."""
     if not path:
         return value
     head, rest = path[0], path[1:]
@@ -231,7 +230,7 @@ class CampaignError(Exception):
 
 @dataclass(frozen=True)
 class Source:
-    """The texts that a campaign is made of: all that a worker elsewhere needs.
+    """Texts of a campaign and its rig, complete for a worker on another machine.
 
     Attributes
     ----------
@@ -260,7 +259,7 @@ def load_source(file: Path) -> Source:
     beside = file.parent / named
     rig = beside if beside.is_file() else find_rig(named)
     rig_text = read_rig(rig)
-    parse_rig(rig_text, str(rig), rig.stem)  # its own mistakes are told as `evstim check` tells them
+    parse_rig(rig_text, str(rig), rig.stem)  # errors of the rig itself, as in `evstim check`
     return Source(str(file), text, str(rig.absolute()), rig_text)
 
 
@@ -272,15 +271,15 @@ def _table_of(text: str, file: str) -> dict[str, Any]:
 
 
 def parse_settings(source: Source) -> tuple[Settings, dict[str, Any]]:
-    """Return a campaign file as its types, and as it is written; raises CampaignError."""
+    """Return a campaign file as its types, and as plain tables; raises CampaignError."""
     table = _table_of(source.text, source.file)
     try:
         return _settings(table), table
     except TableError as error:
-        raise told_at(source, error) from error
+        raise located(source, error) from error
 
 
-def told_at(source: Source, error: TableError) -> CampaignError:
+def located(source: Source, error: TableError) -> CampaignError:
     """Return the mistake with its file, line and key."""
     line = line_of(source.text, error.path)
     at = f"{source.file}, line {line}" if line else source.file
@@ -316,7 +315,7 @@ def _parameters(tables: object) -> tuple[Law, ...]:
 
 
 def _check_apart(laws: tuple[Law, ...]) -> None:
-    """Raise TableError for a key that two parameters give, or that no rig can have."""
+    """Raise TableError for a key that two parameters set, or that no rig can have."""
     taken: set[str] = set()
     for i, law in enumerate(laws):
         for key in (law.key, *law.also):
@@ -326,10 +325,10 @@ def _check_apart(laws: tuple[Law, ...]) -> None:
             taken.add(key)
 
 
-def _rules(told: object) -> tuple[SuccessRule, ...]:
-    if not isinstance(told, list):
+def _rules(rules: object) -> tuple[SuccessRule, ...]:
+    if not isinstance(rules, list):
         raise TableError("expected a list of rules", ("success",))
     try:
-        return tuple(parse_rule(one) for one in told)
+        return tuple(parse_rule(one) for one in rules)
     except ValueError as error:
         raise TableError(str(error), ("success",)) from error

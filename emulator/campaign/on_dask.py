@@ -1,7 +1,7 @@
-"""Runs of a campaign on a dask.distributed cluster: each of its workers keeps warm processes of ours beside it.
+"""Runs of a campaign on a dask.distributed cluster: each of its workers has worker processes of evstim beside it.
 
-A task may not start processes of its own nor handle signals inside a dask worker, so a run is done by a process that
-the task talks to; it ends with the dask worker.
+A task may not start processes of its own nor handle signals inside a dask worker, so a task sends its run to a separate
+process, which ends with the dask worker.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _AHEAD = 2  # tasks for each thread of the cluster: no worker waits for its next
 
 
 class DaskWorkers:
-    """Does runs on a cluster, and gives their rows as they come; raises CampaignStopped where none answers.
+    """Workers on a cluster; raises CampaignStopped where no scheduler answers.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class DaskWorkers:
         self._client = _connected(address)
 
     def rows(self, indices: Iterable[int]) -> Iterator[Row]:
-        """Do the runs; raises CampaignStopped. It ends before the last run after `stop`."""
+        """Do the runs and yield their rows; end before the last run after `stop`. Raises CampaignStopped."""
         waiting, free = iter(indices), list(range(self._threads() * _AHEAD))
         working: dict[Any, tuple[int, int]] = {}
         try:
@@ -70,12 +70,12 @@ class DaskWorkers:
         try:
             self._client.wait_for_workers(1, timeout=_FIRST_WORKER_S)
         except TimeoutError as error:
-            told = f"--scheduler: {self._address} has had no worker for {_FIRST_WORKER_S} s"
-            raise CampaignStopped(told) from error
+            message = f"--scheduler: {self._address} has had no worker for {_FIRST_WORKER_S} s"
+            raise CampaignStopped(message) from error
         return sum(self._client.nthreads().values()) or 1
 
     def _submit(self, waiting: Iterator[int], free: list[int], working: dict[Any, tuple[int, int]]) -> None:
-        """Hand out runs while there are free numbers; {worker} of a rig is such a number, so no two runs share one."""
+        """Submit runs while there are free numbers; {worker} of a rig is such a number, so no two runs share one."""
         while free and (index := next(waiting, None)) is not None:
             number = free.pop()
             arguments = (asdict(self._campaign.source), str(self._folder), index, number, version("evstim"))
@@ -99,7 +99,7 @@ class DaskWorkers:
         raise CampaignStopped(f"--scheduler: a worker cannot do run {index}: {type(error).__name__}: {error}")
 
     def _result(self, future: Any) -> Row:
-        """Return the row of a finished run, which is fetched from the cluster only now."""
+        """Fetch the row of a finished run from the cluster, and return it."""
         try:
             row: Row = future.result()
         except (OSError, CancelledError) as error:
@@ -110,7 +110,7 @@ class DaskWorkers:
         return CampaignStopped(f"--scheduler: {self._address} is gone, or has cancelled the runs")
 
     def _close(self) -> None:
-        """Leave the cluster as it was; what still runs there ends with its run."""
+        """Disconnect from the cluster; a process there ends with its run."""
         with suppress(Exception):
             self._client.cancel(list(self._futures.values()))
             self._client.run(_end_processes)
@@ -149,7 +149,7 @@ def _task(source: dict[str, str], folder: str, index: int, number: int, wanted: 
 
 
 def _end_processes() -> None:
-    """End the processes that have no run at hand, in a dask worker."""
+    """End the processes that have no run, in a dask worker."""
     with _lock:
         workers = [worker for idle in _idle.values() for worker in idle]
         _idle.clear()

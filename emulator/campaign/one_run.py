@@ -1,8 +1,7 @@
-"""One run of a campaign: its rig built and run, the program under test beside it or after it, and its row.
+"""One run of a campaign: its rig, the program under test beside it or after it, and its row.
 
-The row is a pure function of campaign and index, but for the columns "machine.*" and for what real time changes.
-
-The program under test: a process group of its own, its output in the run's folder, its JSON result as columns.
+The row is a pure function of campaign and index, but for the columns "machine.*" and for effects of real time. The
+program under test is a process group of its own, with its output in the run's folder, and its JSON result as columns.
 """
 
 from __future__ import annotations
@@ -62,7 +61,7 @@ _PID_FILE = "program.pid"
 
 
 class RunningProgram:
-    """One start of the program; use it in a `with` block, at whose end nothing of it runs any more.
+    """One start of the program; use it in a `with` block, at whose end the whole process group has ended.
 
     Parameters
     ----------
@@ -87,13 +86,13 @@ class RunningProgram:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                start_new_session=True,  # Ctrl-C is for the campaign, and all that it starts can be ended at once
+                start_new_session=True,  # Ctrl-C is for the campaign, and the whole group can be ended at once
             )
         (folder / _PID_FILE).write_text(str(self._process.pid))
 
     @property
     def ended(self) -> bool:
-        """Whether it has ended by itself."""
+        """True when it has ended by itself."""
         return self._process.poll() is not None
 
     def wait(self, grace_s: float) -> tuple[int | None, float]:
@@ -121,7 +120,7 @@ def _signal(group: int, number: int) -> None:
 
 
 def end_leftover(folder: Path, mark: str) -> None:
-    """End a program that a killed worker has left running in a run's folder; its environment proves that it is one."""
+    """End a program that a killed worker has left running in a run's folder; its environment identifies it."""
     with suppress(OSError, ValueError):
         pid = int((folder / _PID_FILE).read_text())
         if f"{_MARK}={mark}".encode() in Path(f"/proc/{pid}/environ").read_bytes().split(b"\0"):
@@ -129,20 +128,20 @@ def end_leftover(folder: Path, mark: str) -> None:
 
 
 def result_of(file: Path) -> tuple[dict[str, Any], str]:
-    """Return what the program wrote as its result, by column, and what is wrong with it: "" for nothing.
+    """Return the program's result by column, and the error in it: "" for none.
 
     A program that wrote no file gives no columns. Whole numbers become floats: a column has one type in all rows.
     """
     if not file.exists():
         return {}, ""
     try:
-        told = json.loads(read_text(file, _MOST_BYTES))
+        result = json.loads(read_text(file, _MOST_BYTES))
     except (TextFileError, ValueError, RecursionError) as error:
         return {}, f"result: no JSON: {str(error)[:200]}"
-    if not isinstance(told, dict) or len(told) > _MOST_COLUMNS:
+    if not isinstance(result, dict) or len(result) > _MOST_COLUMNS:
         return {}, f"result: expected one JSON object of at most {_MOST_COLUMNS} values"
-    wrong = [key for key, value in told.items() if not isinstance(value, str | int | float | bool | None)]
-    columns = {f"result.{key}": _plain(value) for key, value in told.items() if key not in wrong}
+    wrong = [key for key, value in result.items() if not isinstance(value, str | int | float | bool | None)]
+    columns = {f"result.{key}": _plain(value) for key, value in result.items() if key not in wrong}
     return columns, f"result: {', '.join(wrong[:5])}: neither number, text nor bool" if wrong else ""
 
 
@@ -155,19 +154,19 @@ _NO_SPACE = "No space left on device"
 
 
 class CampaignStopped(Exception):
-    """What is wrong is no matter of this run: the machine lacks something, or the disk is full."""
+    """The campaign cannot go on: the machine lacks something, or the disk is full."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a run runs.
+    """Folder and worker of a run.
 
     Attributes
     ----------
     folder : of the campaign.
     worker : number of the worker, from 0.
-    threads : of the pixel step, where the rig does not say.
-    record : file for what the links deliver; None: as the campaign says.
+    threads : of the pixel step, where the rig does not give their number.
+    record : file for the delivered events; None: as in the campaign file.
     """
 
     folder: Path
@@ -182,7 +181,7 @@ def run_folder(folder: Path, index: int) -> Path:
 
 
 def run_row(campaign: Campaign, index: int, place: Place, on_session: Callable[[Session], None]) -> Row:
-    """Run once and return the row; raises CampaignStopped. `on_session` is given what can be stopped."""
+    """Run once and return the row; raises CampaignStopped. `on_session` receives the session, which can be stopped."""
     begun_s, begun_cpu_s = time.monotonic(), time.process_time()
     begun = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
     row: Row = {"index": index, "campaign": campaign.id, "outcome": "ok", "error": "", "seed": campaign.seed(index)}
@@ -197,7 +196,7 @@ def run_row(campaign: Campaign, index: int, place: Place, on_session: Callable[[
         row |= {"outcome": "failed", "error": f"{error.strerror or error}: {error.filename or ''}"}
     except (SceneError, RigError, CampaignError, LinkFailed, PluginError) as error:
         row |= {"outcome": "failed", "error": str(error)}
-    except Exception as error:  # noqa: BLE001 - one run that meets a mistake of ours must not end the campaign
+    except Exception as error:  # noqa: BLE001 - a run that fails by an internal error must not end the campaign
         row |= {"outcome": "failed", "error": f"{type(error).__name__}: {error}"}
     row |= {"machine.host": platform.node(), "machine.begun": begun, "machine.version": _version()}
     row |= {"machine.wall_s": time.monotonic() - begun_s, "machine.cpu_s": time.process_time() - begun_cpu_s}
@@ -225,7 +224,7 @@ class _Run:
         self._started: RunningProgram | None = None
 
     def row(self) -> Row:
-        """Run, and return what came of it."""
+        """Run, and return the row."""
         if self._settings.program is not None or self._settings.record:
             self._make_folder()
         rig = self._rig()
@@ -236,14 +235,14 @@ class _Run:
             return row | self._program_columns(stack)
 
     def _make_folder(self) -> None:
-        """Make the run's folder anew: nothing that an earlier, killed try left in it may be read."""
+        """Make the run's folder, without the files of an earlier, killed try."""
         end_leftover(self._folder, self._mark)
         shutil.rmtree(self._folder, ignore_errors=True)
         self._folder.mkdir(parents=True)
         if self._settings.record and self._record is None:
             self._record = self._folder / f"delivered{self._settings.record}"
-        told = {"index": self._index, "seed": self._campaign.seed(self._index), "values": self._values}
-        (self._folder / "run.json").write_text(json.dumps(told, indent=1, default=str) + "\n")
+        description = {"index": self._index, "seed": self._campaign.seed(self._index), "values": self._values}
+        (self._folder / "run.json").write_text(json.dumps(description, indent=1, default=str) + "\n")
 
     @property
     def _mark(self) -> str:
@@ -274,7 +273,7 @@ class _Run:
             self._digest.update(np.ascontiguousarray(events).data)
 
     def _follow(self, session: Session, status: RunStatus, stack: ExitStack, rig: Rig) -> None:
-        """Start the program when the links are open, and end the run with it where that is asked for."""
+        """Start the program when the links are open, and end the run with it where `ends_run` is set."""
         program = self._settings.program
         if program is None or program.start == "after":
             return
@@ -310,12 +309,12 @@ class _Run:
         columns, trouble = result_of(self._folder / "result.json")
         if code is None:
             trouble = f"it did not end within {program.grace_s:g} s and was stopped"
-        told = {"program.exit": code, "program.trouble": trouble, "machine.program_s": seconds}
-        return {**columns, **told}
+        ending = {"program.exit": code, "program.trouble": trouble, "machine.program_s": seconds}
+        return {**columns, **ending}
 
 
 def _check_space(result: RunResult) -> None:
-    """Raise CampaignStopped where a file of the run has no room: the run itself is not to blame."""
+    """Raise CampaignStopped where a file of the run has no room: this is no fault of the run."""
     for link in result.links.values():
         for trouble in link.file_troubles:
             if _NO_SPACE in trouble:

@@ -1,22 +1,19 @@
 """The report of a campaign: one page that needs no network.
 
-The PAWN index: how much a parameter matters for a column, from any sample.
-
-The runs are cut into slices of like values of the parameter. In each the column has a distribution; the index is the
-median over the slices of the greatest distance between its cumulative distribution and that of all runs (the statistic
-of Kolmogorov and Smirnov): 0 when the parameter says nothing, towards 1 when it says all.
+The PAWN index measures the influence of a parameter on a column, from any sample. The runs are cut into slices of like
+values of the parameter. In each the column has a distribution; the index is the median over the slices of the greatest
+distance between its cumulative distribution and that of all runs (the statistic of Kolmogorov and Smirnov): 0 when the
+parameter has no influence, towards 1 when it determines the column.
 
 Pianosi and Wagener, "Distribution-based sensitivity analysis from a generic input-output sample", 2018.
 
-Which parameters a column of the table depends on.
+Methods for the dependence of a column on the parameters:
 
     Sobol indices      from a Saltelli design (sampling = "saltelli"): shares of the column's variance
     PAWN               from any sample: how much the column's distribution changes when the parameter is known
-    rank correlation   from any sample, Spearman's: direction and strength of what only rises or only falls
+    rank correlation   from any sample, Spearman's: direction and strength of a monotone dependence
 
-Sobol indices are computed by SALib, PAWN by `pawn`.
-
-The charts of a campaign's report, as <svg> and <img> elements that hold their own data.
+Sobol indices are computed by SALib, PAWN by `pawn`. Charts are <svg> and <img> elements that hold their own data.
 """
 
 from __future__ import annotations
@@ -82,7 +79,7 @@ def pawn(y: _Floats, slices: _Slices) -> float:
 
 
 def pawn_of_chance(y: _Floats, slices: _Slices) -> float:
-    """Return what the index of a parameter without any influence stays below in 95 % of samples like this one."""
+    """Return the 95 % quantile of the index of a parameter without influence, in samples like this one."""
     draw, whole = np.random.default_rng(1), np.sort(y)
     of_all = _cumulative(whole, whole)
     found = [_index(draw.permutation(y), whole, of_all, slices) for _ in range(_DRAWS)]
@@ -99,17 +96,17 @@ def _cumulative(values: _Floats, at: _Floats) -> _Floats:
     return np.searchsorted(values, at, side="right") / len(values)
 
 
-_FEWEST = 20  # rows below which no figure says anything
+_FEWEST = 20  # rows below which no index is meaningful
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """How one column depends on the parameters.
+    """Dependence of one column on the parameters.
 
     Attributes
     ----------
-    method : what was computed, and of which rows; or why nothing was.
-    rows : a row of figures for each parameter.
+    method : computed indices and their rows; or the reason why there are none.
+    rows : a row of indices for each parameter.
     """
 
     column: str
@@ -118,7 +115,7 @@ class Sensitivity:
 
 
 def numbers(rows: Sequence[Row], column: str) -> _Floats:
-    """Return a column as floats (n,): true is 1, and what is missing or no number is NaN."""
+    """Return a column as floats (n,): true is 1, a missing value or no number is NaN."""
     values = [row.get(column) for row in rows]
     return np.array([float(v) if isinstance(v, int | float) else math.nan for v in values])
 
@@ -133,13 +130,13 @@ def parameter_numbers(rows: Sequence[Row], law: Law) -> _Floats:
 
 
 def sensitivity(rows: Sequence[Row], laws: Sequence[Law], column: str, base_points: int) -> Sensitivity:
-    """Return how a column depends on the parameters; `base_points` is that of a Saltelli design, else 0."""
+    """Return the dependence of a column on the parameters; `base_points` is that of a Saltelli design, else 0."""
     y = numbers(rows, column)
     there = ~np.isnan(y)
     y_there = y[there]
     if len(y_there) < _FEWEST or np.ptp(y_there) == 0:
         why = f"fewer than {_FEWEST} runs have a value" if len(y_there) < _FEWEST else "all runs have the same value"
-        return Sensitivity(column, f"nothing can be told: {why}", [])
+        return Sensitivity(column, f"no sensitivity: {why}", [])
     if base_points and _salib() and there.all() and len(y) == base_points * (len(laws) + 2):
         return Sensitivity(column, _SOBOL.format(base_points), _sobol(y, laws))
     x = np.stack([parameter_numbers(rows, law)[there] for law in laws], axis=1)
@@ -196,7 +193,7 @@ def _influence(x: _Floats, y: _Floats) -> dict[str, float]:
     return {"PAWN": pawn(y, slices), "PAWN, 95 % of chance": pawn_of_chance(y, slices)}
 
 
-_GOOD, _BAD, _INK = "#0072b2", "#d55e00", "#333333"  # told apart by colour-blind people too
+_GOOD, _BAD, _INK = "#0072b2", "#d55e00", "#333333"  # distinct for colour-blind people too
 _BINS = 8
 _ACROSS = 4
 _FEW = 8  # values that get a tick each
@@ -304,12 +301,12 @@ def _svg(figure: Any) -> str:
     return text.getvalue()[text.getvalue().index("<svg") :]
 
 
-def _image(figure: Any, told: str) -> str:
+def _image(figure: Any, description: str) -> str:
     data = io.BytesIO()
     figure.savefig(data, format="png", dpi=100)
     pyplot().close(figure)
     text = base64.b64encode(data.getvalue()).decode()
-    return f'<img alt="{told}" style="width:100%" src="data:image/png;base64,{text}">'
+    return f'<img alt="{description}" style="width:100%" src="data:image/png;base64,{text}">'
 
 
 _MOST_COLUMNS = 6
@@ -321,7 +318,7 @@ def write_report(campaign: Campaign, rows: Sequence[Row], folder: Path) -> Path:
     """Write report.html into a folder, which is made, and return its path; at least one row. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     sections = [*_share(campaign, rows), *_plots(campaign, rows), *_sensitivities(campaign, rows)]
-    sections += [*_worst(campaign, rows), *_told(campaign, rows)]
+    sections += [*_worst(campaign, rows), *_facts(campaign, rows)]
     return write_page(campaign.settings.title or campaign.name, sections, folder / "report.html")
 
 
@@ -329,8 +326,8 @@ def _share(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
     known = proportion(sum(bool(row["success"]) for row in rows), len(rows))
     whole = "" if len(rows) == campaign.runs else f" {campaign.runs - len(rows)} of {campaign.runs} runs are missing."
     yield f"<p><b>Success: {html.escape(str(known))}.</b> The interval is Wilson's.{whole}</p>"
-    rules = [rule.told for rule in campaign.settings.success] or ["verdict"]
-    kept = [{"rule": one.told, "kept": _kept(one, rows)} for one in campaign.settings.success]
+    rules = [rule.text for rule in campaign.settings.success] or ["verdict"]
+    kept = [{"rule": one.text, "kept": _kept(one, rows)} for one in campaign.settings.success]
     yield table(kept) if kept else f"<p>A run is a success when its {rules[0]} is good.</p>"
     outcomes = Counter(str(row["outcome"]) for row in rows)
     if set(outcomes) != {"ok"}:
@@ -342,10 +339,10 @@ def _kept(rule: Any, rows: Sequence[Row]) -> str:
 
 
 def _shown(campaign: Campaign, rows: Sequence[Row]) -> list[str]:
-    """Return the columns that the report is about; those without a number are left out."""
-    asked = list(campaign.settings.report.columns)
+    """Return the columns of the report; those without a number are left out."""
+    chosen = list(campaign.settings.report.columns)
     given = [name for name in dict.fromkeys(name for row in rows for name in row) if name.startswith("result.")]
-    wanted = asked or ["margin", "events.rate_hz", *given]
+    wanted = chosen or ["margin", "events.rate_hz", *given]
     return [name for name in wanted if np.isfinite(numbers(rows, name)).any()][:_MOST_COLUMNS]
 
 
@@ -369,7 +366,7 @@ def _plots(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
 
 
 def quantiles(rows: Sequence[Row], column: str) -> Row:
-    """Return how the numbers of a column are distributed."""
+    """Return quantiles of the numbers of a column."""
     values = numbers(rows, column)
     found = np.quantile(values[np.isfinite(values)], [0.0, 0.1, 0.5, 0.9, 1.0]).tolist()
     return dict(zip(("least", "10 %", "median", "90 %", "most"), found, strict=True))
@@ -394,7 +391,7 @@ def _sensitivities(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
 
 
 def worst_runs(campaign: Campaign, rows: Sequence[Row]) -> list[Row]:
-    """Return the ten worst runs: first those that did not go to their end, then by the column that the report names."""
+    """Return the ten worst runs: first those that did not end normally, then by the column that the report names."""
     shown = campaign.settings.report
     sign = 1.0 if shown.worst_is == "lowest" else -1.0
 
@@ -424,11 +421,11 @@ def _short(value: Any) -> Any:
     return value if not isinstance(value, str) or len(value) <= _MOST_TEXT else f"{value[:_MOST_TEXT]} ..."
 
 
-def _told(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
+def _facts(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
     yield "<h2>Campaign</h2>"
     settings = campaign.settings
     wall_s = numbers(rows, "machine.wall_s")
-    told = {
+    facts = {
         "file": Path(campaign.source.file).name,
         "rig": Path(campaign.source.rig_file).name,
         "id": campaign.id,
@@ -439,4 +436,4 @@ def _told(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
         "hosts": ", ".join(sorted({str(row["machine.host"]) for row in rows if row.get("machine.host")})),
         "evstim": ", ".join(sorted({str(row["machine.version"]) for row in rows if row.get("machine.version")})),
     }
-    yield table([{"what": key, "value": value} for key, value in told.items()])
+    yield table([{"what": key, "value": value} for key, value in facts.items()])

@@ -1,4 +1,4 @@
-"""Where in the unit cube the runs of a campaign lie.
+"""Sampling of a campaign's parameters: points of the unit cube, and laws that turn them into values.
 
 sobol             a scrambled Sobol sequence: even in all projections; best with a power of two
 latin-hypercube   each parameter's range in as many equal parts as there are runs, one run in each
@@ -6,7 +6,7 @@ random            independent points
 saltelli          a design for Sobol indices (Saltelli 2010): base points times (parameters + 2)
 grid              every combination of the parameters' values
 
-How the values of a parameter are spread: each law turns a number of the unit interval into a value.
+A law turns a number of the unit interval into a value of a parameter:
 
 uniform       low to high
 log-uniform   low to high, the logarithm is uniform
@@ -76,7 +76,7 @@ def _saltelli(count: int, dimensions: int, seed: int) -> _Points:
 
 
 def grid_digits(index: int, lengths: list[int]) -> list[int]:
-    """Return which value of each parameter grid point `index` has; the last parameter changes fastest."""
+    """Return the index of each parameter's value at grid point `index`; the last parameter changes fastest."""
     digits: list[int] = []
     for length in reversed(lengths):
         index, digit = divmod(index, length)
@@ -91,13 +91,13 @@ _MOST_VALUES = 10_000
 
 @dataclass(frozen=True)
 class Law(ABC):
-    """A parameter, and how its values are spread.
+    """A parameter, and the distribution of its values.
 
     Attributes
     ----------
     key
-        Where the value goes: a key of the rig such as "camera.sensor.threshold_on" or "faults[0].rate", or
-        "program.NAME" for a value that the program under test alone is given.
+        Destination of the value: a key of the rig such as "camera.sensor.threshold_on" or "faults[0].rate", or
+        "program.NAME" for a value that the program under test alone receives.
     also
         Other keys of the rig that have the same value.
     """
@@ -166,7 +166,7 @@ class LogUniform(_Range):
 
 @dataclass(frozen=True)
 class Normal(Law):
-    """A normal distribution of `mean` and `deviation`, of which only what lies from `low` to `high` is taken.
+    """A normal distribution of `mean` and `deviation`, cut at `low` and `high`.
 
     By default it is cut three deviations from the mean.
     """
@@ -187,7 +187,7 @@ class Normal(Law):
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """(low, high), where values are cut."""
+        """(low, high), the bounds of the values."""
         low = self.mean - 3 * self.deviation if math.isnan(self.low) else self.low
         high = self.mean + 3 * self.deviation if math.isnan(self.high) else self.high
         return low, high
@@ -229,7 +229,7 @@ class Integers(Law):
 
 @dataclass(frozen=True)
 class OneOf(Law):
-    """One of `values`, each as likely; all of them in a grid. A value may be whatever the key takes, tables too."""
+    """One of `values`, each as likely; all of them in a grid. A value may be any that the key allows, also a table."""
 
     kind = "list"
 

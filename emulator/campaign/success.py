@@ -1,6 +1,6 @@
-"""When a run is a success: the rig's verdict, the program's exit, and rules such as "result.error < 0.05".
+"""Success of a run, by the rig's verdict, the program's exit and rules such as "result.error < 0.05".
 
-The share of successes and how well it is known.
+The share of successes has a confidence interval.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ class SuccessRule:
 
     Attributes
     ----------
-    told : as the campaign file has it.
+    text : the rule as in the campaign file.
     """
 
-    told: str
+    text: str
     column: str
     op: str
     value: float | str | bool
@@ -50,7 +50,7 @@ class SuccessRule:
 
 
 def parse_rule(text: object) -> SuccessRule:
-    """Return a rule as the campaign file writes it; raises ValueError."""
+    """Return a rule from its text in a campaign file; raises ValueError."""
     if not isinstance(text, str):
         raise ValueError(f'expected text such as "result.error < 0.05", got {text!r}')
     if text in _WORDS:
@@ -77,13 +77,13 @@ def _value(text: str) -> float | str | bool:
 
 
 def succeeds(rules: Sequence[SuccessRule], row: Mapping[str, Any]) -> bool:
-    """Return whether a run went to its end and kept every rule; without rules, whether its verdict is good."""
+    """Return whether a run ended normally and kept every rule; without rules, whether its verdict is good."""
     rules = rules or (parse_rule("verdict"),)
     return row["outcome"] == "ok" and all(rule.kept_by(row) for rule in rules)
 
 
 def margin(rules: Sequence[SuccessRule], row: Mapping[str, Any]) -> float | None:
-    """Return how far the row is from breaking its nearest rule, as a share of that rule's value; below 0 it is broken.
+    """Return the distance of a row to its nearest limit, as a share of that rule's value; below 0 the rule is broken.
 
     None without a rule that compares numbers by size.
     """

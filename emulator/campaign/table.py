@@ -1,11 +1,9 @@
-"""The table of a campaign: a Parquet file for each run as it ends, and one for all of them at the end.
+"""The folder and the table of a campaign: a Parquet file for each run as it ends, and one for all of them at the end.
 
-A file appears whole, under the name of its run, or not at all: a run is done when its file is there, and can be there
-only once. DuckDB, pandas and polars read both forms.
+A file appears whole, under the name of its run, or not at all: a run is done when its file exists, and can be there
+only once. DuckDB, pandas and polars read both forms. The folder contains:
 
-The folder of a campaign: what the campaign was when it began, its rows, and who works on it now.
-
-campaign.json        content and version; a campaign file that says something else is refused
+campaign.json        content and version; a campaign file with another content is refused
 rows/00000017.parquet   one row for each run that is done
 rows.parquet         all of them, when all are done
 runs/000017/         files of a run: the program's output and result, a recording
@@ -50,7 +48,7 @@ _PLAIN = {"compression": "none", "use_dictionary": False, "write_statistics": Fa
 
 
 class TablesLacking(Exception):
-    """pyarrow is not installed; the message tells how to get it."""
+    """pyarrow is not installed; the message contains the command that installs it."""
 
 
 class RowUnreadable(Exception):
@@ -58,7 +56,7 @@ class RowUnreadable(Exception):
 
 
 def check_tables() -> None:
-    """Raise TablesLacking where pyarrow is missing: before hours of work, not after."""
+    """Raise TablesLacking where pyarrow is missing, before the first run."""
     _parquet()
 
 
@@ -111,7 +109,7 @@ def _columns(rows: Sequence[Row], pyarrow: Any) -> dict[str, Any]:
 
 
 def _column(values: list[Any], pyarrow: Any) -> Any:
-    """Return values as one type: what is mixed becomes text, what is all missing a float."""
+    """Return values as one type: mixed values become text, missing ones float."""
     kinds = {type(value) for value in values if value is not None}
     if kinds <= {float, int} and kinds != {int}:
         return pyarrow.array([None if v is None else float(v) for v in values], pyarrow.float64())
@@ -143,21 +141,21 @@ def read_row(folder: Path, index: int) -> Row:
     parquet, path = _parquet(), folder / f"{index:08d}{_SUFFIX}"
     try:
         (row,) = parquet.ParquetFile(path).read().to_pylist()
-    except Exception as error:  # pyarrow answers a damaged file with whatever its reader ran into
-        told = f"{path} is damaged ({type(error).__name__}): delete it, and its run is done again"
-        raise RowUnreadable(told) from error
+    except Exception as error:  # pyarrow may raise any exception for a damaged file
+        message = f"{path} is damaged ({type(error).__name__}): delete it, and its run is done again"
+        raise RowUnreadable(message) from error
     return dict(row)
 
 
-_MOST_TOLD = 8
+_MOST_LISTED = 8
 
 
 class FolderError(Exception):
-    """The folder belongs to another campaign, or another program works in it; the message says what to do."""
+    """The folder belongs to another campaign, or another program works in it; the message contains the remedy."""
 
 
 def rows_folder(folder: Path) -> Path:
-    """Return where the single rows are."""
+    """Return the folder of the single rows."""
     return folder / "rows"
 
 
@@ -174,17 +172,17 @@ def begin_folder(campaign: Campaign, folder: Path) -> str:
 
 
 def check_folder(campaign: Campaign, folder: Path) -> dict[str, Any]:
-    """Return what a folder's campaign was when it began; raises FolderError where that is not this one."""
+    """Return the campaign that a folder was begun with; raises FolderError where that is not this one."""
     before = _read(folder / "campaign.json")
     if before.get("id") != campaign.id:
-        raise FolderError(_told_difference(campaign, folder, before, json.loads(_text(campaign))))
+        raise FolderError(_difference_message(campaign, folder, before, json.loads(_text(campaign))))
     return before
 
 
 def _text(campaign: Campaign) -> str:
-    """Return what campaign.json says."""
-    told = {"id": campaign.id, "evstim": version("evstim"), **campaign.content}
-    return json.dumps(told, indent=1, sort_keys=True, default=str) + "\n"
+    """Return the text of campaign.json."""
+    content = {"id": campaign.id, "evstim": version("evstim"), **campaign.content}
+    return json.dumps(content, indent=1, sort_keys=True, default=str) + "\n"
 
 
 def _write_once(file: Path, text: str) -> None:
@@ -208,12 +206,12 @@ def _read(file: Path) -> dict[str, Any]:
         raise FolderError(f"{file} is damaged; give another --folder") from error
 
 
-def _told_difference(campaign: Campaign, folder: Path, before: dict[str, Any], now: dict[str, Any]) -> str:
+def _difference_message(campaign: Campaign, folder: Path, before: dict[str, Any], now: dict[str, Any]) -> str:
     differences = [line for part in ("campaign", "rig") for line in _differences(before.get(part), now.get(part), part)]
-    more = [f"and {len(differences) - _MOST_TOLD} more"] if len(differences) > _MOST_TOLD else []
-    told = "; ".join([*differences[:_MOST_TOLD], *more])
+    more = [f"and {len(differences) - _MOST_LISTED} more"] if len(differences) > _MOST_LISTED else []
+    listed = "; ".join([*differences[:_MOST_LISTED], *more])
     return (
-        f"{folder} has the runs of another campaign: {told}. Undo the change in {campaign.source.file}, "
+        f"{folder} has the runs of another campaign: {listed}. Undo the change in {campaign.source.file}, "
         "or give another --folder"
     )
 
@@ -236,9 +234,9 @@ def _short(value: Any) -> str:
 
 @contextmanager
 def working_in(folder: Path, *, alone: bool) -> Iterator[None]:
-    """Keep other programs from the folder's runs meanwhile; those of a job array (not `alone`) share it.
+    """Lock the folder against other programs; those of a job array (not `alone`) share it.
 
-    Raises FolderError. The lock ends with the process, however that ends.
+    Raises FolderError. The lock always ends with the process.
     """
     with (folder / ".lock").open("a") as file:
         try:

@@ -1,11 +1,11 @@
-"""A worker: a process that does one run of a campaign after the other, as it is told over a socket.
+"""A worker: a process that does one run of a campaign after the other, by orders over a socket.
 
     orders, JSON:   {"source": {...}, "folder": ..., "threads": 1}     once
                     {"index": 17, "worker": 0}                         for each run
     answers, JSON:  {"ready": true}                                    once
                     {"row": {...}} | {"stopped": "why the campaign cannot go on"} | {"abandoned": true}
 
-It ends when the socket is closed. SIGTERM abandons the run at hand; it comes also when whoever started the worker dies.
+It ends when the socket is closed. SIGTERM abandons the present run; it comes also when the parent process dies.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 class _Worker:
-    """One campaign, run by run."""
+    """Loop of a worker over the runs of one campaign."""
 
     def __init__(self, socket: Connection) -> None:
         self._socket = socket
@@ -40,18 +40,18 @@ class _Worker:
         self._abandoned = False
 
     def serve(self) -> None:
-        """Answer orders until the other side is gone."""
-        told = json.loads(self._socket.recv_bytes())
+        """Answer orders until the other side disconnects."""
+        setup = json.loads(self._socket.recv_bytes())
         try:
-            campaign = Campaign(Source(**told["source"]))
+            campaign = Campaign(Source(**setup["source"]))
         except (CampaignError, RigError) as error:
             self._answer({"stopped": str(error)})
             return
-        gc.freeze()  # what is loaded stays: no collection need look at it again
+        gc.freeze()  # loaded modules stay: no collection need examine them again
         self._answer({"ready": True})
         while not self._abandoned:
             order = json.loads(self._socket.recv_bytes())
-            place = Place(Path(told["folder"]), order["worker"], told["threads"])
+            place = Place(Path(setup["folder"]), order["worker"], setup["threads"])
             self._answer(self._done(campaign, order["index"], place))
 
     def _done(self, campaign: Campaign, index: int, place: Place) -> dict[str, object]:
@@ -70,14 +70,14 @@ class _Worker:
         self._socket.send_bytes(json.dumps(message).encode())
 
     def abandon(self, *_: object) -> None:
-        """End the run at hand after its present step, without a row."""
+        """End the present run after its present step, without a row."""
         self._abandoned = True
         if self._session is not None:
             self._session.stop()
 
 
 def _end_with_parent() -> None:
-    """Let the kernel send SIGTERM when whoever started the worker dies: a run of minutes must not go on for nobody."""
+    """Request SIGTERM from the kernel for the death of the parent process: the run must then not go on."""
     with suppress(AttributeError, OSError):
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
@@ -86,12 +86,12 @@ def main() -> None:
     """Serve the socket whose number is the first argument."""
     descriptor = int(sys.argv[1])
     os.set_inheritable(descriptor, False)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for whoever started the worker
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent process
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     worker = _Worker(Connection(descriptor))
     signal.signal(signal.SIGTERM, worker.abandon)
     _end_with_parent()
-    with suppress(EOFError, BrokenPipeError, ConnectionResetError):  # nobody is left to answer to
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError):  # the other side has disconnected
         worker.serve()
 
 

@@ -1,8 +1,6 @@
-"""The near end of a worker process, which stays warm from one run to the next.
+"""Runs of a campaign in worker processes on this machine, each of which does many runs.
 
-Runs of a campaign in worker processes on this machine: a thread for each worker waits for its runs.
-
-A campaign run to its end: what remains to be done is found, each row is written as it comes.
+A thread for each worker waits for its runs. `run_campaign` does the runs, and writes each row as it comes.
 """
 
 from __future__ import annotations
@@ -51,11 +49,11 @@ class Abandoned(Exception):
 
 
 class WarmWorker:
-    """Does runs of one campaign in a process of its own, which is started when it is needed and again when it dies.
+    """A process that does runs of one campaign; it is started when it is needed, and again when it dies.
 
     Parameters
     ----------
-    threads : of the pixel step, where the rig does not say.
+    threads : of the pixel step, where the rig does not give their number.
     """
 
     def __init__(self, campaign: Campaign, folder: Path, threads: int) -> None:
@@ -84,8 +82,8 @@ class WarmWorker:
                 ends.append(self._end_of_worker(index))
             if self._closing:
                 raise Abandoned
-        told = f"the worker ended in each of {_TRIES} tries: {', '.join(ends)}"
-        return lost_row(self._campaign, index, "crashed", told)
+        message = f"the worker ended in each of {_TRIES} tries: {', '.join(ends)}"
+        return lost_row(self._campaign, index, "crashed", message)
 
     def _started(self) -> Connection:
         """Return the socket of a worker that is ready; raises CampaignStopped where none can start."""
@@ -96,14 +94,14 @@ class WarmWorker:
             try:
                 return self._socket or self._start()
             except (EOFError, OSError) as error:  # among them TimeoutError
-                told = self._end_of_worker()
-                ends.append(str(error) or told)
+                end = self._end_of_worker()
+                ends.append(str(error) or end)
         raise CampaignStopped(f"worker processes do not start: {', '.join(sorted(set(ends)))}")
 
     def _once(self, socket: Connection, index: int, number: int) -> Row:
         socket.send_bytes(json.dumps({"index": index, "worker": number}).encode())
         answer = _answer(socket, self._campaign.settings.timeout_s)
-        if "row" not in answer:  # it was told to end, by `abandon` or by somebody else
+        if "row" not in answer:  # it received SIGTERM, from `abandon` or from another program
             raise EOFError
         row: Row = answer["row"]
         return row
@@ -118,17 +116,17 @@ class WarmWorker:
                 env={**os.environ, "LP_NUM_THREADS": str(self._threads), "PYTHONPATH": os.pathsep.join(sys.path)},
             )
         self._socket = Connection(near.detach())
-        told = {
+        setup = {
             "source": asdict(self._campaign.source),
             "folder": str(self._folder),
             "threads": self._threads,
         }
-        self._socket.send_bytes(json.dumps(told).encode())
+        self._socket.send_bytes(json.dumps(setup).encode())
         _answer(self._socket, _START_TIMEOUT_S)
         return self._socket
 
     def _end_of_worker(self, index: int | None = None) -> str:
-        """Tidy up after a worker that has died, with a run at hand or without, and say how it did."""
+        """Clean up after a worker that has died, with a run or without, and return its signal or exit code."""
         code = self._kill(index)
         return signal.Signals(-code).name if code < 0 else f"exit code {code}"
 
@@ -146,7 +144,7 @@ class WarmWorker:
         return code
 
     def abandon(self) -> None:
-        """Let the run at hand end without a row; for another thread."""
+        """End the present run without a row; for another thread."""
         self._closing = True
         if self._process is not None:
             with suppress(ProcessLookupError):
@@ -159,7 +157,7 @@ class WarmWorker:
             self._process.kill()
 
     def close(self, patience_s: float = 10.0) -> None:
-        """End the process, which has no run at hand."""
+        """End the process, which has no run now."""
         if self._socket is not None:
             self._socket.close()
         if self._process is None:
@@ -182,7 +180,7 @@ def _answer(socket: Connection, timeout_s: float) -> dict[str, Any]:
 
 
 def lost_row(campaign: Campaign, index: int, outcome: str, error: str) -> Row:
-    """Return the row of a run that nobody has brought to its end."""
+    """Return the row of a run that did not reach its end."""
     row: Row = {"index": index, "campaign": campaign.id, "outcome": outcome, "error": error}
     row |= {"seed": campaign.seed(index), **parameter_columns(campaign.values(index))}
     return judged(campaign.settings, row)
@@ -192,7 +190,7 @@ _PATIENCE_S = 10.0
 
 
 class LocalWorkers:
-    """Does runs with some workers, and gives their rows as they come."""
+    """Workers on this machine, each in a process of its own."""
 
     def __init__(self, workers: list[WarmWorker]) -> None:
         self._workers = workers
@@ -201,7 +199,7 @@ class LocalWorkers:
         self._lock = threading.Lock()
 
     def rows(self, indices: Iterable[int]) -> Iterator[Row]:
-        """Do the runs; raises CampaignStopped. It ends before the last run after `stop`."""
+        """Do the runs and yield their rows; end before the last run after `stop`. Raises CampaignStopped."""
         waiting = iter(indices)
         threads = [threading.Thread(target=self._work, args=(k, waiting)) for k in range(len(self._workers))]
         for thread in threads:
@@ -212,7 +210,7 @@ class LocalWorkers:
             self._end(threads)
 
     def stop(self) -> None:
-        """Begin no further run and give up those at hand; for a signal handler."""
+        """Begin no further run and abandon the present ones; for a signal handler."""
         self._stopping = True
         for worker in self._workers:
             worker.abandon()
@@ -245,7 +243,7 @@ class LocalWorkers:
             return None if self._stopping else next(waiting, None)
 
     def _end(self, threads: list[threading.Thread]) -> None:
-        """Return when no worker is left; those that do not give up their run in time are killed."""
+        """Return when no worker is left; those that do not end their run in time are killed."""
         if any(thread.is_alive() for thread in threads):
             self.stop()
         timer = threading.Timer(_PATIENCE_S, self._kill)
@@ -262,18 +260,18 @@ class LocalWorkers:
 
 
 def cores() -> int:
-    """Return how many cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 class Workers(Protocol):
-    """What does runs: processes here, or a cluster."""
+    """Workers that do runs: processes here, or a cluster."""
 
     def rows(self, indices: Iterable[int]) -> Iterator[Row]:
-        """Do the runs and give their rows as they come, in any order; raises CampaignStopped."""
+        """Do the runs and yield their rows as they come, in any order; raises CampaignStopped."""
 
     def stop(self) -> None:
-        """Begin no further run and give up those at hand; for a signal handler."""
+        """Begin no further run and abandon the present ones; for a signal handler."""
 
 
 @dataclass(frozen=True)
@@ -297,7 +295,7 @@ def part_of(text: str) -> Part:
 
 
 def remaining(folder: Path, wanted: Iterable[int]) -> list[int]:
-    """Return which of the wanted runs have no row yet."""
+    """Return those of the wanted runs that have no row yet."""
     done = done_rows(rows_folder(folder))
     return [index for index in wanted if index not in done]
 
@@ -305,9 +303,9 @@ def remaining(folder: Path, wanted: Iterable[int]) -> list[int]:
 def run_campaign(
     campaign: Campaign, folder: Path, indices: Iterable[int], workers: Workers, on_row: Callable[[Row], None]
 ) -> int:
-    """Do runs, write each row when it comes, and return how many came; raises CampaignStopped.
+    """Do runs, write each row when it comes, and return the number of rows; raises CampaignStopped.
 
-    Rows that were written stay, whatever happens.
+    Rows that were written always stay.
     """
     count = 0
     rows = workers.rows(indices)

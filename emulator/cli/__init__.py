@@ -5,7 +5,7 @@ __all__ = ["main"]
 
 def main() -> None:
     """Run the command line and exit with its code."""
-    # Here and not above: each link's process begins by importing the script that calls this, and needs no verbs.
+    # Imported here: each link's process begins by importing the script that calls this, and needs no verbs.
     from emulator.run.standard_descriptors import fill_standard_descriptors
 
     fill_standard_descriptors()

@@ -55,9 +55,9 @@ def accuracy(
     Parameters
     ----------
     what
-        "chart": timestamp error and wrong events against work, and what each effect costs and changes.
+        "chart": timestamp error and wrong events against work, and the cost and the effect on events of each effect.
         "stability": where each method fails, and the map of hermite against line over blur and speed.
-        "rendering": false and missed events of the shipped rigs' scenes against the time that a picture takes.
+        "rendering": false and missed events of the shipped rigs' scenes against the time of a light frame.
     out
         Folder to write into; created if missing.
     rig

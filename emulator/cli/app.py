@@ -31,20 +31,20 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,  # it would exit with 130, without a message
 )
-# By name, so that a command imports only what it needs: numba and GL would slow `evstim rigs` down.
-for verb, module, told in (
+# By name, so that a command imports only its own modules: numba and GL would slow `evstim rigs` down.
+for verb, module, summary in (
     ("run", "run", "Run a rig: render its scene, simulate its sensor, serve its links."),
-    ("vizard", "vizard", "Run a rig in step with a Basilisk simulation, which gives poses and asks for images."),
+    ("vizard", "vizard", "Run a rig in step with a Basilisk simulation, which sends poses and requests images."),
     ("dynamics", "dynamics", "Fly an FMU: its poses go to a running rig, its inputs come from a file or a CAN bus."),
     ("record", "record", "Record the events of a rig to a file: AEDAT4, EVT3, HDF5, a ROS bag, ..."),
     ("convert", "convert", "Convert a recording of events to another format."),
-    ("info", "info", "Show what a recording of events is and holds."),
-    ("recover", "convert", "Save what can be read of a recording that was cut."),
+    ("info", "info", "Show the format and the content of a recording of events."),
+    ("recover", "convert", "Save the readable part of a recording that was cut."),
     ("demo", "demo", "Run a rig, read its camera over USB/IP in a second process, and compare every event."),
     ("check", "check", "Check a rig file without running it."),
-    ("plan", "plan", "Show what a run will model: step, effects and expected load."),
+    ("plan", "plan", "Show the plan of a run: step, effects and expected load."),
     ("fault", "fault", "Inject a fault into a link of a running rig."),
-    ("trigger", "trigger", "Let an edge come to the camera of a running rig, or reset its clock."),
+    ("trigger", "trigger", "Give the camera of a running rig an edge, or reset its clock."),
     ("rigs", "rigs", "List the rigs that are installed with evstim."),
     ("dbc", "listen.can", "Write the DBC file of a rig's CAN link."),
     ("export", "export", "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark."),
@@ -52,10 +52,10 @@ for verb, module, told in (
     ("picture", "picture", "Write a PNG of a rig: its light and its events."),
     ("accuracy", "accuracy", "Measure accuracy against speed, and where each method fails."),
     ("characterise", "characterise", "Measure a simulated sensor with the methods of a laboratory."),
-    ("doctor", "doctor", "Show what this machine has and lacks, with the command that adds it."),
+    ("doctor", "doctor", "Show which parts this machine has and lacks, with the command that adds each."),
     ("bench", "bench", "Measure the speeds that the documentation quotes."),
 ):
-    app.command(f"emulator.cli.{module}:{verb}", name=verb, help=told)
+    app.command(f"emulator.cli.{module}:{verb}", name=verb, help=summary)
 app.register_install_completion_command()
 app.command(
     "emulator.cli.listen.verbs:verbs",
@@ -78,7 +78,7 @@ def main() -> None:
     """Run the command line and exit with its code."""
     guard_stdout()
     log = BackgroundWriter(2)
-    status.file = cast(IO[str], log)  # an stderr that nobody reads must not stop a camera
+    status.file = cast(IO[str], log)  # an unread stderr must not stop a camera
     try:
         sys.exit(_main(sys.argv[1:]))
     finally:
@@ -98,7 +98,7 @@ def _main(tokens: list[str]) -> int:
     try:
         return _exit_code(tokens, as_json, boxed)
     except CycloptsError as error:
-        return _fail(str(error), WRONG_USE, as_json, told=boxed)
+        return _fail(str(error), WRONG_USE, as_json, printed=boxed)
     except Failure as failure:
         return _fail(str(failure), failure.exit_code, as_json)
     except KeyboardInterrupt:
@@ -107,7 +107,7 @@ def _main(tokens: list[str]) -> int:
 
 
 def _exit_code(tokens: list[str], as_json: bool, boxed: bool) -> int:
-    """Run a command to the last byte of its result; raises Failure where that cannot be written.
+    """Run a command and flush its whole result; raises Failure when the result cannot be written.
 
     `boxed`: wrong use is printed by cyclopts, in a box.
     """
@@ -125,8 +125,8 @@ def _be_quiet() -> None:
     status.quiet = True
 
 
-def _fail(message: str, exit_code: int, as_json: bool, told: bool = False) -> int:
-    if not told:
+def _fail(message: str, exit_code: int, as_json: bool, printed: bool = False) -> int:
+    if not printed:
         status.quiet = False
         status.print(f"evstim: {message}", markup=False)
     if as_json and sys.stdout is not None:

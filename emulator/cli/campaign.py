@@ -66,7 +66,7 @@ _LINE_PERIOD_S = 10.0
 
 
 class Progress:
-    """Counts the rows as they come, and shows how the campaign stands.
+    """Count of the rows that have been written, and display of the progress.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Progress:
         self._before = done_before
         self._name = campaign.name
         self._successes = 0
-        self._begun_s = self._told_s = time.monotonic()
+        self._begun_s = self._printed_s = time.monotonic()
         self._bar: Bar | None = None
 
     @property
@@ -103,18 +103,20 @@ class Progress:
         return time.monotonic() - self._begun_s
 
     def add(self, row: Row) -> None:
-        """Take note of a row that was written."""
+        """Count a row that was written."""
         self.rows[row["index"]] = row
         self._successes += bool(row["success"])
         self.run_s += float(row.get("machine.wall_s") or 0.0)
         if self._bar is not None:
-            self._bar.update(self._bar.task_ids[0], advance=1, told=self._told)
-        elif time.monotonic() - self._told_s > _LINE_PERIOD_S:
-            self._told_s = time.monotonic()
-            status.print(f"{self._name}: {self._before + self.came} of {self._wanted} runs, {self._told}", markup=False)
+            self._bar.update(self._bar.task_ids[0], advance=1, successes=self._success_text)
+        elif time.monotonic() - self._printed_s > _LINE_PERIOD_S:
+            self._printed_s = time.monotonic()
+            status.print(
+                f"{self._name}: {self._before + self.came} of {self._wanted} runs, {self._success_text}", markup=False
+            )
 
     @property
-    def _told(self) -> str:
+    def _success_text(self) -> str:
         return f"{self._successes} of {self.came} successes"
 
     @contextmanager
@@ -126,8 +128,8 @@ class Progress:
             yield
             return
         columns = TextColumn(self._name), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-        with Bar(*columns, TextColumn("{task.fields[told]}"), console=status, transient=True) as bar:
-            bar.add_task(self._name, total=self._wanted, completed=self._before, told="")
+        with Bar(*columns, TextColumn("{task.fields[successes]}"), console=status, transient=True) as bar:
+            bar.add_task(self._name, total=self._wanted, completed=self._before, successes="")
             self._bar = bar
             yield
         self._bar = None
@@ -141,7 +143,7 @@ def finish(
     successes = sum(bool(row["success"]) for row in rows)
     known = proportion(successes, len(rows))
     outcomes = Counter(str(row["outcome"]) for row in rows)
-    told: dict[str, object] = {
+    summary: dict[str, object] = {
         "campaign": campaign.name,
         "id": campaign.id,
         "runs": campaign.runs,
@@ -155,13 +157,13 @@ def finish(
     }
     complete = len(rows) == campaign.runs
     if rows and (complete or report is not None) and not in_part and not progress.trouble:
-        told["report"] = _write(campaign, rows, folder, report)
-    _print(told, outcomes, str(known), progress)
+        summary["report"] = _write(campaign, rows, folder, report)
+    _print(summary, outcomes, str(known), progress)
     if progress.trouble:
         resume = f"{len(rows)} of {campaign.runs} runs are done; the same command goes on with the others"
         raise Failure(f"{progress.trouble}. {resume}", LACKING)
     if as_json:
-        print_json(told)
+        print_json(summary)
     if progress.interrupted or progress.remaining:
         return BAD_VERDICT
     return GOOD if not complete or known.share >= campaign.settings.min_success else BAD_VERDICT
@@ -173,21 +175,21 @@ def _write(campaign: Campaign, rows: list[Row], folder: Path, report: Path | Non
             write_table(folder / "rows.parquet", rows)
         return str(write_report(campaign, rows, report or folder))
     except OSError as error:
-        told = f"{error.filename or folder}: {error.strerror or error}: table or report is missing"
-        raise Failure(told, LACKING) from error
+        message = f"{error.filename or folder}: {error.strerror or error}: table or report is missing"
+        raise Failure(message, LACKING) from error
 
 
-def _print(told: dict[str, object], outcomes: Counter[str], success: str, progress: Progress) -> None:
-    console.print(f"{told['campaign']}: {told['done']} of {told['runs']} runs are done", markup=False)
-    if told["done"]:
+def _print(summary: dict[str, object], outcomes: Counter[str], success: str, progress: Progress) -> None:
+    console.print(f"{summary['campaign']}: {summary['done']} of {summary['runs']} runs are done", markup=False)
+    if summary["done"]:
         console.print(f"success: {success}", markup=False)
     for outcome, count in outcomes.items():
         if outcome != "ok":
             console.print(f"{outcome}: {count}", markup=False)
     if progress.interrupted:
         console.print("interrupted: the same command goes on", markup=False)
-    if "report" in told:
-        console.print(f"report: {told['report']}", markup=False)
+    if "report" in summary:
+        console.print(f"report: {summary['report']}", markup=False)
 
 
 @contextmanager
@@ -212,7 +214,7 @@ def again(
 ) -> int:
     """Do one run of a campaign once more, and compare it with its row.
 
-    Exit code 1 tells that events differ from those of the row.
+    Exit code 1: events differ from those of the row.
 
     Parameters
     ----------
@@ -221,7 +223,7 @@ def again(
     index
         The run, from 0.
     record
-        Write what the links delivered to this file; its suffix tells the format.
+        Write the delivered events to this file; its suffix determines the format.
     folder
         Of the campaign; default: beside FILE, its name without .toml.
     json
@@ -245,7 +247,7 @@ def again(
     if json:
         print_json({"row": row, "different": different})
     else:
-        _print_campaign_again(row, different)
+        _print_row(row, different)
     return BAD_VERDICT if different else GOOD
 
 
@@ -263,7 +265,7 @@ def _different(before: Row, now: Row) -> list[str]:
     return [name for name in [*names, "outcome"] if before[name] != now.get(name)]
 
 
-def _print_campaign_again(row: Row, different: list[str] | None) -> None:
+def _print_row(row: Row, different: list[str] | None) -> None:
     for name, value in row.items():
         console.print(f"{name}: {value}", markup=False)
     if different is None:
@@ -308,7 +310,7 @@ def report(
 
 @dataclass(frozen=True)
 class Share:
-    """Which runs to do, for job arrays; the folder is shared, and a last call without these completes it.
+    """Selection of runs for job arrays; the folder is shared, and a last call without these options completes it.
 
     Attributes
     ----------
@@ -323,8 +325,8 @@ class Share:
 
 
 @dataclass(frozen=True)
-class Where:
-    """Where the runs are done and where their rows go.
+class Placement:
+    """Workers or scheduler that do the runs, and folders of the results.
 
     Attributes
     ----------
@@ -346,7 +348,7 @@ class Where:
 
 
 _ALL = Share()
-_HERE = Where()
+_HERE = Placement()
 
 
 def campaign(
@@ -354,10 +356,10 @@ def campaign(
     /,
     *,
     share: Annotated[Share, Parameter(name="*")] = _ALL,
-    where: Annotated[Where, Parameter(name="*")] = _HERE,
+    where: Annotated[Placement, Parameter(name="*")] = _HERE,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Run a campaign, or what remains of it. Ctrl-C ends it with its summary; the same command goes on with it.
+    """Run a campaign, or the rest of it. Ctrl-C ends it with its summary; the same command continues it.
 
     Parameters
     ----------
@@ -394,7 +396,7 @@ def _wanted(made: Campaign, share: Share) -> Sequence[int]:
 
 
 def _begun(made: Campaign, folder: Path, wanted: Sequence[int]) -> list[int]:
-    """Make or check the folder, and return what remains to be done."""
+    """Make or check the folder, and return the runs that remain to be done."""
     try:
         remark = begin_folder(made, folder)
     except OSError as error:
@@ -404,13 +406,13 @@ def _begun(made: Campaign, folder: Path, wanted: Sequence[int]) -> list[int]:
     return remaining(folder, wanted)
 
 
-def _run(made: Campaign, folder: Path, todo: list[int], where: Where, progress: Progress) -> None:
+def _run(made: Campaign, folder: Path, todo: list[int], where: Placement, progress: Progress) -> None:
     if not todo:
         return
     if where.scheduler is None:
         prepared(parts_of(made.rig(todo[0])))
     workers = _workers(made, folder.absolute(), len(todo), where)
-    gc.freeze()  # what is loaded stays: no collection need look at it again
+    gc.freeze()  # loaded modules stay: no collection need examine them again
     stop_on_signals(_Stopping(workers, progress).stop)
     with progress.shown():
         try:
@@ -421,7 +423,7 @@ def _run(made: Campaign, folder: Path, todo: list[int], where: Where, progress: 
         interrupt_on_stop_signals()
 
 
-def _workers(made: Campaign, folder: Path, most: int, where: Where) -> Workers:
+def _workers(made: Campaign, folder: Path, most: int, where: Placement) -> Workers:
     if where.scheduler is not None:
         if where.workers is not None:
             raise Failure("--workers and --scheduler: the scheduler's workers do the runs; give one of them", WRONG_USE)
@@ -437,7 +439,7 @@ def _workers(made: Campaign, folder: Path, most: int, where: Where) -> Workers:
 
 
 class _Stopping:
-    """Stops the workers at a signal, and lets the progress know that it was not the campaign's end."""
+    """Handler of stop signals: it stops the workers and marks the progress as interrupted."""
 
     def __init__(self, workers: Workers, progress: Progress) -> None:
         self._workers = workers

@@ -32,9 +32,9 @@ def characterise(
     quick: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Measure a simulated sensor, compare it with published figures of real ones; write charts, tables and a page.
+    """Measure a simulated sensor, compare it with published values of real ones; write charts, tables and a page.
 
-    With a recording, measure its background activity instead, and lay the sensor's own in still light beside it.
+    With a recording, measure its background activity instead, and compare it with the sensor's own in still light.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def characterise(
     light
         With a recording: light on the simulated sensor.
     fit
-        With a recording: also write fit.toml, the figures of the sensor that match it best.
+        With a recording: also write fit.toml, the sensor parameters that match it best.
     quick
         Fewer points.
     json

@@ -36,7 +36,7 @@ from transports.recording.writing import RecordingFile
 __all__ = ["convert", "recover"]
 
 _PROGRESS_S = 2.0
-_LATE = "as they come in the file after what is later in time"
+_LATE = "as they come in the file after data of a later time"
 
 
 def convert(
@@ -53,13 +53,13 @@ def convert(
     Parameters
     ----------
     source
-        A recording in any format that is read: see docs/recordings.md. Its first bytes tell which.
+        A recording in any format that can be read: see docs/recordings.md. Its first bytes determine the format.
     target
-        The file to write; its suffix tells the format.
+        The file to write; its suffix determines the format.
     to
-        Name of the format, where the suffix does not tell it: aedat31, evt2, ros1-dvs, ...
+        Name of the format, where the suffix does not determine it: aedat31, evt2, ros1-dvs, ...
     size
-        WIDTHxHEIGHT of the sensor, such as 346x260, for files that do not tell it.
+        WIDTHxHEIGHT of the sensor, such as 346x260, for files that do not contain it.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -67,12 +67,12 @@ def convert(
     sensor = parsed_size(size)
     with reading(source), OpenRecording(source, sensor) as recording:
         form = check_recording("OUT", target, to)
-        return _told(source, target, form, _convert(recording, recording.facts, target, form), json)
+        return _print(source, target, form, _convert(recording, recording.facts, target, form), json)
 
 
 @dataclass(frozen=True)
 class _Done:
-    """What a conversion did, and why its input was not read to its end."""
+    """Result of a conversion, and the reason if its input was not read to the end."""
 
     read: Counter[str]
     file: RecordingFile
@@ -117,7 +117,7 @@ def _closed(file: RecordingFile, target: Path) -> Iterator[None]:
         file.close()
 
 
-def _told(source: Path, target: Path, form: Format, done: _Done, json: bool) -> int:
+def _print(source: Path, target: Path, form: Format, done: _Done, json: bool) -> int:
     file, rate = done.file, done.file.written["events"] / max(done.seconds, 1e-9) * 1e-6
     left_out = +(done.read - file.written)
     if json:
@@ -135,7 +135,7 @@ def _told(source: Path, target: Path, form: Format, done: _Done, json: bool) -> 
                 console.print(f"left out, {why}: {named(counts)}", markup=False)
         console.print(f"opens in: {form.readers}")
         if done.trouble:
-            console.print(f"{source}: {done.trouble}; what came before is in {target}", markup=False)
+            console.print(f"{source}: {done.trouble}; the part before it is in {target}", markup=False)
     return BAD_VERDICT if done.trouble else GOOD
 
 
@@ -152,13 +152,13 @@ def recover(
     size: str | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Save what can be read of a recording that was cut or never finished.
+    """Save the readable part of a recording that was cut or never finished.
 
     Parameters
     ----------
     source
-        An AEDAT 4.0 file, or the .part file of an .npz record. Other formats need no recovery: `evstim convert` keeps
-        all that comes before the damage.
+        An AEDAT 4.0 file, or the .part file of an .npz record. Other formats need no recovery: `evstim convert`
+        converts everything before the damage.
     target
         The file to write: .aedat4 for AEDAT 4.0, any format for a .part file.
     size
@@ -174,13 +174,13 @@ def recover(
         with reading(source):
             source.stat()
             facts = Facts(parsed_size(size) or (1 << 16, 1 << 16), "record", streams=frozenset())
-            return _told(source, target, form, _convert(RawEvents(source, facts.size), facts, target, form), json)
+            return _print(source, target, form, _convert(RawEvents(source, facts.size), facts, target, form), json)
     return _recover_aedat4(source, target, json)
 
 
 def _recover_aedat4(source: Path, target: Path, json: bool) -> int:
     if check_recording("OUT", target).name != "aedat4":
-        advice = "what is recovered of AEDAT 4.0 must end in .aedat4; `evstim convert` goes on from there"
+        advice = "a file recovered from AEDAT 4.0 must end in .aedat4; `evstim convert` can convert it further"
         raise Failure(f"{target}: {advice}", WRONG_USE)
     with reading(source):
         if source.is_dir():

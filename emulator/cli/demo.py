@@ -1,11 +1,11 @@
-"""`evstim demo`: a run that a second process reads as a driver does, without hardware or kernel module.
+"""`evstim demo`: a run whose camera is read by a second process, as a driver does, without hardware or kernel module.
 
 Over USB/IP the reader is evstim's own; over GigE Vision it is neuromorphic_drivers, unmodified, where it is installed.
 Every event is compared. `evstim demo landing` flies a landing instead.
 
 `evstim demo landing`: the landing of examples/landing, flown from start to touchdown.
 
-The programs that `evstim demo` starts to read its camera, each in a process of its own.
+`evstim demo` starts the reader of its camera in a process of its own.
 """
 
 from __future__ import annotations
@@ -67,12 +67,12 @@ def fly_landing(*, as_json: bool) -> int:
     if not file.exists():
         own = code if code in (WRONG_USE, LACKING) else BAD_VERDICT
         raise Failure(f"the landing did not begin: fly.py ended with {code}, see above", own)
-    told = json.loads(file.read_text())
+    verdict = json.loads(file.read_text())
     if as_json:
-        print_json({**told, "good": told["soft"], "folder": str(out)})
+        print_json({**verdict, "good": verdict["soft"], "folder": str(out)})
     else:
-        _print(told)
-    return GOOD if told["soft"] else BAD_VERDICT
+        _print(verdict)
+    return GOOD if verdict["soft"] else BAD_VERDICT
 
 
 def _program() -> Path:
@@ -83,14 +83,14 @@ def _program() -> Path:
     raise Failure("examples/landing is not here: it comes with evstim and lies in its repository", WRONG_USE)
 
 
-def _print(told: dict[str, Any]) -> None:
-    if told["touched"]:
-        console.print(f"touchdown after {told['t_s']:.1f} s at {told['vertical_m_s']:.2f} m/s down")
-    if "error_median" in told:
-        console.print(f"divergence from events: {100 * told['error_median']:.1f} % off in the median")
-    for sentence in told["why"]:
+def _print(verdict: dict[str, Any]) -> None:
+    if verdict["touched"]:
+        console.print(f"touchdown after {verdict['t_s']:.1f} s at {verdict['vertical_m_s']:.2f} m/s down")
+    if "error_median" in verdict:
+        console.print(f"divergence from events: {100 * verdict['error_median']:.1f} % off in the median")
+    for sentence in verdict["why"]:
         console.print(sentence, markup=False)
-    console.print("good" if told["soft"] else "NOT GOOD: below 1 m/s is a landing")
+    console.print("good" if verdict["soft"] else "NOT GOOD: below 1 m/s is a landing")
 
 
 _START = "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); from emulator.cli import main; main()"
@@ -104,9 +104,9 @@ _Command = Callable[[str, Path, float], list[str]]
 
 @dataclass(frozen=True)
 class DemoReader:
-    """A reader: what is said of it, and its arguments for a camera's address, a record and a time in seconds."""
+    """A reader: its description, and its arguments for a camera's address, a record and a time in seconds."""
 
-    told: str
+    description: str
     arguments: _Command
     code: str = _START
 
@@ -129,12 +129,12 @@ def _driver(address: str, record: Path, seconds: float) -> list[str]:
 
 
 def reader_of(kind: str) -> DemoReader:
-    """Return what reads a camera on a link of this kind: for GigE Vision a driver that others wrote, if it works."""
+    """Return the reader of a camera on a link of this kind: for GigE Vision a third-party driver, if it works."""
     if kind == "usbip":
         return DemoReader("evstim's own receiver", _usbip)
     if driver_works():
         return DemoReader(f"{DRIVER}, unmodified,", _driver, _DRIVER)
-    return DemoReader(f"evstim's own receiver (pip install {DRIVER} for a driver that others wrote)", _gige)
+    return DemoReader(f"evstim's own receiver (pip install {DRIVER} for a third-party driver)", _gige)
 
 
 def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Annotated[bool, Parameter(negative="")] = False) -> int:
@@ -174,7 +174,7 @@ def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Annotated[bool, Pa
 
 
 def _on_a_free_port(rig: Rig) -> Rig:
-    """Return the rig with its camera alone, where no other program is: drivers know one port of GigE Vision.
+    """Return the rig with its camera alone, at an address that no program uses: drivers use one port of GigE Vision.
 
     The demo compares events: that a machine is late now and then is shown, and judged by `run`.
     """
@@ -200,7 +200,7 @@ def _run(rig: Rig, sent: Path, received: Path, seconds: float) -> RunResult:
             address = now.links[link.name].address
             if receiver is None and address is not None:
                 reader = reader_of(link.kind)
-                status.print(f"the camera is at {address}; {reader.told} attaches to it in a second process")
+                status.print(f"the camera is at {address}; {reader.description} attaches to it in a second process")
                 receiver = reader.start(address, received, seconds)
             elif receiver is not None and receiver.poll() is not None:
                 session.stop()
@@ -216,9 +216,9 @@ def _run(rig: Rig, sent: Path, received: Path, seconds: float) -> RunResult:
 
 
 def _compare(sent: Path, received: Path, *, whole: bool) -> dict[str, object]:
-    """Compare what was delivered since the last reset of the camera's clock with what arrived, event by event.
+    """Compare, event by event, the delivered events since the last clock reset with the received ones.
 
-    Over UDP, which has no end, a reader that leaves first has seen how the stream begins.
+    Over UDP, which has no end of stream, a reader that stops first has received the beginning of the stream.
     """
     delivered, resets = load_record(sent)
     delivered = delivered[resets[-1] :] if resets else delivered

@@ -9,9 +9,9 @@ from cyclopts import Parameter
 from rich.text import Text
 
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, console, failures, prepared, print_json
-from emulator.cli.rigs import Needed, what_is_needed
+from emulator.cli.rigs import Needed, examined_needs
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
-from emulator.run.keeping_up import KeepingUp, keeping_up
+from emulator.run.keeping_up import RealTimeSpeed, keeping_up
 from emulator.run.kernels import CODER, DECODER, EVT, Part, parts_of
 from emulator.run.machine import examine
 from transports.needs import Finding
@@ -26,12 +26,12 @@ def doctor(
     prepare: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Show what this machine has and lacks, with the command that adds each missing part.
+    """Show which parts this machine has and lacks, with the command that adds each missing part.
 
     Parameters
     ----------
     rig
-        Path of a rig file, or the name of a shipped one: show what it needs, and measure whether it runs in real time.
+        Path of a rig file, or the name of a shipped one: show its needs, and measure whether it runs in real time.
     prepare
         Compile the kernels of this rig, or of all shipped rigs, so that no run has to.
     json
@@ -51,8 +51,8 @@ def doctor(
 
 
 def _of_rig(rig: Rig, *, as_json: bool) -> int:
-    """Show what a rig needs, compile its kernels and measure its speed; the latter two where nothing is missing."""
-    needed = what_is_needed(rig)
+    """Show the needs of a rig, compile its kernels and measure its speed; the latter two where nothing is missing."""
+    needed = examined_needs(rig)
     lacks = any(one.stops_the_run for one in needed)
     if not as_json:
         for one in needed:
@@ -68,13 +68,13 @@ def _of_rig(rig: Rig, *, as_json: bool) -> int:
 
 
 def _all_parts() -> list[Part]:
-    """Return what all shipped rigs compile, and the receivers and files."""
+    """Return the kernels of all shipped rigs, receivers and file formats."""
     parts = [part for path in shipped_rigs().values() for part in parts_of(load_rig(str(path)))]
     once = {part.key: part for part in (*parts, CODER, DECODER, EVT)}
     return list(once.values())
 
 
-def _as_json(rig: Rig, needed: Sequence[Needed], speed: KeepingUp | None) -> dict[str, object]:
+def _as_json(rig: Rig, needed: Sequence[Needed], speed: RealTimeSpeed | None) -> dict[str, object]:
     return {
         "rig": rig.name,
         "needs": [one.as_json() for one in needed],
@@ -84,12 +84,12 @@ def _as_json(rig: Rig, needed: Sequence[Needed], speed: KeepingUp | None) -> dic
     }
 
 
-def _sentence(rig: Rig, speed: KeepingUp | None) -> str:
+def _sentence(rig: Rig, speed: RealTimeSpeed | None) -> str:
     if speed is None:
-        return f"{rig.name} does NOT run on this machine: add what is missing first"
+        return f"{rig.name} does NOT run on this machine: add the missing parts first"
     verdict = "runs in real time on this machine" if speed.good else "does NOT run in real time on this machine"
     load = "" if speed.planned_load is None else f"; its plan expects {speed.planned_load:.2f} of a core"
-    advice = "" if speed.good else ". Take a longer run.step_us or a smaller camera; `evstim plan` tells the costs"
+    advice = "" if speed.good else ". Take a longer run.step_us or a smaller camera; `evstim plan` shows the costs"
     return (
         f"{rig.name} {verdict}: {speed.stream_s:.2g} s of stream at {speed.times_real_time:.2f} times real time, "
         f"without links{load}{advice}"

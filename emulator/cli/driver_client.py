@@ -1,4 +1,4 @@
-"""Reads a GigE Vision camera with neuromorphic_drivers, unmodified, in a process of its own; started by `evstim demo`.
+"""Reader of a GigE Vision camera: neuromorphic_drivers, unmodified, in a process that `evstim demo` starts.
 
 The driver holds the interpreter's lock while it waits for the camera, so it never shares a process with one.
 """
@@ -23,11 +23,11 @@ _RING_LENGTH = 1 << 16
 
 
 def driver_works() -> bool:
-    """Say whether the driver is installed and can start here: it needs libusb to find a USB, also for Ethernet."""
+    """Return whether the driver is installed and can start here: it needs libusb, also for Ethernet."""
     if importlib.util.find_spec(DRIVER) is None:
         return False
-    asked = f"import {DRIVER} as driver; driver.list_devices()"
-    return subprocess.run([sys.executable, "-P", "-c", asked], capture_output=True, check=False).returncode == 0
+    script = f"import {DRIVER} as driver; driver.list_devices()"
+    return subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, check=False).returncode == 0
 
 
 def main(address: str, record: str, seconds: str) -> int:

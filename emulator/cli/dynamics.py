@@ -1,4 +1,4 @@
-"""`evstim dynamics FMU`: an FMU flies, and its poses go to a running rig."""
+"""`evstim dynamics FMU`: simulate an FMU, and send its poses to a running rig."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.dynamics.flight import (
     DynamicsError,
     FlightEnded,
-    Flown,
+    FlightResult,
     Pace,
     fly,
     load_mapping,
@@ -29,13 +29,13 @@ __all__ = ["dynamics"]
 
 
 class _Stop:
-    """Whether a signal has ended the flight."""
+    """Record of a signal that ended the flight."""
 
     def __init__(self) -> None:
-        self.asked = False
+        self.requested = False
 
     def stop(self) -> None:
-        self.asked = True
+        self.requested = True
 
 
 def dynamics(
@@ -55,11 +55,11 @@ def dynamics(
     fmu
         A co-simulation FMU, 2.0 or 3.0.
     map
-        TOML file that says which of its variables are the pose and where its inputs come from.
+        TOML file that names the variables of the pose and the sources of its inputs.
     seconds
         How long it flies.
     to
-        HOST:PORT where the rig takes poses.
+        HOST:PORT at which the rig receives poses.
     stamped
         Give poses the FMU's time as stream time. Default: each holds from its arrival.
     json
@@ -70,10 +70,10 @@ def dynamics(
             raise Failure(f"--seconds is {seconds:g}: give more than 0 and less than 1e7", WRONG_USE)
         flown, complete = _flown(fmu, map, Pace(seconds, stamped, lambda _: True), _address(to))
     ignore_stop_signals()
-    told = {"steps": flown.steps, "seconds": flown.t_s, "position_m": flown.last.position_m}
-    told["q_world_from_body"] = flown.last.q_world_from_body
+    result = {"steps": flown.steps, "seconds": flown.t_s, "position_m": flown.last.position_m}
+    result["q_world_from_body"] = flown.last.q_world_from_body
     if json:
-        print_json(told)
+        print_json(result)
     else:
         x, y, z = flown.last.position_m
         ending = f"{flown.steps} steps, {flown.t_s:g} s, at the end ({x:g}, {y:g}, {z:g}) m"
@@ -81,15 +81,15 @@ def dynamics(
     return GOOD if complete else BAD_VERDICT
 
 
-def _flown(file: Path, map_file: Path, pace: Pace, to: tuple[str, int]) -> tuple[Flown, bool]:
+def _flown(file: Path, map_file: Path, pace: Pace, to: tuple[str, int]) -> tuple[FlightResult, bool]:
     mapping, ending = load_mapping(map_file), _Stop()
     with opened_inputs(mapping, map_file.parent) as inputs, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         names = tuple(name for one in inputs for name in one.names)
         with Fmu(file, mapping, names) as unit:
             stop_on_signals(ending.stop)
-            pace = dataclasses.replace(pace, waiting=wall_clock(lambda: ending.asked))
+            pace = dataclasses.replace(pace, waiting=wall_clock(lambda: ending.requested))
             flown = fly(unit, mapping, inputs, pace, lambda data: out.sendto(data, to))
-    return flown, not ending.asked
+    return flown, not ending.requested
 
 
 def _address(text: str) -> tuple[str, int]:

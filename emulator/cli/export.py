@@ -27,7 +27,7 @@ __all__ = ["export"]
 
 @dataclass(frozen=True)
 class _Wanted:
-    """What the definitions are about: the packets, the UDP ports that carry them, the frames of a CAN bus."""
+    """Content of the definitions: the packets, the UDP ports that carry them, the frames of a CAN bus."""
 
     packets: tuple[Packet, ...]
     udp: UdpPacketsLink
@@ -64,8 +64,8 @@ def export(
         xtce: XTCE 1.2, for Yamcs and others. cosmos: a plugin of OpenC3 COSMOS. fprime: a dictionary of F Prime's GDS.
         wireshark: a dissector in Lua.
     rig
-        Path of a rig file, or the name of a shipped one: its UDP ports and CAN identifiers are taken. Default: those
-        that a link has when nothing is said.
+        Path of a rig file, or the name of a shipped one: its UDP ports and CAN identifiers are used. Default: the
+        default values of a link.
     out
         Folder for the files. Default: the current one.
     json

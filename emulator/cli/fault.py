@@ -14,13 +14,13 @@ from cyclopts import Parameter
 
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json
 from emulator.cli.run_summary import fault_line
-from emulator.run.control import NoAnswer, ask, sockets
+from emulator.run.control import NoAnswer, send_request, sockets
 from transports.faults.script import FaultRecord
 
-__all__ = ["asked", "fault", "find_run", "trigger"]
+__all__ = ["answer_of", "fault", "find_run", "trigger"]
 
 
-_LOOK_PERIOD_S = 0.1
+_POLL_PERIOD_S = 0.1
 _TIMEOUT_S = 20.0  # beyond the fault's own length
 
 
@@ -56,7 +56,7 @@ def fault(
         return _list(faults, json)
     table = {"kind": kind, **_keys(keys)}
     table |= {key: value for key, value in (("link", link), ("for_s", for_s)) if value is not None}
-    injected = asked(path, {"ask": "inject", "fault": table})
+    injected = answer_of(path, {"ask": "inject", "fault": table})
     if "error" in injected:
         raise Failure(str(injected["error"]), WRONG_USE)
     record = _follow(path, injected, kind, float(table.get("for_s", 0.0)))
@@ -65,12 +65,12 @@ def fault(
     else:
         console.print(f"{injected['link']}: {fault_line(record)}")
         if not record.hits:
-            console.print(_why_no_hits(asked(path, {"ask": "faults"})["links"][injected["link"]]), markup=False)
+            console.print(_why_no_hits(answer_of(path, {"ask": "faults"})["links"][injected["link"]]), markup=False)
     return GOOD
 
 
 def _why_no_hits(link: dict[str, Any]) -> str:
-    """Say why a fault found nothing to hit."""
+    """Return the reason why a fault has no hits."""
     state = str(link.get("state", ""))
     if "waiting" in state:
         return f"0 hits, because nothing was sent: the link is {state}"
@@ -80,11 +80,11 @@ def _why_no_hits(link: dict[str, Any]) -> str:
 def find_run(run: str | None) -> tuple[Path, dict[str, Any]]:
     """Return the control socket of the chosen run, and its answer about faults."""
     if run is not None and Path(run).is_socket():
-        return Path(run), asked(Path(run), {"ask": "faults"})
+        return Path(run), answer_of(Path(run), {"ask": "faults"})
     found = []
     for path in sockets():
         try:
-            found.append((path, ask(path, {"ask": "faults"})))
+            found.append((path, send_request(path, {"ask": "faults"})))
         except NoAnswer:
             continue  # its run has died
     meant = [(path, faults) for path, faults in found if run in (None, faults["rig"])]
@@ -122,10 +122,10 @@ def _keys(keys: tuple[str, ...]) -> dict[str, Any]:
     return table
 
 
-def asked(path: Path, message: dict[str, Any]) -> dict[str, Any]:
-    """Return the answer of a run; raises Failure where there is none."""
+def answer_of(path: Path, message: dict[str, Any]) -> dict[str, Any]:
+    """Return the answer of a run to a request; raises Failure where there is none."""
     try:
-        return ask(path, message)
+        return send_request(path, message)
     except NoAnswer as error:
         raise Failure(str(error), LACKING) from error
 
@@ -135,8 +135,8 @@ def _follow(path: Path, injected: dict[str, Any], kind: str, for_s: float) -> Fa
     until_s = time.monotonic() + for_s + _TIMEOUT_S
     record = None
     while record is None or (record.ended_us is None and time.monotonic() < until_s):
-        time.sleep(_LOOK_PERIOD_S)
-        records = asked(path, {"ask": "faults"})["links"][injected["link"]]["injected"][injected["after"] :]
+        time.sleep(_POLL_PERIOD_S)
+        records = answer_of(path, {"ask": "faults"})["links"][injected["link"]]["injected"][injected["after"] :]
         record = next((FaultRecord(**each) for each in records if each["kind"] == kind), None)
         if record is None and time.monotonic() > until_s:
             raise Failure(f"link {injected['link']!r} did not begin the fault", LACKING)
@@ -151,22 +151,22 @@ def trigger(
     link: str | None = None,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Let an edge come to the external input of the cameras of a running rig, or reset their clocks.
+    """Give the external input of the cameras of a running rig an edge, or reset their clocks.
 
     Parameters
     ----------
     kind
-        pulse, rising or falling: what happens at the input; reset: device time starts anew at zero.
+        pulse, rising or falling: the edge at the input; reset: device time restarts at zero.
     run
         Name of the rig if several run; or the path of its control socket.
     link
-        Name of the link whose camera is meant; without it, all.
+        Name of the link of one camera; without it, all cameras.
     json
         Print one JSON object as the last line on stdout.
     """
     path, _ = find_run(run)
-    question: dict[str, Any] = {"ask": "trigger", "kind": kind}
-    answer = asked(path, question if link is None else question | {"link": link})
+    message: dict[str, Any] = {"ask": "trigger", "kind": kind}
+    answer = answer_of(path, message if link is None else message | {"link": link})
     if "error" in answer:
         raise Failure(str(answer["error"]), WRONG_USE)
     if json:

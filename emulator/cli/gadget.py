@@ -14,12 +14,12 @@ from emulator.rig.tables import Camera
 from firmware_protocol.usb.descriptors import DescriptorSet
 from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of
 
-__all__ = ["Plug", "down", "up", "verbs"]
+__all__ = ["UsbCameraOptions", "down", "up", "verbs"]
 
 
 @dataclass(frozen=True)
-class Plug:
-    """The camera that hosts are to see, as the rig's table [camera] has it.
+class UsbCameraOptions:
+    """Camera that USB hosts find, as in the rig's table [camera].
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Plug:
     speed: Literal["super", "high"] = Camera.speed
 
 
-_PLUG = Plug()
+_DEFAULTS = UsbCameraOptions()
 
 
 def up(
@@ -44,12 +44,12 @@ def up(
     name: str = "evstim",
     udc: str = "",
     user: str | None = None,
-    plug: Annotated[Plug, Parameter(name="*")] = _PLUG,
+    plug: Annotated[UsbCameraOptions, Parameter(name="*")] = _DEFAULTS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Make the gadget, so that `evstim run` need not be root; hosts see it when a rig with a link usb_gadget runs.
+    """Make the gadget, so that `evstim run` need not be root; hosts find it when a rig with a link usb_gadget runs.
 
-    What a killed program left of it is made anew. Needs root.
+    Parts that a killed program left are replaced. Needs root.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def up(
     udc
         USB device controller, as /sys/class/udc names it; may be left out where there is one.
     user
-        Who may run the camera, beside root.
+        User who may run the camera, beside root.
     plug
         The camera.
     json
@@ -79,7 +79,7 @@ def up(
 
 
 def down(*, name: str = "evstim", json: Annotated[bool, Parameter(negative="")] = False) -> int:
-    """Remove the gadget, and what a killed program left of it. Needs root.
+    """Remove the gadget, and parts that a killed program left. Needs root.
 
     Parameters
     ----------
@@ -108,8 +108,8 @@ def _gadget(name: str) -> Gadget:
         raise Failure(str(error), WRONG_USE) from error
 
 
-def _descriptors(plug: Plug) -> DescriptorSet:
-    """Return what hosts are to read of the camera."""
+def _descriptors(plug: UsbCameraOptions) -> DescriptorSet:
+    """Return the descriptors that USB hosts read."""
     model = CAMERA_MODELS.get(plug.model)
     if model is None or model.usb is None:
         known = ", ".join(name for name, one in CAMERA_MODELS.items() if one.usb is not None)

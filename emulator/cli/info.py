@@ -24,33 +24,33 @@ from transports.recording.part import Facts, Part, RecordingError
 __all__ = ["info", "show_truth"]
 
 
-def show_truth(file: Path, told: Mapping[str, Any], *, json: bool) -> int:
-    """Print what `truth_in` told of a file; return the exit code."""
+def show_truth(file: Path, found: Mapping[str, Any], *, json: bool) -> int:
+    """Print the summary of a truth file, from `truth_in`; return the exit code."""
     if json:
-        print_json({"file": file, **told})
+        print_json({"file": file, **found})
     else:
-        for line in _lines(told):
+        for line in _truth_lines(found):
             console.print(line, markup=False)
-    return GOOD if told["complete"] else BAD_VERDICT
+    return GOOD if found["complete"] else BAD_VERDICT
 
 
-def _lines(told: Mapping[str, Any]) -> list[str]:
-    names = ", ".join(f"{k} {name}" for k, name in enumerate(told["names"]))
-    origins = ", ".join(f"{count} {name}" for name, count in told["origins"].items())
+def _truth_lines(found: Mapping[str, Any]) -> list[str]:
+    names = ", ".join(f"{k} {name}" for k, name in enumerate(found["names"]))
+    origins = ", ".join(f"{count} {name}" for name, count in found["origins"].items())
     lines = [
-        f"format    {told['format']}, version {told['version']}: HDF5 (opens in h5py; see docs/truth.md)",
-        f"of        {told['rig']}: {told['title']}; {told['camera']}, {told['width']} x {told['height']} pixels",
-        f"pictures  {told['pictures']} in {told['seconds']:.3f} s, each with {', '.join(told['of_each_picture'])}",
-        f"poses     {told['poses']}",
+        f"format    {found['format']}, version {found['version']}: HDF5 (opens in h5py; see docs/truth.md)",
+        f"of        {found['rig']}: {found['title']}; {found['camera']}, {found['width']} x {found['height']} pixels",
+        f"pictures  {found['pictures']} in {found['seconds']:.3f} s, each with {', '.join(found['of_each_picture'])}",
+        f"poses     {found['poses']}",
         f"labels    {names}",
-        f"events    {told['events']}{': ' + origins if origins else ''}",
-        f"clean     {told['clean_events']} events of the ideal sensor",
+        f"events    {found['events']}{': ' + origins if origins else ''}",
+        f"clean     {found['clean_events']} events of the ideal sensor",
     ]
-    lines += [f"absent    {told['absent']}"] if told["absent"] else []
-    if told["missing_pictures"] or told["missing_events"]:
-        lost = f"{told['missing_pictures']} pictures and {told['missing_events']} events"
+    lines += [f"absent    {found['absent']}"] if found["absent"] else []
+    if found["missing_pictures"] or found["missing_events"]:
+        lost = f"{found['missing_pictures']} pictures and {found['missing_events']} events"
         lines.append(f"NOTE      it lacks {lost}, which came faster than they could be written")
-    elif not told["complete"]:
+    elif not found["complete"]:
         lines.append("NOTE      it was not finished: the process that wrote it was killed, or the disk was full")
     return lines
 
@@ -78,7 +78,7 @@ class StreamSurvey:
     _before_us: int = 0
 
     def add(self, t_us: _Times) -> None:
-        """Take the times of records in, (n,) us."""
+        """Add the times of records, (n,) us."""
         if not len(t_us):
             return
         if self.first_us is None or self.last_us is None:
@@ -101,7 +101,7 @@ class StreamSurvey:
 
 @dataclass
 class Survey:
-    """What the parts of a recording show.
+    """Statistics of the streams of a recording.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class Survey:
     _bin: list[int] = field(default_factory=lambda: [0, 0])
 
     def add(self, part: Part) -> None:
-        """Take a part in."""
+        """Add a part of the recording."""
         for name, records in (("events", part.events), ("edges", part.edges), ("imu", part.imu)):
             self.streams[name].add(records["t"].astype(np.int64))
         self.streams["frames"].add(np.array([frame.t_us for frame in part.frames], np.int64))
@@ -150,7 +150,7 @@ def info(
     Parameters
     ----------
     file
-        A recording in any format that is read: see docs/recordings.md.
+        A recording in any format that can be read: see docs/recordings.md.
     size
         WIDTHxHEIGHT of the sensor, such as 346x260, for files that do not give it.
     json
@@ -165,14 +165,14 @@ def info(
                 survey.add(part)
         except RecordingError as error:
             trouble = str(error)
-    told = _as_json(file, recording, survey, trouble)
+    found = _as_json(file, recording, survey, trouble)
     if json:
-        print_json(told)
+        print_json(found)
     else:
-        for line in _lines_info(recording, survey):
+        for line in _recording_lines(recording, survey):
             console.print(line, markup=False)
         if trouble:
-            console.print(f"damaged: {trouble}; the figures are of what comes before", markup=False)
+            console.print(f"damaged: {trouble}; the values are of the part before the damage", markup=False)
     return BAD_VERDICT if trouble else GOOD
 
 
@@ -191,7 +191,7 @@ def _as_json(file: Path, recording: OpenRecording, survey: Survey, trouble: str)
     }  # fmt: skip
 
 
-def _lines_info(recording: OpenRecording, survey: Survey) -> list[str]:
+def _recording_lines(recording: OpenRecording, survey: Survey) -> list[str]:
     form, facts, events = recording.format, recording.facts, survey.streams["events"]
     size = "unknown" if facts.size is None else f"{facts.size[0]} x {facts.size[1]}"
     share = f", {survey.on / events.count:.1%} ON" if events.count else ""

@@ -1,12 +1,7 @@
-"""Consoles, JSON output and exit codes, the same for every command.
+"""Consoles, JSON output, exit codes and checks of files, the same for every command.
 
-Errors of the packages as failures of a command, with their exit codes.
-
-Check of the files that a command will write, made before it begins its work.
-
-Checks of recordings that commands read and write, and their errors as failures of a command.
-
-Compilation of kernels under a progress bar, before a command needs them.
+Errors of the packages become a `Failure` of the command, with its exit code. A command checks the files and recordings
+that it will write before it begins its work, and compiles kernels under a progress bar before it needs them.
 """
 
 from __future__ import annotations
@@ -25,7 +20,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from emulator.light import MachineLacks, SceneError
 from emulator.rig.loading import RigError
-from emulator.run.kernels import Part, Preparation, cold, prepare
+from emulator.run.kernels import Part, Preparation, prepare, uncompiled
 from emulator.run.link_process import LinkFailed
 from emulator.tables.registry import PluginError
 from transports.recording.format import Format, format_to_write, reason
@@ -96,7 +91,7 @@ def failures() -> Iterator[None]:
 
 
 def check_output(option: str, path: Path | None, suffix: str = "") -> None:
-    """Raise Failure where a file cannot be written, or does not end in the one `suffix` that is; None is no file."""
+    """Raise Failure where a file cannot be written, or does not end in `suffix`; a path of None is no file."""
     if path is None:
         return
     if suffix and path.suffix != suffix:
@@ -112,9 +107,9 @@ def check_output(option: str, path: Path | None, suffix: str = "") -> None:
 
 
 def _open_once(path: Path) -> None:
-    """Open a file for writing and leave what it holds; raises OSError.
+    """Open a file for writing without changing its content; raises OSError.
 
-    A file that is not there does not appear under its name, not even for an instant: somebody may wait for it.
+    A missing file does not appear under its name, not even for an instant: another program may wait for it.
     """
     is_new = not path.exists()
     tried = path.with_name(f".{path.name}.{os.getpid()}") if is_new else path
@@ -145,15 +140,15 @@ def parsed_size(text: str | None) -> tuple[int, int] | None:
     """Return (width, height) of text such as "346x260"; raises Failure."""
     if text is None:
         return None
-    told = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
-    if told is None or not int(told[1]) or not int(told[2]):
+    size = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if size is None or not int(size[1]) or not int(size[2]):
         raise Failure(f"--size must be WIDTHxHEIGHT such as 346x260, got {text!r}", WRONG_USE)
-    return int(told[1]), int(told[2])
+    return int(size[1]), int(size[2])
 
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn what is wrong with a recording that is read into Failure."""
+    """Turn errors of a recording that is read into Failure."""
     try:
         yield
     except LibraryMissing as error:
@@ -166,7 +161,7 @@ def reading(path: Path) -> Iterator[None]:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Turn what goes wrong while a recording is written into Failure; libraries raise what they like."""
+    """Turn errors while a recording is written into Failure; libraries may raise any exception."""
     try:
         yield
     except (Failure, KeyboardInterrupt):
@@ -177,7 +172,7 @@ def writing(path: Path) -> Iterator[None]:
 
 def prepared(parts: Sequence[Part]) -> int:
     """Compile those of the parts that this machine has not compiled yet; return how many these were."""
-    missing = cold(parts)
+    missing = uncompiled(parts)
     if not missing:
         return 0
     names = ", ".join(part.name for part in missing)
@@ -185,12 +180,12 @@ def prepared(parts: Sequence[Part]) -> int:
     columns = TextColumn("compiling"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn()
     with Progress(*columns, console=status, transient=True, disable=not status.is_terminal) as bar:
         task = bar.add_task("compiling", total=1.0)
-        told: set[str] = set()
+        printed: set[str] = set()
 
         def show(state: Preparation) -> None:
             bar.update(task, completed=state.share)
-            for name in [] if status.is_terminal else [n for n in state.ended if n not in told]:
-                told.add(name)
+            for name in [] if status.is_terminal else [n for n in state.ended if n not in printed]:
+                printed.add(name)
                 status.print(f"compiled: {name} ({len(state.ended)} of {len(missing)})", markup=False)
 
         failed = prepare(missing, show)

@@ -27,8 +27,8 @@ _FPS = 25
 
 
 @dataclass(frozen=True)
-class Look:
-    """What the picture shows.
+class PictureOptions:
+    """Content of the picture.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Look:
     brightness: float = 0.4
 
 
-_LOOK = Look()
+_DEFAULTS = PictureOptions()
 
 
 def picture(
@@ -57,7 +57,7 @@ def picture(
     file: Path,
     /,
     *,
-    show: Annotated[Look, Parameter(name="*")] = _LOOK,
+    show: Annotated[PictureOptions, Parameter(name="*")] = _DEFAULTS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Write a picture (.png) or movie (.gif, .mp4) of a rig: its light, ON events in orange, OFF events in blue.
@@ -67,9 +67,9 @@ def picture(
     rig
         Path of a rig file, or the name of a shipped one.
     file
-        File to write; the end of its name tells the format.
+        File to write; its suffix determines the format.
     show
-        What it shows.
+        Content of the picture.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -78,16 +78,16 @@ def picture(
     with failures():
         loaded = load_rig(rig)
         prepared(parts_of(loaded))
-        events, told = (_movie if file.suffix.lower() in MOVIES else _still)(loaded, file, show)
+        events, description = (_movie if file.suffix.lower() in MOVIES else _still)(loaded, file, show)
     if json:
         print_json({"rig": rig, "file": file, "events": events})
     else:
-        console.print(f"{file}: {events} events {told}")
+        console.print(f"{file}: {events} events {description}")
     return GOOD
 
 
-def _still(rig: Rig, file: Path, show: Look) -> tuple[int, str]:
-    """Write one picture; return its number of events, and what it shows in words."""
+def _still(rig: Rig, file: Path, show: PictureOptions) -> tuple[int, str]:
+    """Write one picture; return its number of events, and a description."""
     longest_ms = show.window_ms or _WINDOWS_MS[-1]
     light, events = look(rig, show.at_s, longest_ms)
     window_ms = show.window_ms or _window_ms(events, show.at_s, light.size)
@@ -97,8 +97,8 @@ def _still(rig: Rig, file: Path, show: Look) -> tuple[int, str]:
     return len(events), f"of {window_ms:g} ms over the light at {show.at_s:g} s"
 
 
-def _movie(rig: Rig, file: Path, show: Look) -> tuple[int, str]:
-    """Write a movie; return its number of events, and what it shows in words."""
+def _movie(rig: Rig, file: Path, show: PictureOptions) -> tuple[int, str]:
+    """Write a movie; return its number of events, and a description."""
     count, white = 0, 0.0
     window_ms = show.window_ms or 1000 / _FPS
 
@@ -131,16 +131,16 @@ def _window_ms(events: Events, at_s: float, pixels: int) -> float:
 
 
 def look(rig: Rig, at_s: float, window_ms: float) -> tuple[Light, Events]:
-    """Run the scene and the sensor alone up to `at_s`; returns the light then and the events of the window before."""
-    return next(_looks(rig, Look(at_s, seconds=0.0), window_ms))
+    """Run the scene and the sensor alone up to `at_s`; return the light then and the events of the window before."""
+    return next(_looks(rig, PictureOptions(at_s, seconds=0.0), window_ms))
 
 
-def _looks(rig: Rig, show: Look, window_ms: float) -> Iterator[tuple[Light, Events]]:
+def _looks(rig: Rig, show: PictureOptions, window_ms: float) -> Iterator[tuple[Light, Events]]:
     """Yield the light and the events of the window before it, at `at_s` and on to the end of the movie."""
     sensor = build_sensor(rig, rig.camera.sensor)
     step_ns, due_ns = rig.run.step_us * 1000, round(show.at_s * 1e9)
     end_ns = due_ns + round(show.seconds * 1e9)
-    # The filter has settled and the window is full after so many steps; what came before would change nothing visible.
+    # The filter has settled and the window is full after so many steps; earlier steps would change nothing visible.
     # Counted back from the end, because a window may be shorter than a step.
     steps = min(50 + math.ceil(window_ms * 1e6 / step_ns), due_ns // step_ns)
     start_ns = due_ns - steps * step_ns

@@ -25,7 +25,7 @@ _METHODS = {
 
 
 def plan(rig: str, /, *, json: Annotated[bool, Parameter(negative="")] = False) -> int:
-    """Show what a run of a rig will model: steps, each effect with the bound that decided it, and the expected load.
+    """Show the plan of a run: steps, each effect with the bound that decided it, and the expected load.
 
     Parameters
     ----------

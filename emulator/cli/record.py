@@ -31,8 +31,8 @@ __all__ = ["record"]
 
 
 @dataclass(frozen=True)
-class Course:
-    """How the run goes.
+class RunOptions:
+    """Options of the run.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class Course:
     pace: Literal["realtime", "free"] = "free"
 
 
-_COURSE = Course()
+_DEFAULTS = RunOptions()
 
 
 def record(
@@ -58,13 +58,13 @@ def record(
     /,
     *,
     to: str = "",
-    course: Annotated[Course, Parameter(name="*")] = _COURSE,
+    course: Annotated[RunOptions, Parameter(name="*")] = _DEFAULTS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Record all that a rig's camera sends and the format can hold, without its links: no host is needed.
 
-    Events, triggers, and frames and IMU samples where the rig has them, as drivers ask for them by default. The summary
-    reports what the format cannot hold. Ctrl-C ends the recording with a sound file.
+    Events, triggers, and frames and IMU samples where the rig has them, with the settings that drivers make by default.
+    The summary reports data that the format cannot hold. Ctrl-C ends the recording with a sound file.
 
     Parameters
     ----------
@@ -102,19 +102,19 @@ def _outcome(file: Path, result: RunResult) -> str:
     link = result.links[FileLink.name]
     troubles = [*([] if link.error is None else [link.error]), *link.file_troubles]
     if troubles:
-        return f"NOT WHOLE: {'; '.join(troubles)}; `evstim info {file}` shows what {file} holds"
-    return f"written to {file}; `evstim info {file}` shows what it holds"
+        return f"NOT WHOLE: {'; '.join(troubles)}; `evstim info {file}` shows the content of {file}"
+    return f"written to {file}; `evstim info {file}` shows its content"
 
 
 def _recording_rig(rig: Rig, file: Path, form: str) -> Rig:
-    """Return the rig with the file as its only link, and nothing that another link would have brought."""
+    """Return the rig with the file as its only link, without the triggers and cameras of other links."""
     link = FileLink(str(file), form, f"{rig.camera.model.upper()}_{rig.camera.serial}")
     trigger = None if rig.trigger is None or rig.trigger.source else rig.trigger
     return dataclasses.replace(rig, links=(link,), faults=(), trigger=trigger, second_camera=None)
 
 
 def _not_recorded(rig: Rig) -> list[str]:
-    """Return what the rig has that no file of one camera without links can show."""
+    """Return the parts of the rig that a file of one camera without links cannot contain."""
     absent = []
     if rig.trigger is not None and rig.trigger.source:
         absent.append(f"triggers, which come by the bus of the link {rig.trigger.source!r}")

@@ -1,8 +1,8 @@
 """`evstim rigs` and `evstim schema`: the installed rigs, and the JSON Schema of rig files.
 
-What a rig needs of this machine, as it was found: for `evstim rigs` and `evstim doctor RIG`.
-
 `evstim check RIG`: check a rig file.
+
+The needs of a rig, with the state of this machine, are shown by `evstim rigs` and `evstim doctor RIG`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from emulator.run.assembly import build_scene, build_sensor
 from emulator.run.machine import needs_of
 from transports.needs import By, Finding
 
-__all__ = ["Needed", "check", "rigs", "schema", "what_is_needed"]
+__all__ = ["Needed", "check", "examined_needs", "rigs", "schema"]
 
 
 _WORDS = {"run": "needs", "driver": "drivers on this machine need"}
@@ -39,12 +39,12 @@ class Needed:
 
     @property
     def stops_the_run(self) -> bool:
-        """Whether the rig does not run here for want of it."""
+        """Return whether the rig cannot run here because this part is missing."""
         return self.by == "run" and not self.found.good
 
     @property
     def line(self) -> str:
-        """It in words, with the command that adds it where it is missing."""
+        """Line for people, with the command that adds the part where it is missing."""
         state = "there" if self.found.good else f"missing; {self.found.fix}"
         return f"{_WORDS[self.by]} the {self.name}: {state}"
 
@@ -53,8 +53,8 @@ class Needed:
         return {"name": self.name, "by": self.by, "good": self.found.good, "fix": self.found.fix}
 
 
-def what_is_needed(rig: Rig) -> tuple[Needed, ...]:
-    """Return what a rig needs of this machine, as it was found."""
+def examined_needs(rig: Rig) -> tuple[Needed, ...]:
+    """Return the needs of a rig, with the state of this machine."""
     return tuple(Needed(need.name, need.by, need.look()) for need in needs_of(rig))
 
 
@@ -62,7 +62,7 @@ Json = Annotated[bool, Parameter(negative="")]
 
 
 def rigs(*, json: Json = False) -> int:
-    """List the rigs that are installed with evstim, and what each needs beyond evstim's base dependencies.
+    """List the rigs that are installed with evstim, and the needs of each beyond evstim's base dependencies.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def rigs(*, json: Json = False) -> int:
     """
     with failures():
         loaded = {path: load_rig(str(path)) for path in shipped_rigs().values()}
-        found = [(path, rig, what_is_needed(rig)) for path, rig in loaded.items()]
+        found = [(path, rig, examined_needs(rig)) for path, rig in loaded.items()]
     if json:
         print_json({
             "rigs": [
@@ -102,7 +102,7 @@ def check(rig: str, /, *, draw: Annotated[bool, Parameter(negative="")] = False,
     rig
         Path of a rig file, or the name of a shipped one.
     draw
-        Also build the scene; this reads its files, or its recording, and needs the libraries that draw it.
+        Also build the scene; this reads its files, or its recording, and needs the libraries that render it.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -132,8 +132,8 @@ def _draw(rig: Rig) -> None:
 
 def _unread(files: Sequence[OpenedFile]) -> list[str]:
     """Return a line on the files that were opened and not read, if there are any."""
-    told = [f"{file.key} ({file.path}{_size(file)})" for file in files if not file.is_read]
-    return [f"opened, not read: {', '.join(told)}; `evstim check --draw` reads them"] if told else []
+    names = [f"{file.key} ({file.path}{_size(file)})" for file in files if not file.is_read]
+    return [f"opened, not read: {', '.join(names)}; `evstim check --draw` reads them"] if names else []
 
 
 def _size(file: OpenedFile) -> str:

@@ -24,7 +24,7 @@ from emulator.cli.output import (
     print_json,
     status,
 )
-from emulator.cli.run_display import LiveTable, Reporting, Serving, begin_report, check_serving
+from emulator.cli.run_display import LiveTable, OptionalPage, RunReporter, begin_report, check_serving
 from emulator.cli.run_summary import (
     Truth,
     begin_trace,
@@ -62,15 +62,15 @@ class Files:
     Attributes
     ----------
     record
-        Write what the links delivered to this file, in device time; its suffix gives the format, such as .aedat4, .raw
+        Write the delivered events to this file, in device time; its suffix gives the format, such as .aedat4, .raw
         or .npz: see docs/recordings.md. Of several links each has a file, NAME-LINK.SUFFIX; a link that was started
-        again writes NAME-restart1.SUFFIX, and where a camera's clock starts anew NAME-clock2.SUFFIX follows (not .npz).
+        again writes NAME-restart1.SUFFIX, and when a camera's clock is reset NAME-clock2.SUFFIX follows (not .npz).
     truth
-        Write what is true beside the events to this .h5: light, depth, optical flow, poses, labels, the origin of each
+        Write the truth beside the events to this .h5: light, depth, optical flow, poses, labels, the origin of each
         event, the events of an ideal sensor; see docs/truth.md. Or the true error of the camera's clock to this .csv,
         ten lines per second; the rig needs [camera.clock]. Of several links each has a .csv, NAME-LINK.csv.
     truth_every
-        Light, depth, flow and labels go into the .h5 of every n-th picture.
+        Light, depth, flow and labels of every n-th light frame go into the .h5.
     fault_log
         Write a line of JSON to this file for each begin, hit, loss and end of a fault.
     ready_file
@@ -137,14 +137,14 @@ def run(
         print_json({**summary(loaded, result), "truth_trouble": truth.trouble})
     else:
         print_summary(loaded, result)
-        truth.tell()
+        truth.print_trouble()
     return GOOD if good(judge(loaded.verdict, result)) and not truth.trouble else BAD_VERDICT
 
 
 def run_with_files(
     rig: Rig, files: Files, simulation: Simulation | None = None, *, show: bool
 ) -> tuple[RunResult, Truth]:
-    """Check that the files can be written, compile what is needed, run a rig and report; raises Failure."""
+    """Check that the files can be written, compile the kernels, run a rig and report; raises Failure."""
     _check_record(rig, files.record)
     truth = Truth(rig, files.truth, files.truth_every)
     check_output("--ready-file", files.ready_file)
@@ -177,20 +177,20 @@ def _check_record(rig: Rig, record: Path | None) -> None:
 def run_rig(
     rig: Rig,
     files: Files = NO_FILES,
-    reporting: Reporting | None = None,
+    reporting: RunReporter | None = None,
     truth: Truth | None = None,
     *,
     show: bool = False,
     simulation: Simulation | None = None,
 ) -> RunResult:
     """Run a loaded rig, with a live table on stderr when `show`, in step with a simulation where there is one."""
-    reporting, truth = reporting or Reporting(rig, None), truth or Truth(rig, files.truth, files.truth_every)
+    reporting, truth = reporting or RunReporter(rig, None), truth or Truth(rig, files.truth, files.truth_every)
     with build_scene(rig) as scene, truth.begin() as truth_file:
         if show and scene.renderer:
             console.print(f"renderer: {scene.renderer}")
         for note in [*remarks(rig), *scene.notes] if show else ():
             console.print(f"note: {note}", markup=False)
-        serving = Serving(rig, files.serve)
+        serving = OptionalPage(rig, files.serve)
         setups = serving.wired(link_setups(rig, files.record, truth.clock, files.fault_log))
         setups = begin_trace(setups, files.trace)
         session = _session(rig, scene, setups, truth_file)
@@ -206,7 +206,7 @@ def run_rig(
             ready = ReadySignal(files.ready_file)
 
             def report(now: RunStatus) -> None:
-                _tell(ready, now)
+                _signal_ready(ready, now)
                 faults.serve(now)
                 reporting.renew(now)
                 page.renew(now)
@@ -229,9 +229,9 @@ def _session(rig: Rig, scene: Scene, setups: list[LinkSetup[Any]], truth: Any) -
         raise Failure(f"--truth: {error.filename}: {error.strerror or error}", WRONG_USE) from error
 
 
-def _tell(ready: ReadySignal, now: RunStatus) -> None:
+def _signal_ready(ready: ReadySignal, now: RunStatus) -> None:
     try:
-        ready.tell({name: link.address for name, link in now.links.items()})
+        ready.send({name: link.address for name, link in now.links.items()})
     except OSError as error:
         raise Failure(f"--ready-file: {error.strerror or error}", LACKING) from error
 
@@ -247,7 +247,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "steps": result.steps,
         "events": result.ledger.as_json(),
         "balanced": result.ledger.balanced,
-        "rules": [dataclasses.asdict(one) for one in judge(rig.verdict, result)],
+        "rules": [one.as_json() for one in judge(rig.verdict, result)],
         "latency_us": dataclasses.asdict(_worst(latencies)),
         "lateness": {**result.lateness.as_json(), "late_share": result.late_share, "too_late": result.too_late},
         "undersampled_share": result.undersampled_share,
@@ -280,7 +280,7 @@ def _worst(latencies: list[LatencySummary]) -> LatencySummary:
 
 
 def print_summary(rig: Rig, result: RunResult) -> None:
-    """Print what a run did, for people."""
+    """Print the summary of a run, for people."""
     ledger = result.ledger
     console.print(
         f"{rig.name}: {result.sim_seconds:.3f} s of stream time in {result.wall_seconds:.3f} s, "
@@ -316,7 +316,7 @@ def print_summary(rig: Rig, result: RunResult) -> None:
     for line in lateness_lines(rig, result):
         console.print(line)
     for broken in (one for one in judge(rig.verdict, result) if not one.good and one.rule.startswith("verdict.")):
-        console.print(f"NOT GOOD: {broken.rule}: {broken.told}", markup=False)
+        console.print(f"NOT GOOD: {broken.rule}: {broken.finding}", markup=False)
     console.print("ledger: balanced" if ledger.balanced else f"ledger: OFF BY {ledger.imbalance} EVENTS")
 
 

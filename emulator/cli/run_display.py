@@ -1,6 +1,6 @@
 """Live table of a run: rates, lateness, and the state and counts of each link.
 
-`--report DIR`: what is observed of a run, and written when it has ended.
+`--report DIR`: observation of a run, and its report when it has ended.
 
 `--serve [HOST:PORT]`: the live page of a run.
 """
@@ -28,7 +28,7 @@ from emulator.rig.loading import Rig
 from emulator.run.changes import Operator
 from emulator.run.control import FaultInjection
 from emulator.run.outcome import RunResult, RunStatus, judge
-from emulator.run.report import Observation, Reported, write_report
+from emulator.run.report import Observation, ReportContent, write_report
 from emulator.run.session import Session
 from firmware_protocol.events import Events
 from transports.link.edges import EdgeSink
@@ -37,7 +37,7 @@ from transports.link.process import LinkSetup
 if TYPE_CHECKING:
     from emulator.live_page.page import LivePage
 
-__all__ = ["LiveTable", "Reporting", "Serving", "ShownRun", "begin_report", "check_serving"]
+__all__ = ["LiveTable", "OptionalPage", "RunReporter", "ShownRun", "begin_report", "check_serving"]
 
 
 _PLAIN_PERIOD_S = 5.0
@@ -45,7 +45,7 @@ _RATE_WINDOW = 10  # status reports over which rates are averaged
 
 
 class LiveTable:
-    """Shows RunStatus: a table on a terminal; otherwise a line every 5 s."""
+    """Display of RunStatus: a table on a terminal; otherwise a line every 5 s."""
 
     def __init__(self, rig: Rig, console: Console) -> None:
         self._title = f"{rig.name}: {rig.title}"
@@ -105,8 +105,8 @@ class LiveTable:
         return (last.sim_seconds - first.sim_seconds) / max(last.wall_seconds - first.wall_seconds, 1e-9)
 
 
-class Reporting:
-    """Takes what a run shows; writes nothing where no folder was asked for."""
+class RunReporter:
+    """Observation of a run for its report; without a folder it does nothing."""
 
     def __init__(self, rig: Rig, folder: Path | None) -> None:
         self._rig = rig
@@ -119,7 +119,7 @@ class Reporting:
             self._seen.take(events)
 
     def renew(self, status: RunStatus) -> None:
-        """Take note of how the run stands."""
+        """Record the state of the run."""
         if self._seen is not None:
             self._seen.renew(status)
 
@@ -128,7 +128,7 @@ class Reporting:
         if self._folder is None or self._seen is None:
             return
         judgements = judge(self._rig.verdict, result)
-        reported = Reported(self._rig, result, self._seen, judgements, summary, version("evstim"))
+        reported = ReportContent(self._rig, result, self._seen, judgements, summary, version("evstim"))
         try:
             paths = write_report(reported, self._folder)
         except OSError as error:
@@ -139,10 +139,10 @@ class Reporting:
             console.print(f"report: {paths[0]}", markup=False)
 
 
-def begin_report(rig: Rig, folder: Path | None) -> Reporting:
+def begin_report(rig: Rig, folder: Path | None) -> RunReporter:
     """Make the folder, which may exist already; raises Failure where that, or a chart, is not possible."""
     if folder is None:
-        return Reporting(rig, None)
+        return RunReporter(rig, None)
     try:
         check()
         folder.mkdir(parents=True, exist_ok=True)
@@ -152,11 +152,11 @@ def begin_report(rig: Rig, folder: Path | None) -> Reporting:
         raise Failure(f"--report: {error}", LACKING) from error
     except OSError as error:
         raise Failure(f"--report: {folder}: {error.strerror or error}", WRONG_USE) from error
-    return Reporting(rig, folder)
+    return RunReporter(rig, folder)
 
 
 class ShownRun:
-    """Shows a session on its page; does nothing without one."""
+    """Display of a session on its live page; does nothing without one."""
 
     def __init__(self, session: Session, page: LivePage | None) -> None:
         self._session, self._page = session, page
@@ -167,17 +167,17 @@ class ShownRun:
             self._page.show(events, self._session.light, self._session.t_ns // 1000)
 
     def renew(self, status: RunStatus) -> None:
-        """Show how the run stands."""
+        """Show the state of the run."""
         if self._page is not None:
             self._page.renew(status)
 
 
-class Serving:
-    """The page that was asked for, or none."""
+class OptionalPage:
+    """The requested live page, or none."""
 
-    def __init__(self, rig: Rig, asked: str | bool | None) -> None:
+    def __init__(self, rig: Rig, requested: str | bool | None) -> None:
         self._rig = rig
-        self._address = _address(asked)
+        self._address = _address(requested)
         self._trigger: EdgeSink | None = None
 
     def wired(self, setups: Sequence[LinkSetup[Any]]) -> list[LinkSetup[Any]]:
@@ -195,16 +195,16 @@ class Serving:
         if self._address is None:
             yield ShownRun(session, None)
             return
-        from emulator.live_page.messages import Orders
+        from emulator.live_page.messages import ViewerCommands
         from emulator.live_page.page import LivePage
 
         run = self._rig.run
         can_pause = run.pace == "free" and not run.lockstep_us
         viewer = Operator(session, "live page")
         inject = FaultInjection(self._rig, viewer, None).answer
-        orders = Orders(viewer, inject, self._button(viewer), can_pause=can_pause)
+        commands = ViewerCommands(viewer, inject, self._button(viewer), can_pause=can_pause)
         try:
-            page = LivePage(self._rig, self._address, orders)
+            page = LivePage(self._rig, self._address, commands)
         except OSError as error:
             raise Failure(f"--serve: {_shown(self._address)}: {error.strerror or error}", LACKING) from error
         with page:
@@ -226,9 +226,9 @@ class Serving:
         return press
 
 
-def check_serving(asked: str | bool | None) -> None:
-    """Raise Failure where a page is asked for that cannot be."""
-    if _address(asked) is None:
+def check_serving(requested: str | bool | None) -> None:
+    """Raise Failure where the requested page cannot be served."""
+    if _address(requested) is None:
         return
     from emulator.live_page.page import check_ui
 
@@ -238,11 +238,11 @@ def check_serving(asked: str | bool | None) -> None:
         raise Failure(str(error), LACKING) from error
 
 
-def _address(asked: str | bool | None) -> Address | None:
-    if asked is None or asked is False:
+def _address(requested: str | bool | None) -> Address | None:
+    if requested is None or requested is False:
         return None
     try:
-        return Address() if asked is True else parse_address(asked)
+        return Address() if requested is True else parse_address(requested)
     except ValueError as error:
         raise Failure(f"--serve: {error}", WRONG_USE) from error
 

@@ -1,16 +1,10 @@
-"""Delivery statistics of one link, for the summary of a run.
+"""Lines and JSON of the summary of a run, and the files of its options `--truth` and `--trace`.
 
-Latencies in words.
-
-Summary lines about lateness: whether the run kept up with the clock, and what to change when it did not.
-
-Statistics of triggers, of the camera's clock, and of frames and samples, for the summary of a run.
+The summary has the delivery statistics and latencies of each link, those of triggers, of the camera's clock, of frames
+and samples; lines about lateness, with advice when the run did not keep up with the clock; and lines about changes
+from outside.
 
 `--truth FILE`: a .csv for the camera's clock, an .h5 for the scene and the sensor; by the suffix.
-
-The files of `evstim run --trace`.
-
-Summary lines about what changed a run from outside.
 """
 
 from __future__ import annotations
@@ -80,9 +74,9 @@ def link_lines(link: LinkLedger, report: LinkReport) -> list[str]:
     ]
     if (use := report.use) is not None:
         lines.append(f"{link.name}: line used {use.share:.1%}, {use.busiest:.1%} in the busiest second")
-    told = [f"{count} {name.replace('_', ' ')}" for name, count in report.counts.items() if count]
-    if told:
-        lines.append(f"{link.name}: {', '.join(told)}")
+    counts = [f"{count} {name.replace('_', ' ')}" for name, count in report.counts.items() if count]
+    if counts:
+        lines.append(f"{link.name}: {', '.join(counts)}")
     lines += [f"{link.name}: {fault_line(fault)}" for fault in report.faults]
     lines += [f"{link.name}: {line}" for recording in report.recordings for line in recording.lines]
     return lines
@@ -99,8 +93,8 @@ def fault_line(fault: FaultRecord) -> str:
 
 
 def _causes(report: LinkReport) -> str:
-    told = [f"{count} {why}" for cause, why in _CAUSES.items() if (count := getattr(report.camera, cause, 0))]
-    return f" ({', '.join(told)})" if told else ""
+    causes = [f"{count} {why}" for cause, why in _CAUSES.items() if (count := getattr(report.camera, cause, 0))]
+    return f" ({', '.join(causes)})" if causes else ""
 
 
 def quantile_text(value_us: float | None) -> str:
@@ -109,15 +103,15 @@ def quantile_text(value_us: float | None) -> str:
 
 
 _STRETCHED_SHARE = 0.01  # fewer longer steps than this change no result
-_WORTH_SAYING_US = 1000.0
+_REPORTED_LATENESS_US = 1000.0
 
 
 def lateness_lines(rig: Rig, result: RunResult) -> list[str]:
-    """Return nothing for a run that kept up, else what happened and what to change."""
+    """Return no line for a run that kept up, else its lateness and the remedies."""
     late = result.lateness
     if result.too_late:
         return [f"NOT IN REAL TIME: {_broken(rig, result)}. {_remedies(rig)}"]
-    if late.worst_gap_us > _WORTH_SAYING_US or late.steps_stretched > _STRETCHED_SHARE * result.steps:
+    if late.worst_gap_us > _REPORTED_LATENESS_US or late.steps_stretched > _STRETCHED_SHARE * result.steps:
         return [
             f"late: {late.frames_late} of {result.steps} steps, the worst by {late.worst_gap_us:.0f} us; "
             f"{late.steps_stretched} steps made longer to keep up"
@@ -127,20 +121,20 @@ def lateness_lines(rig: Rig, result: RunResult) -> list[str]:
 
 def _broken(rig: Rig, result: RunResult) -> str:
     """Return which limits the run has broken, and by how much."""
-    late, told = result.lateness, []
+    late, broken = result.lateness, []
     if result.step_too_late:
         worst = f"the worst step was {late.worst_gap_us / 1e6:.3g} s late"
-        told.append(f"{worst}, and run.max_late_ms is {rig.run.max_late_ms:g}")
+        broken.append(f"{worst}, and run.max_late_ms is {rig.run.max_late_ms:g}")
     if result.late_too_often:
         often = f"{late.frames_late} of {result.steps} steps ({result.late_share:.1%}) were late"
-        told.append(f"{often}, and run.max_late_share is {rig.run.max_late_share:g}")
-    return "; ".join(told)
+        broken.append(f"{often}, and run.max_late_share is {rig.run.max_late_share:g}")
+    return "; ".join(broken)
 
 
 def _remedies(rig: Rig) -> str:
     return (
         f"Take a longer run.step_us (now {rig.run.step_us}) or run.lead_us (now {rig.run.lead_us}), fewer "
-        "scene.samples, or a smaller camera; `evstim plan` shows what each costs"
+        "scene.samples, or a smaller camera; `evstim plan` shows the cost of each"
     )
 
 
@@ -176,8 +170,8 @@ def timing_lines(name: str, report: LinkReport) -> Iterator[str]:
         yield f"{name}: {report.edges.marks} own marks of the camera, {report.edges.marks_sent} sent"
     for kind, fates in () if report.camera is None else report.camera.readings.items():
         gone = fates.dropped + fates.flushed + fates.lost_on_link
-        unasked = f"{fates.not_running} not asked for"
-        yield f"{name}: {kind}: {fates.offered} readings = {fates.delivered} delivered, {gone} lost, {unasked}"
+        unrequested = f"{fates.not_running} not requested"
+        yield f"{name}: {kind}: {fates.offered} readings = {fates.delivered} delivered, {gone} lost, {unrequested}"
     if report.clock is not None:
         c = report.clock
         yield f"{name}: camera clock offset {c.offset_us:+.1f} us at {c.t_us * 1e-6:.3f} s, drift {c.ppm:+.3f} ppm"
@@ -209,20 +203,20 @@ class Truth:
 
     @property
     def parts(self) -> list[Part]:
-        """What is compiled for it beside the rig's own parts."""
+        """Kernels of the truth, beside the rig's own parts."""
         return [] if self._file is None else [TRUTH]
 
     @property
     def trouble(self) -> str:
-        """Why the file is not whole; "" where it is, or none was asked for."""
+        """Reason why the file is not complete; "" where it is, or where there is none."""
         return "" if self._file is None else self._file.trouble
 
     def begin(self) -> AbstractContextManager[Any]:
-        """Return what finishes the file at its end, as `build_session` wants it; None in it where there is none."""
+        """Return the context of the truth file, for `build_session`; its value is None without a file."""
         return nullcontext() if self._file is None else self._file
 
-    def tell(self) -> None:
-        """Print what went wrong."""
+    def print_trouble(self) -> None:
+        """Print the reason why the file is not complete, if it is not."""
         if self.trouble:
             console.print(f"--truth: {self.trouble}", markup=False)
 
@@ -255,10 +249,10 @@ _MOST = 20
 
 
 def changes_lines(result: RunResult) -> list[str]:
-    """Return nothing for a run that follows from its rig and seed alone, else who changed what, and when."""
+    """Return no line for a run that follows from its rig and seed alone, else each change with its origin and time."""
     count = len(result.changes) + result.changes_beyond
     if not count:
         return []
     lines = [f"changed from outside {count} times; the rig and its seed alone do not repeat this run:"]
-    lines += [f"  {change.told}" for change in result.changes[:_MOST]]
+    lines += [f"  {change.text}" for change in result.changes[:_MOST]]
     return lines if count <= _MOST else [*lines, f"  and {count - _MOST} more: --json and --report list them"]

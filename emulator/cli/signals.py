@@ -6,7 +6,7 @@
     second, later; third            interrupts         interrupts                   does nothing
 
 One Ctrl-C often arrives twice: from the terminal to the whole process group, and from a wrapper (`uv run`, `make`,
-`docker`) that forwards its own. The second must not take away the summary that the first one asked for.
+`docker`) that forwards its own. The second must not prevent the summary that follows the first.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _INSISTING = 3  # signals
 
 
 class StopSignals:
-    """A handler: the first signal calls `stop`; a third one, or a second one after some seconds, interrupts."""
+    """Signal handler: the first signal calls `stop`; a third one, or a second one after some seconds, interrupts."""
 
     def __init__(self, stop: Callable[[], object], now_s: Callable[[], float] = time.monotonic) -> None:
         self._stop = stop
@@ -40,7 +40,7 @@ class StopSignals:
         self._first_s = 0.0
 
     def __call__(self, *_: object) -> None:
-        """Take a signal; raises KeyboardInterrupt."""
+        """Handle a signal; raises KeyboardInterrupt."""
         self._count += 1
         if self._count == 1:
             self._first_s = self._now_s()
@@ -50,17 +50,17 @@ class StopSignals:
 
 
 def exit_on_stop_signals() -> None:
-    """Let signals end the process at once: while it is imported there is nothing to tidy up."""
+    """Make signals end the process at once: during its imports there is nothing to clean up."""
     _handle(_leave)
 
 
 def interrupt_on_stop_signals() -> None:
-    """Let signals interrupt the command, from now on."""
+    """Make signals interrupt the command, from now on."""
     _handle(StopSignals(_interrupt))
 
 
 def stop_on_signals(stop: Callable[[], object]) -> None:
-    """Let the first signal call `stop`, such as that of a Session, from now on.
+    """Make the first signal call `stop`, such as that of a Session, from now on.
 
     This stays so when the run has ended: a second signal may arrive at any moment after the first.
     """
@@ -68,7 +68,7 @@ def stop_on_signals(stop: Callable[[], object]) -> None:
 
 
 def ignore_stop_signals() -> None:
-    """Let signals do nothing from now on: what remains is to write the summary, and to leave.
+    """Ignore signals from now on: only the summary remains to be written.
 
     A handler and not SIG_IGN, which programs that are started meanwhile would inherit.
     """

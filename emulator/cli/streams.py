@@ -1,10 +1,10 @@
-"""Line breaks for people at a terminal, and none for programs: what goes to a file or a pipe has whole lines.
+"""Standard streams of a command: line breaks at a terminal, whole lines in files and pipes.
 
-Standard output of a command: whatever it cannot take is a failure of the command, with its exit code.
+A write that standard output cannot take is a failure of the command, with its exit code:
 
     print, rich, json -> TextIOWrapper -> BufferedWriter -> ResultFile -> descriptor 1
 
-A full disk or a reader that has gone shows at some flush, in code that knows nothing of it. `ResultFile` raises Failure
+A full disk or a closed pipe appears at some flush, in code that has no handler for it. `ResultFile` raises Failure
 there, once; the rest of the output is then discarded, so that neither the message nor the interpreter's last flush
 fails again.
 """
@@ -32,22 +32,22 @@ _UNBROKEN = 100_000  # columns
 
 
 class _WholeLines(logging.Handler):
-    """Prints each record of the log as one line on `status`."""
+    """Handler that prints each record of the log as one line on `status`."""
 
     def emit(self, record: logging.LogRecord) -> None:
         status.print(self.format(record), markup=False)
 
 
 def break_lines() -> bool:
-    """Let `status` break lines at a terminal, and nowhere else; return whether it does."""
+    """Let `status` break lines only at a terminal; return whether it does."""
     status.soft_wrap = not status.is_terminal
     return status.is_terminal
 
 
 def log_handler() -> logging.Handler:
-    """Return what prints the log on `status`."""
+    """Return the handler that prints the log on `status`."""
     if status.is_terminal:
-        from rich.logging import RichHandler  # loads a tenth of what the command line loads
+        from rich.logging import RichHandler  # a tenth of the command line's imports
 
         return RichHandler(console=status, show_path=False, show_time=False)
     handler = _WholeLines()
@@ -56,7 +56,7 @@ def log_handler() -> logging.Handler:
 
 
 def help_console(app: App) -> Console | None:
-    """Set how `app` prints its help, and return where: None for its own console."""
+    """Set the format of the help of `app`, and return its console; None for its own."""
     if console.is_terminal:
         app.help_formatter = "default"
         return None
@@ -65,7 +65,7 @@ def help_console(app: App) -> Console | None:
 
 
 class ResultFile(io.RawIOBase):
-    """The writing end of a descriptor that raises Failure where the descriptor takes no more."""
+    """Raw file that writes to a descriptor and raises Failure when the descriptor takes no more."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
@@ -84,7 +84,7 @@ class ResultFile(io.RawIOBase):
         return os.isatty(self._descriptor)
 
     def write(self, data: ReadableBuffer) -> int:
-        """Write what the descriptor takes, and return its size in bytes; raises Failure once, then discards."""
+        """Write the bytes that the descriptor takes, and return their number; raises Failure once, then discards."""
         if self._has_failed:
             return memoryview(data).nbytes
         try:
@@ -95,7 +95,7 @@ class ResultFile(io.RawIOBase):
 
 
 def guard_stdout() -> None:
-    """Let `sys.stdout` raise Failure where it takes no more; one that was closed before the start stays None."""
+    """Let `sys.stdout` raise Failure when it takes no more; one that was closed before the start stays None."""
     if sys.stdout is None:
         return
     plain = cast(io.TextIOWrapper, sys.stdout)

@@ -30,8 +30,8 @@ __all__ = ["vizard"]
 
 
 @dataclass(frozen=True)
-class Meeting:
-    """Where the simulation connects to, and what it is shown.
+class ConnectionOptions:
+    """Address that the simulation connects to, and options of its images.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Meeting:
     white: float = 1.0
 
 
-_MEETING = Meeting()
+_DEFAULTS = ConnectionOptions()
 
 
 def vizard(
@@ -60,7 +60,7 @@ def vizard(
     *,
     seconds: float | None = None,
     seed: int | None = None,
-    meeting: Annotated[Meeting, Parameter(name="*")] = _MEETING,
+    connection: Annotated[ConnectionOptions, Parameter(name="*")] = _DEFAULTS,
     files: Annotated[Files, Parameter(name="*")] = NO_FILES,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
@@ -84,24 +84,24 @@ def vizard(
         check_png()
         loaded, paths = connected(load_rig(rig))
         loaded = rig_with_options(loaded, seconds or 0.0, seed, None)
-        with _server(meeting) as server, _forwarding(server, meeting) as asked:
+        with _server(connection) as server, _forwarding(server, connection) as source:
             status.print(f"Basilisk may connect to {server.address}", markup=False)
-            simulation = _simulation(loaded, paths, asked, meeting)
+            simulation = _simulation(loaded, paths, source, connection)
             try:
                 result, truth = run_with_files(loaded, files, simulation, show=not json)
             finally:
                 simulation.end("evstim has ended its run")
-            told = _told(simulation, server)
+            counts = _basilisk_json(simulation, server)
     problems = _problems(simulation, result, seconds)
-    if isinstance(asked, ForwardingServer) and asked.lost:
-        problems.append(asked.lost)
+    if isinstance(source, ForwardingServer) and source.lost:
+        problems.append(source.lost)
     if json:
-        body = {**summary(loaded, result), "truth_trouble": truth.trouble, "basilisk": told, "problems": problems}
+        body = {**summary(loaded, result), "truth_trouble": truth.trouble, "basilisk": counts, "problems": problems}
         print_json(body)
     else:
         print_summary(loaded, result)
-        truth.tell()
-        _print(told, problems)
+        truth.print_trouble()
+        _print(counts, problems)
     return GOOD if good(judge(loaded.verdict, result)) and not (truth.trouble or problems) else BAD_VERDICT
 
 
@@ -114,18 +114,18 @@ def _check_installed() -> None:
 
 
 @contextmanager
-def _server(meeting: Meeting) -> Iterator[VizardServer]:
-    host, port = _address("--at", meeting.at)
-    if not meeting.white > 0:
-        raise Failure(f"--white is {meeting.white:g}: it must be above 0", WRONG_USE)
+def _server(connection: ConnectionOptions) -> Iterator[VizardServer]:
+    host, port = _address("--at", connection.at)
+    if not connection.white > 0:
+        raise Failure(f"--white is {connection.white:g}: it must be above 0", WRONG_USE)
     try:
-        check_allow(host, meeting.allow, "--at")
+        check_allow(host, connection.allow, "--at")
     except ValueError as error:
         raise Failure(str(error), WRONG_USE) from error
     try:
-        server = VizardServer(host, port, meeting.allow)
+        server = VizardServer(host, port, connection.allow)
     except OSError as error:
-        raise Failure(f"--at: {error.strerror or error}; give another port, or end what holds it", LACKING) from error
+        raise Failure(f"--at: {error.strerror or error}; give another port, or end its program", LACKING) from error
     try:
         yield server
     finally:
@@ -133,15 +133,15 @@ def _server(meeting: Meeting) -> Iterator[VizardServer]:
 
 
 @contextmanager
-def _forwarding(server: VizardServer, meeting: Meeting) -> Iterator[Server]:
-    """Yield what asks the run: the server itself, or one that asks a second visualiser too."""
-    if meeting.forward is None:
+def _forwarding(server: VizardServer, connection: ConnectionOptions) -> Iterator[Server]:
+    """Yield the source of requests: the server itself, or one that forwards them to a second visualiser too."""
+    if connection.forward is None:
         yield server
         return
     try:
-        other = Other(*_address("--forward", meeting.forward))
+        other = Other(*_address("--forward", connection.forward))
     except OSError as error:
-        reason = f"--forward: nobody listens on {meeting.forward}: {error.strerror or error}; start it first"
+        reason = f"--forward: no program listens on {connection.forward}: {error.strerror or error}; start it first"
         raise Failure(reason, LACKING) from error
     try:
         yield ForwardingServer(server, other)
@@ -157,7 +157,7 @@ def _address(option: str, text: str) -> tuple[str, int]:
     return "127.0.0.1" if host == "localhost" else host, int(port)
 
 
-def _simulation(rig: Rig, paths: Sequence[ConnectedPath], server: Server, meeting: Meeting) -> BasiliskRun:
+def _simulation(rig: Rig, paths: Sequence[ConnectedPath], server: Server, connection: ConnectionOptions) -> BasiliskRun:
     numbers = [path.camera for path in paths if path.camera is not None]
 
     def greet(update: Update) -> None:
@@ -166,10 +166,10 @@ def _simulation(rig: Rig, paths: Sequence[ConnectedPath], server: Server, meetin
             if difference:
                 status.print(f"note: {difference}", markup=False)
 
-    return BasiliskRun(server, paths, partial(grey_png, white=meeting.white), MonotonicClock(), greet)
+    return BasiliskRun(server, paths, partial(grey_png, white=connection.white), MonotonicClock(), greet)
 
 
-def _told(simulation: BasiliskRun, server: VizardServer) -> dict[str, Any]:
+def _basilisk_json(simulation: BasiliskRun, server: VizardServer) -> dict[str, Any]:
     counters = simulation.counters
     times = {"first_ns": simulation.first_ns, "last_ns": simulation.last_ns}
     latencies = {"answer_us": counters.answer.summary(), "first_event_us": counters.first_event.summary()}
@@ -190,13 +190,13 @@ def _problems(simulation: BasiliskRun, result: RunResult, seconds: float | None)
     return problems
 
 
-def _print(told: dict[str, Any], problems: Sequence[str]) -> None:
+def _print(counts: dict[str, Any], problems: Sequence[str]) -> None:
     console.print(
-        f"basilisk: {told['updates']} updates, {told['images']} images, {told['no_images']} requests for other "
-        f"cameras' images, {told['other_peers_refused']} messages of others refused"
+        f"basilisk: {counts['updates']} updates, {counts['images']} images, {counts['no_images']} requests for other "
+        f"cameras' images, {counts['other_peers_refused']} messages of other peers refused"
     )
     for what, name in (("first event handed to a link", "first_event_us"), ("reply", "answer_us")):
-        latency = told[name]
+        latency = counts[name]
         if latency["p50"] is not None:
             console.print(
                 f"basilisk: update to {what} p50 {quantile_text(latency['p50'])} us, p99 "

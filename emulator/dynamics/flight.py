@@ -1,8 +1,7 @@
-"""A flight: an FMU steps, and each pose that comes of it is sent.
+"""A flight: an FMU is simulated step by step, and the pose of each step is sent.
 
-What can go wrong with dynamics from outside.
-
-The mapping file: which variables of an FMU are the pose, what is set at the start, and where inputs come from.
+Inputs of the FMU come from a CSV file over its time, or from the frames of a CAN bus as they come. The mapping file has
+the variables of the pose, the start values and the sources of inputs:
 
 step_s = 0.01
 position_m = ["x", "y", "z"]              # variables, or numbers
@@ -20,8 +19,6 @@ id = 0x120
 format = "<f"                             # of Python's struct module, from byte `at` on
 
 Names are those of the FMU's modelDescription.xml.
-
-Inputs of an FMU: from a CSV file over its time, or from the frames of a CAN bus as they come.
 """
 
 from __future__ import annotations
@@ -48,7 +45,7 @@ __all__ = [
     "DynamicsError",
     "FileInputs",
     "FlightEnded",
-    "Flown",
+    "FlightResult",
     "InputFile",
     "Inputs",
     "Mapping",
@@ -63,11 +60,11 @@ __all__ = [
 
 
 class DynamicsError(Exception):
-    """The FMU, its mapping or its inputs cannot be used; the message says what to change."""
+    """The FMU, its mapping or its inputs cannot be used; the message contains the required change."""
 
 
 class FlightEnded(Exception):
-    """The FMU failed during the flight; the message says when and how."""
+    """The FMU failed during the flight; the message contains the time and the reason."""
 
 
 _MOST_BYTES = 1 << 20
@@ -76,7 +73,7 @@ _MOST_ID = 0x1FFF_FFFF
 
 @dataclass(frozen=True)
 class Signal:
-    """A number in a CAN frame that is an input of the FMU: `scale` times what `format` reads, plus `offset`."""
+    """A number in a CAN frame that is an input of the FMU: `scale` times the value read by `format`, plus `offset`."""
 
     variable: str
     id: int
@@ -106,7 +103,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class Bus:
-    """A CAN bus of python-can, and what its frames hold."""
+    """A CAN bus of python-can, and the signals in its frames."""
 
     interface: str
     channel: str
@@ -122,7 +119,7 @@ class InputFile:
 
 @dataclass(frozen=True)
 class Mapping:
-    """What evstim has to know of an FMU.
+    """Mapping of an FMU's variables to a pose and inputs.
 
     Attributes
     ----------
@@ -165,20 +162,20 @@ def load_mapping(path: Path) -> Mapping:
         raise DynamicsError(f"{path}: {'.'.join(map(str, error.path))}: {error}") from error
 
 
-_MOST_BYTES_INPUTS = 64 << 20
+_MOST_INPUT_BYTES = 64 << 20
 _MOST_FRAMES = 1000  # a step, so that a flood does not hold the flight up
 _TIME = "time_s"
 
 
 class Inputs(Protocol):
-    """What gives inputs."""
+    """Source of inputs."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Variables that may be set."""
 
     def at(self, t_s: float) -> dict[str, float]:
-        """Return what is to be set before the step from `t_s`."""
+        """Return the values to be set before the step from `t_s`."""
 
 
 class FileInputs:
@@ -186,7 +183,7 @@ class FileInputs:
 
     def __init__(self, file: Path) -> None:
         try:
-            lines = list(csv.reader(read_text(file, _MOST_BYTES_INPUTS).splitlines()))
+            lines = list(csv.reader(read_text(file, _MOST_INPUT_BYTES).splitlines()))
         except TextFileError as error:
             raise DynamicsError(f"{file} {error}") from error
         if not lines or lines[0][:1] != [_TIME] or len(lines[0]) < 2:
@@ -225,9 +222,9 @@ class CanInputs:
     unusable : frames of known ids that were too short, or held no finite number.
     """
 
-    def __init__(self, bus: Any, told: Bus) -> None:
-        self._bus, self._signals = bus, told.signals
-        self.names = tuple(signal.variable for signal in told.signals)
+    def __init__(self, bus: Any, table: Bus) -> None:
+        self._bus, self._signals = bus, table.signals
+        self.names = tuple(signal.variable for signal in table.signals)
         self.unusable = 0
 
     def at(self, t_s: float) -> dict[str, float]:
@@ -259,8 +256,8 @@ def opened_inputs(mapping: Mapping, folder: Path) -> Iterator[list[Inputs]]:
     try:
         bus = can.Bus(interface=mapping.can.interface, channel=mapping.can.channel)
     except Exception as error:  # each backend of python-can has errors of its own
-        told = f"CAN bus {mapping.can.interface}:{mapping.can.channel}: {error}"
-        raise MachineLacks(told) from error
+        message = f"CAN bus {mapping.can.interface}:{mapping.can.channel}: {error}"
+        raise MachineLacks(message) from error
     with bus:
         yield [*inputs, CanInputs(bus, mapping.can)]
 
@@ -274,18 +271,18 @@ class Stepping(Protocol):
     outputs: dict[str, float]
 
     def step(self, t_s: float, step_s: float, inputs: dict[str, float]) -> None:
-        """Set inputs and go on."""
+        """Set inputs and do one step."""
 
 
 @dataclass(frozen=True)
 class Pace:
-    """How a flight goes.
+    """Duration and pacing of a flight.
 
     Attributes
     ----------
     seconds : of the FMU's time.
     stamped : whether poses carry the FMU's time as stream time; otherwise they hold from their arrival.
-    waiting : waits until the flight has lasted so many seconds; tells whether it should go on.
+    waiting : waits until the flight has lasted so many seconds; returns whether it should go on.
     """
 
     seconds: float
@@ -294,8 +291,8 @@ class Pace:
 
 
 @dataclass(frozen=True)
-class Flown:
-    """What a flight was."""
+class FlightResult:
+    """Result of a flight."""
 
     steps: int
     t_s: float
@@ -304,8 +301,8 @@ class Flown:
 
 def fly(
     unit: Stepping, mapping: Mapping, inputs: Sequence[Inputs], pace: Pace, send: Callable[[bytes], object]
-) -> Flown:
-    """Fly until the time is over or `pace` ends it; raises FlightEnded."""
+) -> FlightResult:
+    """Step the FMU until the time is over or `pace` ends the flight; raises FlightEnded."""
     steps, number = round(pace.seconds / mapping.step_s), 0
     pose = _pose(unit, mapping, number, pace)
     send(bytes(pose))
@@ -316,11 +313,11 @@ def fly(
         number += 1
         pose = _pose(unit, mapping, number, pace)
         send(bytes(pose))
-    return Flown(number, number * mapping.step_s, pose)
+    return FlightResult(number, number * mapping.step_s, pose)
 
 
 def _pose(unit: Stepping, mapping: Mapping, number: int, pace: Pace) -> PoseMessage:
-    """Return the pose of now; raises FlightEnded where the FMU's numbers are none."""
+    """Return the present pose; raises FlightEnded where the FMU's numbers are no pose."""
     t_s = number * mapping.step_s
     wrong = [name for name in mapping.outputs if not math.isfinite(unit.outputs[name])]
     if wrong:
@@ -343,7 +340,7 @@ def _number(unit: Stepping, one: str | float) -> float:
 
 
 def wall_clock(stop: Callable[[], bool]) -> Callable[[float], bool]:
-    """Return a wait for the wall's clock from now on, until `stop` says so."""
+    """Return a function that waits on the wall clock, from now on, until `stop` returns True."""
     begun_s = time.monotonic()
 
     def wait(t_s: float) -> bool:

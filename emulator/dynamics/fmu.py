@@ -21,7 +21,7 @@ _STEP_S = 30.0
 
 
 class Fmu:
-    """A co-simulation FMU that was initialised; use it in a `with` block.
+    """An initialised co-simulation FMU; use it in a `with` block.
 
     Parameters
     ----------
@@ -53,33 +53,33 @@ class Fmu:
         with starting_a_process(serve):
             self._process.start()
         far.close()
-        told = {"file": str(file), "start": mapping.start, "outputs": self._names, "inputs": list(inputs)}
+        content = {"file": str(file), "start": mapping.start, "outputs": self._names, "inputs": list(inputs)}
         try:
-            self.outputs = self._asked(told, _START_S, "when it starts")
+            self.outputs = self._answer(content, _START_S, "when it starts")
         except BaseException:
             self.close()
             raise
 
     def step(self, t_s: float, step_s: float, inputs: dict[str, float]) -> None:
-        """Set inputs and go on from `t_s`; raises FlightEnded."""
-        self.outputs = self._asked((t_s, step_s, inputs), _STEP_S, f"in its step from {t_s:g} s")
+        """Set inputs and do one step from `t_s`; raises FlightEnded."""
+        self.outputs = self._answer((t_s, step_s, inputs), _STEP_S, f"in its step from {t_s:g} s")
 
-    def _asked(self, message: object, limit_s: float, when: str) -> dict[str, float]:
+    def _answer(self, message: object, limit_s: float, when: str) -> dict[str, float]:
         try:
             self._near.send(message)
             if not self._near.poll(limit_s):
                 raise FlightEnded(f"{self._file}: the FMU does not answer within {limit_s:g} s {when}")
-            kind, told = self._near.recv()
+            kind, content = self._near.recv()
         except (EOFError, OSError) as error:
             raise FlightEnded(f"{self._file}: the FMU crashed {when} ({self._end()})") from error
-        return self._values(kind, told, when)
+        return self._values(kind, content, when)
 
-    def _values(self, kind: str, told: Any, when: str) -> dict[str, float]:
+    def _values(self, kind: str, content: Any, when: str) -> dict[str, float]:
         if kind == "wrong":
-            raise DynamicsError(f"{self._file} {told}")
+            raise DynamicsError(f"{self._file} {content}")
         if kind == "failed":
-            raise FlightEnded(f"{self._file}: the FMU failed {when}: {told}")
-        return dict(zip(self._names, told, strict=True))
+            raise FlightEnded(f"{self._file}: the FMU failed {when}: {content}")
+        return dict(zip(self._names, content, strict=True))
 
     def _end(self) -> str:
         self._process.join(10)

@@ -1,10 +1,10 @@
-"""The process of an FMU: its machine code runs here, so that its crash is an answer that does not come.
+"""The process of an FMU: its machine code runs here, so that its crash is only a missing answer.
 
 first message    {"file", "start": {variable: value}, "outputs", "inputs"}
 each later one   (t_s, step_s, {variable: value}): set inputs, do one step
 answers          ("ok", values of the outputs) | ("wrong", the FMU cannot be used so) | ("failed", a call failed)
 
-It ends when the other side closes.
+It ends when the other side closes the connection.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ _DESCRIPTION = "modelDescription.xml"
 _MOST_FILES = 10_000
 _MOST_MIB = 1024  # unpacked
 _MOST_DESCRIPTION_MIB = 64  # it is read as a whole, and its tree takes many times as much
-_SMALLER = "Export it without sources, documentation and resources that it does not read, or get it from its maker anew"
+_SMALLER = "Export it without sources, documentation and unused resources, or get it from its maker again"
 
 
 class _Wrong(Exception):
-    """The FMU cannot be used as the mapping says."""
+    """The FMU cannot be used with this mapping."""
 
 
 def serve(near: Connection) -> None:
-    """Answer until the other side is gone."""
+    """Answer until the other side closes the connection."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.dup2(2, 1)  # what an FMU prints must not mix with the command's result
+    os.dup2(2, 1)  # output of an FMU must not mix with the command's result
     folder = tempfile.mkdtemp(prefix="evstim-fmu-")
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         try:
@@ -47,25 +47,25 @@ def serve(near: Connection) -> None:
             near.send(("wrong", str(error)))
         except EOFError:
             pass
-        except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception for all that an FMU answers
+        except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception for all errors of an FMU
             near.send(("failed", str(error)))
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def _serve(near: Connection, told: dict[str, Any], folder: str) -> None:
-    unit = _Unit(told["file"], folder, {*told["outputs"], *told["inputs"], *told["start"]})
-    unit.begin(told["start"])
-    near.send(("ok", unit.get(told["outputs"])))
+def _serve(near: Connection, setup: dict[str, Any], folder: str) -> None:
+    unit = _Unit(setup["file"], folder, {*setup["outputs"], *setup["inputs"], *setup["start"]})
+    unit.begin(setup["start"])
+    near.send(("ok", unit.get(setup["outputs"])))
     while True:
         t_s, step_s, inputs = near.recv()
         unit.put(inputs)
         unit.step(t_s, step_s)
-        near.send(("ok", unit.get(told["outputs"])))
+        near.send(("ok", unit.get(setup["outputs"])))
 
 
 class _Unit:
-    """An FMU that was unpacked and loaded, with the references of the variables that are used."""
+    """An unpacked and loaded FMU, with the references of the variables that are used."""
 
     def __init__(self, file: str, folder: str, used: Iterable[str]) -> None:
         fmpy = importlib.import_module("fmpy")
@@ -95,12 +95,12 @@ class _Unit:
         return list(get([self._references[name] for name in names])) if names else []
 
     def step(self, t_s: float, step_s: float) -> None:
-        """Go on by one step."""
+        """Do one step."""
         self._unit.doStep(currentCommunicationPoint=t_s, communicationStepSize=step_s)
 
 
 def _description(fmpy: Any, file: str) -> Any:
-    """Return the model description; raises _Wrong for what is no co-simulation FMU for this machine."""
+    """Return the model description; raises _Wrong unless it is a co-simulation FMU for this machine."""
     _check_size(file)
     try:
         description = fmpy.read_model_description(file)
@@ -125,7 +125,7 @@ def _extract(fmpy: Any, file: str, folder: str) -> None:
 
 
 def _check_size(file: str) -> None:
-    """Raise _Wrong for what is no archive, or unpacks to more than an FMU needs: a few KiB may become any size.
+    """Raise _Wrong unless the file is an archive of a size that an FMU needs: a few KiB may unpack to any size.
 
     The sizes are those that the archive declares; zipfile unpacks no more than these.
     """

@@ -14,20 +14,20 @@ From the browser: JSON texts, one object each, with `do`.
 
     {"do": "hello", "token": TEXT}              first of all; the token where the page needs one
     {"do": "seen", "number": N}                 the last message has been shown, so another may come
-    {"do": "adjust", "name": NAME, "value": X}  a figure of the sensor
+    {"do": "adjust", "name": NAME, "value": X}  a sensor parameter
     {"do": "inject", "fault": {table}}          as in a rig
     {"do": "trigger"} {"do": "pause"} {"do": "step"} {"do": "resume"}
 
-What a viewer may ask of a running session, and the session's answers; all in the session's own thread.
+Commands are carried out in the session's own thread.
 
-Where the page is served, and who may use it.
+Address and access of the page:
 
     --serve                       127.0.0.1 and a free port: programs on this machine only, no token
     --serve 127.0.0.1:8080
     --serve 0.0.0.0:8080          other machines can reach it: a token is made, and printed as part of the address
 
-Any page that a browser shows could open a WebSocket to this machine. So the page's own Origin is asked for, and a Host
-that is an address of this machine (a name that somebody else's DNS resolves to 127.0.0.1 is not).
+Any page that a browser shows could open a WebSocket to this machine. So the page's own Origin is required, and a Host
+that is an address of this machine (a name that a foreign DNS server resolves to 127.0.0.1 is not).
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ __all__ = [
     "Access",
     "Address",
     "BadMessage",
-    "Orders",
     "Picture",
     "RunningSession",
+    "ViewerCommands",
     "decode_picture",
     "encode_picture",
     "parse_address",
@@ -73,12 +73,12 @@ _Plane = npt.NDArray[np.uint8]
 
 
 class BadMessage(ValueError):
-    """A message that is none of those above."""
+    """A message that is not one of those above."""
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What is drawn of one interval of stream time.
+    """Light and events of one interval of stream time.
 
     Attributes
     ----------
@@ -174,35 +174,35 @@ class RunningSession(Protocol):
 
     @property
     def adjustable(self) -> dict[str, float]:
-        """Figures that can change, with their present values."""
+        """Sensor parameters that can change, with their present values."""
         ...
 
     def adjust(self, name: str, value: float) -> None:
-        """Change one from the next step on; raises ValueError."""
+        """Change a parameter from the next step on; raises ValueError."""
 
     def inject(self, fault: Fault) -> None:
         """Begin a fault."""
 
 
 Inject = Callable[[dict[str, Any], RunStatus], dict[str, Any]]
-"""Answers {"ask": "inject", "fault": table}, as `FaultInjection.answer`."""
+"""Answer to a request that injects a fault, as `FaultInjection.answer`."""
 
 
-class Orders:
-    """Carries out what viewers ask.
+class ViewerCommands:
+    """Execution of the commands of viewers.
 
     Parameters
     ----------
     trigger
-        Makes an edge on the cameras' external input, at a time of CLOCK_MONOTONIC (ns), with a number; None where the
-        rig has a trigger of its own.
+        Function that makes an edge on the cameras' external input, at a time of CLOCK_MONOTONIC (ns), with a number;
+        None where the rig has a trigger of its own.
     can_pause
-        Whether the run may stand still: one that is not paced, and that no bus drives.
+        Whether the run may be paused: only one that is not paced, and that no bus drives.
 
     Attributes
     ----------
     paused
-        Whether the run is to stand still before its next step.
+        Whether the run is to pause before its next step.
     """
 
     def __init__(
@@ -223,7 +223,7 @@ class Orders:
         self._steps = 0
 
     def state(self) -> dict[str, Any]:
-        """Return what can be asked, and how things stand."""
+        """Return the possible commands, and the state of the run."""
         return {
             "adjustable": {name: min(value, _LARGEST) for name, value in self._session.adjustable.items()},
             "can_trigger": self._trigger is not None,
@@ -233,14 +233,14 @@ class Orders:
         }
 
     def carry_out(self, command: dict[str, Any]) -> dict[str, Any]:
-        """Do what a parsed command says; return {"did": ...} or {"error": ...}."""
+        """Execute a parsed command; return {"did": ...} or {"error": ...}."""
         try:
             return self._carried_out(command)
         except ValueError as error:
             return {"error": str(error)}
 
     def steps_allowed(self) -> bool:
-        """Say whether the next step may begin; a single one that was asked for is used up by this."""
+        """Return whether the next step may begin; this uses up a requested single step."""
         if not self.paused or self._session.stopping:
             return True
         self._steps, allowed = max(self._steps - 1, 0), self._steps > 0
@@ -257,7 +257,7 @@ class Orders:
                 return self._triggered()
             case {"do": "pause" | "step" | "resume" as order}:
                 return self._ordered(order)
-        raise ValueError("this cannot be asked of a run")
+        raise ValueError("a run cannot execute this command")
 
     def _injected(self, fault: dict[str, Any]) -> dict[str, Any]:
         if self.status is None:
@@ -285,7 +285,7 @@ _TOKEN_BYTES = 16
 
 @dataclass(frozen=True)
 class Address:
-    """Where to listen; port 0: a free one."""
+    """Address of the listening socket; port 0: a free one."""
 
     host: str = "127.0.0.1"
     port: int = 0
@@ -305,17 +305,17 @@ def parse_address(text: str) -> Address:
 
 @dataclass(frozen=True)
 class Access:
-    """Who may use the page: those with the token; without one, pages that this machine itself has loaded."""
+    """Access check of the page: by the token; without one, only pages that this machine itself has loaded."""
 
     token: str = ""
 
     @classmethod
     def for_host(cls, host: str) -> Access:
-        """Return what is needed for a page at `host`: a new token where other machines can reach it."""
+        """Return the access check of a page at `host`: with a new token where other machines can reach it."""
         return cls() if is_loopback(host) else cls(secrets.token_hex(_TOKEN_BYTES))
 
     def origin_permitted(self, origin: str | None, host: str | None) -> bool:
-        """Say whether a WebSocket may be opened, from the headers Origin (None: no browser sent it) and Host."""
+        """Return whether a WebSocket may be opened, from the headers Origin (None: no browser sent it) and Host."""
         if host is None:
             return False
         if not self.token and not _names_loopback(host):
@@ -323,7 +323,7 @@ class Access:
         return origin is None or urlsplit(origin).netloc == host
 
     def permits(self, token: str) -> bool:
-        """Say whether this is the token, in a time that tells nothing of it."""
+        """Return whether this is the token, in a time that does not depend on it."""
         return not self.token or secrets.compare_digest(token.encode(), self.token.encode())
 
 

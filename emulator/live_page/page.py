@@ -1,10 +1,8 @@
-"""The session's end of the live page: starts its process, shows it the run, and carries out what viewers ask.
+"""The session's end of the live page: it starts the process, sends it the run, and executes the commands of viewers.
 
-What the session tells the page's process: sent when the pipe takes it, so that a page that hangs holds up nothing.
-
-Answers and states are kept in their order, a bounded number of them; of statuses only the newest is.
-
-How a run stands, as the tables that the page shows.
+Messages to the page's process are sent when the pipe takes them, so that a page that hangs does not delay the run.
+Answers and states are queued in their order, a bounded number of them; of statuses only the newest is. A status has the
+tables that the page shows.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import MachineLacks
-from emulator.live_page.messages import Access, Address, Orders
+from emulator.live_page.messages import Access, Address, ViewerCommands
 from emulator.live_page.process import PageSetup, SharedView, serve_page
 from emulator.rig.kinds import faults_of
 from emulator.rig.loading import Rig
@@ -47,32 +45,32 @@ class Outbox:
 
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe
-        self._kept: deque[dict[str, Any]] = deque(maxlen=_MOST_WAITING)
+        self._queued: deque[dict[str, Any]] = deque(maxlen=_MOST_WAITING)
         self._status: dict[str, Any] | None = None
         self._writable = select.poll()
         self._writable.register(pipe.fileno(), select.POLLOUT)
 
     @property
     def waits(self) -> bool:
-        """Whether something has not been sent."""
-        return bool(self._kept) or self._status is not None
+        """True while a message has not been sent."""
+        return bool(self._queued) or self._status is not None
 
     def put(self, message: dict[str, Any]) -> None:
-        """Let a message be sent in its turn; of very many that wait the oldest is left out."""
-        self._kept.append(message)
+        """Queue a message; the oldest is dropped when the queue is full."""
+        self._queued.append(message)
 
     def renew(self, status: dict[str, Any]) -> None:
-        """Let a status be sent, in place of an older one that was not."""
+        """Queue a status, in place of an older one that was not sent."""
         self._status = status
 
-    def flush(self, heard: int) -> None:
-        """Send what the pipe takes, with the number of commands heard so far; raises OSError where nobody reads."""
+    def flush(self, commands_done: int) -> None:
+        """Send messages while the pipe takes them, with the number of executed commands; raises OSError."""
         while self.waits and self._writable.poll(0):
-            self._pipe.send({**self._next(), "heard": heard})
+            self._pipe.send({**self._next(), "commands_done": commands_done})
 
     def _next(self) -> dict[str, Any]:
-        if self._kept:
-            return self._kept.popleft()
+        if self._queued:
+            return self._queued.popleft()
         assert self._status is not None
         status, self._status = self._status, None
         return status
@@ -99,7 +97,7 @@ class Rates:
 
 
 def describe(rig: Rig) -> dict[str, Any]:
-    """Return what does not change during a run."""
+    """Return the constant data of a run."""
     width, height = rig.camera.size
     return {
         "name": rig.name,
@@ -112,7 +110,7 @@ def describe(rig: Rig) -> dict[str, Any]:
 
 
 def status_table(status: RunStatus, rates: dict[str, float]) -> dict[str, Any]:
-    """Return what changes during a run."""
+    """Return the changing data of a run."""
     return {
         "t_s": status.sim_seconds,
         "wall_s": status.wall_seconds,
@@ -168,9 +166,9 @@ def _link(report: LinkReport) -> dict[str, Any]:
 
 _log = logging.getLogger(__name__)
 
-_MOST_COMMANDS = 8  # in one look
+_MOST_COMMANDS = 8  # in one poll
 _STOP_S = 2.0
-_PAUSE_LOOK_S = 0.05
+_PAUSE_POLL_S = 0.05
 _TRIGGER_DELAY_US = 5000.0  # so that an edge comes to the cameras in its order, after events already computed
 
 
@@ -187,7 +185,7 @@ def check_ui() -> None:
 def with_trigger_button(
     setups: Sequence[LinkSetup[Any]],
 ) -> tuple[list[LinkSetup[Any]], EdgeSink | None]:
-    """Return links that hear a button, and the button; None where an input is taken already, or there is no link."""
+    """Return links connected to a button, and the button; None where an input is in use, or there is no link."""
     if not setups or any(setup.timing.edges is not None for setup in setups):
         return list(setups), None
     rings = [EdgeRing() for _ in setups]
@@ -204,14 +202,14 @@ class LivePage:
     Attributes
     ----------
     url
-        What to open in a browser.
+        Address to open in a browser.
     """
 
-    def __init__(self, rig: Rig, address: Address, orders: Orders) -> None:
+    def __init__(self, rig: Rig, address: Address, commands: ViewerCommands) -> None:
         listener, access = _listener(address), Access.for_host(address.host)
-        self._orders, self._rates = orders, Rates()
+        self._commands, self._rates = commands, Rates()
         self._view = SharedView(rig.camera.size)
-        self._heard = 0
+        self._commands_done = 0
         self._gone = False
         self.url = _url(listener, access)
         context = multiprocessing.get_context("spawn")
@@ -233,22 +231,22 @@ class LivePage:
         self.close()
 
     def show(self, events: Events, light: npt.NDArray[np.float32], now_us: int) -> None:
-        """Show a step, carry out what has been asked, and stand still where that was asked; after each step."""
+        """Show a step, execute commands, and wait while the run is paused; to be called after each step."""
         self._view.show(events, light, now_us)
-        if self._view.commands != self._heard:
-            self._hear()
+        if self._view.commands != self._commands_done:
+            self._execute_commands()
         elif self._outbox.waits:
             self._flush()
-        while not self._orders.steps_allowed() and not self._gone:
+        while not self._commands.steps_allowed() and not self._gone:
             self._wait()
 
     def renew(self, status: RunStatus) -> None:
-        """Tell how the run stands, and notice when the page's process has died."""
-        self._orders.status = status
+        """Send the status of the run, and detect the death of the page's process."""
+        self._commands.status = status
         self._outbox.renew(
-            {"kind": "status", **status_table(status, self._rates.renew(status)), **self._orders.state()}
+            {"kind": "status", **status_table(status, self._rates.renew(status)), **self._commands.state()}
         )
-        self._hear()
+        self._execute_commands()
 
     def close(self) -> None:
         """End the page."""
@@ -260,11 +258,11 @@ class LivePage:
 
     def _wait(self) -> None:
         with self._or_gone():
-            self._pipe.poll(_PAUSE_LOOK_S)
-        self._hear()
+            self._pipe.poll(_PAUSE_POLL_S)
+        self._execute_commands()
 
-    def _hear(self) -> None:
-        """Carry out some of what has been asked."""
+    def _execute_commands(self) -> None:
+        """Execute some of the commands that have come."""
         if self._gone:
             return
         with self._or_gone():
@@ -272,21 +270,21 @@ class LivePage:
                 if not self._pipe.poll():
                     break
                 viewer, command = self._pipe.recv()
-                self._heard += 1
-                self._outbox.put({"kind": "answer", "viewer": viewer, **self._orders.carry_out(command)})
+                self._commands_done += 1
+                self._outbox.put({"kind": "answer", "viewer": viewer, **self._commands.carry_out(command)})
                 if command["do"] != "inject":
-                    self._outbox.put({"kind": "state", **self._orders.state()})
+                    self._outbox.put({"kind": "state", **self._commands.state()})
         self._flush()
 
     def _flush(self) -> None:
-        """Send what the page takes."""
+        """Send the messages that the page's process takes."""
         if not self._gone:
             with self._or_gone():
-                self._outbox.flush(self._heard)
+                self._outbox.flush(self._commands_done)
 
     @contextmanager
     def _or_gone(self) -> Iterator[None]:
-        """Go on without a page whose process has died; a run that it had paused goes on too."""
+        """Continue without a page whose process has died; a run that it had paused goes on too."""
         try:
             yield
         except (EOFError, OSError):

@@ -1,13 +1,10 @@
-"""The process that serves the page: draws pictures while somebody looks, and stands between viewers and session.
+"""The process that serves the page: it draws pictures while there are viewers, and connects viewers and session.
 
-The session never waits for it. Whatever happens here, a flood of messages or a death, the run goes on.
+The session never waits for it: the run goes on also after a flood of messages or the death of this process.
 
-Pictures of events and light for the page: small planes of bytes, from which the browser makes its colours.
-
-What the session shows the page's process, in shared memory: events, the light, and whether anybody looks.
-
-While nobody looks the session does nothing for the page but read one number a step. Events that find no room are not
-shown; the run's own events go other ways.
+Pictures of events and light are small planes of bytes, from which the browser makes its colours. Events, the light and
+the number of viewers are in memory that the session and the page's process share. Without viewers the session only
+reads one number a step. Events without room in this memory are not shown; the run's own events go other ways.
 """
 
 from __future__ import annotations
@@ -39,17 +36,17 @@ _MOST_SIZE = (640, 480)
 _MOST_DRAWN = 60_000  # events of a picture; of more, each second, third ... is drawn
 _NEWEST = 127
 _MOST_COUNT = 15
-_BRIGHT_SHARE = 0.99  # of the lit pixels are darker than what is drawn white
-_WHITE_EVERY = 25  # pictures between two looks at what white is
+_BRIGHT_SHARE = 0.99  # of the lit pixels are darker than white
+_WHITE_EVERY = 25  # pictures between two updates of the white level
 
 
 def reduction(size: tuple[int, int]) -> int:
-    """Return how many pixels of a sensor, along x and y, share a pixel of the page."""
+    """Return the number of sensor pixels, along x and y, for a pixel of the page."""
     return max(-(-side // most) for side, most in zip(size, _MOST_SIZE, strict=True))
 
 
 class Canvas:
-    """Draws the pictures of a sensor of `size` (width, height), one after another."""
+    """Canvas for the pictures of a sensor of `size` (width, height), one after another."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._by = reduction(size)
@@ -64,7 +61,7 @@ class Canvas:
         return self._height, self._width
 
     def begin(self, at_us: int) -> None:
-        """Let the next picture's interval begin at `at_us`: nobody looked before."""
+        """Begin the next picture's interval at `at_us`, because there was no viewer before."""
         self._until_us = at_us
 
     def draw(self, events: Events, light: npt.NDArray[np.float32], until_us: int) -> Picture:
@@ -87,7 +84,7 @@ class Canvas:
         )  # fmt: skip
 
     def _last(self, events: Events, place: npt.NDArray[np.intp], from_us: int) -> npt.NDArray[np.int8]:
-        """Return when in the interval each pixel had its last event, and which."""
+        """Return the time and polarity of each pixel's last event in the interval."""
         plane = np.zeros(self._height * self._width, np.int8)
         length_us = max(self._until_us - from_us, 1)
         since_us = np.clip(events["t"].astype(np.int64) - from_us, 0, length_us)
@@ -156,7 +153,7 @@ class SharedView:
 
     @property
     def viewers(self) -> int:
-        """How many look; the page's process writes it."""
+        """Number of viewers; the page's process writes it."""
         return int(self._cells[_VIEWERS])
 
     @viewers.setter
@@ -165,7 +162,7 @@ class SharedView:
 
     @property
     def commands(self) -> int:
-        """Commands sent so far; the page's process writes it, so that the session need not ask the pipe each step."""
+        """Commands sent so far; the page's process writes it, so that the session need not poll the pipe each step."""
         return int(self._cells[_COMMANDS])
 
     @commands.setter
@@ -183,20 +180,20 @@ class SharedView:
             self.light[:] = light[:: self._by, :: self._by]
 
     def take(self) -> tuple[Events, int]:
-        """Return the events shown since the last call, and the time up to which; for the page's process."""
+        """Return the events shown since the last call, and the end of their time; for the page's process."""
         now_us = self._ring.now_us
         return self._ring.take(1 << 62), now_us
 
 
 _PICTURE_PERIOD_S = 0.04
-_MOST_WAITING = 32  # commands that the session has not heard
+_MOST_WAITING = 32  # commands that the session has not received
 _STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _NICE = 5  # the run goes before the page on a busy machine
 
 
 @dataclass(frozen=True)
 class PageSetup:
-    """All that the page's process needs to know."""
+    """Parameters of the page's process."""
 
     about: dict[str, Any]
     access: Access
@@ -214,7 +211,7 @@ def serve_page(setup: PageSetup, listener: socket.socket, session: Connection) -
 
 
 class PageProcess:
-    """The page's process: a web server, a drawer of pictures, and the session's pipe in one loop."""
+    """The page's process: a web server, the drawing of pictures, and the session's pipe in one loop."""
 
     def __init__(self, setup: PageSetup, session: Connection) -> None:
         from emulator.live_page.server import Connections, PageServer, Viewers
@@ -223,15 +220,15 @@ class PageProcess:
         self._canvas = Canvas(setup.view.size)
         self.connections, self._viewers = Connections(), Viewers(time.monotonic)
         self._app = PageServer(setup.about, setup.access, self._viewers, self.connections, self._command).app()
-        self._heard = 0
+        self._commands_done = 0
         self._ended = asyncio.Event()
 
     async def run(self, listener: socket.socket) -> None:
-        """Serve until the session has gone."""
+        """Serve until the session has ended."""
         from uvicorn import Config, Server
 
         class Quiet(Server):
-            """A server that leaves signals to the session."""
+            """Server without signal handlers of its own."""
 
             @contextmanager
             def capture_signals(self) -> Iterator[None]:
@@ -252,23 +249,23 @@ class PageProcess:
         )
         server = Quiet(config)
         loop = asyncio.get_running_loop()
-        loop.add_reader(self._session.fileno(), self._hear)
+        loop.add_reader(self._session.fileno(), self._receive)
         serving = asyncio.create_task(server.serve([listener]))
         drawing = asyncio.create_task(self._draw())
         ended = asyncio.create_task(self._ended.wait())
         await asyncio.wait((ended, drawing, serving), return_when=asyncio.FIRST_COMPLETED)
-        if not ended.done():  # a page that stands still would look like a run that does
+        if not ended.done():  # a frozen page would look like a paused run
             raise RuntimeError("the live page has ended before its run") from (
                 drawing if drawing.done() else serving
             ).exception()
         drawing.cancel()
-        self._viewers.tell(json.dumps({"kind": "ended"}))
-        await asyncio.sleep(0.1)  # for that to leave
+        self._viewers.send_all(json.dumps({"kind": "ended"}))
+        await asyncio.sleep(0.1)  # time to send it
         server.should_exit = True
         await asyncio.gather(serving, drawing, return_exceptions=True)
 
     async def _draw(self) -> None:
-        """Draw 25 pictures a second while somebody looks."""
+        """Draw 25 pictures a second while there are viewers."""
         watched = False
         while True:
             await asyncio.sleep(_PICTURE_PERIOD_S)
@@ -278,33 +275,33 @@ class PageProcess:
                 watched = False
                 continue
             events, until_us = self._view.take()
-            if not watched:  # what is left from the viewers before
+            if not watched:  # events from before the first viewer
                 self._canvas.begin(until_us)
                 watched = True
                 continue
             self._viewers.put(encode_picture(self._canvas.draw(events, self._view.light, until_us)))
 
-    def _hear(self) -> None:
-        """Pass on what the session says."""
+    def _receive(self) -> None:
+        """Forward the messages of the session."""
         try:
             while self._session.poll():
-                self._pass_on(self._session.recv())
+                self._forward(self._session.recv())
         except (EOFError, OSError):
             asyncio.get_running_loop().remove_reader(self._session.fileno())
             self._ended.set()
 
-    def _pass_on(self, message: dict[str, Any]) -> None:
-        self._heard = message.pop("heard")
+    def _forward(self, message: dict[str, Any]) -> None:
+        self._commands_done = message.pop("commands_done")
         if message["kind"] == "answer":
             self._viewers.answer(message.pop("viewer"), json.dumps(message))
         elif message["kind"] == "state":
-            self._viewers.tell(json.dumps(message))
+            self._viewers.send_all(json.dumps(message))
         else:
             self._viewers.put(json.dumps({**message, "viewers": len(self._viewers), "page_cpu_s": _cpu_s()}))
 
     def _command(self, viewer: int, command: dict[str, Any]) -> bool:
         """Send a viewer's command to the session; False where too many wait."""
-        if self._view.commands - self._heard >= _MOST_WAITING:
+        if self._view.commands - self._commands_done >= _MOST_WAITING:
             return False
         with suppress(OSError):
             self._session.send((viewer, command))

@@ -1,11 +1,10 @@
 """The page's web server: three files, and a WebSocket for each viewer.
 
-The browsers that look at a run. What one does not read in time is replaced by what is newer, and never kept.
+A viewer is a browser. A message that it does not read in time is replaced by a newer one. It reports the last message
+that it has shown; at most three are on their way to it. So a slow viewer or network gets fewer pictures, and one that
+stops reading has at most three of them in the machine's buffers until it is dropped.
 
-A viewer says which message it has shown last; at most three are on their way to it. So a slow viewer or network
-gets fewer pictures, and one that stops reading has at most three of them in the machine's buffers until it is dropped.
-
-The page's TCP connections, bounded before any byte of them is read.
+The number of the page's TCP connections is bounded before any byte of them is read.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ class Viewer:
     Attributes
     ----------
     number
-        Which; answers are for one viewer alone.
+        Number of the viewer; answers are for one viewer alone.
     """
 
     def __init__(self, number: int, now_s: Callable[[], float]) -> None:
@@ -71,11 +70,11 @@ class Viewer:
 
     @property
     def stalled(self) -> bool:
-        """Whether it has shown nothing of what was sent for so long that it is to be dropped."""
+        """True when it has shown none of the sent messages for so long that it is to be dropped."""
         return self.on_the_way >= _MOST_ON_THE_WAY and self._now_s() - self._moved_s > STALLED_S
 
     def put(self, message: str | bytes) -> None:
-        """Let a status (str) or a picture (bytes) be sent next, in place of an older one that was not."""
+        """Queue a status (str) or a picture (bytes), in place of an older one that was not sent."""
         if isinstance(message, bytes):
             self._picture = message
         else:
@@ -83,12 +82,12 @@ class Viewer:
         self._look()
 
     def answer(self, message: str) -> None:
-        """Let an answer be sent; of very many the oldest are left out."""
+        """Queue an answer; the oldest is dropped when the queue is full."""
         self._answers.append(message)
         self._look()
 
     def has_seen(self, number: int) -> None:
-        """Take note of the newest message that was shown, counted from 1; raises BadMessage."""
+        """Record the newest message that was shown, counted from 1; raises BadMessage."""
         if not self._seen <= number <= self._sent:
             raise BadMessage(f"message {number} has not been sent, or had been seen before")
         self._seen, self._moved_s = number, self._now_s()
@@ -103,13 +102,13 @@ class Viewer:
             raise BadMessage("too many messages")
 
     async def next(self) -> str | bytes:
-        """Wait until there is something to send that the viewer can take, and return it."""
+        """Wait for a message that the viewer can take, and return it."""
         while (message := self.take()) is None:
             await self._ready.wait()
         return message
 
     def take(self) -> str | bytes | None:
-        """Return what is to be sent now; None where that is nothing."""
+        """Return the message to be sent now; None where there is none."""
         if not self._ready.is_set():
             return None
         if not self.on_the_way:
@@ -149,7 +148,7 @@ class Viewers:
         return len(self._viewers)
 
     def enter(self, drop: Callable[[], None]) -> Viewer | None:
-        """Let a viewer in, whose connection `drop` ends at once; None where there are too many."""
+        """Add a viewer, whose connection `drop` ends at once; return None where there are too many."""
         if len(self._viewers) >= MOST_VIEWERS:
             return None
         self._number += 1
@@ -158,7 +157,7 @@ class Viewers:
         return viewer
 
     def leave(self, viewer: Viewer) -> None:
-        """Forget a viewer."""
+        """Remove a viewer."""
         self._viewers.pop(viewer.number, None)
 
     def put(self, message: str | bytes) -> None:
@@ -166,25 +165,25 @@ class Viewers:
         for viewer, _ in self._viewers.values():
             viewer.put(message)
 
-    def tell(self, message: str) -> None:
-        """Send a message to all that none may miss."""
+    def send_all(self, message: str) -> None:
+        """Send all viewers a message that none may miss."""
         for viewer, _ in self._viewers.values():
             viewer.answer(message)
 
     def answer(self, number: int, message: str) -> None:
-        """Send an answer to the one viewer that asked, if it is still there."""
+        """Send an answer to the viewer that sent the command, if it is still connected."""
         if number in self._viewers:
             self._viewers[number][0].answer(message)
 
     def drop_stalled(self) -> None:
-        """End the connections of those that do not read."""
+        """End the connections of viewers that do not read."""
         for viewer, drop in list(self._viewers.values()):
             if viewer.stalled:
                 self.leave(viewer)
                 drop()
 
 
-_PLACES = Places(total=64, per_address=64)  # a token, not the address, says who may use the page
+_PLACES = Places(total=64, per_address=64)  # a token, not the address, gives access to the page
 _EVERYBODY = ("0.0.0.0/0", "::/0")
 
 
@@ -199,14 +198,14 @@ class Connections:
         return len(self._open)
 
     def enter(self, peer: Any, transport: asyncio.Transport) -> bool:
-        """Let a connection in, if need be in the place of one that has not asked for the WebSocket."""
+        """Accept a connection, if need be in the place of one that has not requested the WebSocket."""
         seat = self._admission.admit(str(peer[0]), transport.abort)
         if seat is not None:
             self._open[tuple(peer[:2])] = seat, transport
         return seat is not None
 
     def settle(self, peer: Any) -> None:
-        """Keep a connection: it is a viewer's."""
+        """Mark a connection as a viewer's, which is never replaced."""
         if tuple(peer) in self._open:
             self._admission.settle(self._open[tuple(peer)][0])
 
@@ -216,7 +215,7 @@ class Connections:
             self._open[tuple(peer)][1].abort()
 
     def leave(self, peer: Any) -> None:
-        """Forget a connection that is over."""
+        """Remove a connection that has ended."""
         seat, _ = self._open.pop(tuple(peer[:2]), (None, None))
         if seat is not None:
             self._admission.leave(seat)
@@ -262,14 +261,14 @@ _HEADERS = {
 
 
 class PageServer:
-    """Serves one run's page.
+    """Web server of one run's page.
 
     Parameters
     ----------
     about
-        What does not change during the run; sent to each viewer first.
+        Constant data of the run; sent to each viewer first.
     command
-        Passes a viewer's parsed command on; False where too much waits already.
+        Function that forwards a viewer's parsed command; False where too many wait already.
     """
 
     def __init__(
@@ -315,7 +314,7 @@ class PageServer:
             await self._serve(socket, viewer)
 
     async def _introduced(self, socket: WebSocket) -> bool:
-        """Wait for the first message, which brings the token."""
+        """Wait for the first message, which contains the token."""
         try:
             hello = parse_command(await asyncio.wait_for(_text(socket), _HELLO_S))
         except (BadMessage, TimeoutError):
@@ -342,7 +341,7 @@ class PageServer:
             if command["do"] == "seen":
                 viewer.has_seen(command["number"])
             elif command["do"] == "hello":
-                raise BadMessage("hello was said before")
+                raise BadMessage("a hello came before")
             elif not self._command(viewer.number, command):
                 viewer.answer(json.dumps({"kind": "answer", "error": "the run is busy: try again"}))
 

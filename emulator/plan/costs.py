@@ -1,20 +1,17 @@
-"""A decision about one effect, and the quantities from which costs of effects are computed (see `decide`).
+"""Costs of leaving out effects of the pixel and of the chip, from which `decide` makes its decisions.
 
-Cost of leaving out an effect of the pixel: a decision without its verdict; None where the effect is off.
-
-The shift of events by noise is that of a ramp through a threshold with one-pole noise on it, in units of rms over
-contrast rate A, against rho = A tau_n / rms; simulated, 4000 crossings a column, the same for thresholds of 3 to 15
-rms (`tests/emulator/sensor/noise/test_noise_shift.py` holds the pixels of the grid grade against it):
+Each cost is a decision without its verdict; None where the effect is off. The shift of events by noise is that of a
+ramp through a threshold with one-pole noise on it, in units of rms over contrast rate A, against rho = A tau_n / rms;
+simulated, 4000 crossings a column, the same for thresholds of 3 to 15 rms
+(`tests/emulator/sensor/noise/test_noise_shift.py` holds the pixels of the grid grade against it):
 
     rho        0.1     0.3     1      3      10
     mean      -1.87   -1.32   -.71   -.31   -.09
     deviation   .58     .72    .86    .96   1.0
 
-Cost of leaving out an effect of the chip: temperature, imager, defects, radiation.
-
-Each cost is a decision without its verdict; None where the effect is off. `dim` is dark current over the photocurrent
-of the darkest active pixels: a change of the dark current, or of the light alone, by a share changes contrasts there by
-that share of `dim`, and time constants by that share.
+Effects of the chip are temperature, imager, defects and radiation. `dim` is dark current over the photocurrent of the
+darkest active pixels: a change of the dark current, or of the light alone, by a share changes contrasts there by that
+share of `dim`, and time constants by that share.
 """
 
 from __future__ import annotations

@@ -4,13 +4,12 @@ A rig without a tolerance fixes everything: steps of its own length, no effect d
 of the step and the cost of each effect. A rig with a tolerance gets controlled steps (see `step_control`), and effects
 that change less than the tolerance are dropped (see `decide`).
 
-Decisions about effects: which ones may be left out of a model, and the bound that decides.
+Decisions about effects use these bounds. A is the scene's contrast rate, C its bend (see `scene_probe`), theta the
+threshold, T the run's length, N = A T / theta the events that an active pixel raises, n the events of one monotone run,
+eps the tolerated timestamp error, delta the tolerated share of wrong events, dim the share of dark current in the
+darkest active light.
 
-A is the scene's contrast rate, C its bend (see `scene_probe`), theta the threshold, T the run's length, N = A T / theta
-the events that an active pixel raises, n the events of one monotone run, eps the tolerated timestamp error, delta the
-tolerated share of wrong events, dim the share of dark current in the darkest active light.
-
-    effect              what dropping it costs                             dropped when
+    effect              cost of dropping it                                dropped when
     low-pass            every stamp early by tau                           the longest tau < eps
     bandwidth           lags differ by those of darkest and brightest      that < eps
     large signals       stamps early by (1 + ln range) / (2 pi f_max)      that < eps; off unless selected
@@ -174,7 +173,7 @@ def _steps(rig: Rig, probe: Probe) -> Steps:
     by_motion_us = allowed.longest_step_ns(has_slopes=order == _HERMITE) / 1000
     shortest_us = allowed.shortest_ns / 1000
     step_us = max(min(by_error_us, by_sequences_us, by_motion_us), shortest_us)
-    bound = "the tolerance" if by_error_us <= by_motion_us else "the picture's motion"
+    bound = "the tolerance" if by_error_us <= by_motion_us else "the motion of the image"
     if by_sequences_us < min(by_error_us, by_motion_us):
         bound = "the sequences, where light turns"
     if by_motion_us >= allowed.longest_ns / 1000 <= min(by_error_us, by_sequences_us):

@@ -1,6 +1,6 @@
-"""Figures of a scene, measured from a few of its frames before the run.
+"""Parameters of a scene, measured from a few of its frames before the run.
 
-At some instants of the run three frames in a row are drawn. The log light of some 4096 pixels gives the figures on
+At some instants of the run three frames in a row are drawn. The log light of some 4096 pixels gives the parameters on
 which all bounds are based. Means are weighted by the events that each pixel is about to have, that is by its change D
 of log light, because errors are errors of events.
 
@@ -33,7 +33,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Probe:
-    """The figures of a scene.
+    """Parameters of a scene.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Probe:
 
 
 def probe(scene: Scene, sensor: SensorParameters, step_ns: int, duration_s: float) -> Probe:
-    """Return the figures of a scene, from some instants of a run of `duration_s` with steps of `step_ns`."""
+    """Return the parameters of a scene, from some instants of a run of `duration_s` with steps of `step_ns`."""
     sensor = at_temperature(sensor)
     instants_ns = [round((k + 0.5) / _INSTANTS * duration_s * 1e9) for k in range(_INSTANTS)]
     triples = [[_look(scene, sensor, t_ns + k * step_ns) for k in range(3)] for t_ns in instants_ns]

@@ -54,7 +54,7 @@ __all__ = [
 Floats = npt.NDArray[np.float64]
 
 _SAMPLE_PIXELS = 4096
-_CONTROL_PIXELS = 512  # the same figures, to a few percent, and every step pays for them
+_CONTROL_PIXELS = 512  # the same estimates, to a few percent, at a cost in every step
 _LINE, _HERMITE = 2, 4
 _MEAN_OF_BEND = {_LINE: 2 / 3, _HERMITE: 16 / 30}  # over the step, against its worst point
 # The estimate covers the interpolation, not the filter: in dim light, or where bright points cross a dark sky, the
@@ -62,7 +62,7 @@ _MEAN_OF_BEND = {_LINE: 2 / 3, _HERMITE: 16 / 30}  # over the step, against its 
 _SAFETY = {_LINE: 0.9**2, _HERMITE: 0.9**4 / 1.5}
 _RELIEF = np.array([*(0.5 ** (_HERMITE * k) for k in range(LEVELS)), 1.0])  # by the number of refinements of a pixel
 _ASKED = np.array([2.0**k - 1 for k in range(LEVELS + 1)])
-_MOST_ASKED = 1.0  # lights of single pixels, as a number of frames
+_MOST_LIGHTS = 1.0  # lights of single pixels, as a number of frames
 _QUANTILE = 0.95
 _EVENTS_OF_A_SEQUENCE = 300  # of a pixel, that are to be right together
 _LONGER, _SHORTER = (1.1, 1.3, 1.6, 2.0), (0.9, 0.75, 0.6, 0.5)
@@ -315,9 +315,9 @@ class ControlledSteps:
         limits, factor = self._limits, step_ns / (seen.dt_us * 1000)
         bend, events = seen.bend * factor**seen.order, seen.change * factor
         if self._refinement is not None and seen.order == _HERMITE:
-            relief, asked = self._refinement.of(seen.defect * factor**3, seen.turn * factor**2)
+            relief, lights = self._refinement.of(seen.defect * factor**3, seen.turn * factor**2)
             bend *= relief
-            if asked.mean() > _MOST_ASKED:
+            if lights.mean() > _MOST_LIGHTS:
                 return False
         allowed = limits.tolerance_us * _SAFETY[seen.order] / (_MEAN_OF_BEND[seen.order] * seen.dt_us)
         late, missed = events[bend > allowed * seen.change].sum(), (bend * factor)[seen.turns].sum()

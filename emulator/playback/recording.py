@@ -1,13 +1,11 @@
-"""Recordings of events as a rig names them, and how they are read.
+"""Recordings of events that a rig plays, and their readers.
 
-    .npz       what `--record` and the listeners write; the part after the last restart of the camera's clock
+    .npz       written by `--record` and the listeners; the part after the last restart of the camera's clock
     .aedat4    recordings of iniVation's cameras; read by faery (`pip install '.[files]'`)
     .es .dat .raw .csv   likewise, as far as faery reads them; in a child process, see `foreign_file`
     others     every format that `evstim convert` reads, see docs/recordings.md
 
-A recording is taken whole into memory, 13 bytes an event.
-
-Events of recordings that faery reads; for a child process, see `foreign_file`.
+A recording is read whole into memory, 13 bytes an event. faery reads in a child process, see `foreign_file`.
 """
 
 from __future__ import annotations
@@ -46,12 +44,12 @@ class RecordingParameters:
     path
         The recording, beside the rig file.
     time_scale
-        How much faster than recorded it is played.
+        Speed of the playback, relative to the recording.
     loop
-        Whether it begins anew at its end; else the camera is silent from there on.
+        Whether it restarts at its end; else the camera sends no events from there on.
     through_readout
-        Whether the sensor's arbiter takes part, which delays events and loses some where too many come at once; a
-        recording of a real camera has been through one already.
+        Whether events pass the sensor's arbiter, which delays them and loses some where too many come at once; those of
+        a real camera have passed one already.
     """
 
     kind: ClassVar[str] = "recording"
@@ -73,7 +71,7 @@ def _needs(parameters: RecordingParameters) -> tuple[Need, ...]:
         return ()
     try:
         needed = "faery" if path.suffix in _BY_FAERY else format_to_read(path).needs
-    except (OSError, RecordingError):  # whoever opens it reports that
+    except (OSError, RecordingError):  # reported when it is opened
         return ()
     return (package(needed),) if needed else ()
 
@@ -87,7 +85,7 @@ RECORDING = SceneKind(
 
 
 def read_events(path: Path, known: tuple[int, int] | None = None) -> tuple[Events, tuple[int, int] | None]:
-    """Read a recording: (n,) EVENT, sorted, and the sensor's (width, height) where the file tells it, or `known`.
+    """Read a recording: (n,) EVENT, sorted, and the sensor's (width, height) where the file contains it, or `known`.
 
     Raises SceneError where the file cannot be read, holds no events, or goes back in time.
     """

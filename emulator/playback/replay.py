@@ -1,7 +1,7 @@
 """A recording in the sensor's place: the same calls as `Sensor`, with events from a file.
 
-Stream time t shows what was recorded at t * time_scale; a loop begins anew one mean gap after the last event, so that
-no two rounds share an instant. What the step is makes no difference.
+Stream time t shows the recorded time t * time_scale; a loop restarts one mean gap after the last event, so that no
+two rounds share an instant. The result does not depend on the step.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ _NS = 1000
 
 
 class Replay:
-    """Plays `recording`, (n,) EVENT from time 0, sorted and inside the sensor, in stream time.
+    """Playback of `recording`, (n,) EVENT from time 0, sorted and inside the sensor, in stream time.
 
     Parameters
     ----------
     time_scale : recorded time a unit of stream time.
-    loop : whether it begins anew at its end.
+    loop : whether it restarts at its end.
     through_readout : whether the arbiter of `parameters` takes part.
     """
 
@@ -94,7 +94,7 @@ class Replay:
         return self._leave(times, events, t_ns)
 
     def finish(self) -> Events:
-        """Return what still waits at the arbiter."""
+        """Return the events that still wait at the arbiter."""
         return np.empty(0, EVENT) if self._readout is None else self._readout.finish()
 
     def _round(self, t_ns: int) -> tuple[npt.NDArray[np.int64], Events]:
@@ -126,5 +126,5 @@ def replay(parameters: RecordingParameters, sensor: SensorParameters) -> Replay:
 
 
 def blank(parameters: RecordingParameters, size: tuple[int, int]) -> Blank:
-    """Return the scene behind a recording: there is nothing to see."""
+    """Return the blank scene of a recording."""
     return Blank(size)

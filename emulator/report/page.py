@@ -1,6 +1,6 @@
-"""Reports for people and programs: a page that needs no network, CSV, JSON.
+"""Reports for people and programs: a page that needs no network, CSV, JSON, and charts in files.
 
-Charts in files, drawn by matplotlib (the extra `report`), without a screen.
+Charts are drawn by matplotlib (the extra `report`), without a screen.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ _STYLE = (
 
 def write_page(title: str, sections: Sequence[str], path: Path) -> Path:
     """Write sections of HTML as one page; return its path."""
-    told = html.escape(title)
-    head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{told}</title><style>{_STYLE}</style>'
-    path.write_text(f"{head}<h1>{told}</h1>{''.join(sections)}</html>\n")
+    text = html.escape(title)
+    head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{text}</title><style>{_STYLE}</style>'
+    path.write_text(f"{head}<h1>{text}</h1>{''.join(sections)}</html>\n")
     return path
 
 
@@ -53,7 +53,7 @@ def sentences(lines: Sequence[str]) -> str:
 
 
 def inline(svg: Path) -> str:
-    """Return an SVG file's picture element, to stand in the page itself."""
+    """Return an SVG file's <svg> element, for use in the page itself."""
     text = svg.read_text()
     return text[text.index("<svg") :]
 
@@ -81,7 +81,7 @@ def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
 
 
 def write_json(value: object, path: Path) -> Path:
-    """Write a value, null for what JSON has no number for; return the path."""
+    """Write a value, null for NaN and infinity; return the path."""
     path.write_text(json.dumps(_finite(value), indent=1, allow_nan=False) + "\n")
     return path
 
@@ -95,7 +95,7 @@ def _finite(value: Any) -> Any:
 
 
 class ChartsLacking(Exception):
-    """matplotlib is not installed; the message tells how to get it."""
+    """matplotlib is not installed; the message contains the command that installs it."""
 
 
 def pyplot() -> Any:
@@ -108,7 +108,7 @@ def pyplot() -> Any:
 
 
 def check() -> None:
-    """Raise ChartsLacking where matplotlib is missing: before minutes of work, not after."""
+    """Raise ChartsLacking where matplotlib is missing, before a long computation."""
     pyplot()
 
 

@@ -1,11 +1,9 @@
-"""Pictures for people: the light dimmed, ON events orange, OFF events blue, as 8-bit sRGB.
+"""Pictures and movies of light and events.
 
-The two colours are of the palette of Okabe and Ito (2008): people with any kind of colour blindness can tell them
-apart, and both are brighter than the dimmed light.
-
-Pictures for programs: light as linear grey levels in a PNG file.
-
-Moving pictures for people: GIF by pillow, MP4 (MPEG-4) by PyAV.
+Pictures for people have the light dimmed, ON events orange, OFF events blue, as 8-bit sRGB. The two colours are of the
+palette of Okabe and Ito (2008): people with any kind of colour blindness can distinguish them, and both are brighter
+than the dimmed light. Movies are GIF by pillow, MP4 (MPEG-4) by PyAV. Pictures for programs are linear grey levels in a
+PNG file.
 """
 
 from __future__ import annotations
@@ -42,13 +40,13 @@ Rgb = npt.NDArray[np.uint8]
 """(height, width, 3), row 0 on top."""
 
 ON_RGB, OFF_RGB = (230, 159, 0), (86, 180, 233)
-_BRIGHT_SHARE = 0.99  # of the lit pixels are darker than what is drawn white
+_BRIGHT_SHARE = 0.99  # of the lit pixels are darker than white
 _SMALL_PX = 640  # a picture that is less wide is drawn twice as large
 _CAPTION_PX = 18
 
 
 def white_of(light: Light) -> float:
-    """Return the light to draw as white: that of the brightest hundredth of the lit pixels, not of single glints."""
+    """Return the light level drawn as white: that of the brightest hundredth of the lit pixels, not of glints."""
     lit = light[light > 0]
     return float(np.quantile(lit, _BRIGHT_SHARE)) if lit.size else 0.0
 
@@ -63,7 +61,7 @@ def event_picture(light: Light, events: Events, *, white: float | None = None, d
     white
         The light drawn as full white; `white_of` the picture unless given.
     dimming
-        Share of the screen's levels that white is drawn with; 1 shows the light alone at its best.
+        Level of white, as a share of the screen's range; 1 is best for light without events.
 
     Raises
     ------
@@ -131,7 +129,7 @@ def check_png() -> None:
 
 
 def grey_png(light: Light, white: float) -> bytes:
-    """Return the light, (height, width), as an 8-bit grey PNG, linear from 0 to `white`; what is brighter is white."""
+    """Return the light, (height, width), as an 8-bit grey PNG, linear from 0 to `white`; brighter light is white."""
     from PIL import Image
 
     grey = np.rint(np.clip(light * (255.0 / white), 0.0, 255.0)).astype(np.uint8)
@@ -174,4 +172,4 @@ def _mp4(path: Path, pictures: Iterable[Rgb], fps: int) -> None:
 
 
 MOVIES: Mapping[str, Callable[[Path, Iterable[Rgb], int], None]] = {".gif": _gif, ".mp4": _mp4}
-"""What writes a movie, by the end of the file's name."""
+"""Writers of movies, by the suffix of the file."""

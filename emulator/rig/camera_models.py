@@ -19,7 +19,7 @@ __all__ = ["CAMERA_MODELS", "IMU_UNITS", "CameraModel", "UsbModel", "UsbSettings
 
 @dataclass(frozen=True)
 class UsbSettings:
-    """What a run settles for a camera's USB device; `pulse_us` None: no trigger is connected.
+    """Settings of a run for a camera's USB device; `pulse_us` None: no trigger is connected.
 
     `is_master` False: its clock follows that of another camera.
     """
@@ -38,8 +38,8 @@ class UsbModel:
     size
         (width, height) of the real camera, pixels.
     device
-        Returns what makes the device inside a link's process, which can be pickled; raises ValueError for a camera
-        that it cannot be.
+        Returns the factory of the device in a link's process, which can be pickled; raises ValueError for a camera
+        that the device cannot represent.
     has_evt
         Whether it sends EVT3 words: a run compiles their kernels before it begins.
     """
@@ -66,7 +66,7 @@ class CameraModel:
 
     @property
     def is_imx636(self) -> bool:
-        """Whether its chip is an IMX636: biases act by `camera.bias_slopes`."""
+        """True for an IMX636: biases act by `camera.bias_slopes`."""
         return self.chip is CHIPS["imx636"]
 
 

@@ -1,8 +1,7 @@
-"""The registry of kinds of links: the built-in ones, and those of installed packages (group "evstim.links").
+"""The registries of kinds of links and scenes, and the faults that each link can have.
 
-The registry of kinds of scenes: the built-in ones, and those of installed packages (group "evstim.scenes").
-
-Which faults which link can have, and how a table becomes one: from a rig, or from `evstim fault`.
+A registry has the built-in kinds, and those of installed packages (groups "evstim.links" and "evstim.scenes"). A fault
+is converted from a table of a rig, or of `evstim fault`.
 """
 
 from __future__ import annotations

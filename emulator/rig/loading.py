@@ -1,6 +1,6 @@
-"""Rig files: what to run, as TOML, with units in the keys; typed and frozen once loaded.
+"""Rig files: the set-up of a run as TOML, with units in the keys; typed and frozen once loaded.
 
-    title = "what this rig shows"
+    title = "a title of the rig"
     [scene]
     kind = "checkerboard"      # "bodies", "terrain", ...: each kind has its own keys
     [camera]
@@ -9,12 +9,9 @@
     kind = "usbip"
 
 `emulator.rig.top_level` has the top-level keys. Each key below them is a field of a dataclass, in `emulator.rig.tables`
-or in the package that owns the thing. A mistake raises RigError with the file, the line, the key, what is wrong and
-what would be right.
-
-Old spellings in rig files: accepted for one version, with a logged warning that names the new spelling.
-
-Values of a rig's `[run]` table that a command or a call gives in its place.
+or in the package that owns the table. A mistake raises RigError with the file, the line, the key, the error and the
+allowed values. Old spellings are accepted for one version, with a logged warning that contains the new spelling. A
+command or a call may replace some values of the `[run]` table.
 """
 
 from __future__ import annotations

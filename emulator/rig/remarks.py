@@ -1,4 +1,4 @@
-"""Remarks on a rig that is valid but may not be what its author means."""
+"""Remarks on a valid rig with values that may be mistakes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _LIGHTS = 30
 
 
 def remarks(rig: Rig) -> list[str]:
-    """Return a sentence on each value that may be a mistake; files that cannot be read are not its matter."""
+    """Return a sentence on each value that may be a mistake; files that cannot be read are not its subject."""
     found = []
     for name in ("threshold_on", "threshold_off"):
         value = getattr(rig.camera.sensor, name)
@@ -49,7 +49,7 @@ def _noise(sensor: SensorParameters) -> Iterator[str]:
 
 
 def _waiting_paths(rig: Rig) -> Iterator[str]:
-    """Yield a sentence on each path that a simulation would fly, where none does."""
+    """Yield a sentence on each path that needs a simulation, where there is none."""
     for where, table in _tables(rig.scene, "scene"):
         if type(table) is BasiliskPath:  # one that is connected has a type of its own
             yield f"{where} stays where the rig puts it: only `evstim vizard` meets a Basilisk simulation"

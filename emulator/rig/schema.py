@@ -22,7 +22,7 @@ def rig_schema() -> dict[str, Any]:
     """Return the schema (draft 2020-12) of a rig file as a table."""
     definitions: _Definitions = {}
     properties = {name: _top_level(key, definitions) for name, key in TOP_LEVEL.items()}
-    definitions["SensorParameters"].pop("required", None)  # a rig gives what differs from the preset
+    definitions["SensorParameters"].pop("required", None)  # a rig gives the differences from the preset
     definitions["Camera"]["properties"]["model"]["enum"] = list(CAMERA_MODELS)
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

@@ -1,11 +1,4 @@
-"""The tables of a rig that belong to no room: the camera as a whole, and the run.
-
-The [trigger] table of a rig: what is connected to the camera's external input.
-
-The [verdict] table of a rig: what else a run must keep to be good.
-
-The [second_camera] table of a rig: a camera beside the first one, on its clock, looking at the same scene.
-"""
+"""Tables of a rig that concern the whole run: [camera], [run], [trigger], [verdict] and [second_camera]."""
 
 from __future__ import annotations
 
@@ -35,23 +28,23 @@ class Camera:
     Attributes
     ----------
     model
-        Name of a camera: the sensor's size, its pixels and its read-out; and its plug.
+        Name of a camera: its sensor's size, pixels and read-out, and its connector.
     serial
         Serial number that the host reads, up to 8 characters; of an "evk4", hexadecimal digits.
     speed
         USB speed: "super" or "high".
     layout
-        How the chip of a DAVIS346 lies: "upright", or "turned" as in the hardware, where the words called rows carry x.
-        Drivers turn it back by themselves.
+        Orientation of a DAVIS346's chip: "upright", or "turned" as in the hardware, where row words carry x. Drivers
+        turn it back by themselves.
     fifo_bytes
-        Size of the camera's output buffer; what finds no room in it is dropped and counted. 256 KiB, as in an FX3.
+        Size of the camera's output buffer; data without room in it is dropped and counted. 256 KiB, as in an FX3.
     start_delay_ms
-        How long after the host's start command the first event may come (0 suits every driver but one).
+        Least time from the host's start command to the first event (0 suits every driver but one).
     activity_filter
         Whether a DAVIS346 has its filters of background activity and refractory period. Where it has them, libcaer and
-        neuromorphic_drivers switch the former on, and do not see events that have no other near them.
+        neuromorphic_drivers switch the former on, and do not receive events without another event near them.
     sensor
-        Figures of the preset changed for this rig.
+        Sensor parameters that differ from the preset.
     clock
         The camera's own clock; without it the camera shows stream time.
     imu
@@ -59,9 +52,9 @@ class Camera:
     lens
         For scenes in units of radiance; the others bring their own light.
     frames
-        The active pixels of a DAVIS346: with this table the camera takes frames when its host asks for them.
+        The active pixels of a DAVIS346: with this table the camera takes frames when its host requests them.
     bias_slopes
-        What a step of each bias is worth on an IMX636: model "evk4", "triton2" or "imx636"; without it, the defaults.
+        Effect of a step of each bias of an IMX636: model "evk4", "triton2" or "imx636"; without it, the defaults.
     """
 
     model: str = "davis346"
@@ -93,30 +86,30 @@ class Camera:
 
     @property
     def bias_model(self) -> BiasModel:
-        """What biases of an IMX636 do to this sensor."""
+        """Model of the effects of an IMX636's biases on this sensor."""
         slopes = self.bias_slopes or BiasSlopes()
         return BiasModel(slopes, "source_follower_hz" if self.sensor.source_follower_hz else "corner_max_hz")
 
 
 @dataclass(frozen=True)
 class Run:
-    """How the run goes through time.
+    """Time and method of the run.
 
     Attributes
     ----------
     seconds
         Stream time to run for; 0 means until Ctrl-C.
     step_us
-        Time between two pictures.
+        Time between two light frames.
     seed
-        Seed of all that is random.
+        Seed of everything random.
     pace
-        "realtime": every event leaves at its own time; "free": as fast as the machine can, losing nothing; "lockstep":
-        as far as the SYNCs of the trigger's bus let it, `lockstep_us` for each.
+        "realtime": every event leaves at its own time; "free": as fast as the machine can, without loss; "lockstep": by
+        `lockstep_us` for each SYNC of the trigger's bus.
     lockstep_us
-        Stream time that one SYNC is worth.
+        Stream time for each SYNC.
     lead_us
-        How far ahead of real time steps are computed; at least one step. Covers the jitter of the machine.
+        Time by which steps are computed ahead of real time; at least one step. Covers the jitter of the machine.
     max_late_ms
         In real time: a run whose worst step was ready later than this after it was due has not kept up, and its verdict
         is bad. 0: lateness is not judged, `max_late_share` included.
@@ -127,18 +120,18 @@ class Run:
         Whether a link whose process died is started again; its record and its own file go on in NAME-restart1.SUFFIX.
         Otherwise the other links go on without it.
     fifo_priority
-        Above 0: links run under SCHED_FIFO at this priority (1 to 99), before all that is not as urgent. Delivery and
-        the stamps of a bus are then steady on a busy machine. Needs root, or a limit of 'rtprio'.
+        Above 0: links run under SCHED_FIFO at this priority (1 to 99), before less urgent processes. Delivery and the
+        timestamps of a bus are then steady on a busy machine. Needs root, or a limit of 'rtprio'.
     method
-        How light is interpolated between two frames: "hermite" (a cubic from value and derivative) or "line" (a
+        Interpolation of light between two frames: "hermite" (a cubic from value and derivative) or "line" (a
         straight line in log light); or another simulator's rule, to reproduce published results: "pangu", "v2e",
         "v2e_exact_filter", "esim", "sikorski", "frame_difference".
     painter
-        What draws bodies and terrain: "cpu", the exact mean light of each pixel and the same events on every machine;
-        "gl", points in each pixel by OpenGL 4.3, for a quick look. The environment variable EVSTIM_RENDERER goes before
+        Renderer of bodies and terrain: "cpu", the exact mean light of each pixel and the same events on every machine;
+        "gl", points in each pixel by OpenGL 4.3, for a quick look. The environment variable EVSTIM_RENDERER replaces
         this key.
     threads
-        Threads of the pixel step; the events are the same for any number. 0: as many as its work is worth, at most 4.
+        Threads of the pixel step; the events are the same for any number. 0: chosen by its work, at most 4.
     tolerance_us
         Tolerated timestamp error, 95th percentile. Above 0, steps are as long as it allows (`step_us` is the first one)
         and effects that change less than that are left out; see `evstim plan`. 0: steps of `step_us`, nothing left out.
@@ -204,11 +197,11 @@ class TriggerEdges:
     at_ms
         Stream time of the first.
     kind
-        As of the trigger.
+        As `kind` of the trigger.
     every_ms
         Above 0, it is repeated with this period.
     count
-        How often it happens in all; 0: without end. Without a period: once.
+        Number of edges in all; 0: without end. Without a period: once.
     """
 
     at_ms: float
@@ -232,7 +225,7 @@ class TriggerEdges:
 
 @dataclass(frozen=True)
 class Trigger:
-    """What is connected to the camera's external input.
+    """Source of edges at the camera's external input.
 
     Attributes
     ----------
@@ -243,9 +236,9 @@ class Trigger:
     edges
         Instead: edges at given times, without latency and jitter.
     kind
-        What happens at the input: "pulse" (it rises, and falls again after `pulse_us`), "rising" or "falling".
+        Edges at the input: "pulse" (it rises, and falls again after `pulse_us`), "rising" or "falling".
     channel
-        Which input; a DAVIS346 has one, 0.
+        Number of the input; a DAVIS346 has one, 0.
     latency_us
         From the bus to the input.
     jitter_us
@@ -253,8 +246,8 @@ class Trigger:
     pulse_us
         Length of a pulse.
     holdback_us
-        With a source: how long after its time an event goes to the camera, so that an edge which is heard late still
-        comes in order. Later ones are stamped at the earliest time possible, and counted.
+        With a source: delay of events on their way to the camera, so that an edge which is received late still comes in
+        order. Later edges are stamped at the earliest time possible, and counted.
     send_period_ms
         Above 0, the camera itself sends a mark on the bus each time its own clock has gone this far.
     """
@@ -290,13 +283,13 @@ class Trigger:
             raise ValueError(f"pulse_us must be 1 to 1000000, got {self.pulse_us}")
 
     def timing(self, seed: int) -> EdgeTiming:
-        """Return what an edge of this trigger is."""
+        """Return the timing of an edge of this trigger."""
         return EdgeTiming(EdgeKind[self.kind.upper()], self.channel, self.latency_us, self.jitter_us, seed)
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a run must keep, beside a balanced ledger, sound links and whole files; 0 asks for nothing.
+    """Limits of a good run, beside a balanced ledger, sound links and whole files; 0 sets no limit.
 
     Attributes
     ----------
@@ -304,11 +297,11 @@ class Verdict:
         Share of the events read out that a link may lose after its camera was started: 0.01 is one in a hundred.
         Negative: any share.
     min_rate_hz, max_rate_hz
-        Events a second that the sensor must read out at least, and at most, as a mean over the run.
+        Least and greatest mean event rate at the read-out, events per second, over the run.
     max_latency_us
-        Most that the 99th percentile of the time from an event to its bytes may be, on any link.
+        Greatest 99th percentile of the time from an event to its bytes, on any link.
     max_undersampled
-        Share of the solved pixel-steps whose light may have changed unseen between two pictures.
+        Share of the solved pixel-steps whose light may have changed unseen between two light frames.
     """
 
     max_drop: float = -1.0
@@ -322,7 +315,7 @@ class Verdict:
             raise ValueError(f"max_drop is a share, at most 1, got {self.max_drop}")
         for name in ("min_rate_hz", "max_rate_hz", "max_latency_us", "max_undersampled"):
             if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must be 0 (asks for nothing) or more, got {getattr(self, name)}")
+                raise ValueError(f"{name} must be 0 (no limit) or more, got {getattr(self, name)}")
         if 0 < self.max_rate_hz < self.min_rate_hz:
             raise ValueError(f"max_rate_hz {self.max_rate_hz} is below min_rate_hz {self.min_rate_hz}")
 
@@ -338,9 +331,9 @@ class SecondCamera:
     serial
         Its serial number, up to 8 characters.
     offset_m
-        Where it is, along the first camera's axes: x right, y down, z along the boresight.
+        Its position along the first camera's axes: x right, y down, z along the boresight.
     q_first_from_second
-        How it is turned against the first one: unit quaternion, scalar first.
+        Its attitude relative to the first one: unit quaternion, scalar first.
     """
 
     links: tuple[str, ...]

@@ -49,14 +49,14 @@ class TopLevelKey:
     meaning
         One sentence for readers of the schema and the reference.
     read
-        Returns the value of what the file gives; called with that and the values of the other keys; raises TableError.
+        Function of the key's content in the file and of the values of the other keys; raises TableError.
     kinds
         Returns the types that a table of this key may have, by the kind that it names; by "" where it names none; empty
         for a key that is no table.
     is_list
         Whether there may be any number of such tables: [[links]].
     absent
-        What is read where the file lacks the key; None: nothing, the value is None.
+        Content that is read where the file lacks the key; None: the value is None.
     needed
         Whether every rig must have it.
     """
@@ -70,7 +70,7 @@ class TopLevelKey:
 
     @property
     def has_kinds(self) -> bool:
-        """Whether a table of this key names its kind."""
+        """True when a table of this key has a `kind`."""
         return any(self.kinds())
 
 
@@ -124,7 +124,7 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
 
 
 def _sensor(table: object, preset: SensorParameters) -> SensorParameters:
-    """Lay the rig's own figures over the preset's, table by table."""
+    """Return the preset with the parameters that the rig replaces, table by table."""
     path = ("camera", "sensor")
     if not isinstance(table, dict):
         raise TableError(f"expected a table, got {table!r}", path)
@@ -222,18 +222,16 @@ def _parameters(kinds: Registry[Any]) -> Callable[[], Mapping[str, type]]:
 
 
 TOP_LEVEL: Mapping[str, TopLevelKey] = {
-    "title": TopLevelKey("What this rig shows, in one sentence; left out: the file's name.", _title),
-    "scene": TopLevelKey("What the camera looks at.", _scene, _parameters(SCENES), needed=True),
+    "title": TopLevelKey("Title of the rig, one sentence; left out: the file's name.", _title),
+    "scene": TopLevelKey("Scene that the camera sees.", _scene, _parameters(SCENES), needed=True),
     "camera": TopLevelKey("The emulated camera, its sensor and its lens.", _camera, _one(Camera), absent={}),
     "second_camera": TopLevelKey(
         "A camera beside the first one, on its clock; left out: none.", _second_camera, _one(SecondCamera)
     ),
-    "trigger": TopLevelKey(
-        "What is connected to the camera's external input; left out: nothing.", _trigger, _one(Trigger)
-    ),
-    "run": TopLevelKey("How the run goes through time.", _run, _one(Run), absent={}),
-    "verdict": TopLevelKey("What a run must keep to be good.", _verdict, _one(Verdict), absent={}),
-    "links": TopLevelKey("What carries the events, any number of them.", _links, _parameters(LINKS), True, []),
-    "faults": TopLevelKey("What goes wrong on a link, and when.", _faults, known_faults, True, []),
+    "trigger": TopLevelKey("Source of edges at the camera's external input; left out: none.", _trigger, _one(Trigger)),
+    "run": TopLevelKey("Time and method of the run.", _run, _one(Run), absent={}),
+    "verdict": TopLevelKey("Limits of a good run.", _verdict, _one(Verdict), absent={}),
+    "links": TopLevelKey("Links that carry the events, any number of them.", _links, _parameters(LINKS), True, []),
+    "faults": TopLevelKey("Faults of links, and their times.", _faults, known_faults, True, []),
 }
 """Top-level keys by name, in the order of the reference; each is a field of `emulator.rig.loading.Rig`."""

@@ -1,13 +1,10 @@
-"""From a rig to the parts of a run.
+"""Assembly of a run from its rig: scene, sensor, inertial unit, trigger, devices and links.
 
-From a rig to its scene.
+Scenes in units of radiance are seen through the camera's lens; the others have their own light, relative to the
+sensor's reference. The module of a kind of scene is imported only for a rig that has such a scene. An inertial unit has
+the path that carries it, and the gravity along this path.
 
-Scenes in units of radiance are seen through the camera's lens; the others bring their own light, relative to the
-sensor's reference. What builds a scene is imported only for a rig that has one of its kind.
-
-From a rig to its inertial unit: the path that carries it, and the gravity along it.
-
-A rig's trigger: where edges on the camera's input come from, and how they get to each link and to the session.
+The trigger of a rig gives the edges on the camera's input. They reach each link and the session through rings:
 
     [trigger]  source = "can"      SYNC on that link's bus     -> EdgeSink -> a ring for each link (and the session's)
                period_ms = 10.0    no bus: every 10 ms         -> each link makes the same edges by itself
@@ -15,11 +12,9 @@ A rig's trigger: where edges on the camera's input come from, and how they get t
 
 The rings are shared memory, made before the links' processes start and passed to them.
 
-What a camera without electronics asks of the rig's frames and inertial unit: there is no host that sets registers.
-
-It asks what drivers ask of a DAVIS346 by default: frames of 4 ms every 40 ms with a global shutter, and all of the
-inertial unit at 1 kHz. Beside a link with a host on USB it asks nothing, and gets what that host asks for: there is one
-chip, and a recording has no say in what it does.
+A camera without electronics has no host that sets registers. Its frames and inertial unit have a driver's default
+settings of a DAVIS346: frames of 4 ms every 40 ms with a global shutter, and all of the inertial unit at 1 kHz.
+Beside a link with a host on USB the settings of that host apply, because there is one chip.
 """
 
 from __future__ import annotations
@@ -88,13 +83,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "TriggerPaths",
-    "asked_readings",
     "build_frames",
     "build_scene",
     "build_sensor",
     "build_session",
     "carried",
     "imu_source",
+    "initial_readings",
     "link_setups",
     "plain_camera",
     "reading_sources",
@@ -116,7 +111,7 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
 
 
 def imu_source(rig: Rig, scene: Scene) -> ImuSource | None:
-    """Return what samples the rig's inertial unit on the path of the scene's camera; None where it has none."""
+    """Return the source of inertial samples on the path of the scene's camera; None for a rig without inertial unit."""
     imu = rig.camera.imu
     return None if imu is None else ImuSource(ImuUnit(imu, carried(rig, imu, scene), rig.run.seed))
 
@@ -159,7 +154,7 @@ class TriggerPaths:
         self._syncs = EdgeRing() if has_bus and lockstep_us else None
 
     def timing(self, link: str, clock: ClockSettings | None, truth: Path | None) -> Timing:
-        """Return what the link `link` has to do with time and triggers."""
+        """Return the clock and trigger settings of the link `link`."""
         trigger, is_source = self._trigger, self._is_source(link)
         return Timing(
             edges=self._edges(link),
@@ -172,7 +167,7 @@ class TriggerPaths:
         )
 
     def sink(self, link: str, run: EventRing) -> EdgeSink | None:
-        """Return what the link `link`, fed from `run`, tells of its bus's SYNCs; None where nobody wants to know."""
+        """Return the sink for SYNCs on the bus of `link`, which is fed from `run`; None where they are not used."""
         if self._trigger is None or not self._is_source(link):
             return None
         # The session's ring comes last: when it has an edge, every link has it too.
@@ -195,15 +190,15 @@ class TriggerPaths:
 _EXPOSURE_NS, _INTERVAL_NS = 4_000_000, 40_000_000
 
 
-def asked_readings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
-    """Return what it asks of each kind of readings that the rig's camera has, as `EventDevice.reading_settings`."""
+def initial_readings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
+    """Return the settings of each kind of readings at the start, as `EventDevice.reading_settings`."""
     has_host = any(LINKS[one.kind].serves == "usb" and not carries_second(rig, one.name) for one in rig.links)
     return {kind: () if has_host else settings for kind, settings in _driver_settings(rig).items()}
 
 
 def plain_camera(rig: Rig) -> Callable[[], PlainDevice]:
-    """Return what makes the device of a link that takes frames and samples, for its process."""
-    return partial(PlainDevice, readings=asked_readings(rig))
+    """Return the factory of the device of a link that takes frames and samples, for its process."""
+    return partial(PlainDevice, readings=initial_readings(rig))
 
 
 def _driver_settings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
@@ -229,9 +224,9 @@ _DRAIN_UNPACED_S = 10.0  # a run that waits for its links loses nothing, also wh
 def build_session(
     rig: Rig, scene: Scene, setups: Sequence[LinkSetup[Any]], clock: Clock, truth: TruthFile | None = None
 ) -> Session:
-    """Return a session of the rig: with a tolerance, of what its plan keeps, in controlled steps.
+    """Return a session of the rig; with a tolerance, its plan selects the effects, and the steps are controlled.
 
-    `truth` takes down what is true beside the events; raises OSError where its file cannot be written.
+    `truth` records the truth beside the events; raises OSError where its file cannot be written.
     """
     run, parameters = rig.run, rig.camera.sensor
     frames = build_frames(rig, scene)
@@ -260,7 +255,7 @@ def _second_view(rig: Rig, parameters: SensorParameters, setups: Sequence[LinkSe
 
 
 def reading_sources(rig: Rig, scene: Scene, sensor: EventSource | None = None) -> list[ReadingSource]:
-    """Return what the rig's camera reads beside events; it disturbs those of `sensor`, where this can be disturbed."""
+    """Return the sources of readings of the rig's camera; they disturb the events of `sensor`, where it allows this."""
     imu = imu_source(rig, scene)
     return [*_frame_sources(rig, sensor), *([] if imu is None else [imu])]
 
@@ -283,8 +278,8 @@ def _reading_rings(rig: Rig, kind: LinkKind[Any]) -> tuple[ReadingRing, ...]:
         return ()
     imu = () if rig.camera.imu is None else (ReadingRing(ReadingKind.IMU, IMU_SAMPLE, _IMU_RING),)
     rings = (*ReadingSources.new_rings(_frame_sources(rig)), *imu)
-    if kind.serves == "plain":  # what it asks holds from the start, not from its process's first look
-        asked = asked_readings(rig)
+    if kind.serves == "plain":  # its settings hold from the start, not from the first poll of its process
+        asked = initial_readings(rig)
         for ring in rings:
             ring.write_settings(asked[ring.kind])
     return rings
@@ -303,7 +298,7 @@ def _with_truth(rig: Rig, parameters: SensorParameters, scene: Scene, truth: Tru
 def build_sensor(rig: Rig, parameters: SensorParameters, kind: type[Sensor] = Sensor) -> EventSource:
     """Return the rig's sensor, of `parameters`, or the recording in its place.
 
-    Raises RigError when the rig's method lacks an effect that is asked for, SceneError when a recording cannot be used.
+    Raises RigError when the rig's method lacks a required effect, SceneError when a recording cannot be used.
     """
     if events := SCENES[rig.scene.kind].events:
         source: EventSource = imported(events)(rig.scene, parameters)
@@ -324,7 +319,7 @@ def build_frames(rig: Rig, scene: Scene) -> SceneFrames:
 
 
 def schedule(rig: Rig) -> Schedule:
-    """Return how the rig's run goes through time."""
+    """Return the schedule of the rig's run."""
     run = rig.run
     return Schedule(
         lead_ns=run.lead_us * 1000,
@@ -338,7 +333,7 @@ def schedule(rig: Rig) -> Schedule:
 
 
 def record_paths(rig: Rig, record: Path | None) -> list[Path | None]:
-    """Return where each link records: the file asked for, with the link's name in it when there are several."""
+    """Return the record file of each link: `record`, with the link's name in it when there are several."""
     if record is None or len(rig.links) == 1:
         return [record] * len(rig.links)
     return [with_addition(record, link.name) for link in rig.links]
@@ -347,7 +342,7 @@ def record_paths(rig: Rig, record: Path | None) -> list[Path | None]:
 def link_setups(
     rig: Rig, record: Path | None = None, truth: Path | None = None, fault_log: Path | None = None
 ) -> list[LinkSetup[Any]]:
-    """Return what each link's process needs; the files are for what was delivered, and when, and what faults did."""
+    """Return the set-up of each link's process; the files record delivered events, their times, and faults."""
     triggers = TriggerPaths(rig.trigger, [link.name for link in rig.links], rig.run.seed, rig.run.lockstep_us)
     paths = zip(rig.links, record_paths(rig, record), record_paths(rig, truth), strict=True)
     setups = [

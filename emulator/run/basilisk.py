@@ -1,17 +1,15 @@
-"""A run in step with a Basilisk simulation, which stands still while the run catches up with it.
+"""A run in step with a Basilisk simulation, which waits while the run computes.
 
     Basilisk                      evstim
     PING ------------------------> PONG
-    SIM_UPDATE of time T --------> poses taken in; the run goes to T, its events are handed to the links; OK
-    REQUEST_IMAGE of a camera ---> the picture of T
+    SIM_UPDATE of time T --------> poses stored; the run goes to T, its events are handed to the links; OK
+    REQUEST_IMAGE of a camera ---> the image of T
     ...
     closes the connection -------> the run ends
 
 Stream time is simulated time less that of the first update, so the two clocks cannot drift apart. Every request gets a
-reply, because Basilisk waits for it without a limit: what cannot be used is refused with the reason, at which Basilisk
+reply, because Basilisk waits for it without a limit: an invalid request is refused with the reason, and Basilisk then
 raises an error. When the run ends before the simulation, the update that waits is refused too.
-
-A rig whose Basilisk paths are flown by a simulation.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ import numpy.typing as npt
 
 from emulator.light import Light
 from emulator.rig.loading import Rig, RigError
-from emulator.trajectory.basilisk import ConnectedPath, flown_path, pose_of
+from emulator.trajectory.basilisk import ConnectedPath, pose_of, simulated_path
 from emulator.trajectory.parameters import BasiliskPath
 from emulator.trajectory.pose import TrajectoryError
 from firmware_protocol.events import Events
@@ -60,11 +58,11 @@ _LAST_LOOKS = 20
 
 
 class Server(Protocol):
-    """A socket that one simulation talks to; see `transports.vizard.server`."""
+    """Socket of one simulation; see `transports.vizard.server`."""
 
     @property
     def peer_gone(self) -> bool:
-        """Whether the simulation has closed its connection."""
+        """Return whether the simulation has closed its connection."""
 
     def receive(self, timeout_ms: int) -> list[bytes] | None:
         """Return the parts of the next request; None when none came in time."""
@@ -73,18 +71,18 @@ class Server(Protocol):
         """Answer it."""
 
     def forget_peer(self) -> None:
-        """Serve whoever comes next."""
+        """Serve the next peer."""
 
 
 @dataclass
 class BasiliskCounters:
-    """What a simulation asked for.
+    """Counts of the requests of a simulation.
 
     Attributes
     ----------
     updates : states of the simulation that were used.
-    images : pictures sent.
-    no_images : requests for pictures of cameras that are not the rig's, answered with none.
+    images : images sent.
+    no_images : requests for images of cameras that are not the rig's, answered with none.
     refused : requests that could not be used.
     last_refusal : why the last of them could not.
     answer : from an update's arrival to its reply, us.
@@ -101,19 +99,19 @@ class BasiliskCounters:
 
 
 class BasiliskRun:
-    """Drives a run by the requests of a simulation.
+    """Drive of a run by the requests of a simulation.
 
     Parameters
     ----------
     server : where they come in.
-    paths : what the simulation flies.
-    images : encodes a picture as an image file.
-    cameras : cameraIDs whose pictures are the run's.
+    paths : paths whose poses the simulation gives.
+    images : encodes a light frame as an image file.
+    cameras : cameraIDs whose images are the run's.
     on_first : called with the first update that can be used.
 
     Attributes
     ----------
-    counters : what was asked for.
+    counters : counts of the requests.
     first_ns, last_ns : simulated times of the first and the last update; None before the first.
     """
 
@@ -141,7 +139,7 @@ class BasiliskRun:
         return 0 if self.first_ns is None or self.last_ns is None else self.last_ns - self.first_ns
 
     def begin(self, light: Callable[[], Light], goes_on: Callable[[], bool]) -> None:
-        """Return when the first update has come; a simulation that leaves before may come again."""
+        """Return when the first update has come; a simulation that disconnects before may connect again."""
         while self.first_ns is None and goes_on():
             self._serve_one()
             if self._server.peer_gone:
@@ -158,7 +156,7 @@ class BasiliskRun:
         return self.limit_ns
 
     def take(self, events: Events) -> None:
-        """Take note of events that have been handed to the links."""
+        """Measure the latency of events that have been handed to the links."""
         if len(events) and self._without_event and self._waiting_since_ns is not None:
             self._without_event = False
             self.counters.first_event.add(self._since_us(self._waiting_since_ns))
@@ -198,7 +196,7 @@ class BasiliskRun:
     def _take(self, update: Update) -> None:
         if self.last_ns is not None and update.time_ns <= self.last_ns:
             raise TrajectoryError(
-                f"simulated time went from {self.last_ns * 1e-9:g} s to {update.time_ns * 1e-9:g} s: start evstim anew "
+                f"simulated time went from {self.last_ns * 1e-9:g} s to {update.time_ns * 1e-9:g} s: restart evstim "
                 "for a simulation that begins again"
             )
         poses = [pose_of(path, update) for path in self._paths]
@@ -207,8 +205,8 @@ class BasiliskRun:
             self._on_first(update)
         self.last_ns = update.time_ns
         for path, pose in zip(self._paths, poses, strict=True):
-            assert path.flown is not None
-            path.flown.add(self.limit_ns, pose)
+            assert path.simulated is not None
+            path.simulated.add(self.limit_ns, pose)
         self.counters.updates += 1
         self._waiting_since_ns, self._without_event = self._clock.now_ns(), True
 
@@ -237,21 +235,21 @@ _FOCAL_WITHIN = 0.01
 
 
 def connected(rig: Rig) -> tuple[Rig, tuple[ConnectedPath, ...]]:
-    """Return the rig in step with a simulation, and what the simulation flies of it; raises RigError."""
+    """Return the rig in step with a simulation, and its paths that the simulation drives; raises RigError."""
     if rig.run.lockstep_us:
         raise RigError(f"{rig.name}: run.lockstep_us: the simulation drives this run, so no bus can")
     if getattr(rig.scene, "time_scale", 1.0) != 1.0:
-        raise RigError(f"{rig.name}: scene.time_scale: it must be 1, because the simulation tells the time")
+        raise RigError(f"{rig.name}: scene.time_scale: it must be 1, because the simulation gives the time")
     paths: list[ConnectedPath] = []
     scene = _connected(rig.scene, paths)
     if not paths:
-        raise RigError(f'{rig.name}: nothing here is flown by Basilisk: give a path with kind = "basilisk"')
+        raise RigError(f'{rig.name}: no path is driven by Basilisk: give a path with kind = "basilisk"')
     run = dataclasses.replace(rig.run, pace="free")
     return dataclasses.replace(rig, scene=scene, run=run), tuple(paths)
 
 
 def camera_differs(rig: Rig, camera: CameraState) -> str:
-    """Say how the rig's camera differs from Basilisk's in size or focal length; empty: it does not."""
+    """Return the difference of the rig's camera from Basilisk's in size or focal length; "" where there is none."""
     width, height = rig.camera.size
     own_px = width / 2 / math.tan(math.radians(rig.camera.lens.field_of_view_deg) / 2)
     theirs_px = _focal_px(camera)
@@ -271,7 +269,7 @@ def _focal_px(camera: CameraState) -> float:
 def _connected(value: T, paths: list[ConnectedPath]) -> T:
     """Return a table of a rig with all Basilisk paths in it connected; they are added to `paths`."""
     if isinstance(value, BasiliskPath):
-        paths.append(ConnectedPath(**_fields(value), flown=flown_path(value)))
+        paths.append(ConnectedPath(**_fields(value), simulated=simulated_path(value)))
         return paths[-1]  # type: ignore[return-value]
     if isinstance(value, tuple):
         return tuple(_connected(one, paths) for one in value)  # type: ignore[return-value]

@@ -1,16 +1,15 @@
-"""What changed a run from outside: who changed what, and from which stream time on it acts.
+"""Record of changes to a run from outside: origin, value, and the stream time from which each acts.
 
 A host writes a register or sends a telecommand, a viewer of the live page moves a slider, `evstim fault` begins a
-fault. The run then no longer follows from its rig and its seed alone. With this record it can be understood, and done
-again.
+fault. The run then no longer follows from its rig and its seed alone. With this record it can be repeated.
 
 The sensor follows the biases that hosts write to their cameras while the run goes on.
 
     host --bias word--> device --CameraSettings, with their stream time--> BiasFollowing --> sensor.adjust
 
-A factor is one at the default words. What a slider made of a figure before stays in it: a change of the factors
-multiplies the present figure by new product / old product. The product is that over all links, and it is kept within
-the bounds that one link's factor has: a camera has one set of pixels, however many hosts set their biases.
+A factor is one at the default words. A change of the factors multiplies the present parameter by new product / old
+product, so that an earlier change by a slider stays. The product is that over all links, limited to the bounds of one
+link's factor, because a camera has one set of pixels, however many hosts set their biases.
 """
 
 from __future__ import annotations
@@ -40,17 +39,17 @@ class Change:
     Attributes
     ----------
     t_ns
-        Stream time from which it acts: of a figure of the sensor, the end of a step.
+        Stream time from which it acts: for a sensor parameter, the end of a step.
     by
         "register", "telecommand", "restart" of a link; "live page", "evstim" (its verbs fault and trigger), "program".
     link
         The link over which it came, or that it concerns; empty for none.
     what
-        A figure of the sensor such as "threshold_on"; a fault, an edge by hand, a telecommand.
+        A sensor parameter such as "threshold_on"; a fault, an edge of `evstim trigger`, a telecommand.
     before, after
-        Values of the figure; None where there are none.
+        Values of the parameter; None where there are none.
     taken_us
-        Stream time that the camera had reached when it took it; None where no camera did.
+        Stream time of the camera when it received the change; None where no camera received it.
     """
 
     t_ns: int
@@ -74,7 +73,7 @@ class Change:
         }
 
     @property
-    def told(self) -> str:
+    def text(self) -> str:
         """Return a line for people."""
         whose = f"{self.link}: " if self.link else ""
         values = "" if self.after is None else f" {self.before:.4g} -> {self.after:.4g}"
@@ -102,7 +101,7 @@ class Changes:
 
     @property
     def listed(self) -> tuple[Change, ...]:
-        """Those that are listed, sorted by the stream time from which they act."""
+        """Listed changes, sorted by the stream time from which they act."""
         return tuple(sorted(self._listed, key=lambda change: change.t_ns))
 
 
@@ -131,7 +130,7 @@ class _Session(Protocol):
 
 
 class Operator:
-    """Access to a running session for a user, whose name stands in the record of what was changed.
+    """Access to a running session for a user; the record of changes contains the user's name.
 
     Parameters
     ----------
@@ -148,11 +147,11 @@ class Operator:
 
     @property
     def adjustable(self) -> dict[str, float]:
-        """Figures of the sensor that can change, with their present values."""
+        """Sensor parameters that can change, with their present values."""
         return self._session.adjustable
 
     def adjust(self, name: str, value: float) -> None:
-        """Change one from the next step on; raises ValueError."""
+        """Change a parameter from the next step on; raises ValueError."""
         self._session.adjust(name, value, self._by)
 
     def inject(self, fault: Fault) -> None:
@@ -160,11 +159,11 @@ class Operator:
         self._session.inject(fault, self._by)
 
     def happen(self, link: str, kind: EdgeKind | None) -> None:
-        """Let an edge come to the input of a link's camera, or its clock start anew."""
+        """Give the input of a link's camera an edge, or reset its clock."""
         self._session.happen(link, kind, self._by)
 
     def record(self, t_us: int, what: str) -> None:
-        """Record something that was done to all cameras, and acts at a stream time."""
+        """Record a change of all cameras that acts at a stream time."""
         self._session.record(Change(t_us * 1000, self._by, what))
 
 
@@ -172,13 +171,13 @@ log = logging.getLogger(__name__)
 
 
 class BiasFollowing:
-    """Adjusts a sensor by what its cameras report, and says in the log what is adjusted and what cannot be.
+    """Adjustment of a sensor by the biases that its cameras report, with a log line for each result.
 
     `sensor` may be one that cannot be adjusted.
 
     Attributes
     ----------
-    changes : where what is adjusted is recorded; None: nowhere.
+    changes : record of the adjustments; None for no record.
     """
 
     def __init__(self, sensor: Any, changes: Changes | None = None) -> None:
@@ -186,40 +185,40 @@ class BiasFollowing:
         self.changes = changes
         self._accepted: dict[str, dict[str, float]] = {}
         self._applied: dict[str, float] = {}
-        self._heard: dict[str, Mapping[str, float]] = {}
+        self._factors_of: dict[str, Mapping[str, float]] = {}
         self._without_effect: dict[str, Mapping[str, str]] = {}
 
     def follow(self, settings: Mapping[str, CameraSettings], t_ns: int = 0) -> None:
         """Adjust the sensor, which is at stream time `t_ns`, where the factors of a link have changed."""
         for link, one in settings.items():
-            self._tell(link, one.without_effect)
-            if one.sensor_factors != self._heard.get(link, {}):
-                self._heard[link] = one.sensor_factors
+            self._log_without_effect(link, one.without_effect)
+            if one.sensor_factors != self._factors_of.get(link, {}):
+                self._factors_of[link] = one.sensor_factors
                 self._adjust(link, one, t_ns)
 
-    def _tell(self, link: str, without_effect: Mapping[str, str]) -> None:
-        """Say which settings have come to be without effect."""
+    def _log_without_effect(self, link: str, without_effect: Mapping[str, str]) -> None:
+        """Log the settings that have become without effect."""
         before, self._without_effect[link] = self._without_effect.get(link, {}), without_effect
         for name, why in without_effect.items():
             if name not in before:
                 log.warning("%s: bias %s has no effect: %s", link, name, why)
 
     def _adjust(self, link: str, settings: CameraSettings, t_ns: int) -> None:
-        """Bring the figures to their new factors; one that cannot follow keeps the factor that it had."""
-        figures = {} if self._sensor is None else self._sensor.adjustable
+        """Set the parameters to their new factors; one that cannot follow keeps its old factor."""
+        parameters = {} if self._sensor is None else self._sensor.adjustable
         accepted, wanted = self._accepted.setdefault(link, {}), settings.sensor_factors
         for name in sorted({*accepted, *wanted}):
             factor = wanted.get(name, 1.0)
             if factor == accepted.get(name, 1.0):
                 continue
-            if name not in figures:
+            if name not in parameters:
                 log.warning("%s: biases have no effect on %s: this source of events cannot change it", link, name)
                 continue
             product = self._product(link, name, factor)
-            value = figures[name] * product / self._applied.get(name, 1.0)
-            if value == figures[name] or self._set(link, name, value):
+            value = parameters[name] * product / self._applied.get(name, 1.0)
+            if value == parameters[name] or self._set(link, name, value):
                 accepted[name], self._applied[name] = factor, product
-                self._record(link, settings, t_ns, name, (figures[name], value))
+                self._record(link, settings, t_ns, name, (parameters[name], value))
 
     def _product(self, link: str, name: str, factor: float) -> float:
         """Return the product of all links' factors with a new one of `link`, within the bounds of one."""
@@ -227,7 +226,9 @@ class BiasFollowing:
         product = factor * math.prod(others)
         bounded = min(max(product, LEAST_FACTOR), MOST_FACTOR)
         if bounded != product:
-            log.warning("%s: biases of all links make %s %.4g times as large: kept at %g", link, name, product, bounded)
+            log.warning(
+                "%s: biases of all links make %s %.4g times as large: limited to %g", link, name, product, bounded
+            )
         return bounded
 
     def _set(self, link: str, name: str, value: float) -> bool:
@@ -235,7 +236,7 @@ class BiasFollowing:
         try:
             self._sensor.adjust(name, value)
         except ValueError as error:
-            log.warning("%s: the biases are beyond what the sensor models: %s", link, error)
+            log.warning("%s: the biases are beyond the sensor's model: %s", link, error)
             return False
         log.info("%s: biases make %s %.4g", link, name, value)
         return True

@@ -1,21 +1,21 @@
-"""A running session's control socket: one line of JSON in, one line out, for `evstim fault` and the like.
+"""Control socket of a running session, and the signal that it is ready.
+
+`evstim fault` and `evstim trigger` send one line of JSON to the socket of a run, and receive one line:
 
     $XDG_RUNTIME_DIR/evstim/RIG-PID.sock        where there is no such directory: /tmp/evstim-UID/RIG-PID.sock
 
-Only its owner can open it (directory 0700, socket 0600). The session looks at it when it reports its status, ten times
-a second; nobody waits for a client that says nothing, reads nothing or never stops: lines, clients and the work of one
-look are bounded, and the client that has been silent longest makes way for a newer one.
-
-Faults and edges by hand: what a running session answers to `evstim fault` and `evstim trigger`.
+Only its owner can open it (directory 0700, socket 0600). The session polls it when it reports its status, ten times a
+second, and never waits for a client: lines, clients and the work of one poll are bounded, and the oldest connection is
+closed for a newer one. Requests and answers:
 
 {"ask": "faults"}                     ->  {"rig": ..., "t_s": ..., "links": {NAME: {"kinds": [...], "injected": [...]}}}
 {"ask": "inject", "fault": {table}}   ->  {"link": NAME, "after": number of its faults so far} or {"error": ...}
 {"ask": "trigger", "kind": KIND}      ->  {"links": [NAME, ...]}   "link": NAME for one alone
                                           KIND: pulse, rising, falling at the camera's input; reset: its clock
 
-For one version more, "throw" is understood for "inject", and "injected" is there as "thrown" too.
+For one version more, "throw" is accepted for "inject", and "injected" is there as "thrown" too.
 
-Tell whoever started a run that it is ready: a file for scripts, sd_notify for a service manager.
+The ready signal is a file for scripts, and sd_notify for a service manager:
 
 file         one line of JSON, {"pid": ..., "links": {NAME: ADDRESS or null}}; it appears whole or not at all
 sd_notify    READY=1 to the socket that $NOTIFY_SOCKET names (systemd.exec, Type=notify)
@@ -49,9 +49,9 @@ __all__ = [
     "Message",
     "NoAnswer",
     "ReadySignal",
-    "ask",
     "fault_injection",
     "runtime_directory",
+    "send_request",
     "sockets",
 ]
 
@@ -59,7 +59,7 @@ __all__ = [
 _MOST_LINE_BYTES = 1 << 16
 _MOST_ANSWER_BYTES = 1 << 20
 _MOST_CLIENTS = 16
-_MOST_ACCEPTED = 64  # in one look
+_MOST_ACCEPTED = 64  # in one poll
 _BACKLOG = 128
 _ANSWER_TIMEOUT_S = 10.0
 _RETRY_S = 0.02
@@ -68,11 +68,11 @@ Message = dict[str, Any]
 
 
 class NoAnswer(Exception):
-    """Nobody answers at a socket: the run has ended, or hangs."""
+    """No answer at a socket: the run has ended, or hangs."""
 
 
 def runtime_directory() -> Path:
-    """Return where sockets are, made if need be; raises OSError when it is not ours alone."""
+    """Return the folder of the sockets, made if need be; raises OSError when it is not the user's alone."""
     base = os.environ.get("XDG_RUNTIME_DIR")
     path = Path(base) / "evstim" if base else Path(tempfile.gettempdir()) / f"evstim-{os.getuid()}"
     path.mkdir(mode=0o700, exist_ok=True)
@@ -83,22 +83,22 @@ def runtime_directory() -> Path:
 
 
 def sockets() -> list[Path]:
-    """Return the sockets of runs that go on; those that dead runs left behind are removed."""
+    """Return the sockets of running sessions; remove those that ended runs left behind."""
     try:
         return [path for path in sorted(runtime_directory().glob("*.sock")) if not _removed(path)]
     except OSError:
         return []
 
 
-def ask(path: Path, message: Message) -> Message:
-    """Say something to a run and return its answer; raises NoAnswer."""
+def send_request(path: Path, message: Message) -> Message:
+    """Send a request to a run and return its answer; raises NoAnswer."""
     line = json.dumps(message).encode() + b"\n"
     deadline = time.monotonic() + _ANSWER_TIMEOUT_S
     while True:
         try:
-            return _asked(path, line)
+            return _answer_to(path, line)
         except (BrokenPipeError, ConnectionResetError, BlockingIOError) as error:
-            # Too many others ask: nobody has read our line, so it can be said again.
+            # Too many other clients: the run has not read this line, so it can be sent again.
             if time.monotonic() > deadline:
                 raise NoAnswer(f"the run at {path} does not answer: {error}") from error
             time.sleep(_RETRY_S)
@@ -106,8 +106,8 @@ def ask(path: Path, message: Message) -> Message:
             raise NoAnswer(f"the run at {path} does not answer: {error}") from error
 
 
-def _asked(path: Path, line: bytes) -> Message:
-    """Say a line once and return the answer; raises OSError, ValueError."""
+def _answer_to(path: Path, line: bytes) -> Message:
+    """Send a line once and return the answer; raises OSError, ValueError."""
     with socket.socket(socket.AF_UNIX) as client:
         client.settimeout(_ANSWER_TIMEOUT_S)
         client.connect(str(path))
@@ -116,7 +116,7 @@ def _asked(path: Path, line: bytes) -> Message:
 
 
 class ControlSocket:
-    """The run's end. Opening it raises OSError where that cannot be; closing it removes it."""
+    """The run's end of the socket. The constructor may raise OSError; `close` removes the socket."""
 
     def __init__(self, rig: str) -> None:
         sockets()
@@ -127,7 +127,7 @@ class ControlSocket:
         except OSError:
             self._socket.close()
             raise
-        self._clients: list[_Client] = []  # the one that came first in front
+        self._clients: list[_Client] = []  # the oldest first
 
     def __enter__(self) -> Self:
         return self
@@ -136,19 +136,19 @@ class ControlSocket:
         self.close()
 
     def poll(self, answer: Callable[[Message], Message]) -> None:
-        """Answer what has been asked; returns at once."""
+        """Answer the requests that have come; return at once."""
         for client in self._clients:
             client.advance(answer)
-        with suppress(OSError):  # nobody else waits, or who waited has gone
+        with suppress(OSError):  # no other client waits, or it has disconnected
             for _ in range(_MOST_ACCEPTED):
                 client = _Client(self._socket.accept()[0])
                 client.advance(answer)
                 self._clients.append(client)
-                self._make_way()
+                self._close_oldest()
         self._clients = [client for client in self._clients if not client.over]
 
     def close(self) -> None:
-        """Send off whoever is there, and remove the socket."""
+        """Disconnect all clients, and remove the socket."""
         for client in self._clients:
             client.close()
         self._clients.clear()
@@ -156,7 +156,7 @@ class ControlSocket:
         self.path.unlink(missing_ok=True)
 
     def _listen(self) -> None:
-        """Listen, and only then take the name: a socket that refuses connections is that of a dead run."""
+        """Listen, and only then take the name: a socket that refuses connections is that of an ended run."""
         unnamed = self.path.with_suffix(".new")
         unnamed.unlink(missing_ok=True)
         self._socket.bind(str(unnamed))
@@ -165,7 +165,7 @@ class ControlSocket:
         self._socket.setblocking(False)
         unnamed.rename(self.path)
 
-    def _make_way(self) -> None:
+    def _close_oldest(self) -> None:
         self._clients = [client for client in self._clients if not client.over]
         while len(self._clients) > _MOST_CLIENTS:
             self._clients.pop(0).close()
@@ -173,7 +173,7 @@ class ControlSocket:
 
 @dataclass
 class _Client:
-    """One connection: what it has said of its line, then what it has not taken of its answer."""
+    """One connection: the part of its line that has come, then the part of its answer that is still to be sent."""
 
     socket: socket.socket
     line: bytes = b""
@@ -184,16 +184,16 @@ class _Client:
         self.socket.setblocking(False)
 
     def advance(self, answer: Callable[[Message], Message]) -> None:
-        """Do what can be done without waiting."""
+        """Read and answer as far as possible without waiting."""
         try:
-            if not self.answer and self._hear():
+            if not self.answer and self._receive():
                 self.answer = _encoded(_answered(self.line, answer))
             if self.answer:
                 self.answer = self.answer[self.socket.send(self.answer) :]
                 self.over = not self.answer
         except BlockingIOError:
             return
-        except OSError:  # it has gone
+        except OSError:  # it has disconnected
             self.over = True
         if self.over:
             self.close()
@@ -202,8 +202,8 @@ class _Client:
         self.over = True
         self.socket.close()
 
-    def _hear(self) -> bool:
-        """Read on; say whether the line is complete. One that is too long is answered as far as it came."""
+    def _receive(self) -> bool:
+        """Read on; return whether the line is complete, or too long."""
         data = self.socket.recv(_MOST_LINE_BYTES + 1 - len(self.line))
         self.line += data
         self.over = not data
@@ -211,7 +211,7 @@ class _Client:
 
 
 def _removed(path: Path) -> bool:
-    """Remove a socket at which nobody listens any more; say whether that was so."""
+    """Remove a socket on which no run listens any more; return whether it is removed."""
     with socket.socket(socket.AF_UNIX) as client:
         client.setblocking(False)
         try:
@@ -221,7 +221,7 @@ def _removed(path: Path) -> bool:
             return True
         except FileNotFoundError:
             return True
-        except OSError:  # it is too busy for us: somebody is there
+        except OSError:  # its run is too busy to accept
             return False
     return False
 
@@ -252,7 +252,7 @@ def _parsed(line: bytes) -> Message:
     return message
 
 
-_HAPPENINGS = {"pulse": EdgeKind.PULSE, "rising": EdgeKind.RISING, "falling": EdgeKind.FALLING, "reset": None}
+_EDGES = {"pulse": EdgeKind.PULSE, "rising": EdgeKind.RISING, "falling": EdgeKind.FALLING, "reset": None}
 
 
 class _Session(Protocol):
@@ -260,16 +260,16 @@ class _Session(Protocol):
         """Begin a fault on the link that it names."""
 
     def happen(self, link: str, kind: EdgeKind | None) -> None:
-        """Let an edge come to the input of a link's camera, or its clock start anew."""
+        """Give the input of a link's camera an edge, or reset its clock."""
 
 
 class FaultInjection:
-    """Answers for one run; without a socket it does nothing.
+    """Answers to the requests for one run; without a socket it does nothing.
 
     Attributes
     ----------
     trouble
-        Why there is no socket; "" where there is one, or none is needed.
+        Reason why there is no socket; "" where there is one, or none is needed.
     """
 
     def __init__(self, rig: Rig, session: _Session, socket: ControlSocket | None, trouble: str = "") -> None:
@@ -279,12 +279,12 @@ class FaultInjection:
         self.trouble = trouble
 
     def serve(self, status: RunStatus) -> None:
-        """Answer what has been asked since the last call."""
+        """Answer the requests that have come since the last call."""
         if self._socket is not None:
             self._socket.poll(lambda message: self.answer(message, status))
 
     def answer(self, message: Message, status: RunStatus) -> Message:
-        """Return the answer to one question."""
+        """Return the answer to one request."""
         match message:
             case {"ask": "faults"}:
                 return self._faults(status)
@@ -314,19 +314,19 @@ class FaultInjection:
         return {"link": fault.link, "after": 0 if report is None else len(report.faults)}
 
     def _trigger(self, kind: str, link: object) -> Message:
-        if kind not in _HAPPENINGS:
-            return {"error": f"kind {kind!r}: known are {', '.join(_HAPPENINGS)}"}
+        if kind not in _EDGES:
+            return {"error": f"kind {kind!r}: known are {', '.join(_EDGES)}"}
         names = [one.name for one in self._rig.links if link in (None, one.name)]
         if not names:
             return {"error": f"link {link!r}: there is {', '.join(one.name for one in self._rig.links)}"}
         for name in names:
-            self._session.happen(name, _HAPPENINGS[kind])
+            self._session.happen(name, _EDGES[kind])
         return {"links": names}
 
 
 @contextmanager
 def fault_injection(rig: Rig, session: _Session) -> Iterator[FaultInjection]:
-    """Open the socket of a run that has links; if that fails, `trouble` tells why and the run goes on."""
+    """Open the socket of a run that has links; if that fails, `trouble` contains the reason and the run goes on."""
     if not rig.links:
         yield FaultInjection(rig, session, None)
         return
@@ -340,7 +340,7 @@ def fault_injection(rig: Rig, session: _Session) -> Iterator[FaultInjection]:
 
 
 class ReadySignal:
-    """Tells once, at the first call of `tell`.
+    """Signal that a run is ready, sent once, at the first call of `send`.
 
     Parameters
     ----------
@@ -349,13 +349,13 @@ class ReadySignal:
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
-        self._told = False
+        self._sent = False
 
-    def tell(self, addresses: Mapping[str, str | None]) -> None:
-        """Say that every link is open, at these addresses; raises OSError when the file cannot be written."""
-        if self._told:
+    def send(self, addresses: Mapping[str, str | None]) -> None:
+        """Report that every link is open, at these addresses; raises OSError when the file cannot be written."""
+        if self._sent:
             return
-        self._told = True
+        self._sent = True
         if self._path is not None:
             part = self._path.with_name(self._path.name + ".part")
             part.write_text(json.dumps({"pid": os.getpid(), "links": dict(addresses)}) + "\n", encoding="utf-8")

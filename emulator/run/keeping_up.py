@@ -1,4 +1,4 @@
-"""Measurement whether this machine computes a rig as fast as its stream time passes."""
+"""Measurement of a rig's speed on this machine, relative to real time."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from emulator.run.assembly import build_scene, build_session, schedule
 from emulator.run.outcome import RunStatus
 from transports.link.pacing import MonotonicClock
 
-__all__ = ["KeepingUp", "keeping_up"]
+__all__ = ["RealTimeSpeed", "keeping_up"]
 
 _STREAM_S, _WALL_S = 2.0, 10.0
 
 
 @dataclass(frozen=True)
-class KeepingUp:
+class RealTimeSpeed:
     """Speed of a rig on this machine.
 
     Attributes
@@ -38,11 +38,11 @@ class KeepingUp:
 
     @property
     def good(self) -> bool:
-        """Whether the rig runs in real time here."""
+        """Return whether the rig runs in real time here."""
         return self.times_real_time > 1 and (self.planned_load is None or self.planned_load < 1)
 
 
-def keeping_up(rig: Rig) -> KeepingUp:
+def keeping_up(rig: Rig) -> RealTimeSpeed:
     """Compute up to two seconds of a rig's stream without pacing, for at most ten seconds."""
     with build_scene(rig) as scene:
         load = None
@@ -58,4 +58,4 @@ def keeping_up(rig: Rig) -> KeepingUp:
         stream_s = min(_STREAM_S, rig.run.seconds or _STREAM_S)
         free = dataclasses.replace(schedule(rig), duration_ns=round(stream_s * 1e9), paced=False, lockstep_ns=0)
         result = session.run(free, follow)
-    return KeepingUp(result.sim_seconds / result.wall_seconds, result.sim_seconds, load)
+    return RealTimeSpeed(result.sim_seconds / result.wall_seconds, result.sim_seconds, load)

@@ -1,12 +1,10 @@
-"""The kernels that a rig needs, in parts that can be compiled at the same time.
+"""Compilation of the kernels that a rig needs, ahead of a run, in parts and in parallel processes.
 
-No two parts compile the same thing. Each one does at a small size what a run does; types and so the compiled code are
-the same for all sizes.
+No two parts compile the same kernel. Each one runs the code of a run at a small size; types and so the compiled code
+are the same for all sizes.
 
-Compilation of kernels ahead of a run, in parallel processes.
-
-numba keeps on disk what it has compiled, so this is needed once, and again after a change of the program. A file beside
-the kernels notes that a part is done. Without that file everything works too, and is compiled at its first use.
+numba caches compiled code on disk, so this is needed once, and again after a change of the program. A file beside the
+kernels records that a part is done. Without that file everything works too, and is compiled at its first use.
 """
 
 from __future__ import annotations
@@ -39,7 +37,18 @@ from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.compiled import cache_folder, checksum_of
 from transports.link.kind import LinkParameters
 
-__all__ = ["ACTIVITY_FILTER", "CODER", "DECODER", "EVT", "TRUTH", "Part", "Preparation", "cold", "parts_of", "prepare"]
+__all__ = [
+    "ACTIVITY_FILTER",
+    "CODER",
+    "DECODER",
+    "EVT",
+    "TRUTH",
+    "Part",
+    "Preparation",
+    "parts_of",
+    "prepare",
+    "uncompiled",
+]
 
 
 _WIDTH, _HEIGHT = 32, 24
@@ -60,7 +69,7 @@ class Part:
     compile
         Compiles it; can be pickled.
     variant
-        Tells parts of one name apart.
+        Distinguishes parts of one name.
     after
         Parts whose kernels it uses: they come first.
     """
@@ -78,7 +87,7 @@ class Part:
 
 
 def parts_of(rig: Rig) -> list[Part]:
-    """Return what a run of the rig compiles."""
+    """Return the parts that a run of the rig compiles."""
     sensor = dataclasses.replace(rig.camera.sensor, width=_WIDTH, height=_HEIGHT)
     kind = SCENES[rig.scene.kind]
     painter = f"by {selected_painter(rig.run.painter)}" if kind.gl else ""  # GL compiles other kernels
@@ -95,7 +104,7 @@ def parts_of(rig: Rig) -> list[Part]:
 
 
 def _has_evt(rig: Rig, link: LinkParameters) -> bool:
-    """Whether a link, or the USB device behind it, sends EVT3 or EVT2 words."""
+    """Return whether a link, or the USB device behind it, sends EVT3 or EVT2 words."""
     kind = LINKS[link.kind]
     usb = CAMERA_MODELS[kind.usb_model or rig.camera.model].usb if kind.serves == "usb" else None
     return kind.has_evt(link) or (usb is not None and usb.has_evt)
@@ -103,7 +112,7 @@ def _has_evt(rig: Rig, link: LinkParameters) -> bool:
 
 def _effects(sensor: SensorParameters) -> Part:
     scans = float(bool(sensor.readout.scan_us))
-    times = dataclasses.replace(PRESETS["davis346"].readout, scan_us=scans)  # figures that no kernel depends on
+    times = dataclasses.replace(PRESETS["davis346"].readout, scan_us=scans)  # no kernel depends on these parameters
     plain = dataclasses.replace(sensor, readout=times)
     variant = f"{zlib.crc32(repr(plain).encode()):08x}"
     return Part("read-out and effects", 4.0, partial(_read_out, sensor), variant)
@@ -117,7 +126,7 @@ def _of_the_step(which: str) -> None:
 
 
 def _step() -> None:
-    """Move a few pixels over a step in which some fire, and some are refined; merge the events of two threads."""
+    """Advance a few pixels by a step in which some fire, and some are refined; merge the events of two threads."""
     from emulator.light import LightFrame, Region
     from emulator.sensor.pixels.array import PixelArray
     from emulator.sensor.pixels.workers import EventBuffers
@@ -135,7 +144,7 @@ def _lit(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s
 
 
 def _read_out(sensor: SensorParameters) -> None:
-    """Let a sensor with these effects read out one event of each pixel."""
+    """Read out one event of each pixel of a sensor with these effects."""
     from emulator.light import LightFrame
     from emulator.sensor.pixels.array import PixelArray
     from emulator.sensor.pixels.crossings import Crossings
@@ -157,7 +166,7 @@ def _read_out(sensor: SensorParameters) -> None:
 
 
 def _draw(rig: Rig) -> None:
-    """Draw three pictures of the rig's scene, at a small size; what it cannot do the run says."""
+    """Draw three light frames of the rig's scene, at a small size; the run reports errors of the scene."""
     from emulator.light import MachineLacks, SceneError
     from emulator.run.assembly import build_scene
 
@@ -165,14 +174,14 @@ def _draw(rig: Rig) -> None:
     try:
         with build_scene(rig, (_WIDTH, _HEIGHT)) as scene:
             scene.light(0, light)
-            for t_ns in (1_000_000, 2_000_000):  # the second time some scenes clear what they drew before
+            for t_ns in (1_000_000, 2_000_000):  # at the second one some scenes clear the first
                 scene.light_and_rate(t_ns, light, rate)
     except (MachineLacks, SceneError):
         return
 
 
-def _tell_truth() -> None:
-    """Find the nearest facet of a small surface, its depth and flow; tell the leak's events of a few pixels."""
+def _find_truth() -> None:
+    """Find the nearest facet of a small surface, its depth and flow; trace the leak's events of a few pixels."""
     from emulator.geometry.camera import Pinhole, Rays, Seen
     from emulator.sensor.origins import LeakShare
     from emulator.sensor.pixels.crossings import NO_CROSSINGS
@@ -209,7 +218,7 @@ def _decode() -> None:
 
 
 def _code_evt() -> None:
-    """Get ready to make and to read EVT3 and EVT2 words."""
+    """Compile the coders and decoders of EVT3 and EVT2 words."""
     from firmware_protocol.evt.evt2 import Evt2Decoder, Evt2Encoder
     from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 
@@ -227,14 +236,14 @@ _CANDIDATES = Part("pixel candidates", 8.0, partial(_of_the_step, "candidates"))
 _BLOCKS = Part("pixel blocks", 4.0, partial(_of_the_step, "blocks"))
 PIXELS = Part("pixel step", 4.0, _step, after=(_CANDIDATES, _BLOCKS))
 CODER = Part("telemetry coder", 4.0, _encode)
-TRUTH = Part("truth", 4.0, _tell_truth)
+TRUTH = Part("truth", 4.0, _find_truth)
 DECODER = Part("telemetry decoder", 3.0, _decode)
 EVT = Part("EVT coder", 6.0, _code_evt)
 ACTIVITY_FILTER = Part("activity filter", 1.0, _filter_activity)
 
 
 _TICK_S = 0.2
-_MOST_OF_A_PART = 0.95  # what a part that takes longer than expected counts for
+_MOST_OF_A_PART = 0.95  # share counted for a part that takes longer than expected
 
 
 @dataclass(frozen=True)
@@ -252,7 +261,7 @@ class _Running:
     began_s: float
 
 
-def cold(parts: Sequence[Part]) -> list[Part]:
+def uncompiled(parts: Sequence[Part]) -> list[Part]:
     """Return the parts that have not been compiled on this machine yet; none with NUMBA_DISABLE_JIT."""
     if getattr(config, "DISABLE_JIT", 0):
         return []
@@ -303,7 +312,7 @@ def _started(part: Part) -> _Running:
 
 def _compile(part: Part) -> None:
     """Compile a part and note that it is done."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever waits for this process ends it
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process ends it
     part.compile()
     note = _note(part)
     with suppress(OSError):  # then numba has nowhere to write either
@@ -324,7 +333,7 @@ def _folder() -> Path:
 
 @cache
 def _version() -> str:
-    """Return the checksum of what compiled code depends on: our sources, numba's version, and the processor."""
+    """Return the checksum of the sources, numba's version and the processor: compiled code depends on them."""
     import llvmlite.binding
     import numba
 

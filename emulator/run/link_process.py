@@ -1,16 +1,15 @@
-"""The session's end of a link: starts its process, hears its reports, and accounts for its events when it dies.
+"""The session's end of a link: it starts the process, receives its reports, and accounts for its events when it dies.
 
     starting ---> open ---> final report
                    |  ^
-             died  v  | restart, where the rig asks for it and the process had run for a second
+             died  v  | restart, where the rig requests it and the process had run for a second
                   gone
 
 A link that is gone never ends the run. The events that were meant for it are counted as dropped, except those that its
 process had delivered before (see `DeliveryTally`).
 
-Start of a process of a run, such as a link: whatever the program that starts it, whatever signals come meanwhile.
-
-The trace of what goes over the cables of a run's links.
+The start of a process does not depend on the program that starts the run, nor on signals that come meanwhile. A trace
+can record the traffic on the USB cables of a run's links.
 """
 
 from __future__ import annotations
@@ -54,16 +53,16 @@ def starting_a_link(setup: LinkSetup[Any]) -> Iterator[None]:
 
 @contextmanager
 def starting_a_process(*parts: object) -> Iterator[None]:
-    """Do the same for any process; `parts` are the factories that it is given."""
-    with _signals_held_back(), _without_main_module(parts):
+    """Start any process in the same way; `parts` are the factories that it receives."""
+    with _signals_blocked(), _without_main_module(parts):
         yield
 
 
 @contextmanager
-def _signals_held_back() -> Iterator[None]:
-    """Hold back the signals that end a run while a process starts: it inherits that, and ignores them when it can.
+def _signals_blocked() -> Iterator[None]:
+    """Block the signals that end a run while a process starts: it inherits the mask, and then ignores them.
 
-    A signal to the whole process group would otherwise end the new process before it could say that it ignores it.
+    A signal to the whole process group would otherwise end the new process before it has set its handlers.
     """
     resource_tracker.ensure_running()  # it unblocks SIGINT and SIGTERM when it starts, so it must run before
     before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
@@ -106,7 +105,7 @@ _RESTART_AFTER_NS = 1_000_000_000  # a process that dies sooner would die again
 
 
 class LinkFailed(Exception):
-    """A link could not start; the message says which and why."""
+    """A link could not start; the message contains its name and the reason."""
 
 
 class LinkProcess:
@@ -146,7 +145,7 @@ class LinkProcess:
             raise LinkFailed(f"link {self.name!r}: {self._error}")
 
     def listen(self) -> LinkReport:
-        """Take the reports that have come and return the newest; notices when the process has died."""
+        """Read the reports that have come and return the newest; detect the death of the process."""
         try:
             while not self.gone and self._control.poll():
                 self._take(self._control.recv())
@@ -155,23 +154,23 @@ class LinkProcess:
         return self.report
 
     def start(self, origin_ns: int) -> None:
-        """Let stream time run; see EventRing.start."""
+        """Start stream time; see EventRing.start."""
         self._setup.ring.start(origin_ns)
 
     def inject(self, fault: Fault, by: str = "") -> None:
-        """Let a fault begin on it, one that it can have, on behalf of `by`."""
-        with suppress(BrokenPipeError):  # it died: `listen` will say so
+        """Begin a fault that the link can have, on behalf of `by`."""
+        with suppress(BrokenPipeError):  # it died: `listen` reports this
             self._control.send(InjectFault(fault, by))
 
     def happen(self, kind: EdgeKind | None, by: str = "") -> None:
-        """Let an edge come to the camera's input, on behalf of `by`; None: let its clock start anew at zero."""
-        with suppress(BrokenPipeError):  # it died: `listen` will say so
+        """Give the camera's input an edge, on behalf of `by`; None: reset its clock to zero."""
+        with suppress(BrokenPipeError):  # it died: `listen` reports this
             self._control.send(Happen(kind, by))
 
     def wait_settled(self, until_us: int, goes_on: Callable[[], bool]) -> None:
-        """Return when the camera has reached a stream time, and all changes before it can be taken.
+        """Wait until the camera has reached a stream time, and all changes before it can be taken.
 
-        When `goes_on` says no, or the link is gone, it waits no longer.
+        The wait also ends when `goes_on` returns False, or the link is gone.
         """
         while self._setup.ring.settled_us < until_us and not self.gone and goes_on():
             self._clock.sleep_until(self._clock.now_ns() + _SETTLE_WAIT_NS)
@@ -185,14 +184,14 @@ class LinkProcess:
         return due
 
     def push(self, events: Events, now_us: int) -> None:
-        """Hand over events up to `now_us`; what finds no room in the ring is refused and counted there."""
+        """Hand over events up to `now_us`; events without room in the ring are refused and counted there."""
         self._offered += len(events)
         self._push(events, now_us)
 
     def push_all(self, events: Events, now_us: int, goes_on: Callable[[], bool] = lambda: True) -> None:
-        """Hand over every event, waiting for room: for runs that are not paced, where nothing need be lost.
+        """Hand over every event, and wait for room: for runs that are not paced, where nothing need be lost.
 
-        When `goes_on` says no, or the link is gone, it waits no longer, and what finds no room is counted as dropped.
+        The wait ends when `goes_on` returns False, or the link is gone; events without room are counted as dropped.
         """
         self._offered += len(events)
         ring = self._setup.ring
@@ -207,7 +206,7 @@ class LinkProcess:
         self._push(events, now_us)
 
     def push_readings(self, kind: ReadingKind, readings: Readings, goes_on: Callable[[], bool] | None = None) -> None:
-        """Hand over readings of a kind, before the events of the same time; what finds no room is refused and counted.
+        """Hand over readings of a kind, before the events of the same time; those without room are refused and counted.
 
         In a run that is not paced, `goes_on` is given: it then waits for room, until the ring is empty.
         """
@@ -220,7 +219,7 @@ class LinkProcess:
         ring.push(readings)
 
     def stop(self, drain_s: float) -> LinkReport:
-        """Close the ring, let the link deliver what waits, and return its final report."""
+        """Close the ring, wait for the link to deliver its queue, and return its final report."""
         self._setup.ring.close()
         if not self.gone:
             self._finish(drain_s)
@@ -251,7 +250,7 @@ class LinkProcess:
         self._starts += 1
 
     def _record(self) -> Path | None:
-        """Return the file of this start's record: a restarted link must not write over what is there."""
+        """Return the record file of this start: a restarted link must not overwrite the earlier one."""
         record = self._setup.record
         if record is None or not self._starts:
             return record

@@ -1,10 +1,7 @@
-"""What this machine offers and lacks, each with the exact command that mends it.
+"""Examination of this machine, needs of a rig beyond evstim's base dependencies, and free ports.
 
-Nothing here is needed by everything: `needed_for` says what goes without.
-
-Free ports for a rig that runs beside others on one machine: in a test, in a campaign.
-
-What a rig needs of the machine, beyond evstim and its base dependencies.
+Each finding has the exact command that adds the missing part, and `needed_for`: no part is needed by every rig. Free
+ports are for a rig that runs beside others on one machine, in a test or in a campaign.
 """
 
 from __future__ import annotations
@@ -57,7 +54,7 @@ _UDEV_FIX = (
 
 
 def examine() -> list[Finding]:
-    """Look at everything; takes about a second, most of it for opening GL."""
+    """Examine everything; takes about a second, most of it for opening GL."""
     looks: list[Callable[[], Finding]] = [
         egl,
         _usbip_tool,
@@ -103,22 +100,20 @@ def _usbip_tool() -> Finding:
 
 
 def _gvcp() -> Finding:
-    """Look whether a GigE Vision camera can listen where drivers look for one."""
+    """Check whether a GigE Vision camera can listen on the port that drivers use."""
     wanted = "GigE Vision cameras on 127.0.0.1"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tried:
         try:
             tried.bind(("127.0.0.1", GVCP_PORT))
         except OSError as error:
-            told = f"UDP port {GVCP_PORT} cannot be used: {error.strerror}"
-            fix = (
-                f"ss -lunp 'sport = :{GVCP_PORT}'  # who has it; or give the link another address: host = \"127.0.0.2\""
-            )
-            return Finding("GVCP", False, told, wanted, fix)
+            detail = f"UDP port {GVCP_PORT} cannot be used: {error.strerror}"
+            fix = f"ss -lunp 'sport = :{GVCP_PORT}'  # its owner; or another address of the link: host = \"127.0.0.2\""
+            return Finding("GVCP", False, detail, wanted, fix)
     return Finding("GVCP", True, f"UDP port {GVCP_PORT} is free", wanted)
 
 
 def _udp_buffer() -> Finding:
-    """Look how much of a stream the kernel holds for a receiver that is not read for a moment."""
+    """Check the size of the kernel's buffer for a receiver that is not read for a moment."""
     wanted = "receivers of GigE Vision streams, at most 16 MiB each"
     most = int(_RMEM_MAX.read_text()) if _RMEM_MAX.exists() else 0
     detail = f"net.core.rmem_max = {most}"
@@ -128,10 +123,10 @@ def _udp_buffer() -> Finding:
 
 
 def _priority() -> Finding:
-    """Look whether what answers hosts may run before everything else."""
+    """Check whether the process that answers hosts may run at a high priority."""
     wanted = "answers of GigE Vision cameras within a driver's 25 ms on a busy machine"
-    told = next((line for line in _STATUS.read_text().splitlines() if line.startswith("CapEff:")), "CapEff: 0")
-    if int(told.split()[1], 16) >> _CAP_SYS_NICE & 1:
+    capabilities = next((line for line in _STATUS.read_text().splitlines() if line.startswith("CapEff:")), "CapEff: 0")
+    if int(capabilities.split()[1], 16) >> _CAP_SYS_NICE & 1:
         return Finding("priority", True, "CAP_SYS_NICE", wanted)
     nice = resource.getrlimit(resource.RLIMIT_NICE)[0]
     if nice >= _NICE_LIMIT or nice == resource.RLIM_INFINITY:
@@ -169,7 +164,7 @@ def _cores() -> Finding:
 
 
 def on_free_ports(rig: Rig, folder: Path) -> Rig:
-    """Return the rig with ports that nobody else has: TCP port 0, and symbolic links of serial lines in `folder`."""
+    """Return the rig with free ports: TCP port 0, and symbolic links of serial lines in `folder`."""
     return dataclasses.replace(rig, links=tuple(_on_free_port(link, folder) for link in rig.links))
 
 
@@ -180,7 +175,7 @@ def pose_port(rig: Rig) -> int | None:
 
 
 def on_a_free_pose_port(rig: Rig) -> Rig:
-    """Return the rig whose camera takes poses at a UDP port that nobody else has; others as they are."""
+    """Return the rig whose camera receives poses at a free UDP port; others as they are."""
     if not (path := _live_path(rig.scene)):
         return rig
     with socket.socket(type=socket.SOCK_DGRAM) as free:
@@ -204,7 +199,7 @@ def _on_free_port(link: LinkParameters, folder: Path) -> LinkParameters:
 
 
 def free_loopback_address(udp_port: int) -> str:
-    """Return an address of this machine alone on which nobody has a UDP port; raises OSError where there is none."""
+    """Return a loopback address on which a UDP port is free; raises OSError where there is none."""
     for last in range(1, 255):
         address = f"127.0.0.{last}"
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
@@ -221,7 +216,7 @@ GL = Need("OpenGL 4.3 by EGL", egl)
 
 
 def needs_of(rig: Rig) -> tuple[Need, ...]:
-    """Return what the scene, the links and the painter of a rig need, each once."""
+    """Return the needs of the scene, the links and the painter of a rig, each once."""
     scene = SCENES[rig.scene.kind]
     found = [*scene.needs(rig.scene), *(need for link in rig.links for need in LINKS[link.kind].needs(link))]
     if scene.gl and selected_painter(rig.run.painter) == "gl":

@@ -1,18 +1,17 @@
-"""What a run has done: so far, for those who watch it, and in the end.
+"""Status and result of a run, the fates of its events, and its verdict.
 
-Where every event went. Each event raised has exactly one fate, and the sums must agree at every stop.
+Each event raised has exactly one fate, and the sums must agree at every stop:
 
     raised  = lost_in_pixel + lost_at_readout + read_out
     read_out = dropped_in_device + delivered + dropped          for every link, which each carry the whole stream
 
-lost_in_pixel      crossings beyond what one pixel may raise in one step
+lost_in_pixel      crossings beyond the limit of one pixel in one step
 lost_at_readout    the pixel crossed again while its earlier event still waited to be read out
 dropped_in_device  the camera was not running, its FIFO was full, or it was flushed at a stop
 dropped            lost by the link: its ring was full, or the bytes had left the camera when the host went away
 
-Whether a run was good, rule by rule: those that hold for every run, and those of the rig's [verdict] table.
-
-The share of undersampled pixel-steps of a run in words, the same for the terminal and the report.
+The verdict has rules that hold for every run, and those of the rig's [verdict] table. The share of undersampled
+pixel-steps has the same text on the terminal and in the report.
 """
 
 from __future__ import annotations
@@ -104,7 +103,7 @@ class Ledger:
 
 @dataclass(frozen=True)
 class RunStatus:
-    """What a run has done so far, for the live table."""
+    """Counts of a run so far, for the live table."""
 
     sim_seconds: float
     wall_seconds: float
@@ -119,12 +118,12 @@ class RunStatus:
 
 @dataclass(frozen=True)
 class RunResult:
-    """What a run has done.
+    """Result of a run.
 
     Attributes
     ----------
     changes, changes_beyond
-        What changed it from outside, and how many changes more there were.
+        Changes from outside, and the number of further ones that are not listed.
     """
 
     sim_seconds: float
@@ -182,18 +181,22 @@ class RunResult:
 
 @dataclass(frozen=True)
 class Judgement:
-    """One rule and what became of it.
+    """One rule and its result.
 
     Attributes
     ----------
     rule : its name, the same in every report.
     good : whether the run kept it.
-    told : limit and finding, for people.
+    finding : limit and measured value, for people.
     """
 
     rule: str
     good: bool
-    told: str
+    finding: str
+
+    def as_json(self) -> dict[str, object]:
+        """Return an element of `rules` of `evstim run --json`."""
+        return {"rule": self.rule, "good": self.good, "told": self.finding}
 
 
 def judge(rules: Verdict, result: RunResult) -> tuple[Judgement, ...]:
@@ -217,11 +220,11 @@ def _always(result: RunResult) -> Iterator[Judgement]:
         yield Judgement(f"link {name}", not trouble, "; ".join(trouble) or "sound")
     if result.max_late_us > 0:
         worst_ms = result.lateness.worst_gap_us * 1e-3
-        told = f"worst step {worst_ms:.3g} ms late, run.max_late_ms is {result.max_late_us * 1e-3:g}"
-        yield Judgement("in real time", not result.step_too_late, told)
+        finding = f"worst step {worst_ms:.3g} ms late, run.max_late_ms is {result.max_late_us * 1e-3:g}"
+        yield Judgement("in real time", not result.step_too_late, finding)
         late = f"{result.lateness.frames_late} of {result.steps} steps late ({result.late_share:.3g})"
-        told = f"{late}, run.max_late_share is {result.max_late_share:g}"
-        yield Judgement("steps in time", not result.late_too_often, told)
+        finding = f"{late}, run.max_late_share is {result.max_late_share:g}"
+        yield Judgement("steps in time", not result.late_too_often, finding)
 
 
 def _own(rules: Verdict, result: RunResult) -> Iterator[Judgement]:
@@ -229,35 +232,35 @@ def _own(rules: Verdict, result: RunResult) -> Iterator[Judgement]:
         yield from (_drop(rules.max_drop, result, name, link) for name, link in result.links.items())
     rate_hz = result.ledger.read_out / result.sim_seconds if result.sim_seconds else 0.0
     if rules.min_rate_hz:
-        told = f"{rate_hz:.4g} events/s, at least {rules.min_rate_hz:g}"
-        yield Judgement("verdict.min_rate_hz", rate_hz >= rules.min_rate_hz, told)
+        finding = f"{rate_hz:.4g} events/s, at least {rules.min_rate_hz:g}"
+        yield Judgement("verdict.min_rate_hz", rate_hz >= rules.min_rate_hz, finding)
     if rules.max_rate_hz:
-        told = f"{rate_hz:.4g} events/s, at most {rules.max_rate_hz:g}"
-        yield Judgement("verdict.max_rate_hz", rate_hz <= rules.max_rate_hz, told)
+        finding = f"{rate_hz:.4g} events/s, at most {rules.max_rate_hz:g}"
+        yield Judgement("verdict.max_rate_hz", rate_hz <= rules.max_rate_hz, finding)
     if rules.max_latency_us:
         yield from (_latency(rules.max_latency_us, name, link) for name, link in result.links.items())
     if rules.max_undersampled and result.undersampled_share is not None:
         share = result.undersampled_share
-        told = f"{share:.3g} of the solved pixel-steps, at most {rules.max_undersampled:g}"
-        yield Judgement("verdict.max_undersampled", share <= rules.max_undersampled, told)
+        finding = f"{share:.3g} of the solved pixel-steps, at most {rules.max_undersampled:g}"
+        yield Judgement("verdict.max_undersampled", share <= rules.max_undersampled, finding)
 
 
 def _drop(most: float, result: RunResult, name: str, link: LinkReport) -> Judgement:
-    """Judge what a link lost; what came while no host was streaming, or was not selected, was not to be sent."""
+    """Judge the losses of a link; events that came while no host was streaming, or were not selected, do not count."""
     in_camera = 0 if link.camera is None else link.camera.dropped_for_room
     lost = link.dropped + in_camera
     wanted = lost + link.delivered
     share = lost / wanted if wanted else 0.0
-    told = f"{lost} of {wanted} events lost ({share:.3g}), at most {most:g}"
-    return Judgement(f"verdict.max_drop {name}", share <= most, told)
+    finding = f"{lost} of {wanted} events lost ({share:.3g}), at most {most:g}"
+    return Judgement(f"verdict.max_drop {name}", share <= most, finding)
 
 
 def _latency(most_us: float, name: str, link: LinkReport) -> Judgement:
     p99_us = link.latency.p99
     if p99_us is None:
         return Judgement(f"verdict.max_latency_us {name}", True, "nothing was sent")
-    told = f"99th percentile {p99_us:.0f} us, at most {most_us:g}"
-    return Judgement(f"verdict.max_latency_us {name}", p99_us <= most_us, told)
+    finding = f"99th percentile {p99_us:.0f} us, at most {most_us:g}"
+    return Judgement(f"verdict.max_latency_us {name}", p99_us <= most_us, finding)
 
 
 _MANY = 0.1  # above it, shorter steps for all pixels are cheaper than refining single ones
@@ -269,10 +272,10 @@ def undersampled_text(share: float | None) -> str:
 
 
 def undersampled_advice(share: float | None) -> str:
-    """Return what to change where the share is large; "" where it is not."""
+    """Return advice where the share is large; "" where it is not."""
     if share is None or share <= _MANY:
         return ""
     return (
-        f"pictures too far apart: in {share:.0%} of the solved pixel-steps the light changed unseen between them; "
+        f"light frames too far apart: in {share:.0%} of the solved pixel-steps the light changed unseen between them; "
         "shorten run.step_us, or give run.tolerance_us"
     )

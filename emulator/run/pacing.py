@@ -1,16 +1,15 @@
-"""Keeping up with real time, in a planned way.
+"""Pacing of a run: real time, lockstep with a bus, or another drive.
 
 A paced run computes each step one lead ahead of the moment its first event is due. When a step is ready after that
 moment it is late, and counted. A run that is behind takes longer steps (twice as long each time, up to eight times):
 the light is then sampled more coarsely, which costs accuracy in event times but keeps the run with the clock; when it
-has caught up the steps shrink again. What was done is in the summary: the run never just falls behind.
+has caught up the steps shrink again. The summary reports this.
 
 The lead that a step needed is the time from when its computing was to begin until it was ready. A lead above all of
 them makes no step late; more than that only makes a closed loop slower, since light is drawn that far ahead.
 
-Time driven by a bus: each SYNC lets the run go on by one period, for targets too slow for real time.
-
-What lets a run go on where it is neither the machine's clock nor as fast as it can.
+In lockstep each SYNC on a bus lets the run go on by one period, for targets too slow for real time. A `Drive` does the
+same for other sources of time, such as a simulation.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _MEMORY = 0.9  # of the running mean of a length's load, a step
 
 @dataclass
 class Lateness:
-    """How far a paced run fell behind."""
+    """Delays of a paced run behind real time."""
 
     frames_late: int = 0
     worst_gap_us: float = 0.0
@@ -71,10 +70,10 @@ class Lateness:
 
 
 class StepRule:
-    """How long the next step is: as planned while the run keeps up, longer while it does not and longer is cheaper.
+    """Length of the next step: as planned while the run keeps up, longer while it does not and longer is cheaper.
 
-    Longer steps save pictures. They do not always save time: where many pixels change a lot within a step, each of them
-    costs more, so what a length costs for each second of stream is measured, and a dearer one is left again.
+    Longer steps save light frames. They do not always save time: where many pixels change a lot within a step, each of
+    them costs more. So the cost of a length for each second of stream is measured, and a dearer one is left again.
     """
 
     def __init__(self, steps: StepSource) -> None:
@@ -97,7 +96,7 @@ class StepRule:
             self.stretch //= 2
 
     def _cheaper(self) -> int:
-        """Return the neighbouring length with the least load; one not tried yet is thought to be half as dear."""
+        """Return the neighbouring length with the least load; for one not tried yet half the load is assumed."""
         shorter, longer = max(self.stretch // 2, 1), min(2 * self.stretch, LONGEST_STRETCH)
         here = self._load[self.stretch]
         expected = {shorter: self._load.get(shorter, here), longer: self._load.get(longer, here / 2)}
@@ -110,44 +109,44 @@ _FOREVER_US = 1 << 62
 
 
 class Lockstep:
-    """How far the SYNCs heard let the run go.
+    """Limit of a run by the SYNCs that a bus has carried.
 
     Parameters
     ----------
     syncs
-        Where they are heard.
+        Ring of the received SYNCs.
     period_ns
-        What each of them is worth.
+        Stream time of each of them, ns.
     """
 
     def __init__(self, syncs: EdgeRing, period_ns: int, clock: Clock) -> None:
         self._syncs = syncs
         self._period_ns = period_ns
         self._clock = clock
-        self.heard = 0
+        self.received = 0
 
     @property
     def limit_ns(self) -> int:
         """Stream time that the run may reach."""
-        self.heard += len(self._syncs.take(_FOREVER_US))
-        return self.heard * self._period_ns
+        self.received += len(self._syncs.take(_FOREVER_US))
+        return self.received * self._period_ns
 
     def wait(self, t_ns: int, goes_on: Callable[[], bool]) -> int:
-        """Return the stream time that the run may reach as soon as it is beyond `t_ns`, or when `goes_on` says no."""
+        """Wait until the run may go beyond `t_ns`, or `goes_on` returns False; return the time that it may reach."""
         while (limit_ns := self.limit_ns) <= t_ns and goes_on():
             self._clock.sleep_until(self._clock.now_ns() + _POLL_NS)
         return limit_ns
 
 
 class Drive(Protocol):
-    """Tells how far in stream time a run may go."""
+    """Source of the stream time that a run may reach."""
 
     @property
     def limit_ns(self) -> int:
         """Stream time that the run may reach."""
 
     def wait(self, t_ns: int, goes_on: Callable[[], bool]) -> int:
-        """Return how far the run may go: beyond `t_ns`, or not beyond it when it is to end.
+        """Return the time that the run may reach: beyond `t_ns`, or not beyond it when it is to end.
 
         All events up to `t_ns` have been handed to the links when this is called.
         """
@@ -157,7 +156,7 @@ class Simulation(Drive, Protocol):
     """A drive that gives the poses too, so nothing can be drawn before it has begun."""
 
     def begin(self, light: Callable[[], Light], goes_on: Callable[[], bool]) -> None:
-        """Return when the first picture can be drawn, or `goes_on` says no; `light` gives the last picture."""
+        """Wait until the first light frame can be drawn, or `goes_on` returns False; `light` returns the last one."""
 
     def take(self, events: Events) -> None:
-        """Take note of events that have been handed to the links."""
+        """Note events that have been handed to the links."""

@@ -28,7 +28,7 @@ _CAPACITY = {ReadingKind.FRAMES: 4096, ReadingKind.IMU: 16384}
 
 
 class ReadingSource(Protocol):
-    """Light and time in, readings of one kind out.
+    """Source of readings of one kind, from light and time.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class StepOutput:
     readings: Sequence[tuple[ReadingKind, Readings]] = ()
 
     def cut(self, until_us: int) -> tuple[StepOutput, StepOutput]:
-        """Return what is up to `until_us`, and the rest."""
+        """Return the part up to `until_us`, and the rest."""
         parts = [(kind, records, _up_to(records, until_us)) for kind, records in self.readings]
         n = _up_to(self.events, until_us)
         first = StepOutput(self.events[:n], [(kind, records[:k]) for kind, records, k in parts])

@@ -1,15 +1,14 @@
 """The report of a run as files: report.html (one page, nothing to download), report.json and junit.xml.
 
-What a run shows from outside, in memory that does not grow with its events.
+The observation of a run takes memory that does not grow with its events:
 
 per pixel   ON and OFF events
 per bin     events and ON events in each tenth of a second of stream time, later in longer bins
 intervals   between two events of the same pixel, of one pixel in eight, in bins of a tenth of a decade
 links       delivered and dropped, at each status of the run
 
-The charts of a run's report, as SVG files' text and PNG data, drawn by matplotlib.
-
-A verdict in the XML that CI systems read: each rule is a test case (the JUnit schema of Apache Ant).
+Charts are SVG text and PNG data, drawn by matplotlib. junit.xml has the verdict in the XML that CI systems read: each
+rule is a test case (the JUnit schema of Apache Ant).
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ __all__ = [
     "INTERVAL_EDGES_US",
     "Observation",
     "RateSeries",
-    "Reported",
+    "ReportContent",
     "interval_chart",
     "pixel_map",
     "rate_chart",
@@ -98,7 +97,7 @@ class RateSeries:
 
 
 class Observation:
-    """Takes the events and the statuses of a run.
+    """Statistics of the events and the statuses of a run.
 
     Parameters
     ----------
@@ -134,7 +133,7 @@ class Observation:
         self._measure(pixel[sampled], events["t"][sampled].astype(np.int64))
 
     def renew(self, status: RunStatus) -> None:
-        """Take note of how things stand."""
+        """Record the state of the run."""
         self.worst_late_us = max(self.worst_late_us, status.lateness.worst_gap_us)
 
     def _measure(self, pixel: npt.NDArray[np.int64], t_us: npt.NDArray[np.int64]) -> None:
@@ -153,7 +152,7 @@ class Observation:
         self.intervals += np.histogram(np.maximum(t_us - before, 1)[known], INTERVAL_EDGES_US)[0]
 
 
-_ON, _OFF, _BOTH = "#d55e00", "#0072b2", "#333333"  # told apart by colour-blind people too
+_ON, _OFF, _BOTH = "#d55e00", "#0072b2", "#333333"  # distinct for colour-blind people too
 
 
 def rate_chart(seen: Observation, seconds: float) -> str:
@@ -210,20 +209,20 @@ def write_junit(rig: str, judgements: tuple[Judgement, ...], seconds: float, pat
     for one in judgements:
         case = ElementTree.SubElement(suite, "testcase", {"classname": f"evstim.{rig}", "name": one.rule, "time": "0"})
         if one.good:
-            ElementTree.SubElement(case, "system-out").text = one.told
+            ElementTree.SubElement(case, "system-out").text = one.finding
         else:
-            ElementTree.SubElement(case, "failure", {"message": one.told}).text = one.told
+            ElementTree.SubElement(case, "failure", {"message": one.finding}).text = one.finding
     ElementTree.ElementTree(suites).write(path, encoding="utf-8", xml_declaration=True)
     return path
 
 
 @dataclass(frozen=True)
-class Reported:
-    """What a report is made of.
+class ReportContent:
+    """Content of a report.
 
     Attributes
     ----------
-    summary : what `evstim run --json` prints.
+    summary : object that `evstim run --json` prints.
     version : of evstim.
     """
 
@@ -235,7 +234,7 @@ class Reported:
     version: str
 
 
-def write_report(of: Reported, folder: Path) -> list[Path]:
+def write_report(of: ReportContent, folder: Path) -> list[Path]:
     """Write the three files into a folder that exists; return their paths. Raises OSError and ChartsLacking."""
     verdict = "good" if good(of.judgements) else "bad"
     body = [
@@ -252,7 +251,7 @@ def write_report(of: Reported, folder: Path) -> list[Path]:
         "<h2>Run</h2>",
         table(_run_rows(of)),
     ]
-    numbers = {"verdict": verdict, "rules": [asdict(one) for one in of.judgements], **of.summary, "run": _machine(of)}
+    numbers = {"verdict": verdict, "rules": [one.as_json() for one in of.judgements], **of.summary, "run": _machine(of)}
     return [
         write_page(f"{of.rig.name}: {verdict}", body, folder / "report.html"),
         write_json(msgspec.to_builtins(numbers), folder / "report.json"),
@@ -261,7 +260,7 @@ def write_report(of: Reported, folder: Path) -> list[Path]:
 
 
 def _verdict(judgements: Sequence[Judgement]) -> str:
-    rows = [{"rule": one.rule, "kept": "yes" if one.good else "NO", "found": one.told} for one in judgements]
+    rows = [{"rule": one.rule, "kept": "yes" if one.good else "NO", "found": one.finding} for one in judgements]
     return table(rows)
 
 
@@ -272,7 +271,7 @@ def _advice(result: RunResult) -> list[str]:
 
 
 def _ledger(result: RunResult) -> str:
-    """Return where every event went: of the sensor, and of each link."""
+    """Return the fates of the events: of the sensor, and of each link."""
     ledger = result.ledger
     rows: list[dict[str, object]] = [
         {"where": "sensor", "fate": "lost in the pixel", "events": ledger.lost_in_pixel},
@@ -328,7 +327,7 @@ def _links(result: RunResult) -> list[str]:
 
 
 def _changes(result: RunResult) -> list[str]:
-    """Return what changed the run from outside; nothing where nothing did."""
+    """Return the changes from outside; nothing where there are none."""
     if not result.changes:
         return []
     rows = [
@@ -346,9 +345,9 @@ def _changes(result: RunResult) -> list[str]:
     return ["<h2>Changed from outside</h2>", table(rows), beyond]
 
 
-def _run_rows(of: Reported) -> list[dict[str, object]]:
+def _run_rows(of: ReportContent) -> list[dict[str, object]]:
     run, late = of.rig.run, of.result.lateness
-    told = {
+    facts = {
         "title": of.rig.title,
         "camera": f"{of.rig.camera.model}, {of.rig.camera.size[0]}x{of.rig.camera.size[1]} pixels",
         "scene": of.rig.scene.kind,
@@ -362,10 +361,10 @@ def _run_rows(of: Reported) -> list[dict[str, object]]:
         "drawn by": of.result.drawn_by,
         **_machine(of),
     }
-    return [{"what": key, "value": html.unescape(str(value))} for key, value in told.items()]
+    return [{"what": key, "value": html.unescape(str(value))} for key, value in facts.items()]
 
 
-def _machine(of: Reported) -> dict[str, object]:
+def _machine(of: ReportContent) -> dict[str, object]:
     return {
         "evstim": of.version,
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",

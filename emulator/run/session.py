@@ -7,7 +7,7 @@ Paced in real time, a step is computed `lead` ahead of the moment its first even
 go at its own time. Not paced, steps follow each other as fast as they can be computed and links hold the run back when
 they are full, so that nothing is lost. In lockstep they go on as far as the SYNCs of a bus let them.
 
-A word when something takes long, and none when it does not.
+A step of the start that takes long is reported in the log.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
 from transports.link.rings import FREE_RUNNING
 
-__all__ = ["Schedule", "Session", "said_if_slow"]
+__all__ = ["Schedule", "Session", "log_if_slow"]
 
 
 log = logging.getLogger(__name__)
 
 
 @contextmanager
-def said_if_slow(message: str, after_s: float = 5.0) -> Iterator[None]:
+def log_if_slow(message: str, after_s: float = 5.0) -> Iterator[None]:
     """Log `message` when the block has not ended after `after_s`."""
     timer = threading.Timer(after_s, log.info, [message])
     timer.daemon = True
@@ -60,14 +60,14 @@ _T = TypeVar("_T")
 _FOREVER_US = 1 << 62
 _STATUS_PERIOD_NS = 100_000_000
 _SLICE_US = 20_000  # of a step, for rings of readings: a frame of a DAVIS346 takes 18 ms
-_HEAD_START_NS = 60_000_000  # from the start until stream time zero: twice what the first step, the slowest, takes
+_HEAD_START_NS = 60_000_000  # from the start until stream time zero: twice the time of the first step, the slowest
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """How a run goes through time. Above 0, each SYNC on a link's bus is worth `lockstep_ns`, and nothing else is.
+    """Schedule of a run. Above 0, `lockstep_ns` is the stream time for each SYNC on a link's bus, which drives the run.
 
-    A `simulation` stands in the place of such a bus, and the run is then not paced.
+    A `simulation` takes the place of such a bus, and the run is then not paced.
     A paced run whose worst step was later than `max_late_us`, or with a larger share of late steps than
     `max_late_share`, is not good; `max_late_us` of 0: any lateness is.
     """
@@ -83,7 +83,7 @@ class Schedule:
 
 
 class Session:
-    """Owns a run from the first light to the last report.
+    """One run from the first light to the last report.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class Session:
         self._second: SecondView | None = None
 
     def join(self, second: SecondView) -> None:
-        """Let a second camera run on the same clock, before the run; its scene is closed at the end."""
+        """Add a second camera on the same clock, before the run; its scene is closed at the end."""
         self._second = second
         second.record_in(self._changes)
 
@@ -159,11 +159,11 @@ class Session:
 
     @property
     def adjustable(self) -> dict[str, float]:
-        """Figures of the sensor that `adjust` can change, with their present values."""
+        """Sensor parameters that `adjust` can change, with their present values."""
         return self._sensor.adjustable if isinstance(self._sensor, AdjustableSource) else {}
 
     def adjust(self, name: str, value: float, by: str = "program") -> None:
-        """Change a figure of the sensor from the next step on; for `on_status` and `on_events`; raises ValueError.
+        """Change a sensor parameter from the next step on; for `on_status` and `on_events`; raises ValueError.
 
         `by` stands in the record of the run, here and below.
         """
@@ -178,11 +178,11 @@ class Session:
         next(link for link in self._links if link.name == fault.link).inject(fault, by)
 
     def happen(self, link: str, kind: EdgeKind | None, by: str = "program") -> None:
-        """Let an edge come to the input of a link's camera, or its clock start anew (None); for `on_status`."""
+        """Give the input of a link's camera an edge, or reset its clock (None); for `on_status`."""
         next(one for one in self._links if one.name == link).happen(kind, by)
 
     def record(self, change: Change) -> None:
-        """Record something that changed the run from outside."""
+        """Record a change of the run from outside."""
         self._changes.add(change)
 
     def run(
@@ -193,7 +193,7 @@ class Session:
     ) -> RunResult:
         """Run until the schedule's end, `stop`, or the death of the last link; raises LinkFailed if one cannot open.
 
-        `on_events` is given the events of each step, after the links; they may be kept.
+        `on_events` receives the events of each step, after the links; it may keep them.
         """
         self._on_events = on_events
         with ExitStack() as stack:
@@ -202,7 +202,7 @@ class Session:
             stack.callback(self._stop_links, 0.0)  # does nothing more when the links have been stopped in order
             self._open_links()
             if schedule.simulation is not None:
-                schedule.simulation.begin(lambda: self.light, self._telling(on_status, None))
+                schedule.simulation.begin(lambda: self.light, self._reporting(on_status, None))
             self._warm_up()
             start_ns = self._clock.now_ns()
             self._run_steps(schedule, on_status)
@@ -226,7 +226,7 @@ class Session:
             scene_counts=scene.counts,
             painter=scene.painter,
             renderer=scene.renderer,
-            syncs=None if self._lockstep is None else self._lockstep.heard,
+            syncs=None if self._lockstep is None else self._lockstep.received,
             max_late_us=schedule.max_late_us if schedule.paced else 0.0,
             max_late_share=schedule.max_late_share,
             changes=self._changes.listed,
@@ -235,14 +235,14 @@ class Session:
 
     def _open_links(self) -> None:
         self._links = [LinkProcess(setup, self._clock) for setup in self._setups]
-        with said_if_slow("opening the links takes long: something is compiled, or the machine is busy"):
+        with log_if_slow("opening the links takes long: something is compiled, or the machine is busy"):
             for link in self._links:
                 link.wait_ready()
                 log.info("%s: %s", link.name, link.report.state)
 
     def _warm_up(self) -> None:
         """Do all slow first-time work before the clock runs: compile the kernels, draw the first light frame."""
-        with said_if_slow("compiling the kernels of the sensor: up to half a minute, once; they are kept on disk"):
+        with log_if_slow("compiling the kernels of the sensor: up to half a minute, once; they are cached on disk"):
             self._sensor.warm_up()
         frame = self._frames.draw(0)
         self._sensor.reset(frame)
@@ -258,7 +258,7 @@ class Session:
         origin_ns = start_ns + _HEAD_START_NS if schedule.paced else FREE_RUNNING
         for link in self._links:
             link.start(origin_ns)
-        rule, goes_on = StepRule(self._step_source), self._telling(on_status, start_ns)
+        rule, goes_on = StepRule(self._step_source), self._reporting(on_status, start_ns)
         while self._goes_on and (schedule.duration_ns is None or self._t_ns < schedule.duration_ns):
             lead_ns = max(schedule.lead_ns, rule.step_ns)
             if schedule.paced:
@@ -276,11 +276,11 @@ class Session:
 
     @property
     def _goes_on(self) -> bool:
-        """Whether nobody stopped the run, and a link is left that can deliver, if there ever was one."""
+        """True unless the run was stopped, or it has links and all of them are gone."""
         return not self._stopping and (not self._links or any(not link.gone for link in self._links))
 
     def _locked(self, schedule: Schedule) -> Lockstep | None:
-        """Return what drives the run, where a bus does."""
+        """Return the lockstep with a bus, where a bus drives the run."""
         if not schedule.lockstep_ns:
             return None
         rings = [setup.timing.syncs for setup in self._setups if setup.timing.syncs is not None]
@@ -289,13 +289,16 @@ class Session:
         return Lockstep(rings[0], schedule.lockstep_ns, self._clock)
 
     def _may_go_on(self, goes_on: Callable[[], bool]) -> bool:
-        """Wait for what drives the run, telling how things stand; False when the run is to end."""
+        """Wait for the drive of the run, and report the status meanwhile; return False when the run is to end."""
         if self._drive is None:
             return True
         return self._drive.wait(self._t_ns, goes_on) > self._t_ns
 
-    def _telling(self, on_status: Callable[[RunStatus], None], start_ns: int | None) -> Callable[[], bool]:
-        """Return what says whether the run goes on, and now and then tells how things stand; None: not begun."""
+    def _reporting(self, on_status: Callable[[RunStatus], None], start_ns: int | None) -> Callable[[], bool]:
+        """Return a function that reports the status now and then, and returns whether the run goes on.
+
+        `start_ns` is None for a run that has not begun.
+        """
         status_ns = self._clock.now_ns()
 
         def goes_on() -> bool:
@@ -330,7 +333,7 @@ class Session:
             self._hand_over_step(self._second.step(t1_ns), t0_ns, schedule, self._links_of(second=True))
 
     def _follow_cameras(self, schedule: Schedule, goes_on: Callable[[], bool]) -> None:
-        """Let the sensors, which are at the end of a step, follow what hosts changed at their cameras before it.
+        """Apply to the sensors, at the end of a step, the changes that hosts made at their cameras before it.
 
         A run that is not paced waits until the cameras are there too, so that no such change is still to come.
         """
@@ -355,7 +358,7 @@ class Session:
         return [link for link in self._links if (link.name in carried) == second]
 
     def _hand_over_step(self, output: StepOutput, t0_ns: int, schedule: Schedule, links: Sequence[LinkProcess]) -> None:
-        """Hand over what a step from `t0_ns` gave: piece by piece where the run waits for room, as rings are finite."""
+        """Hand over the output of a step from `t0_ns`: in slices where the run waits for room, as rings are finite."""
         if schedule.paced or not any(len(records) for _, records in output.readings):
             self._hand_over_readings(output.readings, links)
             self._hand_over(output.events, schedule, links)
@@ -380,7 +383,7 @@ class Session:
 
     def _hand_over(self, events: Events, schedule: Schedule, links: Sequence[LinkProcess]) -> None:
         now_us = self._t_ns // 1000
-        if len(events):  # at the run's end the read-out sends what still queues, later than the last step
+        if len(events):  # at the run's end the read-out sends its queue, later than the last step
             now_us = max(now_us, int(events["t"][-1]))
         for link in links:
             if schedule.paced:
@@ -419,6 +422,6 @@ class Session:
         return ledger_of(self._sensor, self._of_first(reports), second)
 
     def _of_first(self, of_links: Mapping[str, _T]) -> dict[str, _T]:
-        """Return what belongs to the links that carry the first camera."""
+        """Return the entries of the links that carry the first camera."""
         carried = frozenset() if self._second is None else self._second.links
         return {name: one for name, one in of_links.items() if name not in carried}

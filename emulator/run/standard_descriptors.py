@@ -1,4 +1,4 @@
-"""The standard descriptors 0 to 2 of a process, filled where whoever started it left some of them closed.
+"""The standard descriptors 0 to 2 of a process, opened where the parent process left them closed.
 
 A process that is started with `2>&-` has no descriptor 2. The next file that it opens gets this number, such as the
 shared memory of a ring, and text for standard error is then written into that file, also by the processes of links.

@@ -31,7 +31,7 @@ _T = TypeVar("_T")
 
 
 def carries_second(rig: Rig, link: str) -> bool:
-    """Say whether a link carries the rig's second camera."""
+    """Return whether a link carries the rig's second camera."""
     return rig.second_camera is not None and link in rig.second_camera.links
 
 
@@ -87,19 +87,19 @@ class SecondView:
         return StepOutput(self._sensor.expose(frame), readings)
 
     def finish(self) -> Events:
-        """Return what the read-out still holds."""
+        """Return the events that the read-out still holds."""
         return self._sensor.finish()
 
     def record_in(self, changes: Changes) -> None:
-        """Record what its hosts change of its sensor."""
+        """Record the changes that its hosts make to its sensor."""
         self._biases.changes = changes
 
     def follow(self, settings: Mapping[str, CameraSettings], t_ns: int = 0) -> None:
-        """Let its sensor, which is at stream time `t_ns`, follow the biases that its hosts write."""
+        """Apply the biases that its hosts write to its sensor, which is at stream time `t_ns`."""
         self._biases.follow(self._own(settings), t_ns)
 
     def ledger(self, reports: Mapping[str, LinkReport]) -> Ledger:
-        """Return where its events went."""
+        """Return the fates of its events."""
         return ledger_of(self._sensor, self._own(reports))
 
     def _own(self, of_links: Mapping[str, _T]) -> dict[str, _T]:
@@ -113,7 +113,7 @@ class SecondView:
 def wired(slaves: Sequence[str], setups: Sequence[LinkSetup[Any]]) -> list[LinkSetup[Any]]:
     """Return the links with the cable between the cameras: the first link of the first camera is the master's end.
 
-    Each link of the second camera hears of the master's resets.
+    Each link of the second camera receives the master's resets.
     """
     cables = {name: EdgeRing() for name in slaves}
     master = next(setup.name for setup in setups if setup.name not in cables)
@@ -127,7 +127,7 @@ def wired(slaves: Sequence[str], setups: Sequence[LinkSetup[Any]]) -> list[LinkS
 
 
 def ledger_of(sensor: EventSource, reports: Mapping[str, LinkReport], second: Ledger | None = None) -> Ledger:
-    """Return where the events of a sensor went over its links."""
+    """Return the fates of the events of a sensor over its links."""
     return Ledger(
         raised=sensor.raised,
         lost_in_pixel=sensor.lost_in_pixel,

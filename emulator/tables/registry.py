@@ -1,7 +1,7 @@
 """Registries of records by name: the built-in ones, and those that installed packages give as entry points.
 
-A built-in record is imported when it is asked for, and a package is imported when a name of its own is. A package
-declares a record in its metadata, under the name that rigs write:
+A built-in record is imported at its first look-up, and a package at the first look-up of one of its names. A package
+declares a record in its metadata, under the name in rigs:
 
     [project.entry-points."evstim.links"]
     beacon = "my_package.link:BEACON"
@@ -22,11 +22,11 @@ log = logging.getLogger(__name__)
 
 
 class Record(Protocol):
-    """What a registry holds."""
+    """Record of a registry."""
 
     @property
     def name(self) -> str:
-        """What rigs call it."""
+        """Its name in rigs."""
         ...
 
 
@@ -34,17 +34,17 @@ T = TypeVar("T", bound=Record)
 
 
 class PluginError(Exception):
-    """An installed package gives a record that cannot be used; the message names the package and its mistake."""
+    """An installed package gives a record that cannot be used; the message contains the package and the error."""
 
 
 def imported(path: str) -> Any:
-    """Return what a path such as "package.module:NAME" names."""
+    """Return the object at a path such as "package.module:NAME"."""
     module, _, name = path.partition(":")
     return getattr(importlib.import_module(module), name)
 
 
 class Registry(Mapping[str, T]):
-    """Records by name, each loaded when it is first asked for; a lookup raises PluginError for a broken package.
+    """Records by name, each loaded at its first look-up, which raises PluginError for a broken package.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class Registry(Mapping[str, T]):
 
     @cached_property
     def _plugins(self) -> dict[str, list[EntryPoint]]:
-        """Entry points by name; one name from two packages is a mistake that is told when it is asked for."""
+        """Entry points by name; one name from two packages is an error, raised at its look-up."""
         plugins: dict[str, list[EntryPoint]] = {}
         for point in entry_points(group=self._group):
             if point.name in self._built_in:

@@ -1,9 +1,8 @@
-"""TOML text as tables, with messages that point at a line.
+"""TOML text as tables, with line numbers in messages; text files of unknown origin.
 
 The standard reader keeps no positions. `line_of` reads no values: only table headers and the keys at the start of
-lines, which is all that a rig file has.
-
-Text files of unknown origin: regular files of a bounded size, as UTF-8, and messages of a bounded length.
+lines, which is all that a rig file has. A text file must be a regular file of a bounded size, in UTF-8; messages have a
+bounded length.
 """
 
 from __future__ import annotations
@@ -17,11 +16,11 @@ from typing import Any
 __all__ = ["TextFileError", "TomlError", "dotted", "line_of", "read_text", "read_toml", "shortened"]
 
 
-_MOST_TOLD = 400
+_MOST_SHOWN = 400
 
 
 class TextFileError(Exception):
-    """The text cannot be had; the message says why, without the file's name."""
+    """The text cannot be read; the message contains the reason, without the file's name."""
 
 
 def read_text(path: Path, most_bytes: int) -> str:
@@ -52,7 +51,7 @@ def _decoded(data: bytes) -> str:
 def shortened(error: BaseException) -> str:
     """Return an error's message for people, or its type where it has none: a damaged file may bring pages of text."""
     text = str(error) or type(error).__name__
-    return text if len(text) <= _MOST_TOLD else f"{text[:_MOST_TOLD]} ..."
+    return text if len(text) <= _MOST_SHOWN else f"{text[:_MOST_SHOWN]} ..."
 
 
 _HEADER = re.compile(r"^\s*(\[\[?)\s*([A-Za-z0-9_.\-\" ]+?)\s*\]\]?\s*(#.*)?$")
@@ -97,14 +96,14 @@ def _given_twice(text: str, error: ValueError) -> TomlError:
     for line, path, is_header in _paths(text):
         if path in first:
             name = dotted(path)[:200]
-            what, cure = (f"[{name}]", "put its keys under one header") if is_header else (name, "leave one out")
-            return TomlError(f"{what} is given twice, first in line {first[path]}: {cure}", line)
+            what, remedy = (f"[{name}]", "put its keys under one header") if is_header else (name, "leave one out")
+            return TomlError(f"{what} is given twice, first in line {first[path]}: {remedy}", line)
         first[path] = line
     return TomlError(f"not valid TOML: a key or a table is given twice, leave one out: {shortened(error)}")
 
 
 def dotted(path: KeyPath) -> str:
-    """Return a path as people write it: links[0].port."""
+    """Return a path in the usual notation: links[0].port."""
     return "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in path).lstrip(".")
 
 

@@ -1,13 +1,12 @@
-"""Turns a table of a rig file into a frozen dataclass, or says exactly what is wrong with it.
+"""Conversion of a table of a rig file to a frozen dataclass, with exact messages of errors.
 
 Tables within tables are dataclasses again, or lists of them. Where several kinds of table may stand, the annotation is
-a union of dataclasses with a class attribute `kind`, and the table's own `kind` says which it is. msgspec converts and
-checks plain values; unknown keys, missing ones and the path of the key to blame are told here. A dataclass that refuses
-a value in its `__post_init__` starts its message with the key's name.
+a union of dataclasses with a class attribute `kind`, and the table's own `kind` selects one. msgspec converts and
+checks plain values; unknown keys, missing ones and the path of the key at fault are found here. A dataclass that
+refuses a value in its `__post_init__` starts its message with the key's name.
 
-Files that a rig names: found beside the rig file, whatever folder the command runs in.
-
-A dataclass of a rig marks such a key by the type `RigFile`.
+Files that a rig names are found beside the rig file, not in the folder of the command. A dataclass of a rig marks such
+a key by the type `RigFile`.
 """
 
 from __future__ import annotations
@@ -69,11 +68,11 @@ def convert(table: object, target: type[T], path: KeyPath = ()) -> T:
     try:
         return target(**values)
     except ValueError as error:
-        raise TableError(str(error), _blamed(str(error), known, path)) from error
+        raise TableError(str(error), _path_of_error(str(error), known, path)) from error
 
 
 def convert_kind(table: object, kinds: Mapping[str, type[T]], path: KeyPath) -> T:
-    """Convert a table whose `kind` says what it describes; raises TableError."""
+    """Convert a table to the type that its `kind` selects; raises TableError."""
     kind, rest = split_kind(table, kinds, path)
     return convert(rest, kinds[kind], path)
 
@@ -91,7 +90,7 @@ def split_kind(table: object, kinds: Collection[str], path: KeyPath) -> tuple[st
 
 
 def unknown(key: str, known: list[str]) -> str:
-    """Say that `key` is not known, and which one was probably meant."""
+    """Return the message that `key` is not known, with the most similar known key."""
     near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
     meant = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"
     return f"{key!r} is not known here{meant}"
@@ -118,7 +117,7 @@ def kinds_of(annotation: Any) -> dict[str, Any]:
 
 @cache
 def item_type(annotation: Any) -> Any:
-    """Return what a tuple[..., ...] of tables holds; None for anything else."""
+    """Return the item type of a tuple[..., ...] of tables; None for anything else."""
     if typing.get_origin(annotation) is not tuple:
         return None
     item = typing.get_args(annotation)[0]
@@ -127,7 +126,7 @@ def item_type(annotation: Any) -> Any:
 
 @cache
 def table_type(annotation: Any) -> Any:
-    """Return the dataclass of `Table` or `Table | None`; None for what is no table."""
+    """Return the dataclass of `Table` or `Table | None`; None for other types."""
     members = typing.get_args(annotation) if _is_union(annotation) else (annotation,)
     return next((member for member in members if dataclasses.is_dataclass(member)), None)
 
@@ -165,7 +164,7 @@ def _require_all(values: Mapping[str, object], target: Any, path: KeyPath) -> No
             raise TableError(f"{f.name!r} is missing", path)
 
 
-def _blamed(message: str, known: Mapping[str, object], path: KeyPath) -> KeyPath:
+def _path_of_error(message: str, known: Mapping[str, object], path: KeyPath) -> KeyPath:
     """Return the path of the key that a refusal names first."""
     first = re.match(r"\w+", message)
     return (*path, first.group()) if first and first.group() in known else path
@@ -178,7 +177,7 @@ NO_FILE = RigFile("")
 
 
 def beside(value: T, folder: Path) -> T:
-    """Return a dataclass, the ones in it too, with each file that lies in `folder` given by its whole path."""
+    """Return a dataclass, and those in it, with the whole path of each file that lies in `folder`."""
     if isinstance(value, tuple):
         found = tuple(beside(one, folder) for one in value)
         return value if found == value else found  # type: ignore[return-value]

@@ -1,19 +1,17 @@
-"""Poses in a rig's world, from what Basilisk says of its cameras, spacecraft and celestial bodies.
+"""Poses in a rig's world, from Basilisk's cameras, spacecraft and celestial bodies.
 
     q_world_from_camera = q(sigma_BN) q(sigma_CB)
     camera              = r_BN_N + R(q(sigma_BN)) r_CB_B
     world               = N, moved to the celestial body `origin`
 
 The matrix [BN] turns coordinates of N into those of B, so the quaternion q(sigma_BN), of Hamilton's product, turns
-those of B into those of N. The camera's frame C is ours: z out along the boresight, x right, y down. On the wire a
-camera's attitude has a third of a turn into Unity's axes added to sigma_CB, which is undone here.
+those of B into those of N. The camera's frame C is that of evstim: z out along the boresight, x right, y down. On the
+wire a camera's attitude has a third of a turn into Unity's axes added to sigma_CB, which is undone here.
 
 Sources: CameraConfigMsg, the pages on vizInterface and `vizInterface.cpp` of AVSLab/basilisk; Schaub and Junkins,
 Analytical Mechanics of Space Systems, section 3.5.
 
-Poses that a simulation gives step by step, while the run waits for it.
-
-For a picture of time t
+A simulation gives poses step by step, while the run waits for it. The pose of a light frame of time t is
 
     between two known poses     straight line, great circle; how it moved within its step is not known
     after the newest one        the motion of the last step goes on (rates of change are taken a moment around t)
@@ -35,14 +33,14 @@ from emulator.trajectory.parameters import BasiliskPath
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError, from_basilisk
 from firmware_protocol.vizard.messages import Update, UpdateError
 
-__all__ = ["ConnectedPath", "SimulatedPath", "flown_path", "pose_of"]
+__all__ = ["ConnectedPath", "SimulatedPath", "pose_of", "simulated_path"]
 
 
 _KNOWN = 64
 
 
 class SimulatedPath(Trajectory):
-    """A path that a simulation flies; fed by `add`.
+    """A path that a simulation drives; `add` gives it poses.
 
     Parameters
     ----------
@@ -54,7 +52,7 @@ class SimulatedPath(Trajectory):
         self._known: deque[tuple[int, Pose]] = deque(maxlen=_KNOWN)
 
     def add(self, t_ns: int, pose: Pose) -> None:
-        """Take the pose at `t_ns`, later than all before; raises TrajectoryError where it is not."""
+        """Add the pose at `t_ns`, later than all before; raises TrajectoryError where it is not."""
         if self._known and t_ns <= self._known[-1][0]:
             raise TrajectoryError(f"a pose at {t_ns} ns came after the one at {self._known[-1][0]} ns")
         self._known.append((t_ns, pose))
@@ -70,7 +68,7 @@ class SimulatedPath(Trajectory):
         return between(known[after - 1], known[after], t_ns)
 
     def motion(self, t_ns: int) -> Motion:
-        """Return how it moves at `t_ns` by what is known now, see `known_motion`."""
+        """Return the motion at `t_ns` from the poses known now, see `known_motion`."""
         if len(self._known) < 2 or t_ns < self._known[0][0]:
             return AT_REST
         return known_motion(list(self._known), t_ns)
@@ -93,20 +91,20 @@ _LARGEST_MRP = 1e6  # of one part; within a millionth of a whole turn
 
 @dataclass(frozen=True)
 class ConnectedPath(BasiliskPath):
-    """A Basilisk path of a rig that a simulation flies."""
+    """A Basilisk path of a rig that a simulation drives."""
 
-    flown: SimulatedPath | None = None
+    simulated: SimulatedPath | None = None
 
 
-def flown_path(path: BasiliskPath) -> SimulatedPath:
-    """Return what a simulation flies; without one, what stays at the pose that the rig gives."""
-    if isinstance(path, ConnectedPath) and path.flown is not None:
-        return path.flown
+def simulated_path(path: BasiliskPath) -> SimulatedPath:
+    """Return a path for a simulation; without one it stays at the pose that the rig gives."""
+    if isinstance(path, ConnectedPath) and path.simulated is not None:
+        return path.simulated
     return SimulatedPath(Pose(np.array(path.position_m), np.array(path.q_world_from_body)))
 
 
 def pose_of(path: BasiliskPath, update: Update) -> Pose:
-    """Return the pose of what `path` names; raises TrajectoryError, which says what of the update is wrong."""
+    """Return the pose of the object that `path` names; raises TrajectoryError with the error in the update."""
     try:
         pose = _pose_in_n(path, update)
         origin_m = np.array(update.body(path.origin).position_m) if path.origin else np.zeros(3)

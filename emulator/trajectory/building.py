@@ -2,14 +2,11 @@
 
 The paths of one scene are built together, because live ones share a port: the camera is number 0, bodies follow.
 
-Trajectories from files, one for the places and perhaps one for the attitudes, each at its own times.
-
-Time 0 is the first place. Attitudes are taken at the epochs of their own file (CCSDS AEM); beside a table or a flight
+A trajectory from files has one file for the places and perhaps one for the attitudes, each at its own times. Time 0 is
+the first place. Attitudes are taken at the epochs of their own file (CCSDS AEM); beside a table or a flight
 file, which have no epochs, they begin at time 0.
 
-Something mounted beside what moves on a path, at a fixed place of its frame.
-
-Which path a scene's camera is on, for what is carried with it.
+An `Offset` is mounted at a fixed place beside a path. An inertial unit uses the path of the scene's camera.
 """
 
 from __future__ import annotations
@@ -27,7 +24,7 @@ import numpy.typing as npt
 from emulator.geometry.attitude import cross
 from emulator.geometry.camera import Cycle
 from emulator.tables.toml_text import TextFileError, read_text, shortened
-from emulator.trajectory.basilisk import flown_path
+from emulator.trajectory.basilisk import simulated_path
 from emulator.trajectory.ccsds_file import CcsdsPath, parse_aem, parse_oem
 from emulator.trajectory.descent import Descent
 from emulator.trajectory.flight_file import Samples, parse_flight, parse_table
@@ -87,12 +84,12 @@ def _samples(path: Path, period_s: float) -> Samples:
         case ".fli":
             flight = parse_flight(_text(path), period_s)
             if flight.left_out:
-                told = ", ".join(f"{count} {command}" for command, count in flight.left_out.items())
-                _LOG.info("%s: left out of the flight: %s", path, told)
+                left_out = ", ".join(f"{count} {command}" for command, count in flight.left_out.items())
+                _LOG.info("%s: left out of the flight: %s", path, left_out)
             return flight.samples
         case ".csv":
             return parse_table(_text(path))
-    raise TrajectoryError("which format this is cannot be told: name it .csv, .oem or .fli")
+    raise TrajectoryError("its format is unknown: name it .csv, .oem or .fli")
 
 
 def _attitudes(p: FilePath, span_ns: _Span, orbit: CcsdsPath | None) -> tuple[Trajectory, int]:
@@ -141,7 +138,7 @@ class OffsetPath:
 
 
 class Offset(Trajectory):
-    """A thing at `offset_m`, (3,) along the axes of `path`, turned against them by the fixed `q_path_from_body`."""
+    """A body at `offset_m`, (3,) along the axes of `path`, turned against them by the fixed `q_path_from_body`."""
 
     def __init__(self, path: Trajectory, offset_m: npt.ArrayLike, q_path_from_body: npt.ArrayLike) -> None:
         self._path = path
@@ -160,13 +157,13 @@ class Offset(Trajectory):
 
     @property
     def speed_bound_m_s(self) -> float:
-        """That of the path, and that of turning about it."""
+        """Bound of the path, and of turning about it."""
         arm_m = float(np.linalg.norm(self._mounted.position_m))
         return self._path.speed_bound_m_s + arm_m * self._path.turn_bound_rad_s
 
     @property
     def turn_bound_rad_s(self) -> float:
-        """That of the path."""
+        """Bound of the path."""
         return self._path.turn_bound_rad_s
 
 
@@ -188,7 +185,7 @@ def build_trajectories(paths: Sequence[TrajectoryParameters]) -> list[Trajectory
 
 
 def build_trajectory(p: TrajectoryParameters | OffsetPath) -> Trajectory:
-    """Return the trajectory that a rig asks for; raises TrajectoryError, and OSError where a port cannot be had."""
+    """Return the trajectory of a rig's table; raises TrajectoryError, and OSError where a port is not available."""
     match p:
         case FixedPath():
             fixed = Fixed(Pose(np.array(p.position_m), np.array(p.q_world_from_body)))
@@ -214,12 +211,12 @@ def build_trajectory(p: TrajectoryParameters | OffsetPath) -> Trajectory:
 
 def _derived(p: OffsetPath | BasiliskPath) -> Trajectory:
     if isinstance(p, BasiliskPath):
-        return flown_path(p)
+        return simulated_path(p)
     return Offset(build_trajectory(p.path), p.offset_m, p.q_path_from_body)
 
 
 def _received(p: LivePath, number: int, receivers: dict[tuple[str, int], PoseReceiver]) -> ReceivedPath:
-    """Return the live path of a scene's thing `number`, on a receiver that others may use already."""
+    """Return the live path of camera or body `number`, on a receiver that others may use already."""
     receiver = receivers.get((p.host, p.port)) or PoseReceiver(p.host, p.port, p.allow)
     receivers[p.host, p.port] = receiver
     if receiver.allow != frozenset(p.allow):

@@ -10,12 +10,12 @@ AEM, likewise, with ATTITUDE_TYPE = QUATERNION, one line a sample:
     epoch  QC Q1 Q2 Q3        (QUATERNION_TYPE = FIRST)
 
 Segments follow one another without gaps; at an epoch that two share the later one holds, and nothing is interpolated
-across it. Only the part between USEABLE_START_TIME and USEABLE_STOP_TIME is used. INTERPOLATION with its degree is done
-as asked (LINEAR, LAGRANGE, HERMITE); without it places lie on cubic Hermite curves. Attitudes lie on a spline of
-rotations whatever INTERPOLATION_METHOD says, which is noted. REF_FRAME, CENTER_NAME and TIME_SYSTEM must be the same in
+across it. Only the part between USEABLE_START_TIME and USEABLE_STOP_TIME is used. INTERPOLATION with its degree is
+applied (LINEAR, LAGRANGE, HERMITE); without it places lie on cubic Hermite curves. Attitudes always lie on a spline of
+rotations; another INTERPOLATION_METHOD is noted. REF_FRAME, CENTER_NAME and TIME_SYSTEM must be the same in
 all segments of a file. For frames of attitudes see `frames`, for times `epochs`.
 
-Epochs of CCSDS files as nanoseconds of one continuous time scale.
+Epochs are nanoseconds of one continuous time scale:
 
     UTC                 leap seconds are counted: 23:59:60 is an instant, and a file may cross one
     TAI, TT (TDT), GPS  TAI = TT - 32.184 s = GPS + 19 s
@@ -26,13 +26,11 @@ Epochs of CCSDS files as nanoseconds of one continuous time scale.
 Source of the leap seconds: IERS Bulletin C; the last one was at the end of 2016. Before 1972 UTC is taken as TAI less
 10 s.
 
-Names of reference frames in CCSDS files: which ones stand for the world.
+A reference frame stands for the world when its axes are those of the sky or of a planet. Names are compared without
+case, spaces, hyphens and underscores. Source: the SANA registry of celestial body reference frames, and SPICE's names
+(J2000, IAU_*). Axes of ICRF, GCRF, EME2000 and J2000 differ by less than 0.1 seconds of arc and count as the same.
 
-A frame stands for the world when its axes are those of the sky or of a planet. Names are compared without case, spaces,
-hyphens and underscores. Source: the SANA registry of celestial body reference frames, and SPICE's names (J2000, IAU_*).
-Axes of ICRF, GCRF, EME2000 and J2000 differ by less than 0.1 seconds of arc and count as the same.
-
-Places on polynomials through the nearest samples, as orbit files ask for.
+Places lie on polynomials through the nearest samples:
 
     Lagrange of degree d     through d + 1 samples
     Hermite of degree d      through (d + 1) / 2 samples and their velocities; an even degree is raised by one
@@ -41,8 +39,6 @@ The samples lie evenly before and after the instant, an odd one before it; at th
 last ones. One polynomial follows another at a sample, which both go through, so the place makes no jump. Computed
 by scipy's KroghInterpolator (Krogh 1970, Mathematics of Computation 24, 185) in steps of time, which keeps it well
 conditioned.
-
-Trajectories in segments that follow one another in time.
 """
 
 from __future__ import annotations
@@ -90,11 +86,11 @@ _LEAPS = [
         (1997, 7), (1999, 1), (2006, 1), (2009, 1), (2012, 7), (2015, 7), (2017, 1),
     )
 ]  # fmt: skip
-"""Days that a leap second comes just before."""
+"""Days that begin just after a leap second."""
 
 
 def scale_of(time_system: str) -> str:
-    """Return the scale that a TIME_SYSTEM is counted on here: TAI where it can be turned into that, else its name."""
+    """Return the scale of a TIME_SYSTEM here: TAI where it can be converted to that, else its name."""
     return "TAI" if time_system == "UTC" or time_system in _BEHIND_TAI_NS else time_system
 
 
@@ -223,7 +219,7 @@ class PolynomialPath(Trajectory):
 
     @property
     def turn_bound_rad_s(self) -> float:
-        """It does not turn."""
+        """Zero: it does not turn."""
         return 0.0
 
     def _first_used(self, t_ns: int) -> int:
@@ -266,7 +262,7 @@ class Segment:
 class Segmented(Trajectory):
     """A trajectory of segments in turn; at an instant that two share the later one holds.
 
-    Before the first segment and after the last the pose stays what it is there.
+    Before the first segment and after the last the pose is constant.
 
     Raises
     ------
@@ -332,7 +328,7 @@ class CcsdsPath:
     path : on the file's own time axis, ns since 2000 on `scale`, see `epochs`.
     scale : "TAI" where times can be compared with other files, else the file's own TIME_SYSTEM.
     axes : the frame of the world, the same text for frames whose axes are the same; empty where the file names none.
-    notes : what was not done as the file asks.
+    notes : requests of the file that were not followed.
     """
 
     path: Segmented
@@ -452,7 +448,7 @@ def _place(_: dict[str, str], cells: list[str]) -> _Floats:
 
 
 def _places(samples: _Samples) -> Trajectory:
-    """Return the path of one segment on the curves that it asks for."""
+    """Return the path of one segment on its interpolation curves."""
     kind = samples.meta.get("INTERPOLATION", "").upper()
     if kind not in _INTERPOLATIONS:
         raise TrajectoryError(f"INTERPOLATION = {kind}: one of LINEAR, LAGRANGE and HERMITE is known")

@@ -105,7 +105,7 @@ class Descent(Trajectory):
         return Pose(self._path.pose(t_ns).position_m, _attitude(self._ahead, depression))
 
     def motion(self, t_ns: int) -> Motion:
-        """Return how it moves; it turns about the camera's x axis, backwards as the depression grows."""
+        """Return the motion; it turns about the camera's x axis, backwards as the depression grows."""
         first, last = self.span_ns
         rate = float(self._depression_rate(t_ns * 1e-9)) if first <= t_ns < last else 0.0
         path = self._path.motion(t_ns)
@@ -132,7 +132,7 @@ class Descent(Trajectory):
             if self.pose(int(t_ns)).position_m[2] <= ground_m:
                 raise TrajectoryError(
                     f"the descent goes through the ground at {t_ns * 1e-9:.1f} s: "
-                    "between two gates the speeds ask for more height than there is"
+                    "between two gates the speeds need more height than there is"
                 )
 
 

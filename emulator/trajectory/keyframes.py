@@ -7,9 +7,9 @@ Attitudes are joined by scipy's RotationSpline: between two keyframes the rotati
 time, and rate and acceleration of the turn are continuous, also at keyframes. Two keyframes make a steady turn on the
 great circle, and a steady turn about a fixed axis is followed exactly (both to 1e-9 rad). Of a smooth turn whose axis
 moves the error falls with the fourth power of the step. A turn of more than 120 degrees between neighbours is refused,
-because which way it goes would be a guess.
+because its sense would be a guess.
 
-Before the first keyframe and after the last the pose stays what it is there.
+Before the first keyframe and after the last the pose is constant.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ class Keyframes(Trajectory):
     Parameters
     ----------
     times_ns : (n,) stream times, increasing.
-    poses : (n,) where it is then.
+    poses : (n,) at these times.
     velocities_m_s : (n, 3), where they are known.
 
     Raises
     ------
     TrajectoryError
-        No keyframe, times that do not increase, a turn whose sense cannot be told.
+        No keyframe, times that do not increase, a turn of unknown sense.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ def _require_narrow(quaternions: _Floats, times_ns: npt.NDArray[np.int64]) -> No
         turn = math.degrees(2 * math.acos(min(1.0, float(cosines[k]))))
         raise TrajectoryError(
             f"pose {k + 1}, at {times_ns[k + 1] * 1e-9:g} s, is turned by {turn:.0f} degrees from the one before: "
-            "which way it goes cannot be told; give poses in between, at most 120 degrees apart"
+            "its sense is unknown; give poses in between, at most 120 degrees apart"
         )
 
 

@@ -1,10 +1,10 @@
 """Poses of one body that come from outside while the run goes on: the closed loop.
 
-For a picture of time t
+The pose of a light frame of time t:
 
     between two known poses     the pose is interpolated: straight line, great circle
-    after the newest one        the last motion goes on for at most `hold_ns`; then the body stands still, and every
-                                picture is counted as late
+    after the newest one        the last motion goes on for at most `hold_ns`; then the body is at rest, and every
+                                light frame is counted as late
     before the first one        the pose that the rig gives
 
 A pose with a time is refused as stale when it is not newer than the newest one, and as too far ahead when it is stamped
@@ -12,8 +12,8 @@ more than `ahead_ns` beyond its arrival: otherwise one wrong time would make all
 -1) holds from its arrival, and replaces all poses that are stamped later.
 
 The sender's counter is compared as a signed difference of 32 bits to the last one: 2 to 65 536 more is a loss, 1 to 64
-less is a pose that others overtook, and is refused, as is the same pose again; any other jump is a restarted sender. A
-sender that does not count (other poses with the same counter) is heard.
+less is a pose that others overtook, and is refused, as is the same pose again; any other jump is a restarted sender.
+Poses of a sender that does not count (other poses with the same counter) are used.
 """
 
 from __future__ import annotations
@@ -70,18 +70,18 @@ class _Known:
 
     @property
     def at(self) -> tuple[int, Pose]:
-        """Its time and the pose."""
+        """Time and pose."""
         return self.t_ns, self.pose
 
 
 class LivePoses(Trajectory):
-    """A path that is still being flown; fed by `add`.
+    """A path whose poses are still coming; `add` gives them.
 
     Parameters
     ----------
     first : the pose until one comes.
-    hold_ns : how long the last motion is carried on.
-    ahead_ns : how far beyond its arrival a pose may be stamped.
+    hold_ns : time for which the last motion is continued.
+    ahead_ns : most time by which a pose may be stamped beyond its arrival.
     """
 
     def __init__(self, first: Pose = STILL, hold_ns: int = 100_000_000, ahead_ns: int = 1_000_000_000) -> None:
@@ -91,7 +91,7 @@ class LivePoses(Trajectory):
         self.counters = LiveCounters()
 
     def add(self, message: PoseMessage, arrival_ns: int) -> None:
-        """Take a pose in that arrived at the scene's time `arrival_ns`, or refuse it; either is counted."""
+        """Add a pose that arrived at the scene's time `arrival_ns`, or refuse it; either is counted."""
         if message.t_ns > arrival_ns + self._ahead_ns:
             self.counters.too_far_ahead += 1
         elif self._is_repetition(message):
@@ -119,14 +119,14 @@ class LivePoses(Trajectory):
         return known[0].pose if after == 0 else between(known[after - 1].at, known[after].at, t_ns)
 
     def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
-        """Return both by what is known now; no picture is counted as late."""
+        """Return both from the poses known now; no light frame is counted as late."""
         late = self.counters.late_pictures
         pose = self.pose(t_ns)
         self.counters.late_pictures = late
         return pose, self.motion(t_ns)
 
     def motion(self, t_ns: int) -> Motion:
-        """Return how it moves at `t_ns` by what is known now, see `known_motion`; at rest where it stands still."""
+        """Return the motion at `t_ns` from the poses known now, see `known_motion`; at rest where it stands still."""
         known = [one.at for one in self._known]
         if len(known) < 2 or t_ns < known[0][0] or t_ns > known[-1][0] + self._hold_ns:
             return AT_REST
@@ -143,7 +143,7 @@ class LivePoses(Trajectory):
         return float("inf")
 
     def _is_repetition(self, message: PoseMessage) -> bool:
-        """Return whether a pose, or a later one, was there already; count what its counter says otherwise."""
+        """Return whether a pose, or a later one, was there already; otherwise count losses and restarts."""
         if self._last is None:
             return False
         ahead = (message.counter - self._last.counter + (1 << 31)) % (1 << 32) - (1 << 31)

@@ -1,4 +1,4 @@
-"""How fast a trajectory moves and turns: the derivatives of its pose, in closed form or from differences.
+"""Motion of a trajectory: the derivatives of its pose, in closed form or from differences; and scene time.
 
 Differences are central, over a step h of 5 ms to either side of t (p: place, w: rate of turning, e = 1.1e-16):
 
@@ -9,11 +9,9 @@ Differences are central, over a step h of 5 ms to either side of t (p: place, w:
 At 1 km from the origin rounding makes an acceleration wrong by 2e-8 m/s2 at most, at 10 000 km by 2e-4 m/s2. Where a
 path has a kink (its ends, a change of segment), they see it within h.
 
-Scene time from stream time, by an exact factor that makes slow motion fast.
-
-Itokawa turns once in half a day, and from Hayabusa's home position a pixel of motion takes a quarter of a minute. A
-factor of 100 shows the same in minutes; events then come 100 times as fast as they would, which a summary should
-never hide.
+Scene time is stream time by an exact factor that makes slow motion fast. Itokawa turns once in half a day, and from
+Hayabusa's home position a pixel of motion takes a quarter of a minute. A factor of 100 shows the same in minutes;
+events then come 100 times as fast as they would, which a summary should never hide.
 """
 
 from __future__ import annotations
@@ -41,7 +39,7 @@ _SMALL_RAD = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """How something moves at one instant.
+    """Motion of a body at one instant.
 
     Attributes
     ----------
@@ -96,7 +94,7 @@ def rate_of_frame(axes: Matrix, rates: Matrix) -> Vector:
 
 
 class Timescale:
-    """Scene time = start + factor * stream time; `factor` is taken as the decimal that a person wrote."""
+    """Scene time = start + factor * stream time; `factor` is taken as the decimal number that a person wrote."""
 
     def __init__(self, factor: float = 1.0, start_s: float = 0.0) -> None:
         self._factor = Fraction(repr(float(factor)))

@@ -1,20 +1,20 @@
-"""A camera carried along a path, with its boresight on a target.
+"""Trajectories made of others: a camera with its boresight on a target, a rotating body, a mounted camera.
 
-Its +z axis (the boresight) points at the target, and its -y axis (up in the picture) lies as near to a given direction
-as that allows. Where the line of sight runs along that very direction the picture's turn is not defined; there any
-fixed turn is taken, and a path that passes through such a place turns the picture quickly.
+`Looking` carries a camera along a path. Its +z axis (the boresight) points at the target, and its -y axis (up in the
+picture) lies as near to a given direction as that allows. Where the line of sight runs along that very direction the
+picture's turn is not defined; there any fixed turn is taken, and a path that passes through such a place turns the
+picture quickly.
 
-Rotating bodies: a steady spin, and the tumbling of a body with an axis of symmetry.
-
-A body free of torques whose moments of inertia about two of its axes are equal turns about its third, +Z, at a steady
-rate, while that axis goes round the (fixed) angular momentum at another steady rate and a steady tilt (Goldstein,
-Classical Mechanics, section 5.6). In matrices, with `spin` from `attitude`:
+`Spinning` is a steady spin, or the tumbling of a body with an axis of symmetry. A body free of torques whose moments of
+inertia about two of its axes are equal turns about its third, +Z, at a steady rate, while that axis goes round the
+(fixed) angular momentum at another steady rate and a steady tilt (Goldstein, Classical Mechanics, section 5.6). In
+matrices, with `spin` from `attitude`:
 
     world_from_body = spin(momentum, precession) * Rx(tilt) * Rz(turned)
 
 Without a tilt it spins about the momentum. Phases are exact for as long as the stream lasts (see `cycle`).
 
-Trajectories made of others: places of one with attitudes of another, and a camera mounted on what moves.
+`PlaceAndAttitude` has the places of one trajectory and the attitudes of another; `Mounted` is turned against a path.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Looking(Trajectory):
     Parameters
     ----------
     up : (3,) direction in the world that is up in the picture.
-    times_ns : when its turning is measured, see `measured`.
+    times_ns : instants at which its turning is measured, see `measured`.
     """
 
     def __init__(self, place: Trajectory, target_m: npt.ArrayLike, up: npt.ArrayLike, times_ns: Sequence[int]) -> None:
@@ -77,7 +77,7 @@ class Looking(Trajectory):
 
     @property
     def speed_bound_m_s(self) -> float:
-        """That of the path."""
+        """Bound of the path."""
         return self._place.speed_bound_m_s
 
     @property
@@ -139,12 +139,12 @@ class Spinning(Trajectory):
 
     @property
     def speed_bound_m_s(self) -> float:
-        """It stays."""
+        """Zero: it does not move."""
         return 0.0
 
     @property
     def turn_bound_rad_s(self) -> float:
-        """Both rates added, which they are when the axes lie along each other."""
+        """Sum of both rates, reached when the axes lie along each other."""
         return 2 * math.pi * float(abs(self._turned.rate_hz) + abs(self._tilt.precession.rate_hz))
 
 
@@ -179,24 +179,24 @@ class PlaceAndAttitude(Trajectory):
         return Pose(self._places.pose(t_ns + self._places_zero_ns).position_m, attitude)
 
     def motion(self, t_ns: int) -> Motion:
-        """Return how the place of one moves and the attitude of the other turns."""
+        """Return the velocity of the one and the turning of the other."""
         place = self._places.motion(t_ns + self._places_zero_ns)
         turn = self._attitudes.motion(t_ns + self._attitudes_zero_ns).turn_rad_s
         return Motion(place.velocity_m_s, place.acceleration_m_s2, turn)
 
     @property
     def speed_bound_m_s(self) -> float:
-        """That of the places."""
+        """Bound of the places."""
         return self._places.speed_bound_m_s
 
     @property
     def turn_bound_rad_s(self) -> float:
-        """That of the attitudes."""
+        """Bound of the attitudes."""
         return self._attitudes.turn_bound_rad_s
 
 
 class Mounted(Trajectory):
-    """Something at the place of `path`, turned against its axes by the fixed `q_path_from_body`."""
+    """A body at the place of `path`, turned against its axes by the fixed `q_path_from_body`."""
 
     def __init__(self, path: Trajectory, q_path_from_body: Quaternion) -> None:
         self._path, self._q = path, q_path_from_body
@@ -207,16 +207,16 @@ class Mounted(Trajectory):
         return Pose(pose.position_m, multiply(pose.q_world_from_body, self._q))
 
     def motion(self, t_ns: int) -> Motion:
-        """Return the path's motion, its turning along the axes of what is mounted."""
+        """Return the path's motion, its turning along the axes of the mounted body."""
         path = self._path.motion(t_ns)
         return Motion(path.velocity_m_s, path.acceleration_m_s2, matrix_of(self._q).T @ path.turn_rad_s)
 
     @property
     def speed_bound_m_s(self) -> float:
-        """That of the path."""
+        """Bound of the path."""
         return self._path.speed_bound_m_s
 
     @property
     def turn_bound_rad_s(self) -> float:
-        """That of the path."""
+        """Bound of the path."""
         return self._path.turn_bound_rad_s

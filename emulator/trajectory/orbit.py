@@ -104,7 +104,7 @@ class Orbit(Trajectory):
 
     @property
     def turn_bound_rad_s(self) -> float:
-        """It does not turn."""
+        """Zero: it does not turn."""
         return 0.0
 
 

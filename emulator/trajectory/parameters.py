@@ -1,6 +1,6 @@
-"""Trajectories as a rig writes them: a table with a `kind`, one frozen dataclass each.
+"""Tables of trajectories in a rig: one frozen dataclass for each `kind`.
 
-Where a path can be looked from, `look_at_m` turns the boresight to a point of the world and `up` says what is up in the
+For a camera's path `look_at_m` turns the boresight to a point of the world, and `up` is the direction that is up in the
 picture; without `look_at_m` the attitude is the path's own.
 """
 
@@ -79,7 +79,7 @@ class FixedPath:
     look_at_m
         A point to look at instead.
     up
-        Direction that is up in the picture then.
+        Direction that is up in the image then.
     """
 
     kind: ClassVar[str] = "fixed"
@@ -128,7 +128,7 @@ class KeyframePath:
     look_at_m
         A point to look at instead of the keyframes' attitudes.
     up
-        Direction that is up in the picture then.
+        Direction that is up in the image then.
     """
 
     kind: ClassVar[str] = "keyframes"
@@ -160,7 +160,7 @@ class OrbitPath(Elements):
     look_at_m
         A point to look at; the origin, where the body is.
     up
-        Direction that is up in the picture.
+        Direction that is up in the image.
     """
 
     kind: ClassVar[str] = "orbit"
@@ -186,11 +186,11 @@ class SpinPath:
     spin_deg_s
         Rate of turning about +Z, right-handed.
     start_deg
-        How far it has turned at time zero.
+        Angle at time zero.
     tilt_deg
         Of +Z against the momentum.
     precession_deg_s
-        How fast +Z goes round it.
+        Rate of +Z about the momentum.
     """
 
     kind: ClassVar[str] = "spin"
@@ -215,9 +215,9 @@ class DescentPath:
     gates
         Moments between phases, in order of time; the default is a lunar landing's last three minutes.
     heading_deg
-        Way of flight: 0 along +y, 90 along +x.
+        Direction of flight: 0 along +y, 90 along +x.
     site_m
-        Where it lands.
+        Landing site.
     """
 
     kind: ClassVar[str] = "descent"
@@ -242,11 +242,11 @@ class FilePath:
     period_s
         Time between two poses of a flight file, which holds no times.
     axes
-        Which way the file's camera looks: along its +z with y down ("opencv"), or along -z with y up ("opengl").
+        Axes of the file's camera: it looks along +z with y down ("opencv"), or along -z with y up ("opengl").
     look_at_m
         A point to look at instead of the file's attitudes.
     up
-        Direction that is up in the picture then.
+        Direction that is up in the image then.
     """
 
     kind: ClassVar[str] = "file"
@@ -273,15 +273,16 @@ class LivePath:
     Attributes
     ----------
     host, port
-        Where to listen. Paths of a scene with one host and port share it: number 0 is the camera, 1 the first body.
+        Address to listen on. Paths of a scene with one host and port share it: number 0 is the camera, 1 the first
+        body.
     allow
         Addresses that may send poses, for instance ["192.168.1.5"]; needed when `host` is not this machine alone.
     position_m, q_world_from_body
         The pose until one comes.
     hold_ms
-        How long the last motion is carried on when no newer pose comes.
+        Time for which the last motion is continued when no newer pose comes.
     ahead_ms
-        How far beyond its arrival a pose may be stamped; others are refused.
+        Most time by which a pose may be stamped beyond its arrival; others are refused.
     """
 
     kind: ClassVar[str] = "live"
@@ -306,20 +307,20 @@ class LivePath:
 
 @dataclass(frozen=True)
 class BasiliskPath:
-    """The path of something in a Basilisk simulation, for `evstim vizard`.
+    """The path of a camera, spacecraft or celestial body in a Basilisk simulation, for `evstim vizard`.
 
     Attributes
     ----------
     camera
-        cameraID of the camera that it is.
+        cameraID of the camera.
     spacecraft
-        Name of the spacecraft that it is.
+        Name of the spacecraft.
     body
-        Name of the celestial body that it is.
+        Name of the celestial body.
     origin
         Name of the celestial body at the world's origin; empty: the origin of Basilisk's inertial frame.
     position_m, q_world_from_body
-        The pose until the simulation gives one. Detail is chosen for it, so give the nearest that the flight comes.
+        The pose until the simulation gives one. Detail is chosen for it, so give the nearest point of the flight.
     """
 
     kind: ClassVar[str] = "basilisk"
@@ -334,7 +335,7 @@ class BasiliskPath:
         _require_finite(self)
         _require_attitude(self, "q_world_from_body")
         if (self.camera is not None) + bool(self.spacecraft) + bool(self.body) != 1:
-            raise ValueError("one of camera, spacecraft and body must say what it is in the simulation")
+            raise ValueError("give one of camera, spacecraft and body: its object in the simulation")
 
 
 TrajectoryParameters = (

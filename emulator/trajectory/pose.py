@@ -2,9 +2,9 @@
 
 World: metres, right-handed. `q_world_from_body` is a unit quaternion, scalar first: it turns coordinates along the
 body's own axes into coordinates along the world's. A camera's own axes are OpenCV's: x right, y down, z out along the
-boresight. Other conventions (SPICE, Basilisk, ROS, OpenGL) are converted by `conventions`.
+boresight.
 
-Attitudes in the conventions of other programs, turned into `q_world_from_camera`, scalar first, OpenCV camera axes.
+Attitudes of other programs can be converted to `q_world_from_camera`, scalar first, OpenCV camera axes:
 
     evstim, OpenCV     x right, y down, z out          (w, x, y, z), turns camera coordinates into the world's
     OpenGL             x right, y up, looks along -z
@@ -58,7 +58,7 @@ _UNIT_WITHIN = 1e-3
 
 
 class TrajectoryError(Exception):
-    """A trajectory cannot be used; the message says what is wrong with it and where."""
+    """A trajectory cannot be used; the message contains the error and its place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +118,11 @@ class Trajectory(ABC):
         """Return the pose at time `t_ns`, which depends on nothing else unless poses come from outside."""
 
     def motion(self, t_ns: int) -> Motion:
-        """Return how it moves at `t_ns`; from differences of poses where no closed form is known, see `motion`."""
+        """Return the motion at `t_ns`; from differences of poses where no closed form is known, see `motion`."""
         return differences(self.pose, t_ns)
 
     def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
-        """Return both at `t_ns`, for one who looks beside the pictures: it takes in and counts nothing from outside."""
+        """Return both at `t_ns`, not for a light frame: poses from outside are neither read nor counted."""
         return self.pose(t_ns), self.motion(t_ns)
 
     @property
@@ -147,17 +147,17 @@ class Fixed(Trajectory):
         return self._pose
 
     def motion(self, t_ns: int) -> Motion:
-        """It does not move."""
+        """Return rest."""
         return AT_REST
 
     @property
     def speed_bound_m_s(self) -> float:
-        """It does not move."""
+        """Zero: it does not move."""
         return 0.0
 
     @property
     def turn_bound_rad_s(self) -> float:
-        """It does not turn."""
+        """Zero: it does not turn."""
         return 0.0
 
 

@@ -1,7 +1,7 @@
-"""Reception of poses: one UDP port for the camera and any number of bodies, told apart by the number in each datagram.
+"""Reception of poses: one UDP port for the camera and any number of bodies, each datagram with the number of a body.
 
-One datagram a pose (layout: `firmware_protocol.pose_message`). Whatever has come is read when a picture is to be drawn,
-so a pose is on the light within one frame; at most 256 datagrams a picture, so a flood cannot hold the run up.
+One datagram a pose (layout: `firmware_protocol.pose_message`). All datagrams that have come are read before a light
+frame is drawn, so a pose acts within one frame; at most 256 datagrams a frame, so that a flood cannot delay the run.
 
 A datagram is used only if its sender is allowed, it is a pose, and its body is known; all others are counted. The
 kernel stamps each one with the wall clock (`SO_TIMESTAMPNS`) and counts those that it had no room for (`SO_RXQ_OVFL`);
@@ -24,9 +24,9 @@ from firmware_protocol.pose_message import POSE_BYTES, PoseMessage, PoseMessageE
 
 __all__ = ["PoseReceiver", "ReceivedPath", "ReceiverCounters", "SceneClock", "close_receivers", "live_counts"]
 
-_MOST_A_PICTURE = 256
-_REMEMBERED = 32  # pictures whose lateness is compared
-_RESTART_NS = 1_000_000_000  # scenes ask for instants a few milliseconds before and after a picture's own
+_MOST_A_FRAME = 256
+_REMEMBERED = 32  # light frames whose lateness is compared
+_RESTART_NS = 1_000_000_000  # scenes use instants a few milliseconds before and after a frame's own
 
 _SO_TIMESTAMPNS, _SO_RXQ_OVFL = 35, 40  # not named in Python's socket module
 _TIMESPEC, _COUNT = struct.Struct("@qq"), struct.Struct("@I")
@@ -41,7 +41,7 @@ class ReceiverCounters:
     ----------
     refused : datagrams that are no pose.
     not_allowed : datagrams of senders that are not allowed.
-    unknown_body : poses of bodies that nobody has asked for.
+    unknown_body : poses of bodies that are not registered.
     dropped_by_system : datagrams that the system had no room for.
     """
 
@@ -52,10 +52,10 @@ class ReceiverCounters:
 
 
 class SceneClock:
-    """The scene's time of instants on a wall clock, from when pictures are drawn.
+    """The scene's time of instants on a wall clock, from the times at which light frames are drawn.
 
-    A picture of time t is drawn at the wall's time w = t + offset + lateness, lateness >= 0; so the least of the last
-    32 differences is the offset. No instant is put after the picture that is being drawn, whatever the pace of the run.
+    A light frame of time t is drawn at the wall's time w = t + offset + lateness, lateness >= 0; so the least of the
+    last 32 differences is the offset. No instant is later than the frame that is being drawn, at any pace of the run.
     """
 
     def __init__(self) -> None:
@@ -63,7 +63,7 @@ class SceneClock:
         self._picture_ns: int | None = None
 
     def draw(self, t_ns: int, wall_ns: int) -> bool:
-        """Note that the picture of `t_ns` is being drawn; return whether the scene's time went back by a second."""
+        """Note that the frame of `t_ns` is being drawn; return whether the scene's time went back by a second."""
         went_back = self._picture_ns is not None and t_ns < self._picture_ns - _RESTART_NS
         if went_back:
             self._offsets_ns.clear()
@@ -82,14 +82,14 @@ class PoseReceiver:
 
     Parameters
     ----------
-    host, port : where to listen; port 0 takes any free one.
+    host, port : address to listen on; port 0 takes any free one.
     allow : addresses whose datagrams are used; empty: all, for a port that only this machine reaches.
     clock : the wall clock that the kernel stamps datagrams with, ns.
 
     Raises
     ------
     OSError
-        The port cannot be had; the message says what to do.
+        The port is not available; the message contains the remedy.
     """
 
     def __init__(
@@ -116,13 +116,13 @@ class PoseReceiver:
     def register(self, body: int, poses: LivePoses) -> None:
         """Give the poses of `body` to `poses` from now on."""
         if body in self._bodies:
-            raise TrajectoryError(f"two paths ask for the live poses of body {body} on port {self.address[1]}")
+            raise TrajectoryError(f"two paths use the live poses of body {body} on port {self.address[1]}")
         self._bodies[body] = poses
 
     def receive(self, t_ns: int) -> None:
-        """Read what has come before the picture of `t_ns`, at most 256 datagrams a picture."""
+        """Read the datagrams that have come before the light frame of `t_ns`, at most 256."""
         if t_ns != self._picture_ns:
-            self._picture_ns, self._left = t_ns, _MOST_A_PICTURE
+            self._picture_ns, self._left = t_ns, _MOST_A_FRAME
             if self._scene.draw(t_ns, self._clock()):
                 for poses in self._bodies.values():
                     poses.restart(t_ns)
@@ -130,7 +130,7 @@ class PoseReceiver:
             self._left -= 1
 
     def take(self, data: bytes, sender: str, arrival_ns: int) -> None:
-        """Use one datagram that arrived at the wall's time `arrival_ns`, or count why not; after `receive`."""
+        """Use one datagram that arrived at the wall's time `arrival_ns`, or count the reason; after `receive`."""
         if self._allow and sender not in self._allow:
             self.counters.not_allowed += 1
             return
@@ -177,16 +177,16 @@ class ReceivedPath(Trajectory):
         return self._poses.counters
 
     def pose(self, t_ns: int) -> Pose:
-        """Take in what has come and return the pose at `t_ns`."""
+        """Read the poses that have come and return the pose at `t_ns`."""
         self.receiver.receive(t_ns)
         return self._poses.pose(t_ns)
 
     def motion(self, t_ns: int) -> Motion:
-        """Return how it moves at `t_ns` by the poses that have come, see `LivePoses.motion`."""
+        """Return the motion at `t_ns` from the poses that have come, see `LivePoses.motion`."""
         return self._poses.motion(t_ns)
 
     def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
-        """Return both by the poses that have come."""
+        """Return both from the poses that have come."""
         return self._poses.pose_and_motion(t_ns)
 
     @property
@@ -207,7 +207,7 @@ def close_receivers(*paths: Trajectory) -> None:
             path.receiver.close()
 
 
-_TOLD = {
+_NAMES = {
     "late_pictures": "pictures with a late pose",
     "restarts": "restarts of a pose sender",
     "too_far_ahead": "poses too far ahead",
@@ -218,15 +218,15 @@ _TOLD = {
 
 
 def live_counts(*paths: Trajectory) -> dict[str, int]:
-    """Return the counts of all paths that are flown from outside, added up; empty where there is none."""
+    """Return the counts of all paths with poses from outside, added up; empty where there is none."""
     received = [path for path in paths if isinstance(path, ReceivedPath)]
     counters = [*(path.counters for path in received), *{path.receiver: None for path in received}]
     counts: dict[str, int] = {}
     for one in counters:
         values = vars(one.counters if isinstance(one, PoseReceiver) else one)
         for name, value in values.items():
-            told = _TOLD.get(name, f"poses {name}")
-            counts[told] = counts.get(told, 0) + int(value)
+            label = _NAMES.get(name, f"poses {name}")
+            counts[label] = counts.get(label, 0) + int(value)
     return counts
 
 

@@ -1,9 +1,7 @@
-"""Checks of sampled times, and instants between them.
-
-Bounds on speed and rate of turning, measured where no closed form gives them.
+"""Checks of sampled times, and bounds on speed and rate of turning, measured where no closed form gives them.
 
 Poses are taken at many instants, evenly spread. The bound is the largest difference quotient and a quarter more, for
-what lies between the instants. A path that is smooth between them (splines, orbits, spins) keeps it.
+the motion between the instants. A path that is smooth between them (splines, orbits, spins) keeps it.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ import msgspec
 from emulator.cli.run import summary
 from emulator.report.page import ChartsLacking
 from emulator.run.outcome import judge
-from emulator.run.report import Reported, write_report
+from emulator.run.report import ReportContent, write_report
 from evstim.testing.running_rig import RunningRig
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Part
@@ -31,9 +31,11 @@ def write_artefacts(rig: RunningRig, folder: Path) -> list[Path]:
     events, counts = _write_events(rig, folder), folder / "summary.json"
     results = msgspec.to_builtins(summary(rig.rig, rig.result))
     counts.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
-    reported = Reported(rig.rig, rig.result, rig.seen, judge(rig.rig.verdict, rig.result), results, version("evstim"))
+    content = ReportContent(
+        rig.rig, rig.result, rig.seen, judge(rig.rig.verdict, rig.result), results, version("evstim")
+    )
     try:
-        return [events, counts, *write_report(reported, folder)]
+        return [events, counts, *write_report(content, folder)]
     except ChartsLacking:
         return [events, counts]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from emulator.run.control import ask, sockets
+from emulator.run.control import send_request, sockets
 from tests.guest.attachment import Attachment
 from tests.guest.comparison import assert_same
 from tests.guest.environments import DRIVERS
@@ -29,7 +29,7 @@ def assert_all_seen(seen: Seen, rig: RunningRig) -> None:
 
 
 def stream_time_s() -> float:
-    return float(ask(sockets()[0], {"ask": "faults"})["t_s"])
+    return float(send_request(sockets()[0], {"ask": "faults"})["t_s"])
 
 
 def test_two_drivers_at_once_do_no_harm_to_the_next(

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from emulator.run.control import ask, sockets
+from emulator.run.control import send_request, sockets
 from firmware_protocol.events import Events
 from tests.guest.attachment import Attachment
 from tests.guest.environments import DRIVERS, Driver
@@ -68,7 +68,7 @@ def outcome(driver: Driver, seen: Seen, delivered: Events, fault: dict[str, obje
 
 def inject(name: str) -> None:
     """Ask the only run to let the fault begin."""
-    answer = ask(sockets()[0], {"ask": "inject", "fault": FAULTS[name]})
+    answer = send_request(sockets()[0], {"ask": "inject", "fault": FAULTS[name]})
     assert answer.get("link") == "usbip", answer
 
 

@@ -13,7 +13,7 @@ import threading
 
 import pytest
 
-from emulator.run.control import ControlSocket, ask
+from emulator.run.control import ControlSocket, send_request
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.usb.usbip import DeviceListRequest
 from transports.can_bus.kind import CanLink
@@ -164,7 +164,7 @@ def test_the_control_socket(tmp_path, monkeypatch):
 
         def keep_asking(flood):
             while not (flood.over and answers):
-                answers.append(ask(control.path, {"n": len(answers)})["n"])
+                answers.append(send_request(control.path, {"n": len(answers)})["n"])
 
         with Flood(connect) as flood:
             asking = threading.Thread(target=keep_asking, args=(flood,))

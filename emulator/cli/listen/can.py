@@ -9,7 +9,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.listen.reception import Limits, told, until
+from emulator.cli.listen.reception import Limits, report_problems, until
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, failures, prepared, print_json, status
 from emulator.cli.run_summary import quantile_text
 from emulator.rig.loading import Rig, load_rig
@@ -23,7 +23,7 @@ from transports.link.pacing import MonotonicClock
 __all__ = ["can", "dbc"]
 
 _NO_LIMITS = Limits()
-_GONE = "the bus went away, and the camera had not said by its heartbeat that it stopped: its run died"
+_GONE = "the bus went away, and the camera's heartbeat had not reported a stop: its run died"
 
 
 def can(
@@ -36,7 +36,7 @@ def can(
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Join the CAN bus of a rig, decode the telemetry of its camera, and count what is missing. Ctrl-C ends it.
+    """Join the CAN bus of a rig, decode the telemetry of its camera, and count the losses. Ctrl-C ends it.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def can(
     channel
         Channel of that interface. Default: the rig's.
     limits
-        When to stop, and the file for the received events.
+        Limits of the reception, and the file for the received events.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -66,7 +66,7 @@ def can(
         print_json({**dataclasses.asdict(reception), "problems": problems})
     else:
         _print(reception)
-    return told(problems, reception.faults)
+    return report_problems(problems, reception.faults)
 
 
 def dbc(
@@ -108,7 +108,7 @@ def _link(rig: Rig, name: str | None) -> CanLink:
 
 
 def _listen(parameters: CanLink, limits: Limits) -> tuple[CanReception, str]:
-    """Return what came, and why its record is not whole; empty where it is."""
+    """Return the reception, and the reason if its record is not complete, else ""."""
     prepared([DECODER])
     status.print(f"CAN bus {parameters.channel} by {parameters.interface}, {parameters.bitrate} bit/s")
     try:

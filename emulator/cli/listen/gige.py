@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.listen.reception import Limits, told, until
+from emulator.cli.listen.reception import Limits, report_problems, until
 from emulator.cli.output import LACKING, WRONG_USE, Failure, console, print_json, status
 from firmware_protocol.gige.gvsp import LEAST_PACKET, MOST_PACKET
 from transports.gige.host import GigeHost, GigeHostError, GigeReception, receive
@@ -27,7 +27,7 @@ def gige(
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Read a GigE Vision event camera, and count what is missing. Ctrl-C ends it.
+    """Read a GigE Vision event camera, and count the losses. Ctrl-C ends it.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def gige(
     packet_size
         Octets of a packet with the headers of IP and UDP: 576 to 9000, even; no more than the network's MTU.
     limits
-        When to stop, and the file for the received events.
+        Limits of the reception, and the file for the received events.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -54,13 +54,13 @@ def gige(
         console.print(
             f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
             f"digest {reception.digest:08x}, {reception.blocks_lost} blocks lost, "
-            f"{reception.packets_asked} packets asked for again"
+            f"{reception.packets_asked} packets requested again"
         )
-    return told(problems, reception.blocks_lost)
+    return report_problems(problems, reception.blocks_lost)
 
 
 def _receive(host: str, port: int, packet_size: int, limits: Limits) -> tuple[GigeReception, str]:
-    """Return what came, and why its record is not whole; empty where it is."""
+    """Return the reception, and the reason if its record is not complete, else ""."""
     clock = MonotonicClock()
     camera = GigeHost(host, port, now_ns=clock.now_ns)
     try:

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.listen.reception import Limits, Orders, print_reception, received, told
+from emulator.cli.listen.reception import Limits, TelecommandOptions, print_reception, received, report_problems
 from emulator.cli.output import WRONG_USE, Failure, print_json
 from transports.link.pacing import MonotonicClock
 from transports.network.datagrams import check_allow
@@ -45,7 +45,7 @@ class Line:
 
 
 _GONE = "the line went away before the reception was to end: it was unplugged, or the camera's run ended or died"
-_NO_LIMITS, _LINE, _NO_ORDERS = Limits(), Line(), Orders()
+_NO_LIMITS, _LINE, _NO_TELECOMMANDS = Limits(), Line(), TelecommandOptions()
 
 
 def serial(
@@ -53,11 +53,11 @@ def serial(
     /,
     *,
     line: Annotated[Line, Parameter(name="*")] = _LINE,
-    orders: Annotated[Orders, Parameter(name="*")] = _NO_ORDERS,
+    orders: Annotated[TelecommandOptions, Parameter(name="*")] = _NO_TELECOMMANDS,
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Read a camera on a serial line, decode its telemetry, and count what is missing. Ctrl-C ends it.
+    """Read a camera on a serial line, decode its telemetry, and count the losses. Ctrl-C ends it.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def serial(
     orders
         Telecommands to send.
     limits
-        When to stop, and the file for the received events.
+        Limits of the reception, and the file for the received events.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -88,10 +88,7 @@ def serial(
         print_json({**dataclasses.asdict(reception), "problems": problems})
     else:
         print_reception(reception)
-    return told(problems, reception.faults)
-
-
-_NO_LIMITS_UDP, _NO_ORDERS_UDP = Limits(), Orders()
+    return report_problems(problems, reception.faults)
 
 
 def udp(
@@ -100,11 +97,11 @@ def udp(
     *,
     camera: str = "127.0.0.1:10025",
     allow: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    orders: Annotated[Orders, Parameter(name="*")] = _NO_ORDERS_UDP,
-    limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS_UDP,
+    orders: Annotated[TelecommandOptions, Parameter(name="*")] = _NO_TELECOMMANDS,
+    limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Read a camera whose packets come in UDP datagrams, and count what is missing. Ctrl-C ends it.
+    """Read a camera whose packets come in UDP datagrams, and count the losses. Ctrl-C ends it.
 
     Parameters
     ----------
@@ -117,7 +114,7 @@ def udp(
     orders
         Telecommands to send.
     limits
-        When to stop, and the file for the received events.
+        Limits of the reception, and the file for the received events.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -137,7 +134,7 @@ def udp(
         print_json({**dataclasses.asdict(reception), "problems": problems})
     else:
         print_reception(reception)
-    return told(problems, reception.faults)
+    return report_problems(problems, reception.faults)
 
 
 def _address(text: str) -> tuple[str, int]:

@@ -1,6 +1,6 @@
-"""Limits of a reception, and the event rate shown meanwhile; the same for all kinds of link.
+"""Limits, progress and summary of a reception, for all kinds of link.
 
-Telecommands of listeners of an instrument, and how what came is told: on a serial line and in datagrams.
+Listeners of an instrument, on a serial line or in datagrams, also have telecommand options.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from firmware_protocol.packets.telecommands import (
 from transports.link.reception import Reception
 from transports.recording.record import Recorder
 
-__all__ = ["Limits", "Orders", "Progress", "print_reception", "received", "told", "until"]
+__all__ = ["Limits", "Progress", "TelecommandOptions", "print_reception", "received", "report_problems", "until"]
 
 
 _LINE_PERIOD_S = 1.0
@@ -52,7 +52,7 @@ class Progress(Protocol):
 
 @dataclass(frozen=True)
 class Limits:
-    """When to stop, and the file for the received events.
+    """Limits of a reception, and the file for the received events.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Limits:
 
     @contextmanager
     def recorder(self) -> Iterator[Recorder | None]:
-        """Give the recorder, and close it after the reception; raises Failure when it cannot be opened."""
+        """Yield the recorder, and close it after the reception; raises Failure when it cannot be opened."""
         try:
             recorder = None if self.record is None else Recorder(self.record)
         except OSError as error:
@@ -86,8 +86,8 @@ class Limits:
                 recorder.close()
 
 
-def told(problems: list[str], faults: int) -> int:
-    """Tell the problems of a reception on stderr, a line each, and return the exit code."""
+def report_problems(problems: list[str], faults: int) -> int:
+    """Print the problems of a reception on stderr, a line each, and return the exit code."""
     for problem in problems:
         status.print(f"evstim: {problem}", markup=False)
     return BAD_VERDICT if problems or faults else GOOD
@@ -118,7 +118,7 @@ def until(limits: Limits) -> Callable[[Progress], bool]:
 
 
 @dataclass(frozen=True)
-class Orders:
+class TelecommandOptions:
     """Telecommands sent once, when the link is open, in this order.
 
     Attributes
@@ -136,9 +136,9 @@ class Orders:
     stop
         Stop sending events.
     ping
-        Ask for a sign of life.
+        Request a sign of life.
     housekeeping
-        Ask for a housekeeping report now.
+        Request a housekeeping report now.
     """
 
     set_time: Annotated[bool, Parameter(negative="")] = False
@@ -168,7 +168,7 @@ class Orders:
 def received(
     listen: Callable[[Callable[[Reception], bool], Recorder | None], Reception], limits: Limits
 ) -> tuple[Reception, str]:
-    """Return what came, and why its record is not whole; empty where it is. Answers are printed as they come."""
+    """Return the reception, and the reason if its record is not complete, else ""; print answers as they come."""
     prepared([DECODER])
     goes_on = until(limits)
     answers = 0
@@ -189,7 +189,7 @@ def received(
 
 
 def print_reception(reception: Reception) -> None:
-    """Print what came, for people."""
+    """Print a reception, for people."""
     console.print(
         f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
         f"digest {reception.digest:08x}{', the other side closed the line' if reception.gone else ''}"

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.listen.reception import Limits, told, until
+from emulator.cli.listen.reception import Limits, report_problems, until
 from emulator.cli.output import LACKING, WRONG_USE, Failure, console, print_json, status
 from transports.link.pacing import MonotonicClock
 from transports.usb.cameras import CameraHost, Reception, driver_of, first_on_the_bus, receive
@@ -27,7 +27,7 @@ def listen(
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Read a DAVIS346 or an EVK4, real or emulated, and count what arrives. Ctrl-C ends it.
+    """Read a DAVIS346 or an EVK4, real or emulated, and count the received data. Ctrl-C ends it.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def listen(
     busid
         Bus id of the camera on that server.
     limits
-        When to stop, and where to keep what came.
+        Limits of the reception, and the file for the received events.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -56,7 +56,7 @@ def listen(
             f"digest {reception.digest:08x}, {reception.faults} malformed words"
             f"{', the camera was unplugged' if reception.gone else ''}"
         )
-    return told(problems, reception.faults)
+    return report_problems(problems, reception.faults)
 
 
 def _host(usbip: str | None, busid: str) -> UsbHost:
@@ -69,7 +69,7 @@ def _host(usbip: str | None, busid: str) -> UsbHost:
 
 
 def _receive(camera: CameraHost, limits: Limits) -> tuple[Reception, str]:
-    """Return what came, and why its record is not whole; empty where it is."""
+    """Return the reception, and the reason if its record is not complete, else ""."""
     try:
         with limits.recorder() as recorder:
             reception = receive(camera, until(limits), MonotonicClock(), recorder)

@@ -13,8 +13,8 @@ __all__ = ["verbs"]
 
 def _listeners() -> dict[str, Listener]:
     """Return the listeners of all kinds of links by verb; where two have the same verb, that of the first."""
-    told = [kind.listener for kind in LINKS.usable().values() if kind.listener is not None]
-    return {one.verb: one for one in reversed(told)}
+    listeners = [kind.listener for kind in LINKS.usable().values() if kind.listener is not None]
+    return {one.verb: one for one in reversed(listeners)}
 
 
 verbs = App(name="listen")

@@ -1,1 +1,1 @@
-"""Truth beside events: what was true while a run's events were made, in one HDF5 file."""
+"""Truth beside the events of a run, in one HDF5 file: light, depth, flow, poses, labels, origins, clean events."""

@@ -5,12 +5,12 @@
                                       and, where the scene is seen through a lens: focal_px, centre_px,
                                       distortion (k1 k2 p1 p2 k3), radiance_per_light
     /labels/name        (b + 1,) text               name of each label; 0 is "sky"
-    /poses/t            (m,) f8, us                 every picture of the run
+    /poses/t            (m,) f8, us                 every light frame of the run
           /camera_position_m            (m, 3) f8         in the world
           /camera_q_world_from_camera   (m, 4) f8         scalar first; camera axes x right, y down, z out
           /bodies_position_m            (m, b, 3) f8      body k - 1 has label k
           /bodies_q_world_from_body     (m, b, 4) f8
-    /pictures/t         (n,) f8, us                 every picture, or every n-th
+    /pictures/t         (n,) f8, us                 every light frame, or every n-th
              /light     (n, height, width) f4       what the sensor gets, linear, 1 at the sensor's reference
              /depth     (n, height, width) f4, m    along the boresight (z); inf: sky
              /flow      (n, height, width, 2) f4    px/s to the right and down, of the point at the pixel's middle
@@ -22,25 +22,21 @@
            /label       (e,) u2                     of its pixel in the nearest of /pictures, before or after it
     /clean_events/t  /x  /y  /p  /label             of an ideal sensor of the same thresholds on the same light
 
-All times are microseconds of stream time: the camera's own time where its clock has no error and nobody resets it.
+All times are microseconds of stream time: the camera's own time where its clock has no error and is not reset.
 The world is right-handed, in metres; q_world_from_x turns coordinates along the axes of x into those along the world's.
-What a scene does not know has no data set, and `absent` tells why. While it is written, and after its writer was
-killed, the file opens as h5py.File(path, swmr=True).
+Quantities that a scene does not have are no data set, and `absent` contains the reason. While it is written, and after
+its writer was killed, the file opens as h5py.File(path, swmr=True).
 
-Arrays on the pipe to the process that writes a truth file: a length, a line of JSON with their shapes, their bytes.
-
-A message is a mapping of data sets to rows that are added to them; that of the length 0 ends the file in good order.
-
-A truth file as it is written: rows go through a pipe to a process that compresses them and waits for the disk.
+Rows go through a pipe to a process that compresses them and waits for the disk:
 
     run --put--> queue --thread--> pipe --> writer process --> file
 
-The queue is bounded. A run that is not paced waits for room; in one that is, rows that find none are left out of the
-file and counted.
+A message on the pipe is a mapping of data sets to rows that are added to them: a length, a line of JSON with the shapes
+of the arrays, their bytes. A message of length 0 ends the file. The queue is bounded. A run that is not paced waits for
+room; in one that is, rows without room are left out of the file and counted.
 
-What a truth file holds, for `evstim info`: read by a child process with bounds on memory and time.
-
-HDF5 answers a damaged file with whatever it runs into, so it is not opened in the process that asks.
+`evstim info` reads a truth file in a child process with bounds on memory and time, because HDF5 may crash on a damaged
+file.
 """
 
 from __future__ import annotations
@@ -94,13 +90,13 @@ _EVENTS = {"t": "<u8", "x": "<u2", "y": "<u2", "p": "u1"}
 
 @dataclass(frozen=True)
 class About:
-    """What a truth file says of its run.
+    """Description of the run in a truth file.
 
     Attributes
     ----------
     size : (width, height).
     names : of the labels from 1 on.
-    gives : which of "poses", "depth", "flow", "labels" the scene knows.
+    gives : which of "poses", "depth", "flow", "labels" the scene has.
     facts : attributes of the file.
     """
 
@@ -158,7 +154,7 @@ def _events(file: h5py.File, about: About) -> None:
 
 
 def _rows(file: h5py.File, name: str, shape: tuple[int, ...], kind: Any, unit: str = "") -> None:
-    """Make a data set of rows of this shape that grows; a large picture is a chunk of its own."""
+    """Make a data set of rows of this shape that grows; a large light frame is a chunk of its own."""
     chunk = max(1, _CHUNK_BYTES // (math.prod(shape) * np.dtype(kind).itemsize))
     data = file.create_dataset(name, (0, *shape), kind, maxshape=(None, *shape), chunks=(chunk, *shape), **_PACKED)
     if unit:
@@ -183,14 +179,14 @@ def encoded(rows: Rows) -> bytes:
 def decoded(read: Callable[[int], bytes]) -> dict[str, npt.NDArray[Any]] | None:
     """Return the next message of `read`, which gives that many bytes; None at the end of its input.
 
-    Raises ValueError for what is no message.
+    Raises ValueError for other bytes.
     """
     head = read(_HEAD.size)
     if len(head) < _HEAD.size:
         return None
     (length,) = _HEAD.unpack(head)
     if length > _MOST_HEAD_BYTES:
-        raise ValueError("the other process sends what is no truth")
+        raise ValueError("the other process sends no truth")
     rows = {}
     for name, kind, shape in json.loads(read(length)):
         dtype = np.dtype(kind)
@@ -230,16 +226,16 @@ class TruthRecorder:
         self._changed = threading.Condition()
         self._ending = self._broken = False
         self._process = _started(path, about)
-        told = self._hear()
-        if "opened" not in told:
-            self._let_go()
-            raise OSError(0, told.get("error", f"its writer ended (exit code {self._process.returncode})"), str(path))
+        report = self._read_report()
+        if "opened" not in report:
+            self._close_pipes()
+            raise OSError(0, report.get("error", f"its writer ended (exit code {self._process.returncode})"), str(path))
         self._thread = threading.Thread(target=self._send_all, name="truth", daemon=True)
         self._thread.start()
 
     @property
     def trouble(self) -> str:
-        """Why the file is not whole, for people; empty where it is."""
+        """Reason why the file is not complete, for people; "" where it is."""
         if self._why:
             return f"truth stopped: {self._why} ({self.path})"
         if self.missing_pictures or self.missing_events:
@@ -260,7 +256,7 @@ class TruthRecorder:
             self._queue(data)
 
     def close(self) -> None:
-        """Let the writer finish the file, and hear its report; a second call does nothing."""
+        """Wait for the writer to finish the file, and receive its report; a second call does nothing."""
         if self._ending:
             return
         facts = {"missing_pictures": self.missing_pictures, "missing_events": self.missing_events}
@@ -282,7 +278,7 @@ class TruthRecorder:
         self._changed.notify_all()
 
     def _send_all(self) -> None:
-        """Send what waits until the end, and then hear the report; in the thread."""
+        """Send the queue until the end, and then receive the report; in the thread."""
         try:
             while data := self._next():
                 _write(self._process.stdin.fileno(), data)  # type: ignore[union-attr]
@@ -293,27 +289,27 @@ class TruthRecorder:
             pass
         with suppress(OSError):
             self._process.stdin.close()  # type: ignore[union-attr]
-        why = self._hear().get("trouble", "its writer was killed")
+        why = self._read_report().get("trouble", "its writer was killed")
         with self._changed:
             self._broken, self._why = True, why
             self._changed.notify_all()
-        self._let_go()
+        self._close_pipes()
 
     def _next(self) -> bytes:
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._ending)
             return self._waiting.popleft() if self._waiting else b""
 
-    def _hear(self) -> dict[str, Any]:
+    def _read_report(self) -> dict[str, Any]:
         """Return the writer's next line, {} where it ended without one."""
         line = self._process.stdout.readline() if self._process.stdout else b""
         try:
-            told: dict[str, Any] = json.loads(line)
+            report: dict[str, Any] = json.loads(line)
         except ValueError:
             return {}
-        return told
+        return report
 
-    def _let_go(self) -> None:
+    def _close_pipes(self) -> None:
         with suppress(OSError):
             self._process.stdin.close()  # type: ignore[union-attr]
         self._process.stdout.close()  # type: ignore[union-attr]
@@ -353,21 +349,21 @@ def is_hdf5(path: Path) -> bool:
 
 
 def truth_in(path: Path) -> dict[str, Any] | None:
-    """Return what a truth file holds; None where it is none, or cannot be read."""
+    """Return the content of a truth file; None where it is none, or cannot be read."""
     if not path.is_file() or not is_hdf5(path):
         return None
     done = subprocess.run(
         [sys.executable, "-P", "-c", _START_SURVEY, str(path), json.dumps(sys.path)], capture_output=True, check=False
     )
     try:
-        told: dict[str, Any] | None = json.loads(done.stdout)
+        report: dict[str, Any] | None = json.loads(done.stdout)
     except ValueError:
         return None
-    return told
+    return report
 
 
 def main() -> None:
-    """Print as JSON what the file of the first argument holds; null where it is no truth file."""
+    """Print the content of the file of the first argument as JSON; null where it is no truth file."""
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CPU, (_CPU_S, _CPU_S))
     sys.stdout.write(json.dumps(_survey(Path(sys.argv[1]))))

@@ -1,14 +1,11 @@
-"""A run's sensor with the truth beside it: it gives the events of the sensor, and writes down what was true of them.
+"""Sensor of a run that also records the truth of its events, for `--truth FILE.h5`.
 
     light --+--> traced sensor ----> events, origins --+
             +--> ideal sensor -----> clean events -----+--> recorder
     scene ----> poses, depth, flow, labels ------------+
 
-The run sees a source of events like any other: without truth nothing of this exists.
-
-Whether there can be truth of a run; asked before anything is opened.
-
-`--truth FILE.h5`: from a rig to its truth file.
+For the run it is a source of events like any other. `check_truth` decides before anything is opened whether there can
+be truth of a run.
 """
 
 from __future__ import annotations
@@ -44,7 +41,7 @@ from transports.needs import install_command
 __all__ = ["SUFFIXES", "TruthFile", "TruthRefused", "TruthSource", "check_truth", "ideal_of"]
 
 
-_CLEAN = ("threshold_on", "threshold_off")  # what may change while the clean sensor runs
+_CLEAN = ("threshold_on", "threshold_off")  # parameters that may change while the clean sensor runs
 
 
 def ideal_of(parameters: SensorParameters) -> SensorParameters:
@@ -61,13 +58,13 @@ def ideal_of(parameters: SensorParameters) -> SensorParameters:
 
 
 class TruthSource:
-    """The events of `sensor`, an `EventSource`; what was true of them goes to `recorder`.
+    """Source of the events of `sensor`, an `EventSource`; their truth goes to `recorder`.
 
     Parameters
     ----------
     clean : the ideal sensor.
     geometry : of the scene; None where it has none.
-    every : depth, flow, labels and light are written of every n-th picture.
+    every : depth, flow, labels and light are written of every n-th light frame.
     """
 
     def __init__(
@@ -90,36 +87,36 @@ class TruthSource:
 
     @property
     def raised(self) -> int:
-        """Of the sensor."""
+        """Count of `sensor`."""
         return self._sensor.raised
 
     @property
     def lost_in_pixel(self) -> int:
-        """Of the sensor."""
+        """Count of `sensor`."""
         return self._sensor.lost_in_pixel
 
     @property
     def lost_at_readout(self) -> int:
-        """Of the sensor."""
+        """Count of `sensor`."""
         return self._sensor.lost_at_readout
 
     @property
     def read_out(self) -> int:
-        """Of the sensor."""
+        """Count of `sensor`."""
         return self._sensor.read_out
 
     @property
     def undersampled_share(self) -> float | None:
-        """Of the sensor."""
+        """Share of `sensor`."""
         return self._sensor.undersampled_share
 
     @property
     def adjustable(self) -> dict[str, float]:
-        """Of the sensor."""
+        """Parameters of `sensor` that can change."""
         return self._sensor.adjustable
 
     def adjust(self, name: str, value: float) -> None:
-        """Set a figure of the sensor, and a threshold of the clean one too."""
+        """Set a parameter of the sensor, and a threshold of the clean one too."""
         self._sensor.adjust(name, value)
         if name in _CLEAN:
             self._clean.adjust(name, value)
@@ -147,7 +144,7 @@ class TruthSource:
         return events
 
     def finish(self) -> Events:
-        """Return the events that have not left yet; what waits for a later picture has the labels of the last one."""
+        """Return the events that have not left yet; events that wait for a later frame have the last frame's labels."""
         events = self._sensor.finish()
         self._events.add(events, self._sensor.origins)
         self._clean_events.add(self._clean.finish())
@@ -187,7 +184,7 @@ class TruthSource:
         return rows | self._event_rows(t_ns / 1000, self._seen.labels)
 
     def _event_rows(self, t_us: float, labels: npt.NDArray[np.uint16]) -> dict[str, Any]:
-        """Return the events before `t_us`, each with its label in the nearer picture, and take over the new labels."""
+        """Return the events before `t_us`, each with its label in the nearer frame, and store the new labels."""
         middle_us = (self._labelled_us + t_us) / 2 if math.isfinite(t_us) else math.inf
         pictures = (self._labels, labels, middle_us) if "labels" in self._gives else None
         rows = self._events.rows(pictures) | self._clean_events.rows(pictures)
@@ -199,7 +196,7 @@ _Pictures = tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint16], float]
 
 
 class _Queue:
-    """Events that wait for the labels of the picture behind them."""
+    """Events that wait for the labels of the next light frame."""
 
     def __init__(self, group: str) -> None:
         self._group = group
@@ -213,7 +210,7 @@ class _Queue:
             self._origins += [] if origins is None else [origins]
 
     def rows(self, pictures: _Pictures | None) -> dict[str, Any]:
-        """Return and forget them; `pictures`: labels before and after, and the time from which on those after hold."""
+        """Return and remove them; `pictures`: labels before and after, and the time from which the latter hold."""
         if not self._events:
             return {}
         events, group = join_events(self._events), self._group
@@ -233,7 +230,7 @@ SUFFIXES = (".h5", ".hdf5")
 
 
 class TruthRefused(ValueError):
-    """There can be no truth of this run; the message says why."""
+    """There can be no truth of this run; the message contains the reason."""
 
 
 def check_truth(rig: Rig, path: Path, every: int = 1) -> None:
@@ -243,14 +240,14 @@ def check_truth(rig: Rig, path: Path, every: int = 1) -> None:
     if every < 1:
         raise TruthRefused(f"every {every}th picture: it must be 1 or more")
     if SCENES[rig.scene.kind].events:
-        raise TruthRefused(f"a {rig.scene.kind} plays events that exist already: nothing is known of what raised them")
+        raise TruthRefused(f"a {rig.scene.kind} plays events that exist already: their origin is not known")
     if find_spec("h5py") is None:
         raise ImportError(f"it needs h5py: {install_command('files')}")
 
 
 _ABSENT = {
     "checkerboard": "depth and poses: a pattern on the chip has no distance and no place",
-    "video": "depth, flow, labels and poses: a video does not tell them",
+    "video": "depth, flow, labels and poses: a video does not contain them",
 }
 
 
@@ -259,11 +256,11 @@ class TruthFile:
 
     Parameters
     ----------
-    every : depth, flow, labels and light are written of every n-th picture.
+    every : depth, flow, labels and light are written of every n-th light frame.
 
     Attributes
     ----------
-    trouble : why the file is not whole, for people; "" where it is. Known after `close`.
+    trouble : reason why the file is not complete, for people; "" where it is. Valid after `close`.
     """
 
     def __init__(self, rig: Rig, path: Path, every: int = 1) -> None:
@@ -297,7 +294,7 @@ class TruthFile:
 
 
 def _about(rig: Rig, geometry: SceneGeometry | None) -> About:
-    """Return what the file says of the run."""
+    """Return the description of the run in the file."""
     camera, paced = rig.camera, rig.run.pace == "realtime"
     width, height = camera.size
     facts: dict[str, Any] = {

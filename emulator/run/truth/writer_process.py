@@ -29,28 +29,28 @@ _FLUSH_S = 0.5
 
 
 def main() -> NoReturn:
-    """Write what comes on stdin to the file of the order, the first argument."""
+    """Write the messages on stdin to the file that the first argument describes."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     order = json.loads(sys.argv[1])
     try:
         file = create(Path(order["path"]), About(tuple(order["size"]), order["names"], order["gives"], order["facts"]))
     except BaseException as error:  # noqa: BLE001 a library may raise anything
-        _tell(error=reason(error))
+        _report(error=reason(error))
         _leave()
-    _tell(opened=True)
-    _tell(trouble=_written(file, Path(order["path"])))
+    _report(opened=True)
+    _report(trouble=_written(file, Path(order["path"])))
     _leave()
 
 
 def _leave() -> NoReturn:
-    """End without the library's own end, which tries once more to write what could not be written."""
+    """Exit without the library's clean-up, which would try to write the failed data once more."""
     sys.stderr.flush()
     os._exit(0)
 
 
 def _written(file: h5py.File, path: Path) -> str:
-    """Write all that comes; return why the file is not whole, "" where it is."""
+    """Write all messages; return the reason why the file is not complete, "" where it is."""
     try:
         facts = _write_all(file)
         file.close()
@@ -58,14 +58,14 @@ def _written(file: h5py.File, path: Path) -> str:
             closed.attrs.update(facts)
     except BaseException as error:  # noqa: BLE001
         trouble = reason(error)
-        with suppress(BaseException):  # the first reason is told
+        with suppress(BaseException):  # the first reason is reported
             file.close()
         return trouble
     return ""
 
 
 def _write_all(file: h5py.File) -> dict[str, Any]:
-    """Add all rows that come; return the attributes that came with the last of them."""
+    """Add all rows; return the attributes of the last message."""
     facts, flushed_s = {}, time.monotonic()
     while (rows := decoded(sys.stdin.buffer.read)) is not None:
         for name, values in rows.items():
@@ -85,9 +85,9 @@ def _add(data: h5py.Dataset, values: Any) -> None:
     data[before:] = values
 
 
-def _tell(**told: Any) -> None:
-    with suppress(OSError):  # nobody is there to hear it
-        os.write(1, json.dumps(told).encode() + b"\n")
+def _report(**facts: Any) -> None:
+    with suppress(OSError):  # the reader has ended
+        os.write(1, json.dumps(facts).encode() + b"\n")
 
 
 if __name__ == "__main__":

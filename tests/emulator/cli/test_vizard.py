@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "firmware_protocol" / "vizard
 from wire_writer import update
 
 from emulator.cli.output import Failure
-from emulator.cli.vizard import Meeting, vizard
+from emulator.cli.vizard import ConnectionOptions, vizard
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 
@@ -136,8 +136,8 @@ def test_a_second_camera_that_is_not_there_or_goes_is_told(tmp_path):
             ask.leave()
             code, told, _ = ended(first)
         assert (code, told["problems"]) == (1, [f"the visualiser at {at} has gone"])
-        with pytest.raises(Failure, match=f"nobody listens on {at}: Connection refused; start it first"):
-            vizard(str(tmp_path / "rig.toml"), meeting=Meeting("127.0.0.1:0", forward=at))
+        with pytest.raises(Failure, match=f"no program listens on {at}: Connection refused; start it first"):
+            vizard(str(tmp_path / "rig.toml"), connection=ConnectionOptions("127.0.0.1:0", forward=at))
 
 
 def test_one_that_ends_too_soon_makes_the_run_bad(tmp_path):
@@ -177,20 +177,20 @@ def test_no_update_at_all_is_a_bad_run(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("meeting", "why"),
+    ("connection", "why"),
     [
-        (Meeting("5556"), "is not HOST:PORT"),
-        (Meeting("127.0.0.1:99999"), "is not HOST:PORT"),
-        (Meeting("0.0.0.0:5556"), "can be reached from other machines"),
-        (Meeting(allow=("everyone",)), "neither an address nor a network"),
-        (Meeting(white=0.0), "must be above 0"),
-        (Meeting(white=float("nan")), "must be above 0"),
+        (ConnectionOptions("5556"), "is not HOST:PORT"),
+        (ConnectionOptions("127.0.0.1:99999"), "is not HOST:PORT"),
+        (ConnectionOptions("0.0.0.0:5556"), "can be reached from other machines"),
+        (ConnectionOptions(allow=("everyone",)), "neither an address nor a network"),
+        (ConnectionOptions(white=0.0), "must be above 0"),
+        (ConnectionOptions(white=float("nan")), "must be above 0"),
     ],
 )
-def test_options_that_cannot_be_are_named(meeting, why, tmp_path):
+def test_options_that_cannot_be_are_named(connection, why, tmp_path):
     (tmp_path / "rig.toml").write_text(RIG)
     with pytest.raises(Failure, match=why):
-        vizard(str(tmp_path / "rig.toml"), meeting=meeting)
+        vizard(str(tmp_path / "rig.toml"), connection=connection)
 
 
 def test_a_rig_without_such_a_path_is_refused():

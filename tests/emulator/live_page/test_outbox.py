@@ -14,11 +14,11 @@ def pipe():
         yield ours, theirs
 
 
-def _fill(outbox, heard=0):
+def _fill(outbox, commands_done=0):
     """Put messages until the pipe takes no more; return how many it took."""
     for number in range(10_000):
         outbox.put({"number": number, "text": "x" * 1000})
-        outbox.flush(heard)
+        outbox.flush(commands_done)
         if outbox.waits:
             return number
     raise AssertionError("the pipe has no end")
@@ -36,8 +36,12 @@ def test_messages_and_the_number_heard_arrive_in_order(pipe):
     outbox.put({"number": 1})
     outbox.renew({"status": 1})
     outbox.put({"number": 2})
-    outbox.flush(heard=5)
-    assert _received(pipe[1]) == [{"number": 1, "heard": 5}, {"number": 2, "heard": 5}, {"status": 1, "heard": 5}]
+    outbox.flush(commands_done=5)
+    assert _received(pipe[1]) == [
+        {"number": 1, "commands_done": 5},
+        {"number": 2, "commands_done": 5},
+        {"status": 1, "commands_done": 5},
+    ]
     assert not outbox.waits
 
 
@@ -47,13 +51,13 @@ def test_what_a_slow_page_has_not_taken_is_sent_later_and_nothing_blocks(pipe):
     outbox.put({"number": taken + 1})
     for status in range(3):
         outbox.renew({"status": status})
-    outbox.flush(heard=7)
+    outbox.flush(commands_done=7)
     assert outbox.waits
     found = _received(pipe[1])
-    outbox.flush(heard=7)
+    outbox.flush(commands_done=7)
     found += _received(pipe[1])
     assert [message["number"] for message in found[:-1]] == list(range(taken + 2))
-    assert found[-1] == {"status": 2, "heard": 7}
+    assert found[-1] == {"status": 2, "commands_done": 7}
 
 
 def test_of_very_many_messages_the_newest_wait(pipe):
@@ -62,7 +66,7 @@ def test_of_very_many_messages_the_newest_wait(pipe):
     for number in range(first + 1, first + 1000):
         outbox.put({"number": number})
     _received(pipe[1])
-    outbox.flush(heard=0)
+    outbox.flush(commands_done=0)
     assert [message["number"] for message in _received(pipe[1])] == list(range(first + 1000 - 64, first + 1000))
 
 
@@ -71,4 +75,4 @@ def test_a_page_that_has_died_is_told_by_an_error(pipe):
     pipe[1].close()
     outbox.put({"number": 1})
     with pytest.raises(OSError, match=r"[Bb]roken pipe"):
-        outbox.flush(heard=0)
+        outbox.flush(commands_done=0)

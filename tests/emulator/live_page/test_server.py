@@ -148,7 +148,7 @@ def test_viewers_see_the_events_and_the_light():
             assert picture.light.shape == _SIZE[::-1]
             assert (picture.last[0, :5] > 0).all()
             assert not picture.last[1:].any()
-        page.pipe.send({"kind": "status", "t_s": 1.5, "heard": 0})
+        page.pipe.send({"kind": "status", "t_s": 1.5, "commands_done": 0})
         for client in (one, other):
             while (message := _text(client))["kind"] != "status":
                 pass
@@ -161,8 +161,8 @@ def test_a_command_reaches_the_session_and_its_answer_the_one_who_asked():
         assert page.pipe.poll(_PATIENCE_S)
         viewer, command = page.pipe.recv()
         assert command == {"do": "adjust", "name": "leak_hz", "value": 2.0}
-        page.pipe.send({"kind": "answer", "viewer": viewer, "did": "so", "heard": 1})
-        page.pipe.send({"kind": "state", "paused": False, "heard": 1})
+        page.pipe.send({"kind": "answer", "viewer": viewer, "did": "so", "commands_done": 1})
+        page.pipe.send({"kind": "state", "paused": False, "commands_done": 1})
         assert [_text(one)["kind"] for _ in range(2)] == ["about", "state"]
         assert [_text(other)["kind"] for _ in range(3)] == ["about", "answer", "state"]
 

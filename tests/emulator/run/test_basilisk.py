@@ -92,7 +92,7 @@ def run(peer, *, seconds=None, step_ms=10, stop_after=None):
     path, clock = SimulatedPath(STILL), FakeClock()
     scene, simulation = Seen(path), None
     simulation = BasiliskRun(
-        peer, [ConnectedPath(camera=1, flown=path)], lambda light: b"png" + bytes(light[0, :1]), clock
+        peer, [ConnectedPath(camera=1, simulated=path)], lambda light: b"png" + bytes(light[0, :1]), clock
     )
     session = Session(SceneFrames(scene, with_rate=False), Sensor(SENSOR, 1), FixedSteps(step_ms * MS), [], clock)
 
@@ -130,7 +130,7 @@ def test_an_update_is_answered_when_its_last_picture_is_drawn():
     path, clock = SimulatedPath(STILL), FakeClock()
     scene = Seen(path)
     peer.send = lambda parts: (drawn_at_reply.append(scene.drawn[-1][0]), send(parts))
-    simulation = BasiliskRun(peer, [ConnectedPath(camera=1, flown=path)], lambda light: b"", clock)
+    simulation = BasiliskRun(peer, [ConnectedPath(camera=1, simulated=path)], lambda light: b"", clock)
     session = Session(SceneFrames(scene, with_rate=False), Sensor(SENSOR, 1), FixedSteps(10 * MS), [], clock)
     session.run(Schedule(paced=False, simulation=simulation))
     assert drawn_at_reply == [0, 30]
@@ -166,7 +166,7 @@ def test_what_cannot_be_used_is_refused_and_the_run_goes_on(request_, why):
 
 def test_the_time_from_an_update_to_its_first_event_is_measured():
     clock, path = FakeClock(), SimulatedPath(STILL)
-    simulation = BasiliskRun(Peer(state(0)), [ConnectedPath(camera=1, flown=path)], lambda light: b"", clock)
+    simulation = BasiliskRun(Peer(state(0)), [ConnectedPath(camera=1, simulated=path)], lambda light: b"", clock)
     some = np.zeros(1, EVENT)
     simulation.take(some)  # before any update
     simulation.begin(lambda: None, lambda: True)
@@ -222,7 +222,7 @@ def test_the_paths_of_a_rig_are_connected_wherever_they_are():
     assert [(path.camera, path.body) for path in paths] == [(3, ""), (None, "moon")]
     assert rig.scene.camera is paths[0]
     assert rig.scene.bodies[0].path is paths[1]
-    assert paths[1].flown.pose(0).position_m[2] == 9.0
+    assert paths[1].simulated.pose(0).position_m[2] == 9.0
     assert rig.run.pace == "free"
 
 

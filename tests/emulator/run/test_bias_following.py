@@ -88,7 +88,7 @@ def test_the_biases_of_several_links_have_one_bound(factor, bound, caplog):
     for link in ("usbip", "serial", "can"):
         following.follow({link: report(threshold_on=factor)})
     assert sensor.adjustable["threshold_on"] == pytest.approx(0.2 * bound)
-    assert f"kept at {bound:g}" in caplog.text
+    assert f"limited to {bound:g}" in caplog.text
     following.follow({"serial": report(threshold_on=1.0)})
     following.follow({"can": report()})
     assert sensor.adjustable["threshold_on"] == pytest.approx(0.2 * factor)

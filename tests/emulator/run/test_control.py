@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from emulator.run.control import ControlSocket, ask, sockets
+from emulator.run.control import ControlSocket, send_request, sockets
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def heard(message):
 def asked(control, answer=heard):
     """Ask as `evstim fault` does while the session looks at its socket."""
     told = []
-    asking = threading.Thread(target=lambda: told.append(ask(control.path, {"ask": "faults"})))
+    asking = threading.Thread(target=lambda: told.append(send_request(control.path, {"ask": "faults"})))
     asking.start()
     while asking.is_alive():
         control.poll(answer)
@@ -158,5 +158,5 @@ def test_who_had_to_make_way_before_its_line_was_read_asks_again(tmp_path):
 
         other = threading.Thread(target=turn_one_away_then_answer)
         other.start()
-        assert ask(path, {"n": 1}) == {"n": 1}
+        assert send_request(path, {"n": 1}) == {"n": 1}
         other.join()

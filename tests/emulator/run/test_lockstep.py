@@ -75,7 +75,7 @@ def test_each_sync_is_worth_one_period():
     assert lockstep.wait(0, lambda: True) == PERIOD_NS
     assert lockstep.wait(PERIOD_NS - 1, lambda: True) == PERIOD_NS
     assert lockstep.wait(2 * PERIOD_NS, lambda: True) == 3 * PERIOD_NS
-    assert lockstep.heard == 3
+    assert lockstep.received == 3
 
 
 def test_waiting_ends_when_the_run_does():

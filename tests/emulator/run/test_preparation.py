@@ -11,7 +11,7 @@ import pytest
 
 from emulator.rig.loading import load_rig, shipped_rigs
 from emulator.run import kernels as preparation
-from emulator.run.kernels import ACTIVITY_FILTER, DECODER, EVT, Part, cold, parts_of, prepare
+from emulator.run.kernels import ACTIVITY_FILTER, DECODER, EVT, Part, parts_of, prepare, uncompiled
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def test_what_fails_is_named_and_holds_nothing_up(notes):
 def test_parts_whose_note_is_there_are_not_cold(notes):
     part, other = Part("one", 1.0, os.getpid), Part("one", 1.0, os.getpid, "of another kind")
     preparation._note(part).touch()
-    assert cold([part, other]) == [other]
+    assert uncompiled([part, other]) == [other]
 
 
 @pytest.mark.parametrize("name", shipped_rigs())
@@ -76,7 +76,7 @@ import json, sys
 from numba.core import event
 from emulator.rig.loading import load_rig
 from emulator.run.kernels import CODER, DECODER, EVT, parts_of
-from emulator.run.kernels import cold, prepare
+from emulator.run.kernels import uncompiled, prepare
 
 if __name__ == "__main__":
     rig = load_rig(sys.argv[1])
@@ -100,7 +100,7 @@ if __name__ == "__main__":
     DECODER.compile()
     CODER.compile()
     EVT.compile()
-    print(json.dumps({"failed": failed, "cold": [p.name for p in cold(parts)], "compiled": compiled}))
+    print(json.dumps({"failed": failed, "cold": [p.name for p in uncompiled(parts)], "compiled": compiled}))
 """
 
 
@@ -119,6 +119,6 @@ def test_after_the_preparation_a_run_compiles_nothing(rig, tmp_path, gl):
 
 
 def test_nothing_is_prepared_where_numba_is_told_not_to_compile(notes, monkeypatch):
-    assert cold([DECODER]) == [DECODER]
+    assert uncompiled([DECODER]) == [DECODER]
     monkeypatch.setattr(preparation.config, "DISABLE_JIT", 1)
-    assert cold([DECODER]) == []
+    assert uncompiled([DECODER]) == []

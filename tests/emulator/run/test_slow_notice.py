@@ -3,11 +3,11 @@
 import logging
 import threading
 
-from emulator.run.session import said_if_slow
+from emulator.run.session import log_if_slow
 
 
 def test_what_is_quick_is_not_talked_about(caplog):
-    with caplog.at_level(logging.INFO), said_if_slow("compiling", after_s=60.0):
+    with caplog.at_level(logging.INFO), log_if_slow("compiling", after_s=60.0):
         pass
     assert caplog.messages == []
 
@@ -22,7 +22,7 @@ def test_what_is_slow_is_said_while_it_lasts(caplog):
 
     logger = logging.getLogger("emulator.run.session")
     logger.addHandler(listener := Listener())
-    with caplog.at_level(logging.INFO), said_if_slow("compiling", after_s=0.01):
+    with caplog.at_level(logging.INFO), log_if_slow("compiling", after_s=0.01):
         assert said.wait(60.0)
     logger.removeHandler(listener)
     assert messages == ["compiling"]

@@ -69,8 +69,8 @@ def test_a_run_that_is_late_too_often_is_bad_however_little():
     assert broken(Verdict(), often) == ["steps in time"]
     assert not often.good
     (judgement,) = (one for one in judge(Verdict(), often) if not one.good)
-    assert "370 of 935 steps late (0.396)" in judgement.told
-    assert "run.max_late_share is 0.01" in judgement.told
+    assert "370 of 935 steps late (0.396)" in judgement.finding
+    assert "run.max_late_share is 0.01" in judgement.finding
     assert broken(Verdict(), late_run(370, 935, max_late_us=0.0, max_late_share=0.01)) == []
     assert broken(Verdict(), late_run(0, 935, max_late_us=1e6, max_late_share=0.0)) == []
 

@@ -8,7 +8,7 @@ from emulator.cli.run import print_summary
 from emulator.rig.loading import load_rig
 from emulator.run.outcome import Ledger, RunResult, judge
 from emulator.run.pacing import Lateness
-from emulator.run.report import Observation, Reported, write_report
+from emulator.run.report import Observation, ReportContent, write_report
 
 RESULT = RunResult(1.0, 1.0, 101, 100, Ledger(0, 0, 0, 0), Lateness())
 
@@ -19,7 +19,7 @@ def page(tmp_path):
     rig = load_rig("checkerboard")
 
     def page_of(result):
-        reported = Reported(rig, result, Observation((20, 10)), judge(rig.verdict, result), {}, "1.0")
+        reported = ReportContent(rig, result, Observation((20, 10)), judge(rig.verdict, result), {}, "1.0")
         path, *_ = write_report(reported, tmp_path)
         return path.read_text()
 
@@ -36,10 +36,10 @@ def test_the_share_of_undersampled_pixel_steps_is_in_every_report(share, told, p
 def test_the_report_has_the_advice_of_the_terminal(share, page, capsys):
     result = dataclasses.replace(RESULT, undersampled_share=share)
     print_summary(load_rig("checkerboard"), result)
-    advice = [line for line in capsys.readouterr().out.splitlines() if line.startswith("pictures too far apart")]
+    advice = [line for line in capsys.readouterr().out.splitlines() if line.startswith("light frames too far apart")]
     assert len(advice) == (share > 0.1)
     text = page(result)
-    assert ("pictures too far apart" in text) is bool(advice)
+    assert ("light frames too far apart" in text) is bool(advice)
     assert all(f"<p>{line}</p>" in text for line in advice)
 
 

@@ -183,7 +183,7 @@ def test_a_video_has_light_and_events_alone(tmp_path):
     with h5py.File(tmp_path / "t.h5") as file:
         assert set(file["pictures"]) == {"t", "light"}
         assert "poses" not in file
-        assert "a video does not tell them" in file.attrs["absent"]
+        assert "a video does not contain them" in file.attrs["absent"]
         assert len(file["events/t"]) == len(file["events/origin"]) > 100
 
 
