@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-__all__ = ["MOST_THREADS", "Crew", "available_threads"]
+__all__ = ["MOST_THREADS", "ThreadPool", "available_threads"]
 
 MOST_THREADS = 4
 """More do not pay: memory, not arithmetic, is then the limit."""
@@ -18,7 +18,7 @@ def available_threads() -> int:
     return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, MOST_THREADS)
 
 
-class Crew:
+class ThreadPool:
     """Threads that share work; the one that asks is one of them. Not for several callers at a time.
 
     Parameters

@@ -27,7 +27,7 @@ from emulator.geometry.camera import Pinhole, Rays, SceneGeometry
 from emulator.light import Light, PixelLight, Region, Scene, SceneError
 from emulator.optics.lens import Chip, Distortion, DistortionError, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.optics.passes import Bilinear, Part, bend, blur, blur_and_scale, gaussian_taps, scale, strip_for
-from emulator.threads import Crew, available_threads
+from emulator.threads import ThreadPool, available_threads
 
 __all__ = ["BlurWorkers", "Through"]
 
@@ -48,14 +48,14 @@ class BlurWorkers:
 
     def __init__(self, taps: _Float32s, factor: _Float32s, threads: int = 0) -> None:
         self._taps, self._factor = taps, factor
-        self._crew = Crew(threads or available_threads())
-        self._strips = [strip_for(factor.shape[1], taps) for _ in range(self._crew.threads)]
+        self._pool = ThreadPool(threads or available_threads())
+        self._strips = [strip_for(factor.shape[1], taps) for _ in range(self._pool.threads)]
 
     def __call__(self, pictures: Sequence[_Float32s], part: Part, outs: Sequence[_Float32s]) -> None:
         """Write `pictures`, blurred and scaled, to `outs`, in `part`."""
         first, last, left, right = part
         large = len(outs) * (last - first) * (right - left) >= _WORTH_A_THREAD
-        count = self._crew.threads if large else 1
+        count = self._pool.threads if large else 1
         rows = [first + (last - first) * k // count for k in range(count + 1)]
 
         def share(k: int, thread: int) -> None:
@@ -63,11 +63,11 @@ class BlurWorkers:
                 mine = rows[k], rows[k + 1], left, right
                 blur_and_scale(picture, self._taps, self._factor, mine, self._strips[thread], out)
 
-        self._crew.each(share, count)
+        self._pool.each(share, count)
 
     def close(self) -> None:
         """End the threads; a second call does nothing."""
-        self._crew.close()
+        self._pool.close()
 
 
 _LEAST_BLUR_PX = 0.1

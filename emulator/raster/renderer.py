@@ -13,7 +13,7 @@ from emulator.raster.lines import LINE_FIELDS, SIDE_FIELDS
 from emulator.raster.nearest import nearest_facets
 from emulator.raster.projection import bucket, clip, project, set_up
 from emulator.raster.topology import Topology
-from emulator.threads import Crew
+from emulator.threads import ThreadPool
 
 __all__ = ["Owners", "Renderer"]
 
@@ -107,7 +107,7 @@ class Renderer:
         self._drawn = topology
         self._make_room(topology)
         self._scratches = [_Scratch(screen, len(topology.faces)) for _ in range(threads)]
-        self._crew = Crew(threads)
+        self._pool = ThreadPool(threads)
 
     @property
     def facets(self) -> Floats:
@@ -160,10 +160,10 @@ class Renderer:
 
     def close(self) -> None:
         """End the threads; a second call does nothing."""
-        self._crew.close()
+        self._pool.close()
 
     def _draw(self, window: Box, light: Pictures, rate: Pictures, owners: Owners) -> None:
-        self._crew.each(lambda share, _: self._draw_share(share, window, light, rate, owners), len(self._scratches))
+        self._pool.each(lambda share, _: self._draw_share(share, window, light, rate, owners), len(self._scratches))
 
     def _draw_share(self, share: int, window: Box, light: Pictures, rate: Pictures, owners: Owners) -> None:
         """Draw every n-th band, n threads."""

@@ -33,7 +33,7 @@ from emulator.geometry.camera import Pinhole
 from emulator.light import Light, MachineLacks, Scene
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
-from emulator.scene.bodies.world import Arrangement, BodyWorld, Placed
+from emulator.scene.bodies.world import Arrangement, BodyWorld, PlacedBody
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import TerrainWorld
 from emulator.trajectory.building import build_trajectory
@@ -178,7 +178,7 @@ class SampledBodies(Scene):
         self._camera = build_trajectory(parameters.camera)
         names = [table.name for table in parameters.bodies]
         placed = [
-            Placed(build_trajectory(t.path), names.index(t.fixed_to) if t.fixed_to else None, mesh.radius_m)
+            PlacedBody(build_trajectory(t.path), names.index(t.fixed_to) if t.fixed_to else None, mesh.radius_m)
             for t, mesh in zip(parameters.bodies, meshes, strict=True)
         ]
         self._bodies = [_body(t, mesh) for t, mesh in zip(parameters.bodies, meshes, strict=True)]

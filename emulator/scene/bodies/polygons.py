@@ -1,9 +1,10 @@
-"""Polygons in a plane whose corners move: cut by lines that move, and cut around others, with exact velocities.
+"""Polygons in a plane whose corners move: clipped by moving lines, cut around other polygons, with exact velocities.
 
-The cutting is that of Sutherland and Hodgman 1974 (Reentrant polygon clipping, CACM 17 (1)), with derivatives: where a
+The clipping is that of Sutherland and Hodgman 1974 (Reentrant polygon clipping, CACM 17 (1)), with derivatives: where a
 side crosses a line, the new corner has the velocity of the crossing.
 
-Which triangles may cover a part of a facet, as seen from the Sun, or from all directions near the Sun's.
+The module also selects the triangles that may cover a part of a facet, as seen from the Sun, or from all directions
+near the Sun's.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def cut(polygon: Floats, n: int, cutter: Cutter, out: Floats) -> int:
 
 @numba.njit(error_model="numpy")
 def side_of(plane: Floats, ends: Six, moving: Six) -> Cutter:
-    """Return the cutter through a side that keeps what is left of it, seen from outside.
+    """Return the cutter through a side that keeps the part to its left, seen from outside.
 
     Parameters
     ----------
@@ -97,10 +98,10 @@ def side_of(plane: Floats, ends: Six, moving: Six) -> Cutter:
 
 @numba.njit(error_model="numpy")
 def without_short_sides(polygon: Floats, n: int, shortest_m: float) -> int:
-    """Leave out corners that are so near the one before; return how many are left.
+    """Remove corners that are within `shortest_m` of the one before; return the number left.
 
-    The direction of a side between two corners that only rounding tells apart means nothing: it would part what
-    overlaps.
+    A side between two corners that differ by rounding only has a random direction: as a cutter it would separate
+    polygons that overlap.
     """
     count = 0
     for k in range(n):
@@ -160,7 +161,7 @@ def _beside(
 def cut_around(
     room: Pieces, earlier: int, places: Floats, plane: Floats, bounds: tuple[float, float]
 ) -> tuple[int, int]:
-    """Cut the convex polygon in pieces[0, 0] around earlier convex ones; return how many pieces, and in which half.
+    """Cut the convex polygon in pieces[0, 0] around earlier convex ones; return the number of pieces, and their half.
 
     Parameters
     ----------
@@ -270,7 +271,7 @@ def _nears(
 def list_near(
     tree: Arrays, plane: Floats, near_m: float, seen: tuple[Frame, Extent], wide: Wide, listed: Numbers
 ) -> int:
-    """Write the triangles that may cover a part of a facet, as many as there is room for; return how many there are."""
+    """Write the triangles that may cover a part of a facet, as many as there is room for; return their number."""
     boxes, starts, triangles, planes = tree
     leaves, node, count = len(starts) - 1, 1, 0
     while True:

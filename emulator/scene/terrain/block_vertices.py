@@ -79,7 +79,7 @@ def block_vertices(
     end: int,
     posts: Posts,
     levels: Ints,
-    figures: tuple[float, float, float],
+    scalars: tuple[float, float, float],
     camera: tuple[Floats, Floats, Floats, Floats],
     sun: tuple[Floats, float, int, Floats, Floats],
     scratch: Floats,
@@ -91,13 +91,13 @@ def block_vertices(
     ----------
     blocks : (n, 3), level, first column, first row.
     posts, levels : of a `Pyramid`.
-    figures : unit in metres, reach in metres, crowd: see `quadtree`.
+    scalars : unit in metres, reach in metres, crowd: see `quadtree`.
     camera : place and velocity in the world (3,), camera_from_world (3, 3) and its rate, a second.
     sun : direction (3,), irradiance, law and its parameters, and radiance of the ambient light by the eye's height.
     scratch : (10, 81).
     out : positions (81 n, 3), velocities, radiance (81 n,), rate.
     """
-    unit, reach, crowd = figures
+    unit, reach, crowd = scalars
     place, moving, turn, turning = camera
     towards, irradiance, kind, law, ambient = sun
     positions, velocities, radiance, rates = out

@@ -111,7 +111,7 @@ def _means(
     per_m = per_unit / unit
     x, y = at[0] * per_m - levels[level, 3] * per_unit, at[1] * per_m - levels[level, 4] * per_unit
     half = min(max(0.5 * side * per_m, _LEAST), 0.5 * (POSTS - 2))
-    figures = (
+    scalars = (
         np.float32(x),
         np.float32(y),
         np.float32(at[2]),
@@ -141,6 +141,6 @@ def _means(
     )
     count = counts[0] * counts[1]
     whole = FIELDS * levels[level, 0], FIELDS * columns, columns, rows, int(count)
-    bp, bq, b, reflected = box_sums(posts, figures, whole)
+    bp, bq, b, reflected = box_sums(posts, scalars, whole)
     share = 0.25 / (half * half * count)
     return b * share, bp * share, bq * share, reflected * share

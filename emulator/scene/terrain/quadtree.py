@@ -85,8 +85,8 @@ class Quadtree:
     def _found(self, camera_m: Floats, planes: Floats) -> npt.NDArray[np.int32]:
         """Return (n, 4) grid, column, row, posts from vertex to vertex; near first."""
         ground = self._ground
-        figures = (ground.unit_m, self._reach_m, self.crowd, ground.grids, *ground.shape)
-        found, distance = _select(self._levels, self._low, self._high, figures, camera_m, planes)
+        scalars = (ground.unit_m, self._reach_m, self.crowd, ground.grids, *ground.shape)
+        found, distance = _select(self._levels, self._low, self._high, scalars, camera_m, planes)
         return found[np.argsort(distance, kind="stable")]
 
     def _table(self, shapes: list[tuple[int, ...]]) -> Ints:
@@ -153,12 +153,12 @@ def _select(
     levels: Ints,
     low: Floats,
     high: Floats,
-    figures: tuple[float, float, float, int, int, int],
+    scalars: tuple[float, float, float, int, int, int],
     camera: Floats,
     planes: Floats,
 ) -> tuple[npt.NDArray[np.int32], Floats]:
     """Return (n, 4) grid, column, row, posts from vertex to vertex, and the distances."""
-    unit, reach, crowd, grids, rows, columns = figures
+    unit, reach, crowd, grids, rows, columns = scalars
     found, distances = np.empty((_MOST_BLOCKS, 4), np.int32), np.empty(_MOST_BLOCKS)
     stack = np.empty((4 * len(levels) + 4, 3), np.int64)
     stack[0] = len(levels) - 1, 0, 0

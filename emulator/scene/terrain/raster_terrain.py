@@ -99,7 +99,7 @@ class CameraMotion:
     turning: Floats
 
     @property
-    def figures(self) -> tuple[Floats, Floats, Floats, Floats]:
+    def arrays(self) -> tuple[Floats, Floats, Floats, Floats]:
         """Place, velocity, turn and turning, as kernels take them."""
         return np.asarray(self.pose.position_m, np.float64), self.velocity_m_s, self.turn, self.turning
 
@@ -246,7 +246,7 @@ class RasterTerrain(Scene):
         height, width = light.shape
         ground = self._world.ground
         screen = self._world.pinhole.focal_px, width / 2, height / 2
-        figures = ground.unit_m, ground.grids, (min(ground.shape) - 1) / 2
+        scalars = ground.unit_m, ground.grids, (min(ground.shape) - 1) / 2
         owners = self._owners.facets, self._owners.whole
 
         def shade(k: int) -> None:
@@ -255,10 +255,10 @@ class RasterTerrain(Scene):
                 owners,
                 self._renderer.facets,
                 screen,
-                (motion.figures[0], motion.turn),
+                (motion.arrays[0], motion.turn),
                 self._posts,
                 self._pyramid.levels,
-                figures,
+                scalars,
                 float(self._world.parameters.samples),
                 self._sun,
                 self._rows[k],
@@ -283,7 +283,7 @@ class RasterTerrain(Scene):
     def _fill(self, chosen: npt.NDArray[np.int64], motion: CameraMotion) -> None:
         """Write the vertices of the chosen blocks."""
         share = -(-len(chosen) // self._threads)
-        figures = self._world.ground.unit_m, self._reach * self._world.ground.unit_m, self._tree.crowd
+        scalars = self._world.ground.unit_m, self._reach * self._world.ground.unit_m, self._tree.crowd
 
         def fill(k: int) -> None:
             ends = k * share, min((k + 1) * share, len(chosen))
@@ -292,8 +292,8 @@ class RasterTerrain(Scene):
                 *ends,
                 self._pyramid.posts,
                 self._pyramid.levels,
-                figures,
-                motion.figures,
+                scalars,
+                motion.arrays,
                 self._sun,
                 self._scratches[k],
                 self._blocks.arrays,
