@@ -156,9 +156,9 @@ class GlBodies(Scene):
     @property
     def notes(self) -> tuple[str, ...]:
         """Remarks for the user: drawing by GL, faults of the shapes, detail that was left out, a black light frame."""
-        picture = np.zeros(self.size[::-1], np.float32)
-        self.light(0, picture)
-        return (QUICK_LOOK, *self._world.notes(picture))
+        frame = np.zeros(self.size[::-1], np.float32)
+        self.light(0, frame)
+        return (QUICK_LOOK, *self._world.notes(frame))
 
     @property
     def counts(self) -> Mapping[str, int]:

@@ -25,7 +25,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.array_cache import Progress, kept
+from emulator.scene.array_cache import Progress, cached_array
 from emulator.scene.bodies.cast_shadow import Arrays, Frame, TriangleTree, after, axes_around, covered, seen_above
 from emulator.scene.bodies.compiled import entry
 
@@ -46,7 +46,7 @@ def horizon_table(tree: TriangleTree, points: Floats, normals: Floats, name: str
     for array in (tree.corners, points, normals):
         digest.update(array.tobytes())
     made_from = (AZIMUTHS, digest.hexdigest())
-    return kept("horizons", made_from, lambda: _make(tree, points, normals, name), (np.uint16, 2))
+    return cached_array("horizons", made_from, lambda: _make(tree, points, normals, name), (np.uint16, 2))
 
 
 def _make(tree: TriangleTree, points: Floats, normals: Floats, name: str) -> Horizons:

@@ -143,17 +143,17 @@ def build_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike, albedo: _Points | 
     corners = np.asarray(faces, np.int64).reshape(-1, 3)
     _require_sound(points, corners)
     points, corners = _join_equal_vertices(points, corners)
-    kept = _with_area(points, corners)
-    if not kept.any():
+    valid = _with_area(points, corners)
+    if not valid.any():
         raise SceneError("no facet has any area: nothing to draw")
-    dropped, corners = int((~kept).sum()), corners[kept]
+    dropped, corners = int((~valid).sum()), corners[valid]
     open_edges = _count_open_edges(corners)
     inside_out = bool(_signed_volume(points, corners) < 0)
     if inside_out:
         corners = corners[:, ::-1]
     used, corners = np.unique(corners, return_inverse=True)
     points, triangles = points[used], corners.reshape(-1, 3).astype(np.int32)
-    tinted = None if albedo is None else np.repeat(albedo[kept], 3).reshape(-1, 3)
+    tinted = None if albedo is None else np.repeat(albedo[valid], 3).reshape(-1, 3)
     return Mesh(points, triangles, vertex_normals(points, triangles), dropped, open_edges, inside_out, tinted)
 
 

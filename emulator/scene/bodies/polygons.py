@@ -174,28 +174,28 @@ def cut_around(
     found, at = 1, 0
     for e in range(earlier):
         first, n = rows[e, 0], rows[e, 1]
-        into, kept = 1 - at, 0
+        into, count = 1 - at, 0
         for i in range(found):
             piece, m = pieces[at, i], counts[at, i]
             clear = _beside(piece, 0, m, places, first, n, plane, slack_m)
             clear = clear or _beside(places, first, n, piece, 0, m, plane, slack_m)
-            if clear and kept < MOST_PIECES - 1:
-                pieces[into, kept, :m] = piece[:m]
-                counts[into, kept] = m
-                kept += 1
+            if clear and count < MOST_PIECES - 1:
+                pieces[into, count, :m] = piece[:m]
+                counts[into, count] = m
+                count += 1
             for k in range(0 if clear else n):
                 ax, ay, az, d, bx, by, bz, rate = _side(places, first, n, k, plane)
-                if kept < MOST_PIECES - 1:
-                    outside = cut(piece, m, (-ax, -ay, -az, -d, -bx, -by, -bz, -rate), pieces[into, kept])
-                    outside = without_short_sides(pieces[into, kept], outside, slack_m)
-                    if outside >= 3 and double_area(pieces[into, kept], outside, plane) > least:
-                        counts[into, kept] = outside
-                        kept += 1
+                if count < MOST_PIECES - 1:
+                    outside = cut(piece, m, (-ax, -ay, -az, -d, -bx, -by, -bz, -rate), pieces[into, count])
+                    outside = without_short_sides(pieces[into, count], outside, slack_m)
+                    if outside >= 3 and double_area(pieces[into, count], outside, plane) > least:
+                        counts[into, count] = outside
+                        count += 1
                 m = cut(piece, m, (ax, ay, az, d, bx, by, bz, rate), pieces[into, MOST_PIECES - 1])
                 if m < 3:
                     break
                 piece[:m] = pieces[into, MOST_PIECES - 1, :m]
-        found, at = kept, into
+        found, at = count, into
     return found, at
 
 

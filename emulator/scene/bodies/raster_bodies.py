@@ -188,7 +188,7 @@ class RasterBodies(Scene):
         self._drawn = Box()
         self._changed: Region | None = None
         self._closed = False
-        self._pictures: tuple[Light | None, Light | None] = (None, None)
+        self._last_frames: tuple[Light | None, Light | None] = (None, None)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -252,10 +252,10 @@ class RasterBodies(Scene):
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the radiance at `t_ns` and its exact time derivative, a second, both (height, width) float32."""
-        known = self._pictures[0] is light and self._pictures[1] is rate
+        known = self._last_frames[0] is light and self._last_frames[1] is rate
         before = self._drawn if known else None
         self._drawn = self._renderer.draw(self._view(t_ns), light, rate, before)
-        self._pictures = (light, rate)
+        self._last_frames = (light, rate)
         self._changed = None if before is None else _region(self._drawn.union(before))
 
     @property

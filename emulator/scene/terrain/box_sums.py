@@ -1,9 +1,9 @@
-"""Sums of the map's posts over the squares around a pixel's parts, and what they reflect, in the processor's vectors.
+"""Sums of the map's posts over the squares around a pixel's parts, and their reflectance, in the processor's vectors.
 
 numba turns loops into vectors where it can prove that arrays do not overlap, tests this at run time otherwise, and puts
 results in memory between loops. A square has few posts, and a pixel few parts: these tests and stores take longer than
-the sums. So this one function is written in the compiler's own vectors: places of four parts at a time, and of each
-part's posts those of a row side by side. Nothing is written to memory on the way, so threads share no cache lines.
+the sums. So this one function is written with the compiler's own vectors: it processes four parts at a time, and of
+each part's posts those of a row side by side. It writes nothing to memory in between, so threads share no cache lines.
 """
 
 from __future__ import annotations
@@ -63,10 +63,10 @@ def box_sums(context: Any, posts: Any, scalars: Any, whole: Any) -> Any:
     Parameters
     ----------
     posts : (4 n,) float32: height, b p, b q, b of each; see `Pyramid`.
-    scalars : the pixel's middle x, y in posts and z in metres; what a pixel to the right adds to them, what one down
-        adds; what lifting the facet by a metre adds to them; parts across, 1 / parts across, 1 / parts down; half a
-        square's side in posts; the last x and y that heights are looked up at, and those of squares' middles; unit
-        vectors towards the Sun and the eye.
+    scalars : the pixel's middle x, y in posts and z in metres; their change for a pixel to the right, and for one down;
+        their change for lifting the facet by a metre; parts across, 1 / parts across, 1 / parts down; half a square's
+        side in posts; the last x and y at which heights are read, and those of squares' middles; unit vectors towards
+        the Sun and the eye.
     whole : place in `posts` of the level's first number, numbers from one row to the next, columns, rows, parts.
     """
     return _types.UniTuple(_types.float64, 4)(
@@ -154,7 +154,7 @@ def _squares(builder: ir.IRBuilder, data: Any, scalars: Any, whole: Any, k: Any)
 
 
 def _above(builder: ir.IRBuilder, data: Any, whole: Any, at: tuple[Any, Any, Any], f: list[Any]) -> Any:
-    """Return how far the plane must be lifted for four rays to meet it on the ground, metres.
+    """Return the height by which the plane must be lifted for four rays to meet it on the ground, metres.
 
     The height above the plane where a ray meets the plane is the first guess. Where the ray then meets the lifted plane
     the ground is higher or lower by `more`; a secant through both is the second guess, its slope within bounds, as the
@@ -213,7 +213,7 @@ def _square(builder: ir.IRBuilder, data: Any, place: Any, wide: Any, at: tuple[A
 
 
 def _weights(builder: ir.IRBuilder, middle: Any, half: Any) -> Any:
-    """Return how much posts 0, 1 ... count for what lies within half of the middle, times 2 half."""
+    """Return the weights of posts 0, 1 ... in the mean within `half` of the middle, times 2 half."""
     posts, one, less = constant([float(k) for k in range(_LANES)]), constant([1.0] * _LANES), constant([-1.0] * _LANES)
     ends = []
     for end in (builder.fsub(middle, half), builder.fadd(middle, half)):

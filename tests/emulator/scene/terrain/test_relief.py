@@ -252,7 +252,7 @@ def test_progress_is_told_on_stderr(capsys):
     ("changes", "message"),
     [
         ({"posts": 100}, "posts is 100"),
-        ({"ridge_m": 5000.0, "size_m": 8000.0}, "finds no room"),
+        ({"ridge_m": 5000.0, "size_m": 8000.0}, "does not fit"),
         ({"seed": -1}, "seed is -1"),
         ({"slope_deg": float("nan")}, "slope_deg is nan"),
     ],
