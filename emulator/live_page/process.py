@@ -2,7 +2,7 @@
 
 The session never waits for it. Whatever happens here, a flood of messages or a death, the run goes on.
 
-Pictures of events and light for the page: small planes of bytes, from which the browser makes its colours.
+Float32s of events and light for the page: small planes of bytes, from which the browser makes its colours.
 
 What the session shows the page's process, in shared memory: events, the light, and whether anybody looks.
 

@@ -26,7 +26,7 @@ import numpy.typing as npt
 from emulator.geometry.attitude import unit
 from emulator.geometry.camera import Pinhole, Rays
 from emulator.gl.context import QUICK_LOOK, Painter
-from emulator.gl.render_target import Rectangle, Stage, depth_terms
+from emulator.gl.render_target import Rectangle, RenderTarget, depth_terms
 from emulator.light import Light, Scene
 from emulator.scene.bodies.facets import Facets, Frame, ShadowCaster, ShadowMap
 from emulator.scene.bodies.mesh import Mesh
@@ -40,7 +40,7 @@ from emulator.trajectory.pose import Pose, Trajectory
 if TYPE_CHECKING:
     import moderngl
 
-__all__ = ["GlBodies", "box_corners", "reach"]
+__all__ = ["GlBodies", "box_corners", "touched_region"]
 
 
 _BLACK = Rectangle(0, 0, 1, 1)
@@ -55,7 +55,7 @@ def box_corners(points: Floats) -> Floats:
     return np.asarray([np.where([k & 1, k & 2, k & 4], high, low) for k in range(8)])
 
 
-def reach(boxes: Iterable[Floats], pinhole: Pinhole) -> Rectangle:
+def touched_region(boxes: Iterable[Floats], pinhole: Pinhole) -> Rectangle:
     """Return a rectangle around the visible parts of `boxes`, each the corners of one, (8, 3), in the camera's axes."""
     whole = Rectangle(0, 0, *pinhole.size)
     before = [corners for corners in boxes if (corners[:, 2] > 0).any()]
@@ -113,9 +113,9 @@ class GlBodies(Scene):
         self._sun = unit(parameters.sun.direction)
         self._casters = [k for k, body in enumerate(parameters.bodies) if body.throws_shadow]
         self._parts = [_Part(mesh, box_corners(mesh.vertices)) for mesh in world.meshes]
-        self._stage = Stage(pinhole.size, parameters.samples)
+        self._render_target = RenderTarget(pinhole.size, parameters.samples)
         self._shadows: ShadowMap | None = None
-        with self._stage.context as gl:
+        with self._render_target.context as gl:
             self._upload(gl)
 
     @property
@@ -131,7 +131,7 @@ class GlBodies(Scene):
     @property
     def renderer(self) -> str:
         """The name of what draws, in GL's words."""
-        return self._stage.renderer
+        return self._render_target.renderer
 
     @property
     def camera_path(self) -> Trajectory:
@@ -175,11 +175,11 @@ class GlBodies(Scene):
 
     def lights(self, times_ns: Sequence[int], outs: Sequence[Light]) -> None:
         """Write the radiance at several times into their light frames."""
-        self._stage.draw_all([self._beginning(t_ns) for t_ns in times_ns], outs)
+        self._render_target.draw_all([self._drawing(t_ns) for t_ns in times_ns], outs)
 
     def close(self) -> None:
         """Release the GL context and the ports; a second call does nothing."""
-        self._stage.close()
+        self._render_target.close()
         self._world.close()
 
     def _upload(self, gl: moderngl.Context) -> None:
@@ -221,7 +221,7 @@ class GlBodies(Scene):
         )
         return [shadow_from_world @ _matrix(pose) for pose in poses]
 
-    def _beginning(self, t_ns: int) -> Callable[[], None]:
+    def _drawing(self, t_ns: int) -> Callable[[], None]:
         """Prepare the draw calls for time `t_ns`. All errors are raised here, none while drawing."""
         scene_ns = self._world.time.scene_ns(t_ns)
         camera, poses = self._world.camera.pose(scene_ns), self._world.arrangement.poses(scene_ns)
@@ -234,10 +234,10 @@ class GlBodies(Scene):
         shadow_from_bodies = self._shadow_from_bodies(poses)
         boxes = (part.corners @ s.camera_from_body.T + s.place_m for part, s in zip(self._parts, seen, strict=True))
         return partial(
-            self._stage.begin,
+            self._render_target.begin,
             partial(self._render, frames, seen, shadow_from_bodies),
             partial(self._cast, shadow_from_bodies),
-            reach(boxes, self._pinhole),
+            touched_region(boxes, self._pinhole),
         )
 
     def _cast(self, shadow_from_bodies: list[Matrix]) -> None:

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.camera import Given, Pinhole, Placed, Rays, SceneGeometry, Seen
+from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import Light, PixelLight, Region, Scene, SceneError
 from emulator.photometry.reflectance import Glossy, Lambert
 from emulator.raster import Box, Patches, Renderer, Screen, View, join, prepare
@@ -64,11 +64,11 @@ class BodiesGeometry(SceneGeometry):
         self._surfaces.look(self._vertices(motion), self._rays, out.labels, self._inverse_depth)
         write_depth_and_flow(self._inverse_depth, _motions(motion), self._world.pinhole, self._rays, out)
 
-    def places(self, t_ns: int) -> Placed:
+    def places(self, t_ns: int) -> ScenePoses:
         """Return the poses at `t_ns`."""
         scene_ns = self._world.time.scene_ns(t_ns)
         camera, bodies = self._world.camera.pose(scene_ns), self._world.arrangement.poses(scene_ns)
-        return Placed(
+        return ScenePoses(
             camera.position_m,
             camera.q_world_from_body,
             np.array([pose.position_m for pose in bodies]),

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.attitude import unit
-from emulator.geometry.camera import Given, Pinhole, Placed, Rays, SceneGeometry, Seen
+from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import Light, Region, Scene, SceneError
 from emulator.optics.lens import Chip, Distortion, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.scene.stars.catalogue import Boxes, boxes_of, clear, irradiance_w_m2, load_stars, splat
@@ -87,11 +87,11 @@ class StarsGeometry(SceneGeometry):
         near &= (out.labels == 0) | (self._inverse_depth < 1 / own[2])
         out.labels[near], self._inverse_depth[near] = label, 1 / own[2]
 
-    def places(self, t_ns: int) -> Placed:
+    def places(self, t_ns: int) -> ScenePoses:
         """Return the poses at `t_ns`."""
         scene_ns = self._sky.time.scene_ns(t_ns)
         camera, points = self._sky.camera.pose(scene_ns), [path.pose(scene_ns) for path in self._sky.points]
-        return Placed(
+        return ScenePoses(
             camera.position_m,
             camera.q_world_from_body,
             np.array([pose.position_m for pose in points]).reshape(-1, 3),

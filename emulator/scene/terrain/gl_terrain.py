@@ -35,7 +35,7 @@ import numpy.typing as npt
 
 from emulator.geometry.camera import Pinhole, Rays
 from emulator.gl.context import QUICK_LOOK, Painter
-from emulator.gl.render_target import Stage, depth_terms
+from emulator.gl.render_target import RenderTarget, depth_terms
 from emulator.light import Light, Scene
 from emulator.photometry.reflectance import Reflectance
 from emulator.scene.terrain.ground import Ground
@@ -65,7 +65,7 @@ uniform float reach, crowd;  // see Quadtree
 uniform mat3 camera_from_world;
 uniform vec3 sun;            // towards it, world
 uniform float ambient;
-uniform vec2 zoom, depth;    // see Stage
+uniform vec2 zoom, depth;    // see RenderTarget
 in ivec2 corner;             // in the block, 0 to 16
 in ivec3 block;              // its first post, and posts from vertex to vertex
 out vec2 cell;
@@ -258,8 +258,8 @@ class GlTerrain(Scene):
         reach = max(pinhole.focal_px / _facet_px(parameters, pinhole), LEAST_REACH)
         self._tree = Quadtree(world.ground, reach)
         sunlit = world.sunlit()
-        self._stage = Stage(pinhole.size, parameters.samples)
-        with self._stage.context as gl:
+        self._render_target = RenderTarget(pinhole.size, parameters.samples)
+        with self._render_target.context as gl:
             cells = shading(world.ground, sunlit, world.sun)
             self._mesh = GroundMesh(gl, world.ground, cells, parameters.reflectance, (reach, self._tree.crowd))
 
@@ -276,7 +276,7 @@ class GlTerrain(Scene):
     @property
     def renderer(self) -> str:
         """The name of what draws, in GL's words."""
-        return self._stage.renderer
+        return self._render_target.renderer
 
     @property
     def camera_path(self) -> Trajectory:
@@ -323,23 +323,23 @@ class GlTerrain(Scene):
 
     def lights(self, times_ns: Sequence[int], outs: Sequence[Light]) -> None:
         """Write the radiance at several times into their light frames."""
-        self._stage.draw_all([self._beginning(t_ns) for t_ns in times_ns], outs)
+        self._render_target.draw_all([self._drawing(t_ns) for t_ns in times_ns], outs)
 
     def close(self) -> None:
         """Release the GL context and the port; a second call does nothing."""
         if self._own_facets is not None:
             self._own_facets.close()
-        self._stage.close()
+        self._render_target.close()
         self._world.close()
 
-    def _beginning(self, t_ns: int) -> Callable[[], None]:
+    def _drawing(self, t_ns: int) -> Callable[[], None]:
         """Prepare the draw calls for time `t_ns`. All errors are raised here, none while drawing."""
         world = self._world
         scene_ns = world.time.scene_ns(t_ns)
         pose = world.camera.pose(scene_ns)
         view = self._view(pose, world.height_m(scene_ns, pose))
         blocks = self._tree.blocks(pose.position_m, world.planes(pose))
-        return partial(self._stage.begin, partial(self._render, view, blocks))
+        return partial(self._render_target.begin, partial(self._render, view, blocks))
 
     def _render(self, view: GroundView, blocks: list[npt.NDArray[np.int32]], _: moderngl.Context) -> None:
         self._mesh.render(view, self._world.sun, blocks)

@@ -33,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.photometry.reflection_kernels import reflect
-from emulator.raster.layout import Ints, L, Pictures, W, WHighest, WLowest
+from emulator.raster.layout import Float32s, Ints, L, W, WHighest, WLowest
 from emulator.scene.terrain.block_vertices import around, grazing
 from emulator.scene.terrain.compiled import entry
 from emulator.scene.terrain.footprint import POSTS, Posts, Table, level_for, means, shorter_side
@@ -67,7 +67,7 @@ def _into_world(turn: Floats, x: float, y: float, z: float) -> Triple:
 @entry
 def shade_rows(
     rows: tuple[int, int, int],
-    owners: tuple[Ints, Pictures],
+    owners: tuple[Ints, Float32s],
     facets: Floats,
     screen: Triple,
     camera: tuple[Floats, Floats],
@@ -77,7 +77,7 @@ def shade_rows(
     samples: float,
     sun: tuple[Floats, float, int, Floats, Floats],
     scratch: Floats,
-    light: Pictures,
+    light: Float32s,
 ) -> None:
     """Write the light of the rows first, first + step ... before last.
 
@@ -106,7 +106,7 @@ def shade_rows(
 
 
 @lane
-def _list(row: int, owners: tuple[Ints, Pictures], scratch: Floats) -> int:
+def _list(row: int, owners: tuple[Ints, Float32s], scratch: Floats) -> int:
     """List the columns of a row's pixels with ground in them; return how many."""
     owner, whole = owners
     count: int = NONE
@@ -223,10 +223,10 @@ def _write(
     row: int,
     count: int,
     law: tuple[int, Floats],
-    owners: tuple[Ints, Pictures],
+    owners: tuple[Ints, Float32s],
     facets: Floats,
     scratch: Floats,
-    light: Pictures,
+    light: Float32s,
 ) -> None:
     """Write the light of `count` pixels of a row from their angles."""
     owner, whole = owners

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.camera import Given, Pinhole, Placed, Rays, SceneGeometry, Seen
+from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import Light, Region, Scene
 from emulator.photometry.reflection_kernels import law_of
 from emulator.raster import Box, Owners, Renderer, Screen, Topology, View, join, prepare
@@ -68,10 +68,10 @@ class TerrainGeometry(SceneGeometry):
         motions = np.array([motion_of(camera, body, between_s) for body in (None, (STILL, STILL, STILL))])
         write_depth_and_flow(self._inverse_depth, motions, world.pinhole, self._rays, out)
 
-    def places(self, t_ns: int) -> Placed:
+    def places(self, t_ns: int) -> ScenePoses:
         """Return the camera's pose at `t_ns`; the ground's frame is the world."""
         camera = self._world.camera.pose(self._world.time.scene_ns(t_ns))
-        return Placed(
+        return ScenePoses(
             camera.position_m, camera.q_world_from_body, STILL.position_m[None], STILL.q_world_from_body[None]
         )
 
