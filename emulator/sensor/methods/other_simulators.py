@@ -1,46 +1,39 @@
-"""v2e's rule, which counts thresholds and spreads events evenly, and the same rule with an exact filter.
-
-v2e (Hu, Liu and Delbruck, CVPRW 2021; read at commit cac6384): the filter mixes the last filtered value with the log of
-the new frame, v += min(1, lambda h) (u1 - v); the change since the reference over the threshold, rounded down, is the
-number of events; they are spread evenly, the last at the step's end. Within a refractory period events are not lost but
-deferred, as the reference moves only for those that are emitted. Here each pixel spreads its own events; v2e takes the
-array's largest count for all.
-
-`V2eExactFilter` decays exactly towards the new light, as if that held during the whole step (the front end of IEBCS),
-and counts and spreads as v2e does.
-
-The common part of other simulators' rules: the sensor's pixels, the log of the light, and crossings in order.
+"""Rules of other simulators: v2e, AirSim, Ziegler et al., PANGU, Sikorski and ESIM.
 
 A rule treats each frame as its simulator does, with this sensor's physics in this sensor's units: photocurrent
 i = max(E, 0) + i_dark, u = ln i, thresholds and leak drawn as `PixelArray` draws them. Unreadable light (NaN, infinite)
 silences a pixel for that step and is counted; its filter starts again from the next readable light. At most 64
 crossings of a pixel in a step are listed, the others are counted. Arithmetic is float64 in numpy: these rules reproduce
-what their authors publish, and need not be fast.
+published methods, and need not be fast.
 
-Difference of two frames: AirSim's rule, and the basic one of Ziegler et al. (arXiv 2209.04634).
+v2e (Hu, Liu and Delbruck, CVPRW 2021; read at commit cac6384): the filter mixes the last filtered value with the log of
+the new frame, v += min(1, lambda h) (u1 - v); the change since the reference over the threshold, rounded down, is the
+number of events; they are spread evenly, the last at the step's end. Within a refractory period events are not lost but
+deferred, as the reference moves only for those that are emitted. Here each pixel spreads its own events; v2e takes the
+array's largest count for all. `V2eExactFilter` decays exactly towards the new light, as if that lasted during the whole
+step (the front end of IEBCS), and counts and spreads as v2e does.
 
-The number of events is the change of log light between two frames over the threshold, rounded down. There is no filter,
-no leak and no reference: the rest of the change is lost. Events are spread evenly, the last at the end of the step.
+AirSim, and the basic rule of Ziegler et al. (arXiv 2209.04634): the number of events is the change of log light between
+two frames over the threshold, rounded down. There is no filter, no leak and no reference: the rest of the change is
+lost. Events are spread evenly, the last at the end of the step.
 
-PANGU's rule, after "Real-time event-based sensor simulation for space applications".
+PANGU, after "Real-time event-based sensor simulation for space applications":
 
     filter       v += clip(lambda h, least, 1) (u1 - v); lambda proportional to light, least from the lowest corner
     reference    reduced by leakage, that of the junction and that by light: r -= (leak + by_light i) h
     difference   d = v - r
     no reset     N = floor(d / theta), r += N theta
     reset        in reset for the whole step: r = v. Else d is scaled by the share of the step that is left after the
-                 reset that was going on, and is taken to grow evenly over it, at s: a first event if d >= theta, at
+                 present reset, and is assumed to grow evenly over it, at s: a first event if d >= theta, at
                  theta / s; then as many more as periods of reset and event, t_ref + theta / s, fit. The last reset is
                  not counted
     event times  the step in N equal slots, each event a keyed uniform share of its slot after its start
 
-The paper gives no reference after a reset within the step; here it is on the even growth at the end
-of the last reset, or v if that lies beyond the step. The *raw event image* is what PANGU's shader leaves of a pixel.
+The paper gives no reference after a reset within the step; here it is on the even growth at the end of the last reset,
+or v if that lies beyond the step. The *raw event image* is the output of PANGU's shader for a pixel.
 
-A straight line in log light, no filter and no leak: Sikorski's rule and ESIM's.
-
-Both interpolate the log of each pixel's light linearly between frames, and fire where the line meets the next level.
-The differences:
+Sikorski and ESIM interpolate the log of each pixel's light linearly between frames, without filter and leak, and fire
+where the line meets the next level. The differences:
 
                          Sikorski                        ESIM
     a level met exactly  fires                           must lie above (ON) or below (OFF) where the line starts: a
@@ -123,7 +116,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Fired:
-    """Crossings, (n,) each: pixel, when as a share of the step in [0, 1], and polarity; and how many more are lost."""
+    """Crossings, (n,) each: pixel, time as a share of the step in [0, 1], and polarity; and the number of lost ones."""
 
     pixel: _Int64s
     share: _Float64s
