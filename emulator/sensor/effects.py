@@ -32,7 +32,7 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class TemperatureParameters:
-    """The chip's temperature, and what it does to leak and dark current.
+    """The chip's temperature, and its effect on leak and dark current.
 
     The junction's leak doubles every 8 to 10 K (Nozaki and Delbruck 2017), a photodiode's dark current about every 8 K
     (Janesick, Photon Transfer, 2007; both from memory). Parasitic photocurrent does not depend on temperature.

@@ -50,7 +50,7 @@ class EventSource(Protocol):
         """
 
     def warm_up(self) -> None:
-        """Do the slow work of a first step, such as compiling kernels; what it returns later does not change."""
+        """Do the slow work of a first step, such as compiling kernels; later results do not change."""
 
     def reset(self, frame: LightFrame) -> None:
         """Start at rest on the light of `frame`, at its time."""

@@ -196,7 +196,7 @@ class TracedSensor(Sensor):
         return events
 
     def _of_pixels(self, crossings: Crossings, seen: _Float32s, settled_ns: int) -> _Codes:
-        """Return the codes of what the pixels raised up to `settled_ns`."""
+        """Return the codes of the crossings that the pixels raised up to `settled_ns`."""
         if self._constant_hz is None:
             return np.full(len(crossings), Origin.UNKNOWN, np.uint8)
         hz = self._constant_hz if self._leaks is None else self._leak_hz()

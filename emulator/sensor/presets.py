@@ -122,7 +122,7 @@ class SensorParameters:
     random_start : true: the first references lie below the first frame's level by random shares of the ON
         threshold, as in a sensor that has run for a while; else at that level.
     photoreceptor : "one_pole", the small-signal model that all parameters above describe; "large_signal" solves the
-        circuit with its slew, its second pole and its slow way into the dark, at many times the cost, see `circuit`.
+        circuit with its slew, its second pole and its slow decay into the dark, at many times the cost.
     readout : the read-out's times.
     temperature, defects, noise, background, jitter, imager, radiation : see `effects`; all off, or without effect, by
         default.

@@ -393,7 +393,7 @@ def dim(
 def _layers(
     tree: Arrays, point: tuple[float, float, float], sun: tuple[float, float, float], tangent: float, near_m: float
 ) -> int:
-    """Return how many layers cover the whole disc, or -1 where an edge goes through it."""
+    """Return the number of layers that cover the whole disc, or -1 where an edge crosses it."""
     layers = covered(tree, point, sun, tangent, near_m, 1e300)
     whole = round(layers)
     return int(whole) if abs(layers - whole) < _DUST else -1

@@ -40,7 +40,7 @@ class Surface:
     points, normals : (e, 3) m and unit, of each radiance.
     lean : (e,) sine of the largest angle between a normal and the facets that meet there: a point is seen only by eyes
         that are not lower than this under its tangent plane.
-    smooth : whether normals are interpolated.
+    smooth : True: normals are interpolated.
     albedo : (e,) of each radiance, relative to the body's law of reflection; None: 1 everywhere.
     """
 
@@ -105,7 +105,7 @@ def subdivide(mesh: Mesh, size_m: float) -> Mesh:
 
 
 def _long_sides(vertices: Floats, faces: Faces, size_m: float) -> npt.NDArray[np.bool_]:
-    """Return which sides, (m, 3), from corner k to k + 1, are too long; both facets of a side get the same result."""
+    """Return the mask of sides, (m, 3), from corner k to k + 1, that are too long; equal for both facets of a side."""
     low, high = _ends(faces)
     return np.asarray(((vertices[low] - vertices[high]) ** 2).sum(axis=2) > size_m * size_m)
 

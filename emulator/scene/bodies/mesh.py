@@ -54,7 +54,7 @@ class Mesh:
     normals : (n, 3) float64, unit, outward: the mean of the facets around a vertex, weighted with their area.
     dropped_facets : facets without area that the source had.
     open_edges : edges with a facet on one side only; 0 for a closed surface.
-    was_inside_out : whether the source had all facets the wrong way round.
+    was_inside_out : True: the source had all facets the wrong way round.
     albedo : (m, 3) float64, brightness at the corners of each facet relative to the law of reflection; None: 1
         everywhere. On a smooth surface the corners at a vertex agree.
     """
@@ -206,7 +206,7 @@ def facet_vectors(points: _Points, corners: npt.NDArray[np.integer]) -> _Points:
 
 
 def _with_area(points: _Points, corners: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-    """Return which facets have an area above rounding, beside their longest side."""
+    """Return the mask of facets with an area above rounding, relative to their longest side."""
     sides = points[corners] - points[np.roll(corners, 1, axis=1)]
     longest2 = (sides**2).sum(axis=2).max(axis=1)
     return np.asarray(np.linalg.norm(facet_vectors(points, corners), axis=1) > 1e-12 * longest2)

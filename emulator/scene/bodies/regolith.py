@@ -309,7 +309,7 @@ def _near(tree: cKDTree, some: Features, reach: float, more_m: float) -> tuple[N
 
 
 def _shaped(mesh: Mesh, made: dict[int, Features], p: Regolith) -> tuple[Floats, Floats]:
-    """Return how far each vertex is moved, (n, 3) m, and its albedo beside that of its surroundings, (n,)."""
+    """Return the displacement of each vertex, (n, 3) m, and its albedo over that of its surroundings, (n,)."""
     moved, tint = np.zeros(mesh.vertices.shape), np.ones(len(mesh.vertices))
     tree = cKDTree(mesh.vertices)
     for kind, some in made.items():

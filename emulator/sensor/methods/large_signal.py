@@ -199,7 +199,7 @@ def _extrema(piece: _Piece) -> tuple[float, float]:
 
 @kernel
 def _meet(piece: _Piece, level: float, low: float, high: float) -> float:
-    """Return where the signal, monotone from `low` to `high`, meets a level, by bisection."""
+    """Return the share at which the signal, monotone from `low` to `high`, meets a level, by bisection."""
     rising = _signal(piece, high) > _signal(piece, low)
     for _ in range(45):
         middle = 0.5 * (low + high)

@@ -195,7 +195,7 @@ class Rule(PixelMethod):
 
     @abstractmethod
     def _fire(self, step: Step) -> Fired:
-        """Return what fires in a step, in any order, and move the state; pixels that are not `readable` stay silent."""
+        """Return the crossings of a step, in any order, and move the state; unreadable pixels stay silent."""
 
     def _crossings(self, fired: Fired, t0_ns: int, h_ns: int) -> Crossings:
         """Sort by time and pixel, and drop the crossings of a pixel beyond the cap."""
@@ -256,7 +256,7 @@ class V2e(Rule):
     def _pass(
         self, pixel: npt.NDArray[np.int64], k: npt.NDArray[np.int64], t_ns: npt.NDArray[np.int64]
     ) -> npt.NDArray[np.bool_]:
-        """Return which events lie outside the refractory period of the last one emitted, slot by slot."""
+        """Return the mask of events outside the refractory period of the last one emitted, slot by slot."""
         if self._refractory_ns() == 0:
             return np.ones(pixel.size, np.bool_)
         emitted = np.zeros(pixel.size, np.bool_)
@@ -402,7 +402,7 @@ class Sikorski(Rule):
         return Fired(fired, np.concatenate(shares), up[fired])
 
     def _pass(self, pixel: _Int64s, t_ns: _Int64s) -> _Bools:
-        """Return which crossings lie outside the refractory period, and begin new ones."""
+        """Return the mask of crossings outside the refractory period, and begin new periods."""
         passes = t_ns >= self._refractory_until_ns[pixel]
         self._refractory_until_ns[pixel[passes]] = t_ns[passes] + self._refractory_ns()
         return passes
@@ -416,7 +416,7 @@ class Esim(Sikorski):
     parameters, seed
         See `Rule`.
     redraw : bool
-        Whether every pixel's thresholds are drawn again in each step, with the sensor's mismatch.
+        True: every pixel's thresholds are drawn again in each step, with the sensor's mismatch.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int, redraw: bool = False) -> None:

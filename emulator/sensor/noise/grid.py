@@ -241,7 +241,7 @@ def _advance(
 
 
 class NoisyPixels(DrawnPixels):
-    """An array of pixels whose noise is followed in time.
+    """An array of pixels whose noise is simulated in time.
 
     Parameters
     ----------

@@ -209,7 +209,7 @@ _NODES = 7  # of the differences between the two thresholds of the pixels
 
 
 class NoiseStatistics(NamedTuple):
-    """Arrays of what `first_passage.Statistics` has for one pixel."""
+    """Arrays of the values that `Statistics` has for one pixel."""
 
     on: _Floats
     off: _Floats
@@ -301,7 +301,7 @@ def of_array(p: SensorParameters, thresholds: npt.ArrayLike, f_hz: npt.ArrayLike
 
 
 def beyond_the_law(p: SensorParameters, f_hz: npt.ArrayLike) -> str:
-    """Return what of a point process does not hold for a sensor's noise at some corner frequencies; empty: all does."""
+    """Return the limits of the point process that a sensor's noise exceeds at some corner frequencies; empty: none."""
     f = np.atleast_1d(np.asarray(f_hz, np.float64))
     mean = (p.threshold_on + p.threshold_off) / 2
     least_a = mean / float(rms(p, f).max())

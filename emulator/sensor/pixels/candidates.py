@@ -204,7 +204,7 @@ def _add_parasitic(table: _Float32s, n: int, c: StepConstants) -> None:
 
 @vector_kernel
 def _sort_by_kind(table: _Float32s, n: int, c: StepConstants) -> None:
-    """Finish each candidate's curve, relative to `base` and with leak, and write its kind: what happens to it."""
+    """Finish each candidate's curve, relative to `base` and with leak, and write its kind."""
     use_widest_vectors()
     for j in range(n):
         leak, on, off, start = table[_C_LEAK + j], table[_C_ON + j], table[_C_OFF + j], table[_C_START + j]
@@ -237,7 +237,7 @@ def _cubic(rows: _Float32s, j: int) -> Cubic:
 
 @lane
 def _bracket(rows: _Float32s, j: int) -> Bracket:
-    """Return where the curve of candidate j meets its next level."""
+    """Return the bracket in which the curve of candidate j meets its next level."""
     a = rows[_C_A + j]
     rising = rows[_C_D1 + j] > a
     level = a + (rows[_C_ON + j] if rising else -rows[_C_OFF + j])

@@ -76,7 +76,7 @@ __all__ = [
 _ZERO, _ONE, _TWO, _THREE, _FOUR, _SIX = (np.float32(x) for x in (0, 1, 2, 3, 4, 6))
 _HALF, _QUARTER, _EIGHTH, _THIRD = (np.float32(x) for x in (0.5, 0.25, 0.125, 1 / 3))
 LARGEST_CHANGE = np.float32(0.5)
-"""Largest change of log light in one piece: the fourth-order rules of `lowpass` allow no more."""
+"""Largest change of log light in one piece: the fourth-order rules of the low-pass allow no more."""
 
 UNSEEN_SHARE = np.float32(0.5)
 """Share of a threshold that may stay unseen between two frames; a step with more is undersampled."""

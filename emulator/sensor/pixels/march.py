@@ -121,7 +121,7 @@ def _cubic(rows: _Float32s, j: int) -> Cubic:
 
 @lane
 def _bracket(rows: _Float32s, j: int) -> Bracket:
-    """Return where the curve of column j meets its level."""
+    """Return the bracket in which the curve of column j meets its level."""
     to = rows[row.TO + j]
     return Bracket(rows[row.LOW + j], rows[row.HIGH + j], to, to > rows[row.LEVEL + j])
 

@@ -9,7 +9,7 @@ The equations (photocurrent i relative to the reference light, u = ln i, natural
     crossing  ON when g - reference >= threshold_on, OFF when <= -threshold_off
 
 Between two frames u is the cubic through its values and time derivatives at both; the filter is solved over S, the
-integral of lambda dt, by `lowpass`, and so is the second pole.
+integral of lambda dt, as in `curve`, and so is the second pole.
 
 The step of a pixel is *quiet* when bounds show that it cannot fire: v stays between v0 and v0 + q (U - v0), with
 q = 1 - e^-S and U the highest (lowest) of u, which the cubic's Bernstein coefficients bound. Most steps are quiet and
@@ -258,7 +258,7 @@ def move_quietly(
 
 @vector_kernel
 def _restart_filters(s: _Float32s, before: _Float32s) -> None:
-    """Let the filters of a block start anew where its light is not readable, or was not."""
+    """Restart the filters of a block where its light is not readable, or was not."""
     for i in range(BLOCK):
         u0, u1 = before[_U0 + i], s[_U + i]
         readable = (u0 == u0) & (u1 == u1)

@@ -126,7 +126,7 @@ def gather_parts(
 
 @kernel
 def scatter_parts(s: _Float32s, fields: _Float32s, firsts: _Int64s, parasitic: bool) -> None:
-    """Copy what a step may have changed of the state in a scratch block back to its parts."""
+    """Copy the state that a step may have changed from a scratch block back to its parts."""
     for j in range(firsts.size):
         here, at = j * PART, slot(firsts[j])
         for row in _MOVED:
