@@ -14,7 +14,7 @@ from emulator.scene.bodies.lighting import Lighting, motion_at
 from emulator.scene.bodies.lit_surface import lit_surface, subdivide
 from emulator.scene.bodies.mesh import find_shape, load_mesh
 from emulator.scene.bodies.table import BodiesParameters
-from emulator.scene.bodies.world import Arrangement, Placed
+from emulator.scene.bodies.world import Arrangement, PlacedBody
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.motion import Timescale
 
@@ -38,7 +38,7 @@ def _measure(name: str, repeats: int) -> str:
     made_s = time.perf_counter() - begun
     names = [body.name for body in scene.bodies]
     placed = [
-        Placed(build_trajectory(b.path), names.index(b.fixed_to) if b.fixed_to else None, mesh.radius_m)
+        PlacedBody(build_trajectory(b.path), names.index(b.fixed_to) if b.fixed_to else None, mesh.radius_m)
         for b, mesh in zip(scene.bodies, meshes, strict=True)
     ]
     camera, clock = build_trajectory(scene.camera), Timescale(scene.time_scale)

@@ -20,15 +20,15 @@ Light = npt.NDArray[np.float32]
 """(height, width) float32, row 0 on top: radiance relative to the sensor's reference level, linear, >= 0."""
 
 PixelLight = Callable[[int, npt.NDArray[np.int64]], tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]]
-"""(t_ns, pixels) -> light and its time derivative, a second, of the pixels row * width + column alone, (n,) each."""
+"""(t_ns, pixels) -> light and its time derivative, a second, of the pixels row * width + column only, (n,) each."""
 
 
 @dataclass(frozen=True)
 class Region:
-    """Rows and columns of a part of a picture, the last ones not included.
+    """Rows and columns of a part of a light frame, the last ones not included.
 
-    `boxes`, where given, says more closely where in it: (n, 4) int64, first and last row, first and last column of
-    parts that may overlap or be empty, within the picture. They are for what lies scattered, as stars do.
+    `boxes`, where given, limits the part further: (n, 4) int64, first and last row, first and last column of boxes that
+    may overlap or be empty, within the frame. They are for scattered objects, such as stars.
     """
 
     first_row: int
@@ -39,7 +39,7 @@ class Region:
 
     @property
     def empty(self) -> bool:
-        """Whether it holds no pixel."""
+        """True: the region contains no pixel."""
         return self.first_row >= self.last_row or self.first_column >= self.last_column
 
     @property
@@ -48,7 +48,7 @@ class Region:
         return self.first_row, self.last_row, self.first_column, self.last_column
 
     def grown(self, by_px: int, size: tuple[int, int]) -> Region:
-        """Return it with `by_px` more pixels on each side, within a picture of `size` = (width, height); no boxes."""
+        """Return it with `by_px` more pixels on each side, within a frame of `size` = (width, height); no boxes."""
         if self.empty:
             return self
         rows = max(0, self.first_row - by_px), min(size[1], self.last_row + by_px)
@@ -57,7 +57,7 @@ class Region:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightFrame:
-    """Light on all pixels at one time, as scene, optics and sensor hand it on.
+    """Light on all pixels at one time, as scene, optics and sensor pass it on.
 
     The arrays belong to the code that made the frame, which may use them again: a frame is valid until the next one
     is drawn (`SceneFrames`). A receiver does not write into them, and copies what it needs longer.
@@ -84,18 +84,18 @@ class LightFrame:
 
 
 class SceneError(Exception):
-    """A scene cannot be built or drawn; the message says what is wrong with it and what would be right."""
+    """A scene cannot be built or drawn; the message names the fault and the remedy."""
 
 
 class MachineLacks(SceneError):
-    """A scene is right, but the machine lacks what draws it; the message says which package has it."""
+    """A scene is valid, but the machine lacks software to draw it; the message names the missing package."""
 
 
 class Scene(ABC):
-    """A picture that changes with time.
+    """Light that changes with time.
 
-    A scene is a context manager: what it holds of the machine (a GL context) is taken in the constructor, in the thread
-    that draws, and given back by `close`.
+    A scene is a context manager: it acquires resources of the machine (a GL context) in the constructor, in the thread
+    that draws, and releases them in `close`.
     """
 
     @property
@@ -106,77 +106,77 @@ class Scene(ABC):
     @property
     @abstractmethod
     def motion_bound_px_s(self) -> float:
-        """No point of the picture moves faster than this, px/s. Infinite where it is not known."""
+        """Upper bound of the speed of all points in the light frame, px/s. Infinite where it is not known."""
 
     @property
     def distance_m(self) -> float:
-        """How far away most of what is seen lies; infinite unless a scene knows better. For focus."""
+        """Distance of most visible objects, for focus; infinite unless a scene gives a value."""
         return math.inf
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user should know of this picture, a sentence each."""
+        """Remarks for the user on this scene, a sentence each."""
         return ()
 
     @property
     def painter(self) -> Literal["cpu", "gl"]:
-        """What draws: the CPU, unless a scene is one that GL draws."""
+        """The painter: the CPU, unless GL draws the scene."""
         return "cpu"
 
     @property
     def renderer(self) -> str | None:
-        """The name of what draws: GL's own where GL draws; None where a scene gives none."""
+        """Name of the renderer: GL's own where GL draws; None where a scene gives none."""
         return None
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Named counts of what happened to the scene during the run, for the summary."""
+        """Named counts of the scene during the run, for the summary."""
         return {}
 
     @abstractmethod
     def light(self, t_ns: int, out: Light) -> None:
-        """Write the light at stream time `t_ns` into `out`, (height, width) float32. Depends on nothing else."""
+        """Write the light at stream time `t_ns` into `out`, (height, width) float32. It depends on `t_ns` only."""
 
     @property
     def has_rate(self) -> bool:
-        """Whether `light_and_rate` gives the exact time derivative of the light.
+        """True: `light_and_rate` gives the exact time derivative of the light.
 
-        A derivative from two pictures is noise at edges (three to five times the signal in scenes of meshes), and makes
-        more wrong events than a straight line between single pictures: a scene that has no better one has none.
+        A derivative from two light frames is noise at edges (three to five times the signal in scenes of meshes), and
+        makes more wrong events than a straight line between single frames: a scene without a better one gives none.
         """
         return False
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light at `t_ns` and its time derivative, per second, into (height, width) float32 arrays.
 
-        The derivative is NaN, not known, unless the scene says that it has one.
+        The derivative is NaN, not known, unless `has_rate` is True.
         """
         self.light(t_ns, light)
         rate.fill(np.nan)
 
     @property
     def pixel_light(self) -> PixelLight | None:
-        """Tells the light of single pixels at any instant, the same as in a picture but for rounding.
+        """Function that gives the light of single pixels at any instant, equal to that of a frame but for rounding.
 
-        None, unless a scene knows better: what is drawn is drawn as a whole.
+        None, unless a scene can draw single pixels.
         """
         return None
 
     def geometry(self, rays: Rays | None = None) -> SceneGeometry | None:
-        """Return what is known of the pictures beside their light; None where that is nothing.
+        """Return the geometry of the scene beside its light; None where it gives none.
 
-        `rays` are where the pixels look; None: where the scene's own do. The scene must stay open.
+        `rays` are those of the pixels; None: the scene's own. The scene must stay open.
         """
         return None
 
     @property
     def changed(self) -> Region | None:
-        """The part of the last picture that may differ from the one before it in the same arrays; None: anything."""
+        """The part of the last frame that may differ from the one before it in the same arrays; None: all of it."""
         return None
 
     @abstractmethod
     def close(self) -> None:
-        """Give back what the scene holds of the machine; a second call does nothing."""
+        """Release the resources of the scene; a second call does nothing."""
 
     def __enter__(self) -> Self:
         return self
@@ -195,9 +195,9 @@ class SceneFrames:
     scene : Scene
         The scene; the caller closes it.
     with_rate : bool
-        Whether frames have the time derivative, where the scene has one.
+        True: frames have the time derivative, where the scene has one.
     with_pixel_light : bool
-        Whether frames that have the derivative also have the light of single pixels, where the scene has it.
+        True: frames that have the derivative also have the light of single pixels, where the scene has it.
 
     Attributes
     ----------

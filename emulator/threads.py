@@ -1,4 +1,7 @@
-"""How many threads a part of a run may use: one rule for what draws and for the pixels, which take turns."""
+"""The number of threads for a part of a run, and a pool of threads that share work.
+
+Drawing and pixels follow one rule, because they run in turns.
+"""
 
 from __future__ import annotations
 
@@ -7,23 +10,23 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-__all__ = ["MOST_THREADS", "Crew", "available_threads"]
+__all__ = ["MOST_THREADS", "ThreadPool", "available_threads"]
 
 MOST_THREADS = 4
-"""More do not pay: memory, not arithmetic, is then the limit."""
+"""More give no gain: memory, not arithmetic, is then the limit."""
 
 
 def available_threads() -> int:
-    """Return how many threads to use where the work is large: the cores of this process, at most MOST_THREADS."""
+    """Return the number of threads for large work: the cores of this process, at most MOST_THREADS."""
     return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, MOST_THREADS)
 
 
-class Crew:
-    """Threads that share work; the one that asks is one of them. Not for several callers at a time.
+class ThreadPool:
+    """Threads that share work; the caller's thread is one of them. Not for several callers at a time.
 
     Parameters
     ----------
-    threads : how many, that of the caller included.
+    threads : number of threads, that of the caller included.
     """
 
     def __init__(self, threads: int) -> None:
@@ -31,7 +34,7 @@ class Crew:
         self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
 
     def each(self, work: Callable[[int, int], object], count: int) -> None:
-        """Call work(item, thread) for items 0 to count - 1, each once, in any order; raises what one of them raises."""
+        """Call work(item, thread) for items 0 to count - 1, each once, in any order; an error of one is raised."""
         left = itertools.count()  # its next() is one step for the interpreter, so no item is taken twice
 
         def take(thread: int) -> None:

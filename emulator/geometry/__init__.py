@@ -1,1 +1,1 @@
-"""Attitudes, the pinhole camera, what is seen through it beside light, and the phase of periodic motion."""
+"""Attitudes, the pinhole camera, the geometry of its light frames, and the phase of periodic motion."""

@@ -2,8 +2,8 @@
 
 Unit quaternions are scalar first, (w, x, y, z), and q_a_from_b means the same turn as the matrix a_from_b.
 
-Splines, conventions of others and everything that is done once are scipy's Rotation. What is done for every picture is
-written here: on one rotation scipy 1.17 takes 21 us for a matrix (here 6), 86 us for a quaternion (9).
+Splines, other conventions and everything that is done once use scipy's Rotation. Operations for every light frame are
+here: on one rotation scipy 1.17 takes 21 us for a matrix (here 6), 86 us for a quaternion (9).
 """
 
 from __future__ import annotations

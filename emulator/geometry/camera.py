@@ -1,22 +1,23 @@
-"""The geometry of a camera without distortion: directions to pixels.
+"""The geometry of a camera without distortion, the geometry of a scene beside its light, and exact phases.
+
+A `Pinhole` maps directions to pixels:
 
     column = centre_x + focal_px * x / z        row = centre_y + focal_px * y / z
 
 with camera axes x right, y down, z out along the boresight, and pixel k covering k to k + 1, so that the centre of a
-picture of `width` pixels is width / 2.
+light frame of `width` pixels is width / 2.
 
-What is true of a picture beside its light: how far each pixel's point is, how it moves, and on which body it lies.
+A `SceneGeometry` gives, for a scene that has it, quantities at each pixel beside the light:
 
-    depth     along the boresight, m; infinite where there is nothing but sky
-    flow      of the point that the pixel's middle shows, px/s: columns to the right, rows down
+    depth     along the boresight, m; infinite for the sky
+    flow      of the point at the pixel's middle, px/s: columns to the right, rows down
     labels    0 for the sky, k for the k-th of `SceneGeometry.names`
 
-A scene that knows this has a `SceneGeometry`. A lens that bends lines asks for one along rays of its own.
+A lens with distortion requests one along its own rays (`Rays`).
 
-Phase of periodic motion, exact for as long as the stream lasts.
-
-A phase computed from seconds in floating point gets coarser as turns pile up; here the whole turns are taken off in
-integers before anything is rounded, so that the phase after a month is as good as in the first second.
+A `Cycle` gives the phase of periodic motion, exact for as long as the stream lasts. A phase computed from seconds in
+floating point becomes coarser with the number of turns; here the whole turns are subtracted in integers before anything
+is rounded, so that the phase after a month is as good as in the first second.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Cycle", "Given", "Pinhole", "Placed", "Rays", "SceneGeometry", "Seen"]
+__all__ = ["Cycle", "Given", "Pinhole", "Rays", "SceneGeometry", "ScenePoses", "Seen"]
 
 
 @dataclass(frozen=True)
 class Pinhole:
-    """A picture's size and scale, the boresight in its middle.
+    """Size and scale of a light frame, the boresight in its middle.
 
     Attributes
     ----------
@@ -49,13 +50,13 @@ class Pinhole:
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
-            raise ValueError(f"a picture needs at least one pixel, got {self.width} x {self.height}")
+            raise ValueError(f"a light frame needs at least one pixel, got {self.width} x {self.height}")
         if not 0 < self.focal_px < math.inf:
             raise ValueError(f"focal_px must be above 0 and finite, got {self.focal_px:g}")
 
     @classmethod
     def of_field(cls, size: tuple[int, int], field_of_view_deg: float) -> Pinhole:
-        """Return the camera whose picture of `size` = (width, height) is `field_of_view_deg` wide, edge to edge."""
+        """Return the camera whose frame of `size` = (width, height) is `field_of_view_deg` wide, edge to edge."""
         if not 0 < field_of_view_deg < 180:
             raise ValueError(f"field_of_view_deg is {field_of_view_deg:g}: it must be between 0 and 180")
         return cls(*size, size[0] / 2 / math.tan(math.radians(field_of_view_deg) / 2))
@@ -72,7 +73,7 @@ class Pinhole:
 
     @property
     def zoom(self) -> tuple[float, float]:
-        """Focal length over half the picture's width and height: what GL's projection wants."""
+        """Focal length over half the frame's width and height, for GL's projection."""
         return 2 * self.focal_px / self.width, 2 * self.focal_px / self.height
 
     @property
@@ -81,7 +82,7 @@ class Pinhole:
         return math.atan(math.hypot(self.width, self.height) / 2 / self.focal_px)
 
     def widened(self, margin_px: int) -> Pinhole:
-        """Return the same with a margin on every side, for what must look beyond the picture's edge."""
+        """Return the camera with a margin on every side, for effects that need light beyond the frame's edge."""
         return Pinhole(self.width + 2 * margin_px, self.height + 2 * margin_px, self.focal_px)
 
 
@@ -92,13 +93,13 @@ Given = Literal["poses", "depth", "flow", "labels"]
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """Where pixels look: the places of their middles in the picture of a camera without distortion.
+    """Viewing rays of pixels: the positions of their middles in the frame of a camera without distortion.
 
     Attributes
     ----------
     columns, rows : (height, width) float64, px.
-    bend : (height, width, 3), how what moves in that picture moves on the chip: dx'/dx, dx'/dy = dy'/dx, dy'/dy; None
-        where the two are one.
+    bend : (height, width, 3), motion on the chip over motion in that frame: dx'/dx, dx'/dy = dy'/dx, dy'/dy; None
+        without distortion.
     """
 
     columns: Floats
@@ -114,7 +115,7 @@ class Rays:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Room for what is seen at one instant.
+    """Arrays for the geometry at one instant.
 
     Attributes
     ----------
@@ -135,7 +136,7 @@ class Seen:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class ScenePoses:
     """The poses of camera and bodies in the world.
 
     Attributes
@@ -151,12 +152,12 @@ class Placed:
 
 
 class SceneGeometry(ABC):
-    """What a scene knows of its pictures beside their light.
+    """Geometry of a scene beside its light.
 
     Attributes
     ----------
-    names : of what is seen; label k is names[k - 1].
-    gives : what there is: "poses", "depth", "flow", "labels".
+    names : of the objects; label k is names[k - 1].
+    gives : the available quantities: "poses", "depth", "flow", "labels".
     """
 
     names: tuple[str, ...]
@@ -164,9 +165,9 @@ class SceneGeometry(ABC):
 
     @abstractmethod
     def look(self, t_ns: int, out: Seen) -> None:
-        """Write what is seen at stream time `t_ns`; only the arrays that `gives` names are written."""
+        """Write the geometry at stream time `t_ns`; only the arrays that `gives` names are written."""
 
-    def places(self, t_ns: int) -> Placed | None:
+    def places(self, t_ns: int) -> ScenePoses | None:
         """Return the poses at stream time `t_ns`; None where there are none."""
         return None
 

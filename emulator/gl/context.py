@@ -1,18 +1,18 @@
-"""The one place where a GL context is made: offscreen, through EGL, with errors that say what to install.
+"""The one place where a GL context is made: offscreen, through EGL, with errors that name the packages to install.
 
-OpenGL 4.3 core is asked for. Of the machine's EGL devices the first that is not a software renderer is taken, else the
-first that works. What draws is a matter of the machine, not of the rig, so the environment may choose instead:
+OpenGL 4.3 core is required. Of the machine's EGL devices the first that is not a software renderer is used, else the
+first that works. The renderer depends on the machine, not on the rig, so the environment may choose another one:
 
-    EVSTIM_RENDERER           part of a renderer's name in GL's words, upper or lower case: llvmpipe, nvidia, radeon;
-                              `cpu` and `gl` select a painter and no renderer (`gl.painter`)
-    GLCONTEXT_DEVICE_INDEX    which EGL device: no other is tried
+    EVSTIM_RENDERER           part of a renderer string, upper or lower case: llvmpipe, nvidia, radeon; `cpu` and `gl`
+                              select a painter and no renderer
+    GLCONTEXT_DEVICE_INDEX    number of the EGL device: no other is tried
     GLCONTEXT_LINUX_LIBEGL    file name of libEGL
     GLCONTEXT_LINUX_LIBGL     file name of libGL (libOpenGL.so.0 needs no X library)
 
 A context belongs to the thread that made it, and does not survive `fork`: make it in the process and the thread that
 draws. moderngl is imported here when it is first needed, so closed-form scenes run without any GL library.
 
-Choice of the painter of bodies and terrain: the CPU, unless the environment or the rig selects GL.
+The painter of bodies and terrain is the CPU, unless the environment or the rig selects GL:
 
     EVSTIM_RENDERER unset or empty    run.painter of the rig, "cpu" where the rig has no such key
     EVSTIM_RENDERER=cpu               the CPU, for every rig
@@ -55,7 +55,7 @@ PACKAGES = "libegl1 libgl1 libgl1-mesa-dri"
 """The Debian packages that give a machine without a GPU its GL."""
 
 WANTED = "EVSTIM_RENDERER"
-"""The environment's variable that chooses what draws."""
+"""The environment's variable that selects painter and renderer."""
 
 _PAINTERS = ("cpu", "gl")
 """Values of the variable that name no renderer."""
@@ -64,26 +64,26 @@ _VERSION = 430
 _MOST_DEVICES = 16
 _SOFTWARE = ("llvmpipe", "softpipe", "swrast", "swiftshader")
 
-# What glcontext says (in bare Exceptions), and what it means.
+# Messages of glcontext (in bare Exceptions), and their meanings.
 _MEANINGS = (
     ("not loaded", "the library is not installed"),
     ("found 0 devices", "libEGL is there, but no driver for it"),
     ("eglInitialize failed", "the driver is there, but its renderer cannot be loaded"),
     ("eglCreateContext failed", "the renderer is older than OpenGL 4.3"),
-    ("requested device index", "the device asked for is not there; look at GLCONTEXT_DEVICE_INDEX"),
+    ("requested device index", "the requested device is missing; look at GLCONTEXT_DEVICE_INDEX"),
 )
 
 
 @dataclass(frozen=True)
 class GlReport:
-    """What this machine offers for drawing.
+    """Renderers of this machine.
 
     Attributes
     ----------
-    available : whether meshes can be drawn.
-    renderer, version : GL's own words; empty where not available.
-    is_software : whether the processor draws.
-    reason : why it is not available, and what to do; empty where it is.
+    available : True: meshes can be drawn.
+    renderer, version : GL's own strings; empty where not available.
+    is_software : True: the processor draws.
+    reason : cause and remedy where GL is not available; empty where it is.
     """
 
     available: bool
@@ -99,8 +99,8 @@ def open_context() -> moderngl.Context:
     Raises
     ------
     SceneError
-        With the driver's message, its meaning and the packages to install; or with the renderers that are there, where
-        none is the wanted one.
+        With the driver's message, its meaning and the packages to install; or with the available renderers, where none
+        is the wanted one.
     """
     wanted = _wanted_name()
     spare: moderngl.Context | None = None
@@ -125,7 +125,7 @@ def open_context() -> moderngl.Context:
 
 
 def renderers() -> tuple[str, ...]:
-    """Return the names of all that can draw here, in the order in which they are tried; none where there is no GL."""
+    """Return the names of all renderers of this machine, in the order in which they are tried; none without GL."""
     names = []
     try:
         with _quiet_driver():
@@ -138,7 +138,7 @@ def renderers() -> tuple[str, ...]:
 
 
 def probe() -> GlReport:
-    """Open and release a context, and tell how it went. Call it where no `fork` follows."""
+    """Open and release a context, and report the result. Call it where no `fork` follows."""
     try:
         context = open_context()
     except SceneError as error:
@@ -149,7 +149,7 @@ def probe() -> GlReport:
 
 
 def renderer_name(context: moderngl.Context) -> str:
-    """Return the name of what draws, for instance 'llvmpipe (LLVM 15.0.6, 256 bits)'."""
+    """Return the renderer string, for instance 'llvmpipe (LLVM 15.0.6, 256 bits)'."""
     return str(context.info["GL_RENDERER"])
 
 
@@ -174,7 +174,7 @@ def _release(context: moderngl.Context | None) -> None:
 
 
 def _contexts() -> Iterator[moderngl.Context]:
-    """Yield a context of each device that works, for the taker to release; raise the first failure if none does."""
+    """Yield a context of each device that works, for the caller to release; raise the first failure if none does."""
     failure: SceneError | None = None
     works = False
     for index in _device_indices():
@@ -214,7 +214,7 @@ def _open_device(index: int | None) -> moderngl.Context:
 
 @contextmanager
 def _quiet_driver() -> Iterator[None]:
-    """Keep Mesa from writing on stderr what the exception tells as well."""
+    """Keep Mesa from writing on stderr the text that the exception contains too."""
     before = os.environ.get("EGL_LOG_LEVEL")
     os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
     try:

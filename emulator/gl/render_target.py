@@ -1,14 +1,14 @@
-"""Where GL draws: a context, and the targets in which a picture comes to be.
+"""Render targets of GL: a context, and the textures in which a light frame is drawn.
 
     fine target     R32F with depth, n x n samples a pixel
-      -> mean       each pixel the mean of its n x n samples, in linear light; only in the reach of that picture
-    picture         R32F, the sensor's size; outside the reach it is 0, the dark sky
+      -> mean       each pixel the mean of its n x n samples, in linear light; only in the touched region of that frame
+    light frame     R32F, the sensor's size; outside the touched region it is 0, the dark sky
       -> out        (height, width) float32, row 0 on top
 
-Camera axes are OpenCV's: x right, y down, z out. GL's rows run upward; the picture is drawn upside down there, so that
-its first row comes first when it is read, and facets that are counter-clockwise to us are clockwise to GL.
+Camera axes are OpenCV's: x right, y down, z out. GL's rows run upward; the frame is drawn upside down there, so that
+its first row comes first when it is read, and facets that are counter-clockwise here are clockwise in GL.
 
-There are as many places for pictures as may be under way at a time.
+There are as many slots for light frames as may be pending at a time.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from emulator.light import Light, SceneError
 if TYPE_CHECKING:
     import moderngl
 
-__all__ = ["UNDER_WAY", "Readback", "Rectangle", "Stage", "depth_terms"]
+__all__ = ["MOST_PENDING", "Readback", "Rectangle", "RenderTarget", "depth_terms"]
 
 
-UNDER_WAY = 3
-"""Pictures that can be drawn before the first of them is taken."""
+MOST_PENDING = 3
+"""Light frames that can be drawn before the first of them is taken."""
 
 
-class _Place:
-    """A picture of R32F pixels."""
+class _Slot:
+    """A light frame of R32F pixels."""
 
     def __init__(self, gl: moderngl.Context, size: tuple[int, int]) -> None:
         self.target = gl.framebuffer([gl.texture(size, 1, dtype="f4")])
@@ -50,39 +50,39 @@ class _Place:
 
 
 class Readback:
-    """Places for pictures of `size` = (width, height) in the current context, used one after another."""
+    """Slots for light frames of `size` = (width, height) in the current context, used one after another."""
 
     def __init__(self, gl: moderngl.Context, size: tuple[int, int]) -> None:
-        self._free = deque(_Place(gl, size) for _ in range(UNDER_WAY))
-        self._sent: deque[_Place] = deque()
+        self._free = deque(_Slot(gl, size) for _ in range(MOST_PENDING))
+        self._sent: deque[_Slot] = deque()
 
     @property
     def target(self) -> moderngl.Framebuffer:
-        """What the next picture is to be drawn on.
+        """Framebuffer for the next light frame.
 
         Raises
         ------
         SceneError
-            All places hold pictures that were not taken.
+            All slots hold light frames that were not taken.
         """
         if not self._free:
-            raise SceneError(f"{UNDER_WAY} pictures are under way: take one before the next is drawn")
+            raise SceneError(f"{MOST_PENDING} light frames are pending: take one before the next is drawn")
         return self._free[0].target
 
     def send(self) -> None:
-        """Let the picture on `target` come."""
+        """Mark the light frame on `target` as pending."""
         self._sent.append(self._free.popleft())
 
     def receive(self, out: Light) -> None:
-        """Write the picture that was sent first, of those under way, into `out`, (height, width) float32.
+        """Write the oldest pending light frame into `out`, (height, width) float32.
 
         Raises
         ------
         SceneError
-            None is under way.
+            None is pending.
         """
         if not self._sent:
-            raise SceneError("no picture is under way: draw one before it is taken")
+            raise SceneError("no light frame is pending: draw one before it is taken")
         place = self._sent.popleft()
         place.receive(out)
         self._free.append(place)
@@ -127,7 +127,7 @@ void main() {
 
 @dataclass(frozen=True)
 class Rectangle:
-    """Part of a picture: columns `left` to `left + width`, rows `top` to `top + height`."""
+    """Part of a light frame: columns `left` to `left + width`, rows `top` to `top + height`."""
 
     left: int
     top: int
@@ -135,13 +135,13 @@ class Rectangle:
     height: int
 
 
-class Stage:
-    """A context of its own, in this thread, for pictures of `size` = (width, height), `samples` x `samples` a pixel.
+class RenderTarget:
+    """A context in this thread, for light frames of `size` = (width, height), `samples` x `samples` a pixel.
 
     Raises
     ------
     SceneError
-        There is no GL, or the picture is too large for it.
+        There is no GL, or the light frame is too large for it.
     """
 
     def __init__(self, size: tuple[int, int], samples: int) -> None:
@@ -158,7 +158,7 @@ class Stage:
             raise
 
     def close(self) -> None:
-        """Release the context and what lives in it; a second call does nothing."""
+        """Release the context with its objects; a second call does nothing."""
         if self._is_open:
             self._is_open = False
             self.context.release()
@@ -177,36 +177,37 @@ class Stage:
         render: Callable[[moderngl.Context], None],
         out: Light,
         prepare: Callable[[], None] | None = None,
-        reach: Rectangle | None = None,
+        region: Rectangle | None = None,
     ) -> None:
-        """Let `render` draw the samples, and write their means into `out`, (height, width) float32.
+        """Call `render` to draw the samples, and write their means into `out`, (height, width) float32.
 
-        `render` finds the context current, the target cleared, and depth test and culling on. `prepare` is called
-        before that, for targets of its own. Nothing may be drawn outside `reach`, where it is given; it saves time.
+        When `render` is called the context is current, the target cleared, and depth test and culling are on. `prepare`
+        is called before that, for targets of its own. Nothing may be drawn outside `region`, where it is given; it
+        saves time.
         """
-        self.begin(render, prepare, reach)
+        self.begin(render, prepare, region)
         self.take(out)
 
-    def draw_all(self, beginnings: Sequence[Callable[[], None]], outs: Sequence[Light]) -> None:
-        """Write the pictures that `beginnings` begin into `outs`, each begun before an earlier one is waited for."""
-        for first in range(0, len(outs), UNDER_WAY):
-            for begin in beginnings[first : first + UNDER_WAY]:
+    def draw_all(self, drawings: Sequence[Callable[[], None]], outs: Sequence[Light]) -> None:
+        """Write the light frames that `drawings` begin into `outs`; several are begun before the first is taken."""
+        for first in range(0, len(outs), MOST_PENDING):
+            for begin in drawings[first : first + MOST_PENDING]:
                 begin()
-            for out in outs[first : first + UNDER_WAY]:
+            for out in outs[first : first + MOST_PENDING]:
                 self.take(out)
 
     def begin(
         self,
         render: Callable[[moderngl.Context], None],
         prepare: Callable[[], None] | None = None,
-        reach: Rectangle | None = None,
+        region: Rectangle | None = None,
     ) -> None:
-        """Do as `draw`, but leave the picture where it is drawn, and do not wait for it: `take` does.
+        """Draw the samples as `draw` does, without waiting; `take` waits for the light frame and writes it.
 
-        Up to `UNDER_WAY` pictures can be begun before the first one is taken; they are taken in the same order.
+        Up to `MOST_PENDING` frames can be begun before the first one is taken; they are taken in the same order.
         """
         if not self._is_open:
-            raise SceneError("the scene was closed: it draws no more")
+            raise SceneError("the scene was closed: build it again")
         target, whole = self._readback.target, Rectangle(0, 0, *self.size)
         with self.context as gl:
             if prepare is not None:
@@ -216,21 +217,21 @@ class Stage:
             gl.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
             gl.front_face, gl.cull_face = "cw", "back"
             render(gl)
-            self._average(gl, target, whole if reach is None else reach)
+            self._average(gl, target, whole if region is None else region)
             self._readback.send()
-        # Leaving a context flushes it (EGL 1.5, section 3.7.3): what draws now begins.
+        # Leaving a context flushes it (EGL 1.5, section 3.7.3): the renderer starts now.
 
     def take(self, out: Light) -> None:
-        """Write the picture that was begun first, of those that were not taken, into `out`, (height, width) float32."""
+        """Write the oldest light frame that was begun and not taken into `out`, (height, width) float32."""
         if not self._is_open:
-            raise SceneError("the scene was closed: it draws no more")
+            raise SceneError("the scene was closed: build it again")
         with self.context:
             self._readback.receive(out)
 
-    def _average(self, gl: moderngl.Context, target: moderngl.Framebuffer, reach: Rectangle) -> None:
+    def _average(self, gl: moderngl.Context, target: moderngl.Framebuffer, region: Rectangle) -> None:
         target.use()
         target.clear()
-        target.viewport = (reach.left, reach.top, reach.width, reach.height)
+        target.viewport = (region.left, region.top, region.width, region.height)
         gl.enable_only(gl.NOTHING)
         self._samples_texture.use(0)
         self._cover.render(gl.TRIANGLES, vertices=3)
@@ -238,10 +239,10 @@ class Stage:
 
 
 def depth_terms(near_m: float, far_m: float) -> tuple[float, float]:
-    """Return a, b of gl_Position.z = a z + b with w = z, for things between `near_m` and `far_m` along the boresight.
+    """Return a, b of gl_Position.z = a z + b with w = z, for points between `near_m` and `far_m` along the boresight.
 
-    Take both from what is seen at that moment, and coordinates relative to the camera, subtracted in float64: float32
-    depth then resolves z^2 / near / 16 million.
+    Take both from the visible objects at that moment, and coordinates relative to the camera, subtracted in float64:
+    float32 depth then resolves z^2 / near / 16 million.
     """
     if not 0 < near_m < far_m:
         raise ValueError(f"near_m = {near_m:g}, far_m = {far_m:g}: must be above 0 and in this order")

@@ -1,8 +1,8 @@
-"""The lens of a camera: how much light reaches the chip, how sharp the picture is, and where things appear.
+"""The lens of a camera: the light on the chip, the blur, and distortion.
 
     chip irradiance    E = pi tau L / (4 N^2)            far object of radiance L; times cos^4 off the axis
-    chip lux           252 lm/W of sunlight, 400 to 700 nm (see `photometry.sun`)
-    light              chip lux / reference_lux: what pixels work on, 1 at the sensor's reference
+    chip lux           252 lm/W of sunlight, 400 to 700 nm (see `photometry.reflectance`)
+    light              chip lux / reference_lux: the input of pixels, 1 at the sensor's reference
     photocurrent       I = q FF A QE E lambda / (h c) at 555 nm
     blur               Gaussian of standard deviation sqrt(own^2 + airy^2 + defocus^2), pixels;
                        airy = 0.42 lambda N / pitch (the Gaussian nearest to Airy's disc), and a disc of confusion of
@@ -13,18 +13,17 @@ aplanatic (Abbe's sine condition), so the sine is 1 / (2 N), and a star (an irra
 and a surface of the same light agree at every f-number. The other common form, 1 / (4 N^2 + 1), takes 1 / (2 N) for the
 tangent: it is 11 % lower at f/1.4. Source: Born and Wolf, Principles of Optics, sections 4.5.1 and 4.8.
 
-The chip's figures are estimates (fill factor 22 %, peak efficiency 24 % for the front-illuminated DAVIS346; pitch as in
-its data sheet), and so is the reference: 1 klux on a scene of middle grey through f/1.4 is some 50 lx on the chip.
+The chip's parameters are estimates (fill factor 22 %, peak efficiency 24 % for the front-illuminated DAVIS346; pitch as
+in its data sheet), and so is the reference: 1 klux on a scene of middle grey through f/1.4 is about 50 lx on the chip.
 
-Lens distortion by the model of Brown and Conrady, as OpenCV writes it.
-
-With x, y the tangents of a direction (x / z, y / z) and r^2 = x^2 + y^2, the picture shows it at
+Distortion follows the model of Brown and Conrady, as OpenCV writes it. With x, y the tangents of a direction
+(x / z, y / z) and r^2 = x^2 + y^2, its image is at
 
     x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2)
     y' = y (1 + k1 r^2 + k2 r^4 + k3 r^6) + p1 (r^2 + 2 y^2) + 2 p2 x y
 
 Its inverse has no closed form: Newton's method finds it, to 1e-12, wherever the model is one to one. A lens whose model
-folds over inside the picture is refused, with how far it holds.
+folds over inside the image is refused, with the angle up to which it is valid.
 """
 
 from __future__ import annotations
@@ -73,7 +72,7 @@ CHIPS = {
     "dvxplorer_micro": Chip(9.0, 0.22, 0.24),
     "imx636": Chip(4.86, 0.77, 0.7),
 }
-"""Chips by camera model; the first lines of the module give the sources."""
+"""Chips by camera model; the module docstring gives the sources."""
 
 
 @dataclass(frozen=True)
@@ -83,19 +82,19 @@ class LensParameters:
     Attributes
     ----------
     field_of_view_deg
-        Of the picture's width, edge to edge.
+        Field of view of the image's width, edge to edge.
     f_number
         Focal length over aperture.
     transmission
         Share of the light that passes.
     reference_lux
-        Light on the chip at which the sensor's figures hold (light 1).
+        Light on the chip at which the sensor's parameters are valid (light 1).
     blur_px
         The lens's own point spread, standard deviation of a Gaussian, pixels.
     focus_m
         Distance in focus; 0: infinity.
     vignetting
-        Whether light falls as cos^4 off the axis.
+        True: light falls as cos^4 off the axis.
     k1, k2, k3
         Radial distortion (Brown and Conrady, as OpenCV writes it).
     p1, p2
@@ -153,11 +152,11 @@ class LensParameters:
         return light * self.reference_lux / LUMENS_A_WATT
 
     def pinhole(self, size: tuple[int, int]) -> Pinhole:
-        """Return the geometry of the picture, without distortion."""
+        """Return the geometry of the image, without distortion."""
         return Pinhole.of_field(size, self.field_of_view_deg)
 
     def blur_sigma_px(self, chip: Chip, focal_px: float, distance_m: float = math.inf) -> float:
-        """Return the standard deviation of the blur of what is `distance_m` away, pixels."""
+        """Return the standard deviation of the blur of objects `distance_m` away, pixels."""
         airy = _AIRY * _WAVELENGTH_M * self.f_number / (chip.pitch_um * 1e-6)
         return math.hypot(self.blur_px, airy, self.confusion_px(chip, focal_px, distance_m) / 4)
 
@@ -176,7 +175,7 @@ _STEPS = 30
 
 
 class DistortionError(ValueError):
-    """The coefficients of a lens fold the picture over itself."""
+    """The coefficients of a lens fold the image over itself."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +194,7 @@ class Distortion:
         return cls(lens.k1, lens.k2, lens.k3, lens.p1, lens.p2)
 
     def bend(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Return where directions with tangents `x`, `y` are seen, as tangents again."""
+        """Return the images of directions with tangents `x`, `y`, as tangents again."""
         rr = x * x + y * y
         radial = 1 + rr * (self.k1 + rr * (self.k2 + rr * self.k3))
         return (
@@ -204,7 +203,7 @@ class Distortion:
         )
 
     def straighten(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Return the directions that are seen at `x`, `y`; raises DistortionError where there is none."""
+        """Return the directions with images at `x`, `y`; raises DistortionError where there is none."""
         u, v = x.copy(), y.copy()
         for _ in range(_STEPS):
             (at_x, at_y), (xx, xy, yy) = self.bend(u, v), self.stretch(u, v)
@@ -216,7 +215,7 @@ class Distortion:
         return u, v
 
     def stretch(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return how the picture is stretched at directions with tangents `x`, `y`: dx'/dx, dx'/dy = dy'/dx, dy'/dy."""
+        """Return the stretch of the image at directions with tangents `x`, `y`: dx'/dx, dx'/dy = dy'/dx, dy'/dy."""
         rr = x * x + y * y
         radial = 1 + rr * (self.k1 + rr * (self.k2 + rr * self.k3))
         slope = 2 * (self.k1 + rr * (2 * self.k2 + 3 * rr * self.k3))
@@ -241,9 +240,9 @@ class Distortion:
 
 
 def straight_columns_and_rows(distortion: Distortion, camera: Pinhole) -> tuple[Floats, Floats]:
-    """Return where, in a picture without distortion and of the same scale, each pixel's centre lies, (height, width).
+    """Return the positions of pixel centres in an image without distortion of the same scale, (height, width) each.
 
-    Measured from the middle of the picture, in pixels.
+    They are measured from the middle of the image, in pixels.
     """
     x, y = np.meshgrid(
         (np.arange(camera.width) + 0.5 - camera.width / 2) / camera.focal_px,
@@ -254,7 +253,7 @@ def straight_columns_and_rows(distortion: Distortion, camera: Pinhole) -> tuple[
 
 
 def bent_rays(distortion: Distortion, places: tuple[Floats, Floats], camera: Pinhole) -> Rays:
-    """Return where pixels look, whose middles lie at `places` (see `straight_columns_and_rows`) before `camera`."""
+    """Return the rays of pixels whose middles lie at `places` (see `straight_columns_and_rows`) of `camera`."""
     columns, rows = places
     bend = np.stack(distortion.stretch(columns / camera.focal_px, rows / camera.focal_px), axis=-1)
     return Rays(columns + camera.width / 2, rows + camera.height / 2, bend)

@@ -1,13 +1,13 @@
-"""Effects of a lens on a picture, pixel by pixel, in linear light.
+"""Effects of a lens on a light frame, pixel by pixel, in linear light.
 
-    blur      separable Gaussian, each tap the Gaussian's share of a pixel (erf), the picture's edge repeated
-    bend      bilinear look-up of the straight picture at places found once
+    blur      separable Gaussian, each tap the Gaussian's share of a pixel (erf), the frame's edge repeated
+    bend      bilinear look-up of the frame without distortion at positions computed once
     scale     each pixel times its own factor
 
-Blur and scale touch a part of the picture only, (first row, last row, first column, last column): what is beyond it is
-black, or was done before.
+Blur and scale process a part of the frame only, (first row, last row, first column, last column): the rest is black, or
+was processed before.
 
-Written as loops over rows of float32 that become vectors; look-ups do not, and cost about 3 ns a pixel.
+The loops run over rows of float32 and become vectors; look-ups do not, and cost about 3 ns a pixel.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = ["Bilinear", "Part", "bend", "blur", "blur_and_scale", "gaussian_taps"
 
 _Float32s = npt.NDArray[np.float32]
 Part = tuple[int, int, int, int]
-"""Rows and columns of a picture: first row, last row, first column, last column, the last ones not included."""
+"""Rows and columns of a light frame: first row, last row, first column, last column, the last ones not included."""
 
 _REACH_SIGMAS = 3.5
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False, "fastmath": {"contract"}}
@@ -45,9 +45,9 @@ def gaussian_taps(sigma_px: float) -> _Float32s:
 
 
 class Bilinear:
-    """Places between the pixels of a picture of `size` = (width, height), at columns and rows (height, width).
+    """Positions between the pixels of a frame of `size` = (width, height), at columns and rows (height, width).
 
-    Column 0.5 is the middle of the first pixel; places beyond the picture are moved to its edge.
+    Column 0.5 is the middle of the first pixel; positions beyond the frame are moved to its edge.
     """
 
     def __init__(self, columns: npt.NDArray[np.float64], rows: npt.NDArray[np.float64], size: tuple[int, int]) -> None:
@@ -62,9 +62,9 @@ class Bilinear:
 
 
 def blur(picture: _Float32s, taps: _Float32s, rows: _Float32s, out: _Float32s, part: Part) -> None:
-    """Write a `picture` (height, width) blurred into `out`, in `part`; `rows` is a third one, for the rows' passes.
+    """Write `picture`, (height, width), blurred into `out`, in `part`; `rows` is a third array for the rows' passes.
 
-    The picture must be right within the taps' width around the part.
+    The light must be valid within the taps' width around the part.
     """
     reach, height = taps.size // 2, picture.shape[0]
     first_row, last_row, first, last = part
@@ -112,7 +112,7 @@ def _blur_rows(picture: _Float32s, taps: _Float32s, part: Part, out: _Float32s, 
             to[x] = np.float32(0)
         for k in range(taps.size):
             tap, shift = taps[k], k - reach
-            # Columns whose neighbour lies within the picture; beyond, the picture's edge is repeated.
+            # Columns whose neighbour lies within the frame; beyond, the frame's edge is repeated.
             first = min(max(left, -shift), right)
             last = max(min(right, width - shift), first)
             for x in range(left, first):
@@ -154,7 +154,7 @@ def _add_four(
 
 @_loop
 def _blur_along(row: _Float32s, taps: _Float32s, columns: tuple[int, int], line: _Float32s, out: _Float32s) -> None:
-    """Write the pass along a row; `line` is room for the row with its ends repeated."""
+    """Write the pass along a row; `line` is a work array for the row with its ends repeated."""
     first, last = columns
     reach, n = taps.size // 2, last - first
     before, after = max(reach - first, 0), max(last + reach - row.size, 0)
@@ -212,7 +212,7 @@ def _blur_and_scale(
 def blur_and_scale(
     picture: _Float32s, taps: _Float32s, factor: _Float32s, part: Part, strip: _Float32s, out: _Float32s
 ) -> None:
-    """Write what `blur` and `scale` give one after the other, to the last bit, in less than half of their time.
+    """Write the result of `blur` followed by `scale`, to the last bit, in less than half of their time.
 
     Parameters
     ----------
@@ -222,5 +222,5 @@ def blur_and_scale(
 
 
 def strip_for(width: int, taps: _Float32s) -> _Float32s:
-    """Return room for the rows that `blur_and_scale` has in work."""
+    """Return a work array for the rows of `blur_and_scale`."""
     return np.zeros((_STRIP + taps.size + 1, width + taps.size), np.float32)

@@ -1,16 +1,16 @@
 """A scene seen through a lens: radiance in, light on the pixels out.
 
-In this order, all in linear light:
+The order is, all in linear light:
 
-    the scene draws radiance, averaged over pixels       wider than the picture where the lens bends lines inwards
+    the scene draws radiance, averaged over pixels       on a wider frame where the lens bends lines inwards
     blur                                                 point spread and defocus at the scene's distance
     bend                                                 distortion
     scale                                                light per radiance, cos^4 off the axis
 
-The time derivative goes the same way: all of it is linear. A part that changes nothing is not there: a blur under
+The time derivative is processed in the same way: all of it is linear. A step without an effect is skipped: a blur under
 a tenth of a pixel, which moves no edge by more than a hundredth, and a distortion of zero.
 
-The threads that blur and scale large pictures: each does a share of the rows, to the same bits as one.
+Threads blur and scale large light frames: each does a share of the rows, to the same bits as one thread.
 """
 
 from __future__ import annotations
@@ -27,35 +27,35 @@ from emulator.geometry.camera import Pinhole, Rays, SceneGeometry
 from emulator.light import Light, PixelLight, Region, Scene, SceneError
 from emulator.optics.lens import Chip, Distortion, DistortionError, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.optics.passes import Bilinear, Part, bend, blur, blur_and_scale, gaussian_taps, scale, strip_for
-from emulator.threads import Crew, available_threads
+from emulator.threads import ThreadPool, available_threads
 
 __all__ = ["BlurWorkers", "Through"]
 
 
 _WORTH_A_THREAD = 200_000
-"""Pixels whose blur takes some times as long as to wake a thread."""
+"""Pixels whose blur takes several times as long as starting a thread."""
 
 _Float32s = npt.NDArray[np.float32]
 
 
 class BlurWorkers:
-    """Blur by `taps`, then scale by `factor`, (height, width), of pictures of that size.
+    """Blur by `taps`, then scale by `factor`, (height, width), of light frames of that size.
 
     Parameters
     ----------
-    threads : how many work on a large part; 0: those available.
+    threads : number of threads for a large part; 0: those available.
     """
 
     def __init__(self, taps: _Float32s, factor: _Float32s, threads: int = 0) -> None:
         self._taps, self._factor = taps, factor
-        self._crew = Crew(threads or available_threads())
-        self._strips = [strip_for(factor.shape[1], taps) for _ in range(self._crew.threads)]
+        self._pool = ThreadPool(threads or available_threads())
+        self._strips = [strip_for(factor.shape[1], taps) for _ in range(self._pool.threads)]
 
     def __call__(self, pictures: Sequence[_Float32s], part: Part, outs: Sequence[_Float32s]) -> None:
         """Write `pictures`, blurred and scaled, to `outs`, in `part`."""
         first, last, left, right = part
         large = len(outs) * (last - first) * (right - left) >= _WORTH_A_THREAD
-        count = self._crew.threads if large else 1
+        count = self._pool.threads if large else 1
         rows = [first + (last - first) * k // count for k in range(count + 1)]
 
         def share(k: int, thread: int) -> None:
@@ -63,11 +63,11 @@ class BlurWorkers:
                 mine = rows[k], rows[k + 1], left, right
                 blur_and_scale(picture, self._taps, self._factor, mine, self._strips[thread], out)
 
-        self._crew.each(share, count)
+        self._pool.each(share, count)
 
     def close(self) -> None:
         """End the threads; a second call does nothing."""
-        self._crew.close()
+        self._pool.close()
 
 
 _LEAST_BLUR_PX = 0.1
@@ -79,7 +79,7 @@ class Through(Scene):
     Raises
     ------
     SceneError
-        The lens folds the picture over itself; and whatever `build` raises.
+        The lens folds the image over itself; also errors of `build`.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class Through(Scene):
 
     @property
     def motion_bound_px_s(self) -> float:
-        """That of the scene: distortion stretches by a few percent, which the step rule has room for."""
+        """The bound of the scene: distortion stretches by a few percent, within the margin of the step rule."""
         return self.scene.motion_bound_px_s
 
     @property
@@ -148,17 +148,17 @@ class Through(Scene):
 
     @property
     def changed(self) -> Region | None:
-        """That of the scene, wider by the blur; anything, where the lens bends lines."""
+        """The changed region of the scene, wider by the blur; None, where the lens bends lines."""
         return self._changed
 
     @property
     def pixel_light(self) -> PixelLight | None:
-        """That of the scene, gathered over the blur; None where the lens bends lines."""
+        """The function of the scene, averaged over the blur; None where the lens bends lines."""
         inner = self.scene.pixel_light
         return None if inner is None or self._bent is not None else partial(self._pixels, inner)
 
     def geometry(self, rays: Rays | None = None) -> SceneGeometry | None:
-        """Return that of the scene, along the rays that the lens bends."""
+        """Return the geometry of the scene, along the rays that the lens bends."""
         return self.scene.geometry(rays or self._rays)
 
     def light(self, t_ns: int, out: Light) -> None:
@@ -178,7 +178,7 @@ class Through(Scene):
             self._workers.close()
 
     def _pass(self, outs: tuple[Light, ...]) -> None:
-        """Take what the scene has drawn through the lens, where it may differ from what `outs` hold."""
+        """Apply the lens to the light of the scene, where it may differ from the contents of `outs`."""
         whole = Region(0, self._size[1], 0, self._size[0])
         known = len(outs) == len(self._outs) and all(a is b for a, b in zip(outs, self._outs, strict=True))
         self._outs = outs
@@ -227,7 +227,7 @@ _Places = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 
 
 def _places(lens: LensParameters, camera: Pinhole) -> _Places | None:
-    """Return where each pixel looks in a picture without distortion, from its middle, px; None without distortion."""
+    """Return the position of each pixel in a frame without distortion, from its middle, px; None without distortion."""
     if not lens.distorts:
         return None
     try:
@@ -237,7 +237,7 @@ def _places(lens: LensParameters, camera: Pinhole) -> _Places | None:
 
 
 def _margin_px(columns: npt.NDArray[np.float64], rows: npt.NDArray[np.float64], camera: Pinhole) -> int:
-    """Return how much wider the straight picture must be on each side for the bent one to lie within."""
+    """Return the margin on each side by which the frame without distortion must be wider to contain the bent one."""
     beyond = max(float(np.abs(columns).max()) - camera.width / 2, float(np.abs(rows).max()) - camera.height / 2)
     return max(0, math.ceil(beyond)) + 1
 

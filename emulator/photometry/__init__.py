@@ -1,1 +1,1 @@
-"""How much light leaves a surface, and how much of it there is."""
+"""Laws of reflection, and the units and sources of light."""

@@ -1,4 +1,4 @@
-"""Laws of reflection: from the angles of light to what leaves a surface.
+"""Laws of reflection of surfaces, and sunlight.
 
 r(i, e, g) in 1/sr, with mu0 = cos i of incidence, mu = cos e of emission, and g the phase angle between Sun and eye;
 the radiance is L = r E, E the irradiance of a surface that faces the Sun. I/F = pi r.
@@ -7,8 +7,8 @@ the radiance is L = r E, E the irradiance of a surface that faces the Sun. I/F =
     lommel-seeliger     r = (w / 4 pi) P(g) mu0 / (mu0 + mu)                 the right limb for dark bodies
     lunar-lambert       r = A [2 l(g) mu0 / (mu0 + mu) + (1 - l(g)) mu0] p(g) / pi
                         l(g) = 1 - 0.019 g + 2.42e-4 g^2 - 1.46e-6 g^3, g in degrees, held between 0 and 1
-                        (McEwen 1996, LPSC 27, 841; USGS ISIS, LunarLambertMcEwen); p(g) = e^(-0.9 g), g in radians, a
-                        serviceable stand-in for the Moon's phase function
+                        (McEwen 1996, LPSC 27, 841; USGS ISIS, LunarLambertMcEwen); p(g) = e^(-0.9 g), g in radians, an
+                        approximation of the Moon's phase function
     hapke               r = (w / 4 pi) mu0 / (mu0 + mu) [(1 + B(g)) P(g) + H(mu0) H(mu) - 1]
                         B = B0 / (1 + tan(g / 2) / h),  H(x) = (1 + 2 x) / (1 + 2 x sqrt(1 - w))
                         (Hapke 1993, Theory of Reflectance and Emittance Spectroscopy; without roughness)
@@ -16,17 +16,15 @@ the radiance is L = r E, E the irradiance of a surface that faces the Sun. I/F =
     glossy              r = A mu0 / pi + S (m + 8) / (8 pi) (n.h)^m mu0,  n.h = (mu0 + mu) / (2 cos(g / 2))
                         (Blinn's lobe around the mirror's direction, normalised: foil, solar cells, bare metal)
 
-with the phase function of Henyey and Greenstein, its mean over all directions 1, b < 0 throwing light back:
+with the phase function of Henyey and Greenstein, its mean over all directions 1, b < 0 scattering light back:
 
     P(g) = (1 - b^2) / (1 + 2 b cos g + b^2)^(3/2)
 
-On the night side (mu0 <= 0) r is 0. Each law writes itself as GLSL too, the same formula in float32, for the renderer:
+On the night side (mu0 <= 0) r is 0. Each law gives its GLSL text too, the same formula in float32, for the renderer:
 
-    vec2 phase_terms(float phase)                          what depends on the phase angle alone, fit for a vertex
+    vec2 phase_terms(float phase)                          the terms of the phase angle alone, for each vertex
     float reflect_at(float mu0, float mu, vec2 terms)      the rest, for each fragment
     float reflect_sun(float mu0, float mu, float phase)    both at once
-
-The Sun, the Earth seen from the Moon, and the units of light.
 
 All light is counted in the band that a silicon pixel and an eye share, 400 to 700 nm. There sunlight at 1 au is
 
@@ -73,7 +71,7 @@ def _require(owner: object, name: str, low: float, high: float) -> None:
 
 
 def henyey_greenstein(phase_rad: float | Floats, asymmetry: float) -> Floats:
-    """Return P(g) of the module's first lines."""
+    """Return P(g) of the module docstring."""
     b = asymmetry
     return np.asarray((1 - b * b) / (1 + 2 * b * np.cos(phase_rad) + b * b) ** 1.5)
 
@@ -89,7 +87,7 @@ class Lambert:
     Attributes
     ----------
     albedo
-        Share of the light that is thrown back.
+        Share of the light that is reflected.
     """
 
     kind: ClassVar[str] = "lambert"
@@ -103,7 +101,7 @@ class Lambert:
         return np.asarray(self.albedo / math.pi * np.maximum(mu0, 0))
 
     def glsl(self) -> str:
-        """Return the law as GLSL; see the module's first lines."""
+        """Return the law as GLSL; see the module docstring."""
         return _glsl("vec2(0.0)", f"return {self.albedo / math.pi!r} * mu0;")
 
 
@@ -116,7 +114,7 @@ class LommelSeeliger:
     single_scattering_albedo
         w: share of light that a grain does not absorb; 0.33 for Eros at 550 nm (Li 2005).
     asymmetry
-        b of the Henyey-Greenstein function: below 0 light goes back where it came from; -0.25 for Eros.
+        b of the Henyey-Greenstein function: below 0 light is scattered back to its source; -0.25 for Eros.
     """
 
     kind: ClassVar[str] = "lommel-seeliger"
@@ -133,7 +131,7 @@ class LommelSeeliger:
         return np.asarray(scattered * _seeliger(np.maximum(mu0, 0), mu))
 
     def glsl(self) -> str:
-        """Return the law as GLSL; see the module's first lines."""
+        """Return the law as GLSL; see the module docstring."""
         share = self.single_scattering_albedo / (4 * math.pi)
         return _glsl(f"vec2({share!r} * {_HG.format(b=self.asymmetry)}, 0.0)", "return terms.x * seeliger(mu0, mu);")
 
@@ -163,7 +161,7 @@ class LunarLambert:
         return np.asarray(self.albedo / math.pi * np.exp(-0.9 * np.asarray(phase_rad)) * mixture)
 
     def glsl(self) -> str:
-        """Return the law as GLSL; see the module's first lines."""
+        """Return the law as GLSL; see the module docstring."""
         g = "degrees(phase)"
         share = f"clamp(1.0 + {g} * (-0.019 + {g} * (2.42e-4 - 1.46e-6 * {g})), 0.0, 1.0)"
         scale = f"{self.albedo / math.pi!r} * exp(-0.9 * phase)"
@@ -181,7 +179,7 @@ class Hapke:
     single_scattering_albedo
         w: share of light that a grain does not absorb.
     asymmetry
-        b of the Henyey-Greenstein function: below 0 light goes back where it came from.
+        b of the Henyey-Greenstein function: below 0 light is scattered back to its source.
     surge
         B0: height of the opposition surge.
     surge_width
@@ -210,7 +208,7 @@ class Hapke:
         return np.asarray(w / (4 * math.pi) * _seeliger(lit, seen) * (once + often))
 
     def glsl(self) -> str:
-        """Return the law as GLSL; see the module's first lines."""
+        """Return the law as GLSL; see the module docstring."""
         w = self.single_scattering_albedo
         gamma = math.sqrt(1 - w)
         surge = f"(1.0 + {self.surge!r} / (1.0 + tan(0.5 * phase) / {self.surge_width!r}))"
@@ -224,14 +222,14 @@ class Hapke:
 
 @dataclass(frozen=True)
 class Glossy:
-    """A mirror that is not quite flat, over an even ground: insulation foil, solar cells.
+    """A rough mirror over a diffuse ground: insulation foil, solar cells.
 
     Attributes
     ----------
     albedo
-        Share of the light that is thrown back evenly.
+        Share of the light that is reflected diffusely.
     shine
-        Share that is thrown back around the mirror's direction.
+        Share that is reflected around the mirror's direction.
     sharpness
         Exponent m of the lobe; its width is about 80 degrees / sqrt(m).
     """
@@ -253,7 +251,7 @@ class Glossy:
         return np.asarray(lit * (self.albedo / math.pi + self.shine * (m + 8) / (8 * math.pi) * halfway**m))
 
     def glsl(self) -> str:
-        """Return the law as GLSL; see the module's first lines."""
+        """Return the law as GLSL; see the module docstring."""
         lobe = self.shine * (self.sharpness + 8) / (8 * math.pi)
         return _glsl(
             "vec2(0.5 / max(cos(0.5 * phase), 1e-6), 0.0)",
@@ -269,7 +267,7 @@ _HG = "(1.0 - ({b!r}) * ({b!r})) / pow(1.0 + 2.0 * ({b!r}) * cos(phase) + ({b!r}
 
 
 def _glsl(terms: str, body: str) -> str:
-    """Wrap a formula: what is not lit is black, and a normal that leans away by a little counts as that little."""
+    """Wrap a formula: unlit points are black, and the cosine of emission counts by its magnitude."""
     return (
         "float seeliger(float mu0, float mu) { return mu0 / max(mu0 + mu, 1e-12); }\n"
         f"vec2 phase_terms(float phase) {{ return {terms}; }}\n"
@@ -294,7 +292,7 @@ class Sun:
     direction
         Towards the Sun in the world; need not be of unit length.
     distance_au
-        From the Sun, astronomical units.
+        Distance from the Sun, astronomical units.
     """
 
     direction: tuple[float, float, float] = (0.0, 0.0, -1.0)
@@ -308,10 +306,10 @@ class Sun:
 
     @property
     def irradiance_w_m2(self) -> float:
-        """On a surface that faces the Sun, 400 to 700 nm."""
+        """Irradiance of a surface that faces the Sun, 400 to 700 nm."""
         return SUN_W_M2 / self.distance_au**2
 
     @property
     def radius_rad(self) -> float:
-        """Half the angle that the Sun's disc spans."""
+        """Angular radius of the Sun's disc."""
         return math.radians(_RADIUS_DEG) / self.distance_au

@@ -4,7 +4,7 @@ With unit vectors s to the Sun and e to the eye, q = |s - e|^2 holds the phase a
 
     cos g = 1 - q / 2        tan(g / 2) = sqrt(q / (4 - q))        cos(g / 2) = sqrt(1 - q / 4)
 
-What makes it fast: one loop for each law over compact arrays, without branches, calls or powers where the law has none,
+For speed there is one loop for each law over compact arrays, without branches, calls or powers where the law has none,
 so the compiler computes several points at once.
 """
 
@@ -23,7 +23,7 @@ __all__ = ["Law", "law_of", "reflect"]
 
 Floats = npt.NDArray[np.float64]
 Law = tuple[int, Floats]
-"""Which law, and its parameters: (4,), behind them tables where a law has some."""
+"""Number of the law, and its parameters: (4,), followed by tables where a law has some."""
 
 _LAMBERT, _SEELIGER, _LUNAR, _HAPKE, _GLOSSY = range(5)
 _TINY = 1e-12
@@ -103,7 +103,7 @@ def _hapke(p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out: 
 @numba.njit(error_model="numpy")
 def _glossy(p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out: Floats) -> None:
     even, lobe, sharpness = p[0], p[1], p[2]
-    rim = math.exp(-60.0 / sharpness)  # beside it the lobe is below 1e-26 of its height: no power is spent on it
+    rim = math.exp(-60.0 / sharpness)  # beside it the lobe is below 1e-26 of its height: no power is computed there
     for i in range(count):
         lit = max(mu0[i], 0.0)
         if not lit > 0.0:
@@ -122,7 +122,7 @@ def reflect(kind: int, p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count
     Parameters
     ----------
     kind, p : a `Law`.
-    mu0, mu, chord2 : (count,) cosines of incidence and emission, and q of the module's first lines, 0 to 4.
+    mu0, mu, chord2 : (count,) cosines of incidence and emission, and q of the module docstring, 0 to 4.
     """
     if kind == _LAMBERT:
         _lambert(p, mu0, count, out)

@@ -1,15 +1,16 @@
-"""A picture's bands of rows, each drawn in one go.
+"""Drawing of a light frame in bands of rows, each in one pass.
 
 1. Depth: the nearest 1 / depth at the middle of each pixel and of one more all around.
 2. A facet shows if it is the nearest at a sample, or if it covers no sample and any sample in its box, one pixel
-   wider, is not nearer than its nearest point. This keeps what lies behind out of the sums; where it errs, areas do
+   wider, is not nearer than its nearest point. This excludes hidden facets from the sums; where it errs, areas do
    not add up to one.
-3. The edges of facets that show go into sums along rows (`rows`): of a patch no area, and what its light differs by.
+3. The edges of facets that show go into sums along rows (`rows`): of a patch no area, and the difference of its light.
 4. A pixel with the area 1 has its light. One with several whole layers, of which the same facet is the nearest at all
-   samples around, has the light of this facet. All others that hold anything are computed one by one from all facets
+   samples around, has the light of this facet. All other touched pixels are computed one by one from all facets
    that touch them, hidden ones too (`pixel`).
 
-What makes it fast: a band's arrays stay in the second-level cache; only columns that facets touch are cleared and read.
+Two measures make it fast: a band's arrays stay in the second-level cache; only columns that facets touch are cleared
+and read.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from emulator.raster.depth import shows as may_show
 from emulator.raster.layout import (
     BAND,
     Data,
+    Float32s,
     Floats,
     G,
     Ints,
     L,
-    Pictures,
     XHigh,
     XLow,
     YHigh,
@@ -58,13 +59,13 @@ def _sum_up(
     acc: Floats,
     rows: tuple[int, int],
     columns: tuple[int, int, int, int],
-    pictures: tuple[Pictures, Pictures],
+    pictures: tuple[Float32s, Float32s],
     facets: Floats,
     nearest: Ints,
     places: tuple[Ints, Ints, Ints],
-    owners: tuple[Ints, Pictures],
+    owners: tuple[Ints, Float32s],
 ) -> int:
-    """Write pixels whose area is a whole number; list the others, number them in `slots`; return how many."""
+    """Write pixels whose area is a whole number; list the others, number them in `slots`; return their number."""
     n = 0
     owner, whole = owners
     told = len(owner) > 0
@@ -118,7 +119,7 @@ def _pair_up(
     rows: tuple[int, int],
     columns: tuple[int, int],
 ) -> int:
-    """Write (slot, facet) of each listed pixel that a facet touches; return how many, beyond what has room too."""
+    """Write (slot, facet) of each listed pixel that a facet touches; return their number, beyond the room too."""
     vertices, faces, facets = data[0], data[1], data[4]
     slots, _, masks = places
     n = 0
@@ -216,7 +217,7 @@ def _one_by_one(
 def _mark_others(data: Data, here: Ints, marks: tuple[Ints, Ints], depth: Floats, rows: tuple[int, int, int]) -> None:
     """Mark the facets that may show although they hold no sample; patches show where their facets do.
 
-    A patch has no area, so that nothing would tell if one was left out.
+    A patch has no area, so the sum of areas would not show that one is missing.
     """
     over, (shows, held), (first, last, band) = data[6], marks, rows
     for f in here:
@@ -240,7 +241,7 @@ def query_bands(
     scratch: Data,
     out: Floats,
 ) -> tuple[int, int]:
-    """Write light and rate, (n, 2), of pixels in ascending order; return where it stopped and the room it lacks."""
+    """Write light and rate, (n, 2), of pixels in ascending order; return the last index and the missing room."""
     starts, listed = lists
     slots, found, masks, answers = scratch[5:9]
     height, width = shape
@@ -272,9 +273,9 @@ def draw_bands(
     lists: Data,
     window: tuple[int, int],
     scratch: Data,
-    light: Pictures,
-    rate: Pictures,
-    owners: tuple[Ints, Pictures],
+    light: Float32s,
+    rate: Float32s,
+    owners: tuple[Ints, Float32s],
 ) -> tuple[int, int]:
     """Draw every `step`-th band from first to last; return the band that needs more room and how much, or (-1, 0).
 
@@ -285,7 +286,7 @@ def draw_bands(
     lists : `starts` and `listed` of `projection.bucket`.
     window : first column to write, and the one after the last.
     scratch : see `renderer.Scratch`.
-    owners : of `renderer.Owners`; empty arrays if nobody asks.
+    owners : of `renderer.Owners`; empty arrays if not requested.
     """
     starts, listed = lists
     acc, depth, nearest, held, shows, slots, found, masks, answers = scratch[:9]

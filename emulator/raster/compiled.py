@@ -8,4 +8,4 @@ from firmware_protocol.compiled import entry_of
 __all__ = ["entry", "kernel", "lane", "vector_kernel"]
 
 entry = entry_of("emulator.raster", "emulator.sensor.numerics")
-"""Compiles a function for calls from Python; it releases the GIL."""
+"""Compile a function for calls from Python; it releases the GIL."""

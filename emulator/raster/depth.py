@@ -1,4 +1,4 @@
-"""The nearest facet at samples, and which facets may show at all.
+"""The nearest facet at samples, and the selection of facets that may show.
 
 Samples are the middles of a band's pixels and of one more pixel all around.
 """
@@ -67,7 +67,7 @@ def fill_depth(
             c1 = math.floor(min(right, most + 1.0) - 0.5)
             if c0 > c1:
                 continue
-            # A middle exactly on a side may go to the neighbour: it tells nothing about what hides the facet.
+            # A middle exactly on a side may belong to the neighbour: it does not show that the facet is hidden.
             within = math.ceil(left - 0.5 + _ON_A_SIDE) <= math.floor(right - 0.5 - _ON_A_SIDE)
             holds = holds or (within and low_y < y < high_y)
             at_row = facets[f, W] + facets[f, W + 2] * y

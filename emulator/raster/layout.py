@@ -1,10 +1,8 @@
-"""Columns of the arrays that kernels share.
+"""Columns of the arrays that kernels share, and the input of the renderer at one instant.
 
 A vertex (n, 8) float64: screen place and velocity in px and px/s, w = 1 / depth in 1/m and its rate in 1/m/s, validity.
 A facet (m, 16) float64: planes p(x, y) = p0 + px x + py y of radiance L, of its rate at a fixed point G and of w; the
 range of w and of the screen box; and the sign of its winding, +1 seen from outside, -1 seen from inside.
-
-What the camera sees at one instant: vertices, their velocities and their radiance.
 """
 
 from __future__ import annotations
@@ -25,11 +23,11 @@ __all__ = [
     "Box",
     "Bytes",
     "Data",
+    "Float32s",
     "Floats",
     "G",
     "Ints",
     "L",
-    "Pictures",
     "Plane",
     "Screen",
     "Sides",
@@ -49,10 +47,10 @@ __all__ = [
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 Bytes = npt.NDArray[np.uint8]
-Pictures = npt.NDArray[np.float32]
+Float32s = npt.NDArray[np.float32]
 
 Data = tuple[Any, ...]
-"""What kernels pass on: vertices, faces, across, smooth, facets, kinds, over."""
+"""Arrays that kernels pass on: vertices, faces, across, smooth, facets, kinds, over."""
 
 Plane = tuple[float, float, float]
 Sides = tuple[float, float, float, float, float]
@@ -66,12 +64,12 @@ L, G, W = 0, 3, 6
 WLowest, WHighest, XLow, XHigh, YLow, YHigh, Sign = 9, 10, 11, 12, 13, 14, 15
 
 CULLED, SHOWABLE, FLAT = 0, 1, 2
-"""Kinds of facets: left out; drawn; drawn with constant radiance because it is too thin for a gradient."""
+"""Kinds of facets: skipped; drawn; drawn with constant radiance because it is too thin for a gradient."""
 
 
 @dataclass(frozen=True)
 class Screen:
-    """A pinhole camera's picture: pixel (column i, row j) covers [i, i + 1) x [j, j + 1).
+    """A pinhole camera's frame: pixel (column i, row j) covers [i, i + 1) x [j, j + 1).
 
     Attributes
     ----------
@@ -114,7 +112,7 @@ class View:
 
 @dataclass(frozen=True)
 class Box:
-    """Rows and columns of a part of a picture, the last ones not included; empty where `first >= last`."""
+    """Rows and columns of a part of a light frame, the last ones not included; empty where `first >= last`."""
 
     first_row: int = 0
     last_row: int = 0
@@ -123,7 +121,7 @@ class Box:
 
     @property
     def empty(self) -> bool:
-        """Whether it holds no pixel."""
+        """True: the box contains no pixel."""
         return self.first_row >= self.last_row or self.first_column >= self.last_column
 
     def union(self, other: Box) -> Box:

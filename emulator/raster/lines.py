@@ -2,10 +2,9 @@
 
 On a line each facet is an interval, its radiance and 1 / depth linear. From left to right the nearest interval is
 followed until it ends, until a nearer one begins or until another one passes through it. The integral over the
-intervals is exact; over LINES lines across what lies in the pixel
-it is the midpoint rule. Where the visible facet changes at the place x, the
-rate gets (L_left - L_right) u with u = v_x - v_y dx/dy of the edge that ends there, and for surfaces that pass through
-each other the velocity of equal depth.
+intervals is exact; over LINES lines across the pixel's contents it is the midpoint rule. Where the visible facet
+changes at the place x, the rate gets (L_left - L_right) u with u = v_x - v_y dx/dy of the edge that ends there, and for
+surfaces that pass through each other the velocity of equal depth.
 """
 
 from __future__ import annotations
@@ -65,7 +64,7 @@ def _side_of(i: int, j: int) -> int:
 
 @lane
 def _set_sides(data: Data, place: tuple[int, int], f: int, o: int, out: Floats) -> None:
-    """Write a facet's sides in the pixel's frame: corners by ascending y, and how x grows with y on each side."""
+    """Write a facet's sides in the pixel's frame: corners by ascending y, and the growth of x with y on each side."""
     vertices, faces = data[0], data[1]
     x, y = place[o], place[1 - o]
     i, j, k = 0, 1, 2
@@ -99,7 +98,7 @@ def _set_planes(data: Data, place: tuple[int, int], f: int, o: int, out: Floats)
 
 @vector_kernel
 def _cut(sides: Floats, count: int, y: float, lines: Floats) -> int:
-    """Write the interval of each facet on a line, in the pixel's frame; return how many there are."""
+    """Write the interval of each facet on a line, in the pixel's frame; return their number."""
     n = 0
     for i in range(count):
         facet = sides[i]
@@ -145,7 +144,7 @@ def _nearest(lines: Floats, n: int, x: float) -> int:
 
 @vector_kernel
 def _change(lines: Floats, n: int, w: int, x: float) -> tuple[float, int, bool]:
-    """Return where interval `w`, nearest at x, gives way, to which (-1: see who is next) and whether it is passed."""
+    """Return the end of interval `w`, nearest at x, its successor (-1: to be searched), and whether it is crossed."""
     end, heir, passed = lines[w, _TO], -1, False
     for k in range(n):
         if k == w:
@@ -200,7 +199,7 @@ def _along(
             if following >= 0:
                 step -= _value(lines, following, _L, end)
             if passed:
-                rate += step * _meeting(data, lines, w, heir, end, place, line)
+                rate += step * _equal_depth_speed(data, lines, w, heir, end, place, line)
             elif heir >= 0:
                 rate += step * _speed(data, lines, heir, _FROM_SIDE, place, line)
             else:
@@ -225,7 +224,7 @@ def _speed(data: Data, lines: Floats, k: int, which: int, place: tuple[int, int]
 
 
 @vector_kernel
-def _meeting(
+def _equal_depth_speed(
     data: Data,
     lines: Floats,
     k: int,

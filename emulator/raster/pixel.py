@@ -1,14 +1,12 @@
 """Light and rate of one pixel from the facets that touch it.
 
-Facets are taken by nearness. While they fill the pixel without overlap their integrals are exact, and once they fill
-it, what is farther than all of them is hidden. A pixel with free space where a single outline enters and leaves once is
-exact too: there is nothing behind. All others are resolved on LINES lines across the outline (`lines`).
+Facets are processed by nearness. While they fill the pixel without overlap their integrals are exact, and once they
+fill it, everything farther than all of them is hidden. A pixel with free space where a single outline enters and leaves
+once is exact too: there is nothing behind. All others are resolved on LINES lines across the outline (`lines`).
 
-Integrals over a pixel from the edges of facets.
-
-The integral of a function over a facet is a sum over the facet's edges: each edge a -> b counts what lies between it
-and the right end of the row. In the pixel that the edge crosses this is `piece`; pixels further right get the rest as
-sums along the row (`bands`) or directly (`pixel`). With h = y1 - y0, p and q the columns of the ends less the pixel's:
+The integral of a function over a facet is a sum over the facet's edges: each edge a -> b adds the area between it and
+the right end of the row. In the pixel that the edge crosses this is `piece`; pixels further right get the rest as sums
+along the row (`bands`) or directly (`integrals`). With h = y1 - y0, p and q the columns of the ends less the pixel's:
 
     area        h (ua + ub) / 2,  ua = 1 - p, ub = 1 - q
     of x        h / 2 (1 - (p^2 + p q + q^2) / 3)
@@ -118,7 +116,7 @@ def _contains(vertices: Floats, faces: Ints, facets: Floats, f: int, column: int
 
 @vector_kernel
 def integrals(data: Data, f: int, column: int, row: int) -> tuple[float, float, float]:
-    """Return area, light and rate of a facet within a pixel, exact; of a patch no area, and what light differs by."""
+    """Return area, light and rate of a facet within a pixel, exact; of a patch no area, and the difference of light."""
     vertices, faces, facets, over = data[0], data[1], data[4], data[6][f]
     k = facets[f, Sign]
     area = light = rate = 0.0
@@ -178,7 +176,7 @@ def integrals(data: Data, f: int, column: int, row: int) -> tuple[float, float, 
         area += within
         light += j0 * within + jx * mx + jy * my
         rate += g0 * within + gx * mx + gy * my
-        if not is_still(data, f, side):  # light is continuous there: what one facet loses its neighbour gains
+        if not is_still(data, f, side):  # at a still side light is continuous: the fluxes of both facets cancel
             qa = vertices[a, 2] * dy - vertices[a, 3] * dx
             dq = vertices[b, 2] * dy - vertices[b, 3] * dx - qa
             l0, l1 = j0 + jx * p + jy * y0, j0 + jx * q + jy * y1
@@ -188,7 +186,7 @@ def integrals(data: Data, f: int, column: int, row: int) -> tuple[float, float, 
 
 @vector_kernel
 def _outline(data: Data, f: int, column: int, row: int) -> tuple[int, float]:
-    """Return how often the facet's part of an outline passes the pixel's border, and |dx| - |dy| of it within."""
+    """Return the crossings of the facet's part of an outline with the pixel's border, and its |dx| - |dy| within."""
     vertices, faces, across, kinds = data[0], data[1], data[2], data[5]
     crossings, lean = 0, 0.0
     for side in range(3):

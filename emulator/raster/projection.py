@@ -4,11 +4,9 @@ A facet's radiance is linear on the screen: L = c0 + cx x + cy y through its cor
 rate G, linear too, with the corner values dL_i/dt - v_i . grad L, v_i the corner's velocity on the screen. 1 / depth is
 linear on the screen exactly.
 
-Facets that reach behind the camera, cut at the nearest depth.
-
-A cut facet becomes one or two facets with corners of their own on the plane. Along its sides the new corners move with
-the material, which leaves the motion of these sides across themselves as it is. New facets have no neighbours: their
-sides are added to the sums one by one.
+Facets that reach behind the camera are cut at the nearest depth. A cut facet becomes one or two facets with corners of
+their own on the plane. Along its sides the new corners move with the material, which does not change the motion of
+these sides across themselves. New facets have no neighbours: their sides are added to the sums one by one.
 """
 
 from __future__ import annotations
@@ -46,12 +44,12 @@ __all__ = ["bucket", "clip", "project", "set_up"]
 
 
 _THINNEST_PX = 1e-5  # a facet that is thinner has no gradient: rounding would be amplified beyond 1e-8 of its light
-_FARTHEST_PX = 1e15  # the picture ends long before; keeps conversions to integers valid
+_FARTHEST_PX = 1e15  # far beyond any frame; keeps conversions to integers valid
 
 
 @entry
 def project(positions: Floats, velocities: Floats, camera: Floats, out: Floats) -> int:
-    """Write vertices, (n, 8), and return how many lie nearer than the nearest depth; `camera` is (4,)."""
+    """Write vertices, (n, 8), and return the number nearer than the nearest depth; `camera` is (4,)."""
     focal, x0, y0, nearest = camera[0], camera[1], camera[2], camera[3]
     lost = 0
     for k in range(len(positions)):
@@ -110,7 +108,7 @@ def set_up(
 
     Parameters
     ----------
-    spans : first band and the one after the last; equal where the facet is left out.
+    spans : first band and the one after the last; equal where the facet is skipped.
     """
     height, width = shape
     touched[0], touched[1], touched[2], touched[3] = height, 0, width, 0
@@ -229,7 +227,7 @@ def clip(topology: Topology, view: View, nearest_m: float) -> tuple[Topology, Vi
         out.extend([[a, b, behind_b], [a, behind_b, behind_a]])
     added = np.concatenate([one, two, two])
     places = vertices.values
-    places[topology.vertices :, 2] = nearest_m  # exactly, whatever rounding left
+    places[topology.vertices :, 2] = nearest_m  # exact, without rounding
     extended = Topology(
         _longer(topology.faces, faces),
         _longer(topology.shades, shades),
@@ -250,7 +248,7 @@ class _Corners:
         self.values = values[:count]
 
     def cut(self, near: Ints, far: Ints, z_near: Floats, z_far: Floats, depth_m: float) -> Ints:
-        """Append values where the way from corner `near` to corner `far` passes `depth_m`; return their numbers."""
+        """Append values where the line from corner `near` to corner `far` crosses `depth_m`; return their numbers."""
         share = ((depth_m - z_near) / (z_far - z_near))[:, None]
         first = len(self.values)
         self.values = np.concatenate([self.values, self.values[near] * (1 - share) + self.values[far] * share])

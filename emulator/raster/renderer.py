@@ -1,4 +1,4 @@
-"""Pictures of surfaces: exact mean radiance of every pixel and its exact time derivative, by the CPU."""
+"""Light frames of surfaces: exact mean radiance of every pixel and its exact time derivative, by the CPU."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.raster.bands import draw_bands, query_bands
-from emulator.raster.layout import BAND, FACET_FIELDS, VERTEX_FIELDS, Box, Bytes, Floats, Ints, Pictures, Screen, View
+from emulator.raster.layout import BAND, FACET_FIELDS, VERTEX_FIELDS, Box, Bytes, Float32s, Floats, Ints, Screen, View
 from emulator.raster.lines import LINE_FIELDS, SIDE_FIELDS
 from emulator.raster.nearest import nearest_facets
 from emulator.raster.projection import bucket, clip, project, set_up
 from emulator.raster.topology import Topology
-from emulator.threads import Crew
+from emulator.threads import ThreadPool
 
 __all__ = ["Owners", "Renderer"]
 
@@ -22,7 +22,7 @@ _FIRST_PAIRS = 1 << 14
 
 @dataclass(frozen=True, eq=False)
 class Owners:
-    """Which facet is the nearest at the middle of each pixel, for light that is not linear over facets.
+    """The nearest facet at the middle of each pixel, for light that is not linear over facets.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Owners:
     """
 
     facets: Ints
-    whole: Pictures
+    whole: Float32s
 
     @classmethod
     def of(cls, width: int, height: int) -> Owners:
@@ -61,7 +61,7 @@ class _Scratch:
         self.grow(_FIRST_PAIRS)
 
     def grow(self, pairs: int) -> None:
-        """Make room for that many pairs of a pixel and a facet in a band."""
+        """Make room for `pairs` pairs of a pixel and a facet in a band."""
         self.pairs = np.zeros((pairs, 2), np.int32)
         self.grouped = np.zeros(pairs, np.int32)
         self.keys = np.zeros(pairs)
@@ -96,7 +96,7 @@ class Renderer:
     Parameters
     ----------
     topology : facets of all surfaces, see `prepare` and `join`.
-    threads : how many draw bands of rows at the same time; the pictures are the same to the last bit.
+    threads : number of threads that draw bands of rows; the light frames are the same to the last bit.
     """
 
     def __init__(self, topology: Topology, screen: Screen, threads: int = 1) -> None:
@@ -107,20 +107,20 @@ class Renderer:
         self._drawn = topology
         self._make_room(topology)
         self._scratches = [_Scratch(screen, len(topology.faces)) for _ in range(threads)]
-        self._crew = Crew(threads)
+        self._pool = ThreadPool(threads)
 
     @property
     def facets(self) -> Floats:
-        """Those of the last picture, (m, 16), see `layout`."""
+        """Facets of the last light frame, (m, 16), see `layout`."""
         return self._facets
 
     def draw(
-        self, view: View, light: Pictures, rate: Pictures, before: Box | None = None, owners: Owners = _NO_OWNERS
+        self, view: View, light: Float32s, rate: Float32s, before: Box | None = None, owners: Owners = _NO_OWNERS
     ) -> Box:
         """Write mean radiance and its rate, a second, (height, width) float32; return the part that surfaces touch.
 
-        Only this part and `before` are written: the part that the two arrays hold already of an earlier picture, an
-        empty box for arrays of zeros, None for unknown content. The same part of `owners` is written.
+        Only this part and `before` are written: the part of the two arrays with light of an earlier frame, an empty
+        box for arrays of zeros, None for unknown content. The same part of `owners` is written.
         """
         self._prepare(view)
         row0, row1, column0, column1 = (int(k) for k in self._touched)
@@ -131,12 +131,12 @@ class Renderer:
             self._draw(window, light, rate, owners)
         return touched
 
-    def query(self, view: View, pixels: npt.NDArray[np.int64]) -> tuple[Pictures, Pictures]:
+    def query(self, view: View, pixels: npt.NDArray[np.int64]) -> tuple[Float32s, Float32s]:
         """Return mean radiance and its rate of the pixels row * width + column alone, (n,) float32 each."""
         width, height = self.screen.width, self.screen.height
         wanted, place = np.unique(np.asarray(pixels, np.int64), return_inverse=True)
         if len(wanted) and not 0 <= wanted[0] <= wanted[-1] < width * height:
-            raise ValueError(f"pixels {wanted[0]} to {wanted[-1]} are not all in a picture of {width} x {height}")
+            raise ValueError(f"pixels {wanted[0]} to {wanted[-1]} are not all in a light frame of {width} x {height}")
         self._prepare(view)
         out, scratch, done = np.zeros((len(wanted), 2)), self._scratches[0], 0
         while done < len(wanted):
@@ -160,12 +160,12 @@ class Renderer:
 
     def close(self) -> None:
         """End the threads; a second call does nothing."""
-        self._crew.close()
+        self._pool.close()
 
-    def _draw(self, window: Box, light: Pictures, rate: Pictures, owners: Owners) -> None:
-        self._crew.each(lambda share, _: self._draw_share(share, window, light, rate, owners), len(self._scratches))
+    def _draw(self, window: Box, light: Float32s, rate: Float32s, owners: Owners) -> None:
+        self._pool.each(lambda share, _: self._draw_share(share, window, light, rate, owners), len(self._scratches))
 
-    def _draw_share(self, share: int, window: Box, light: Pictures, rate: Pictures, owners: Owners) -> None:
+    def _draw_share(self, share: int, window: Box, light: Float32s, rate: Float32s, owners: Owners) -> None:
         """Draw every n-th band, n threads."""
         scratch = self._scratches[share]
         scratch.shows.fill(-1)
@@ -199,7 +199,7 @@ class Renderer:
         self._spans = np.zeros((len(topology.faces), 2), np.int32)
 
     def _take(self, topology: Topology) -> None:
-        """Draw this topology, with room for its vertices and facets."""
+        """Select the topology to draw, with room for its vertices and facets."""
         self._drawn = topology
         if topology.vertices > len(self._vertices) or len(topology.faces) > len(self._kinds):
             self._make_room(topology)
@@ -213,7 +213,7 @@ class Renderer:
         if len(view.positions_m) < t.vertices or len(view.radiance) < t.entries:
             raise ValueError(
                 f"the view has {len(view.positions_m)} vertices and {len(view.radiance)} radiances, "
-                f"its facets name {t.vertices} and {t.entries}"
+                f"its facets need {t.vertices} and {t.entries}"
             )
         if self._project(t, view):
             t, view = clip(t, view, screen.nearest_m)
@@ -237,7 +237,7 @@ class Renderer:
         bucket(self._spans[: len(t.faces)], self._starts, self._listed)
 
     def _project(self, topology: Topology, view: View) -> bool:
-        """Project the vertices; tell whether any is too near or behind."""
+        """Project the vertices; return whether any is too near or behind."""
         self._take(topology)
         screen, n = self.screen, topology.vertices
         camera = np.array([screen.focal_px, *screen.centre_px, screen.nearest_m])

@@ -1,6 +1,6 @@
-"""Sums along rows: every edge goes once into the pixels that it crosses and into what those further right get.
+"""Sums along rows: every edge is added once to the pixels that it crosses and to the sums for those further right.
 
-Accumulators of a pixel (8 float64, one cache line), the pixel left of the picture first:
+Accumulators of a pixel (8 float64, one cache line), the pixel left of the frame first:
 
     0, 1    area inside, area for each pixel further right
     2, 3, 4 light inside, light for each further right, and its growth a column
@@ -20,7 +20,7 @@ __all__ = ["add_facet"]
 
 @lane
 def _carry(cell: Floats, h: float, middle: float, area: float, light: Plane, rate: Plane) -> None:
-    """Add what pixels right of a piece get; `light`, `rate` are planes in the row's frame, `middle` the mean y."""
+    """Add the sums for pixels right of a piece; `light`, `rate` are planes in the row's frame, `middle` the mean y."""
     cell[1] += area * h
     cell[3] += h * (light[0] + light[2] * middle)
     cell[4] += h * light[1]
@@ -73,7 +73,7 @@ def _add_edge(
         rate = (g0 + gy * row, gx, gy)
         line = acc[row - first]
         y0, x0 = y, x
-        if x0 < 0.0:  # what is left of the picture only carries
+        if x0 < 0.0:  # the part left of the frame adds only to the sums for pixels further right
             y_in = y_end if x_end < 0.0 else y0 - x0 * rise
             _carry(line[0], y_in - y0, 0.5 * (y0 + y_in) - row, area, light, rate)
             x0, y0 = 0.0 if x_end >= 0.0 else width + 1.0, y_in

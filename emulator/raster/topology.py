@@ -1,4 +1,4 @@
-"""Facets of surfaces and their neighbours, prepared once for all pictures."""
+"""Facets of surfaces and their neighbours, prepared once for all light frames."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class Topology:
     ----------
     faces : (m, 3) int32, vertices of each facet, counter-clockwise as seen from outside.
     shades : (m, 3) int32, for each corner the entry of the radiance arrays; `faces` itself for smooth shading.
-    across : (m, 3) int32, the facet behind side k, which goes from corner k to corner k + 1; -1 for none.
-    smooth : (m, 3) uint8, whether both facets of that side share the entries of `shades` at both ends.
-    two_sided : (m,) uint8, whether a facet is seen from behind too. A facet that is not is invisible from behind.
-    vertices, entries : how many vertices and radiances a view must have.
-    over : (m,) int32, the facet on which a patch lies; -1 for a facet of a surface, as all are by default. A patch is
-        a part of its facet with other light, a very little nearer to the camera; patches on a facet do not overlap.
+    across : (m, 3) int32, the facet behind side k, which runs from corner k to corner k + 1; -1 for none.
+    smooth : (m, 3) uint8, 1 where both facets of that side share the entries of `shades` at both ends.
+    two_sided : (m,) uint8, 1 where a facet is visible from behind too.
+    vertices, entries : numbers of vertices and radiances that a view must have.
+    over : (m,) int32, the facet on which a patch lies; -1 for a facet of a surface, the default. A patch is a part of
+        its facet with other light, slightly nearer to the camera; patches on a facet do not overlap.
     """
 
     faces: Ints
@@ -80,13 +80,13 @@ def join(topologies: Sequence[Topology]) -> Topology:
 
 
 class Patches:
-    """Topologies of the same surfaces with other patches for each picture, in arrays that are used again."""
+    """Topologies of the same surfaces with other patches for each light frame, in arrays that are used again."""
 
     def __init__(self, surfaces: Topology) -> None:
         self._surfaces = self._room = surfaces
 
     def on(self, faces: Ints, over: Ints) -> Topology:
-        """Return the topology with patches at the end; it holds until the next call.
+        """Return the topology with patches at the end; it is valid until the next call.
 
         Parameters
         ----------
@@ -148,7 +148,7 @@ def _count(corners: Ints) -> int:
 
 
 def _neighbours(corners: Ints, shades: Ints) -> tuple[Ints, Bytes]:
-    """Return `across` and `smooth`; sides that more than two facets share, or pass in one direction, stay alone."""
+    """Return `across`, `smooth`; sides that more than two facets share, or pass in one direction, have no neighbour."""
     start, end = corners.ravel().astype(np.int64), np.roll(corners, -1, axis=1).ravel().astype(np.int64)
     base = _count(corners)
     forward, backward = start * base + end, end * base + start

@@ -1,1 +1,1 @@
-"""What the camera looks at."""
+"""Scenes: the worlds in front of the camera, which give the light at any time."""

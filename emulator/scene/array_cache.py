@@ -1,7 +1,7 @@
-"""Arrays that take long to make are kept on disk: in $XDG_CACHE_HOME/evstim, or ~/.cache/evstim.
+"""Disk cache of arrays that take long to compute: $XDG_CACHE_HOME/evstim, or ~/.cache/evstim.
 
-A file's name is a digest of all that it was made from, so a changed figure makes a new file and an old one is never
-wrong. Files are written beside and moved into place: whoever reads finds a whole one or none. A cache that cannot be
+A file's name is a digest of all inputs of the array, so a changed input makes a new file and an old one is never wrong.
+Files are written beside their place and then renamed: a reader finds a complete file or none. A cache that cannot be
 written or read costs time, nothing else.
 """
 
@@ -20,22 +20,22 @@ import numpy.typing as npt
 
 from transports.recording.record import ArrayFileError, load_array
 
-__all__ = ["Progress", "cache_folder", "kept"]
+__all__ = ["Progress", "cache_folder", "cached_array"]
 
 T = TypeVar("T", bound=np.generic)
 
 _FORMAT = 2
-"""To be raised when the same parameters come to mean another map."""
+"""Version, to be increased when the same parameters give another array."""
 
 
 class Progress:
-    """A line on stderr that says what is being made, and how far it is."""
+    """A line on stderr with the progress of a computation."""
 
     def __init__(self, what: str) -> None:
         self._what = what
 
     def __call__(self, done: int, of: int) -> None:
-        """Tell that `done` parts of `of` are made; on a terminal one line is written over and over."""
+        """Report that `done` of `of` parts are made; on a terminal one line is rewritten."""
         is_terminal, is_last = sys.stderr.isatty(), done == of
         if is_terminal or done == 0 or is_last:
             start, end = ("\r", "\n" if is_last else "") if is_terminal else ("", "\n")
@@ -44,18 +44,18 @@ class Progress:
 
 
 def cache_folder() -> Path:
-    """Return where files are kept."""
+    """Return the folder of the cache."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "evstim"
 
 
-def kept(
+def cached_array(
     name: str, made_from: object, make: Callable[[], npt.NDArray[T]], kind: tuple[type, int] = (np.float32, 3)
 ) -> npt.NDArray[T]:
-    """Return what `make` gives, from the cache where it lies there already.
+    """Return the array that `make` computes, from the cache where it has this array.
 
     Parameters
     ----------
-    made_from : tells one from another by its repr.
+    made_from : the inputs, which are compared by their repr.
     kind : the type of numbers and the number of dimensions that `make` gives.
     """
     digest = hashlib.sha256(f"{_FORMAT} {name} {made_from!r}".encode()).hexdigest()[:24]
@@ -70,7 +70,7 @@ def kept(
 def _read(path: Path, kind: tuple[type, int]) -> npt.NDArray[Any] | None:
     try:
         array = load_array(path)
-    except (OSError, ArrayFileError):  # not there, cut short, or not one of ours
+    except (OSError, ArrayFileError):  # missing, truncated, or no file of this cache
         return None
     return array if array.dtype == np.dtype(kind[0]) and array.ndim == kind[1] else None
 
@@ -87,4 +87,4 @@ def _write(path: Path, array: npt.NDArray[T]) -> None:
             os.unlink(beside)
             raise
     except OSError as error:
-        sys.stderr.write(f"evstim: {path.parent} cannot be written ({error.strerror}): it is made anew each time\n")
+        sys.stderr.write(f"evstim: {path.parent} cannot be written ({error.strerror}): arrays are computed anew\n")

@@ -1,12 +1,12 @@
-"""Files that libraries of others read, each in a child process with bounds on memory and time.
+"""Files that third-party libraries read, each in a child process with bounds on memory and time.
 
     this process                          child
     ------------                          -----------------------------------------------
     read_in_child("module:name", path) -> imports the module, then sets its own limits
                                           name(path) -> arrays
-    arrays  <----- memory file ---------  their bytes, or what was wrong
+    arrays  <----- memory file ---------  their bytes, or the error
 
-A library that meets a damaged file may run for ever, take all memory, or end its process by a signal. In a child of its
+A library that reads a damaged file may run for ever, take all memory, or end its process by a signal. In a child of its
 own each of these becomes a SceneError with the file's name. The child is a new interpreter, not a fork: this process
 may have threads and a GL context.
 """
@@ -49,7 +49,7 @@ Arrays = dict[str, npt.NDArray[Any]]
 
 @dataclass(frozen=True)
 class Limits:
-    """What reading one file may cost.
+    """Limits of memory and time for reading one file.
 
     Attributes
     ----------
@@ -62,18 +62,18 @@ class Limits:
 
     @classmethod
     def of(cls, path: Path) -> Limits:
-        """Return limits that every sound file of this size keeps: compressed events grow to 26 times their size."""
+        """Return limits that suffice for every intact file of this size: compressed events grow 26 times."""
         mib = -(-path.stat().st_size // _MIB)
         return cls((512 + 64 * mib) * _MIB, 30 + 2 * mib)
 
 
 def read_in_child(reader: str, path: Path, limits: Limits | None = None) -> Arrays:
-    """Return what the function `reader`, "module:name", makes of `path`, a regular file or a folder.
+    """Return the arrays that the function `reader`, "module:name", reads from `path`, a regular file or a folder.
 
     Raises
     ------
     SceneError
-        With the file's name: what the reader raised, or how it ended. MachineLacks where its library is missing.
+        With the file's name: the reader's error, or the end of its process. MachineLacks where its library is missing.
     """
     if not (path.is_file() or path.is_dir()):
         raise SceneError(f"{path}: {'is no regular file' if path.exists() else 'no such file'}")
@@ -121,7 +121,7 @@ def _death(code: int, limits: Limits) -> str:
 
 
 def answer(order: dict[str, Any]) -> None:
-    """Read the file of an order and write the answer into the memory file: all that the child does."""
+    """Read the file of an order and write the answer into the memory file: the child's main function."""
     path, descriptor = Path(order["path"]), order["descriptor"]
     module, _, name = order["reader"].partition(":")
     try:
@@ -173,7 +173,7 @@ def _write_arrays(descriptor: int, arrays: Arrays) -> None:
 
 
 def _taken(descriptor: int) -> Arrays:
-    """Return the arrays of an answer, in the child's own pages; raises SceneError for what it refused."""
+    """Return the arrays of an answer, in the child's own pages; raises SceneError for its error."""
     whole = mmap.mmap(descriptor, 0, access=mmap.ACCESS_COPY)  # lives as long as the arrays do
     start = whole.find(b"\n") + 1
     head = json.loads(whole[:start])
@@ -191,5 +191,5 @@ def _taken(descriptor: int) -> Arrays:
 
 
 def _tuples(descr: Any) -> Any:
-    """Return a type as numpy wants it: JSON has no tuples."""
+    """Return a type in the form that numpy needs: JSON has no tuples."""
     return descr if isinstance(descr, str) else [tuple(field) for field in descr]

@@ -1,8 +1,7 @@
-"""The record of one kind of scene: its table in a rig, and what builds it.
+"""The record of one kind of scene: its table in a rig, and the function that builds it.
 
-A package outside evstim gives a record as an entry point of the group "evstim.scenes".
-
-Nothing to see: the scene of a rig whose events come from elsewhere.
+A package outside evstim gives a record as an entry point of the group "evstim.scenes". `Blank` is the scene of a rig
+whose events come from another source.
 """
 
 from __future__ import annotations
@@ -37,21 +36,22 @@ class SceneKind:
     parameters
         Type of its [scene] table; its `kind` is the kind's name.
     build
-        Import path, "module:name", of what returns the `emulator.light.Scene`; imported when a scene is built. It is
-        called with the parameters and what `lens` says.
+        Import path, "module:name", of the function that returns the `emulator.light.Scene`; imported when a scene is
+        built. Its arguments are the parameters and those that `lens` requires.
     lens
-        What becomes of the camera's lens. "none": the scene brings its own light, build(parameters, size). "applied":
-        the scene is in units of radiance and seen through the lens, build(parameters, pinhole). "own": the scene does
-        what the lens does, build(parameters, size, lens, chip).
+        Use of the camera's lens. "none": the scene gives the light on the sensor, build(parameters, size). "applied":
+        the scene is in units of radiance and seen through the lens, build(parameters, pinhole). "own": the scene
+        models the lens itself, build(parameters, size, lens, chip).
     events
-        Import path of what takes the sensor's place, called with the parameters and the sensor's; "": the sensor sees
-        the scene.
+        Import path of a source of events that replaces the sensor, called with the parameters and the sensor's; "": the
+        sensor receives the light of the scene.
     kernels
-        Whether drawing it compiles kernels, which a run does ahead.
+        True: drawing compiles kernels, which a run does in advance.
     gl
-        Import path of what builds it drawn by GL, called as `build` is; "": the CPU alone draws it.
+        Import path of the function that builds the scene for GL, with the arguments of `build`; "": only the CPU draws
+        it.
     needs
-        What a scene of these parameters needs of the machine, beyond evstim and its base dependencies.
+        Function from the parameters to the needs of the scene beyond evstim and its base dependencies.
     """
 
     parameters: type[SceneParameters]
@@ -68,7 +68,7 @@ class SceneKind:
 
     @property
     def name(self) -> str:
-        """What rigs write as `kind`."""
+        """Name of the kind, the key `kind` in rigs."""
         return self.parameters.kind
 
 

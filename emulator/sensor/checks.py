@@ -1,4 +1,4 @@
-"""Range checks of a sensor's figures; a message reads `name = value: must be ...`, so that the key is found."""
+"""Range checks of a sensor's parameters; a message reads `name = value: must be ...`, so that the key is found."""
 
 from __future__ import annotations
 

@@ -1,13 +1,13 @@
-"""The figures of each effect that a sensor can have; every one is off, or changes nothing, by default.
+"""The parameters of each effect that a sensor can have; every one is off, or changes nothing, by default.
 
-    effect         off when                                   carried out in
-    temperature    it is the reference temperature            temperature
-    defects        shares are 0 and lists empty               defects
-    noise          rms is 0                                   noise, noisy_pixels
-    background     rates are 0                                background
-    jitter         latency, deviation and leak share are 0    jitter
-    imager         gains are 1, spreads 0, shot noise false   imager
-    radiation      flux and dose are 0                        radiation
+    effect         off when                                   implemented in
+    temperature    it is the reference temperature            chip.defects
+    defects        shares are 0 and lists empty               chip.defects
+    noise          rms is 0                                   noise.points, noise.grid
+    background     rates are 0                                chip.sources
+    jitter         latency, deviation and leak share are 0    chip.readout, chip.defects
+    imager         gains are 1, spreads 0, shot noise false   chip.imager
+    radiation      flux and dose are 0                        chip.sources, chip.defects
 
 A class here is a table of a rig, `[camera.sensor.noise]` for one, and holds plain values only.
 """
@@ -32,7 +32,7 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class TemperatureParameters:
-    """The chip's temperature, and what it does to leak and dark current.
+    """The chip's temperature, and its effect on leak and dark current.
 
     The junction's leak doubles every 8 to 10 K (Nozaki and Delbruck 2017), a photodiode's dark current about every 8 K
     (Janesick, Photon Transfer, 2007; both from memory). Parasitic photocurrent does not depend on temperature.
@@ -119,10 +119,10 @@ class NoiseParameters:
 
 @dataclass(frozen=True, slots=True)
 class BackgroundParameters:
-    """Background activity as it was counted on a recording, for sensors whose leak and noise are not known apart.
+    """Background activity as counted in a recording, for sensors whose leak and noise are not known separately.
 
     Events at a constant rate, in any light; an event may be followed by one of the other polarity. A few pixels are hot
-    and have a rate of their own. `evstim characterise --recording FILE --fit` measures these figures.
+    and have a rate of their own. `evstim characterise --recording FILE --fit` measures these parameters.
 
     Attributes
     ----------
@@ -156,9 +156,9 @@ class BackgroundParameters:
 
 @dataclass(frozen=True, slots=True)
 class JitterParameters:
-    """How late an event is raised after its crossing, and how the leak varies.
+    """Delay of an event after its crossing, and variation of the leak.
 
-    Delays only, and no two events of a pixel change places: what would overtake leaves together with the one before.
+    Events of a pixel stay in order: an event that would overtake another leaves together with it.
 
     Attributes
     ----------
@@ -191,11 +191,11 @@ class ImagerParameters:
     prnu : photo-response non-uniformity: standard deviation of a pixel's gain.
     dcnu : dark current non-uniformity: log-normal spread between pixels (standard deviation of the logarithm); the mean
         stays.
-    photon_shot_noise, dark_shot_noise : whether the counts of photoelectrons and of dark electrons vary as they must.
+    photon_shot_noise, dark_shot_noise : true: the counts of photoelectrons and of dark electrons have Poisson noise.
         `noise.rms` holds the fast part of both already; this is the slow part, which no filter removes.
     electrons_per_s_at_reference : photocurrent of a pixel at light 1, electrons a second. 2e8 is a DAVIS346 pixel
         (18.5 um, fill factor 22 %, quantum efficiency 24 %) at 1 klux on the chip.
-    shot_grid_us : time over which electrons are counted, us; between two counts the light goes along a straight line.
+    shot_grid_us : time over which electrons are counted, us; between two counts the light follows a straight line.
     """
 
     system_efficiency: float = 1.0
@@ -218,7 +218,7 @@ class ImagerParameters:
 
 @dataclass(frozen=True, slots=True)
 class RadiationParameters:
-    """Particles that cross the chip, and what a dose leaves behind.
+    """Particles that cross the chip, and lasting effects of a dose.
 
     A particle raises ON events along a straight track, at once, and OFF events at a share of its pixels while the
     charge drains. Isotropic flux: the cosine of the angle to the chip's normal, squared, is uniform; the track is as

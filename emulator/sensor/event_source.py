@@ -40,7 +40,7 @@ class EventSource(Protocol):
 
     @property
     def undersampled_share(self) -> float | None:
-        """Share of the solved pixel-steps whose light changed unseen between two frames; None where unknown."""
+        """Share of the solved pixel-steps whose light changed too quickly between two frames; None where unknown."""
         ...
 
     def with_kicks(self, kicks: KickParameters) -> Callable[[LineReads], None] | None:
@@ -50,7 +50,7 @@ class EventSource(Protocol):
         """
 
     def warm_up(self) -> None:
-        """Do the slow work of a first step, such as compiling kernels; what it returns later does not change."""
+        """Do the slow work of a first step, such as compiling kernels; later results do not change."""
 
     def reset(self, frame: LightFrame) -> None:
         """Start at rest on the light of `frame`, at its time."""
@@ -66,7 +66,7 @@ class EventSource(Protocol):
 
 @runtime_checkable
 class AdjustableSource(Protocol):
-    """A source with figures that can change between two steps."""
+    """A source with parameters that can change between two steps."""
 
     @property
     def adjustable(self) -> dict[str, float]:

@@ -1,18 +1,15 @@
 """A sensor that reports the origin of each of its events.
 
 The events are those of `Sensor`, to the last bit. The code of an origin has three bits, and each bit travels as the
-polarity of one more list of crossings, with the same times and pixels, through a delay and a read-out of its own: what
-these do never depends on polarity, so the bits come out in the order of the events.
+polarity of one more list of crossings, with the same times and pixels, through a delay and a read-out of its own: these
+never depend on polarity, so the bits come out in the order of the events.
 
-The codes of what raised an event.
-
-Which events of a pixel its leak raised: a definition, because leak and light move one comparator together.
-
-An ON event is the leak's if, since the pixel's reference was last read, the leak has moved the comparator further than
-the light has: by more than half of the ON threshold, and before a pixel's first event by more than half of what was
-left of it at the random start. Else it is the signal's. OFF events are always the signal's, because the leak works
-against them. What the leak has moved is its rate times the time since the reference was read (at an event, and the
-refractory period behind it), the parasitic leak by the mean of the light before and after each step.
+The origin "leak" is a definition, because leak and light move one comparator together. An ON event is the leak's if,
+since the pixel's reference was last read, the leak has moved the comparator further than the light has: by more than
+half of the ON threshold, and before a pixel's first event by more than half of the part that the random start left.
+Else it is the signal's. OFF events are always the signal's, because the leak works against them. The motion by leak is
+its rate times the time since the reference was read (at an event, and the refractory period behind it), the parasitic
+leak by the mean of the light before and after each step.
 """
 
 from __future__ import annotations
@@ -199,7 +196,7 @@ class TracedSensor(Sensor):
         return events
 
     def _of_pixels(self, crossings: Crossings, seen: _Float32s, settled_ns: int) -> _Codes:
-        """Return the codes of what the pixels raised up to `settled_ns`."""
+        """Return the codes of the crossings that the pixels raised up to `settled_ns`."""
         if self._constant_hz is None:
             return np.full(len(crossings), Origin.UNKNOWN, np.uint8)
         hz = self._constant_hz if self._leaks is None else self._leak_hz()

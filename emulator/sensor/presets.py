@@ -3,21 +3,21 @@
 Light is relative to the sensor's reference level: 1.0 is the light at which `corner_hz_at_reference` holds. Thresholds
 are in natural-log units of photocurrent.
 
-Where the presets' figures come from. *estimate* marks what no source gives: such a figure is not calibrated, is typical
-of the family and is meant to be overridden by a rig. *one recording* marks figures that were measured on one public
+Sources of the presets' values: *estimate* marks values without a source: such a value is not calibrated, is typical of
+the family and is meant to be overridden by a rig. *one recording* marks values that were measured on one public
 recording of one camera, in unknown light.
 
-    figure                     davis346                     dvxplorer_micro              imx636
+    parameter                  davis346                     dvxplorer_micro              imx636
     size                       346 x 260 [1]                640 x 480 [2]                1280 x 720 [3]
     thresholds, ln             0.283 / 0.262 [4]            0.25 / 0.25 estimate         0.223 / 0.223 [3], ln 1.25
     mismatch                   3.5 % [5]                    3.5 % estimate as [5]        3.5 % estimate as [5]
     dark current, relative     0.001 estimate               0.001 estimate               0.001 estimate
     corner at reference        3 kHz at 1 klux [6]          3 kHz estimate as [6]        3 kHz estimate as [6]
     corner, least and most     3 Hz / 3 kHz [6] [7]         3 Hz / 3 kHz as davis346     3 Hz / 3 kHz as davis346
-    source follower            286 Hz [8]                   none: no figure found        none: no figure found
+    source follower            286 Hz [8]                   none: no value found         none: no value found
     leak and its spread        0.001 Hz [9], 30 % [10]      as davis346, estimate        0: see background
     parasitic leak             0.002 Hz at light 1 [9]      as davis346, estimate        0: see background
-    noise, rms                 0.086 [11]                   0: no figure found           0: see background
+    noise, rms                 0.086 [11]                   0: no value found            0: see background
     background                 none: leak and noise         none                         0.0038 Hz, 22 % ON [12]
     refractory                 3.4 us [4]                   100 us estimate [13]         100 us estimate [13]
     read-out                   arbiter                      scan, 197.28 us [14]         arbiter
@@ -51,7 +51,7 @@ recording of one camera, in unknown light.
     [16] iniVation's sheet of the DVXplorer Micro, from memory.
 
 `ideal` is a pixel of the textbook in an array of the DAVIS346's size: threshold 0.2, no low-pass, leak, noise, mismatch
-or refractory period, references at the first picture's level, a read-out that takes no time.
+or refractory period, references at the first frame's level, a read-out that takes no time.
 """
 
 from __future__ import annotations
@@ -119,10 +119,10 @@ class SensorParameters:
         to photocurrent, the same for all pixels.
     source_follower_hz : corner frequency of a second, fixed pole behind the photoreceptor, Hz; 0: no such pole.
     refractory_us : refractory period after an event, us; at its end the reference is read anew.
-    random_start : whether the first references lie below the first picture's level by random shares of the ON
+    random_start : true: the first references lie below the first frame's level by random shares of the ON
         threshold, as in a sensor that has run for a while; else at that level.
-    photoreceptor : "one_pole", the small-signal model that all figures above describe; "large_signal" solves the
-        circuit with its slew, its second pole and its slow way into the dark, at many times the cost, see `circuit`.
+    photoreceptor : "one_pole", the small-signal model that all parameters above describe; "large_signal" solves the
+        circuit with its slew, its second pole and its slow decay into the dark, at many times the cost.
     readout : the read-out's times.
     temperature, defects, noise, background, jitter, imager, radiation : see `effects`; all off, or without effect, by
         default.

@@ -1,1 +1,1 @@
-"""What is true of a picture beside its light, computed apart from it: the nearest surface, depth, and optical flow."""
+"""Ground truth beside the light of a frame, computed apart from it: the nearest surface, depth, and optical flow."""

@@ -7,4 +7,4 @@ from firmware_protocol.compiled import entry_of
 __all__ = ["entry"]
 
 entry = entry_of("emulator.truth", "emulator.raster")
-"""Compiles a function for calls from Python; it releases the GIL."""
+"""Compile a function for calls from Python; it releases the GIL."""

@@ -1,22 +1,21 @@
-"""Which surface each pixel's middle shows, and how near it is.
+"""The surface at each pixel's middle with its depth, and optical flow of rigid bodies, in closed form.
 
 The nearest facet at a middle is that of the renderer of light (`raster`), found by depth alone. 1 / depth is linear
-over a facet on the picture, so the facet's plane tells it exactly. Where a lens bends lines, the facet is the one at
-the nearest pixel of the straight picture, and its plane is taken at the ray itself: beside an outline the label may be
-wrong by half a pixel.
+over a facet in the frame, so the facet's plane gives it exactly. Where a lens has distortion, the facet is the one at
+the nearest pixel of the frame without distortion, and its plane is evaluated at the ray itself: beside an outline the
+label may be wrong by half a pixel.
 
-Optical flow of rigid bodies, in closed form.
-
-A point of a body stands in the camera's axes (x right, y down, z out) at P = R q + s, with q fixed in the body, so that
+Flow: a point of a body is at P = R q + s in the camera's axes (x right, y down, z out), with q fixed in the body, so
+that
 
     dP/dt = R' R^T (P - s) + s' = M P + c        M = R' R^T,  c = s' - M s
 
-and on the picture, with P = z (X, Y, 1), w = 1 / z and g = M (X, Y, 1) + w c,
+and in the frame, with P = z (X, Y, 1), w = 1 / z and g = M (X, Y, 1) + w c,
 
     du/dt = f (g_x - X g_z)        dv/dt = f (g_y - Y g_z)
 
 The sky has w = 0 and turns with the camera alone. R' and s' are differences of poses a moment before and after; no
-picture is used.
+light frame is used.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 
 Surface = tuple[Ints, int, bool]
-"""Facets, (m, 3); number of vertices; whether it is seen from behind too."""
+"""Facets, (m, 3); number of vertices; True where the surface is visible from behind too."""
 
 
 class NearestSurface:
@@ -84,7 +83,7 @@ def nearest_along(
 
     Parameters
     ----------
-    nearest : (rows, columns), the facet at each pixel of the straight picture; -1 for none.
+    nearest : (rows, columns), the facet at each pixel of the frame without distortion; -1 for none.
     facets : of `Renderer.facets`.
     label : (m,), of each facet.
     """
@@ -120,9 +119,9 @@ _SIDE_NS = 1_000_000  # of scene time, from now to the moments before and after
 
 
 def instants(t_ns: int, paths: Sequence[Trajectory], time: Timescale) -> tuple[list[Instants], float]:
-    """Return where `paths` are at stream time `t_ns`, and the stream time from before to after, s.
+    """Return the poses of `paths` around stream time `t_ns`, and the stream time from the second to the third, s.
 
-    At the start, where paths may begin, before is now.
+    At the start, where paths may begin, the pose before is that of now.
     """
     now_ns = time.scene_ns(t_ns)
     first_ns, last_ns = max(now_ns - _SIDE_NS, min(now_ns, time.scene_ns(0))), now_ns + _SIDE_NS
@@ -141,7 +140,7 @@ def motion_of(camera: Instants, body: Instants | None, between_s: float) -> Floa
         _camera_from_body(eye, STILL if body is None else body[k]) for k, eye in enumerate(camera)
     )
     turning = (after - before) / between_s @ now.T
-    # An orthogonal matrix's rate is antisymmetric; what the difference leaves beside that is its own error.
+    # An orthogonal matrix's rate is antisymmetric; any other part of the difference is its error.
     turning = (turning - turning.T) / 2
     out = np.zeros((3, 4))
     out[:, :3] = turning
@@ -197,7 +196,7 @@ def _write(
 
 @entry
 def _bend(bend: Floats, flow: npt.NDArray[np.float32]) -> None:
-    """Turn motion in the picture without distortion into that on the chip."""
+    """Convert motion in the frame without distortion into motion on the chip."""
     for r in range(flow.shape[0]):
         for c in range(flow.shape[1]):
             u, v = flow[r, c, 0], flow[r, c, 1]

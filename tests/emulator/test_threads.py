@@ -4,21 +4,21 @@ import threading
 
 import pytest
 
-from emulator.threads import Crew
+from emulator.threads import ThreadPool
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
 @pytest.mark.parametrize("count", [0, 1, 3, 100])
 def test_each_item_is_done_once(threads, count):
-    done, crew = [], Crew(threads)
-    crew.each(lambda item, thread: done.append((item, thread)), count)
-    crew.close()
+    done, pool = [], ThreadPool(threads)
+    pool.each(lambda item, thread: done.append((item, thread)), count)
+    pool.close()
     assert sorted(item for item, _ in done) == list(range(count))
     assert {thread for _, thread in done} <= set(range(threads))
 
 
 def test_an_error_in_another_thread_reaches_the_caller():
-    crew, met = Crew(2), threading.Barrier(2, timeout=60.0)
+    pool, met = ThreadPool(2), threading.Barrier(2, timeout=60.0)
 
     def work(item, thread):
         met.wait()
@@ -26,28 +26,28 @@ def test_an_error_in_another_thread_reaches_the_caller():
             raise ValueError("of the other thread")
 
     with pytest.raises(ValueError, match="of the other thread"):
-        crew.each(work, 2)
-    crew.close()
+        pool.each(work, 2)
+    pool.close()
 
 
 def test_threads_have_numbers_of_their_own_at_the_same_time():
-    crew, met, seen = Crew(3), threading.Barrier(3, timeout=60.0), []
+    pool, met, seen = ThreadPool(3), threading.Barrier(3, timeout=60.0), []
 
     def work(item, thread):
         met.wait()
         seen.append(thread)
 
-    crew.each(work, 3)
-    crew.close()
+    pool.each(work, 3)
+    pool.close()
     assert sorted(seen) == [0, 1, 2]
 
 
 def test_nobody_waits_for_a_thread_that_has_not_begun():
-    crew, free = Crew(2), threading.Event()
-    crew._pool.submit(free.wait, 60.0)  # keeps the other thread busy
+    pool, free = ThreadPool(2), threading.Event()
+    pool._pool.submit(free.wait, 60.0)  # keeps the other thread busy
     done = []
-    crew.each(lambda item, thread: done.append(thread), 4)
+    pool.each(lambda item, thread: done.append(thread), 4)
     assert done == [0, 0, 0, 0]
     assert not free.is_set()
     free.set()
-    crew.close()
+    pool.close()

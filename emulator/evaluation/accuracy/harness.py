@@ -1,21 +1,19 @@
 """Test harness of pixel methods: run a method on known light, score it against the truth, and time it.
 
-A case is a row of pixels under closed-form light with a sensor to look at it. Methods:
+A case is a row of pixels under closed-form light, with a sensor. Methods:
 
     hermite   our own kernel, given the light and its time derivative
     refined   the same, given the light of single pixels between the frames too: it refines undersampled steps
     line      the same kernel without derivatives: a straight line in log light
     others    the rules of `emulator.sensor.other_simulators`
 
-All get the same float32 frames at the same times, with the same thresholds, leak rates and phases. Time is taken
-on a sensor of 346 x 260 pixels, whose picture is the case's row over and over: the median of some steps, the method's
+All get the same float32 frames at the same times, with the same thresholds, leak rates and phases. Time is measured
+on a sensor of 346 x 260 pixels, whose light frame repeats the case's row: the median of some steps, the method's
 `step` alone.
 
-The scenes of the chart, each with its sensor and the steps that it is swept over.
-
-They are those of the tables by which the method was chosen: threshold 0.2 with 3 % mismatch, leak 0.1 Hz with 30 %
-spread, contrast 10 : 1, corner frequency 300 Hz at light 1 and proportional to light between 1 and 3000 Hz, 60 pixels,
-0.4 s.
+`CASES` are the scenes of the chart, each with its sensor and the steps of its sweep. They are those of the tables by
+which the method was chosen: threshold 0.2 with 3 % mismatch, leak 0.1 Hz with 30 % spread, contrast 10 : 1, corner
+frequency 300 Hz at light 1 and proportional to light between 1 and 3000 Hz, 60 pixels, 0.4 s.
 """
 
 from __future__ import annotations
@@ -91,9 +89,9 @@ class Method:
     make : MakePixels
         Factory, for a sensor and a seed.
     rate : bool
-        Whether the method gets the light's time derivative.
+        True: the method gets the light's time derivative.
     refines : bool
-        Whether the method gets the light of single pixels between the frames.
+        True: the method gets the light of single pixels between the frames.
     """
 
     name: str
@@ -146,7 +144,7 @@ def truth(case: Case) -> Stream:
 def events(
     method: Method, case: Case, step_s: float, seen: Callable[[_Float32s], _Float32s] | None = None
 ) -> tuple[Stream, int]:
-    """Run a method over a case; return its events, times counted from the start, and how many it lost in pixels.
+    """Run a method over a case; return its events, times counted from the start, and the number it lost in pixels.
 
     Parameters
     ----------
@@ -184,7 +182,7 @@ def pixel_light(case: Case) -> PixelLight:
 
 
 def score(method: Method, case: Case, step_s: float) -> Scores:
-    """Return how a method fares on a case in steps of `step_s`."""
+    """Return the scores of a method on a case in steps of `step_s`."""
     return compare(events(method, case, step_s)[0], truth(case))
 
 
@@ -236,7 +234,7 @@ class Swept:
     """A case, its description in a few words, and its steps, ms."""
 
     case: Case
-    told: str
+    description: str
     steps_ms: tuple[float, ...]
 
 
@@ -270,7 +268,7 @@ CASES = (
 """All scenes of the chart."""
 
 QUICK = tuple(
-    Swept(swept.case, swept.told, (0.5, 2.0, 5.0))
+    Swept(swept.case, swept.description, (0.5, 2.0, 5.0))
     for swept in CASES
     if swept.case.name in ("sine", "checkerboard", "disc")
 )

@@ -1,23 +1,21 @@
-"""How right the events of drawn scenes are: false and missed events, times, and traces of the picture rate, against ms.
+"""Accuracy of the events of drawn scenes against drawing time: false and missed events, times, traces of frame rates.
 
-A rig's scene is drawn in several ways, as large as the rig says, and each time the same sensor, without leak and
-noise, looks at it for the same stretch of time. The truth is the same scene by 16 x 16 point samples a pixel at a
-sixteenth of the step (terrain: 8 x 8 at an eighth), joined by straight lines, from code that shares nothing with the
-renderers but the surface (facets, normals, albedo, the map), the paths and the laws of reflection (`sampled_bodies`,
-`sampled_terrain`). For each pixel the two sequences of polarities are laid side by side:
+A rig's scene is drawn in several ways, at the size in the rig, and each time the same sensor, without leak and noise,
+observes it for the same stretch of time. The truth is the same scene by 16 x 16 point samples a pixel at a sixteenth of
+the step (terrain: 8 x 8 at an eighth), joined by straight lines, from code that shares nothing with the renderers but
+the surface (facets, normals, albedo, the map), the paths and the laws of reflection (`sampled_scenes`). For each pixel
+the two sequences of polarities are aligned:
 
-    false      events that cannot be paired in order with one of the truth         both over the events of the truth
-    missed     events of the truth that cannot be paired
-    t50, t95   quantiles of the time error of pixels whose sequence is right, ms
-    middle     share of the events in the middle twentieth of the step (see `comb`); 0.05 where there is no trace
-    line       strongest spectral line at the picture rate over the median power
+    false          events that cannot be paired in order with one of the truth         both over the events of the truth
+    missed         events of the truth that cannot be paired
+    t50, t95       quantiles of the time error of pixels whose sequence is right, ms
 
-Traces of the picture rate in event times: what a sensor that looks at continuous light would not show.
+Three measures show traces of the frame rate in event times, which a sensor under continuous light would not have:
 
-middle share    share of the events in the middle twentieth of their step: 0.05 where the step leaves no trace
-second half     events in the second half of their step over those in the first, less 1
-line            strongest line of the spectrum of event counts at the picture rate and its multiples, over the
-                median power of the spectrum
+    middle share   share of the events in the middle twentieth of their step: 0.05 where the step leaves no trace
+    second half    events in the second half of their step over those in the first, less 1
+    line           strongest line of the spectrum of event counts at the frame rate and its multiples, over the median
+                   power of the spectrum
 """
 
 from __future__ import annotations
@@ -70,7 +68,7 @@ _HARMONICS = 8
 
 @dataclass(frozen=True, slots=True)
 class Comb:
-    """Traces of the picture rate; the module's first lines define each. NaN: too few events."""
+    """Traces of the frame rate; the module docstring defines each. NaN: too few events."""
 
     middle_share: float
     second_half: float
@@ -90,7 +88,7 @@ def comb_of(t_us: npt.ArrayLike, step_us: float) -> Comb:
 
 
 def _line(times_us: npt.NDArray[np.float64], step_us: float) -> float:
-    """Return the strongest power at multiples of the picture rate over the median power."""
+    """Return the strongest power at multiples of the frame rate over the median power."""
     steps = int(np.ceil(times_us.max() / step_us))
     counts, _ = np.histogram(times_us, steps * _BINS_A_STEP, (0.0, steps * step_us))
     # A window keeps the slow change of the event rate out of the other lines.
@@ -102,14 +100,14 @@ def _line(times_us: npt.NDArray[np.float64], step_us: float) -> float:
 
 @dataclass(frozen=True)
 class Stretch:
-    """A part of a rig's stream, and how finely its truth is sampled.
+    """A part of a rig's stream, and the sampling of its truth.
 
     Attributes
     ----------
     start_s : of the stream.
     steps : of the rig; a multiple of four.
     samples : of the truth, along each side of a pixel.
-    finer : pictures of the truth in a step of the rig.
+    finer : light frames of the truth in a step of the rig.
     """
 
     start_s: float = 0.0
@@ -126,15 +124,15 @@ _STRETCHES = {
 
 @dataclass(frozen=True)
 class Setting:
-    """How a scene is drawn.
+    """Settings for drawing a scene.
 
     Attributes
     ----------
     name : for the chart.
     samples : along each side of a pixel, by GL; 0: exact coverage, by the CPU.
-    with_rate : whether the sensor gets the time derivative.
+    with_rate : True: the sensor gets the time derivative.
     step_share : length of the step, times the rig's.
-    parts : of a pixel of terrain, along its shorter side, by the CPU; 0: as the rig says.
+    parts : of a pixel of terrain, along its shorter side, by the CPU; 0: that of the rig.
     """
 
     name: str
@@ -170,10 +168,10 @@ class Drawn:
     Attributes
     ----------
     rig, setting : names; with the start of the stretch where it is not 0.
-    ms : CPU milliseconds a picture, least.
+    ms : CPU milliseconds a light frame, least.
     false, missed : over the events of the truth.
     t50_ms, t95_ms : quantiles of time errors.
-    middle, line : traces of the picture rate.
+    middle, line : traces of the frame rate.
     events : of the truth.
     """
 
@@ -217,7 +215,7 @@ class _Look:
             return self.events(scene, self.step_ns // self.stretch.finer, with_rate=False)[0]
 
     def events(self, scene: Scene, step_ns: int, *, with_rate: bool) -> tuple[Stream, float]:
-        """Return the events of the stretch in steps of `step_ns`, and the least CPU milliseconds a picture."""
+        """Return the events of the stretch in steps of `step_ns`, and the least CPU milliseconds a frame."""
         sensor = Sensor(self._quiet(), self.rig.run.seed)
         frames, first_ns = SceneFrames(scene, with_rate=with_rate), round(self.stretch.start_s * 1e9)
         sensor.reset(LightFrame(0, frames.draw(first_ns).light))

@@ -1,9 +1,4 @@
-"""Reports of accuracy: CSV, JSON, charts, and a page that needs no network.
-
-The charts of accuracy, drawn by matplotlib (the extra `report`).
-
-The page, chart and table of the map "hermite against line".
-"""
+"""Reports of accuracy: CSV, JSON, charts by matplotlib (the extra `report`), and a page that needs no network."""
 
 from __future__ import annotations
 
@@ -87,21 +82,21 @@ def _legend(figure: Any, axes: Any) -> None:
 
 
 def _above(value: float, floor: float) -> float:
-    """Return a value fit for a logarithmic axis: never below its floor, NaN stays."""
+    """Return a value for a logarithmic axis: at least its floor; NaN stays NaN."""
     return value if math.isnan(value) else max(value, floor)
 
 
-def draw_work_precision(points: Sequence[Point], told: dict[str, str], against: str, stem: Path) -> list[Path]:
+def draw_work_precision(points: Sequence[Point], descriptions: dict[str, str], against: str, stem: Path) -> list[Path]:
     """Draw timestamp error and wrong-event share of each scene against work; return the files written.
 
     Parameters
     ----------
-    told : scenes by name, in the order of the chart, with a few words on each.
+    descriptions : scenes by name, in the order of the chart, with a few words on each.
     against : "frames_per_s", "us_per_frame" or "us_per_stream_ms".
     stem : path without suffix.
     """
     plt = pyplot()
-    names = list(told)
+    names = list(descriptions)
     columns = min(_COLUMNS, len(names))
     bands = math.ceil(len(names) / columns)
     figure, grid = plt.subplots(2 * bands, columns, figsize=(4.0 * columns, 5.2 * bands + 0.5), **_GRID)
@@ -117,7 +112,7 @@ def draw_work_precision(points: Sequence[Point], told: dict[str, str], against: 
                 continue
             _panel(axes, [p for p in points if p.case == names[k]], against, value)
             axes.set_ylim(bottom=floor * 0.7)
-            axes.set_title(told[names[k]] if row == 0 else "", fontsize=10)
+            axes.set_title(descriptions[names[k]] if row == 0 else "", fontsize=10)
             axes.set_ylabel(label if k % columns == 0 else "", fontsize=9)
             axes.set_xlabel(_AGAINST[against] if row == 1 else "", fontsize=9)
     _legend(figure, grid[0][0])
@@ -155,7 +150,7 @@ def _panel(axes: Any, points: Sequence[Point], against: str, value: Callable[[Po
 
 
 def draw_rendering(rows: Sequence[Drawn], stem: Path) -> list[Path]:
-    """Draw false and missed events of each rig's settings against the time of a picture."""
+    """Draw false and missed events of each rig's settings against the time of a light frame."""
     plt = pyplot()
     names = list(dict.fromkeys(row.rig for row in rows))
     settings = list(dict.fromkeys(row.setting for row in rows))
@@ -211,7 +206,7 @@ def draw_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], stem: Path) -
         lower.set_yscale("log")
         low, high = lower.get_ylim()
         lower.set_ylim(min(low, high / 100), 1.5 * high)
-        upper.set_title(sweeps[k].told, fontsize=10)
+        upper.set_title(sweeps[k].description, fontsize=10)
         upper.set_ylabel("right sequences, %" if k % columns == 0 else "", fontsize=9)
         lower.set_ylabel("95 % timestamp error, steps" if k % columns == 0 else "", fontsize=9)
         lower.set_xlabel(sweeps[k].label, fontsize=9)
@@ -236,18 +231,18 @@ def write_work_precision(
     points: Sequence[Point], effects: Sequence[EffectRow], cases: Sequence[Swept], out: Path
 ) -> list[Path]:
     """Write the chart of speed against accuracy into folder `out`; return the files, the page first."""
-    told = {swept.case.name: swept.told for swept in cases}
+    descriptions = {swept.case.name: swept.description for swept in cases}
     files = [write_csv([point.row() for point in points], out / "work_precision.csv")]
-    sections: list[str] = [sentences(reading(points, told))]
+    sections: list[str] = [sentences(reading(points, descriptions))]
     for against, title in (
         ("frames_per_s", "Against frames rendered"),
         ("us_per_stream_ms", "Against the work for a millisecond of stream"),
         ("us_per_frame", "Against the work of a frame"),
     ):
-        drawn = draw_work_precision(points, told, against, out / f"work_precision_{against}")
+        drawn = draw_work_precision(points, descriptions, against, out / f"work_precision_{against}")
         files += drawn
         sections.append(f"<h2>{title}</h2>" + inline(drawn[0]))
-    needs = _needs(points, told)
+    needs = _needs(points, descriptions)
     sections.append("<h2>Frames a second needed</h2>" + _NEEDS + table(needs))
     effect_table = [
         {
@@ -269,14 +264,14 @@ def write_work_precision(
         "needs": needs,
         "points": [p.row() for p in points],
         "effects": effect_table,
-        "reading": reading(points, told),
+        "reading": reading(points, descriptions),
     }
     files.append(write_json(whole, out / "work_precision.json"))
     return [write_page("Speed against accuracy", sections, out / "accuracy.html"), *files]
 
 
 def write_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], out: Path) -> list[Path]:
-    """Write the map of where methods fail into folder `out`; return the files, the page first."""
+    """Write the map of the limits of methods into folder `out`; return the files, the page first."""
     rows = [dataclasses.asdict(cell) for cell in cells]
     drawn = draw_stability(cells, sweeps, out / "stability")
     bounds = _bounds(cells, sweeps)
@@ -294,34 +289,35 @@ def write_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], out: Path) -
 
 def write_rendering(rows: Sequence[Drawn], out: Path) -> list[Path]:
     """Write the chart of drawing time against false and missed events into folder `out`; the page first."""
-    told = [row.row() for row in rows]
+    records = [row.row() for row in rows]
     drawn = draw_rendering(rows, out / "rendering")
-    sections = [sentences(reading_of_rendering(rows)), inline(drawn[0]), table(told)]
+    sections = [sentences(reading_of_rendering(rows)), inline(drawn[0]), table(records)]
     page = write_page("What drawing more cheaply costs in events", sections, out / "rendering.html")
-    return [page, write_csv(told, out / "rendering.csv"), write_json({"rows": told}, out / "rendering.json"), *drawn]
+    data = [write_csv(records, out / "rendering.csv"), write_json({"rows": records}, out / "rendering.json")]
+    return [page, *data, *drawn]
 
 
 def reading_of_rendering(rows: Sequence[Drawn]) -> list[str]:
     """Return the findings of the chart, in sentences."""
-    said = []
+    lines = []
     for rig in dict.fromkeys(row.rig for row in rows):
         own = [row for row in rows if row.rig == rig]
         best = [f"{r.setting} {100 * (r.false + r.missed):.1f} % in {r.ms:.1f} ms" for r in own]
-        said.append(f"{rig}: false and missed events together, of {own[0].events}: {'; '.join(best)}.")
-    return said
+        lines.append(f"{rig}: false and missed events together, of {own[0].events}: {'; '.join(best)}.")
+    return lines
 
 
-def reading(points: Sequence[Point], told: Mapping[str, str]) -> list[str]:
+def reading(points: Sequence[Point], descriptions: Mapping[str, str]) -> list[str]:
     """Return the findings of the chart, in sentences."""
     names = list(dict.fromkeys(p.method for p in points))
     lines = [
         "Each point is one method in one step. Full marks have at least 90 % of the pixels' sequences right, hollow "
-        "ones fewer; further left and lower is better. Errors are against the continuous-time pixel integrated finely. "
-        "Where no event is wrong, the mark stands at the lower edge, a share of 0.0001."
+        "marks fewer; further left and lower is better. Errors are against the continuous-time pixel in fine steps. "
+        "Where no event is wrong, the mark is at the lower edge, a share of 0.0001."
     ]
     for target_us in _TARGETS_US:
         for other in names[1:]:
-            known = sorted(_ratios(points, told, other, names[0], target_us))
+            known = sorted(_ratios(points, descriptions, other, names[0], target_us))
             finite = [ratio for ratio in known if math.isfinite(ratio)]
             words = other.replace("_", " ")
             if finite:
@@ -336,10 +332,10 @@ def reading(points: Sequence[Point], told: Mapping[str, str]) -> list[str]:
 
 
 def _ratios(
-    points: Sequence[Point], told: Mapping[str, str], other: str, ours: str, target_us: float
+    points: Sequence[Point], descriptions: Mapping[str, str], other: str, ours: str, target_us: float
 ) -> Iterator[float]:
-    """Yield how many times our frames another method needs, scene by scene, where we have a figure from the sweep."""
-    for case in told:
+    """Yield the frames that another method needs over ours, scene by scene, where the sweep gives our number."""
+    for case in descriptions:
         need, theirs = (frames_needed(points, case, name, target_us) for name in (ours, other))
         if need.kind in ("between", "at most") and theirs.kind != "at most":
             yield theirs.frames_per_s / need.frames_per_s
@@ -350,14 +346,14 @@ def _short_number(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}" if value < 1e5 else f"{value:.1e}"
 
 
-def _needs(points: Sequence[Point], told: Mapping[str, str]) -> list[dict[str, Any]]:
+def _needs(points: Sequence[Point], descriptions: Mapping[str, str]) -> list[dict[str, Any]]:
     """Return the table of frames a second needed, a row a scene and error."""
     names = list(dict.fromkeys(p.method for p in points))
     return [
         {"scene": words, "95 % error, us": target_us}
         | {name: str(frames_needed(points, case, name, target_us)) for name in names}
         for target_us in _TARGETS_US
-        for case, words in told.items()
+        for case, words in descriptions.items()
     ]
 
 
@@ -365,15 +361,15 @@ def reading_of_the_map(cells: Sequence[Cell], sweeps: Sequence[Sweep]) -> list[s
     """Return the findings of the map, in sentences."""
     names = list(dict.fromkeys(cell.method for cell in cells))
     lines = [
-        "Each column drives one thing from harmless to absurd. Above: the share of pixels whose sequence of events is "
-        "right, with the line of 95 %; below: the 95 % timestamp error of those, in steps."
+        "Each column varies one quantity from harmless to extreme. Above: the share of pixels whose sequence of events "
+        "is right, with the line of 95 %; below: the 95 % timestamp error of those, in steps."
     ]
     for sweep in sweeps:
         limits = {name: boundary(cells, sweep, name) for name in names}
         never = [name for name, limit in limits.items() if limit is None]
         held = [f"{name} to {limit:g}" for name, limit in limits.items() if limit is not None]
         lines.append(
-            f"{sweep.told} ({sweep.label}): "
+            f"{sweep.description} ({sweep.label}): "
             + (", ".join(held) or "none holds")
             + (f"; {', '.join(never)} nowhere" if never and held else "")
             + "."
@@ -384,7 +380,7 @@ def reading_of_the_map(cells: Sequence[Cell], sweeps: Sequence[Sweep]) -> list[s
 def _bounds(cells: Sequence[Cell], sweeps: Sequence[Sweep]) -> list[dict[str, Any]]:
     names = list(dict.fromkeys(cell.method for cell in cells))
     return [
-        {"axis": f"{sweep.told} ({sweep.label})"} | {name: boundary(cells, sweep, name) for name in names}
+        {"axis": f"{sweep.description} ({sweep.label})"} | {name: boundary(cells, sweep, name) for name in names}
         for sweep in sweeps
     ]
 
@@ -414,7 +410,7 @@ _PANELS: tuple[tuple[str, Callable[[Difference], float], float], ...] = (
 )
 _LIMIT = 20.0  # points, where the colours end
 _DARK = 0.6  # of the limit: from there on cells are dark
-_COLUMNS_AGAINST_LINE_REPORT = 3
+_MAP_COLUMNS = 3
 
 
 def write_against_line(cells: Sequence[Difference], out: Path) -> list[Path]:
@@ -430,14 +426,14 @@ def _draw(cells: Sequence[Difference], stem: Path) -> list[Path]:
     """Draw one map a scene and quantity: blue where hermite is better, red where it is worse."""
     plt = pyplot()
     names = list(dict.fromkeys(cell.scene for cell in cells))
-    columns, rows = min(_COLUMNS_AGAINST_LINE_REPORT, len(names)), 2 * -(-len(names) // _COLUMNS_AGAINST_LINE_REPORT)
+    columns, rows = min(_MAP_COLUMNS, len(names)), 2 * -(-len(names) // _MAP_COLUMNS)
     size = 3.2 * columns, 2.6 * rows
     figure, grid = plt.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained")
     for axes in grid.flat:
         axes.set_visible(False)
     for place, name in enumerate(names):
         own = {(cell.blur_px, cell.speed_px): cell for cell in cells if cell.scene == name}
-        row, column = 2 * (place // _COLUMNS_AGAINST_LINE_REPORT), place % _COLUMNS_AGAINST_LINE_REPORT
+        row, column = 2 * (place // _MAP_COLUMNS), place % _MAP_COLUMNS
         for axes, (label, value, sign) in zip(grid[row : row + 2, column], _PANELS, strict=True):
             _map(axes, [[value(own[blur, speed]) for speed in SPEEDS_PX] for blur in BLURS_PX], sign)
             axes.set_title(f"{name}\n{label}", fontsize=9)

@@ -1,21 +1,18 @@
 """Light by point samples: a z-buffer with many samples a pixel, in float64. The reference for renderers.
 
-It shares no code with what it judges, knows no rates and no coverage, and is slow: each facet is tested against every
-sample in its box, and the light of a pixel is the mean of its samples. Depth and light are interpolated linearly in
-1/z, as perspective has it. Facets are seen from both sides.
+The sampler shares no code with the renderers, has no rates and no coverage, and is slow: each facet is tested against
+every sample in its box, and the light of a pixel is the mean of its samples. Depth and light are interpolated linearly
+in 1/z, as perspective requires. Facets are visible from both sides.
 
-The bodies of a rig by point samples, from every facet: the reference for the renderers of bodies.
+Bodies (`SampledBodies`) are drawn from every facet. Of the scene's own code this uses the shape models, the paths and
+the laws of reflection in float64. Shadows are rays of an independent library (embree through trimesh) from each corner
+to points of the Sun's disc. Light is linear over a facet, from corner to corner; flat facets are divided until they are
+small.
 
-Of the scene's own code it uses the shape models, the paths and the laws of reflection in float64. Visibility is by
-`point_sampler`, shadows are rays of an independent library (embree through trimesh) from each corner to points of the
-Sun's disc. Light is linear over a facet, from corner to corner; flat facets are divided until they are small.
-
-The ground of a rig by point samples, from every facet of its finest grids: the reference for renderers of terrain.
-
-Of the scene's own code it uses heights, the share of the Sun that each post sees, paths, and the laws of reflection in
-float64. No block is coarser than the map, nothing is filtered or remembered. Light is linear over a facet, from post to
-post; the normal of a post comes of the differences of heights over two posts. Facets that hold no sample are left out
-beforehand.
+Ground (`SampledTerrain`) is drawn from every facet of its finest grids. Of the scene's own code this uses heights, the
+visible share of the Sun at each post, paths, and the laws of reflection in float64. No block is coarser than the map,
+nothing is filtered or cached. Light is linear over a facet, from post to post; the normal of a post comes from the
+differences of heights over two posts. Facets that hold no sample are skipped in advance.
 """
 
 from __future__ import annotations
@@ -33,7 +30,7 @@ from emulator.geometry.camera import Pinhole
 from emulator.light import Light, MachineLacks, Scene
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
-from emulator.scene.bodies.world import Arrangement, BodyWorld, Placed
+from emulator.scene.bodies.world import Arrangement, BodyWorld, PlacedBody
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import TerrainWorld
 from emulator.trajectory.building import build_trajectory
@@ -54,7 +51,7 @@ class PointSampler:
     Parameters
     ----------
     size : (width, height), pixels.
-    focal_px : focal length over pixel pitch; the boresight is the middle of the picture.
+    focal_px : focal length over pixel pitch; the boresight is the middle of the light frame.
     """
 
     def __init__(self, size: tuple[int, int], focal_px: float, samples: int) -> None:
@@ -97,7 +94,7 @@ def clipped(corners_m: _Floats, light: _Floats, nearest_m: float = 1e-3) -> tupl
 
 
 def _cut(corners: _Floats, light: _Floats, nearest_m: float) -> list[tuple[_Floats, _Floats]]:
-    """Return the triangles that are left of one facet, after Sutherland and Hodgman."""
+    """Return the triangles of the remaining part of one facet, after Sutherland and Hodgman."""
     polygon: list[_Floats] = []
     points = np.column_stack((corners, light))
     for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):
@@ -151,7 +148,7 @@ def _average(samples: _Floats, side: int, out: npt.NDArray[np.float32]) -> None:
 
 
 _DISC_POINTS = 16
-_LIFT = 2e-6  # of the body's radius: how far above it rays to the Sun start; 1e-4 is above low shadows
+_LIFT = 2e-6  # of the body's radius: height at which rays to the Sun start; 1e-4 is above low shadows
 _SMALLEST_SHARE = 32  # of a body's radius: flat facets are divided to this part of it
 
 
@@ -178,7 +175,7 @@ class SampledBodies(Scene):
         self._camera = build_trajectory(parameters.camera)
         names = [table.name for table in parameters.bodies]
         placed = [
-            Placed(build_trajectory(t.path), names.index(t.fixed_to) if t.fixed_to else None, mesh.radius_m)
+            PlacedBody(build_trajectory(t.path), names.index(t.fixed_to) if t.fixed_to else None, mesh.radius_m)
             for t, mesh in zip(parameters.bodies, meshes, strict=True)
         ]
         self._bodies = [_body(t, mesh) for t, mesh in zip(parameters.bodies, meshes, strict=True)]
@@ -193,7 +190,7 @@ class SampledBodies(Scene):
 
     @property
     def motion_bound_px_s(self) -> float:
-        """Infinite: the reference is drawn at the steps that it is given."""
+        """Infinite: the reference is drawn at given steps."""
         return math.inf
 
     @property
@@ -227,7 +224,7 @@ class SampledBodies(Scene):
         return (from_eye @ camera.world_from_body)[body.facets], (body.albedo * radiance)[body.facets]
 
     def _sunlit(self, starts_m: _Floats, wanted: npt.NDArray[np.bool_], poses: list[Pose]) -> _Floats:
-        """Return the share of the Sun's disc that each point sees, (n,); of those that are not wanted, 1."""
+        """Return the visible share of the Sun's disc at each point, (n,); 1 for points that are not wanted."""
         share = np.ones(len(starts_m))
         starts = starts_m[wanted]
         if not self._p.shadows or not len(starts):
@@ -306,7 +303,7 @@ def _disc(sun: _Floats, radius_rad: float) -> _Floats:
 
 _Ints = npt.NDArray[np.int64]
 
-_GRAZING = 0.02  # the laws are used for no smaller cosine of emission, as the scene's documents say
+_GRAZING = 0.02  # least cosine of emission for which the laws are used, as in the scene
 
 
 class SampledTerrain(Scene):
@@ -420,7 +417,7 @@ def _holding(
     ----------
     lattice : x and y of the first post, and the distance of posts, m.
     screen : focal length, width and height, in samples.
-    is_outer : whether a finer grid lies in the middle.
+    is_outer : True: a finer grid lies in the middle.
     """
     rows, columns = z.shape
     focal, width, height = screen

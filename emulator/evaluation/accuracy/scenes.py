@@ -1,7 +1,7 @@
 """Light in closed form: a row of pixels, in float64, at any instant, with its time derivative.
 
-Level 1 is the sensor's reference light. Where a scene jumps, `jumps_s` tells when; `value` there is the light
-after the jump. A method under test is not told.
+Level 1 is the sensor's reference light. `jumps_s` gives the times of jumps; `value` there is the light after the jump.
+A method under test does not get these times.
 
     scene                 light of a pixel
     SineGrating           mean (1 + m sin(2 pi f t + phase)), phases spread over the row; m = 0.7 is 5.7 : 1
@@ -14,10 +14,9 @@ after the jump. A method under test is not told.
     SlowRamp              level exp(k t), another k for each pixel
     Dark                  no light at all
 
-Light of edges with a profile of their own, in closed form: where a cubic in log light is hard pressed.
-
-A profile is "blurred", a Gaussian edge, or "kinked", a linear ramp of the same rms, which is what averaging over a
-pixel makes of a sharp edge without blur. Light is flat or nearly so, and an edge enters within a step.
+Edges with a given profile, which a cubic in log light approximates badly: a profile is "blurred", a Gaussian edge, or
+"kinked", a linear ramp of the same rms, as from averaging a sharp edge without blur over a pixel. Light is flat or
+nearly so, and an edge enters within a step.
 
     ShadedEdge     an edge between two surfaces whose light drifts by some per cent
     ThinLine       a bright line of 1 px
@@ -76,7 +75,7 @@ class ClosedLight(ABC):
         """Return the time derivative of `value`, (m, pixels), a second."""
 
     def jumps_s(self) -> Float64s:
-        """Return when the light of each pixel jumps, (pixels, k) s, rising along the second axis."""
+        """Return the times at which the light of each pixel jumps, (pixels, k) s, rising along the second axis."""
         return np.empty((self.pixels, 0))
 
     def _share(self) -> Float64s:
@@ -259,7 +258,7 @@ class DriftingStar(ClosedLight):
 
 @dataclass(frozen=True)
 class Flash(ClosedLight):
-    """A light that goes on at an instant of its own for each pixel, between `first_s` and `last_s`."""
+    """A light that is switched on at a different instant for each pixel, between `first_s` and `last_s`."""
 
     dark: float = 0.01
     bright: float = 1.0

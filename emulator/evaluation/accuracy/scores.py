@@ -1,22 +1,22 @@
 """Measures of agreement between two event streams, and the light that a stream's events reconstruct.
 
     right               share of the active pixels (those with events in either stream) whose whole sequence of
-                        polarities is the true one; hard: one slip in a hundred events fails a pixel
+                        polarities is the true one; hard: one error in a hundred events fails a pixel
     t50, t95            quantiles of |timestamp error| over all events of the right pixels, us
     count               events over true events
-    wrong events        events that must be struck out or put in to make each pixel's sequence of polarities the true
+    wrong events        events that must be deleted or inserted to make each pixel's sequence of polarities the true
                         one, over the true events: 0 is perfect, a silent sensor has 1, an invented event adds to it
     van Rossum          each event becomes a decaying exponential (van Rossum, Neural Computation 13, 2001), ON and OFF
-                        of a pixel apart; root of the integral of the squared difference, over the root of what it would
-                        be if the two streams had nothing in common: 0 the same, 1 nothing
-    earth mover         how far events must be moved in time on average, each pixel and polarity for itself as a
-                        distribution of mass one, weighted by its true events; trains that are empty on either side are
-                        left to the wrong events, us
+                        of a pixel apart; root of the integral of the squared difference, over the root of its value for
+                        two streams with nothing in common: 0 the same, 1 nothing
+    earth mover         mean distance by which events must be moved in time, each pixel and polarity for itself as a
+                        distribution of mass one, weighted by its true events; trains that are empty on either side
+                        count in the wrong events only, us
     same time           share of the events whose timestamp another event of the stream has too ("timestamp batching")
 
 The reconstruction adds thresholds up again, from a known start, and compares with the true log light.
 
-An event stream for comparison: times of any resolution, sorted by pixel and then by time.
+A `Stream` is an event stream for comparison: times of any resolution, sorted by pixel and then by time.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Stream:
 
     @property
     def pixels(self) -> int:
-        """How many pixels there are, silent ones included."""
+        """Number of pixels, silent ones included."""
         return self.first.size - 1
 
     @property
@@ -110,7 +110,7 @@ _WINDOW = 7
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """Comparison of a stream with the truth, as the module docstring defines it; NaN where nothing can be compared.
+    """Comparison of a stream with the truth, as defined in the module docstring; NaN where nothing can be compared.
 
     Attributes
     ----------
@@ -184,7 +184,7 @@ def same_time_share(t: npt.ArrayLike) -> float:
 
 
 def reconstruct(stream: Stream, on: npt.ArrayLike, off: npt.ArrayLike, start: npt.ArrayLike, t_us: float) -> _Float64s:
-    """Return the log light at `t_us` that the events up to then tell, (pixels,).
+    """Return the log light at `t_us` reconstructed from the events up to then, (pixels,).
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def reconstruct(stream: Stream, on: npt.ArrayLike, off: npt.ArrayLike, start: np
 
 
 def mean_square_error(picture: npt.ArrayLike, truth: npt.ArrayLike) -> float:
-    """Return the mean of the squared difference of two pictures of one shape."""
+    """Return the mean of the squared difference of two images of one shape."""
     return float(np.mean((np.asarray(picture, np.float64) - np.asarray(truth, np.float64)) ** 2))
 
 

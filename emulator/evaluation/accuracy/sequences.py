@@ -1,4 +1,4 @@
-"""Compiled loops over the events of each pixel, for the scores; streams as in `stream.Stream`."""
+"""Compiled loops over the events of each pixel, for the scores; streams as in `scores.Stream`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _Bools = npt.NDArray[np.bool_]
 
 
 class PixelEvents(NamedTuple):
-    """A stream's arrays as `stream.Stream` has them."""
+    """A stream's arrays, as in `scores.Stream`."""
 
     t_us: _Float64s
     on: _Bools
@@ -124,7 +124,7 @@ def _moved(a: _Float64s, b: _Float64s) -> float:
 
 @compiled
 def moved_us(a: PixelEvents, b: PixelEvents) -> tuple[float, int]:
-    """Return the earth mover's distance summed over the events of b that count, and how many these are."""
+    """Return the earth mover's distance summed over the events of b that count, and their number."""
     total = 0.0
     weight = 0
     for p in range(a.first.size - 1):

@@ -55,7 +55,7 @@ class Sweep:
     ----------
     axis : str
         Name of the axis.
-    told : str
+    description : str
         Description in a few words.
     label : str
         Label of the axis, with the unit.
@@ -66,7 +66,7 @@ class Sweep:
     """
 
     axis: str
-    told: str
+    description: str
     label: str
     values: tuple[float, ...]
     at: Callable[[float], Setting]
@@ -79,7 +79,7 @@ class Cell:
     Attributes
     ----------
     right, count, wrong_events : float
-        See `metrics`.
+        See `scores`.
     t50_steps, t95_steps : float
         Timestamp error over the step.
     lost : int
@@ -143,7 +143,7 @@ def _stream_time(value: float) -> Setting:
 
 
 def _burst(value: float) -> Setting:
-    """A flash of `value` thresholds, as seen by a sensor whose darkness is deep enough for it."""
+    """A flash of `value` thresholds, for a sensor with a dark current low enough for it."""
     dark = 1e-8
     scene = Flash(pixels=_PIXELS, dark=0.0, bright=dark * math.expm1((value + 0.5) * PLAIN.threshold_on))
     changes = {"dark_current_relative": dark, **_fixed_corner(3000.0), "leak_hz": 0.0, "mismatch": 0.0}
@@ -198,7 +198,7 @@ def _cell(axis: str, value: float, method: Method, setting: Setting) -> Cell:
 
 
 def boundary(found: Sequence[Cell], sweep: Sweep, method: str, right: float = 0.95) -> float | None:
-    """Return the last value of an axis up to which a method keeps `right` sequences; None if it never does."""
+    """Return the last value of an axis up to which a method has `right` sequences; None if it never does."""
     good = None
     for value in sweep.values:
         cell = next(c for c in found if (c.axis, c.value, c.method) == (sweep.axis, value, method))

@@ -1,19 +1,19 @@
-"""Speed against accuracy: every method over every scene in every step, one point a setting.
+"""Sweeps of accuracy: methods over scenes and steps, effects of the sensor, and controlled steps.
 
-The map "hermite against line": right sequences and wrong events over blur and speed, where edges are sharp.
+`sweep` measures speed against accuracy: every method over every scene in every step, one point a setting.
 
-Steps of 5 ms, 60 pixels, the sensor of the chart. A cell is better, equal or worse by the difference of the two.
+`cells_against_line` gives the map "hermite against line": right sequences and wrong events over blur and speed, with
+sharp edges. Steps are 5 ms, with 60 pixels and the sensor of the chart. A cell is better, equal or worse by the
+difference of the two methods.
 
-Cost and effect on the events of each effect of the sensor, switched on alone.
+`effect_rows` gives the cost and the effect on the events of each effect of the sensor, switched on alone. The ideal
+sensor has equal thresholds, no leak, no low-pass, no refractory period, no noise and no fault. Each effect is added to
+it, with the parameters of the case's sensor or, where that has it switched off, with those of the table; the events
+that leave the sensor are compared with those of the ideal one under the same light: the count, the share of pixels
+whose sequence stays, and the shift of their events. The time is that of a whole step of the sensor on 346 x 260 pixels,
+read-out included.
 
-The ideal sensor has equal thresholds, no leak, no low-pass, no refractory period, no noise and no fault. Each effect is
-added to it, with the figures of the case's sensor or, where that has it switched off, with those of the table; the
-events that leave the sensor are compared with those of the ideal one under the same light: the count, the share of
-pixels whose sequence stays, and by how much their events move. The time is that of a whole step of the sensor on
-346 x 260 pixels, read-out included.
-
-Controlled steps against the truth: the frames they use, and the timestamp error for a wanted error.
-
+`controlled` runs controlled steps against the truth: the frames they use, and the timestamp error for a wanted error.
 The step rule is that of a run (`emulator.plan.step_control`), and gets nothing but frames.
 """
 
@@ -74,7 +74,7 @@ __all__ = [
 ]
 
 
-_LEAST_ORDER = 0.5  # below it, an error is taken not to fall with the step
+_LEAST_ORDER = 0.5  # below it, an error does not count as falling with the step
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class Need:
         Infinite where no step gives the error.
     kind : str
         "between" two points of the sweep; "beyond" its shortest step, by the order of its three shortest ones; "at
-        most" that of its longest step, which is short enough; "never", because the error does not fall with the step.
+        most" that of its longest step, which is short enough; "never": the error does not fall with the step.
     """
 
     frames_per_s: float
@@ -307,7 +307,7 @@ QUICK_EFFECTS = tuple(effect for effect in EFFECTS if ("grade", "grid") not in e
 
 @dataclass(frozen=True)
 class EffectRow:
-    """An effect alone: what it is set to, the time of a step with it (us, 346 x 260), and the change of the events."""
+    """An effect alone: its setting, the time of a step with it (us, 346 x 260), and the change of the events."""
 
     name: str
     setting: str
@@ -323,7 +323,7 @@ def _changes(effect: Effect, own: SensorParameters) -> dict[str, Any]:
     return own_values | {name: value for name, value in effect.instead if not own_values.get(name)}
 
 
-def _told(effect: Effect, changes: dict[str, Any]) -> str:
+def _setting_text(effect: Effect, changes: dict[str, Any]) -> str:
     shown = dict(effect.instead) if effect.table else changes
     return ", ".join(f"{k} = {v:g}" if isinstance(v, float) else f"{k} = {v}" for k, v in shown.items())
 
@@ -366,7 +366,7 @@ def effect_rows(case: Case, step_s: float, effects: Sequence[Effect] = EFFECTS) 
         changes = _changes(effect, case.parameters)
         alone = dataclasses.replace(ideal, **changes)
         scores = compare(_run(case, alone, step_s), plain)
-        yield EffectRow(effect.name, _told(effect, changes), _cost_us(case, alone, step_s), scores)
+        yield EffectRow(effect.name, _setting_text(effect, changes), _cost_us(case, alone, step_s), scores)
 
 
 WISHES_US = (1.0, 10.0, 100.0)
@@ -384,13 +384,13 @@ class Controlled:
     wish_us
         Wanted 95th percentile of timestamp errors, us.
     with_rate
-        Whether the light's derivative was given.
+        True: the light's derivative was given.
     refined
-        Whether the light of single pixels between the frames was given.
+        True: the light of single pixels between the frames was given.
     frames_per_s
         Frames used for a second of stream.
-    asked_per_s
-        Lights of single pixels asked for in a second of stream, as a number of frames.
+    pixel_frames_per_s
+        Requested lights of single pixels in a second of stream, as a number of frames.
     """
 
     case: str
@@ -398,7 +398,7 @@ class Controlled:
     with_rate: bool
     refined: bool
     frames_per_s: float
-    asked_per_s: float
+    pixel_frames_per_s: float
     scores: Scores
 
 
@@ -431,8 +431,8 @@ def control(case: Case, limits: Limits, *, with_rate: bool, refined: bool = Fals
         frames += 1
     t, pixel, on = (np.concatenate([getattr(c, name) for c in found]) for name in ("t_ns", "pixel", "on"))
     stream = Stream.of(t * 1e-3, pixel, on, case.scene.pixels)
-    asked = array.refined / case.scene.pixels
-    spent = frames / case.duration_s, asked / case.duration_s
+    refined_frames = array.refined / case.scene.pixels
+    spent = frames / case.duration_s, refined_frames / case.duration_s
     return Controlled(case.name, limits.tolerance_us, with_rate, refined, *spent, compare(stream, truth(case)))
 
 

@@ -4,16 +4,16 @@
     v' = lambda(i) (ln i - v)               lambda = 2 pi clip(f_ref i, f_min, f_max)
     w' = lambda_2 (v - w)                   the second pole, fixed; w = v without it
     q' = i                                  for the leak that light causes
-    g  = w + leak t + R_par theta_on q      what the comparator sees, with the reference at rest
+    g  = w + leak t + R_par theta_on q      the comparator's input, with the reference at rest
 
 An event where g - r first reaches theta_on or -theta_off (touching fires). Then, without a refractory period, r moves
 by exactly that threshold; with one the pixel is silent until it ends, and r is g there. The start is at rest, r = w
 minus a share of theta_on, the same as that of `PixelArray`.
 
-Integrated by Runge-Kutta of fourth order in steps of a few us; between, g is the cubic through its values and slopes,
-cut where it turns, and crossings are found by halving to the last bit. Around a known jump the light is taken as
-constant on both sides for one such step. Nothing here is shared with the fast kernels but the numbers that are drawn.
-Crossings agree with those of an adaptive solver of eighth order to 1e-6 us at steps of 10 us (see the tests).
+The integration is Runge-Kutta of fourth order in steps of a few us; between, g is the cubic through its values and
+slopes, divided at its extrema, and crossings are found by bisection to the last bit. Around a known jump the light is
+taken as constant on both sides for one such step. Nothing here is shared with the fast kernels but the numbers that are
+drawn. Crossings agree with those of an adaptive solver of eighth order to 1e-6 us at steps of 10 us (see the tests).
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class _Span(NamedTuple):
 
 
 class _Events(NamedTuple):
-    """Buffers of the events found; `n` (1,) goes on counting when they are full."""
+    """Buffers of the events found; `n` (1,) counts further events when they are full."""
 
     t_s: _Float64s
     pixel: npt.NDArray[np.int64]
@@ -127,7 +127,7 @@ def _cubic(g: tuple[float, float, float, float], z: float) -> float:
 
 @compiled
 def _turns(g: tuple[float, float, float, float]) -> tuple[float, float]:
-    """Return where the cubic turns inside (0, 1), in rising order; 1 stands for nowhere."""
+    """Return the extrema of the cubic inside (0, 1), in rising order; 1 stands for none."""
     g0, g1, m0, m1 = g
     d = g1 - g0
     a, b = 3 * (m0 + m1 - 2 * d), 2 * (3 * d - 2 * m0 - m1)
@@ -144,7 +144,7 @@ def _turns(g: tuple[float, float, float, float]) -> tuple[float, float]:
 
 @compiled
 def _first_crossing(g: tuple[float, float, float, float], start: float, low: float, high: float) -> float:
-    """Return where, from start on, the cubic first reaches `high` or `low`; 2 if nowhere in the step."""
+    """Return the first point from `start` on at which the cubic reaches `high` or `low`; 2 if none in the step."""
     turn_1, turn_2 = _turns(g)
     a = start
     for end in (turn_1, turn_2, 1.0):
@@ -168,7 +168,7 @@ def _first_crossing(g: tuple[float, float, float, float], start: float, low: flo
 
 @compiled
 def _fire(j: int, span: _Span, g: tuple[float, float, float, float], p: _Pixels, s: _State, out: _Events) -> None:
-    """Write the events of pixel j in a span where the comparator sees the cubic g."""
+    """Write the events of pixel j in a span in which the comparator's input is the cubic g."""
     t, h, refractory = span.t, span.h, span.refractory
     z = 0.0
     while s.refractory_until[j] <= t + h:

@@ -1,28 +1,21 @@
-"""DAVIS words per second: encoding and decoding the events of the checkerboard rig's read-out.
+"""Speed of encoding and decoding events, in one thread: medians of repeats, every event decoded and compared once.
 
-One thread, one million events (about 1 Mev/s of stream, so nearly every microsecond has a timestamp word), in batches
-of 20 000 as a busy link sees them. Median of the repeats, in processor time.
+DAVIS words: events of the checkerboard rig's read-out, one million (about 1 Mev/s of stream, so nearly every
+microsecond has a timestamp word), in batches of 20 000 as on a busy link, in processor time. `words_encode_streams` has
+all that a DAVIS346 sends in its words: a saturated read-out's events (12.5 a microsecond), 25 frames of 346 x 260 a
+second, samples of the inertial unit and edges, 1000 a second each. The time to turn readings into words is included.
 
-`words_encode_streams` has all that a DAVIS346 sends in its words: a saturated read-out's events (12.5 a microsecond),
-25 frames of 346 x 260 a second, samples of the inertial unit and edges, 1000 a second each. What readings cost to
-become words is counted too.
+EVT3 words: batches of 20 000 events and buffers of 128 KiB, as on a busy link. There are two streams: a textured
+target, where pixels fire one by one at their own microsecond (`streams.target`), and rows, where many pixels of a row
+fire at the same time, which vectors encode.
 
-EVT3 words per second: encoding and decoding.
+Event blocks: speed, and bits per event on the line. Blocks have 1024 bytes at most; the streams are a sparse sky and a
+textured target. As in a link, the events of one step of 1 ms are put in block order before blocks are cut from them;
+encoding includes that. Bits are those of the default profile: CCSDS packet with time and CRC-16, in COBS.
 
-One thread, batches of 20 000 events and buffers of 128 KiB, as a busy link sees them. Two streams: a textured target,
-where pixels fire one by one at their own microsecond (see `sparse_streams`), and rows, where many pixels of a row fire
-at the same time, which vectors code. Median of the repeats; every event is decoded and compared once.
-
-Event blocks: speed of encoding and decoding, and bits per event on the line.
-
-One thread, blocks of 1024 bytes at most, streams of a sparse sky and of a textured target (see `sparse_streams`). As in
-a link, what one step of 1 ms brings is put in block order before blocks are cut from it; encoding includes that. Every
-block is decoded and compared. Bits are those of the default profile: CCSDS packet with time and CRC-16, in COBS.
-
-The C decoder for firmware, compiled by this machine's own compiler: events a second on one core.
-
-The sparse sky of `sparse_streams` at 1 us, each event counted and summed, and the sum compared; processor time, the
-median of the repeats. Where there is no C compiler there is nothing to measure.
+The C decoder for firmware is compiled by this machine's own compiler: events a second on one core. The sparse sky is at
+1 us, each event counted and summed, and the sum compared, in processor time. Without a C compiler there is no
+measurement.
 """
 
 from __future__ import annotations
@@ -80,7 +73,7 @@ def words_encode() -> float:
         for batch in batches:
             encoder.encode(batch)
 
-    return _EVENTS / _median_s(encode) * 1e-6
+    return _EVENTS / _median_cpu_s(encode) * 1e-6
 
 
 def words_decode() -> float:
@@ -94,7 +87,7 @@ def words_decode() -> float:
         for transfer in transfers:
             decoder.feed(transfer)
 
-    return _EVENTS / _median_s(decode) * 1e-6
+    return _EVENTS / _median_cpu_s(decode) * 1e-6
 
 
 def words_encode_streams() -> float:
@@ -106,10 +99,10 @@ def words_encode_streams() -> float:
         for part in parts:
             encoder.encode(part.events, 0, part.marks, part.blocks())
 
-    return _EVENTS / _median_s(encode) * 1e-6
+    return _EVENTS / _median_cpu_s(encode) * 1e-6
 
 
-def _median_s(work: Callable[[], None]) -> float:
+def _median_cpu_s(work: Callable[[], None]) -> float:
     times = []
     for _ in range(_REPEATS + 1):
         start_s = time.process_time()
@@ -133,8 +126,8 @@ class Evt3Encoding:
 
     def __call__(self) -> float:
         """Measure."""
-        batches = _batches(self.stream)
-        return sum(map(len, batches)) / _median_s_evt3(lambda: _encoded(batches)) * 1e-6
+        batches = _evt3_batches(self.stream)
+        return sum(map(len, batches)) / _median_wall_s(lambda: _encoded_evt3(batches)) * 1e-6
 
 
 @dataclass(frozen=True)
@@ -145,11 +138,11 @@ class Evt3Decoding:
 
     def __call__(self) -> float:
         """Measure, and compare every event."""
-        events, data = join_events(_batches(self.stream)), _encoded(_batches(self.stream))
+        events, data = join_events(_evt3_batches(self.stream)), _encoded_evt3(_evt3_batches(self.stream))
         buffers = [data[k : k + _BUFFER] for k in range(0, len(data), _BUFFER)]
-        if not np.array_equal(join_events(_decoded(buffers)), events):
-            raise BenchFailed(f"{len(events)} events went into EVT3 words, and did not come out of them")
-        return len(events) / _median_s_evt3(lambda: _decoded(buffers)) * 1e-6
+        if not np.array_equal(join_events(_decoded_evt3(buffers)), events):
+            raise BenchFailed(f"{len(events)} events were encoded as EVT3 words, and the decoded events differ")
+        return len(events) / _median_wall_s(lambda: _decoded_evt3(buffers)) * 1e-6
 
 
 @dataclass(frozen=True)
@@ -160,12 +153,12 @@ class Evt3Bytes:
 
     def __call__(self) -> float:
         """Measure."""
-        batches = _batches(self.stream)
-        return len(_encoded(batches)) / sum(map(len, batches))
+        batches = _evt3_batches(self.stream)
+        return len(_encoded_evt3(batches)) / sum(map(len, batches))
 
 
 @functools.cache
-def _batches(stream: Stream) -> tuple[Events, ...]:
+def _evt3_batches(stream: Stream) -> tuple[Events, ...]:
     events = target(0.1) if stream == "target" else _rows(20_000)
     return tuple(events[k : k + _BATCH] for k in range(0, len(events), _BATCH))
 
@@ -183,17 +176,17 @@ def _rows(count: int) -> Events:
     return join_events(bursts)
 
 
-def _encoded(batches: tuple[Events, ...]) -> bytes:
+def _encoded_evt3(batches: tuple[Events, ...]) -> bytes:
     encoder = Evt3Encoder(width=_WIDTH)
     return b"".join(encoder.encode(batch) for batch in batches)
 
 
-def _decoded(buffers: list[bytes]) -> list[Events]:
+def _decoded_evt3(buffers: list[bytes]) -> list[Events]:
     decoder = Evt3Decoder()
     return [decoder.decode(buffer)[0] for buffer in buffers]
 
 
-def _median_s_evt3(work: Callable[[], object]) -> float:
+def _median_wall_s(work: Callable[[], object]) -> float:
     times = []
     for _ in range(_REPEATS + 1):
         start_s = time.perf_counter()
@@ -216,8 +209,8 @@ class BlockEncoding:
 
     def __call__(self) -> float:
         """Measure."""
-        batches = _batches_telemetry(self.stream)
-        seconds = _median_s_telemetry(lambda: _encoded_telemetry(batches, self.tick_us))
+        batches = _block_batches(self.stream)
+        seconds = _median_wall_s(lambda: _encoded_blocks(batches, self.tick_us))
         return sum(map(len, batches)) / seconds * 1e-6
 
 
@@ -230,9 +223,9 @@ class BlockDecoding:
 
     def __call__(self) -> float:
         """Measure."""
-        batches = _batches_telemetry(self.stream)
-        blocks = _encoded_telemetry(batches, self.tick_us)
-        seconds = _median_s_telemetry(lambda: [decode_block(block) for block in blocks])
+        batches = _block_batches(self.stream)
+        blocks = _encoded_blocks(batches, self.tick_us)
+        seconds = _median_wall_s(lambda: [decode_block(block) for block in blocks])
         return sum(map(len, batches)) / seconds * 1e-6
 
 
@@ -245,26 +238,26 @@ class BlockBits:
 
     def __call__(self) -> float:
         """Measure, and compare every event."""
-        batches = _batches_telemetry(self.stream)
-        blocks = _encoded_telemetry(batches, self.tick_us)
+        batches = _block_batches(self.stream)
+        blocks = _encoded_blocks(batches, self.tick_us)
         received = join_events([decode_block(block).events for block in blocks])
         sent = as_received(join_events(batches), self.tick_us)
         if not np.array_equal(as_received(received, self.tick_us), sent):
-            raise BenchFailed(f"{len(sent)} events went into blocks, and did not come out of them")
+            raise BenchFailed(f"{len(sent)} events were encoded in blocks, and the decoded events differ")
         profile = Profile("ccsds-cobs")
         line = b"".join(profile.wrap(Message(MessageKind.EVENTS, block, 0)) for block in blocks)
         return 8 * len(line) / len(sent)
 
 
 @functools.cache
-def _batches_telemetry(stream: _Stream) -> tuple[Events, ...]:
-    """Return what each step brings."""
+def _block_batches(stream: _Stream) -> tuple[Events, ...]:
+    """Return the events of each step."""
     events = stars(0.2) if stream == "stars" else target(0.02)
     steps = np.arange(_STEP_US, int(events["t"][-1]) + 1, _STEP_US)
     return tuple(np.split(events, np.searchsorted(events["t"], steps)))
 
 
-def _encoded_telemetry(batches: tuple[Events, ...], tick_us: int) -> list[bytes]:
+def _encoded_blocks(batches: tuple[Events, ...], tick_us: int) -> list[bytes]:
     encoder = BlockEncoder(SIZE, BlockSettings(tick_us))
     waiting = join_events([as_received(batch, tick_us) for batch in batches])
     blocks = []
@@ -273,15 +266,6 @@ def _encoded_telemetry(batches: tuple[Events, ...], tick_us: int) -> list[bytes]
         blocks.append(block)
         waiting = waiting[taken:]
     return blocks
-
-
-def _median_s_telemetry(work: Callable[[], object]) -> float:
-    times = []
-    for _ in range(_REPEATS + 1):
-        start_s = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - start_s)
-    return statistics.median(times[1:])
 
 
 COMPILER = shutil.which("cc")
@@ -308,7 +292,7 @@ class CDecoding:
             program, data = Path(folder, "c_decoder"), Path(folder, "data")
             files: list[str | Path] = [_PROGRAM, *sources(), "-o", program]
             subprocess.run([COMPILER, "-std=gnu99", "-O2", f"-I{FOLDER}", *files], check=True)
-            data.write_bytes(_encoded_c_decoder(events, self.form))
+            data.write_bytes(_encoded_form(events, self.form))
             mode = _MODES[self.form]
             done = subprocess.run([program, mode, data, str(_REPEATS)], check=True, capture_output=True, text=True)
         first, *times_ns = done.stdout.splitlines()
@@ -322,7 +306,7 @@ def _sum(events: Events) -> int:
     return int((t * np.uint64(3) + x * np.uint64(5) + y * np.uint64(7) + on).sum())
 
 
-def _encoded_c_decoder(events: Events, form: str) -> bytes:
+def _encoded_form(events: Events, form: str) -> bytes:
     if form == "words":
         return WordEncoder(SIZE).encode(events).words.tobytes()
     encoder, profile, pieces = BlockEncoder(SIZE), Profile(_PROFILES.get(form, "ccsds-cobs")), []

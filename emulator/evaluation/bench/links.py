@@ -1,8 +1,7 @@
 """The USB/IP link under load: sustained events per second, and latency of the events.
 
 Three processes, as in a run: this one feeds the ring; the link's own process holds the camera and the USB/IP server;
-a receiver attaches over TCP on the loopback interface, does what a driver does, decodes every word, and digests every
-event.
+a receiver attaches over TCP on the loopback interface, acts as a driver, decodes every word, and digests every event.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ __all__ = ["latency_p50", "latency_p99", "usbip_events"]
 
 _SUSTAINED_S = 10.0
 _BLOCK = 1_000_000
-_MEV_S_SPEED_PX_S = 60.0
+_LATENCY_SPEED_PX_S = 60.0
 
 
 class _Receiver:
@@ -53,7 +52,7 @@ class _Receiver:
             raise BenchFailed("the receiver did not start")
 
     def finish(self, total: int) -> Reception:
-        """Return what arrived, once that is `total` events."""
+        """Return the reception, once it has `total` events."""
         self._total.value = total
         if not self._mine.poll(60.0):
             raise BenchFailed("the receiver did not get all events within a minute")
@@ -65,13 +64,13 @@ class _Receiver:
 def _receive(address: str, control: Connection, total: Any) -> None:
     host, _, port = address.rpartition(":")
     camera = DavisHost(UsbipHost.attach(host, int(port), "1-1", timeout_s=10.0))
-    told = False
+    started = False
 
     def goes_on(now: Reception) -> bool:
-        nonlocal told
-        if not told:
+        nonlocal started
+        if not started:
             control.send("started")
-            told = True
+            started = True
         wanted: int = total.value
         return wanted < 0 or now.events < wanted
 
@@ -137,8 +136,8 @@ def _paced_run() -> RunResult:
     """Run the checkerboard for 10 s with a receiver attached, at a speed that gives about 1.5 Mev/s."""
     rig = load_rig("checkerboard")
     if not isinstance(rig.scene, CheckerboardParameters):
-        raise TypeError("the shipped checkerboard rig shows no checkerboard")
-    scene_parameters = dataclasses.replace(rig.scene, speed_px_s=_MEV_S_SPEED_PX_S)
+        raise TypeError("the shipped checkerboard rig has no checkerboard")
+    scene_parameters = dataclasses.replace(rig.scene, speed_px_s=_LATENCY_SPEED_PX_S)
     rig = dataclasses.replace(rig, scene=scene_parameters, links=(UsbipLink(port=0),))
     plan = dataclasses.replace(schedule(rig), duration_ns=round(_SUSTAINED_S * 1e9))
     receivers: list[_Receiver] = []

@@ -28,7 +28,7 @@ __all__ = ["MEASURES", "Measure"]
 
 @dataclass(frozen=True)
 class Measure:
-    """One figure. `run` takes seconds and returns a median of several repeats, in `unit`; `target` is None for none."""
+    """One measure. `run` takes seconds and returns a median of several repeats, in `unit`; no target: None."""
 
     name: str
     unit: str
@@ -39,7 +39,7 @@ class Measure:
 
 SMALL, LARGE = (346, 260), (1280, 720)
 
-# Only where there is a compiler: without one they would make every bench a bad one.
+# Only where there is a compiler: without one every bench would fail.
 _IN_C = (
     Measure("c_decode_blocks", "Mev/s", "higher", 30, CDecoding("blocks")),
     Measure("c_decode_line", "Mev/s", "higher", 30, CDecoding("line")),

@@ -1,24 +1,24 @@
 """Speed of the pixel step: DAVIS346 without its source follower, one thread, 1 ms steps, sorted event list included.
 
-Timed is `PixelArray.step` alone, call by call; the frame is written into one buffer before each call, as a renderer
-would. The figure is the pixels of the sensor over the median time of a step. The light comes with its time derivative,
-as it does by default in a run: log light as a cubic; `line` is the same without, log light as a straight line.
+Only `PixelArray.step` is timed, call by call; the frame is written into one buffer before each call, as a renderer
+would do. The result is the pixels of the sensor over the median time of a step. The light comes with its time
+derivative, as it does by default in a run: log light as a cubic; `line` is the same without, log light as a straight
+line.
 
     quiet    still light, a different level at each pixel; nothing fires
     5 pct    a sine grating in log light, oblique, 40 pixels to a period, drifting at the speed that makes 5 % of the
              pixels fire in each step: every pixel's light changes in every step, rising, turning and falling
     changing the same grating, moving so slowly that nothing fires in the steps that are timed
-    still    a black picture of 1280 x 720 that does not change: compared with the last one, or told to be unchanged
-    threads  1280 x 720 with a share of the pixels firing: how many times as fast two threads are as one
+    still    a black light frame of 1280 x 720 that does not change: compared with the last one, or reported unchanged
+    threads  1280 x 720 with a share of the pixels firing: the speed of two threads over that of one
     edges    the board of sharp edges at which a pixel's light changes several times over within a step: edges of 10:1,
              blurred by 0.5 px, at 0.5 px a step; events a second of work
 
-Cost of point-process noise in a step of 346 x 260 pixels and 1 ms: microseconds, one thread.
-
-The light is still and dim, 0.05 of the reference, and all pixels leak a little; the noise has the rms at which it makes
-the wanted number of events. Each step of the noise is timed alone, right after the pixels' own, so that it finds the
-caches as in a run; a window of the noise spans 16 steps or so, hence figures are medians over means of 64 steps. With
-read-out it is whole sensors, with noise and without, step by step in turns.
+Noise: the cost of point-process noise in a step of 346 x 260 pixels and 1 ms, in microseconds, one thread. The light is
+still and dim, 0.05 of the reference, and all pixels leak a little; the noise has the rms at which it makes the wanted
+number of events. Each step of the noise is timed alone, right after the pixels' own, so that it finds the caches as in
+a run; a window of the noise spans about 16 steps, hence results are medians over means of 64 steps. With read-out whole
+sensors are timed, with noise and without, step by step in turns.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ __all__ = [
 
 _DAVIS = dataclasses.replace(
     PRESETS["davis346"], source_follower_hz=0.0, parasitic_hz_at_reference=0.0, leak_hz=0.1
-)  # the sensor of all figures from the first on, for comparison: without its fixed pole
+)  # the sensor of all earlier measurements, for comparison: without its fixed pole
 
 _STEP_NS = 1_000_000
 _WARM_UP = 50
@@ -134,7 +134,7 @@ def firing(
 ) -> FiringRun:
     """Run the drifting grating at which about `share` of the pixels fire in each step."""
     threshold = (parameters.threshold_on + parameters.threshold_off) / 2
-    swing = 2 * _CONTRAST - threshold  # a threshold is spent at each turn before the first event of the other sign
+    swing = 2 * _CONTRAST - threshold  # after each turn, the first threshold gives no event of the other sign
     phase_step = share * threshold / swing * np.pi  # two swings in 2 pi
     count = max(2, round(2 * np.pi / phase_step))
     step = 2 * np.pi / count
@@ -175,18 +175,18 @@ def _still(changed: Region | None) -> float:
 
 
 def pixel_still() -> float:
-    """Return Mpixel/s of a black picture that the caller tells to be unchanged, 1280 x 720, nothing leaks."""
+    """Return Mpixel/s of a black light frame that the caller reports as unchanged, 1280 x 720, nothing leaks."""
     return _still(Region(0, 0, 0, 0))
 
 
 def pixel_still_compared() -> float:
-    """Return Mpixel/s of the same picture where it must be compared with the last one."""
+    """Return Mpixel/s of the same light frame where it must be compared with the last one."""
     return _still(None)
 
 
 @dataclasses.dataclass(frozen=True)
 class TwoThreads:
-    """How many times as fast two threads are as one, with `share` of 1280 x 720 pixels firing in a step."""
+    """Speed of two threads over that of one, with `share` of 1280 x 720 pixels firing in a step."""
 
     share: float
 
@@ -198,7 +198,7 @@ class TwoThreads:
 
 
 def pixel_quiet() -> float:
-    """Return Mpixel/s of a step in which nothing fires (no leak, so that nothing does), 346 x 260."""
+    """Return Mpixel/s of a step in which nothing fires (without leak), 346 x 260."""
     return _quiet(line=False)
 
 
@@ -226,7 +226,7 @@ def pixel_edges() -> float:
 
 
 _LIGHT = 0.05
-_STEPS_NOISE, _BLOCKS = 64, 25
+_NOISE_STEPS, _BLOCKS = 64, 25
 _SEED = 1
 
 
@@ -247,26 +247,26 @@ def _with_rms(noise_rms: float) -> SensorParameters:
 
 @dataclass(frozen=True)
 class NoiseLoad:
-    """Noise of about `events_hz` events a pixel and second; the time of its own, or with that of reading them out."""
+    """Noise of about `events_hz` events a pixel and second: its own time, or with that of the read-out."""
 
     events_hz: float
     with_readout: bool = False
 
     def __call__(self) -> float:
-        """Return microseconds that a step takes longer."""
+        """Return the additional time of a step, microseconds."""
         step = _whole(self.events_hz) if self.with_readout else _alone(self.events_hz)
-        means = [statistics.fmean(step() for _ in range(_STEPS_NOISE)) for _ in range(_BLOCKS + 1)]
+        means = [statistics.fmean(step() for _ in range(_NOISE_STEPS)) for _ in range(_BLOCKS + 1)]
         return statistics.median(means[1:]) * 1e6
 
 
-def _still_noise(p: SensorParameters) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+def _still_light(p: SensorParameters) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
     return np.full((p.height, p.width), _LIGHT, np.float32)
 
 
 def _alone(events_hz: float) -> Callable[[], float]:
-    """Return what takes a step of pixels and noise and returns the seconds of the latter."""
+    """Return a function that runs a step of pixels and noise and returns the seconds of the latter."""
     p = noisy_sensor(events_hz)
-    drawn, light = draw(p, _SEED), _still_noise(p)
+    drawn, light = draw(p, _SEED), _still_light(p)
     pixels, noise = PixelArray(p, _SEED), NoiseEvents(p, _SEED, (drawn.on + drawn.off) / 2)
     pixels.reset(LightFrame(0, light))
 
@@ -282,7 +282,7 @@ def _alone(events_hz: float) -> Callable[[], float]:
 
 @dataclass(frozen=True)
 class NoiseShare:
-    """How many times as long a step of a whole sensor takes with noise of `events_hz` events a pixel and second.
+    """Time of a step of a whole sensor with noise of `events_hz` events a pixel and second, over that without.
 
     The light of all pixels changes in each step, so that no pixel is skipped, and nothing fires but noise and leak.
     """
@@ -292,13 +292,13 @@ class NoiseShare:
     def __call__(self) -> float:
         """Return the ratio of the medians of 25 means of 64 steps, taken in turns."""
         step = _both(self.events_hz, moving=True)
-        pairs = [np.mean([step() for _ in range(_STEPS_NOISE)], axis=0) for _ in range(_BLOCKS + 1)]
+        pairs = [np.mean([step() for _ in range(_NOISE_STEPS)], axis=0) for _ in range(_BLOCKS + 1)]
         noisy_s, quiet_s = np.median(pairs[1:], axis=0)
         return float(noisy_s / quiet_s)
 
 
 def _whole(events_hz: float) -> Callable[[], float]:
-    """Return what takes a step of two sensors and returns by how many seconds the noisy one is slower."""
+    """Return a function that runs a step of two sensors and returns the seconds by which the noisy one is slower."""
     step = _both(events_hz)
 
     def difference() -> float:
@@ -309,9 +309,9 @@ def _whole(events_hz: float) -> Callable[[], float]:
 
 
 def _both(events_hz: float, *, moving: bool = False) -> Callable[[], tuple[float, float]]:
-    """Return what takes a step of a noisy sensor and of a quiet one, and returns the seconds of each."""
+    """Return a function that runs a step of a noisy sensor and of a quiet one, and returns the seconds of each."""
     p = noisy_sensor(events_hz)
-    light, t_ns = _still_noise(p), 0
+    light, t_ns = _still_light(p), 0
     noisy, quiet = Sensor(p, _SEED), Sensor(_with_rms(0.0), _SEED)
     for sensor in (noisy, quiet):
         sensor.reset(LightFrame(0, light))

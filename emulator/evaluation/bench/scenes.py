@@ -3,19 +3,18 @@
 The rigs are the shipped ones, without their links; at 1280x720 the sensor is the imx636 preset's size with the same
 pixels. Without slopes a step takes one frame, and interpolates log light linearly from the last one; with slopes
 (`_hermite`, the default of a rig) it takes the light's derivative too, which for a mesh is a second frame, and needs
-several times fewer steps for the same accuracy. Each figure is the median of runs of about a second,
-after a warm-up that compiles and settles.
+several times fewer steps for the same accuracy. Each result is the median of runs of about a second, after a warm-up
+that compiles and settles.
 
-A light frame drawn by GL (`Drawing`): what GL selects here, often a software renderer; `evstim doctor` lists them.
+`Drawing` times a light frame drawn by GL: GL selects the renderer, often a software one; `evstim doctor` lists them.
 
-Cost of a step in scenes with the same number of events, but other pixels that have them.
-
-Scenes of about the same number of events a step, on 346 x 260 pixels; each told with its time derivative, as runs have
-it, which for a jump between two pictures is zero. The figure is the time of a step in the slowest of them over that in
-the first, which is the usual case. Scenes take their steps in turns, so that a busy machine slows all alike.
+`ScenesAlike` compares steps in scenes with about the same number of events, in different pixels, on 346 x 260 pixels;
+each frame has its time derivative, as in a run, which for a jump between two frames is zero. The result is the time of
+a step in the slowest of them over that in the first, which is the usual case. Scenes take their steps in turns, so that
+a busy machine slows all alike.
 
     grating     every pixel's light changes, some reach a threshold; all other scenes are at rest but for a few pixels
-    flashing    as few pixels as there can be: flashes of 13 e-folds and back (low-pass wide open), 46 events a step
+    flashing    as few pixels as possible: flashes of 13 e-folds and back (low-pass wide open), 46 events a step
     block       neighbours that jump by 2.15 thresholds and back: an event each
     scattered   pixels far apart that do the same
     rows        pixels of whole rows, which the read-out latches together
@@ -121,9 +120,9 @@ _PIXELS = _SENSOR.width * _SENSOR.height
 
 
 def _grating(events: int, k: int) -> _Frame:
-    """Return a drifting sine of amplitude 1, which spends a threshold at each turn and fires on the rest of the way.
+    """Return a drifting sine of amplitude 1, which changes by a threshold at each turn without events, then fires.
 
-    Before step 0 it goes round once, in 20 steps, so that all pixels have had their turns.
+    Before step 0 it completes one period, in 20 steps, so that all pixels have had their turns.
     """
     y, x = np.mgrid[: _SENSOR.height, : _SENSOR.width]
     turn = events / _PIXELS * _THRESHOLD * np.pi / (2 - _THRESHOLD) if k >= 0 else 2 * np.pi / _WARM_UP
@@ -139,7 +138,7 @@ def _jumping(pixels: npt.NDArray[np.int64], by: float, k: int) -> _Frame:
 
 
 def _places(events: int) -> dict[str, npt.NDArray[np.int64]]:
-    """Return which pixels jump, for all scenes in which they do it alike."""
+    """Return the pixels that jump, for all scenes in which they jump alike."""
     side = math.isqrt(events)
     block = (80 + np.arange(side))[:, None] * _SENSOR.width + 80 + np.arange(side)
     return {
@@ -150,7 +149,7 @@ def _places(events: int) -> dict[str, npt.NDArray[np.int64]]:
 
 
 def _scenes(events: int) -> dict[str, tuple[SensorParameters, Callable[[int], _Frame]]]:
-    """Return sensor and picture at step k of each scene, the usual one first."""
+    """Return sensor and light frame at step k of each scene, the usual one first."""
     flashing = (np.arange(max(1, round(events / _FLASH_EVENTS))) * 997 + 40_000) % _PIXELS
     jumping = {
         name: (_SENSOR, lambda k, pixels=pixels: _jumping(pixels, 2.15 * _THRESHOLD, k))

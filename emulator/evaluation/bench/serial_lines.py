@@ -1,4 +1,4 @@
-"""A 3 Mbaud line over a pty, filled for 10 s: what share of its capacity arrives, every event compared.
+"""A 3 Mbaud line over a pty, filled for 10 s: the share of its capacity that arrives, every event compared.
 
 Three processes, as in a run: this one feeds the ring; the link's own process holds the instrument and keeps the baud
 rate; a computer opens the pty, decodes every block and digests every event.
@@ -33,7 +33,7 @@ _PATIENCE_S = 60.0
 
 
 def serial_fill() -> float:
-    """Percent of 300 kB/s that arrive over 10 s, at 1 us tick, from a sparse sky that brings more than the line takes.
+    """Percent of 300 kB/s that arrive over 10 s, at 1 us tick, from a sparse sky that gives more than the line carries.
 
     Fails unless every event and every byte arrives as it was sent.
     """
@@ -59,11 +59,11 @@ def serial_fill() -> float:
     return 100 * (filled.use.share if filled.use else 0.0)
 
 
-def _check(report: LinkReport, heard: Reception) -> None:
-    if heard.faults or heard.digest != report.digest or heard.events != report.delivered:
-        raise BenchFailed(f"sent {report.delivered} events with digest {report.digest:08x}, heard {heard}")
-    if report.use is None or report.use.carried != heard.counts["bytes"]:
-        raise BenchFailed(f"sent {report.use}, heard {heard.counts['bytes']} bytes")
+def _check(report: LinkReport, received: Reception) -> None:
+    if received.faults or received.digest != report.digest or received.events != report.delivered:
+        raise BenchFailed(f"sent {report.delivered} events with digest {report.digest:08x}, received {received}")
+    if report.use is None or report.use.carried != received.counts["bytes"]:
+        raise BenchFailed(f"sent {report.use}, received {received.counts['bytes']} bytes")
 
 
 class _Computer:
@@ -76,14 +76,14 @@ class _Computer:
         self._process.start()
 
     def finish(self) -> Reception:
-        """Return what arrived."""
+        """Return the reception."""
         if not self._mine.poll(_PATIENCE_S):
-            raise BenchFailed("the computer does not say what it heard")
-        heard: Any = self._mine.recv()
+            raise BenchFailed("the computer did not report what it received")
+        received: Any = self._mine.recv()
         self._process.join(10.0)
-        if not isinstance(heard, Reception):
-            raise BenchFailed(f"the computer heard nothing: {heard}")
-        return heard
+        if not isinstance(received, Reception):
+            raise BenchFailed(f"the computer received nothing: {received}")
+        return received
 
 
 def _listen(address: str, control: Connection) -> None:

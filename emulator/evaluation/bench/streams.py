@@ -1,12 +1,8 @@
 """Reproducible streams of events for measurements.
 
-Two reproducible event streams, in closed form or nearly so, at the limits of what a camera in space sends.
-
-Pixels fire at each crossing of a contrast threshold, at their exact microsecond; no read-out, no refractory time.
-
-All that a DAVIS346 sends, for measurements: events of a saturated read-out, frames, inertial samples, marks.
-
-When a measurement means nothing.
+`stars` and `target` are in closed form or nearly so, at the limits of a camera in space: pixels fire at each crossing
+of a contrast threshold, at their exact microsecond, without read-out and refractory time. `davis_batches` has all that
+a DAVIS346 sends: events of a saturated read-out, frames, inertial samples, marks.
 """
 
 from __future__ import annotations
@@ -45,7 +41,7 @@ __all__ = [
 
 
 def saturated_stream(count: int, event_ns: int = 80, row_events: int = 8) -> Events:
-    """Return what a saturated read-out sends: an event every `event_ns`, `row_events` of them from each row it serves.
+    """Return the events of a saturated read-out: one every `event_ns`, `row_events` from each row that it serves.
 
     With the defaults 12.5 Mev/s. Rows follow each other as a round-robin arbiter takes them; columns are random.
     """
@@ -63,7 +59,7 @@ def checkerboard_stream(count: int) -> Events:
     """Return the first `count` events of the shipped checkerboard rig, as its read-out sends them."""
     rig = load_rig("checkerboard")
     if not isinstance(rig.scene, CheckerboardParameters):
-        raise TypeError("the shipped checkerboard rig shows no checkerboard")
+        raise TypeError("the shipped checkerboard rig has no checkerboard")
     sensor = rig.camera.sensor
     scene = Checkerboard(rig.scene, (sensor.width, sensor.height))
     pixels, readout = PixelArray(sensor, rig.run.seed), ReadOut(sensor)
@@ -113,7 +109,7 @@ def _noise(rng: np.random.Generator, count: int, duration_s: float) -> _Batch:
 
 
 def _star(at: tuple[float, float], peak: float, duration_s: float) -> list[_Batch]:
-    """Return what a star fires: a Gaussian spot of sigma 1 px and of `peak` times the sky, that starts at `at`.
+    """Return the events of a star: a Gaussian spot of sigma 1 px and of `peak` times the sky, that starts at `at`.
 
     Where its centre comes nearer than r to a pixel, the light there passes the level that the spot has at r.
     """
@@ -143,7 +139,7 @@ def target(duration_s: float) -> Events:
     disc = np.hypot(x - SIZE[0] / 2, y - SIZE[1] / 2) < 100
     x, y = x[disc], y[disc]
     waves = [(*rng.normal(0, 2 * np.pi / 12, 2), rng.uniform(0, 2 * np.pi)) for _ in range(8)]
-    offset = rng.uniform(0, 1, len(x))  # where each pixel's last event left it
+    offset = rng.uniform(0, 1, len(x))  # level of each pixel at its last event
 
     def level(t: float) -> _Floats:
         waves_now = (0.6 * np.sin(kx * (x - 122 * t) + ky * (y - 36 * t) + phase) for kx, ky, phase in waves)
@@ -168,7 +164,7 @@ _COLUMNS, _ROWS = 346, 260
 
 @dataclass(frozen=True)
 class DavisBatch:
-    """What falls into one stretch of stream time; all sorted by their times, us."""
+    """Items of one stretch of stream time; all sorted by their times, us."""
 
     events: Events
     marks: Marks
@@ -208,7 +204,7 @@ def davis_batches(events: int, batch: int) -> list[DavisBatch]:
 
 
 def endless_davis_batches(events: int, batch: int) -> Iterator[DavisBatch]:
-    """Yield the same again and again; `events` a multiple of half a million, that frames follow one another."""
+    """Yield the same batches repeatedly; `events` a multiple of half a million, so that frames follow one another."""
     rounds = davis_batches(events, batch)
     span_us = rounds[-1].until_us + 1
     for number in count():
@@ -233,4 +229,4 @@ def _frame(start_us: int) -> Readings:
 
 
 class BenchFailed(Exception):
-    """The thing measured did not do its job, so its speed means nothing."""
+    """The measured part gave a wrong result, so its speed is not reported."""

@@ -1,12 +1,6 @@
-"""The sweeps of a characterisation, coarse or fine.
+"""Measurements of a characterisation: thresholds, leak, noise, latency and dead time, in sweeps, coarse or fine.
 
-Thresholds and leak: S-curves, the spread between pixels, leak against temperature and light.
-
-Each function measures one point or one line with a fresh `Bench`, and says what the equations give for it.
-
-Noise, latency, dead time: what happens when, and how often.
-
-Each function measures one point or one line with a fresh `Bench`, and says what the equations give for it.
+Each function measures one point or one line with a fresh `Bench`, and gives the values of the equations beside it.
 """
 
 from __future__ import annotations
@@ -56,16 +50,16 @@ __all__ = [
 _Floats = npt.NDArray[np.float64]
 
 _S = 1_000_000_000
-_WAIT_TAUS = 20
+_STEP_WAIT_TAUS = 20
 _LEAST_WAIT_S = 1e-3
 _RAMP_SPAN = 4.0  # ln
-_RAMP_RATE = 100.0  # ln a second: leak is nothing against it
+_RAMP_RATE = 100.0  # ln a second: leak is negligible beside it
 _BRIGHT = 2.0  # lowest light of that ramp: the filter is at its fastest
 _BINS = 41
 
 
 def s_curve(p: SensorParameters, series: str, mismatch: float, deviations: _Floats, light: float = 1.0) -> list[Point]:
-    """Return the share of pixels that answer a contrast step, ON and OFF, at steps some deviations off the threshold.
+    """Return the share of pixels that respond to a contrast step, ON and OFF, at steps around the threshold.
 
     The model is the normal distribution of the thresholds.
     """
@@ -74,17 +68,17 @@ def s_curve(p: SensorParameters, series: str, mismatch: float, deviations: _Floa
     for curve, threshold, sign in (("s_curve_on", p.threshold_on, 1), ("s_curve_off", p.threshold_off, -1)):
         for deviation in deviations:
             contrast = threshold * (1 + mismatch * deviation)
-            share = _answering(p, sign * contrast, light)
+            share = _responding(p, sign * contrast, light)
             points.append(Point(curve, series, contrast, share, model=_normal(deviation)))
     return points
 
 
-def _answering(p: SensorParameters, contrast: float, light: float) -> float:
+def _responding(p: SensorParameters, contrast: float, light: float) -> float:
     """Return the share of the pixels that send an event of the step's sign, one or more."""
     bench = settled(without_readout(p), light)
     after = np.exp(log_current(p, bench.light) + contrast) - np.exp(log_current(p, 0))
     bench.jump(after)
-    bench.hold(round(max(_LEAST_WAIT_S, _WAIT_TAUS * float(lag_s(p, after).max())) * _S))
+    bench.hold(round(max(_LEAST_WAIT_S, _STEP_WAIT_TAUS * float(lag_s(p, after).max())) * _S))
     events = bench.finish()
     return np.unique(bench.pixel(events[events["on"] == (contrast > 0)])).size / bench.light.size
 
@@ -115,7 +109,7 @@ def spread(p: SensorParameters) -> list[Point]:
 
 
 def _thresholds(p: SensorParameters, on: bool) -> _Floats:
-    """Return each pixel's threshold: contrast rate times the median gap, dead time taken off, ln."""
+    """Return each pixel's threshold: contrast rate times the median gap, less the dead time, ln."""
     low, high = (log_current(p, light) for light in (_BRIGHT, _BRIGHT * math.exp(_RAMP_SPAN)))
     start, end = (low, high) if on else (high, low)
     bench = Bench(without_readout(p), np.exp(start) - np.exp(log_current(p, 0)))
@@ -172,7 +166,7 @@ def _leak_hz(p: SensorParameters, light: float, for_s: float) -> tuple[float, fl
 
 
 def leak_spread(p: SensorParameters, for_s: float) -> list[Point]:
-    """Return how the pixels' leak rates spread, by the gaps between their events; log-normal is the model.
+    """Return the distribution of the pixels' leak rates, by the gaps between their events; log-normal is the model.
 
     Pixels with fewer than two events in the time are left out: with a rate below 1 / `for_s`, that is most.
     """
@@ -196,7 +190,7 @@ def _noiseless(p: SensorParameters) -> SensorParameters:
     return dataclasses.replace(p, noise=dataclasses.replace(p.noise, rms=0.0))
 
 
-_WAIT_TAUS_TIMING = 15
+_LATENCY_WAIT_TAUS = 15
 _MOST_PIXELS = 0.9
 
 _NOISE_STEP_S = 0.1
@@ -210,7 +204,7 @@ _FLASH = 3.0  # ln: over every threshold
 
 
 def noise_light(p: SensorParameters, series: str, noise_rms: float, light: float, for_s: float) -> list[Point]:
-    """Return how often a pixel fires by temporal noise alone, ON and OFF, in still light."""
+    """Return the event rates of a pixel from temporal noise alone, ON and OFF, in still light."""
     p = _with_noise(p, noise_rms)
     model = sum(_law_hz(p, light))
     return [Point("noise_light", series, light, sum(_noise_hz(p, light, for_s)), model=model)]
@@ -250,16 +244,16 @@ def _noise_hz(p: SensorParameters, light: float, for_s: float) -> tuple[float, f
 
 
 def latency(p: SensorParameters, contrast: float, light: float) -> list[Point]:
-    """Return how long after a step up to a light a pixel's first event comes, and the bandwidth that this tells.
+    """Return the latency of a pixel's first event after a step up to a light, and the bandwidth that follows from it.
 
-    `light` is that after the step, which the filter's speed follows; `contrast` the step of its logarithm, of which the
-    dark current leaves less in the dark. The pixel is alone, leak and noise are off. Stamps are whole microseconds;
-    half of one is added. Nothing is returned where fewer than nine in ten pixels answer.
+    `light` is that after the step, which sets the filter's speed; `contrast` the step of its logarithm, which the dark
+    current reduces in the dark. The pixel is alone, leak and noise are off. Stamps are whole microseconds; half of one
+    is added. Nothing is returned where fewer than nine in ten pixels respond.
     """
     p, before = without_readout(_with_noise(p, 0.0)), light * math.exp(-contrast)
     bench = settled(p, before)
     at_us = bench.jump(light)
-    bench.hold(round(max(_LEAST_WAIT_S, _WAIT_TAUS_TIMING * float(lag_s(p, light))) * _S))
+    bench.hold(round(max(_LEAST_WAIT_S, _LATENCY_WAIT_TAUS * float(lag_s(p, light))) * _S))
     late_us = _first_us(bench, np.ones(bench.light.shape, bool)) - at_us + 0.5
     if late_us.size < _MOST_PIXELS * bench.light.size:
         return []
@@ -276,14 +270,14 @@ def latency(p: SensorParameters, contrast: float, light: float) -> list[Point]:
 
 
 def _corner_hz(share: float, rise_us: float) -> float:
-    """Return the corner frequency of a single pole that goes a share of a step in that time."""
+    """Return the corner frequency of a single pole that covers a share of a step in that time."""
     if share >= 1 or rise_us <= 0:
         return math.nan
     return -math.log1p(-share) / (2 * math.pi * rise_us * 1e-6)
 
 
 def _rise_s(p: SensorParameters, light: float, share: float) -> float:
-    """Return how long the filter takes to go a share of a step, by bisection; NaN: it never does."""
+    """Return the time in which the filter covers a share of a step, by bisection; NaN: it never does."""
     first, second = float(lags_s(p, light)[0]), lags_s(p, light)[1]
     if share >= 1:
         return math.nan
@@ -295,7 +289,7 @@ def _rise_s(p: SensorParameters, light: float, share: float) -> float:
 
 
 def _risen(t_s: float, first_s: float, second_s: float) -> float:
-    """Return how much of a step two poles have gone after a time; equal ones are taken a little apart."""
+    """Return the share of a step that two poles have covered after a time; equal poles are shifted slightly apart."""
     if second_s == 0 or first_s == 0:
         one = max(first_s, second_s)
         return -math.expm1(-t_s / one) if one else 1.0
@@ -314,7 +308,7 @@ def _first_us(bench: Bench, lit: npt.NDArray[np.bool_]) -> _Floats:
 
 
 def burst(p: SensorParameters, pixels: int, size: tuple[int, int]) -> list[Point]:
-    """Return how long the read-out takes for pixels that fire together: from first event to last pixel, us."""
+    """Return the read-out time of pixels that fire together: from first event to last pixel, us."""
     bench = settled(on_the_bench(_with_noise(p, 0.0), size), 1.0)
     width, height = size
     lit = np.zeros((height, width), bool)
@@ -327,10 +321,10 @@ def burst(p: SensorParameters, pixels: int, size: tuple[int, int]) -> list[Point
 
 
 def flicker(p: SensorParameters, curve: str, series: str, hz: float, light: float) -> list[Point]:
-    """Return the events a pixel sends under a triangular flicker of 10:1 about a light, its logarithm's rate constant.
+    """Return the event rate of a pixel under a triangular flicker of 10:1 about a light, at a constant log rate.
 
-    The model is the rate of events on an endless ramp of that rate, 1 / (dead time + threshold / contrast rate): more
-    than that cannot be.
+    The model is the rate of events on an endless ramp of that rate, 1 / (dead time + threshold / contrast rate), which
+    is an upper bound.
     """
     p = _with_noise(p, 0.0)
     middle = log_current(p, light)
@@ -357,7 +351,7 @@ def flicker(p: SensorParameters, curve: str, series: str, hz: float, light: floa
 Measurement = Callable[[], list[Point]]
 
 CONFIGURED = "as configured"
-"""Name of the series that has the sensor's own figures."""
+"""Name of the series with the sensor's own parameters."""
 
 _EXAMPLE = "example: parasitic leak that light 1 makes as large"
 _MISMATCHES = {"mismatch 2.1 %": 0.021, "mismatch 10 %": 0.1}
@@ -365,7 +359,7 @@ _RMS = (0.043, 0.073)
 _CONTRASTS = (0.4, 0.7, 1.5)
 _DEAD_US = (100.0, 500.0)
 _LAW_LIGHT = 0.1
-_MOST_CORNERS = 30  # corner frequencies: nothing is left of a faster flicker
+_MOST_CORNERS = 30  # corner frequencies: a faster flicker gives no events
 
 
 @dataclasses.dataclass(frozen=True)
@@ -390,11 +384,11 @@ _FULL = _Sweep(
 
 
 def measurements(p: SensorParameters, quick: bool) -> list[Measurement]:
-    """Return what is to be measured of a sensor, each a call of its own."""
+    """Return the measurements of a sensor, each as a function."""
     sweep, small, still = _QUICK if quick else _FULL, on_the_bench(p), _silent(p)
     alone = on_the_bench(still)
     return [
-        *_thresholds_measurements(alone, sweep),
+        *_threshold_measurements(alone, sweep),
         *_leak(alone, sweep),
         *_noise(small, sweep),
         *_timing(alone, still, sweep),
@@ -402,11 +396,11 @@ def measurements(p: SensorParameters, quick: bool) -> list[Measurement]:
 
 
 def _silent(p: SensorParameters) -> SensorParameters:
-    """Return the sensor without noise and background, which hide what is measured of thresholds, leak and times."""
+    """Return the sensor without noise and background, which would hide thresholds, leak and times."""
     return dataclasses.replace(p, noise=dataclasses.replace(p.noise, rms=0.0), background=BackgroundParameters())
 
 
-def _thresholds_measurements(p: SensorParameters, sweep: _Sweep) -> Iterator[Measurement]:
+def _threshold_measurements(p: SensorParameters, sweep: _Sweep) -> Iterator[Measurement]:
     deviations = np.linspace(-3, 3, sweep.deviations)
     configured = {CONFIGURED: p.mismatch} if p.mismatch else {}
     for series, mismatch in {**configured, **_MISMATCHES}.items():
@@ -428,7 +422,7 @@ def _leak(p: SensorParameters, sweep: _Sweep) -> Iterator[Measurement]:
 
 def _noise(p: SensorParameters, sweep: _Sweep) -> Iterator[Measurement]:
     if math.isinf(fixed_corner_hz(p)) and math.isinf(min(p.corner_hz_at_reference, p.corner_max_hz)):
-        return  # nothing limits a noise's bandwidth
+        return  # the bandwidth of the noise is not limited
     swept = {CONFIGURED: p.noise.rms} if p.noise.rms else {f"noise {rms:g} rms": rms for rms in _RMS}
     for series, deviation in swept.items():
         yield partial(_figure, "noise swept, ln rms", deviation)
@@ -451,16 +445,16 @@ def _timing(p: SensorParameters, whole: SensorParameters, sweep: _Sweep) -> Iter
             yield partial(burst, whole, pixels, (whole.width, whole.height))
     alone = without_readout(p)
     for hz in np.geomspace(1, 30_000, sweep.flicker):
-        for told, light in (("1 klux", 1.0), ("10 lux", 1e-2), ("0.1 lux", 1e-4)):
+        for series, light in (("1 klux", 1.0), ("10 lux", 1e-2), ("0.1 lux", 1e-4)):
             if hz < _MOST_CORNERS * corner_hz(at_temperature(p), light):
-                yield partial(flicker, alone, "flicker_events", told, float(hz), light)
+                yield partial(flicker, alone, "flicker_events", series, float(hz), light)
         for dead_us in dict.fromkeys((p.refractory_us, *_DEAD_US)):
             one = dataclasses.replace(alone, refractory_us=dead_us)
             yield partial(flicker, one, "flicker_rate", f"dead time {dead_us:g} us", float(hz), 1.0)
 
 
 def figures(points: Sequence[Point]) -> list[Point]:
-    """Return the single figures that follow from the curves: the leak's doubling and the read-out's speed."""
+    """Return the single values that follow from the curves: the leak's doubling and the read-out's speed."""
     found = []
     warm = sorted((q.x, q.y) for q in points if q.curve == "leak_temperature" and q.y > 0)
     if len(warm) > 1:

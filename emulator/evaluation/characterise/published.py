@@ -1,11 +1,11 @@
-"""Published figures of real sensors, each with its source and how it was obtained.
+"""Published values of real sensors, each with its source and the way it was obtained.
 
-    cited        the source, or the table of a source, says so
-    measured     read out of a recording of a real camera
+    cited        stated in the source, or in a table of a source
+    measured     read from a recording of a real camera
     from memory  known to be in the source, not looked up again: check before quoting
 
-A figure without a light or without a contrast is drawn as a line across the curve: no place was made up for it. Sources
-speak of light on the scene, light on the chip, or do not say; all are drawn on one axis, so a decade along it is open.
+A value without a light or without a contrast is drawn as a line across the curve: no position was invented for it.
+Sources give light on the scene, light on the chip, or neither; all are drawn on one axis, so a decade along it is open.
 """
 
 from __future__ import annotations
@@ -32,29 +32,29 @@ _WHITE_PAPER = "iniVation white paper on the DAVIS346"
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """A figure of a real sensor.
+    """A published value of a real sensor.
 
     Attributes
     ----------
-    told : str
+    description : str
         Description, with the value.
     curve : str
-        Curve in which it is drawn, or `FIGURE` for a figure in the table alone.
+        Curve in which it is drawn, or `FIGURE` for a value in the table alone.
     x, y : tuple of float
-        Its place or places. No x: a horizontal line at y (two: a band). No y: a vertical line at x.
+        Its position or positions. No x: a horizontal line at y (two: a band). No y: a vertical line at x.
     source, how : str
-        Source, and how the figure was obtained.
+        Source, and the way the value was obtained.
     series : str
         The line to compare it with; "": all lines of the curve.
     tolerance : float
-        Factor within which our figure agrees; 0: no fair comparison is possible, `remark` says why.
+        Factor within which our value agrees; 0: no fair comparison is possible, `remark` gives the reason.
     remark : str
         Condition of the comparison.
     own : bool
-        Whether the presets use this very source, so that agreement shows only that they follow it.
+        True: the presets use this source, so that agreement shows only that they follow it.
     """
 
-    told: str
+    description: str
     curve: str
     x: tuple[float, ...]
     y: tuple[float, ...]
@@ -185,7 +185,7 @@ PUBLISHED: tuple[Published, ...] = (
         (15.0,),
         _LICHTSTEINER,
         "cited",
-        remark="contrast not stated, so held against a range of contrasts; biases can make it ten times slower",
+        remark="contrast not stated, so compared with a range of contrasts; biases can make it ten times slower",
     ),
     Published(
         "3 us at best",
@@ -236,7 +236,7 @@ PUBLISHED: tuple[Published, ...] = (
         "jAER's I / (2 pi U_T C1) with the DAVIS346's default bias",
         "cited",
         tolerance=0,
-        remark="not in the preset: sensor.source_follower_hz = 286.0 asks for it",
+        remark="not in the preset: sensor.source_follower_hz = 286.0 selects it",
     ),
     Published("10 000 at once wait up to about 1 ms", "burst", (10_000.0,), (1000.0,), _WHITE_PAPER, "cited"),
     Published(

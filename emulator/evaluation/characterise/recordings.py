@@ -1,12 +1,9 @@
-"""A recording beside the simulated sensor: both streams' statistics and their distances, as tables and files.
+"""A recording beside the simulated sensor: statistics of both streams and their distances, and a fit of the sensor.
 
-Statistics of a stream of events, of a recording or of a simulated sensor, and distances between two of them.
-
-Figures of `[camera.sensor]` that match the statistics of a recording of stillness best.
-
-Where nearly all events are ON and none alternate, they are leak: its rate, and its spread from the pixels' counts.
-Otherwise they are background activity (`BackgroundParameters`). With p the ON share of primaries, s the share that is
-followed by a second event, S = p^2 + (1 - p)^2 and D = 1 - S:
+`fit` gives the parameters of `[camera.sensor]` that match the statistics of a recording of a still scene best. Where
+nearly all events are ON and none alternate, they are leak: its rate, and its spread from the pixels' counts. Otherwise
+they are background activity (`BackgroundParameters`). With p the ON share of primaries, s the share that is followed by
+a second event, S = p^2 + (1 - p)^2 and D = 1 - S:
 
     hot pixels      those beyond what the others' counts allow once in a hundred recordings
     s               opposite successors within `_PAIRED_S`, less those by chance, over primaries
@@ -62,7 +59,7 @@ class Activity:
 
     Attributes
     ----------
-    seconds, pixels, events : extent of the stream, and how many pixels and events are counted.
+    seconds, pixels, events : extent of the stream, and numbers of counted pixels and events.
     on_share : share of ON events; NaN without events, as the other shares.
     silent_share : share of the pixels without any event.
     opposite_share : share of a pixel's successive events that differ in polarity.
@@ -70,7 +67,7 @@ class Activity:
     above_50 : pixels with more than 50 events.
     counts : (pixels,) events of each pixel.
     intervals_s : (n,) times between successive events of a pixel, s.
-    opposite : (n,) whether each interval is between events of different polarity.
+    opposite : (n,) bool, True for intervals between events of different polarity.
     per_ms, per_10_ms : events in each such stretch of time.
     """
 
@@ -143,7 +140,7 @@ def _per(since_us: npt.NDArray[np.uint64], ms: int, seconds: float) -> npt.NDArr
 def still_pixels(events: Events, size: tuple[int, int], seconds: float, most_hz: float) -> _Bools:
     """Return the pixels, (height, width), whose neighbours fire at `most_hz` a pixel at most, their own rate left out.
 
-    So a hot pixel in a still part of the picture counts as still, and a pixel under a moving edge does not.
+    So a hot pixel in a still part of the scene counts as still, and a pixel under a moving edge does not.
     """
     counts = np.bincount(events["y"].astype(np.int64) * size[0] + events["x"], minlength=size[0] * size[1])
     picture = np.minimum(counts.reshape(size[::-1]).astype(np.float64), 4 * most_hz * seconds + 2)
@@ -153,7 +150,7 @@ def still_pixels(events: Events, size: tuple[int, int], seconds: float, most_hz:
 
 
 def distances(recorded: Activity, simulated: Activity) -> dict[str, float]:
-    """Return how far two streams are apart: ratio of rates, differences of shares, Kolmogorov-Smirnov distances."""
+    """Return the distances of two streams: ratio of rates, differences of shares, Kolmogorov-Smirnov distances."""
     return {
         "rate, simulated over recorded": simulated.rate_hz / recorded.rate_hz if recorded.events else np.nan,
         "ON share, difference": simulated.on_share - recorded.on_share,
@@ -183,7 +180,7 @@ _LEAST_HOT = 3.0
 
 
 def fit(recorded: Activity) -> dict[str, float | dict[str, float]]:
-    """Return the figures by their keys; those of a table in a dictionary.
+    """Return the fitted parameters by their keys; those of a table in a dictionary.
 
     Raises
     ------
@@ -255,7 +252,7 @@ def _hot_pairs(opposite: float, first_on: float) -> float:
 
 
 def _spread(counts: npt.NDArray[np.int64], pair: float) -> float:
-    """Return the log-normal spread of the rates that the variance of the counts tells."""
+    """Return the log-normal spread of the rates, from the variance of the counts."""
     mean = float(counts.mean())
     if mean == 0:
         return 0.0
@@ -288,8 +285,8 @@ class Compared:
     Attributes
     ----------
     streams : statistics by name.
-    fitted : figures of `[camera.sensor]` that match the recording best; None if they were not asked for.
-    reading : sentences on what was compared.
+    fitted : parameters of `[camera.sensor]` that match the recording best; None if they were not requested.
+    reading : sentences on the comparison.
     """
 
     streams: Mapping[str, Activity]
@@ -337,9 +334,11 @@ def compare(
     figures = fit(recorded) if fitted else None
     if figures is not None:
         streams[f"{name}, fitted"] = _simulated(_with(parameters, figures), light, seconds)
-    told = f"{recorded.pixels} of {size[0] * size[1]} pixels of {path.name}, {seconds:.3g} s, {recorded.events} events"
+    extent = (
+        f"{recorded.pixels} of {size[0] * size[1]} pixels of {path.name}, {seconds:.3g} s, {recorded.events} events"
+    )
     beside = f"beside {parameters.width} x {parameters.height} pixels of {name} in still light {light:g}, same time"
-    return Compared(streams, figures, [f"{told}; {beside}."])
+    return Compared(streams, figures, [f"{extent}; {beside}."])
 
 
 def _with(p: SensorParameters, figures: Mapping[str, Any]) -> SensorParameters:
@@ -361,7 +360,7 @@ def _simulated(p: SensorParameters, light: float, seconds: float) -> Activity:
 
 
 def write_comparison(found: Compared, name: str, out: Path) -> list[Path]:
-    """Write page, tables and the fitted figures, if any, into a folder; return the files, page first."""
+    """Write page, tables and the fitted parameters, if any, into a folder; return the files, page first."""
     rows = found.rows()
     files = [
         write_csv(rows, out / "recording.csv"),

@@ -1,6 +1,6 @@
-"""Comparison of measured with published figures, and the page, the tables and the charts about it.
+"""Comparison of measured with published values, and its page, tables and charts.
 
-The charts of a characterisation: points measured, the equations as thin lines, published figures in red.
+The charts show measured points, the equations as thin lines, and published values in red.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ def _chart(points: Sequence[Point], names: Sequence[str], stem: Path) -> list[Pa
 
 
 def _legend(axes: Any) -> None:
-    """Put the legend below its panel: files are cut to what is drawn, however long it is."""
+    """Put the legend below its panel: files are cropped to the drawn area, however long the legend is."""
     handles, labels = axes.get_legend_handles_labels()
-    told = ["\n".join(textwrap.wrap(label, _LABEL)) for label in labels]
-    axes.legend(handles, told, fontsize=7.5, frameon=False, loc="upper left", bbox_to_anchor=(0, -0.11))
+    texts = ["\n".join(textwrap.wrap(label, _LABEL)) for label in labels]
+    axes.legend(handles, texts, fontsize=7.5, frameon=False, loc="upper left", bbox_to_anchor=(0, -0.11))
 
 
 def _panel(axes: Any, curve: Curve, points: Sequence[Point]) -> None:
@@ -77,7 +77,7 @@ def _panel(axes: Any, curve: Curve, points: Sequence[Point]) -> None:
 
 
 def _line(axes: Any, row: Sequence[Point], name: str, colour: str) -> None:
-    """Draw one series: marks alone, with bars where each point has a spread and the curve is of times."""
+    """Draw one series: marks only, with bars where each point has a spread and the curve is of times."""
     x, y = [p.x for p in row], [p.y for p in row]
     axes.plot(x, y, linestyle="none", marker="o", markersize=4, color=colour, label=name)
     if row and row[0].curve == _BARS:
@@ -86,11 +86,14 @@ def _line(axes: Any, row: Sequence[Point], name: str, colour: str) -> None:
 
 
 def _mark(axes: Any, known: Sequence[Published]) -> None:
-    """Draw published figures: a star where place and value are known, else a line or a band across."""
+    """Draw published values: a star where position and value are known, else a line or a band across."""
     low, high = axes.get_ylim()
     for k, figure in enumerate(known):
         dashes = _DASHES[k % len(_DASHES)]
-        style: dict[str, Any] = {"color": _RED, "label": f"{figure.told} ({figure.source.split(',')[0]}; {figure.how})"}
+        style: dict[str, Any] = {
+            "color": _RED,
+            "label": f"{figure.description} ({figure.source.split(',')[0]}; {figure.how})",
+        }
         if not figure.y:
             axes.axvline(figure.x[0], linestyle=dashes, linewidth=1.2, **style)
         elif not figure.x and len(figure.y) == 2:
@@ -108,7 +111,7 @@ def _mark(axes: Any, known: Sequence[Published]) -> None:
 
 
 def _place(axes: Any, figure: Published, star: str, style: dict[str, Any]) -> None:
-    """Draw a figure at one place, or a box where both place and value are ranges."""
+    """Draw a published value at one position, or a box where both position and value are ranges."""
     if len(figure.x) == 1:
         axes.plot(figure.x, figure.y, linestyle="none", marker=star, markersize=12, zorder=5, **style)
     else:
@@ -128,16 +131,16 @@ _TITLES = {
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """A published figure beside ours.
+    """A published value beside ours.
 
     Attributes
     ----------
     published : Published
-        The figure.
+        The published value.
     low, high : float
-        Our figures at its place: least and largest of the lines and points that it is compared with; NaN: none.
+        Our values at its position: least and largest of the lines and points that it is compared with; NaN: none.
     verdict : str
-        "agrees", "as told" (agrees with the source of the presets), "differs", or "not compared".
+        "agrees", "as preset" (agrees with the source of the presets), "differs", or "not compared".
     """
 
     published: Published
@@ -149,7 +152,7 @@ class Comparison:
         """Return it as a row of a table."""
         known = self.published
         return {
-            "published": known.told,
+            "published": known.description,
             "here": _span(self.low, self.high),
             "verdict": self.verdict,
             "within a factor": known.tolerance or None,
@@ -161,7 +164,7 @@ class Comparison:
 
 
 def comparisons(points: Sequence[Point]) -> list[Comparison]:
-    """Hold every published figure against the points."""
+    """Compare every published value with the points."""
     return [_compare(known, points) for known in PUBLISHED]
 
 
@@ -174,7 +177,7 @@ def _compare(known: Published, points: Sequence[Point]) -> Comparison:
         agrees = all(math.isclose(ratio, 1, abs_tol=known.tolerance - 1) for ratio in _ratios(known, own))
     else:
         agrees = max(here) * known.tolerance >= min(known.y) and min(here) <= max(known.y) * known.tolerance
-    good = "as told" if known.own else "agrees"
+    good = "as preset" if known.own else "agrees"
     return Comparison(known, *_ends(here), good if agrees else "differs")
 
 
@@ -183,7 +186,7 @@ def _ends(values: Sequence[float]) -> tuple[float, float]:
 
 
 def _at(known: Published, own: Sequence[Point]) -> list[float]:
-    """Return our values where the figure is known: of each line at its x, of all points where it has none."""
+    """Return our values at the published position: of each line at its x, of all points where it has none."""
     if not known.y:
         return []
     if not known.x:
@@ -215,44 +218,44 @@ def _ratios(known: Published, own: Sequence[Point]) -> list[float]:
 
 
 def reading(points: Sequence[Point], name: str) -> list[str]:
-    """Return what was found, in sentences; the first one tells how to read the charts."""
+    """Return the findings, in sentences; the first one explains the charts."""
     found = comparisons(points)
     lines = [
-        f"A bench of 64 x 48 pixels of {name}, each with a lamp of its own, put through what a laboratory does to a "
-        "sensor. Marks are measured on the simulated sensor; thin lines are what the equations say of a pixel with "
-        "thresholds, leak, low-pass and dead time alone, so that other effects show as a distance; red is published "
-        "of real sensors. Published figures are of other chips, biases and lights than this one; agreeing says that "
-        "the simulated sensor is of their kind, and differing says where to look."
+        f"A bench of 64 x 48 pixels of {name}, each with its own lamp, in the measurements of a laboratory. Marks are "
+        "measured on the simulated sensor; thin lines are the equations of a pixel with thresholds, leak, low-pass "
+        "and dead time alone, so that other effects show as a distance; red marks are published values of real "
+        "sensors. Published values are of other chips, biases and lights than this one; agreement shows that the "
+        "simulated sensor is of their kind, and a difference shows a point to check."
     ]
     lines += [_worst(chart, points) for chart in _TITLES if _modelled(chart, points)]
     for verdict, words in _VERDICTS.items():
-        told = [
-            f"{c.published.told} (here {_span(c.low, c.high)}; {c.published.how})"
+        items = [
+            f"{c.published.description} (here {_span(c.low, c.high)}; {c.published.how})"
             for c in found
             if c.verdict == verdict
         ]
-        lines.append(f"{words}: {'; '.join(told) or 'none'}.")
+        lines.append(f"{words}: {'; '.join(items) or 'none'}.")
     return lines
 
 
 _VERDICTS = {
-    "as told": "As the presets were told by these very sources",
-    "agrees": "Agree with what is published beside that",
-    "differs": "Differ from what is published",
+    "as preset": "Agree with the sources of the presets",
+    "agrees": "Agree with other published values",
+    "differs": "Differ from published values",
 }
 _BOUNDED = ("flicker_events", "flicker_rate", "burst")
 _LEAST_SHARE = 0.02
 
 
 def _modelled(chart: str, points: Sequence[Point]) -> list[Point]:
-    """Return a chart's points that have a closed form, but those where it is a bound or next to nothing is left."""
+    """Return a chart's points that have a closed form, except bounds and values near zero."""
     own = [p for p in points if p.curve in CURVES and CURVES[p.curve].chart == chart and p.curve not in _BOUNDED]
     largest = {p.curve: max(abs(q.model) for q in own if q.curve == p.curve) for p in own}
     return [p for p in own if abs(p.model) > _LEAST_SHARE * largest[p.curve] and p.y > 0]
 
 
 def _worst(chart: str, points: Sequence[Point]) -> str:
-    """Return how far a chart's points are from their closed forms."""
+    """Return a sentence on the largest distance of a chart's points from their closed forms."""
     own = _modelled(chart, points)
     if CURVES[own[0].curve].log_y or CURVES[own[0].curve].chart == "leak":
         off = [abs(p.y / p.model - 1) for p in own]

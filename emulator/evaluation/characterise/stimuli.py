@@ -1,14 +1,14 @@
 """The bench: a small array of the sensor in front of ideal lamps, one for each pixel.
 
-Between two frames the sensor takes the logarithm of the photocurrent along a
-straight line, so a ramp in it, a triangular flicker and a jump (a ramp of 10 ns) are closed forms here, not samples.
+Between two frames the sensor interpolates the logarithm of the photocurrent along a straight line, so a ramp in it, a
+triangular flicker and a jump (a ramp of 10 ns) are closed forms here, not samples.
 
-A pixel starts at an unknown distance from its threshold, and a step would then ask "how far was it" as well as "how
-high is the threshold". So a bench can be `settled` first: log light rises slowly, and the lamp of each pixel stops
-where that pixel's first event says that its reference now is. It is done twice, the second time from a start moved by
-what the first found, so that all pixels stop at the same light.
+A pixel starts at an unknown distance from its threshold, and the response to a step would depend on this distance as
+well as on the threshold. So a bench can be `settled` first: log light rises slowly, and the lamp of each pixel stops
+where that pixel's first event shows the position of its reference. This is done twice, the second time from a start
+moved by the result of the first, so that all pixels stop at the same light.
 
-Points of a measured curve, beside the values of the pixel's equations.
+A `Point` is a measured value of a curve, beside the value of the pixel's equations.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def on_the_bench(p: SensorParameters, size: tuple[int, int] = _SIZE) -> SensorPa
 
 
 def without_readout(p: SensorParameters) -> SensorParameters:
-    """Return the sensor with a read-out that takes no time: what is left is the pixel."""
+    """Return the sensor with a read-out that takes no time, so that only the pixel has an effect."""
     return dataclasses.replace(p, readout=ReadoutParameters(event_ns=0.001, row_ns=0))
 
 
@@ -75,7 +75,7 @@ def lags_s(p: SensorParameters, light: npt.ArrayLike) -> tuple[_Floats, float]:
 
 
 def lag_s(p: SensorParameters, light: npt.ArrayLike) -> _Floats:
-    """Return how far the filter lags behind a slow ramp: the sum of its time constants."""
+    """Return the lag of the filter behind a slow ramp: the sum of its time constants."""
     first, second = lags_s(p, light)
     return first + second
 
@@ -112,7 +112,7 @@ class Bench:
         return np.broadcast_to(np.asarray(light, np.float64), (self.parameters.height, self.parameters.width))
 
     def ramp(self, light: npt.ArrayLike, for_ns: int) -> Events:
-        """Go to another light in `for_ns`, log current on a straight line; return what was sent meanwhile."""
+        """Ramp to another light in `for_ns`, log current on a straight line; return the events sent meanwhile."""
         self.t_ns += for_ns
         self.light = self._picture(light)
         events = self.sensor.expose(LightFrame(self.t_ns, self.light.astype(np.float32)))
@@ -125,7 +125,7 @@ class Bench:
             self.ramp(self.light, for_ns // steps)
 
     def jump(self, light: npt.ArrayLike) -> int:
-        """Change the light at once, at the next whole microsecond; return when, us of stream time."""
+        """Change the light at once, at the next whole microsecond; return this time, us of stream time."""
         self.hold(-self.t_ns % 1000)
         at_us = self.t_ns // 1000
         self.ramp(light, _JUMP_NS)
@@ -138,7 +138,7 @@ class Bench:
         return events
 
     def finish(self) -> Events:
-        """Return all events since the last call of `sent`, those that wait in the sensor included; the last call."""
+        """Return all events since the last call of `sent`, including those that wait in the sensor; the last call."""
         self._sent.append(self.sensor.finish())
         return self.sent()
 
@@ -148,7 +148,7 @@ class Bench:
 
 
 def settled(p: SensorParameters, light: float, seed: int = 1) -> Bench:
-    """Return a bench in `light` whose pixels have their references at what they see, all events taken out."""
+    """Return a bench in `light` whose pixels have their references at their light, with all events removed."""
     first = Bench(p, light, seed)
     rise = _settle(first) - log_current(p, light)
     start = np.exp(log_current(p, light) - rise) - at_temperature(p).dark_current_relative
@@ -161,7 +161,7 @@ def settled(p: SensorParameters, light: float, seed: int = 1) -> Bench:
 def _settle(bench: Bench) -> _Floats:
     """Raise the light until every pixel has fired, each stopped where it did; return log currents, (height, width).
 
-    A lamp goes on rising until its pixel has read its reference anew, and then goes back to what the pixel saw there.
+    A lamp continues to rise until its pixel has updated its reference, and then returns to the light of that instant.
     """
     p, start, begin_ns = bench.parameters, log_current(bench.parameters, bench.light), bench.t_ns
     step_ns = _ramp_step_ns(p, float(bench.light.mean()))
@@ -187,7 +187,7 @@ def _ramp_step_ns(p: SensorParameters, light: float) -> int:
 
 
 FIGURE = "figure"
-"""The curve of points that are single figures: named by their series, drawn nowhere."""
+"""The curve of points that are single values: named by their series, not drawn."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +219,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """How a curve is drawn: its words, its axes, the chart that it is a panel of, and the least value worth a mark."""
+    """Layout of a curve: its title, its axes, the chart that contains it, and the least value that gets a mark."""
 
     chart: str
     title: str

@@ -1,36 +1,32 @@
-"""The share of the Sun's disc that triangles cover, seen from points: penumbras of any shape, without a map or samples.
+"""Cast shadows: the share of the Sun's disc that triangles cover, seen from points, without a shadow map or samples.
 
 From a point the Sun is a disc. Each triangle that shows its outside to the point and reaches into the cone of that disc
-covers the part of it that lies in the projected triangle, which is a closed formula (`solar_disc`). Such triangles of a
-closed surface tile without gaps, so the sum is exact for one layer, the edges between triangles leave no trace, and the
-share changes smoothly in time. Where two layers cover different parts of the disc their areas are added, at most to the
-whole disc, although they may overlap: that is too dark by up to the overlap, inside a penumbra only.
+covers the part of it that lies in the projected triangle. This part has a closed formula: a sum over the edges of the
+polygon (Green's theorem), of triangles with the centre where the edge is inside the disc, and of sectors where it is
+outside. The triangles of a closed surface tile without gaps. So the sum is exact for one layer, the edges between
+triangles leave no trace, and the share changes smoothly in time. Where two layers cover different parts of the disc
+their areas are added, at most to the whole disc, although they may overlap: that is too dark by up to the overlap,
+inside a penumbra only.
 
-A point sees a triangle's outside where it is above its plane by `near_m`, so a facet and its neighbours in one plane
+A triangle shows its outside to points that lie above its plane by `near_m`, so a facet and its neighbours in one plane
 never hide the Sun from their own points.
 
-What makes it fast: the walk leaves out boxes beside the cone (a box widened by the cone's radius at its far side
-against the axis), it ends where the disc is covered, and points with an answer of 0 or 1 have no second evaluation.
-Within one rigid body most points keep their answer while the Sun turns by a degree or more (`dim_remembering`).
+A straight edge has its own formula. With a disc of radius 1 and everything below the line y = -x hidden, -1 <= x <= 1:
 
-The Sun's disc behind straight edges: the share that is seen, and how far its middle shifts.
-
-With a disc of radius 1 and everything below the line y = -x hidden, -1 <= x <= 1:
-
-    share seen          1/2 + (x sqrt(1 - x^2) + asin x) / pi
+    visible share       1/2 + (x sqrt(1 - x^2) + asin x) / pi
     mean y of it        2/3 (1 - x^2)^(3/2) / (pi share)
 
-The mean height of what is seen lifts the cosine of incidence: a surface that is turned away from the Sun's middle by
-less than its radius still gets light, so the terminator has no kink.
+The mean height of the visible part raises the cosine of incidence: a surface that is turned away from the Sun's centre
+by less than its radius still receives light, so the terminator has no kink.
 
-The part of the disc inside a polygon is a sum over its edges (Green's theorem): triangles with the middle where the
-edge is inside the disc, sectors where it is outside.
+The triangles of each rigid body are in a tree of boxes, built once, for rays and cones from any point. It is a complete
+binary tree in a heap: node 1 is the root, node i has the children 2 i and 2 i + 1, and the last level holds the leaves.
+Triangles are split at the median of their centres along the longest side of their box. The traversal runs from left to
+right and needs no stack: after node i comes 2 i, or `after(i)` where i is skipped.
 
-A tree of boxes around triangles, built once for each rigid body, for rays and cones from anywhere.
-
-The tree is a complete binary tree in a heap: node 1 is the root, node i has the children 2 i and 2 i + 1, and the last
-level holds the leaves. Triangles are split at the median of their middles along the longest side of their box. A walk
-goes through it from left to right and needs no stack: after node i comes 2 i, or `after(i)` where i is left out.
+Three measures make it fast: the traversal skips boxes beside the cone (a box extended by the cone's radius at its far
+side against the axis), it ends where the disc is covered, and points with a result of 0 or 1 have no second evaluation.
+Within one rigid body most points keep their result while the Sun turns by a degree or more (`dim_remembering`).
 """
 
 from __future__ import annotations
@@ -138,7 +134,7 @@ class TriangleTree:
 
     @property
     def radius_m(self) -> float:
-        """No triangle reaches farther from the middle."""
+        """Radius of a sphere around the middle that contains all triangles."""
         return float(np.linalg.norm(self.boxes[1, 3:]))
 
 
@@ -185,7 +181,7 @@ def _planes(triangles: Floats) -> Floats:
 
 @numba.njit(error_model="numpy")
 def after(node: int) -> int:
-    """Return the node to look at after `node` and all below it; 1 when the walk is over."""
+    """Return the node that follows `node` and all nodes below it; 1 at the end of the traversal."""
     node += 1
     while node % 2 == 0:
         node >>= 1
@@ -200,7 +196,7 @@ MIXED = 2.0
 _WIDE_RAD = 0.05
 _NARROWER = 0.25
 _DUST = 1e-9  # shares below that are rounding
-_NEAREST = 1e-4  # of a triangle's distance: what is nearer along the axis than that is cut off
+_NEAREST = 1e-4  # of a triangle's distance: the parts nearer along the axis are cut off
 
 
 @numba.njit(error_model="numpy")
@@ -313,7 +309,7 @@ def covered(
     ----------
     point, sun : m, and the unit direction of the disc's middle, in the tree's frame.
     tangent : of the disc's angular radius.
-    enough : the walk may end where the share is as high.
+    enough : the traversal may end at this share.
     """
     boxes, starts, corners, planes = tree
     px, py, pz = point
@@ -376,7 +372,7 @@ def dim(
     reaches: tuple[float, float],
     shares: Floats,
 ) -> None:
-    """Multiply the sunlit shares of chosen points by what the tree's triangles leave of the disc.
+    """Multiply the sunlit shares of chosen points by the share of the disc that the tree's triangles do not cover.
 
     Parameters
     ----------
@@ -397,7 +393,7 @@ def dim(
 def _layers(
     tree: Arrays, point: tuple[float, float, float], sun: tuple[float, float, float], tangent: float, near_m: float
 ) -> int:
-    """Return how many layers cover the whole disc, or -1 where an edge goes through it."""
+    """Return the number of layers that cover the whole disc, or -1 where an edge crosses it."""
     layers = covered(tree, point, sun, tangent, near_m, 1e300)
     whole = round(layers)
     return int(whole) if abs(layers - whole) < _DUST else -1
@@ -413,7 +409,7 @@ def _remember(
     memory: Floats,
     k: int,
 ) -> None:
-    """Find how far the Sun may go with the same answer, at most `wide` (rad), and write row k of `memory`."""
+    """Find how far the Sun may move with the same result, at most `wide` (rad), and write row k of `memory`."""
     radius = math.atan(reaches[0])
     memory[k, 0], memory[k, 1], memory[k, 2] = sun
     memory[k, 4] = MIXED
@@ -427,7 +423,7 @@ def _remember(
 
 
 def blank_memory(points: int) -> Floats:
-    """Return the memory of `dim_remembering` with nothing in it, (points, 5)."""
+    """Return an empty memory for `dim_remembering`, (points, 5)."""
     memory = np.zeros((points, 5))
     memory[:, 3] = 2.0
     return memory
@@ -444,15 +440,16 @@ def dim_remembering(
     memory: Floats,
     shares: Floats,
 ) -> None:
-    """Do as `dim` for points in the tree's own frame, and spare what cannot have changed.
+    """Compute the same as `dim` for points in the tree's own frame, and reuse results that cannot have changed.
 
-    A disc larger than the Sun's around its direction tells how far the Sun may go before an edge can reach it: where
-    whole layers cover the large disc, or nothing does, the answer stays until the Sun has gone as far. It is the same
-    answer as without memory, but for layers whose edges fall together and halve the large disc to a billionth.
+    A disc larger than the Sun's around its direction shows how far the Sun may move before an edge can reach it: where
+    whole layers cover the large disc, or nothing does, the result is valid until the Sun has moved by that angle. The
+    result is the same as without memory, except for layers whose edges coincide and divide the large disc in halves
+    to within 1e-9.
 
     Parameters
     ----------
-    memory : (n, 5), of each point the Sun's direction when it was last looked at, the cosine up to which that holds,
+    memory : (n, 5), for each point the Sun's direction at the last evaluation, the cosine up to which that is valid,
         and the share (0, 1 or MIXED: to be computed each time).
     """
     x, y, z = moved[0, 0, 4], moved[0, 1, 4], moved[0, 2, 4]
@@ -462,7 +459,9 @@ def dim_remembering(
         k = chosen[i]
         point = (points[k, 0], points[k, 1], points[k, 2])
         if not memory[k, 0] * x + memory[k, 1] * y + memory[k, 2] * z > memory[k, 3]:
-            wide = _WIDE_RAD * (0.5 + 0.5 * ((k * 0.6180339887) % 1.0))  # so that not all are looked at anew at once
+            wide = _WIDE_RAD * (
+                0.5 + 0.5 * ((k * 0.6180339887) % 1.0)
+            )  # so that not all are evaluated again in the same step
             _remember(tree, point, (x, y, z), wide, reaches, memory, k)
         if memory[k, 4] == MIXED:
             _dim_point(tree, point, moved, reaches, shares, i)

@@ -1,18 +1,15 @@
-"""A planet like the Earth from space: a round body with oceans, land and clouds, as albedo at its vertices.
+"""Albedo of a planet like the Earth from space: oceans, land and clouds at the vertices of a round body.
 
     ocean 0.05, land 0.12 to 0.28, ice 0.6 beyond 68 degrees, thick cloud 0.7      (Henderson-Sellers and Wilson 1983)
 
-29 % is land. Clouds stand in belts: much at the equator and beyond 45 degrees, little at 25 degrees. The area's mean is
-brought to 1, so the body's reflectance says what the whole throws back: 0.3 for the Earth. Left out: the glint of the
-Sun on water, the haze above the limb, colours, and any real geography.
+29 % is land. Clouds lie in belts: much at the equator and beyond 45 degrees, little at 25 degrees. Albedo is relative:
+`with_albedo` scales it to a mean of 1 over the surface, so the body's reflectance is that of the whole body, 0.3 for
+the Earth. Left out: the glint of the Sun on water, the haze above the limb, colours, and any real geography.
 
-Relative albedo of vertices brought to a mean of 1 over the surface, so that a body's reflectance says its mean.
-
-Random functions of places in space, smooth and seeded: what albedo, roughness and clouds are made of.
-
-One octave is gradient noise: at each point of a cubic lattice a direction from a hash of the point and the seed, and
-between them the smooth mixture of the directions' linear functions (Perlin 2002, Improving noise). Its value depends on
-the place alone, so a finer mesh of the same body has the same values at the same places.
+The patterns come from noise, a smooth and seeded random function of the position in space; roughness uses it too. One
+octave is gradient noise: at each point of a cubic lattice a direction from a hash of the point and the seed, and
+between the points a smooth blend of the directions' linear functions (Perlin 2002, Improving noise). Its value depends
+on the position alone, so a finer mesh of the same body has the same values at the same positions.
 """
 
 from __future__ import annotations

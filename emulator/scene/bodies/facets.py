@@ -1,42 +1,39 @@
-"""A mesh on a stage: lit by the Sun by its law of reflection, with shadows.
+"""Drawing of meshes by GL: lit by the Sun by their law of reflection, with shadows from a shadow map.
 
-The vertex shader finds the cosines of incidence and emission, and what depends on the phase angle alone; they are
-interpolated over a facet, so normals are, and facets do not show. Phase angles come from atan(|cross|, dot): acos is
-good to 1.6e-4 rad only. The fragment gives radiance, W m-2 sr-1:
+The vertex shader computes the cosines of incidence and emission, and the terms that depend on the phase angle alone;
+they are interpolated over a facet, as normals are, so facet edges are not visible. Phase angles come from
+atan(|cross|, dot): the error of acos is 1.6e-4 rad. The fragment shader gives radiance, W m-2 sr-1:
 
     L = E_sun r(mu0, mu, g) sunlit + ambient r(mu, mu, 0)
 
 where `ambient` stands for light from all around (earthshine, light from other ground), as if it came from the eye.
 
-The shadow map is asked at the vertices where facets are about as small as its texels or as pixels, and their answers
-interpolated, which is as sharp and costs a fraction; for larger facets it is asked at every fragment.
-
-Facets that turn their backs are half of any closed body: not asking for them saves half of the work.
-
-Facets are sorted by the direction of their normals into the cells of a cube's faces, so that one test answers for some
-hundred of them. A cell is skipped when no facet in it can face the eye: with the cone of its normals (axis a,
-half-angle c), the ball around its vertices (centre m, radius r) and the eye at e,
+Facets that face away are half of any closed body; skipping them saves half of the work. Facets are sorted by the
+direction of their normals into the cells of a cube's faces, so that one test decides for some hundred of them. A cell
+is skipped when no facet in it can face the eye: with the cone of its normals (axis a, half-angle c), the ball around
+its vertices (centre m, radius r) and the eye at e,
 
     angle(a, e - m) > 90 degrees + c + asin(r / |e - m|)
 
-The picture is the same to the last bit; GL would have thrown these facets away one by one.
+The light frame is the same to the last bit, because GL would discard these facets one by one.
 
 Source of the idea: backface culling by cones of normals, Shirman and Abi-Ezzi 1993.
 
-Shadows of bodies on themselves and on one another: a map of depths as the Sun sees them.
-
-Along the Sun's rays the map is a parallel projection of a sphere around all that throws shadows:
+The shadow map holds the depths of bodies as seen from the Sun, for shadows of bodies on themselves and on one another.
+It is a parallel projection, along the Sun's rays, of a sphere around all shadow casters:
 
     x, y    0 to 1 over the sphere's diameter        z    metres behind the sphere's sunward side
 
-A point is in the dark when the map holds a smaller depth than its own. Four neighbours are asked and their answers
-weighted bilinearly, so an edge is a ramp of one texel rather than a step; a texel is at most a pixel, or the sphere's
-diameter / 1024. That stands for the Sun's penumbra (its half-degree disc), which is as wide as 1 / 1024 where a shadow
-falls from 0.1 of the diameter away at 1 au.
+A point is in shadow when the map holds a smaller depth than its own. Four neighbouring texels are read and weighted
+bilinearly, so an edge is a ramp of one texel rather than a step; a texel is at most a pixel, or the sphere's
+diameter / 1024. This ramp replaces the Sun's penumbra (its half-degree disc), which is as wide as 1 / 1024 where a
+shadow falls from 0.1 of the diameter away at 1 au. The map is read at the vertices where facets are about as small as
+its texels or as pixels, and the results are interpolated: this is as sharp and costs a fraction. For larger facets it
+is read at every fragment.
 
-Only the sides away from the Sun are drawn into the map. They lie in the dark anyway, so a lit surface cannot throw a
-shadow on itself by rounding, and what throws may be coarser than what is seen (by cells of eight texels). What is left
-of that trouble, near the terminator, is lifted off along the normal by a texel and a half.
+Only the sides away from the Sun are drawn into the map. They are in shadow anyway, so rounding cannot make a lit
+surface shadow itself, and shadow casters may be coarser than visible bodies (by cells of eight texels). The rest of
+this error, near the terminator, is avoided by lifting points along the normal by a texel and a half.
 
 Left out: penumbras much wider than a texel, and those of one body on another far away.
 """
@@ -58,7 +55,7 @@ from emulator.scene.bodies.mesh import Mesh
 if TYPE_CHECKING:
     import moderngl
 
-__all__ = ["SUNLIT_GLSL", "Cells", "Facets", "Frame", "ShadowMap", "Thrower", "draw"]
+__all__ = ["SUNLIT_GLSL", "Cells", "Facets", "Frame", "ShadowCaster", "ShadowMap", "draw"]
 
 
 _CELLS_A_SIDE = 4  # of each of the cube's six faces: 96 cells
@@ -168,11 +165,11 @@ float sunlit(vec3 s) {
     return mix(across.x, across.y, part.y);
 }
 """
-"""`float sunlit(vec3 in_shadow_map)`: the share of the Sun that a point sees."""
+"""`float sunlit(vec3 in_shadow_map)`: the visible share of the Sun's disc at a point."""
 
 
-class Thrower:
-    """A mesh that throws shadows, as coarse as the map can show."""
+class ShadowCaster:
+    """A mesh that casts shadows, as coarse as the resolution of the map allows."""
 
     def __init__(self, context: moderngl.Context, program: moderngl.Program, mesh: Mesh) -> None:
         self._cells = Cells(mesh)
@@ -189,17 +186,17 @@ class Thrower:
 
 
 class ShadowMap:
-    """The map of one stage.
+    """The shadow map of one scene.
 
     Parameters
     ----------
-    radius_m : of the sphere around all that throws shadows.
-    pixel_m : what a pixel spans at the closest range: finer texels would not be seen.
+    radius_m : of the sphere around all shadow casters.
+    pixel_m : width of a pixel on the bodies at the closest range: finer texels would have no effect.
 
     Attributes
     ----------
-    lift_m : how far points are to be lifted along their normals before they are looked up.
-    coarse_m : how coarse what throws shadows may be.
+    lift_m : distance by which points are lifted along their normals before the map is read.
+    coarse_m : size of cells in which the meshes of shadow casters are simplified.
     """
 
     def __init__(self, context: moderngl.Context, radius_m: float, pixel_m: float) -> None:
@@ -221,9 +218,9 @@ class ShadowMap:
         """Depth of the map."""
         return self._range_m
 
-    def thrower(self, mesh: Mesh) -> Thrower:
+    def caster(self, mesh: Mesh) -> ShadowCaster:
         """Take a mesh into the context's memory."""
-        return Thrower(self._context, self._program, mesh)
+        return ShadowCaster(self._context, self._program, mesh)
 
     def from_world(self, sun: Vector, centre_m: Vector) -> Matrix:
         """Return shadow_from_world, (4, 4), for a Sun in the direction (3,) and the sphere's centre (3,)."""
@@ -235,16 +232,16 @@ class ShadowMap:
         matrix[:3, 3] = np.array([0.5, 0.5, self._range_m / 2]) - axes @ centre_m
         return matrix
 
-    def render(self, throwers: Iterable[tuple[Thrower, npt.NDArray[np.float64]]]) -> None:
-        """Draw the map anew: each thrower with its shadow_from_body, (4, 4)."""
+    def render(self, casters: Iterable[tuple[ShadowCaster, npt.NDArray[np.float64]]]) -> None:
+        """Draw the whole map: each caster with its shadow_from_body, (4, 4)."""
         gl = self._context
         self._target.use()
         self._target.clear()
         gl.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
         gl.front_face, gl.cull_face = "cw", "front"
-        for thrower, shadow_from_body in throwers:
+        for caster, shadow_from_body in casters:
             self._program["shadow_from_body"] = tuple(shadow_from_body.T.ravel())
-            thrower.render(unit(-shadow_from_body[2, :3]))  # the map's third axis goes away from the Sun
+            caster.render(unit(-shadow_from_body[2, :3]))  # the map's third axis points away from the Sun
 
     def use(self) -> None:
         """Put the map where shaders look for it."""
@@ -301,7 +298,7 @@ void main() {
 }
 """
 
-# Where the shadow map is asked: nowhere, at vertices, at fragments.
+# Shader code by the place where the shadow map is read: nowhere, at vertices, at fragments.
 _NOWHERE = {"vertex": "", "answer": "", "fragment": "", "share": "1.0"}
 _AT_VERTICES = {
     "vertex": SUNLIT_GLSL,
@@ -314,12 +311,12 @@ _AT_FRAGMENTS = {"vertex": "", "answer": "", "fragment": SUNLIT_GLSL, "share": "
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What is the same for all bodies of a picture.
+    """Inputs of the shaders that all bodies of a light frame have in common.
 
     Attributes
     ----------
     sun : (3,) unit, towards the Sun in camera axes.
-    zoom, depth : see `Pinhole.zoom`, `stage.depth_terms`.
+    zoom, depth : see `Pinhole.zoom`, `render_target.depth_terms`.
     irradiance, ambient : W/m2.
     """
 
@@ -335,8 +332,8 @@ class Facets:
 
     Parameters
     ----------
-    shadows : the map to ask; None for no shadows.
-    at_vertices : whether it is asked at the vertices only.
+    shadows : the shadow map; None for no shadows.
+    at_vertices : read the map at the vertices only.
     """
 
     def __init__(

@@ -1,17 +1,16 @@
 """Bodies in sunlight drawn by GL, by points in each pixel: for a quick look, and as a check of the CPU painter.
 
-Any number of bodies, each on its path, seen from a camera on its own. A body stands in the world, or in the frame of
-another one that it is fixed to (a panel on a spacecraft). Light is radiance, W m-2 sr-1, 400 to 700 nm, by each body's
-law of reflection; all is drawn relative to the camera, subtracted in float64.
+The scene has any number of bodies, each on its path, and a camera on its own path. A body has its pose in the world, or
+in the frame of another body that it is fixed to (a panel on a spacecraft). Light is radiance, W m-2 sr-1, 400 to 700
+nm, by each body's law of reflection; all positions are relative to the camera, subtracted in float64.
 
-Detail: a mesh whose facets would be smaller than `detail_px` even at the closest approach is gathered into vertices
-that far apart, with the normals of the fine one (see `detail`). What throws shadows is as coarse as the map (see
-`shadows`). Left out: light from one surface onto another, but for an even `ambient_w_m2`.
+Detail: a mesh whose facets would be smaller than `detail_px` even at the closest approach is simplified to vertices at
+that distance, with the normals of the fine mesh (see `coarser`). Shadow casters are as coarse as the map (see
+`ShadowMap`). Left out: light from one surface onto another, but for an even `ambient_w_m2`.
 
-The part of a picture that bodies can reach: where the boxes around them are seen.
-
-The box has its sides along the body's own axes. While all of its corners are before the camera, what is in the box is
-seen between the corners; with corners before and behind, it may be anywhere.
+Only the part of a light frame that bodies can touch is drawn: the rectangle around the boxes of the bodies. A box has
+its sides along the body's own axes. While all of its corners are in front of the camera, its contents appear between
+the corners; with corners in front and behind, they may appear anywhere.
 """
 
 from __future__ import annotations
@@ -27,9 +26,9 @@ import numpy.typing as npt
 from emulator.geometry.attitude import unit
 from emulator.geometry.camera import Pinhole, Rays
 from emulator.gl.context import QUICK_LOOK, Painter
-from emulator.gl.render_target import Rectangle, Stage, depth_terms
+from emulator.gl.render_target import Rectangle, RenderTarget, depth_terms
 from emulator.light import Light, Scene
-from emulator.scene.bodies.facets import Facets, Frame, ShadowMap, Thrower
+from emulator.scene.bodies.facets import Facets, Frame, ShadowCaster, ShadowMap
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.raster_bodies import BodiesGeometry
 from emulator.scene.bodies.regolith import coarser, facet_size_m, flat
@@ -41,7 +40,7 @@ from emulator.trajectory.pose import Pose, Trajectory
 if TYPE_CHECKING:
     import moderngl
 
-__all__ = ["GlBodies", "box_corners", "reach"]
+__all__ = ["GlBodies", "box_corners", "touched_region"]
 
 
 _BLACK = Rectangle(0, 0, 1, 1)
@@ -56,8 +55,8 @@ def box_corners(points: Floats) -> Floats:
     return np.asarray([np.where([k & 1, k & 2, k & 4], high, low) for k in range(8)])
 
 
-def reach(boxes: Iterable[Floats], pinhole: Pinhole) -> Rectangle:
-    """Return a rectangle around all that is seen of `boxes`, each the corners of one, (8, 3), in the camera's axes."""
+def touched_region(boxes: Iterable[Floats], pinhole: Pinhole) -> Rectangle:
+    """Return a rectangle around the visible parts of `boxes`, each the corners of one, (8, 3), in the camera's axes."""
     whole = Rectangle(0, 0, *pinhole.size)
     before = [corners for corners in boxes if (corners[:, 2] > 0).any()]
     if not before:
@@ -73,8 +72,8 @@ def reach(boxes: Iterable[Floats], pinhole: Pinhole) -> Rectangle:
     return Rectangle(*map(int, first), *map(int, last - first))
 
 
-_FINE = 2.0  # pixels or texels: facets as small as this answer for shadows at their corners
-_APART = 100.0  # bodies that begin so many times as far as all nearer ones end have depths of their own
+_FINE = 2.0  # pixels or texels: for facets as small as this, shadows are computed at their corners
+_APART = 100.0  # ratio of ranges from which on farther bodies get a depth range of their own
 _NEAREST_SHARE = 1e-4  # of the farthest depth: no nearer plane, or float32 depth would resolve nothing
 _ROOM = 1.01  # of a body's radius: what rounding may add to it
 
@@ -83,7 +82,7 @@ Matrix = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """Where a body is in the camera's axes."""
+    """A body's pose in the camera's axes."""
 
     camera_from_body: Matrix
     place_m: Matrix
@@ -96,7 +95,7 @@ class _Part:
     mesh: Mesh
     corners: Matrix
     facets: Facets | None = None
-    thrower: Thrower | None = None
+    caster: ShadowCaster | None = None
 
 
 class GlBodies(Scene):
@@ -112,11 +111,11 @@ class GlBodies(Scene):
         self._p, self._pinhole = parameters, pinhole
         self._world = world = BodyWorld(parameters, pinhole)
         self._sun = unit(parameters.sun.direction)
-        self._throwing = [k for k, body in enumerate(parameters.bodies) if body.throws_shadow]
+        self._casters = [k for k, body in enumerate(parameters.bodies) if body.throws_shadow]
         self._parts = [_Part(mesh, box_corners(mesh.vertices)) for mesh in world.meshes]
-        self._stage = Stage(pinhole.size, parameters.samples)
+        self._render_target = RenderTarget(pinhole.size, parameters.samples)
         self._shadows: ShadowMap | None = None
-        with self._stage.context as gl:
+        with self._render_target.context as gl:
             self._upload(gl)
 
     @property
@@ -132,7 +131,7 @@ class GlBodies(Scene):
     @property
     def renderer(self) -> str:
         """The name of what draws, in GL's words."""
-        return self._stage.renderer
+        return self._render_target.renderer
 
     @property
     def camera_path(self) -> Trajectory:
@@ -156,14 +155,14 @@ class GlBodies(Scene):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """That GL draws, what is odd about the shapes, what detail was left out, and a black picture."""
-        picture = np.zeros(self.size[::-1], np.float32)
-        self.light(0, picture)
-        return (QUICK_LOOK, *self._world.notes(picture))
+        """Remarks for the user: drawing by GL, faults of the shapes, detail that was left out, a black light frame."""
+        frame = np.zeros(self.size[::-1], np.float32)
+        self.light(0, frame)
+        return (QUICK_LOOK, *self._world.notes(frame))
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Counts of the poses that came from outside."""
+        """Counts of poses received from outside."""
         return self._world.counts
 
     def geometry(self, rays: Rays | None = None) -> BodiesGeometry:
@@ -175,20 +174,20 @@ class GlBodies(Scene):
         self.lights((t_ns,), (out,))
 
     def lights(self, times_ns: Sequence[int], outs: Sequence[Light]) -> None:
-        """Write the radiance at several times into their pictures."""
-        self._stage.draw_all([self._beginning(t_ns) for t_ns in times_ns], outs)
+        """Write the radiance at several times into their light frames."""
+        self._render_target.draw_all([self._drawing(t_ns) for t_ns in times_ns], outs)
 
     def close(self) -> None:
-        """Give back the GL context and the ports; a second call does nothing."""
-        self._stage.close()
+        """Release the GL context and the ports; a second call does nothing."""
+        self._render_target.close()
         self._world.close()
 
     def _upload(self, gl: moderngl.Context) -> None:
-        """Take meshes into the context's memory, with as much detail as is seen."""
+        """Copy meshes into the context's memory, with as much detail as is visible."""
         world = self._world
-        if self._p.shadows and self._throwing:
+        if self._p.shadows and self._casters:
             # a tenth more than in the first minute, for what comes later
-            around_m = 1.1 * world.arrangement.radius_m(self._throwing)
+            around_m = 1.1 * world.arrangement.radius_m(self._casters)
             self._shadows = ShadowMap(gl, around_m, self.distance_m / self._pinhole.focal_px)
         for k, (body, part) in enumerate(zip(self._p.bodies, self._parts, strict=True)):
             seen = world.as_seen(k)
@@ -197,19 +196,19 @@ class GlBodies(Scene):
             shadows = self._shadows if self._may_be_shaded(k) else None
             part.facets = Facets(gl, drawn, body.reflectance, shadows, at_vertices=fine)
             if self._shadows and body.throws_shadow:
-                part.thrower = self._shadows.thrower(coarser(part.mesh, self._shadows.coarse_m))
+                part.caster = self._shadows.caster(coarser(part.mesh, self._shadows.coarse_m))
 
     def _may_be_shaded(self, k: int) -> bool:
-        """Return whether body k is, at the start, where the shadow map reaches: a planet behind the scene is not."""
+        """Return whether body k is, at the start, within the shadow map; a planet behind the scene is not."""
         if self._shadows is None:
             return False
         poses, parts = self._world.arrangement.poses(self._world.time.scene_ns(0)), self._parts
-        centre = middle([(poses[j], parts[j].mesh.radius_m) for j in self._throwing])
+        centre = middle([(poses[j], parts[j].mesh.radius_m) for j in self._casters])
         away_m = float(np.linalg.norm(poses[k].position_m - centre))
         return away_m - parts[k].mesh.radius_m < self._shadows.range_m
 
     def _fine_m(self, metres_a_pixel: float) -> float:
-        """Return the size of facets at whose corners the shadow map may be asked: two pixels, or two texels."""
+        """Return the largest size of facets that read the shadow map at their corners: two pixels, or two texels."""
         texel_m = self._shadows.texel_m if self._shadows else 0.0
         return _FINE * max(texel_m, metres_a_pixel)
 
@@ -218,12 +217,12 @@ class GlBodies(Scene):
         if self._shadows is None:
             return [np.eye(4)] * len(poses)
         shadow_from_world = self._shadows.from_world(
-            self._sun, middle([(poses[k], self._parts[k].mesh.radius_m) for k in self._throwing])
+            self._sun, middle([(poses[k], self._parts[k].mesh.radius_m) for k in self._casters])
         )
         return [shadow_from_world @ _matrix(pose) for pose in poses]
 
-    def _beginning(self, t_ns: int) -> Callable[[], None]:
-        """Return what lets the stage begin the picture of `t_ns`; whatever can fail has been done."""
+    def _drawing(self, t_ns: int) -> Callable[[], None]:
+        """Prepare the draw calls for time `t_ns`. All errors are raised here, none while drawing."""
         scene_ns = self._world.time.scene_ns(t_ns)
         camera, poses = self._world.camera.pose(scene_ns), self._world.arrangement.poses(scene_ns)
         camera_from_world = camera.world_from_body.T
@@ -235,17 +234,17 @@ class GlBodies(Scene):
         shadow_from_bodies = self._shadow_from_bodies(poses)
         boxes = (part.corners @ s.camera_from_body.T + s.place_m for part, s in zip(self._parts, seen, strict=True))
         return partial(
-            self._stage.begin,
+            self._render_target.begin,
             partial(self._render, frames, seen, shadow_from_bodies),
             partial(self._cast, shadow_from_bodies),
-            reach(boxes, self._pinhole),
+            touched_region(boxes, self._pinhole),
         )
 
     def _cast(self, shadow_from_bodies: list[Matrix]) -> None:
         """Draw the shadow map."""
         if self._shadows is not None:
             both = zip(self._parts, shadow_from_bodies, strict=True)
-            self._shadows.render([(part.thrower, matrix) for part, matrix in both if part.thrower is not None])
+            self._shadows.render([(part.caster, matrix) for part, matrix in both if part.caster is not None])
 
     def _render(
         self,
@@ -263,9 +262,9 @@ class GlBodies(Scene):
                     facets.render(frame, how.camera_from_body, how.place_m, shadow_from_bodies[k])
 
     def _frames(self, sun: Matrix, seen: list[_Seen]) -> list[tuple[Frame, list[int]]]:
-        """Return which bodies are drawn together, and what is the same for them, the farthest ones first.
+        """Return the groups of bodies that are drawn together, with their common inputs, the farthest group first.
 
-        Bodies that lie much farther than all others have depths of their own.
+        Bodies much farther than all others get a depth range of their own.
         """
         ends = [
             (float(how.place_m[2]) - part.mesh.radius_m * _ROOM, float(how.place_m[2]) + part.mesh.radius_m * _ROOM)
@@ -281,7 +280,7 @@ class GlBodies(Scene):
         return frames[::-1]
 
     def _frame(self, sun: Matrix, ends: list[tuple[float, float]]) -> Frame:
-        """Return what is the same for bodies between these depths; what lies behind the camera does not count."""
+        """Return the common inputs of bodies between these depths; depths behind the camera are ignored."""
         ahead = [(near, far) for near, far in ends if far > 0]
         far = max((far for _, far in ahead), default=1.0)
         near = min((near for near, _ in ahead), default=0.5)
@@ -295,7 +294,7 @@ class GlBodies(Scene):
 
 
 def _forget_depth(gl: moderngl.Context) -> None:
-    """Clear the depth of the target and keep its light: what is drawn next lies before all that is there."""
+    """Clear the depth of the target, not its light: the next bodies are drawn in front of all earlier ones."""
     target = gl.fbo
     target.color_mask = False, False, False, False
     target.clear()

@@ -9,9 +9,9 @@ The horizon is the highest obstacle in each direction. Light that falls in below
 overhangs, the table is too dark (`lost_light` measures it, and `Lighting` traces bodies for which it matters). Shadow
 edges that run along the azimuth, and obstacles narrower than the spacing, are right to the spacing only.
 
-What makes it fast: one walk through the tree of triangles a point, which leaves out boxes below the tangent plane; the
-highest obstacle in a direction is on an edge, so each edge raises the few directions that it spans; triangles that
-show the point their inside are left out, as their edges are those of others or are hidden.
+Three measures make it fast: one traversal of the tree of triangles for each point, which skips boxes below the tangent
+plane; the highest obstacle in a direction is on an edge, so each edge raises the few directions that it spans;
+triangles that show their inside to the point are skipped, as their edges belong to others too or are hidden.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.array_cache import Progress, kept
+from emulator.scene.array_cache import Progress, cached_array
 from emulator.scene.bodies.cast_shadow import Arrays, Frame, TriangleTree, after, axes_around, covered, seen_above
 from emulator.scene.bodies.compiled import entry
 
@@ -41,12 +41,12 @@ Horizons = npt.NDArray[np.uint16]
 
 
 def horizon_table(tree: TriangleTree, points: Floats, normals: Floats, name: str = "a body") -> Horizons:
-    """Return the horizons' sines in 1 / 65535, (points, AZIMUTHS), from the cache where they lie there already."""
+    """Return the horizons' sines in 1 / 65535, (points, AZIMUTHS), from the cache where it has them."""
     digest = hashlib.sha256()
     for array in (tree.corners, points, normals):
         digest.update(array.tobytes())
     made_from = (AZIMUTHS, digest.hexdigest())
-    return kept("horizons", made_from, lambda: _make(tree, points, normals, name), (np.uint16, 2))
+    return cached_array("horizons", made_from, lambda: _make(tree, points, normals, name), (np.uint16, 2))
 
 
 def _make(tree: TriangleTree, points: Floats, normals: Floats, name: str) -> Horizons:
@@ -54,7 +54,7 @@ def _make(tree: TriangleTree, points: Floats, normals: Floats, name: str) -> Hor
     progress = Progress(f"horizons of {name}")
     parts = [slice(first, first + _CHUNK) for first in range(0, len(points), _CHUNK)]
     progress(0, len(parts))
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # the kernel gives the GIL back
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # the kernel releases the GIL
         work = pool.map(lambda part: _look_around(tree.arrays, points[part], normals[part], out[part]), parts)
         for done, _ in enumerate(work, 1):
             progress(done, len(parts))
@@ -62,7 +62,7 @@ def _make(tree: TriangleTree, points: Floats, normals: Floats, name: str) -> Hor
 
 
 def lost_light(tree: TriangleTree, points: Floats, normals: Floats, table: Horizons, tangent: float) -> float:
-    """Return the share of (point, Sun above its plane) pairs that the table calls dark and that are in full light.
+    """Return the share of (point, Sun above its plane) pairs that are dark by the table and in full light in fact.
 
     Pairs are drawn from a fixed seed, directions evenly over the half sphere.
     """
@@ -94,7 +94,7 @@ def _direction(j: int) -> tuple[float, float]:
 
 @numba.njit(error_model="numpy")
 def _azimuth(x: float, y: float) -> float:
-    """Return where a direction of the tangent plane lies between azimuths, 0 to AZIMUTHS; not for the normal."""
+    """Return the position of a direction of the tangent plane among the azimuths, 0 to AZIMUTHS; not for the normal."""
     at = y / (abs(x) + abs(y))
     if x < 0.0:
         at = 2.0 - at
@@ -111,7 +111,7 @@ def _raise(ax, ay, az, bx, by, bz, directions, slopes) -> None:  # type: ignore[
     if abs(ax) + abs(ay) <= 0.0 or abs(bx) + abs(by) <= 0.0:
         return
     first, last = _azimuth(ax, ay), _azimuth(bx, by)
-    if ax * by - ay * bx < 0.0:  # go round counter-clockwise
+    if ax * by - ay * bx < 0.0:  # counter-clockwise order
         first, last = last, first
     if last < first:
         last += AZIMUTHS
@@ -180,10 +180,11 @@ def _near(table: Horizons, k: int, tx: float, ty: float) -> tuple[float, float]:
 
 @numba.njit(error_model="numpy")
 def _above(table: Horizons, k: int, sun: tuple[float, float, float], radius: float) -> tuple[float, float]:
-    """Return how far the Sun's middle is above the horizon of point k in its radii, and the cosine of the line's tilt.
+    """Return the height of the Sun's centre above the horizon of point k in solar radii, and the cosine of its tilt.
 
-    The Sun's direction is along the axes around the normal, the radius in rad. Values far from -1 to 1 are only of the
-    right sign: the sine's difference is at most that of the angles, which spares the roots for nearly all points.
+    The Sun's direction is along the axes around the normal, the radius in rad. Values far outside -1 to 1 have the
+    right sign only: the difference of the sines is at most that of the angles, which avoids square roots for nearly all
+    points.
     """
     tx, ty, up = sun
     around = abs(tx) + abs(ty)
@@ -210,7 +211,7 @@ def dim_below(
     cosines: Floats,
     shares: Floats,
 ) -> None:
-    """Write the sunlit shares of chosen points, and lift the cosines of incidence to the mean over what is seen.
+    """Write the sunlit shares of chosen points, and raise the cosines of incidence to the mean over the visible part.
 
     Parameters
     ----------

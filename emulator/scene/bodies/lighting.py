@@ -2,25 +2,22 @@
 
     L = E_sun r(mu0, mu, g) share + ambient r(mu, mu, 0)
 
-with a law of reflection r and the share of the Sun's disc that is seen. Near the edge of what is hidden mu0 is the mean
-over the part of the disc that is seen, so all is smooth in time. Shadows:
+with a law of reflection r and the visible share of the Sun's disc. Near a shadow edge mu0 is the mean over the visible
+part of the disc, so the light is smooth in time. Shadows:
 
     smooth bodies        a table of horizons over all that is rigidly fixed to the body (`horizon_table`)
-    flat-shaded ones     polygons over their facets where penumbras are narrow enough (`sharp_shadows`), else covered
+    flat-shaded ones     polygons over their facets where penumbras are narrow enough (`shadow_polygons`), else covered
                          areas of the disc, traced (`cast_shadow`); smooth ones are traced too where a table would
                          lose light under overhangs in more than LOST_AT_MOST of all directions
-    bodies on others     traced, in the frame of what throws the shadow
+    bodies on others     traced, in the frame of the body that casts the shadow
 
-The rate is that of the material point, a second of stream time: directions of the Sun and places of the camera and of
-other bodies in each body's frame, and their rates, come from poses shortly before and after (`Motion`).
+The rate is that of the material point, a second of stream time: directions of the Sun and positions of the camera and
+of other bodies in each body's frame, and their rates, come from poses shortly before and after (`Motion`). The kernels
+compute everything at an instant and a moment later, so short that the difference is the derivative to seven digits: the
+laws need no derivatives of their own. The first test skips points that no facet shows to the camera, and dark ones
+without ambient light; they are 60 to 80 % of a closed body's.
 
-Left out: light from one surface onto another, but for the ambient light; the Sun's limb is as bright as its middle.
-
-Compiled loops of `lighting`: which points are seen, the angles of light there, and radiance with its rate.
-
-All is computed at an instant and a moment later, so short that the difference is the derivative to seven digits: the
-laws need no derivatives of their own. Points that no facet shows to the camera, and dark ones without ambient light,
-are left out at the first test; they are 60 to 80 % of a closed body's.
+Left out: light from one surface onto another, but for the ambient light; the Sun's limb is as bright as its centre.
 """
 
 from __future__ import annotations
@@ -44,11 +41,21 @@ from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.shadow_polygons import Polygons, SharpShadows, receivers_of
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.world import RigidGroup, rigid_groups
-from emulator.threads import Crew
+from emulator.threads import ThreadPool
 from emulator.trajectory.motion import Timescale
 from emulator.trajectory.pose import Pose, Trajectory
 
-__all__ = ["LOST_AT_MOST", "Glow", "Lighting", "Motion", "Poses", "choose", "dim_at_plane", "glow", "motion_at"]
+__all__ = [
+    "LOST_AT_MOST",
+    "Lighting",
+    "Motion",
+    "Poses",
+    "Radiance",
+    "choose",
+    "dim_at_plane",
+    "motion_at",
+    "write_radiance",
+]
 
 
 Floats = npt.NDArray[np.float64]
@@ -59,7 +66,7 @@ Numbers = npt.NDArray[np.int32]
 def choose(
     surface: tuple[Floats, Floats, Floats], suns: Floats, eyes: Floats, lowest: float, chosen: Numbers, angles: Floats
 ) -> int:
-    """Write which points matter and their angles; return how many.
+    """Select the points that can show light, write their numbers and angles, and return their count.
 
     Parameters
     ----------
@@ -98,7 +105,7 @@ def choose(
 
 @entry
 def dim_at_plane(count: int, radius: float, cosines: Floats, shares: Floats) -> None:
-    """Write the Sun's share above the tangent planes, and lift the cosines of incidence to its mean; see `solar_disc`.
+    """Write the Sun's share above tangent planes, and raise the cosines of incidence to its mean; see `cast_shadow`.
 
     Parameters
     ----------
@@ -112,7 +119,7 @@ def dim_at_plane(count: int, radius: float, cosines: Floats, shares: Floats) -> 
 
 
 @entry
-def glow(
+def write_radiance(
     law: tuple[int, Floats],
     light: tuple[float, float, float],
     chosen: Numbers,
@@ -126,7 +133,7 @@ def glow(
 
     Parameters
     ----------
-    light : irradiance of the Sun and ambient light, W/m2; seconds between now and later.
+    light : irradiance of the Sun and ambient light, W/m2; seconds between the two instants.
     angles : of `choose`; shares : (2, n).
     room : (3, n), overwritten.
     out : (2, points).
@@ -153,7 +160,7 @@ def glow(
 
 LOST_AT_MOST = 0.002
 _NEAR = 1e-7  # of a tree's radius: points are above a plane from this height on
-_TURN_RAD = 1e-7  # by which things turn between the two instants of a rate
+_TURN_RAD = 1e-7  # rotation between the two instants of a rate
 _SIDE_NS = 1_000_000  # of scene time, between the poses for rates
 
 _LOG = logging.getLogger(__name__)
@@ -161,7 +168,7 @@ _LOG = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Where the camera and bodies are in the world; the first body of each rigid group at least, by its number."""
+    """Poses of the camera and of bodies in the world: of the first body of each rigid group at least, by its number."""
 
     camera: Pose
     bodies: Sequence[Pose] | Mapping[int, Pose]
@@ -183,13 +190,13 @@ class Motion:
 
 
 @dataclass(frozen=True, eq=False)
-class Glow:
+class Radiance:
     """Light of a body at the points of its surface.
 
     Attributes
     ----------
     radiance, rate : (e,) float64, W m-2 sr-1 and that a second; 0 at points that no facet shows to the camera.
-    dark, dark_rate : the same without the Sun; of no use where shadows are not polygons.
+    dark, dark_rate : the same without the Sun; used only where shadows are polygons.
     """
 
     radiance: Floats
@@ -243,10 +250,10 @@ class Lighting:
 
     Parameters
     ----------
-    meshes : of each body, as it throws shadows.
-    surfaces : of each body, where it is lit.
+    meshes : of each body, for the shadows that it casts.
+    surfaces : of each body, the points at which light is computed.
     sharp : flat-shaded bodies on which the shadows of their own group are polygons, to be drawn over them.
-    threads : how many find polygons; the light is the same to the last bit.
+    threads : number of threads that compute polygons; the light is the same to the last bit.
     """
 
     def __init__(
@@ -262,7 +269,7 @@ class Lighting:
         self._groups = rigid_groups(parameters.bodies)
         self._trees = [_group_tree(group, parameters, meshes) for group in self._groups]
         self._bodies = self._lit(parameters, surfaces, sharp)
-        self._crew = Crew(threads if sharp else 1)
+        self._pool = ThreadPool(threads if sharp else 1)
         self._sharp = list(self._sharp_shadows(surfaces))
         most = max(len(body.points) for body in self._bodies)
         self._chosen, self._angles = np.empty(most, np.int32), np.empty((6, most))
@@ -270,23 +277,27 @@ class Lighting:
 
     def close(self) -> None:
         """End the threads; a second call does nothing."""
-        self._crew.close()
+        self._pool.close()
 
-    def light(self, motion: Motion) -> list[Glow]:
+    def light(self, motion: Motion) -> list[Radiance]:
         """Return the light of each body."""
         return self.light_and_polygons(motion)[0]
 
-    def light_and_polygons(self, motion: Motion) -> tuple[list[Glow], list[Polygons]]:
-        """Return the light of each body, and the shadows that are to be drawn over them."""
+    def light_and_polygons(self, motion: Motion) -> tuple[list[Radiance], list[Polygons]]:
+        """Return the light of each body, and the shadow polygons to draw over the bodies."""
         step_s = self._step_s(motion)
         seen = [self._seen(motion, group.members[0], step_s) for group in self._groups]
-        glows = [self._body_light(body, seen, step_s) for body in self._bodies]
-        return glows, [self._polygons(g, shadows, seen[g], glows, step_s) for g, shadows in self._sharp]
+        radiances = [self._body_light(body, seen, step_s) for body in self._bodies]
+        return radiances, [self._polygons(g, shadows, seen[g], radiances, step_s) for g, shadows in self._sharp]
 
-    def _polygons(self, g: int, shadows: SharpShadows, seen: _Seen, glows: Sequence[Glow], step_s: float) -> Polygons:
+    def _polygons(
+        self, g: int, shadows: SharpShadows, seen: _Seen, radiances: Sequence[Radiance], step_s: float
+    ) -> Polygons:
         around = seen.suns[0], (seen.suns[1] - seen.suns[0]) / step_s, seen.eyes_m[0]
         members = self._groups[g].members
-        return shadows.cast([(glows[k].dark, glows[k].dark_rate) for k in members if self._bodies[k].sharp], around)
+        return shadows.cast(
+            [(radiances[k].dark, radiances[k].dark_rate) for k in members if self._bodies[k].sharp], around
+        )
 
     def _lit(self, parameters: BodiesParameters, surfaces: Sequence[Surface], sharp: Collection[int]) -> list[_Lit]:
         where = {k: (g, pose) for g, group in enumerate(self._groups) for k, pose in zip(*_both(group), strict=True)}
@@ -297,16 +308,16 @@ class Lighting:
         return [replace(body, sharp=k in sharp) for k, body in enumerate(lit)]
 
     def _sharp_shadows(self, surfaces: Sequence[Surface]) -> Iterator[tuple[int, SharpShadows]]:
-        """Yield the groups that have such shadows, and these."""
+        """Yield each group that has shadow polygons, with their `SharpShadows`."""
         firsts = np.cumsum([0, *(len(surface.faces) for surface in surfaces)])
         for g, (group, tree) in enumerate(zip(self._groups, self._trees, strict=True)):
             members = [(k, pose) for k, pose in zip(*_both(group), strict=True) if self._bodies[k].sharp]
             if tree is not None and members:
                 parts = [receivers_of(surfaces[k], pose, firsts[k]) for k, pose in members]
-                yield g, SharpShadows(group.members[0], tree, parts, _NEAR * tree.radius_m, self._crew)
+                yield g, SharpShadows(group.members[0], tree, parts, _NEAR * tree.radius_m, self._pool)
 
     def _step_s(self, motion: Motion) -> float:
-        """Return the time in which nothing turns, is seen to turn, or goes by its own size, by more than some 1e-7."""
+        """Return a time in which no body turns, appears to turn, or moves relative to its size, by more than 1e-7."""
         roots = [group.members[0] for group in self._groups]
         least_m = max(min(body.radius_m for body in self._bodies), 1e-9)
         fastest = max(_turned(motion, k) for k in roots)
@@ -330,7 +341,7 @@ class Lighting:
         turn, place = pose.world_from_body, pose.position_m
         return turn, place, self._towards @ turn, (poses.camera.position_m - place) @ turn
 
-    def _body_light(self, body: _Lit, seen: Sequence[_Seen], step_s: float) -> Glow:
+    def _body_light(self, body: _Lit, seen: Sequence[_Seen], step_s: float) -> Radiance:
         own, radius = seen[body.group], self._sun.radius_rad
         lowest = -2.0 if self._ambient > 0 else -math.sin(radius)
         surface = (body.points, body.normals, body.lean)
@@ -345,13 +356,15 @@ class Lighting:
                 self._cast(body, tree, own, seen[g], count)
         out, dark = np.zeros((2, 2, len(body.points)))
         light = (self._sun.irradiance_w_m2, self._ambient, step_s)
-        glow(body.law, light, self._chosen, count, self._angles, self._shares, self._room, out)
+        write_radiance(body.law, light, self._chosen, count, self._angles, self._shares, self._room, out)
         if body.sharp and self._ambient > 0:
-            glow(body.law, (0.0, *light[1:]), self._chosen, count, self._angles, self._shares, self._room, dark)
+            write_radiance(
+                body.law, (0.0, *light[1:]), self._chosen, count, self._angles, self._shares, self._room, dark
+            )
         if body.albedo is not None:
             out *= body.albedo
             dark *= body.albedo
-        return Glow(*out, *dark)
+        return Radiance(*out, *dark)
 
     def _cast(self, body: _Lit, tree: TriangleTree, own: _Seen, other: _Seen, count: int) -> None:
         """Dim the chosen points of a body by the shadow of a group."""
@@ -374,7 +387,7 @@ def _both(group: RigidGroup) -> tuple[tuple[int, ...], tuple[Pose, ...]]:
 
 
 def _group_tree(group: RigidGroup, parameters: BodiesParameters, meshes: Sequence[Mesh]) -> TriangleTree | None:
-    """Return the triangles that throw the shadows of a group, in its frame."""
+    """Return the triangles that cast the shadows of a group, in its frame."""
     parts = [
         shadow_triangles(meshes[k]) @ pose.world_from_body.T + pose.position_m
         for k, pose in zip(*_both(group), strict=True)
@@ -384,7 +397,7 @@ def _group_tree(group: RigidGroup, parameters: BodiesParameters, meshes: Sequenc
 
 
 def _place(surface: Surface, law: Law, group: int, pose: Pose, tree: TriangleTree | None, sun: Sun) -> _Lit:
-    """Return a body's points in the frame of its group, with a table of horizons where that serves."""
+    """Return a body's points in the frame of its group, with a table of horizons where it is accurate enough."""
     turn = pose.world_from_body.T
     points, normals = surface.points @ turn + pose.position_m, surface.normals @ turn
     table = _table(tree, points, normals, sun) if surface.smooth and tree is not None else None
@@ -409,7 +422,7 @@ def _turned(motion: Motion, k: int) -> float:
 
 
 def _moved_m(motion: Motion, k: int, other: int | None = None) -> float:
-    """Return how far body k goes against another one, or the camera."""
+    """Return the distance that body k moves relative to another one, or to the camera."""
     places = [
         (poses.camera if other is None else poses.bodies[other]).position_m - poses.bodies[k].position_m
         for poses in (motion.before, motion.after)

@@ -1,10 +1,10 @@
-"""Where the light of a surface is computed: one place and normal for each radiance that a renderer is given.
+"""Points at which the light of a surface is computed: one point and normal for each radiance that a renderer receives.
 
 On a smooth surface each vertex has one radiance. On a flat-shaded one each vertex has one for each plane that meets
 there: corners of facets that lie in one plane share theirs, so subdividing a flat side costs one radiance a vertex.
 
-Places are a little away from the vertices: on smooth surfaces above them, so that the facets around count for shadows;
-on flat ones inside their plane's facets, so that at the foot of a wall it is told on which side of it a corner is.
+Points are a little away from the vertices: on smooth surfaces above them, so that the facets around count for shadows;
+on flat ones inside their plane's facets, so that at the foot of a wall each corner lies clearly on one side of it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Surface:
     points, normals : (e, 3) m and unit, of each radiance.
     lean : (e,) sine of the largest angle between a normal and the facets that meet there: a point is seen only by eyes
         that are not lower than this under its tangent plane.
-    smooth : whether normals are interpolated.
+    smooth : True: normals are interpolated.
     albedo : (e,) of each radiance, relative to the body's law of reflection; None: 1 everywhere.
     """
 
@@ -70,7 +70,7 @@ def _smooth(mesh: Mesh) -> Surface:
 
 
 def _flat(mesh: Mesh) -> Surface:
-    """Corners at one vertex whose normals round to the same are one; the rounding may split some, which is harmless."""
+    """Merge corners at one vertex whose normals round to the same value; rounding may split some, which is harmless."""
     normals = np.repeat(_facet_normals(mesh), 3, axis=0)
     key = np.column_stack([mesh.faces.ravel(), np.round(normals / _ONE_PLANE)])
     if mesh.albedo is not None:
@@ -88,7 +88,7 @@ def _flat(mesh: Mesh) -> Surface:
 
 
 def shadow_triangles(mesh: Mesh) -> Floats:
-    """Return the triangles that throw a mesh's shadow, (m, 3, 3) m, seen from their outside; both sides of a sheet."""
+    """Return the triangles that cast a mesh's shadow, (m, 3, 3) m, seen from their outside; both sides of a sheet."""
     triangles = mesh.vertices[mesh.faces]
     return np.concatenate([triangles, triangles[:, ::-1]]) if mesh.open_edges else triangles
 
@@ -105,7 +105,7 @@ def subdivide(mesh: Mesh, size_m: float) -> Mesh:
 
 
 def _long_sides(vertices: Floats, faces: Faces, size_m: float) -> npt.NDArray[np.bool_]:
-    """Return which sides, (m, 3), from corner k to k + 1, are too long; both facets of a side get the same answer."""
+    """Return the mask of sides, (m, 3), from corner k to k + 1, that are too long; equal for both facets of a side."""
     low, high = _ends(faces)
     return np.asarray(((vertices[low] - vertices[high]) ** 2).sum(axis=2) > size_m * size_m)
 
@@ -118,7 +118,7 @@ def _ends(faces: Faces) -> tuple[Faces, Faces]:
 def split_sides(mesh: Mesh, split: npt.NDArray[np.bool_]) -> Mesh:
     """Return a mesh with a vertex in the middle of the sides of `split`, (m, 3), and the facets cut there.
 
-    Both facets of a side must have the same answer. Normals and albedo of new vertices are means of the side's ends.
+    Both facets of a side must have the same value. Normals and albedo of new vertices are means of the side's ends.
     """
     vertices, faces, normals = mesh.vertices, mesh.faces, mesh.normals
     low, high = _ends(faces)
@@ -149,7 +149,7 @@ def _cut(
 ) -> npt.NDArray[Any]:
     """Return the parts of the facets of which `count` sides are split; the first side that differs is turned first.
 
-    `faces` and `middle` are what stands at corners and in the middle of sides: numbers of vertices, or values there.
+    `faces` and `middle` are the entries at corners and in the middle of sides: numbers of vertices, or values there.
     """
     chosen = np.flatnonzero(split.sum(axis=1) == count)
     odd = split if count == 1 else ~split  # one side is split, or one is not

@@ -1,9 +1,9 @@
-"""Closed surfaces of triangles: reading shape models, and judging them before anything is drawn.
+"""Closed surfaces of triangles: reading of shape models, and checks before anything is drawn.
 
-A facet's outside is the side from which its corners go round counter-clockwise. Lengths are metres. Read are the plate
-tables of the Planetary Data System (`.tab`, see `plates`), Wavefront OBJ (see `wavefront`), and every surface format
-that trimesh reads (STL, PLY, ...). Textures and materials are ignored, but for `usemtl albedo_A` of OBJ files; split
-vertices are joined again.
+A facet's outside is the side from which its corners run counter-clockwise. Lengths are metres. The formats are the
+plate tables of the Planetary Data System (`.tab`) and Wavefront OBJ, see `mesh_files`, and every surface format that
+trimesh reads (STL, PLY, GLB, ...), in a child process, see `foreign_file`. Textures and materials are ignored, but for
+`usemtl albedo_A` of OBJ files; split vertices are joined again.
 
     bad input                                   what happens
     no file, unreadable, no facet               SceneError
@@ -11,9 +11,7 @@ vertices are joined again.
     facets that disagree on the outside         SceneError
     facets without area                         dropped, counted in `Mesh.dropped_facets`
     inside out                                  turned, `Mesh.was_inside_out`
-    holes                                       kept, counted in `Mesh.open_edges`; dark sky is seen through them
-
-Surfaces of formats that trimesh reads (STL, PLY, GLB, ...); for a child process, see `foreign_file`.
+    holes                                       left open, counted in `Mesh.open_edges`; dark sky is seen through them
 """
 
 from __future__ import annotations
@@ -36,7 +34,7 @@ __all__ = ["SHAPES", "Mesh", "build_mesh", "facet_vectors", "find_shape", "load_
 
 
 SHAPES = Path(__file__).parent / "shapes"
-"""The folder of the shape models that come with the program; its SOURCES.md tells where each is from."""
+"""The folder of the shape models that come with the program; its SOURCES.md gives the origin of each."""
 
 _MOST_BYTES = 1 << 28
 _FARTHEST_M = 1e15  # squares and cubes of it stay finite; the solar system ends before
@@ -47,7 +45,7 @@ _Faces = npt.NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A surface that has been judged fit to draw.
+    """A checked surface that can be drawn.
 
     Attributes
     ----------
@@ -56,9 +54,9 @@ class Mesh:
     normals : (n, 3) float64, unit, outward: the mean of the facets around a vertex, weighted with their area.
     dropped_facets : facets without area that the source had.
     open_edges : edges with a facet on one side only; 0 for a closed surface.
-    was_inside_out : whether the source had all facets the wrong way round.
-    albedo : (m, 3) float64, brightness at the corners of each facet relative to what the law of reflection says; None:
-        1 everywhere. On a smooth surface the corners at a vertex agree.
+    was_inside_out : True: the source had all facets the wrong way round.
+    albedo : (m, 3) float64, brightness at the corners of each facet relative to the law of reflection; None: 1
+        everywhere. On a smooth surface the corners at a vertex agree.
     """
 
     vertices: _Points
@@ -76,7 +74,7 @@ class Mesh:
 
     @property
     def volume_m3(self) -> float:
-        """The enclosed volume, by the divergence theorem; means nothing for a mesh with holes."""
+        """The enclosed volume, by the divergence theorem; undefined for a mesh with holes."""
         return float(_signed_volume(self.vertices, self.faces))
 
     @property
@@ -94,7 +92,7 @@ class Mesh:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was found odd and put right or let pass, a sentence each, for people."""
+        """Remarks for the user on faults of the shape that were corrected or accepted, a sentence each."""
         found = (
             (self.dropped_facets, f"{self.dropped_facets} facets without area were dropped"),
             (self.open_edges, f"{self.open_edges} edges are open: dark sky shows through the holes"),
@@ -121,7 +119,7 @@ def load_mesh(path: Path, units_m: float = 1000.0) -> Mesh:
     Raises
     ------
     SceneError
-        With the file's name, what is wrong and, where it can be told, the line.
+        With the file's name, the fault and, where it is known, the line.
     """
     if not (np.isfinite(units_m) and units_m > 0):
         raise SceneError(f"units of {units_m} m for {path.name}: a unit of length is a positive number of metres")
@@ -133,7 +131,7 @@ def load_mesh(path: Path, units_m: float = 1000.0) -> Mesh:
 
 
 def build_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike, albedo: _Points | None = None) -> Mesh:
-    """Judge, clean and complete a surface.
+    """Check, clean and complete a surface.
 
     Parameters
     ----------
@@ -145,17 +143,17 @@ def build_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike, albedo: _Points | 
     corners = np.asarray(faces, np.int64).reshape(-1, 3)
     _require_sound(points, corners)
     points, corners = _join_equal_vertices(points, corners)
-    kept = _with_area(points, corners)
-    if not kept.any():
+    valid = _with_area(points, corners)
+    if not valid.any():
         raise SceneError("no facet has any area: nothing to draw")
-    dropped, corners = int((~kept).sum()), corners[kept]
+    dropped, corners = int((~valid).sum()), corners[valid]
     open_edges = _count_open_edges(corners)
     inside_out = bool(_signed_volume(points, corners) < 0)
     if inside_out:
         corners = corners[:, ::-1]
     used, corners = np.unique(corners, return_inverse=True)
     points, triangles = points[used], corners.reshape(-1, 3).astype(np.int32)
-    tinted = None if albedo is None else np.repeat(albedo[kept], 3).reshape(-1, 3)
+    tinted = None if albedo is None else np.repeat(albedo[valid], 3).reshape(-1, 3)
     return Mesh(points, triangles, vertex_normals(points, triangles), dropped, open_edges, inside_out, tinted)
 
 
@@ -208,7 +206,7 @@ def facet_vectors(points: _Points, corners: npt.NDArray[np.integer]) -> _Points:
 
 
 def _with_area(points: _Points, corners: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-    """Return which facets have an area above rounding, beside their longest side."""
+    """Return the mask of facets with an area above rounding, relative to their longest side."""
     sides = points[corners] - points[np.roll(corners, 1, axis=1)]
     longest2 = (sides**2).sum(axis=2).max(axis=1)
     return np.asarray(np.linalg.norm(facet_vectors(points, corners), axis=1) > 1e-12 * longest2)
@@ -221,7 +219,7 @@ def _signed_volume(points: _Points, corners: npt.NDArray[np.integer]) -> float:
 
 
 def _count_open_edges(corners: npt.NDArray[np.int64]) -> int:
-    """Count the edges with one facet; refuse edges that facets pass in the same direction without an answer."""
+    """Count the edges with one facet; refuse edges that two facets pass in the same direction."""
     start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
     low, high = np.minimum(start, end), np.maximum(start, end)
     _, edge = np.unique(low * (int(high.max()) + 1) + high, return_inverse=True)
@@ -244,7 +242,7 @@ def vertex_normals(points: _Points, corners: _Faces) -> _Points:
             sums[:, axis] += np.bincount(corner, facets[:, axis], len(points))
     length = np.linalg.norm(sums, axis=1)
     lost = length < 1e-9 * np.linalg.norm(facets, axis=1).max()
-    if lost.any():  # both sides of a sheet cancel: any facet of the vertex will do
+    if lost.any():  # both sides of a sheet cancel: any facet of the vertex serves
         for corner in corners.T:
             sums[corner[lost[corner]]] = facets[lost[corner]]
         length = np.linalg.norm(sums, axis=1)
@@ -259,6 +257,6 @@ def read_surface(path: Path) -> dict[str, npt.NDArray[Any]]:
             vertices, faces = np.asarray(loaded.vertices, np.float64), np.asarray(loaded.faces, np.int64)
         except (MemoryError, ImportError):
             raise
-        except Exception as error:  # its readers answer a broken file with whatever the parsing ran into
+        except Exception as error:  # its readers raise arbitrary exceptions for a broken file
             raise SceneError(f"trimesh cannot read it as a surface ({shortened(error)})") from error
     return {"vertices": vertices, "faces": faces}

@@ -1,6 +1,6 @@
-r"""Plate tables of small bodies, text <-> vertices and facets, as the NASA Planetary Data System keeps them.
+r"""Text formats of shape models <-> vertices and facets: plate tables of small bodies, and Wavefront OBJ.
 
-Two families are in use:
+Plate tables are those of the NASA Planetary Data System. Two families are in use:
 
     tagged (Thomas, NEAR collected models)      counted (Gaskell, ver*.tab)
         v  x y z        one line a vertex           nv [nf]
@@ -8,17 +8,17 @@ Two families are in use:
                                                     [nf]            unless given above
                                                     [n] i j k       nf lines, likewise
 
-Facets count vertices from 0 or from 1; the table does not say which, so the smallest index used decides. Blank lines
+Facets count vertices from 0 or from 1; the table does not state which, so the smallest index used decides. Blank lines
 and lines that begin with # are skipped. Lengths are in the table's own unit, most often kilometres.
 
-Surfaces in Wavefront OBJ files, text <-> vertices and facets, as far as a shape has them.
+Of a Wavefront OBJ file the statements of a shape are read:
 
     v x y z [more]          a vertex; weights and colours behind it are ignored
     f a b c [d ...]         a facet of three corners or more, which is cut into triangles around its first corner
                             a corner is  v, v/vt, v//vn or v/vt/vn;  v counts from 1, or backwards from -1
-    usemtl albedo_0.5       the facets that follow are half as bright as the body's law of reflection says
-    usemtl NAME             the facets that follow are as bright as the law says
-    \ at a line's end       the line goes on
+    usemtl albedo_0.5       the facets that follow are half as bright as by the body's law of reflection
+    usemtl NAME             the facets that follow are as bright as by the law
+    \ at a line's end       the line continues
 
 Every other statement (textures, normals, groups, curves) and everything behind # is ignored.
 
@@ -39,17 +39,17 @@ __all__ = ["PlateTable", "PlateTableError", "parse_plates", "parse_wavefront"]
 
 
 class PlateTableError(ValueError):
-    """The text is no plate table; the message names the line."""
+    """The text has no valid format; the message names the line."""
 
 
 @dataclass(frozen=True)
 class PlateTable:
-    """What a table says, before any check of the shape.
+    """Contents of a file, before any check of the shape.
 
     Attributes
     ----------
     vertices : (n, 3) float64, the table's unit.
-    facets : (m, 3) int64, counting from 0; may be out of range, which is for the reader of the shape to judge.
+    facets : (m, 3) int64, counting from 0; may be out of range, which the checks of the shape find.
     albedo : (m,) float64, brightness of each facet relative to its body's law of reflection; None: 1 everywhere.
     """
 
@@ -75,7 +75,7 @@ def parse_plates(text: str) -> PlateTable:
 
 
 def _split_tagged(rows: list[_Row]) -> tuple[list[_Row], list[_Row]]:
-    """Part the lines by their first letter, which is taken off."""
+    """Separate the lines by their first letter, which is removed."""
     parts: dict[str, list[_Row]] = {"v": [], "f": []}
     for line, words in rows:
         if words[0] not in parts or len(words) != 4:
@@ -85,19 +85,19 @@ def _split_tagged(rows: list[_Row]) -> tuple[list[_Row], list[_Row]]:
 
 
 def _split_counted(rows: list[_Row]) -> tuple[list[_Row], list[_Row]]:
-    """Part the lines by the counts that stand before them."""
+    """Separate the lines by the counts that precede them."""
     counts = _counts(rows[0], (1, 2))
     start, end = 1, 1 + counts[0]
     vertices = rows[start:end]
     if len(counts) == 1:
         if end >= len(rows):
-            raise PlateTableError(f"line {rows[0][0]} promises {counts[0]} vertices: the file ends before the facets")
+            raise PlateTableError(f"line {rows[0][0]} announces {counts[0]} vertices: the file ends before the facets")
         counts += _counts(rows[end], (1,))
         end += 1
     facets = rows[end:]
     if len(vertices) != counts[0] or len(facets) != counts[1]:
         raise PlateTableError(
-            f"{counts[0]} vertices and {counts[1]} facets are promised, {len(vertices)} and {len(facets)} are there"
+            f"{counts[0]} vertices and {counts[1]} facets are announced, {len(vertices)} and {len(facets)} are there"
         )
     return _without_number(vertices, "vertex"), _without_number(facets, "facet")
 
@@ -110,7 +110,7 @@ def _counts(row: _Row, allowed: tuple[int, ...]) -> list[int]:
 
 
 def _without_number(rows: list[_Row], what: str) -> list[_Row]:
-    """Take the running number off where lines have one."""
+    """Remove the running number where lines have one."""
     for line, words in rows:
         if len(words) not in (3, 4):
             _refuse(line, words, f"a {what} of three numbers, with or without its running number before them")
@@ -168,7 +168,7 @@ def parse_wavefront(text: str) -> PlateTable:
 
 
 def _albedo(number: int, words: list[str]) -> float:
-    """Return the relative albedo that a material's name says, 1 for other names."""
+    """Return the relative albedo in a material's name, 1 for other names."""
     name = words[1] if len(words) == 2 else ""
     if not name.startswith(_TINT):
         return 1.0
@@ -190,7 +190,7 @@ def _point(number: int, words: list[str]) -> list[float]:
 
 
 def _corners(number: int, words: list[str], count: int) -> list[int]:
-    """Return the vertices of a facet, from 0; those that are not there yet may follow."""
+    """Return the vertices of a facet, from 0; vertices may be defined later in the file."""
     if not 4 <= len(words) <= 1 + _MOST_CORNERS:
         _refuse_wavefront(number, words, f"'f a b c' with three to {_MOST_CORNERS} corners")
     try:

@@ -1,9 +1,10 @@
-"""Polygons in a plane whose corners move: cut by lines that move, and cut around others, with exact velocities.
+"""Polygons in a plane whose corners move: clipped by moving lines, cut around other polygons, with exact velocities.
 
-The cutting is that of Sutherland and Hodgman 1974 (Reentrant polygon clipping, CACM 17 (1)), with derivatives: where a
+The clipping is that of Sutherland and Hodgman 1974 (Reentrant polygon clipping, CACM 17 (1)), with derivatives: where a
 side crosses a line, the new corner has the velocity of the crossing.
 
-Which triangles may cover a part of a facet, as seen from the Sun, or from all directions near the Sun's.
+The module also selects the triangles that may cover a part of a facet, as seen from the Sun, or from all directions
+near the Sun's.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def cut(polygon: Floats, n: int, cutter: Cutter, out: Floats) -> int:
 
 @numba.njit(error_model="numpy")
 def side_of(plane: Floats, ends: Six, moving: Six) -> Cutter:
-    """Return the cutter through a side that keeps what is left of it, seen from outside.
+    """Return the cutter through a side that keeps the part to its left, seen from outside.
 
     Parameters
     ----------
@@ -97,10 +98,10 @@ def side_of(plane: Floats, ends: Six, moving: Six) -> Cutter:
 
 @numba.njit(error_model="numpy")
 def without_short_sides(polygon: Floats, n: int, shortest_m: float) -> int:
-    """Leave out corners that are so near the one before; return how many are left.
+    """Remove corners that are within `shortest_m` of the one before; return the number left.
 
-    The direction of a side between two corners that only rounding tells apart means nothing: it would part what
-    overlaps.
+    A side between two corners that differ by rounding only has a random direction: as a cutter it would separate
+    polygons that overlap.
     """
     count = 0
     for k in range(n):
@@ -160,7 +161,7 @@ def _beside(
 def cut_around(
     room: Pieces, earlier: int, places: Floats, plane: Floats, bounds: tuple[float, float]
 ) -> tuple[int, int]:
-    """Cut the convex polygon in pieces[0, 0] around earlier convex ones; return how many pieces, and in which half.
+    """Cut the convex polygon in pieces[0, 0] around earlier convex ones; return the number of pieces, and their half.
 
     Parameters
     ----------
@@ -173,28 +174,28 @@ def cut_around(
     found, at = 1, 0
     for e in range(earlier):
         first, n = rows[e, 0], rows[e, 1]
-        into, kept = 1 - at, 0
+        into, count = 1 - at, 0
         for i in range(found):
             piece, m = pieces[at, i], counts[at, i]
             clear = _beside(piece, 0, m, places, first, n, plane, slack_m)
             clear = clear or _beside(places, first, n, piece, 0, m, plane, slack_m)
-            if clear and kept < MOST_PIECES - 1:
-                pieces[into, kept, :m] = piece[:m]
-                counts[into, kept] = m
-                kept += 1
+            if clear and count < MOST_PIECES - 1:
+                pieces[into, count, :m] = piece[:m]
+                counts[into, count] = m
+                count += 1
             for k in range(0 if clear else n):
                 ax, ay, az, d, bx, by, bz, rate = _side(places, first, n, k, plane)
-                if kept < MOST_PIECES - 1:
-                    outside = cut(piece, m, (-ax, -ay, -az, -d, -bx, -by, -bz, -rate), pieces[into, kept])
-                    outside = without_short_sides(pieces[into, kept], outside, slack_m)
-                    if outside >= 3 and double_area(pieces[into, kept], outside, plane) > least:
-                        counts[into, kept] = outside
-                        kept += 1
+                if count < MOST_PIECES - 1:
+                    outside = cut(piece, m, (-ax, -ay, -az, -d, -bx, -by, -bz, -rate), pieces[into, count])
+                    outside = without_short_sides(pieces[into, count], outside, slack_m)
+                    if outside >= 3 and double_area(pieces[into, count], outside, plane) > least:
+                        counts[into, count] = outside
+                        count += 1
                 m = cut(piece, m, (ax, ay, az, d, bx, by, bz, rate), pieces[into, MOST_PIECES - 1])
                 if m < 3:
                     break
                 piece[:m] = pieces[into, MOST_PIECES - 1, :m]
-        found, at = kept, into
+        found, at = count, into
     return found, at
 
 
@@ -270,7 +271,7 @@ def _nears(
 def list_near(
     tree: Arrays, plane: Floats, near_m: float, seen: tuple[Frame, Extent], wide: Wide, listed: Numbers
 ) -> int:
-    """Write the triangles that may cover a part of a facet, as many as there is room for; return how many there are."""
+    """Write the triangles that may cover a part of a facet, as many as there is room for; return their number."""
     boxes, starts, triangles, planes = tree
     leaves, node, count = len(starts) - 1, 1, 0
     while True:

@@ -9,12 +9,10 @@ Light is linear over a facet. Large facets are divided:
     others                                  to LONGEST_PX pixels, for the edges of shadows too
 
 A lobe cos^m of half the angle between view and mirror has the second derivative m / 4 of its height, and the straight
-line over a length h is wrong by m h^2 / 32: h is an angle seen from the camera, so larger pictures need no more facets.
-Facets too small to be seen are gathered (see `BodyWorld.as_seen`).
+line over a length h is wrong by m h^2 / 32: h is an angle seen from the camera, so larger light frames need no more
+facets. Facets too small to be visible are merged (see `BodyWorld.as_seen`).
 
-Depth, optical flow and labels of bodies, from their shapes and poses alone.
-
-Compiled loop that brings points of moving bodies into the camera's axes, with their velocities.
+`BodiesGeometry` gives depth, optical flow and labels of bodies, from their shapes and poses alone.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.camera import Given, Pinhole, Placed, Rays, SceneGeometry, Seen
+from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import Light, PixelLight, Region, Scene, SceneError
 from emulator.photometry.reflectance import Glossy, Lambert
 from emulator.raster import Box, Patches, Renderer, Screen, View, join, prepare
@@ -66,11 +64,11 @@ class BodiesGeometry(SceneGeometry):
         self._surfaces.look(self._vertices(motion), self._rays, out.labels, self._inverse_depth)
         write_depth_and_flow(self._inverse_depth, _motions(motion), self._world.pinhole, self._rays, out)
 
-    def places(self, t_ns: int) -> Placed:
+    def places(self, t_ns: int) -> ScenePoses:
         """Return the poses at `t_ns`."""
         scene_ns = self._world.time.scene_ns(t_ns)
         camera, bodies = self._world.camera.pose(scene_ns), self._world.arrangement.poses(scene_ns)
-        return Placed(
+        return ScenePoses(
             camera.position_m,
             camera.q_world_from_body,
             np.array([pose.position_m for pose in bodies]),
@@ -106,7 +104,7 @@ def _in_order(poses: Poses) -> list[Pose]:
 
 
 def _names(bodies: Sequence[BodyTable]) -> tuple[str, ...]:
-    """Return a name of its own for each body: that of the rig, else that of its shape."""
+    """Return a unique name for each body: that of the rig, else that of its shape."""
     names: list[str] = []
     for body in bodies:
         name = body.name or Path(str(body.shape)).stem
@@ -148,7 +146,7 @@ LINEAR_WITHIN = 0.01
 _MOST_DIVIDED = 8000  # facets of one body: a large side near the camera is divided no further
 _LIFT = 1e-6  # of its distance: how much nearer to the camera than its facet a shadow is drawn
 
-_THREADS_FROM_PX = 50_000  # smaller light frames are drawn sooner than a second thread is awake
+_THREADS_FROM_PX = 50_000  # smaller light frames are drawn before a second thread could start
 
 _Floats = npt.NDArray[np.float64]
 
@@ -164,7 +162,7 @@ class RasterBodies(Scene):
 
     Parameters
     ----------
-    threads : how many draw; the pictures are the same to the last bit.
+    threads : number of threads that draw; the light frames are the same to the last bit.
     """
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole, threads: int = 1) -> None:
@@ -190,7 +188,7 @@ class RasterBodies(Scene):
         self._drawn = Box()
         self._changed: Region | None = None
         self._closed = False
-        self._pictures: tuple[Light | None, Light | None] = (None, None)
+        self._last_frames: tuple[Light | None, Light | None] = (None, None)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -224,19 +222,19 @@ class RasterBodies(Scene):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is odd about the shapes, what detail was left out, and a black picture."""
+        """Remarks for the user: faults of the shapes, detail that was left out, a black light frame."""
         first = np.zeros(self.size[::-1], np.float32)
         self.light(0, first)
         return self._world.notes(first)
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Counts of the poses that came from outside."""
+        """Counts of poses received from outside."""
         return self._world.counts
 
     @property
     def changed(self) -> Region | None:
-        """The part of the last picture that may differ from the one before it in the same arrays."""
+        """The part of the last light frame that may differ from the one before it in the same arrays."""
         return self._changed
 
     def geometry(self, rays: Rays | None = None) -> BodiesGeometry:
@@ -254,15 +252,15 @@ class RasterBodies(Scene):
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the radiance at `t_ns` and its exact time derivative, a second, both (height, width) float32."""
-        known = self._pictures[0] is light and self._pictures[1] is rate
+        known = self._last_frames[0] is light and self._last_frames[1] is rate
         before = self._drawn if known else None
         self._drawn = self._renderer.draw(self._view(t_ns), light, rate, before)
-        self._pictures = (light, rate)
+        self._last_frames = (light, rate)
         self._changed = None if before is None else _region(self._drawn.union(before))
 
     @property
     def pixel_light(self) -> PixelLight:
-        """Tells the light and its rate of single pixels at any instant."""
+        """Function that gives the light of single pixels and its rate at any instant."""
         return self._pixels
 
     def close(self) -> None:
@@ -276,7 +274,7 @@ class RasterBodies(Scene):
         return self._renderer.query(self._view(t_ns), pixels)
 
     def _surface(self, k: int) -> Surface:
-        """Return where body k is lit: facets that are large in the picture are divided, within a limit."""
+        """Return the lit surface of body k: facets that are large in the light frame are divided, within a limit."""
         world = self._world
         mesh, smooth = world.as_seen(k), world.parameters.bodies[k].smooth
         if len(mesh.faces) < _MOST_DIVIDED:
@@ -284,7 +282,7 @@ class RasterBodies(Scene):
         return lit_surface(mesh, smooth=smooth)
 
     def _longest_m(self, k: int) -> float:
-        """Return how long the sides of body k's facets may be."""
+        """Return the longest allowed side of body k's facets."""
         world = self._world
         body = world.parameters.bodies[k]
         fine_m = LONGEST_PX * world.metres_a_pixel(k)
@@ -303,7 +301,7 @@ class RasterBodies(Scene):
             raise SceneError("the scene is closed: build it again")
         world = self._world
         motion = motion_at(t_ns, world.camera, self._poses, world.time)
-        glows, shadows = self._lighting.light_and_polygons(motion)
+        surface_lights, shadows = self._lighting.light_and_polygons(motion)
         bodies = [(root, vertices, 1.0) for root, vertices in self._placed]
         over = [(polygons.body, polygons.corners, 1.0 - _LIFT) for polygons in shadows]
         places, velocities = _in_camera_axes([*bodies, *over], motion)
@@ -315,13 +313,13 @@ class RasterBodies(Scene):
         return View(
             places,
             velocities,
-            np.concatenate([*(glow.radiance for glow in glows), *(shadow.radiance for shadow in shadows)]),
-            np.concatenate([*(glow.rate for glow in glows), *(shadow.rate for shadow in shadows)]),
+            np.concatenate([*(one.radiance for one in surface_lights), *(shadow.radiance for shadow in shadows)]),
+            np.concatenate([*(one.rate for one in surface_lights), *(shadow.rate for shadow in shadows)]),
         )
 
 
 def _is_shaded_by_others(parameters: BodiesParameters, k: int) -> bool:
-    """Return whether a body of another rigid group may throw a shadow on body k."""
+    """Return whether a body of another rigid group may cast a shadow on body k."""
     others = [group.members for group in rigid_groups(parameters.bodies) if k not in group.members]
     return parameters.shadows and any(parameters.bodies[m].throws_shadow for members in others for m in members)
 
@@ -343,8 +341,8 @@ def _in_camera_axes(parts: Sequence[tuple[int, _Floats, float]], motion: Motion)
 
     Parameters
     ----------
-    parts : a body's number, points in its frame as `move` takes them, and how far from the camera they are drawn, as a
-        share of their distance.
+    parts : a body's number, points in its frame as `move` takes them, and the distance from the camera at which they
+        are drawn, as a share of their own.
     """
     out = np.empty((2, sum(len(points) for _, points, _ in parts), 3))
     motions = {k: _seen_motion(motion, k) for k in {k for k, _, _ in parts}}

@@ -1,36 +1,34 @@
-"""An asteroid's ground below its shape model's facets: facets are divided under boulders and craters, and pushed.
+"""Detail of bodies beyond their shape models: boulders, craters, roughness and albedo, as fine as the camera can see.
 
-Boulders are the parts above ground of convex bodies with flat sides, each of its own planes; about two fifths as high
-as wide. Craters have a parabolic floor and a rim, as deep as their age leaves: depth over diameter spreads from a
-quarter of the fresh one's to the whole, most of them old; the rims of old ones are worn off first. Fresh craters are up
-to a fifth brighter, boulders of unlike brightness. Roughness moves vertices along their normals by noise.
+Facets are divided under a boulder or crater until their sides are a third of it, and nowhere else, so ground without
+features costs nothing; where facets are large in the light frame all are cut in four. Then vertices are moved:
 
-Facets are divided under a boulder or crater until their sides are a third of it, and nowhere else: what has no features
-costs nothing; where facets are large in the picture all are cut in four. Roughness is patchy. Left out: boulders that
-overhang, ponds and slides, secondary craters, and any link of boulders or albedo to slopes; the real places of features
-(the shape model has the large ones).
+    boulders     the parts above ground of convex bodies with flat sides, each with its own planes; about two fifths as
+                 high as wide, and of different brightness
+    craters      a parabolic floor and a rim, as deep as their age leaves: depth over diameter spreads from a quarter of
+                 the fresh one's to the whole, most of them old; the rims of old ones erode first; fresh craters are
+                 up to a fifth brighter
+    roughness    vertices moved along their normals by noise, in patches
 
-Boulders and craters on a body: how many of each size, and where.
+Left out: boulders that overhang, ponds and slides, secondary craters, and any link of boulders or albedo to slopes; the
+real positions of features (the shape model has the large ones).
 
-Boulders      N(> D) = n (D / 5 m)^-p per km2: n = 949, p = 3.1 on Itokawa, where 373 are larger than 5 m on 0.393 km2
-              (Michikami et al. 2008, Earth Planets Space 60, 13); Eros has 6760 larger than 15 m (Thomas et al. 2001,
-              Nature 413, 394) and p = 3.25 (Michikami and Hagermann 2021, Icarus 357, 114282)
-Craters       N(> D) = c D^-2 per m2, the steady state (Moore et al. 1980)
+The numbers of boulders and craters of each size:
 
-Sizes are drawn octave by octave, 2^k to 2^(k+1) m, each with a generator of its own, and places evenly by area over the
-shape model. So an octave is the same for a seed whatever others are made. The smallest ones fade in with `smallest_m`:
-their height is a share of the full one that rises from 0 at `smallest_m` to 1 at FADED times that.
+    boulders     N(> D) = n (D / 5 m)^-p per km2: n = 949, p = 3.1 on Itokawa, where 373 are larger than 5 m on
+                 0.393 km2 (Michikami et al. 2008, Earth Planets Space 60, 13); Eros has 6760 larger than 15 m (Thomas
+                 et al. 2001, Nature 413, 394) and p = 3.25 (Michikami and Hagermann 2021, Icarus 357, 114282)
+    craters      N(> D) = c D^-2 per m2, the steady state (Moore et al. 1980)
 
-A mesh with as much detail as is seen.
+Sizes are drawn octave by octave, 2^k to 2^(k+1) m, each with a generator of its own, and positions evenly by area over
+the shape model. So an octave is the same for a seed whatever other octaves are made. The smallest features fade in with
+`smallest_m`: their height is a share of the full one that rises from 0 at `smallest_m` to 1 at FADED times that.
 
-Facets smaller than the eye resolves cost as much as large ones. Here vertices are gathered in cells of a grid: each
-cell keeps one vertex, at the mean place of its own and with the mean of their *fine* normals, so shading keeps the
-slopes that the fine model has at the scale of the cell; facets whose corners fall together vanish. With cells of half a
-pixel nothing is lost that a pixel's mean would show.
-
-Source of the method: vertex clustering, Rossignac and Borrel 1993, Multi-resolution 3D approximations.
-
-A shape model with what its rig makes up on it, as fine as the camera sees it at its closest.
+Facets smaller than the camera resolves cost as much as large ones, so they are merged (`coarser`): vertices are
+collected in cells of a grid, and each cell has one vertex, at the mean position of its own and with the mean of their
+*fine* normals. Shading keeps the slopes that the fine model has at the scale of the cell; facets whose corners coincide
+vanish. With cells of half a pixel nothing is lost that would show in a pixel's mean. Source of the method: vertex
+clustering, Rossignac and Borrel 1993, Multi-resolution 3D approximations.
 """
 
 from __future__ import annotations
@@ -72,7 +70,7 @@ _PER_FEATURE = 8  # numbers between 0 and 1 that shape one of them
 
 @dataclass(frozen=True)
 class Law:
-    """N(> D) = number D^-power per m2, D in m; `kind` keeps the lots of boulders and craters apart."""
+    """N(> D) = number D^-power per m2, D in m; `kind` separates the random numbers of boulders and craters."""
 
     kind: int
     number: float
@@ -88,7 +86,7 @@ class Features:
     places, normals : (n, 3) m and unit, on the shape model.
     diameters_m : (n,), the largest first.
     weights : (n,), 0 to 1, how far they have faded in.
-    lots : (n, 8), even between 0 and 1, for their shape.
+    lots : (n, 8), random numbers, uniform from 0 to 1, for their shape.
     """
 
     places: Floats
@@ -99,7 +97,7 @@ class Features:
 
 
 def number_above(law: Law, diameter_m: float) -> float:
-    """Return how many are larger on a square metre."""
+    """Return the number of features larger than `diameter_m` on a square metre."""
     return float(law.number * diameter_m**-law.power)
 
 
@@ -110,7 +108,7 @@ def faded(diameters_m: Floats, smallest_m: float) -> Floats:
 
 
 def features(mesh: Mesh, law: Law, seed: int, smallest_m: float, largest_m: float) -> Features:
-    """Return those between two sizes on a body."""
+    """Return the features of a body between two sizes."""
     first, last = math.floor(math.log2(smallest_m)), math.ceil(math.log2(max(largest_m, smallest_m)))
     octaves = [_octave(mesh, law, seed, k) for k in reversed(range(first, last))] if law.number > 0 else []
     if not octaves:
@@ -122,7 +120,7 @@ def features(mesh: Mesh, law: Law, seed: int, smallest_m: float, largest_m: floa
 
 
 def _octave(mesh: Mesh, law: Law, seed: int, k: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return places, normals, diameters and lots of those of 2^k to 2^(k + 1) m."""
+    """Return positions, normals, diameters and random numbers of the features of 2^k to 2^(k + 1) m."""
     rng = np.random.default_rng([seed, law.kind, k + 1024])
     low_m, high_m = 2.0**k, 2.0 ** (k + 1)
     count = rng.poisson((number_above(law, low_m) - number_above(law, high_m)) * mesh.area_m2)
@@ -133,7 +131,7 @@ def _octave(mesh: Mesh, law: Law, seed: int, k: int) -> tuple[Floats, Floats, Fl
 
 
 def _places(mesh: Mesh, lots: Floats) -> tuple[Floats, Floats]:
-    """Return places and normals, (n, 3) each, even by area; lots (n, 3) between 0 and 1."""
+    """Return positions and normals, (n, 3) each, uniform by area; `lots` are (n, 3) random numbers from 0 to 1."""
     corners = mesh.vertices[mesh.faces]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     upto = np.cumsum(areas)
@@ -152,7 +150,7 @@ def facet_size_m(mesh: Mesh) -> float:
 
 
 def coarser(mesh: Mesh, cell_m: float) -> Mesh:
-    """Return the mesh with one vertex a cell of `cell_m`; the mesh itself where that spares less than a tenth."""
+    """Return the mesh with one vertex a cell of `cell_m`; the mesh itself where that saves less than a tenth."""
     cells = np.floor(mesh.vertices / cell_m).astype(np.int64)
     cells -= cells.min(axis=0)
     extent = cells.max(axis=0) + 1
@@ -167,7 +165,7 @@ def coarser(mesh: Mesh, cell_m: float) -> Mesh:
     vertices = _mean(mesh.vertices, cell, count)
     normals = _mean(mesh.normals, cell, count)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    cancelled = length < 1e-6  # both sides of a thin sheet in one cell: any of its normals will do
+    cancelled = length < 1e-6  # both sides of a thin sheet in one cell: any of its normals serves
     normals = np.where(cancelled, mesh.normals[first], normals) / np.where(cancelled, 1.0, np.maximum(length, 1e-6))
     facets = kept.astype(np.int32)
     return Mesh(vertices, facets, normals, mesh.dropped_facets, mesh.open_edges, mesh.was_inside_out, albedo)
@@ -204,7 +202,7 @@ Numbers = npt.NDArray[np.int64]
 _BOULDER, _CRATER = range(2)
 _ROUGHNESS, _PATCHES, _ALBEDO = range(3)
 _ACROSS = 2.0  # facets across the smallest boulder or crater
-_RESOLVED = 3.5  # facets of the shape model across what it has itself
+_RESOLVED = 3.5  # facets of the shape model across a feature that the model has itself
 _SIDES = 1.8  # of facets across a feature, at least
 _FACETS_EACH = 90.0  # of one feature, with those around it
 _REACH = {_BOULDER: 1.15, _CRATER: 1.7}  # of the radius
@@ -215,7 +213,7 @@ _PLANES = 7
 
 
 def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
-    """Return the body with what `p` makes on it, for a camera whose pixel spans `pixel_m` at its closest."""
+    """Return the body with the detail of `p`, for a camera whose pixel spans `pixel_m` at its closest."""
     size_m = facet_size_m(mesh)
     largest_m = _RESOLVED * size_m
     smallest_m = smallest_feature_m(mesh, p, pixel_m)
@@ -235,7 +233,7 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
 
 
 def _evenly_divided(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
-    """Return the body with all facets cut in four, as often as they are large in the picture and not too many."""
+    """Return the body with all facets cut in four, as often as they are large in the light frame and not too many."""
     while 4 * len(mesh.faces) <= p.most_facets and facet_size_m(mesh) > 2 * p.facet_px * pixel_m:
         mesh = split_sides(mesh, np.ones(mesh.faces.shape, bool))
     return mesh
@@ -258,7 +256,7 @@ def _steepness(mesh: Mesh, p: Regolith, size_m: float) -> float:
 
 
 def smallest_feature_m(mesh: Mesh, p: Regolith, pixel_m: float) -> float:
-    """Return the diameter from which boulders and craters are made: it goes with the pixel, within `p`'s limits."""
+    """Return the least diameter of boulders and craters: proportional to the pixel, within the limits of `p`."""
     low_m = max(p.smallest_m, _ACROSS * p.facet_px * pixel_m)
     high_m = largest_m = max(_RESOLVED * facet_size_m(mesh), low_m)
     most = max(p.most_facets - len(_evenly_divided(mesh, p, pixel_m).faces), 0) / _FACETS_EACH
@@ -311,7 +309,7 @@ def _near(tree: cKDTree, some: Features, reach: float, more_m: float) -> tuple[N
 
 
 def _shaped(mesh: Mesh, made: dict[int, Features], p: Regolith) -> tuple[Floats, Floats]:
-    """Return how far each vertex is moved, (n, 3) m, and its albedo beside that of its surroundings, (n,)."""
+    """Return the displacement of each vertex, (n, 3) m, and its albedo over that of its surroundings, (n,)."""
     moved, tint = np.zeros(mesh.vertices.shape), np.ones(len(mesh.vertices))
     tree = cKDTree(mesh.vertices)
     for kind, some in made.items():
@@ -346,7 +344,7 @@ def _crater(x: Floats, y: Floats, lots: Floats, p: Regolith) -> tuple[Floats, Fl
 
 
 def _boulder(x: Floats, y: Floats, lots: Floats, _: Regolith) -> tuple[Floats, Floats]:
-    """Return as `_crater` does for a boulder: the lowest of its planes, where they are above the ground."""
+    """Return the same as `_crater` for a boulder: the lowest of its planes, where they are above the ground."""
     turn = 2 * math.pi * lots[:, 0]
     cosine, sine = np.cos(turn), np.sin(turn)
     along, across = x * cosine + y * sine, (y * cosine - x * sine) / (0.6 + 0.4 * lots[:, 7])

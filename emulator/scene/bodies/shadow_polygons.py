@@ -1,23 +1,21 @@
 """Shadows with sharp edges on flat facets, as polygons: exact outlines and exact velocities, without a map or samples.
 
-A triangle above a facet's plane, seen along the Sun's direction s, covers the part of the plane that its projection
-x = p - s (n.p - d) / (n.s) holds. This polygon, cut at the facet's sides, is drawn over the facet with the light that
-is left without the Sun. Its corners move as the Sun does in the surface's frame; where two sides cross, the velocity is
-that of the crossing, so the light of pixels at shadow edges has the right rate.
+They are the shadows that flat-shaded bodies of a rigid group cast on themselves and on each other. A triangle above a
+facet's plane, seen along the Sun's direction s, covers the part of the plane inside its projection
+x = p - s (n.p - d) / (n.s). This polygon, clipped at the facet's sides, is drawn over the facet, a little nearer to the
+camera, with the light that the facet has without the Sun; the light of the bodies themselves is computed without these
+shadows. The polygon's corners move as the Sun does in the surface's frame; where two sides cross, the velocity is that
+of the crossing, so the light of pixels at shadow edges has the right rate.
 
-Only triangles that show their outside to the facet are taken: those of a closed surface cover its shadow, and a facet's
-neighbours in one plane cover nothing. Where layers lie over each other, the later polygon is cut around the earlier
-ones (`polygons`), so none overlaps another.
+Only triangles that show their outside to the facet are used: those of a closed surface cover its shadow, and a facet's
+neighbours in one plane cover nothing. Where layers overlap, the later polygon is cut around the earlier ones
+(`polygons`), so none overlaps another.
 
 Source of the projection: Blinn 1988, Me and my (fake) shadow, IEEE CG&A 8 (1).
 
-What makes it fast: the walk through the tree leaves out boxes below the plane, and those beside the facet as seen from
-the Sun. What can cover a facet before the Sun has turned by _WIDE_RAD is listed, and looked for again only then.
-
-The shadows that flat-shaded bodies of a rigid group throw on themselves and on each other, as polygons.
-
-Each body's light is computed without them; a polygon is drawn a little nearer to the camera than the facet under it,
-with the light that the facet has without the Sun (`shadow_polygons`).
+Two measures make it fast: the traversal of the tree skips boxes below the plane, and those beside the facet as seen
+from the Sun. Triangles that can cover a facet before the Sun has turned by _WIDE_RAD are listed, and searched for again
+only then.
 """
 
 from __future__ import annotations
@@ -51,7 +49,7 @@ from emulator.scene.bodies.polygons import (
 )
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.world import rigid_groups
-from emulator.threads import Crew
+from emulator.threads import ThreadPool
 from emulator.trajectory.pose import Pose
 
 __all__ = [
@@ -68,10 +66,10 @@ __all__ = [
 ]
 
 
-_LEAST_COSINE = 1e-3  # of incidence: a facet that is lit lower is as good as dark, and its shadows have no end
+_LEAST_COSINE = 1e-3  # of incidence: a facet with less is nearly dark, and its shadows would be infinitely long
 _LEAST_AREA = 1e-7  # of the facet's area
 _WHOLE = 1.0 - 1e-6  # of a facet's area: all of it is covered
-_MOST_LISTED = 95  # triangles that may cover a facet; where there are more, all are looked through
+_MOST_LISTED = 95  # triangles that may cover a facet; where there are more, all are tested
 _MOST_EARLIER = 2048
 _WIDE_RAD = 0.05
 
@@ -122,7 +120,7 @@ def _shade(corners: Floats, plane: Floats, triangle: Floats, sun: Floats, turnin
 
 @numba.njit(error_model="numpy")
 def _slope(corners: Floats, plane: Floats, values: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return the gradient along a facet of what is linear on it and has the values at its corners."""
+    """Return the gradient along a facet of the linear function with the given values at its corners."""
     nx, ny, nz = plane[0], plane[1], plane[2]
     ux, uy, uz = corners[3] - corners[0], corners[4] - corners[1], corners[5] - corners[2]
     vx, vy, vz = corners[6] - corners[0], corners[7] - corners[1], corners[8] - corners[2]
@@ -143,14 +141,14 @@ def _write(polygon: Floats, n: int, receivers: Receivers, f: int, dark: tuple[Fl
     still, rates = dark
     gx, gy, gz = _slope(corners, plane, (still[a], still[b], still[c]))
     rx, ry, rz = _slope(corners, plane, (rates[a], rates[b], rates[c]))
-    places, glow = at[0], at[1]
+    places, light = at[0], at[1]
     for i in range(n):
         x, y, z = polygon[i, 0] - corners[0], polygon[i, 1] - corners[1], polygon[i, 2] - corners[2]
         for j in range(6):
             places[k + i, j] = polygon[i, j]
-        glow[k + i, 0] = max(still[a] + gx * x + gy * y + gz * z, 0.0)
-        glow[k + i, 1] = rates[a] + rx * x + ry * y + rz * z
-        glow[k + i, 1] += gx * polygon[i, 3] + gy * polygon[i, 4] + gz * polygon[i, 5]
+        light[k + i, 0] = max(still[a] + gx * x + gy * y + gz * z, 0.0)
+        light[k + i, 1] = rates[a] + rx * x + ry * y + rz * z
+        light[k + i, 1] += gx * polygon[i, 3] + gy * polygon[i, 4] + gz * polygon[i, 5]
 
 
 @numba.njit(error_model="numpy")
@@ -162,14 +160,14 @@ def _fan(out: Out, row: int, n: int, first: int, facet: int) -> None:
 
 
 def blank_memories(facets: int) -> Memory:
-    """Return what is known of facets before they have been looked at."""
+    """Return empty memories of facets."""
     memory = np.zeros((facets, 4))
     memory[:, 3] = 2.0
     return memory, np.zeros((facets, 1 + _MOST_LISTED), np.int32)
 
 
 def blank_room(shadows: int) -> Room:
-    """Return room for the pieces of a polygon, twice, the list of a facet's earlier ones, and all shadows on it."""
+    """Return work arrays: pieces of a polygon, twice, the list of a facet's earlier ones, and all shadows on it."""
     pieces, counts = np.zeros((2, MOST_PIECES, ROOM, 6)), np.zeros((2, MOST_PIECES), np.int32)
     earlier = np.zeros((_MOST_EARLIER, 2), np.int32)
     return (pieces, counts, earlier), np.zeros((shadows, ROOM, 6)), np.zeros(shadows, np.int32), np.zeros(shadows)
@@ -187,7 +185,7 @@ def _add(
     room: Room,
     count: int,
 ) -> int:
-    """Write the shadow of triangle k on a facet, and its area, behind `count` others; return how many there are now."""
+    """Write the shadow of triangle k on a facet, and its area, behind `count` others; return the new count."""
     pieces, shadows, sizes, areas = room[0][0], room[1], room[2], room[3]
     sun, turning, _ = around
     triangle = tree[2][k]
@@ -209,7 +207,7 @@ def _add(
 def _gather(
     tree: Arrays, corners: Floats, plane: Floats, seen: tuple[Frame, Extent], around: Around, near_m: float, room: Room
 ) -> int:
-    """Write the shadows of all triangles on a facet; return how many, beyond the room too."""
+    """Write the shadows of all triangles on a facet; return their number, including those beyond the room."""
     boxes, starts = tree[0], tree[1]
     leaves, node, count = len(starts) - 1, 1, 0
     while True:
@@ -287,15 +285,15 @@ def cast_polygons(
 ) -> tuple[int, int, int]:
     """Write the shadows on facets that face the Sun and the camera.
 
-    Return the first free row and triangle, and the most shadows on one facet, beyond the room too.
+    Return the first free row and triangle, and the most shadows on one facet, including those beyond the room.
 
     Parameters
     ----------
     dark : (e,) light of the facets' corners without the Sun, and its rate for the material point.
     around : the Sun's unit direction, its rate and the camera's place, (3,) each, in the frame of the tree.
     near_m : triangles count that reach as high above a facet's plane.
-    memories : `blank_memories` to begin with; of each facet the Sun's direction when it was last looked at and the
-        cosine up to which that holds; how many triangles may cover it until then, and which.
+    memories : `blank_memories` at first; for each facet the Sun's direction at the last search and the cosine up to
+        which that is valid; the number of triangles that may cover it until then, and their numbers.
     room : `blank_room`, overwritten.
     out : (rows, 6) m and m/s; (rows, 2) light and its rate, following the corner; (triangles, 3) rows and (triangles,)
         the facet below.
@@ -317,7 +315,9 @@ def cast_polygons(
             continue
         seen = (axes, extent_of(corners[f], axes))
         if not known:
-            wide = _WIDE_RAD * (0.5 + 0.5 * ((f * 0.6180339887) % 1.0))  # so that not all are looked at anew at once
+            wide = _WIDE_RAD * (
+                0.5 + 0.5 * ((f * 0.6180339887) % 1.0)
+            )  # so that not all are searched again in the same step
             memory[f, 0], memory[f, 1], memory[f, 2], memory[f, 3] = sun[0], sun[1], sun[2], math.cos(wide)
             count = list_near(tree, plane, near_m, seen, (math.tan(wide), math.sin(wide)), listed[f, 1:])
             listed[f, 0] = count
@@ -417,18 +417,23 @@ class SharpShadows:
 
     Parameters
     ----------
-    tree : what throws shadows, in the frame of the group.
-    receivers : facets of each body that gets them, see `receivers_of`.
-    near_m : what reaches less high above a facet's plane throws none on it.
-    crew : threads that share the facets; the shadows are the same to the last bit.
+    tree : triangles that cast shadows, in the frame of the group.
+    receivers : facets of each body that receives shadows, see `receivers_of`.
+    near_m : triangles that reach less high above a facet's plane cast no shadow on it.
+    pool : threads that share the facets; the shadows are the same to the last bit.
     """
 
     def __init__(
-        self, body: int, tree: TriangleTree, receivers: Sequence[Receivers], near_m: float, crew: Crew | None = None
+        self,
+        body: int,
+        tree: TriangleTree,
+        receivers: Sequence[Receivers],
+        near_m: float,
+        pool: ThreadPool | None = None,
     ) -> None:
-        self._body, self._tree, self._near_m, self._crew = body, tree, near_m, crew or Crew(1)
+        self._body, self._tree, self._near_m, self._pool = body, tree, near_m, pool or ThreadPool(1)
         self._shares = [_Share(k, part) for k, all_of in enumerate(receivers) for part in _parts(all_of)]
-        self._rooms = [blank_room(_FIRST_SHADOWS) for _ in range(self._crew.threads)]
+        self._rooms = [blank_room(_FIRST_SHADOWS) for _ in range(self._pool.threads)]
 
     def cast(self, darks: Sequence[tuple[Floats, Floats]], around: Surroundings) -> Polygons:
         """Return the shadows; `darks` has the light of each body's points without the Sun, and its rate."""
@@ -439,13 +444,13 @@ class SharpShadows:
                 if share.shadows > len(self._rooms[thread][1]):
                     self._rooms[thread] = blank_room(2 * share.shadows)
 
-        self._crew.each(work, len(self._shares))
+        self._pool.each(work, len(self._shares))
         rows = np.cumsum([0, *(share.rows for share in self._shares)])
         parts = [share.found for share in self._shares]
-        places, glow = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+        places, light = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
         faces = np.concatenate([part[2] + np.int32(row) for part, row in zip(parts, rows, strict=False)])
         over = np.concatenate([part[3] for part in parts])
-        return Polygons(self._body, places, glow[:, 0], glow[:, 1], faces, over)
+        return Polygons(self._body, places, light[:, 0], light[:, 1], faces, over)
 
 
 class _Share:
@@ -460,13 +465,18 @@ class _Share:
     @property
     def found(self) -> tuple[Floats, Floats, npt.NDArray[np.int32], npt.NDArray[np.int32]]:
         """The shadows' corners, their light, triangles, and the facets below."""
-        return self._places[: self.rows], self._glow[: self.rows], self._faces[: self._count], self._over[: self._count]
+        return (
+            self._places[: self.rows],
+            self._light[: self.rows],
+            self._faces[: self._count],
+            self._over[: self._count],
+        )
 
     def cast(
         self, tree: TriangleTree, dark: tuple[Floats, Floats], around: Surroundings, near_m: float, room: Room
     ) -> bool:
-        """Find the shadows; tell whether there was room for all of them."""
-        out = self._places, self._glow, self._faces, self._over
+        """Compute the shadows; return whether there was room for all of them."""
+        out = self._places, self._light, self._faces, self._over
         self.rows, self._count, self.shadows = cast_polygons(
             tree.arrays, self._receivers, dark, around, near_m, self._memory, room, out, (0, 0)
         )
@@ -476,12 +486,12 @@ class _Share:
         return wanted <= there and self.shadows <= len(room[1])
 
     def _make_room(self, rows: int) -> None:
-        self._places, self._glow = np.zeros((rows, 6)), np.zeros((rows, 2))
+        self._places, self._light = np.zeros((rows, 6)), np.zeros((rows, 2))
         self._faces, self._over = np.zeros((rows, 3), np.int32), np.zeros(rows, np.int32)
 
 
 def _parts(receivers: Receivers) -> Iterator[Receivers]:
-    """Yield the facets in parts of one after another, each work for one thread."""
+    """Yield consecutive parts of the facets, each the work of one thread."""
     corners, planes, shades, numbers = receivers
     parts = min(max(len(corners) // _FACETS_A_PART, 1), _MOST_PARTS)
     for k in range(parts):

@@ -1,7 +1,4 @@
-"""Bodies in sunlight, as a rig writes them.
-
-What is made up on a body beyond its shape model, as a rig writes it.
-"""
+"""Rig tables of bodies in sunlight, and of the detail that is added to a body's shape model."""
 
 from __future__ import annotations
 
@@ -34,12 +31,12 @@ class Regolith:
     """Ground of an asteroid: boulders and craters that the shape model does not have, roughness and albedo.
 
     All of it is fixed to the body and the same for a seed. Boulders and craters are made where the shape model is too
-    coarse for them, down to what the camera sees at its closest; the smallest rise with the camera's nearness.
+    coarse for them, down to the resolution of the camera at its closest; the smallest ones fade in near this limit.
 
     Attributes
     ----------
     seed
-        Of all that is drawn by lot.
+        Seed of all random numbers.
     boulders_km2
         Boulders larger than 5 m on a square kilometre; 0: none. 949 on Itokawa (Michikami et al. 2008).
     boulder_power
@@ -93,7 +90,7 @@ class Clouds:
     Attributes
     ----------
     seed
-        Of continents and clouds.
+        Seed of continents and clouds.
     cloud_cover
         Share of the surface under clouds, about.
     facet_px
@@ -123,7 +120,7 @@ class BodyTable:
     Attributes
     ----------
     name
-        What others call it who are fixed to it.
+        Name by which other bodies refer to it in `fixed_to`.
     shape
         A file, or the name of a shipped model: 'eros007790', 'eros022540', 'itokawa_49152', or a part of the
         rendezvous target: 'target_bus', 'target_panel', 'target_ring', 'target_plate', 'target_marks';
@@ -131,17 +128,17 @@ class BodyTable:
     units_m
         The shape's unit of length in metres; 1000 for kilometres.
     path
-        Where it is, in the world or in the frame of `fixed_to`.
+        Its path, in the world or in the frame of `fixed_to`.
     fixed_to
-        Name of the body that it stands on; empty: the world.
+        Name of the body that it is fixed to; empty: the world.
     reflectance
-        How it throws light back.
+        Its law of reflection.
     detail
-        What is made up on it beyond the shape model.
+        Detail that is added to the shape model.
     smooth
-        Whether normals are interpolated over facets, as for ground; false shows each facet flat, as for foil and boxes.
+        True: normals are interpolated over facets, as for ground; false: each facet is flat, as for foil and boxes.
     throws_shadow
-        Whether it can stand in the light of itself and others.
+        True: it casts shadows on itself and on others.
     """
 
     name: str = ""
@@ -170,17 +167,17 @@ class BodiesParameters:
     camera
         The camera's path in the world.
     sun
-        Where the Sun stands, and how far.
+        Direction and distance of the Sun.
     ambient_w_m2
         Light from all around, W/m2: earthshine, 0.06 on the Moon under a full Earth.
     samples
         With run.painter = "gl", light is averaged over samples x samples points of each pixel, 1 to 4.
     detail_px
-        Facets smaller than this are gathered into larger ones, pixels; 0 keeps every facet.
+        Facets smaller than this are merged into larger ones, pixels; 0 keeps every facet.
     shadows
-        Whether bodies throw shadows.
+        True: bodies cast shadows.
     time_scale
-        How much faster than in reality everything moves.
+        Speed of all motion relative to reality.
     bodies
         The bodies.
     """

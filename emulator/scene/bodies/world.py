@@ -1,14 +1,11 @@
-"""The bodies of a scene and its camera: shapes, paths, and what is known of them before anything is drawn.
+"""The bodies of a scene and its camera: shapes, paths, ranges and bounds of motion, computed before anything is drawn.
 
-Where bodies are at every instant, and what is known beforehand of how near they come and how fast they seem to go.
+A body moves along its path in the world, or in the frame of an earlier one that it is fixed to. Ranges and apparent
+speeds are sampled in advance, about once a second of the first minute.
 
-A body goes along its path in the world, or in the frame of an earlier one that it is fixed to. Ranges are looked at
-beforehand, about once a second of the first minute.
-
-Bodies that never move against each other: they throw shadows on each other as one, from one tree of triangles.
-
-A body belongs to the group of the one that it is fixed to where its own path stands still; bodies that stand still in
-the world are one group too. A group's frame is that of its first body.
+Bodies that never move against each other form a rigid group: they cast shadows on each other as one body, from one tree
+of triangles. A body belongs to the group of the body that it is fixed to where its own path stands still; bodies that
+stand still in the world are one group too. A group's frame is that of its first body.
 """
 
 from __future__ import annotations
@@ -32,7 +29,7 @@ from emulator.trajectory.parameters import FixedPath
 from emulator.trajectory.pose import STILL, Pose, Trajectory, TrajectoryError
 from emulator.trajectory.pose_receiver import close_receivers, live_counts
 
-__all__ = ["Arrangement", "BodyWorld", "Placed", "RigidGroup", "middle", "rigid_groups"]
+__all__ = ["Arrangement", "BodyWorld", "PlacedBody", "RigidGroup", "middle", "rigid_groups"]
 
 
 _LOOKS = 64
@@ -40,8 +37,8 @@ _LOOK_S = 60.0
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
-    """A body's path, which of the bodies it is fixed to (None: the world), and how far it reaches from its origin."""
+class PlacedBody:
+    """A body's path, the number of the body that it is fixed to (None: the world), and its radius about its origin."""
 
     path: Trajectory
     parent: int | None
@@ -56,7 +53,7 @@ class Arrangement:
     ranges_m : (bodies,), each body's closest range to the camera, from origin to origin.
     """
 
-    def __init__(self, camera: Trajectory, bodies: Sequence[Placed], time: Timescale) -> None:
+    def __init__(self, camera: Trajectory, bodies: Sequence[PlacedBody], time: Timescale) -> None:
         self._camera, self._bodies = camera, bodies
         times = [time.scene_ns(round(k * _LOOK_S / _LOOKS * 1e9)) for k in range(_LOOKS)]
         own = [[body.path.pose(t) for body in bodies] for t in times]
@@ -70,7 +67,7 @@ class Arrangement:
         return self._in_world([body.path.pose(scene_ns) for body in self._bodies])
 
     def poses_of(self, which: Collection[int]) -> Callable[[int], Mapping[int, Pose]]:
-        """Return what gives the poses in the world of some bodies, by number, at a scene time in ns."""
+        """Return a function from scene time in ns to the poses of some bodies in the world, by number."""
         asked = sorted({j for k in which for j in self._ancestry(k)})
 
         def poses(scene_ns: int) -> Mapping[int, Pose]:
@@ -89,7 +86,7 @@ class Arrangement:
         return max(float(np.min(self.ranges_m - [body.radius_m for body in self._bodies])), 1e-3)
 
     def nearest_m(self, k: int, low: Vector, high: Vector) -> float:
-        """Return how near the camera comes to a box in the frame of body k, between two of its corners, m."""
+        """Return the least distance of the camera from a box in the frame of body k, given by two corners, m."""
         poses = [look[k] for look in self._looks]
         own = [(eye - p.position_m) @ p.world_from_body for eye, p in zip(self._eyes, poses, strict=True)]
         beside = np.maximum(np.maximum(low - own, own - high), 0.0)
@@ -97,7 +94,7 @@ class Arrangement:
 
     @property
     def turn_bound_rad_s(self) -> float:
-        """No point of a body is seen to change its direction faster, at the closest ranges."""
+        """Upper bound of the angular speed of all points of bodies as seen from the camera, at the closest ranges."""
         return self._camera.turn_bound_rad_s + max(
             (self._camera.speed_bound_m_s + self._speed_bound_m_s(k)) / self._room_m(k)
             for k in range(len(self._bodies))
@@ -123,7 +120,7 @@ class Arrangement:
         return max(float(self.ranges_m[k]) - radius_m, 0.01 * radius_m)
 
     def _speed_bound_m_s(self, k: int) -> float:
-        """Return a bound of the speeds of a body's points: each frame it stands in goes, and swings it around."""
+        """Return a bound of the speeds of a body's points: the speeds and rotations of all its frames are added."""
         speed, arm_m = 0.0, self._bodies[k].radius_m
         for j in self._ancestry(k):
             path = self._bodies[j].path
@@ -132,7 +129,7 @@ class Arrangement:
         return speed
 
     def _ancestry(self, k: int | None) -> Iterator[int]:
-        """Yield a body and those that it is fixed to, one after another."""
+        """Yield a body and the chain of bodies that it is fixed to."""
         while k is not None:
             yield k
             k = self._bodies[k].parent
@@ -199,22 +196,22 @@ class BodyWorld:
 
     @property
     def motion_bound_px_s(self) -> float:
-        """From the paths' speeds and turns, at the closest ranges met in the first minute."""
+        """Bound from the paths' speeds and turns, at the closest ranges in the first minute."""
         in_a_corner = 1 + math.tan(self.pinhole.widest_rad) ** 2
         return self.pinhole.focal_px * in_a_corner * self.arrangement.turn_bound_rad_s * self.time.factor
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Counts of the poses that came from outside."""
+        """Counts of poses received from outside."""
         return live_counts(self.camera, *(placed.path for placed in self.placed))
 
     def notes(self, first_frame: npt.NDArray[np.float32]) -> tuple[str, ...]:
-        """Return what is odd about the shapes, what detail was left out, and whether the first frame is black."""
-        black = () if first_frame.any() else ("the first picture is black: no sunlit side is before the camera",)
+        """Return remarks on faults of the shapes, on detail that was left out, and on a black first frame."""
+        black = () if first_frame.any() else ("the first light frame is black: the camera sees no sunlit side",)
         return (*self._notes, *black)
 
     def as_seen(self, k: int) -> Mesh:
-        """Return the shape of body k with as much detail as can be seen at its closest range."""
+        """Return the shape of body k with as much detail as is visible at its closest range."""
         if k not in self._as_seen:
             self._as_seen[k] = self._gathered(k)
         return self._as_seen[k]
@@ -232,16 +229,16 @@ class BodyWorld:
         return seen
 
     def metres_a_pixel(self, k: int) -> float:
-        """Return what a pixel spans on body k where it comes closest."""
+        """Return the width of a pixel on body k at its closest range, m."""
         return max(float(self.ranges_m[k]) - self.meshes[k].radius_m, 1e-6) / self.pinhole.focal_px
 
     def close(self) -> None:
         """Close the ports of live poses; a second call does nothing."""
         close_receivers(self.camera, *(placed.path for placed in self.placed))
 
-    def _placed(self, k: int, path: Trajectory) -> Placed:
+    def _placed(self, k: int, path: Trajectory) -> PlacedBody:
         names, fixed_to = [body.name for body in self.parameters.bodies], self.parameters.bodies[k].fixed_to
-        return Placed(path, names.index(fixed_to) if fixed_to else None, self.meshes[k].radius_m)
+        return PlacedBody(path, names.index(fixed_to) if fixed_to else None, self.meshes[k].radius_m)
 
     def _each(self) -> Sequence[tuple[BodyTable, Mesh, float]]:
         return list(zip(self.parameters.bodies, self.meshes, map(float, self.ranges_m), strict=True))
@@ -266,7 +263,7 @@ class BodyWorld:
 
 @dataclass(frozen=True, eq=False)
 class RigidGroup:
-    """Bodies, by number, and where each is in the frame of the first.
+    """Bodies, by number, and the pose of each in the frame of the first.
 
     Attributes
     ----------

@@ -4,12 +4,12 @@ The light of a board is a product of two square waves, one along each board axis
 
     light(x, y) = middle + half * w(u) * w(v),    w = +1 on even squares, -1 on odd ones
 
-with u, v the board coordinates of the picture point x, y. The mean of a square wave over a box is the difference of a
-triangle wave (its integral) at the ends of the box, so the light of a whole pixel costs two of those along each axis,
-at any speed, without samples. The derivative of such a mean by the phase is the difference of the square wave itself at
-the ends of the box, which gives the time derivative of the light.
+with u, v the board coordinates of the point x, y on the sensor. The mean of a square wave over a box is the difference
+of a triangle wave (its integral) at the ends of the box, so the light of a whole pixel costs two of those along each
+axis, at any speed, without samples. The derivative of such a mean by the phase is the difference of the square wave
+itself at the ends of the box, which gives the time derivative of the light.
 
-    board at rest at t = 0           a corner of four squares lies in the middle of the picture;
+    board at rest at t = 0           a corner of four squares lies in the middle of the light frame;
     rotation_deg   0, 90             u points to the right, down (y is down)
     direction_deg  0, 90             the board moves to the right, down
 
@@ -17,7 +17,7 @@ With the board along the pixel rows this is exact. For a turned board the pixel'
 area at the same place, which keeps the mean light and costs 0.5 % extra events and 1.6 % missed ones beside a fine
 supersampling (10:1 contrast, 7 degrees, 12.3 px squares).
 
-Optical flow of a checkerboard: the motion of the board. A pattern on the chip has no distance: there is no depth.
+Optical flow is the motion of the board. A pattern on the chip has no distance: there is no depth.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ _entry = entry_of(__name__, error_model="python")
 
 
 class Checkerboard(Scene):
-    """The board of `parameters` seen by a picture of `size` = (width, height) pixels."""
+    """The board of `parameters` on light frames of `size` = (width, height) pixels."""
 
     def __init__(self, parameters: CheckerboardParameters, size: tuple[int, int]) -> None:
         if min(size) < 1:
-            raise ValueError(f"size is {size[0]} x {size[1]}: a picture needs at least one pixel")
+            raise ValueError(f"size is {size[0]} x {size[1]}: a light frame needs at least one pixel")
         self.parameters = parameters
         self._size = size
         self._cos, self._sin = _cos_sin(parameters.rotation_deg)
@@ -123,7 +123,7 @@ class Checkerboard(Scene):
 
     @property
     def changed(self) -> Region | None:
-        """Nothing, once the arrays hold a board that does not move."""
+        """The changed region: empty once the arrays hold a board that does not move."""
         return self._changed
 
     def _rests_in(self, light: Light, rate: Light | None) -> bool:
@@ -140,7 +140,7 @@ class Checkerboard(Scene):
 
     @property
     def pixel_light(self) -> PixelLight:
-        """Tells the light of single pixels, in closed form."""
+        """Function that gives the light of single pixels, in closed form."""
         return self._light_of
 
     def _light_of(
@@ -156,7 +156,7 @@ class Checkerboard(Scene):
         return light, rate
 
     def close(self) -> None:
-        """Do nothing: a board holds nothing of the machine."""
+        """Do nothing: a board holds no resources."""
 
 
 def _cos_sin(angle_deg: float) -> tuple[float, float]:
@@ -167,7 +167,7 @@ def _cos_sin(angle_deg: float) -> tuple[float, float]:
 
 
 def _cycles(parameters: CheckerboardParameters) -> tuple[Cycle, Cycle]:
-    """Return how far the board has moved along its own axes, in periods of two squares."""
+    """Return the motion of the board along its own axes, in periods of two squares."""
     cos, sin = _cos_sin(parameters.direction_deg - parameters.rotation_deg)
     periods_s = Fraction(repr(float(parameters.speed_px_s))) / (2 * Fraction(repr(float(parameters.square_px))))
     return Cycle(periods_s * Fraction(cos)), Cycle(periods_s * Fraction(sin))
@@ -183,7 +183,7 @@ def _mean(turns: float, half_box: float) -> float:
 
 @_entry
 def _box_wave(n: int, step: float, start: float) -> npt.NDArray[np.float32]:
-    """Means of the square wave over n pixels, (n,) float32; `start` is the phase in the middle of the picture."""
+    """Means of the square wave over n pixels, (n,) float32; `start` is the phase in the middle of the light frame."""
     wave = np.empty(n, np.float32)
     for i in range(n):
         mean = _mean(start + (i + 0.5 - 0.5 * n) * step, 0.5 * abs(step))
@@ -220,7 +220,7 @@ def _add_outer(along_x: npt.NDArray[np.float32], along_y: npt.NDArray[np.float32
 
 @_entry
 def _outer(along_x: npt.NDArray[np.float32], along_y: npt.NDArray[np.float32], middle: np.float32, out: Light) -> None:
-    """out[y, x] = middle + along_x[x] * along_y[y]; the plain row loop is what the vectoriser wants."""
+    """out[y, x] = middle + along_x[x] * along_y[y]; the compiler turns the plain row loop into vectors."""
     for y in range(along_y.size):
         row, scale = out[y], along_y[y]
         for x in range(along_x.size):
@@ -269,7 +269,7 @@ def _listed(
     contrast: tuple[np.float32, np.float32],
     out: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]],
 ) -> None:
-    """Do as `_turned` and `_turned_rate` for some pixels of a picture of `size`; `board`: steps, start and speed."""
+    """Compute `_turned` and `_turned_rate` for some pixels of a frame of `size`; `board`: steps, start and speed."""
     width, height = size
     (cos, sin), start, speed = board
     half, middle = contrast

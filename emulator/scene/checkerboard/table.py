@@ -1,4 +1,4 @@
-"""A moving checkerboard, as a rig writes it."""
+"""Rig table of a moving checkerboard."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from emulator.scene.kind import SceneKind
 
 __all__ = ["CHECKERBOARD", "CheckerboardParameters"]
 
-_BRIGHTEST = 1e9  # far above anything a sensor tells apart, and safe in float32
+_BRIGHTEST = 1e9  # far above the range of any sensor, and safe in float32
 
 
 @dataclass(frozen=True)
@@ -22,11 +22,11 @@ class CheckerboardParameters:
     square_px
         Side of a square, pixels; at least 0.1.
     speed_px_s
-        Speed of the board over the picture, px/s, >= 0.
+        Speed of the board over the sensor, px/s, >= 0.
     direction_deg
-        Where it moves to: 0 to the right, 90 down.
+        Direction of motion: 0 to the right, 90 down.
     rotation_deg
-        How the board itself is turned, clockwise as seen in the picture.
+        Rotation of the board itself, clockwise in the light frame.
     bright, dark
         Light of the squares relative to the sensor's reference level, linear: 0 <= dark <= bright.
     """

@@ -1,7 +1,7 @@
-"""Fixed stars: directions and brightness from the Hipparcos catalogue.
+"""Fixed stars from the Hipparcos catalogue, and points of light spread over pixels.
 
-Directions are unit vectors along the axes of the ICRS, moved by proper motion from J1991.25 to the epoch asked for.
-Light is counted in the Sun's band (see `photometry.sun`): a star of magnitude V gives
+Directions are unit vectors along the axes of the ICRS, moved by proper motion from J1991.25 to the requested epoch.
+Light is counted in the Sun's band (see `photometry.reflectance`): a star of magnitude V gives
 
     E = 530 W/m2 * 10^(-0.4 (V + 26.74))
 
@@ -11,9 +11,8 @@ not linear for the brightest stars: Hp of Sirius is 0.37 mag too faint, that of 
 than 0.5 is that of the Bright Star Catalogue (Hoffleit and Warren 1991, CDS V/50), see `_BRIGHTEST`; so is the V of
 alpha Centauri B, whose Hp holds light of A.
 
-Points of light spread over pixels by a Gaussian, with the exact share of each pixel.
-
-With s = sigma sqrt(2) and a point at x, pixel j (from j to j + 1) gets
+A point of light is spread over pixels by a Gaussian, with the exact share of each pixel (`splat`). With
+s = sigma sqrt(2) and a point at x, pixel j (from j to j + 1) gets
 
     w_j = (erf((j + 1 - x) / s) - erf((j - x) / s)) / 2
     dw_j/dx = g(j - x) - g(j + 1 - x),    g(u) = e^(-(u/s)^2) / (s sqrt pi)
@@ -50,7 +49,7 @@ __all__ = [
 
 SUN_V = -26.74
 FAINTEST_V = 6.8
-"""To where the catalogue in the program is complete."""
+"""Visual magnitude to which the included catalogue is complete."""
 
 _FILE = Path(__file__).parent / "data" / "hipparcos.npz"
 _EPOCH = 1991.25
@@ -140,7 +139,7 @@ def _v_mag(columns: dict[str, Floats]) -> Floats:
 
 
 REACH_SIGMAS = 4.0
-"""Where the Gaussian is cut off; what is beyond is 6e-5 of the light on each side."""
+"""Limit at which the Gaussian is cut off; 6e-5 of the light lies beyond it on each side."""
 
 _MOST = 256
 _entry = entry_of(__name__, error_model="python")
@@ -166,14 +165,14 @@ def _shares(x: float, first: int, n: int, sigma: float, share: Floats, slope: Fl
 
 @_entry
 def _reach(sigma: float) -> tuple[int, int]:
-    """Return how many pixels a point reaches before its own, and how many in all."""
+    """Return the number of pixels that a point touches before its own, and in all."""
     reach = math.ceil(REACH_SIGMAS * sigma) + 1
     return reach, min(2 * reach + 1, _MOST)
 
 
 @_entry
 def boxes_of(points: Floats, sigma: float, size: tuple[int, int], boxes: Boxes) -> None:
-    """Write where `splat` draws points in a picture of `size` = (width, height), a box each; empty if outside."""
+    """Write the boxes in which `splat` draws points on a frame of `size` = (width, height); empty if outside."""
     reach, n = _reach(sigma)
     for k in range(points.shape[0]):
         left, top = math.floor(points[k, 0]) - reach, math.floor(points[k, 1]) - reach
@@ -183,7 +182,7 @@ def boxes_of(points: Floats, sigma: float, size: tuple[int, int], boxes: Boxes) 
 
 @_entry
 def clear(boxes: Boxes, sky: np.float32, light: Light, rate: Light) -> None:
-    """Write an empty sky into the boxes of a picture and of its time derivative, which may have no pixels."""
+    """Write an empty sky into the boxes of a light frame and of its time derivative, which may have no pixels."""
     for k in range(boxes.shape[0]):
         for row in range(boxes[k, 0], boxes[k, 1]):
             light[row, boxes[k, 2] : boxes[k, 3]] = sky
@@ -193,7 +192,7 @@ def clear(boxes: Boxes, sky: np.float32, light: Light, rate: Light) -> None:
 
 @_entry
 def splat(points: Floats, sigma: float, light: Light, rate: Light) -> None:
-    """Add points to a picture and to its time derivative.
+    """Add points to a light frame and to its time derivative.
 
     Parameters
     ----------

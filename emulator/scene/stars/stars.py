@@ -7,13 +7,11 @@ cos^3 / f^2), spread over pixels by the lens's blur. A moving body of radius R a
     E = E_sun p (R / d)^2 phi(a),    phi(a) = (sin a + (pi - a) cos a) / pi       (a Lambert sphere)
 
 with its geometric albedo p and phase angle a. Light and its time derivative are closed forms; only pixels that a point
-reaches are computed. Distortion is applied to directions and so costs nothing; a body more than a pixel across, or one
+touches are computed. Distortion is applied to directions and so costs nothing; a body more than a pixel across, or one
 behind another, is beyond this scene.
 
-Optical flow of the sky, and where moving points are in it.
-
-Stars are infinitely far and turn with the camera. A moving point covers no pixel; those whose middles lie within two
-standard deviations of its blur, or within a pixel, have its label, its depth and its flow.
+Optical flow: stars are infinitely far and turn with the camera. A moving point covers no pixel; pixels whose centres
+lie within two standard deviations of its blur, or within a pixel, have its label, its depth and its flow.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.attitude import unit
-from emulator.geometry.camera import Given, Pinhole, Placed, Rays, SceneGeometry, Seen
+from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import Light, Region, Scene, SceneError
 from emulator.optics.lens import Chip, Distortion, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.scene.stars.catalogue import Boxes, boxes_of, clear, irradiance_w_m2, load_stars, splat
@@ -79,7 +77,7 @@ class StarsGeometry(SceneGeometry):
         write_depth_and_flow(self._inverse_depth, motions, self._camera, self._rays, out)
 
     def _mark(self, label: int, camera: Instants, point: Instants, out: Seen) -> None:
-        """Write label and 1 / depth of the pixels near a point, where nothing nearer is."""
+        """Write label and 1 / depth of the pixels near a point, except under nearer points."""
         own = camera[0].world_from_body.T @ (point[0].position_m - camera[0].position_m)
         if own[2] <= 0:
             return
@@ -89,11 +87,11 @@ class StarsGeometry(SceneGeometry):
         near &= (out.labels == 0) | (self._inverse_depth < 1 / own[2])
         out.labels[near], self._inverse_depth[near] = label, 1 / own[2]
 
-    def places(self, t_ns: int) -> Placed:
+    def places(self, t_ns: int) -> ScenePoses:
         """Return the poses at `t_ns`."""
         scene_ns = self._sky.time.scene_ns(t_ns)
         camera, points = self._sky.camera.pose(scene_ns), [path.pose(scene_ns) for path in self._sky.points]
-        return Placed(
+        return ScenePoses(
             camera.position_m,
             camera.q_world_from_body,
             np.array([pose.position_m for pose in points]).reshape(-1, 3),
@@ -155,7 +153,7 @@ class StarField(Scene):
 
     @property
     def motion_bound_px_s(self) -> float:
-        """From the camera's turning; not known where points or poses from outside move."""
+        """Bound from the camera's turning; infinite where points or live poses move."""
         if self._paths or isinstance(self._p.camera, LivePath | BasiliskPath):
             return math.inf
         stretch = 1 + math.tan(self._pinhole.widest_rad) ** 2
@@ -163,11 +161,11 @@ class StarField(Scene):
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """What poses from outside did."""
+        """Counts of poses received from outside."""
         return live_counts(self._camera, *self._paths)
 
     def geometry(self, rays: Rays | None = None) -> StarsGeometry:
-        """Return the flow of the sky, and where the moving points are."""
+        """Return the flow of the sky, with the positions of the moving points."""
         if rays is None:
             places = straight_columns_and_rows(self._bend, self._pinhole)
             rays = bent_rays(self._bend, places, self._pinhole)
@@ -188,15 +186,15 @@ class StarField(Scene):
 
     @property
     def changed(self) -> Region | None:
-        """The boxes of the points as they are and as they were in the picture before."""
+        """The boxes of the points in this light frame and in the one before."""
         return self._changed
 
     def close(self) -> None:
-        """Let go of the sockets that paths listen on."""
+        """Close the sockets of live poses."""
         close_receivers(self._camera, *self._paths)
 
     def _draw(self, t_ns: int, light: Light, rate: Light) -> None:
-        """Write light and rate, where they are the arrays of the last call only in the boxes of points."""
+        """Write light and rate: only the boxes of points, if they are the arrays of the last call."""
         points = self._points(t_ns)
         sky = np.float32(self._p.sky_w_m2_sr * self._lens.light_per_radiance)
         known = self._outs is not None and self._outs[0] is light and self._outs[1] is rate
@@ -211,13 +209,13 @@ class StarField(Scene):
         self._changed = self._whole(np.concatenate([before, self._boxes])) if known else None
 
     def _whole(self, boxes: Boxes) -> Region:
-        """Return the whole picture as a region of which only the boxes may have changed."""
+        """Return the whole light frame as a region of which only the boxes may have changed."""
         return Region(0, self._size[1], 0, self._size[0], boxes)
 
     def _points(self, t_ns: int) -> Floats:
-        """Return column, row, light, px/s and px/s of every point near the picture, (n, 5).
+        """Return column, row, light, px/s and px/s of every point near the light frame, (n, 5).
 
-        From two looks, before and after: their mean is the place, their difference the speed.
+        They come from two instants, before and after: the mean is the position, the difference the speed.
         """
         before_ns, after_ns = (self._time.scene_ns(t_ns + d) for d in (-_APART_NS, _APART_NS))
         before, after = self._camera.pose(before_ns), self._camera.pose(after_ns)
@@ -233,17 +231,17 @@ class StarField(Scene):
         return np.column_stack([place, light * ahead[:, 2], speed])
 
     def _near(self, camera: Pose) -> npt.NDArray[np.intp]:
-        """Return which stars are before the camera, in or near the picture."""
+        """Return the numbers of the stars in front of the camera, in or near the light frame."""
         return np.flatnonzero(self._directions @ camera.world_from_body[:, 2] > self._cone_cosine)
 
     def _seen(self, directions: Floats, camera: Pose) -> Floats:
-        """Return where directions in the world, (n, 3), appear: two tangents and the cosine off the axis, (n, 3)."""
+        """Return the image of directions in the world, (n, 3): two tangents and the cosine off the axis, (n, 3)."""
         own = directions @ camera.world_from_body
         x, y = self._bend.bend(own[:, 0] / own[:, 2], own[:, 1] / own[:, 2])
         return np.column_stack([x, y, own[:, 2]])
 
     def _moving(self, scene_ns: int, camera: Pose) -> tuple[Floats, Floats]:
-        """Return directions (n, 3) and irradiances (n,) of the moving points, dark where they are not before us."""
+        """Return directions (n, 3) and irradiances (n,) of the moving points, dark where they are behind the camera."""
         if not self._paths:
             return np.zeros((0, 3)), np.zeros(0)
         away = np.array([path.pose(scene_ns).position_m for path in self._paths]) - camera.position_m

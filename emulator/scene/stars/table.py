@@ -20,9 +20,9 @@ class MovingPoint:
     Attributes
     ----------
     path
-        Where it goes.
+        Path of the body.
     radius_m
-        Of the sphere that it stands for.
+        Radius of the body, a sphere.
     albedo
         Its geometric albedo.
     """
@@ -45,7 +45,7 @@ class StarsParameters:
     Attributes
     ----------
     camera
-        The camera's path among the stars; its attitude is what counts.
+        The camera's path among the stars; only its attitude has an effect on them.
     faintest_v
         Stars down to this visual magnitude; the catalogue is complete to 6.8.
     epoch_year
@@ -53,9 +53,9 @@ class StarsParameters:
     sky_w_m2_sr
         Radiance of the sky between the stars, W m-2 sr-1.
     sun
-        What lights the moving points.
+        The Sun, which lights the moving points.
     time_scale
-        How much faster than in reality everything moves.
+        Speed of all motion relative to reality.
     points
         Planets and debris.
     """

@@ -1,7 +1,7 @@
 """Vertices of chosen blocks in camera axes, with their velocities and their light, and its rate.
 
 A vertex is a post of its block's level. In the last third of the level's range it slides along its facet's side to the
-neighbour that the next coarser level has too, and its normal and light with it, so levels pass into one another: with
+neighbour that the next coarser level has too, with its normal and light, so the change of levels is continuous. With
 `away` the vertex's distance (see `quadtree`),
 
     slid = (away / range - 0.7) / 0.29, 0 to 1        d slid / dt from the camera's motion, where `away` changes
@@ -11,10 +11,10 @@ and the slide's share of the velocity, and of the rate of light, is exact. The r
     L = E_sun r(mu0, mu, g) b / mu0 + ambient r(u, u, 0)
 
 with the mean normal's mu0 and mu, and the height u of the eye's direction over level ground: light from all around
-shows no slopes. Its rate at the vertex comes from its value an instant later.
+does not depend on slopes. Its rate at the vertex comes from its value an instant later.
 
-What makes it fast: a block's posts lie in a few lines of memory, places come row by row, and the law of reflection runs
-over a block's vertices in one loop.
+Three measures make it fast: a block's posts lie in a few lines of memory, positions come row by row, and the law of
+reflection is evaluated over a block's vertices in one loop.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ CORNERS = SIDE * SIDE
 _FIRST, _SPAN = 0.7, 0.29  # of a level's range: where the slide begins, and how long it is
 LATER_S = 1e-4
 GRAZING = 0.02
-"""Least cosine of emission: the laws of reflection are not made for smaller ones."""
+"""Least cosine of emission: the laws of reflection are not valid for smaller ones."""
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -45,7 +45,7 @@ Posts = npt.NDArray[np.float32]
 
 @numba.njit(inline="always", error_model="numpy")
 def grazing(mu: float) -> float:
-    """Return the cosine of emission, kept from 0 as the laws of reflection are not made for it."""
+    """Return the cosine of emission, at least GRAZING, because the laws of reflection are not valid near 0."""
     return max(mu, GRAZING)
 
 
@@ -79,7 +79,7 @@ def block_vertices(
     end: int,
     posts: Posts,
     levels: Ints,
-    figures: tuple[float, float, float],
+    scalars: tuple[float, float, float],
     camera: tuple[Floats, Floats, Floats, Floats],
     sun: tuple[Floats, float, int, Floats, Floats],
     scratch: Floats,
@@ -91,13 +91,13 @@ def block_vertices(
     ----------
     blocks : (n, 3), level, first column, first row.
     posts, levels : of a `Pyramid`.
-    figures : unit in metres, reach in metres, crowd: see `quadtree`.
+    scalars : unit in metres, reach in metres, crowd: see `quadtree`.
     camera : place and velocity in the world (3,), camera_from_world (3, 3) and its rate, a second.
     sun : direction (3,), irradiance, law and its parameters, and radiance of the ambient light by the eye's height.
     scratch : (10, 81).
     out : positions (81 n, 3), velocities, radiance (81 n,), rate.
     """
-    unit, reach, crowd = figures
+    unit, reach, crowd = scalars
     place, moving, turn, turning = camera
     towards, irradiance, kind, law, ambient = sun
     positions, velocities, radiance, rates = out

@@ -1,9 +1,9 @@
-"""Sums of the map's posts over the squares around a pixel's parts, and what they reflect, in the processor's vectors.
+"""Sums of the map's posts over the squares around a pixel's parts, and their reflectance, in the processor's vectors.
 
 numba turns loops into vectors where it can prove that arrays do not overlap, tests this at run time otherwise, and puts
 results in memory between loops. A square has few posts, and a pixel few parts: these tests and stores take longer than
-the sums. So this one function is written in the compiler's own vectors: places of four parts at a time, and of each
-part's posts those of a row side by side. Nothing is written to memory on the way, so threads share no cache lines.
+the sums. So this one function is written with the compiler's own vectors: it processes four parts at a time, and of
+each part's posts those of a row side by side. It writes nothing to memory in between, so threads share no cache lines.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _SLOPES = 0.5, 2.0  # least and most of a secant
 
 
 @_intrinsic
-def box_sums(context: Any, posts: Any, figures: Any, whole: Any) -> Any:
+def box_sums(context: Any, posts: Any, scalars: Any, whole: Any) -> Any:
     """Return the sums of b p, b q, b and b / (mu0 + mu) over the squares around all parts, times (2 half)^2.
 
     mu0 and mu are of the mean slope of each square.
@@ -63,10 +63,10 @@ def box_sums(context: Any, posts: Any, figures: Any, whole: Any) -> Any:
     Parameters
     ----------
     posts : (4 n,) float32: height, b p, b q, b of each; see `Pyramid`.
-    figures : the pixel's middle x, y in posts and z in metres; what a pixel to the right adds to them, what one down
-        adds; what lifting the facet by a metre adds to them; parts across, 1 / parts across, 1 / parts down; half a
-        square's side in posts; the last x and y that heights are looked up at, and those of squares' middles; unit
-        vectors towards the Sun and the eye.
+    scalars : the pixel's middle x, y in posts and z in metres; their change for a pixel to the right, and for one down;
+        their change for lifting the facet by a metre; parts across, 1 / parts across, 1 / parts down; half a square's
+        side in posts; the last x and y at which heights are read, and those of squares' middles; unit vectors towards
+        the Sun and the eye.
     whole : place in `posts` of the level's first number, numbers from one row to the next, columns, rows, parts.
     """
     return _types.UniTuple(_types.float64, 4)(
@@ -75,23 +75,23 @@ def box_sums(context: Any, posts: Any, figures: Any, whole: Any) -> Any:
 
 
 def _generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
-    array, figures, whole = arguments
+    array, scalars, whole = arguments
     data = _make_array(signature.args[0])(context, builder, array).data
-    figures, whole = _code.unpack_tuple(builder, figures), _code.unpack_tuple(builder, whole)
+    scalars, whole = _code.unpack_tuple(builder, scalars), _code.unpack_tuple(builder, whole)
     count = whole[4]
     none = constant([0.0] * _PARTS)
     totals = [_code.alloca_once_value(builder, none) for _ in range(FIELDS)]
     squares = [_code.alloca_once_value(builder, none) for _ in range(_PARTS)]
     with _code.for_range_slice(builder, INT(0), count, INT(_PARTS), INT.type) as (k, _):
-        columns, rows, across, down = _squares(builder, data, figures, whole, k)
+        columns, rows, across, down = _squares(builder, data, scalars, whole, k)
         for part, square in enumerate(squares):
             builder.store(none, square)
             with builder.if_then(builder.icmp_signed("<", builder.add(k, INT(part)), count), likely=True):
                 column, row, x, y = (lane(builder, v, part) for v in (columns, rows, across, down))
-                sums = _square(builder, data, _place(builder, whole, column, row), whole[1], (x, y, figures[15]))
+                sums = _square(builder, data, _place(builder, whole, column, row), whole[1], (x, y, scalars[15]))
                 builder.store(sums, square)
         bp, bq, b = _by_field(builder, [builder.load(square) for square in squares])
-        for total, more in zip(totals, (bp, bq, b, _reflected(builder, figures, bp, bq, b)), strict=True):
+        for total, more in zip(totals, (bp, bq, b, _reflected(builder, scalars, bp, bq, b)), strict=True):
             builder.store(builder.fadd(builder.load(total), more), total)
     return _code.pack_array(builder, [_sum(builder, builder.load(total)) for total in totals])
 
@@ -104,14 +104,14 @@ def _by_field(builder: ir.IRBuilder, squares: list[Any]) -> tuple[Any, Any, Any]
     return bp, bq, _mixed(builder, first, last, [0, 1, 4, 5])
 
 
-def _reflected(builder: ir.IRBuilder, figures: Any, bp: Any, bq: Any, b: Any) -> Any:
+def _reflected(builder: ir.IRBuilder, scalars: Any, bp: Any, bq: Any, b: Any) -> Any:
     """Return b / (mu0 + mu) of four parts: b |n| / (n . sun + n . eye), n = (-b p, -b q, b)."""
     none = constant([0.0] * _PARTS)
     b = at_least(builder, b, none)
     length = root(builder, product_sum(builder, bp, bp, product_sum(builder, bq, bq, builder.fmul(b, b))))
     cosines = []
     for k in (20, 23):
-        x, y, z = (spread(builder, number, _PARTS) for number in figures[k : k + 3])
+        x, y, z = (spread(builder, number, _PARTS) for number in scalars[k : k + 3])
         level = builder.fmul(b, z)
         cosines.append(builder.fsub(builder.fsub(level, builder.fmul(bp, x)), builder.fmul(bq, y)))
     seen = at_least(builder, cosines[1], builder.fmul(length, constant([GRAZING] * _PARTS)))
@@ -130,9 +130,9 @@ def _sum(builder: ir.IRBuilder, vector: Any) -> Any:
     return builder.fadd(builder.fadd(lanes[0], lanes[1]), builder.fadd(lanes[2], lanes[3]))
 
 
-def _squares(builder: ir.IRBuilder, data: Any, figures: Any, whole: Any, k: Any) -> tuple[Any, Any, Any, Any]:
+def _squares(builder: ir.IRBuilder, data: Any, scalars: Any, whole: Any, k: Any) -> tuple[Any, Any, Any, Any]:
     """Return column and row of the first post of four parts' squares, and their middles from there, in posts."""
-    f = [spread(builder, number, _PARTS) for number in figures]
+    f = [spread(builder, number, _PARTS) for number in scalars]
     first = builder.sitofp(k, ir.FloatType())
     kth = builder.fadd(spread(builder, first, _PARTS), constant([n + 0.5 for n in range(_PARTS)]))
     line = numbers(builder, integers(builder, builder.fmul(kth, f[13])))
@@ -154,7 +154,7 @@ def _squares(builder: ir.IRBuilder, data: Any, figures: Any, whole: Any, k: Any)
 
 
 def _above(builder: ir.IRBuilder, data: Any, whole: Any, at: tuple[Any, Any, Any], f: list[Any]) -> Any:
-    """Return how far the plane must be lifted for four rays to meet it on the ground, metres.
+    """Return the height by which the plane must be lifted for four rays to meet it on the ground, metres.
 
     The height above the plane where a ray meets the plane is the first guess. Where the ray then meets the lifted plane
     the ground is higher or lower by `more`; a secant through both is the second guess, its slope within bounds, as the
@@ -213,7 +213,7 @@ def _square(builder: ir.IRBuilder, data: Any, place: Any, wide: Any, at: tuple[A
 
 
 def _weights(builder: ir.IRBuilder, middle: Any, half: Any) -> Any:
-    """Return how much posts 0, 1 ... count for what lies within half of the middle, times 2 half."""
+    """Return the weights of posts 0, 1 ... in the mean within `half` of the middle, times 2 half."""
     posts, one, less = constant([float(k) for k in range(_LANES)]), constant([1.0] * _LANES), constant([-1.0] * _LANES)
     ends = []
     for end in (builder.fsub(middle, half), builder.fadd(middle, half)):

@@ -9,7 +9,7 @@ __all__ = ["entry", "map_entry"]
 _SOURCES = ("emulator.scene.terrain", "emulator.photometry", "emulator.raster.layout", "emulator.sensor.numerics")
 
 entry = entry_of(*_SOURCES, fastmath={"contract"}, _nrt=False)
-"""Compiles a function for calls from Python, without allocation; see `numerics.compiled` for the options."""
+"""Compile a function for calls from Python, without allocation; see `numerics.compiled` for the options."""
 
 map_entry = entry_of(*_SOURCES, error_model="python")
-"""Compiles a loop over a map, which may allocate; a division by zero raises."""
+"""Compile a loop over a map, which may allocate; a division by zero raises."""

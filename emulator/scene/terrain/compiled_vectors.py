@@ -1,7 +1,7 @@
-"""Arithmetic on the compiler's vectors: the few operations that `box_sums` is made of.
+"""Arithmetic on the compiler's vectors: the few operations that `box_sums` uses.
 
-Each takes the builder of the code, and values in it. Vectors of any length are right on any processor: the compiler
-takes them apart where the processor's are shorter.
+Each takes the builder of the code, and values in it. Vectors of any length are correct on any processor: the compiler
+splits them where the processor's are shorter.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def product_sum(builder: ir.IRBuilder, a: Any, b: Any, c: Any) -> Any:
 
 
 def within(builder: ir.IRBuilder, vector: Any, low: Any, high: Any) -> Any:
-    """Return the numbers, none beyond the bounds; `low` where bounds cross or a number is none."""
+    """Return the numbers, none beyond the bounds; `low` where bounds cross or a number is NaN."""
     less = builder.select(builder.fcmp_ordered("<", vector, high), vector, high)
     return builder.select(builder.fcmp_ordered(">", less, low), less, low)
 
@@ -102,7 +102,7 @@ def numbers(builder: ir.IRBuilder, whole: Any) -> Any:
 
 
 def at_least(builder: ir.IRBuilder, vector: Any, low: Any) -> Any:
-    """Return the numbers, none below `low`; `low` where a number is none."""
+    """Return the numbers, none below `low`; `low` where a number is NaN."""
     return builder.select(builder.fcmp_ordered(">", vector, low), vector, low)
 
 

@@ -1,9 +1,9 @@
-"""Means of the ground's light and slopes over what a pixel sees of it.
+"""Means of the ground's light and slopes over the footprint of a pixel.
 
-The mean over a square of what is linear between posts is exact: a post at t posts from the square's middle counts
-(I(r - t) - I(-r - t)) / 2 r along each axis, r half its side and I the integral of the hat function. Squares lie along
-the axes of the map. They are taken from a level of the `Pyramid` on which they are at most POSTS - 2 posts long: on a
-coarser one the light of the finest details that a pixel resolves would be lost.
+The mean over a square of a function that is linear between posts is exact: a post at t posts from the square's middle
+has the weight (I(r - t) - I(-r - t)) / 2 r along each axis, r half its side and I the integral of the hat function.
+Squares lie along the axes of the map. They are taken from a level of the `Pyramid` on which they are at most POSTS - 2
+posts long: on a coarser one the light of the finest details that a pixel resolves would be lost.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Means = tuple[float, float, float, float]
 
 
 def padded(pyramid: Pyramid) -> Posts:
-    """Return the posts one after another, (4 n,), and behind them what squares on a map of few posts reach beyond."""
+    """Return the posts in one array, (4 n,), padded at its end for squares that extend beyond a map of few posts."""
     beyond = FIELDS * POSTS * (int(pyramid.levels[:, 2].max()) + 1)
     return np.concatenate([pyramid.posts.reshape(-1), np.zeros(beyond, np.float32)])
 
@@ -76,8 +76,8 @@ def means(
     ----------
     posts : (4 n,): height, b p, b q, b of each; see `Pyramid`.
     at : the pixel's middle on its facet, in the world, metres.
-    across, down : what a pixel to the right and one down add to it.
-    lift : what lifting the facet by a metre adds to where a part's ray meets it, as a share.
+    across, down : change of `at` for a pixel to the right and for one down.
+    lift : motion of the point where a part's ray meets the facet for each metre that the facet is lifted, as a share.
     counts : of parts, across and down.
     side : of the square around a part, metres.
     sun, eye : unit vectors towards them.
@@ -111,7 +111,7 @@ def _means(
     per_m = per_unit / unit
     x, y = at[0] * per_m - levels[level, 3] * per_unit, at[1] * per_m - levels[level, 4] * per_unit
     half = min(max(0.5 * side * per_m, _LEAST), 0.5 * (POSTS - 2))
-    figures = (
+    scalars = (
         np.float32(x),
         np.float32(y),
         np.float32(at[2]),
@@ -141,6 +141,6 @@ def _means(
     )
     count = counts[0] * counts[1]
     whole = FIELDS * levels[level, 0], FIELDS * columns, columns, rows, int(count)
-    bp, bq, b, reflected = box_sums(posts, figures, whole)
+    bp, bq, b, reflected = box_sums(posts, scalars, whole)
     share = 0.25 / (half * half * count)
     return b * share, bp * share, bq * share, reflected * share

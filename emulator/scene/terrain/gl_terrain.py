@@ -1,17 +1,15 @@
 """Ground under a low Sun drawn by GL, by points in each pixel: for a quick look, and as a check of the CPU painter.
 
 Light is radiance, W m-2 sr-1, 400 to 700 nm: sunlight by the ground's law of reflection, with the shadows that the
-ground throws on itself and their penumbra, and an even light from all around. The ground curves with the body. What is
-not modelled: light from slope to slope, and what lies beyond the map, where the picture is black.
+ground casts on itself and their penumbra, and an even light from all around. The ground curves with the body. Not
+modelled: light from slope to slope, and ground beyond the map, where the light frame is black.
 
-A ground on a stage: blocks of facets as fine as they are seen, lit by the fine map.
+Blocks of facets come from a `Quadtree`, as fine as they are visible. A vertex is a post; in the last third of its
+level's range it slides along its facet's side to the neighbour that the next coarser level has too, so that the change
+of levels is continuous. Its position is whole lattice units from the camera plus the camera's rest, the same float32 on
+every grid: neighbours share their vertices to the last bit, and there are no cracks.
 
-Blocks come from a `Quadtree`. A vertex is a post; in the last third of its level's range it slides along its facet's
-side to the neighbour that the next coarser level has too, so that levels pass into one another. Where it stands is
-whole lattice units from the camera plus the camera's rest, the same float32 on every grid: neighbours share their
-vertices to the last bit, and there are no cracks.
-
-Light comes from a texture of cells between posts, averaged over what a sample covers (mipmaps):
+Light comes from a texture of cells between posts, averaged over the area of a sample (mipmaps):
 
     r, g    east and north component of the normal          b    cosine of incidence x sunlit share
                                                             a    cosine of incidence, never below 0
@@ -20,7 +18,7 @@ so slopes and shadows are those of the fine map, however coarse the facets. The 
 
     L = E_sun r(mu0, mu, g) b / a + ambient r(u, u, 0)
 
-where u is the height of the eye's direction over level ground: light from all around shows no slopes.
+where u is the height of the eye's direction over level ground: light from all around does not depend on slopes.
 """
 
 from __future__ import annotations
@@ -37,7 +35,7 @@ import numpy.typing as npt
 
 from emulator.geometry.camera import Pinhole, Rays
 from emulator.gl.context import QUICK_LOOK, Painter
-from emulator.gl.render_target import Stage, depth_terms
+from emulator.gl.render_target import RenderTarget, depth_terms
 from emulator.light import Light, Scene
 from emulator.photometry.reflectance import Reflectance
 from emulator.scene.terrain.ground import Ground
@@ -67,7 +65,7 @@ uniform float reach, crowd;  // see Quadtree
 uniform mat3 camera_from_world;
 uniform vec3 sun;            // towards it, world
 uniform float ambient;
-uniform vec2 zoom, depth;    // see Stage
+uniform vec2 zoom, depth;    // see RenderTarget
 in ivec2 corner;             // in the block, 0 to 16
 in ivec3 block;              // its first post, and posts from vertex to vertex
 out vec2 cell;
@@ -116,13 +114,13 @@ void main() {
 
 @dataclass(frozen=True, eq=False)
 class GroundView:
-    """Where the camera is and what it is told.
+    """Pose of the camera and inputs of the shaders.
 
     Attributes
     ----------
     position_m : (3,) in the world.
     camera_from_world : (3, 3).
-    zoom, depth : see `Pinhole.zoom`, `stage.depth_terms`.
+    zoom, depth : see `Pinhole.zoom`, `render_target.depth_terms`.
     irradiance, ambient : W/m2.
     """
 
@@ -212,13 +210,13 @@ class GroundMesh:
 
 
 def shading(ground: Ground, sunlit: npt.NDArray[np.float32], sun: npt.NDArray[np.float64]) -> npt.NDArray[np.float16]:
-    """Return what the light needs of each cell, (grids, rows - 1, columns - 1, 4), see the module's first lines.
+    """Return the texture of the cells, (grids, rows - 1, columns - 1, 4), see the module docstring.
 
     Where a finer grid lies in a coarser one, the coarser one's cells are the means of the finer one's.
 
     Parameters
     ----------
-    sunlit : (grids, rows, columns), share of the Sun's disc that each post sees.
+    sunlit : (grids, rows, columns), visible share of the Sun's disc at each post.
     sun : (3,) unit, towards it.
     """
     grids = [_cells(z, ground.post_m(k), sunlit[k], sun) for k, z in enumerate(ground.heights_m)]
@@ -260,8 +258,8 @@ class GlTerrain(Scene):
         reach = max(pinhole.focal_px / _facet_px(parameters, pinhole), LEAST_REACH)
         self._tree = Quadtree(world.ground, reach)
         sunlit = world.sunlit()
-        self._stage = Stage(pinhole.size, parameters.samples)
-        with self._stage.context as gl:
+        self._render_target = RenderTarget(pinhole.size, parameters.samples)
+        with self._render_target.context as gl:
             cells = shading(world.ground, sunlit, world.sun)
             self._mesh = GroundMesh(gl, world.ground, cells, parameters.reflectance, (reach, self._tree.crowd))
 
@@ -278,7 +276,7 @@ class GlTerrain(Scene):
     @property
     def renderer(self) -> str:
         """The name of what draws, in GL's words."""
-        return self._stage.renderer
+        return self._render_target.renderer
 
     @property
     def camera_path(self) -> Trajectory:
@@ -292,30 +290,30 @@ class GlTerrain(Scene):
 
     @property
     def motion_bound_px_s(self) -> float:
-        """From the path's speed, turning and height, looked at once a second of the first four minutes."""
+        """Bound from the path's speed, turning and height, sampled once a second of the first four minutes."""
         return self._world.motion_bound_px_s
 
     @property
     def distance_m(self) -> float:
-        """The least height over the ground beneath, of those looked at beforehand."""
+        """The least sampled height over the ground beneath."""
         return self._world.distance_m
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """That GL draws, what is odd about the map, what lies beyond it, and a black picture."""
+        """Remarks for the user: drawing by GL, faults of the map, views beyond it, a black light frame."""
         first = np.zeros(self.size[::-1], np.float32)
         self.light(0, first)
         return (QUICK_LOOK, *self._world.notes(first))
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """What poses from outside did."""
+        """Counts of poses received from outside."""
         return self._world.counts
 
     def geometry(self, rays: Rays | None = None) -> TerrainGeometry | None:
         """Return depth, flow and labels of the ground, from facets drawn by the CPU; None where poses are live."""
         if isinstance(self._world.parameters.camera, LivePath | BasiliskPath):
-            return None  # the facets need a path of their own, and its port is taken
+            return None  # the facets need a path of their own, and its port is in use
         self._own_facets = RasterTerrain(self._world.parameters, self._world.pinhole)
         return self._own_facets.geometry(rays)
 
@@ -324,24 +322,24 @@ class GlTerrain(Scene):
         self.lights((t_ns,), (out,))
 
     def lights(self, times_ns: Sequence[int], outs: Sequence[Light]) -> None:
-        """Write the radiance at several times into their pictures."""
-        self._stage.draw_all([self._beginning(t_ns) for t_ns in times_ns], outs)
+        """Write the radiance at several times into their light frames."""
+        self._render_target.draw_all([self._drawing(t_ns) for t_ns in times_ns], outs)
 
     def close(self) -> None:
-        """Give back the GL context and the port; a second call does nothing."""
+        """Release the GL context and the port; a second call does nothing."""
         if self._own_facets is not None:
             self._own_facets.close()
-        self._stage.close()
+        self._render_target.close()
         self._world.close()
 
-    def _beginning(self, t_ns: int) -> Callable[[], None]:
-        """Return what lets the stage begin the picture of `t_ns`; whatever can fail has been done."""
+    def _drawing(self, t_ns: int) -> Callable[[], None]:
+        """Prepare the draw calls for time `t_ns`. All errors are raised here, none while drawing."""
         world = self._world
         scene_ns = world.time.scene_ns(t_ns)
         pose = world.camera.pose(scene_ns)
         view = self._view(pose, world.height_m(scene_ns, pose))
         blocks = self._tree.blocks(pose.position_m, world.planes(pose))
-        return partial(self._stage.begin, partial(self._render, view, blocks))
+        return partial(self._render_target.begin, partial(self._render, view, blocks))
 
     def _render(self, view: GroundView, blocks: list[npt.NDArray[np.int32]], _: moderngl.Context) -> None:
         self._mesh.render(view, self._world.sun, blocks)

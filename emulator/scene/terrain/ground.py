@@ -1,4 +1,6 @@
-"""Heights of a piece of ground: a nest of square grids around one site, the finest inmost.
+"""Heights of a piece of ground on square grids, and the light of its posts, level by level.
+
+The grids are nested around one site, the finest one innermost:
 
     grid 0    posts 1 unit apart        on the lattice of the finest grid, whose post (0, 0) is the site
     grid 1    posts 2 units apart       twice as wide, in every direction
@@ -8,18 +10,17 @@ Where a finer grid lies in a coarser one, its posts and the coarser one's agree 
 one height on all grids, and meshes over them fit together. A map from a file is one grid. Rows go north (+y), columns
 east (+x); the site's height is 0.
 
-Heights and light of the ground's posts, level by level: what vertices of blocks of any level are made of.
-
-Level l has the posts whose lattice places are whole multiples of 2^l, l as in `Quadtree`. A post has
+The vertices of blocks of any level come from a `Pyramid`. Its level l has the posts whose lattice places are whole
+multiples of 2^l, l as in `Quadtree`. A post has
 
     height      of the ground, the same on all levels
-    b           cosine of incidence x share of the Sun seen
-    b p, b q    slopes east and north, weighted by b: the dark send no light
+    b           cosine of incidence x visible share of the Sun
+    b p, b q    slopes east and north, weighted by b: dark slopes send no light
 
-On the finest level that has a post these are the ground's own: slopes are differences over two posts. On coarser levels
-they are filtered by (-1, 2, 6, 2, -1) / 8 along both axes at each halving, the low pass of the 5/3 wavelet (Le Gall and
-Tabatabai 1988): it keeps means, and what is linear between the coarse posts stays as close as such a short filter can
-to the fine map. A mean over a square would blur it by as much again.
+On the finest level that has a post these are the ground's own: slopes are differences over two posts. For each coarser
+level they are filtered by (-1, 2, 6, 2, -1) / 8 along both axes, the low pass of the 5/3 wavelet (Le Gall and Tabatabai
+1988). It preserves means, and the linear function between the coarse posts stays as close to the fine map as such a
+short filter allows. A mean over a square would blur it by as much again.
 """
 
 from __future__ import annotations
@@ -42,13 +43,13 @@ Heights = npt.NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """A nest of grids.
+    """Nested grids.
 
     Attributes
     ----------
     unit_m : distance of the finest grid's posts.
     heights_m : (grids, rows, columns) float32; rows - 1 and columns - 1 are multiples of 4 if there are several grids.
-    notes : what a user should know of it, a sentence each.
+    notes : remarks for the user, a sentence each.
     albedo : as `heights_m`, of each post relative to the ground's law of reflection; None: 1 everywhere.
     """
 
@@ -78,11 +79,11 @@ class Ground:
 
     @property
     def half_m(self) -> float:
-        """From the site to the nearest edge of the largest grid."""
+        """Distance from the site to the nearest edge of the largest grid."""
         return self.post_m(self.grids - 1) * ((min(self.shape) - 1) // 2)
 
     def curved(self, radius_m: float) -> Ground:
-        """Return the same on a sphere of `radius_m` that touches the map at the site: lower by r^2 / 2 R."""
+        """Return the ground on a sphere of `radius_m` that touches the map at the site: lower by r^2 / 2 R."""
         heights = self.heights_m.copy()
         for grid, z in enumerate(heights):
             x0, y0 = self.first(grid)
@@ -92,7 +93,7 @@ class Ground:
         return dataclasses.replace(self, heights_m=heights)
 
     def height_m(self, x_m: float, y_m: float) -> float | None:
-        """Return the ground's height at a place, linear between the finest posts there are; None off the map."""
+        """Return the ground's height at a place, linear between the finest posts; None off the map."""
         for grid in range(self.grids):
             at = [c / self.unit_m - first for c, first in zip((x_m, y_m), self.first(grid), strict=True)]
             column, row = (a / (1 << grid) for a in at)
@@ -134,7 +135,7 @@ Ints = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Pyramid:
-    """All levels.
+    """Posts of all levels.
 
     Attributes
     ----------
@@ -154,7 +155,7 @@ def build_pyramid(
 
     Parameters
     ----------
-    sunlit : (grids, rows, columns), share of the Sun's disc that each post sees.
+    sunlit : (grids, rows, columns), visible share of the Sun's disc at each post.
     sun : (3,) unit, towards it.
     """
     parts: list[Posts] = []

@@ -4,16 +4,13 @@ Of a GeoTIFF these tags are read (OGC 19-008r4; GDAL for the last one), beside t
 
     33550   ModelPixelScale    distance of posts east and north, in the unit of the projection, metres
     33922   ModelTiepoint      column, row, 0 -> x, y, z in the plane of the projection
-    42113   GDAL_NODATA        a number as text: what stands where nothing was measured
+    42113   GDAL_NODATA        a number as text: the value of posts without a measurement
 
-A GeoTIFF is read in a child process, see `geotiff`.
+Pillow reads GeoTIFF, in a child process (see `foreign_file`). It supports the common compressions, also LZW, for which
+tifffile would need the large package imagecodecs.
 
 The plane of a polar stereographic projection is stretched: at a distance rho from the pole by 1 + (rho / 2 R)^2, which
-is 0.12 % at 86 degrees; with the map's middle known its posts are brought nearer by as much.
-
-Heights and tags of a GeoTIFF by pillow; for a child process, see `foreign_file`.
-
-Pillow knows the common compressions, also LZW, for which tifffile would need the large package imagecodecs.
+is 0.12 % at 86 degrees. If the map's middle is given, the distance of posts is reduced by this factor.
 """
 
 from __future__ import annotations
@@ -47,7 +44,7 @@ _LEAST_POSTS, _MOST_POSTS = 3, 1 << 14
 
 @dataclass(frozen=True, eq=False)
 class _Map:
-    """What a file says: heights (rows, columns) with NaN for holes, and the rest where it says so."""
+    """Contents of a file: heights (rows, columns) with NaN for holes, and the other values where the file has them."""
 
     heights: Floats
     post_m: float = 0.0
@@ -117,7 +114,7 @@ def _read(path: Path) -> dict[str, npt.NDArray[Any]]:
             return {"heights": _array(path)}
         case ".tif" | ".tiff":
             return read_in_child("emulator.scene.terrain.heightmap:read_geotiff", path)
-    raise SceneError(f"{path}: which format this is cannot be told: name it .npy or .tif")
+    raise SceneError(f"{path}: unknown format: name the file .npy or .tif")
 
 
 def _array(path: Path) -> npt.NDArray[Any]:
@@ -154,7 +151,7 @@ def _require_range(heights: Floats) -> None:
     highest = float(np.abs(heights[np.isfinite(heights)]).max(initial=0.0))
     if highest > _HIGHEST:
         raise SceneError(
-            f"has heights of up to {highest:g}: what stands for no data must be NaN, or be named by GDAL_NODATA"
+            f"has heights of up to {highest:g}: the value for no data must be NaN, or be named by GDAL_NODATA"
         )
 
 
@@ -176,10 +173,10 @@ def _centre(shape: tuple[int, ...], post_m: float, tie: Floats) -> tuple[float, 
 
 
 def _post_m(p: Heightmap, found: _Map, body_radius_m: float) -> tuple[float, list[str]]:
-    """Return the distance of posts on the ground, and what to say of the map's place."""
+    """Return the distance of posts on the ground, and remarks on the map's position."""
     post_m = p.post_m or found.post_m
     if not post_m:
-        raise SceneError("does not say how far its posts are apart: give post_m")
+        raise SceneError("has no distance of posts: give post_m")
     centre_m = p.centre_m or found.centre_m
     if centre_m is None or not body_radius_m:
         return post_m, []
@@ -222,7 +219,7 @@ def read_geotiff(path: Path) -> dict[str, npt.NDArray[Any]]:
         raise SceneError("is not a TIFF that pillow reads") from error
     except (MemoryError, ImportError):
         raise
-    except Exception as error:  # pillow answers a damaged file with whatever it ran into
+    except Exception as error:  # pillow raises arbitrary exceptions for a damaged file
         raise SceneError(f"is damaged, or too large: {shortened(error)}") from error
 
 

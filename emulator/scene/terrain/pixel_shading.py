@@ -1,27 +1,28 @@
 """Light of the fine map in each pixel, where facets are larger than a pixel.
 
-The renderer says which facet lies at the middle of a pixel. With d the pixel's direction, d = 1 along the boresight,
-and n . X = 1 the facet's plane from the camera, the point seen is X = s d, s = 1 / (n . d). From there:
+The renderer gives the facet at the middle of each pixel. With d the pixel's direction, d = 1 along the boresight, and
+n . X = 1 the facet's plane from the camera, the visible point is X = s d, s = 1 / (n . d). Its light is computed in
+these steps:
 
-    footprint       what a pixel to the right and one down add to X within the plane
-    parts           `samples` along the footprint's shorter side, and more where it is longer: parts of the pixel, alike
-                    on the screen, so that slopes which face the camera count for what they fill of the picture
-    fine height     the map's height z above a part moves it along d to where the plane, lifted by z - X_z, is met; a
+    footprint       the change of X within the plane for a pixel to the right and for one down
+    parts           `samples` along the footprint's shorter side, and more where it is longer: parts of the pixel, equal
+                    on the screen, so that slopes which face the camera count for their share of the light frame
+    fine height     the map's height z above a part moves it along d to the point on the plane lifted by z - X_z; a
                     secant from there, as the ground under the moved ray has another height
-    means           over a square of the ground around each part (`footprint`): of b = cosine of incidence x share of
-                    the Sun seen, of the slopes east and north, p and q, weighted by b: dark slopes send no light, and
-                    of b / (mu0 + mu), mu0 and mu the cosines of incidence and emission of the square's slope
+    means           over a square of the ground around each part (`footprint`): of b = cosine of incidence x visible
+                    share of the Sun, of the slopes east and north, p and q, weighted by b: dark slopes send no light,
+                    and of b / (mu0 + mu), mu0 and mu the cosines of incidence and emission of the square's slope
 
-The law of reflection is taken once, at the mu0 of the mean slope and the mu at which b / (mu0 + mu) has its mean. In
-laws of Lommel-Seeliger's kind it is this factor that changes most from slope to slope where the ground is seen at a
+The law of reflection is evaluated once, at the mu0 of the mean slope and the mu at which b / (mu0 + mu) has its mean.
+In laws of Lommel-Seeliger's kind it is this factor that changes most from slope to slope where the ground is seen at a
 slant: with the mu of the mean slope the light was 2 % too dark near the horizon. Lambert's law has no mu.
 
-Where an outline passes through the pixel, the exact light of the facets is kept, and the difference between fine and
-facet's light at the middle is added in proportion to how far the outline is from the middle (`Owners.whole`), so that
-light is steady in time.
+Where an outline passes through the pixel, the exact light of the facets is used, and the difference between fine and
+facet's light at the middle is added in proportion to the distance of the outline from the middle (`Owners.whole`), so
+that light is continuous in time.
 
-What makes it fast: planes instead of vertices, the four numbers of a post side by side, and loops over a row that
-become vectors: one for footprints, one for angles, one for the law. Only the means are taken pixel by pixel.
+Three measures make it fast: planes instead of vertices, the four numbers of a post side by side, and loops over a row
+that become vectors: one for footprints, one for angles, one for the law. Only the means are computed pixel by pixel.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.photometry.reflection_kernels import reflect
-from emulator.raster.layout import Ints, L, Pictures, W, WHighest, WLowest
+from emulator.raster.layout import Float32s, Ints, L, W, WHighest, WLowest
 from emulator.scene.terrain.block_vertices import around, grazing
 from emulator.scene.terrain.compiled import entry
 from emulator.scene.terrain.footprint import POSTS, Posts, Table, level_for, means, shorter_side
@@ -66,7 +67,7 @@ def _into_world(turn: Floats, x: float, y: float, z: float) -> Triple:
 @entry
 def shade_rows(
     rows: tuple[int, int, int],
-    owners: tuple[Ints, Pictures],
+    owners: tuple[Ints, Float32s],
     facets: Floats,
     screen: Triple,
     camera: tuple[Floats, Floats],
@@ -76,7 +77,7 @@ def shade_rows(
     samples: float,
     sun: tuple[Floats, float, int, Floats, Floats],
     scratch: Floats,
-    light: Pictures,
+    light: Float32s,
 ) -> None:
     """Write the light of the rows first, first + step ... before last.
 
@@ -105,7 +106,7 @@ def shade_rows(
 
 
 @lane
-def _list(row: int, owners: tuple[Ints, Pictures], scratch: Floats) -> int:
+def _list(row: int, owners: tuple[Ints, Float32s], scratch: Floats) -> int:
     """List the columns of a row's pixels with ground in them; return how many."""
     owner, whole = owners
     count: int = NONE
@@ -126,7 +127,7 @@ def _footprints(
     samples: float,
     scratch: Floats,
 ) -> None:
-    """Write where the pixels' middles lie, what a pixel to the right and one down add, and counts of parts."""
+    """Write the pixels' middles on the ground, their change for a pixel to the right and down, and counts of parts."""
     focal, cx, cy = screen
     place, turn = camera
     per_focal = 1.0 / focal
@@ -199,7 +200,7 @@ def _means(
 
 @vector_kernel
 def _angles(count: int, sun: tuple[Floats, float, int, Floats, Floats], scratch: Floats) -> None:
-    """Write what the law of reflection takes, sunlight by the cosine of incidence, and the ambient light."""
+    """Write the inputs of the law of reflection, sunlight by the cosine of incidence, and the ambient light."""
     towards, ambient = sun[0], sun[4]
     for k in range(count):
         b = max(scratch[_B, k], 0.0)
@@ -222,10 +223,10 @@ def _write(
     row: int,
     count: int,
     law: tuple[int, Floats],
-    owners: tuple[Ints, Pictures],
+    owners: tuple[Ints, Float32s],
     facets: Floats,
     scratch: Floats,
-    light: Pictures,
+    light: Float32s,
 ) -> None:
     """Write the light of `count` pixels of a row from their angles."""
     owner, whole = owners
@@ -240,5 +241,5 @@ def _write(
             x, y = column + 0.5, row + 0.5
             here = light[row, column]
             value = here + share * (value - facets[f, L] - facets[f, L + 1] * x - facets[f, L + 2] * y)
-            value = max(value, (1.0 - share) * here)  # an outline's pixel holds what lies behind it too
+            value = max(value, (1.0 - share) * here)  # a pixel with an outline contains the light behind it too
         light[row, column] = value

@@ -1,14 +1,15 @@
-"""Which blocks of a ground are drawn, and how fine: a quadtree over its nest of grids.
+"""Selection of the blocks of a ground to draw, and of their detail: a quadtree over its nested grids.
 
 A block of level l is a square of 8 x 8 quads, 2^l lattice units wide each. It is drawn where it lies no nearer than
-the level's range, else its four quarters are looked at:
+the level's range, else its four quarters are tested:
 
-    range of level l       reach x 2^l units          reach: how far away, in its own width, a quad may be split
+    range of level l       reach x 2^l units          reach: distance within which a quad is split, in its own width
     distance of a place    max(from the camera, crowd x from the site)    no finer than the ground's grids are there
 
 So the level is a function of the place's distance alone, whatever block it falls into: in the last part of a level's
-range its vertices slide together into those of the next coarser one (`ground_mesh`), neighbours always fit, and nothing
-jumps when blocks change. Source: Strugar 2010, Continuous distance-dependent level of detail for rendering heightmaps.
+range its vertices slide together into those of the next coarser one (`block_vertices`), neighbours always fit, and
+nothing jumps when blocks change. Source: Strugar 2010, Continuous distance-dependent level of detail for rendering
+heightmaps.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class Quadtree:
 
     Attributes
     ----------
-    crowd : see the module's first lines; 0 for a single grid.
+    crowd : see the module docstring; 0 for a single grid.
     """
 
     def __init__(self, ground: Ground, reach: float) -> None:
@@ -55,13 +56,12 @@ class Quadtree:
         return len(self._levels)
 
     def blocks(self, camera_m: Floats, planes: Floats) -> list[npt.NDArray[np.int32]]:
-        """Return what to draw of each grid: (n, 3) first column and row, and posts from vertex to vertex; near first.
+        """Return the blocks to draw of each grid: (n, 3) first column and row, posts from vertex to vertex; near first.
 
         Parameters
         ----------
         camera_m : (3,) in the world.
-        planes : (n, 3) inward normals, in the world, of the planes through the camera between which all that is seen
-            lies.
+        planes : (n, 3) inward normals, in the world, of the planes through the camera that bound the view.
         """
         found = self._found(camera_m, planes)
         return [np.ascontiguousarray(found[found[:, 0] == k, 1:]) for k in range(self._ground.grids)]
@@ -85,8 +85,8 @@ class Quadtree:
     def _found(self, camera_m: Floats, planes: Floats) -> npt.NDArray[np.int32]:
         """Return (n, 4) grid, column, row, posts from vertex to vertex; near first."""
         ground = self._ground
-        figures = (ground.unit_m, self._reach_m, self.crowd, ground.grids, *ground.shape)
-        found, distance = _select(self._levels, self._low, self._high, figures, camera_m, planes)
+        scalars = (ground.unit_m, self._reach_m, self.crowd, ground.grids, *ground.shape)
+        found, distance = _select(self._levels, self._low, self._high, scalars, camera_m, planes)
         return found[np.argsort(distance, kind="stable")]
 
     def _table(self, shapes: list[tuple[int, ...]]) -> Ints:
@@ -153,12 +153,12 @@ def _select(
     levels: Ints,
     low: Floats,
     high: Floats,
-    figures: tuple[float, float, float, int, int, int],
+    scalars: tuple[float, float, float, int, int, int],
     camera: Floats,
     planes: Floats,
 ) -> tuple[npt.NDArray[np.int32], Floats]:
     """Return (n, 4) grid, column, row, posts from vertex to vertex, and the distances."""
-    unit, reach, crowd, grids, rows, columns = figures
+    unit, reach, crowd, grids, rows, columns = scalars
     found, distances = np.empty((_MOST_BLOCKS, 4), np.int32), np.empty(_MOST_BLOCKS)
     stack = np.empty((4 * len(levels) + 4, 3), np.int64)
     stack[0] = len(levels) - 1, 0, 0
@@ -214,14 +214,14 @@ def _distance(box: tuple[float, float, float, float, float], camera: Floats) -> 
 
 @map_entry
 def _from_site(box: tuple[float, float, float, float, float]) -> float:
-    """Return how far the box begins from the site, along the axis on which that is more."""
+    """Return the distance of the box from the site, along the axis on which it is larger."""
     x, y, size, _, _ = box
     return max(x, -x - size, y, -y - size, 0.0)
 
 
 @map_entry
 def _finest_around(x: int, y: int, size: int, grid: int, shape: tuple[int, int]) -> int:
-    """Return the finest grid that holds a block wholly, `grid` being one that does."""
+    """Return the finest grid that contains a block completely; `grid` is one that does."""
     while grid > 0:
         half_x, half_y = ((shape[1] - 1) // 2) << (grid - 1), ((shape[0] - 1) // 2) << (grid - 1)
         if x < -half_x or y < -half_y or x + size > half_x or y + size > half_y:

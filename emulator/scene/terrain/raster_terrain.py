@@ -4,17 +4,15 @@
                                              fine map --> `pixel_shading` --> light of pixels
 
 Light is radiance, W m-2 sr-1, 400 to 700 nm: sunlight by the ground's law of reflection, with the shadows that the
-ground throws on itself and their penumbra, and an even light from all around. The ground curves with the body. What is
-not modelled: light from slope to slope, and what lies beyond the map, where the picture is black. There is no time
-derivative: that of the shading was measured, and made more wrong events than a straight line. Nor is there light of
-single pixels between pictures: undersampled pixels are found by the derivative, and pictures at an eighth of the step
-made as many wrong events (docs/accuracy.md).
+ground casts on itself and their penumbra, and an even light from all around. The ground curves with the body. Not
+modelled: light from slope to slope, and ground beyond the map, where the light frame is black. There is no time
+derivative: that of the shading was measured, and made more wrong events than a straight line. There is no light of
+single pixels between light frames either: undersampled pixels are found by the derivative, and light frames at an
+eighth of the step made as many wrong events (docs/accuracy.md).
 
-Depth, optical flow and labels of terrain, from the facets of its picture.
-
-Their corners are posts of the map, as fine as they are seen; between them the ground is taken for flat, as it is drawn.
-
-The camera's place and attitude at an instant, and their rates from poses shortly before and after.
+Depth, optical flow and labels come from the facets of the light frame. Their corners are posts of the map, as fine as
+they are drawn; between them the ground is flat, as it is drawn. `camera_motion` gives the rates of the camera's pose
+from poses shortly before and after.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.camera import Given, Pinhole, Placed, Rays, SceneGeometry, Seen
+from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import Light, Region, Scene
 from emulator.photometry.reflection_kernels import law_of
 from emulator.raster import Box, Owners, Renderer, Screen, Topology, View, join, prepare
@@ -47,7 +45,7 @@ __all__ = ["CameraMotion", "RasterTerrain", "TerrainGeometry", "build_terrain", 
 
 
 Facets = Callable[[int], tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]]
-"""Gives, for a stream time, the facet at each pixel of the straight picture and the facets, see `nearest_along`."""
+"""Function from a stream time to the facet at each pixel without distortion, and the facets, see `nearest_along`."""
 
 
 class TerrainGeometry(SceneGeometry):
@@ -70,10 +68,10 @@ class TerrainGeometry(SceneGeometry):
         motions = np.array([motion_of(camera, body, between_s) for body in (None, (STILL, STILL, STILL))])
         write_depth_and_flow(self._inverse_depth, motions, world.pinhole, self._rays, out)
 
-    def places(self, t_ns: int) -> Placed:
+    def places(self, t_ns: int) -> ScenePoses:
         """Return the camera's pose at `t_ns`; the ground's frame is the world."""
         camera = self._world.camera.pose(self._world.time.scene_ns(t_ns))
-        return Placed(
+        return ScenePoses(
             camera.position_m, camera.q_world_from_body, STILL.position_m[None], STILL.q_world_from_body[None]
         )
 
@@ -99,8 +97,8 @@ class CameraMotion:
     turning: Floats
 
     @property
-    def figures(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Place, velocity, turn and turning, as kernels take them."""
+    def arrays(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Position, velocity, turn and turning, as kernels take them."""
         return np.asarray(self.pose.position_m, np.float64), self.velocity_m_s, self.turn, self.turning
 
 
@@ -134,7 +132,7 @@ class RasterTerrain(Scene):
 
     Parameters
     ----------
-    threads : how many draw; the pictures are the same to the last bit.
+    threads : number of threads that draw; the light frames are the same to the last bit.
     """
 
     def __init__(self, parameters: TerrainParameters, pinhole: Pinhole, threads: int = 1) -> None:
@@ -160,8 +158,8 @@ class RasterTerrain(Scene):
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = Box()
         self._changed: Region | None = None
-        self._picture: Light | None = None
-        self._picture_ns: int | None = None
+        self._frame: Light | None = None
+        self._frame_ns: int | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -185,34 +183,34 @@ class RasterTerrain(Scene):
 
     @property
     def motion_bound_px_s(self) -> float:
-        """From the path's speed, turning and height, looked at once a second of the first four minutes."""
+        """Bound from the path's speed, turning and height, sampled once a second of the first four minutes."""
         return self._world.motion_bound_px_s
 
     @property
     def distance_m(self) -> float:
-        """The least height over the ground beneath, of those looked at beforehand."""
+        """The least sampled height over the ground beneath."""
         return self._world.distance_m
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is odd about the map, what lies beyond it, and a black picture."""
+        """Remarks for the user: faults of the map, views beyond it, a black light frame."""
         first = np.zeros(self.size[::-1], np.float32)
         self.light(0, first)
         return self._world.notes(first)
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """What poses from outside did."""
+        """Counts of poses received from outside."""
         return self._world.counts
 
     @property
     def facets_drawn(self) -> int:
-        """How many facets the last picture had."""
+        """Number of facets in the last light frame."""
         return len(self._renderer.topology.faces)
 
     @property
     def changed(self) -> Region | None:
-        """The part of the last picture that may differ from the one before it in the same arrays."""
+        """The part of the last light frame that may differ from the one before it in the same arrays."""
         return self._changed
 
     def geometry(self, rays: Rays | None = None) -> TerrainGeometry:
@@ -220,18 +218,18 @@ class RasterTerrain(Scene):
         return TerrainGeometry(self._world, self._facets_at, rays)
 
     def _facets_at(self, t_ns: int) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]:
-        """Return the facet at each pixel, -1 for none, and the facets of the picture of `t_ns`, drawn if it is not."""
-        if self._picture_ns != t_ns:
+        """Return the facet at each pixel, -1 for none, and the facets at `t_ns`, drawn if they are not yet."""
+        if self._frame_ns != t_ns:
             self.light(t_ns, np.zeros_like(self._spare))
         return self._owners.facets, self._renderer.facets
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32; raises SceneError below the ground."""
-        before = self._drawn if self._picture is out else None
+        before = self._drawn if self._frame is out else None
         motion = camera_motion(t_ns, self._world.camera, self._world.time)
         self._drawn = self._renderer.draw(self._view(t_ns, motion), out, self._spare, None, self._owners)
         self._shade(motion, out)
-        self._picture, self._picture_ns = out, t_ns
+        self._frame, self._frame_ns = out, t_ns
         self._changed = None if before is None else _region(self._drawn.union(before))
 
     def close(self) -> None:
@@ -242,11 +240,11 @@ class RasterTerrain(Scene):
         self._world.close()
 
     def _shade(self, motion: CameraMotion, light: Light) -> None:
-        """Bring the fine map's light into the picture."""
+        """Write the fine map's light into the light frame."""
         height, width = light.shape
         ground = self._world.ground
         screen = self._world.pinhole.focal_px, width / 2, height / 2
-        figures = ground.unit_m, ground.grids, (min(ground.shape) - 1) / 2
+        scalars = ground.unit_m, ground.grids, (min(ground.shape) - 1) / 2
         owners = self._owners.facets, self._owners.whole
 
         def shade(k: int) -> None:
@@ -255,10 +253,10 @@ class RasterTerrain(Scene):
                 owners,
                 self._renderer.facets,
                 screen,
-                (motion.figures[0], motion.turn),
+                (motion.arrays[0], motion.turn),
                 self._posts,
                 self._pyramid.levels,
-                figures,
+                scalars,
                 float(self._world.parameters.samples),
                 self._sun,
                 self._rows[k],
@@ -283,7 +281,7 @@ class RasterTerrain(Scene):
     def _fill(self, chosen: npt.NDArray[np.int64], motion: CameraMotion) -> None:
         """Write the vertices of the chosen blocks."""
         share = -(-len(chosen) // self._threads)
-        figures = self._world.ground.unit_m, self._reach * self._world.ground.unit_m, self._tree.crowd
+        scalars = self._world.ground.unit_m, self._reach * self._world.ground.unit_m, self._tree.crowd
 
         def fill(k: int) -> None:
             ends = k * share, min((k + 1) * share, len(chosen))
@@ -292,8 +290,8 @@ class RasterTerrain(Scene):
                 *ends,
                 self._pyramid.posts,
                 self._pyramid.levels,
-                figures,
-                motion.figures,
+                scalars,
+                motion.arrays,
                 self._sun,
                 self._scratches[k],
                 self._blocks.arrays,
@@ -303,7 +301,7 @@ class RasterTerrain(Scene):
 
 
 class _Blocks:
-    """Room for many blocks: their vertices, and facets numbered one block after another."""
+    """Arrays for many blocks: their vertices, and facets numbered one block after another."""
 
     def __init__(self, block: Topology, count: int) -> None:
         self._block = block

@@ -1,4 +1,4 @@
-"""A ridge near the lunar south pole, made up: relief, craters and boulders on a nest of grids.
+"""A synthetic ridge near the lunar south pole: relief, craters and boulders on nested grids.
 
 Relief is a fractional Brownian surface: its heights differ by v(r) = C r^H over a distance r, root mean square, which
 is a power spectrum S(k) = A k^-(2 H + 2), k in cycles a metre, with
@@ -6,26 +6,24 @@ is a power spectrum S(k) = A k^-(2 H + 2), k in cycles a metre, with
     v(r)^2 = 2 integral of S(k) (1 - J0(2 pi k r)) d2k    so    A = C^2 / (4 pi (2 pi)^(2 H) I)
     I = integral from 0 of x^(-2 H - 1) (1 - J0(x)) dx = Gamma(1 - H) / (2^(2 H + 1) H Gamma(1 + H))
 
-H = 0.95 in the lunar highlands (Rosenburg et al. 2011). Each grid has what its posts can hold: a finer one takes the
-coarser one's middle, twice as dense by cubic interpolation, and adds the octave of relief between the two Nyquist
-frequencies, the octave of craters and of boulders that are 6 to 12 of its posts wide, brought to nothing towards
+H = 0.95 in the lunar highlands (Rosenburg et al. 2011). Each grid has the detail that its posts can represent: a finer
+one takes the coarser one's middle, twice as dense by cubic interpolation, and adds the octave of relief between the two
+Nyquist frequencies, and the octave of craters and of boulders that are 6 to 12 of its posts wide, faded to zero towards
 its border. All of it is drawn by a generator of its own for each grid and kind, so a map is the same to the last bit
 for a seed (and a build of numpy).
 
 The ridge is 5 km above a base of 15 x 15 km for Malapert (LROC): here a Gaussian across, its crest along x, on which
 the site lies.
 
-Craters and boulders: how many of each size, and their shapes.
-
 Craters, fresh, with r the distance from the middle in radii (Pike 1977; McGetchin 1973):
 
     inside   z = 0.2 D (r^2 - 1) + 0.04 D          depth / diameter 0.2, the rim 0.04 D above the ground
-    outside  z = 0.04 D r^-3                        ejecta; drawn to r = 3, where it is brought to nothing
+    outside  z = 0.04 D r^-3                        ejecta; drawn to r = 3, where it is faded to zero
 
-An old crater is a worn one: depth times age, the rim times age squared as it goes first, and the floor is filled up to
+An old crater is eroded: depth times age, the rim times age squared as it erodes first, and the floor is filled up to
 a share of the depth. Ages run from 0.12 to 1, most craters old: depth / diameter is 0.024 to 0.2. Outlines are circles
 with a second and a third harmonic of a few per cent. Some craters of one size stand in chains, as secondary ones do.
-How many: N(> D) = 0.046 D^-2 per m2, the steady state where they are 3 % of geometric saturation, 1.54 D^-2
+Their number: N(> D) = 0.046 D^-2 per m2, the steady state where they are 3 % of geometric saturation, 1.54 D^-2
 (Gault 1970; Moore et al. 1980; Minton et al. 2019). So D = D1 (1 - u (1 - (D1 / D2)^2))^(-1/2) between D1 and D2.
 
 Boulders are the upper parts of convex bodies with flat sides, up to half as high as wide. The share of the ground under
@@ -165,7 +163,7 @@ def brighten(albedo: Floats, places: Floats, diameters: Floats, ages: Floats) ->
 
 @map_entry
 def raise_boulders(heights: Floats, places: Floats, diameters: Floats, lots: Floats) -> None:
-    """Add boulders, as `sink_craters` does craters; `lots` are (n, 4) numbers between 0 and 1 for their sides."""
+    """Add boulders, as `sink_craters` adds craters; `lots` are (n, 4) random numbers from 0 to 1 for their sides."""
     rows, columns = heights.shape
     for k in range(len(diameters)):
         radius = 0.5 * diameters[k]
@@ -196,7 +194,7 @@ def height_of_boulder(x: float, y: float, lots: Floats) -> float:
 
 
 HURST = 0.95
-_LEAST_POSTS = 6.0  # across a crater or a boulder: smaller ones are no shape any more
+_LEAST_POSTS = 6.0  # across a crater or a boulder: smaller ones have no shape on the grid
 _OCTAVE = 2.0
 _LARGEST_SHARE = 1 / 12  # of the map, a crater
 _RELIEF, _CRATERS, _BOULDERS, _ALBEDO = range(4)
@@ -205,23 +203,23 @@ _SLOPE_OVER_M = 10.0
 _FADED_SHARE = 0.25  # of a finer grid's half side, at its border
 
 
-def make_ridge(p: Ridge, told: Callable[[int, int], None] = lambda done, of: None) -> Ground:
-    """Return the map of `p`; `told` hears how many grids are done, of how many."""
+def make_ridge(p: Ridge, progress: Callable[[int, int], None] = lambda done, of: None) -> Ground:
+    """Return the map of `p`; `progress` is called with the number of grids that are done, and of all."""
     count = _count(p)
     grids: list[Floats] = []
     for k in range(count):
-        told(k, count)
+        progress(k, count)
         post_m = _post_m(p, k)
         detail = _detail(p, k, post_m)
         grids.append(detail + _ridge(p, post_m) if k == 0 else _twice_as_dense(grids[-1]) + detail * _fading(p.posts))
-    told(count, count)
+    progress(count, count)
     return nested(post_m, grids[::-1])
 
 
 def make_albedo(p: Ridge) -> npt.NDArray[np.float32]:
     """Return the albedo of the posts of `make_ridge`, (grids, rows, columns), finest first; the map's mean is 1.
 
-    Each octave of wavelengths adds as much as any other; young craters and what they threw out are brighter.
+    All octaves of wavelengths have the same amplitude; young craters and their ejecta are brighter.
     """
     grids: list[Floats] = []
     for k in range(_count(p)):
@@ -258,7 +256,7 @@ def _widest_m(p: Ridge, grid: int, post_m: float) -> float:
 def fractal(rng: np.random.Generator, posts: int, post_m: float, band: tuple[float, float], rough: float) -> Floats:
     """Return a periodic fractional Brownian surface, (posts, posts) m, of frequencies `band`[0] < k <= `band`[1].
 
-    `rough` is C of the module's first lines, in m^(1 - H).
+    `rough` is C of the module docstring, in m^(1 - H).
     """
     across = np.fft.fftfreq(posts, post_m)
     k = np.hypot(across[:, None], np.fft.rfftfreq(posts, post_m))
@@ -285,7 +283,7 @@ def _craters(p: Ridge, grid: int, post_m: float) -> tuple[Floats, Floats, Floats
 
 
 def _detail(p: Ridge, grid: int, post_m: float) -> Floats:
-    """Return what a grid adds, (posts + 1, posts + 1) m."""
+    """Return the detail that a grid adds, (posts + 1, posts + 1) m."""
     rough = math.tan(math.radians(p.slope_deg)) * _SLOPE_OVER_M ** (1 - HURST)
     relief = fractal(np.random.default_rng([p.seed, grid, _RELIEF]), p.posts, post_m, _band(grid, post_m), rough)
     heights = np.pad(relief, (0, 1), mode="wrap") / post_m

@@ -1,4 +1,4 @@
-"""Ground under a low Sun, as a rig writes it."""
+"""Rig tables of ground under a low Sun."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Ridge:
     size_m
         Side of the whole map.
     finest_m
-        Distance of posts around the landing site; it is met within a factor of two.
+        Distance of posts around the landing site, to within a factor of two.
     posts
         Posts a side of each grid: a power of two, 64 to 4096.
     ridge_m
@@ -47,7 +47,7 @@ class Ridge:
         Root mean square variation of albedo, relative; its mean over the map is that of the reflectance. Above 0 young
         craters are brighter, by up to 0.3.
     seed
-        Of the whole map.
+        Seed of the whole map.
     """
 
     kind: ClassVar[str] = "ridge"
@@ -75,7 +75,7 @@ class Ridge:
             raise ValueError(f"seed is {self.seed}: it must be 0 to 2^63 - 1")
         if self.ridge_m > self.size_m / 3:
             raise ValueError(
-                f"ridge_m is {self.ridge_m:g}: its base, three times as wide, finds no room on {self.size_m:g} m"
+                f"ridge_m is {self.ridge_m:g}: its base, three times as wide, does not fit on {self.size_m:g} m"
             )
 
 
@@ -90,10 +90,10 @@ class Heightmap:
     units_m
         Unit of the heights in metres; 1000 for kilometres.
     post_m
-        Distance of posts; 0: as the GeoTIFF says.
+        Distance of posts; 0: that of the GeoTIFF.
     centre_m
-        Where the middle of the map lies in the plane of a polar stereographic projection; needed only to tell its
-        latitude and the projection's stretch, and read from a GeoTIFF that has it.
+        Middle of the map in the plane of a polar stereographic projection; needed only for its latitude and the
+        projection's stretch, and read from a GeoTIFF that has it.
     fill_share
         At most this share of the posts may be holes, which are filled from their neighbours.
     """
@@ -130,26 +130,26 @@ class TerrainParameters:
     camera
         The camera's path in the world.
     sun_azimuth_deg
-        Where the Sun stands: 0 along +y, 90 along +x.
+        Azimuth of the Sun: 0 along +y, 90 along +x.
     sun_elevation_deg
-        Above the horizontal; at 86 degrees south it never rises above 5.5.
+        Elevation of the Sun above the horizontal; at 86 degrees south it is at most 5.5.
     sun_distance_au
-        How far it is.
+        Distance of the Sun.
     ambient_w_m2
         Light from all around, W/m2: earthshine, 0.06 on the Moon under a full Earth.
     reflectance
-        How the ground throws light back.
+        Law of reflection of the ground.
     body_radius_m
-        Of the sphere that the map lies on, 1 737 400 for the Moon; 0: it is flat.
+        Radius of the sphere that the map lies on, 1 737 400 for the Moon; 0: the map is flat.
     detail_px
-        Side of a facet in the picture, about; slopes and shadows are those of the fine map whatever it is. 0: a quarter
-        of a pixel, whatever `most_facets` says.
+        Side of a facet in the light frame, about; slopes and shadows are those of the fine map in any case. 0: a
+        quarter of a pixel, whatever `most_facets` is.
     most_facets
-        Facets in a large picture are larger, so that about this many would cover it face on.
+        Facets in a large light frame are larger, so that about this many would cover it face on.
     samples
         Light is averaged over samples x samples points of each pixel, 1 to 4.
     time_scale
-        How much faster than in reality the camera moves.
+        Speed of the camera's motion relative to reality.
     """
 
     kind: ClassVar[str] = "terrain"

@@ -1,19 +1,18 @@
-"""What a terrain scene is, whatever draws it: ground, path of the camera, Sun and shadows, and bounds on motion.
+"""Parts of a terrain scene that all renderers share: ground, path of the camera, Sun, shadows, bounds on motion.
 
-Where the Sun shines: the height of the horizon towards it, at every post of a ground.
-
-A sweep along the Sun's azimuth: lines parallel to it, one post apart, are walked from the sunward edge of the map. The
-profile walked so far is kept as its upper convex hull, on which the horizon of the next point is the tangent: points
-below it are dropped for good, so the work is a few steps a post. A line through a fine grid begins on the coarser ones
-around it, so the shadow of a far mountain falls on near detail too. Heights are taken linearly between posts, and
-horizons between lines.
+Shadows come from the height of the horizon towards the Sun, at every post of a ground. It is found by a sweep along the
+Sun's azimuth: lines parallel to it, one post apart, are followed from the sunward edge of the map. The profile up to
+the current point is stored as its upper convex hull, on which the horizon of the next point is the tangent: points
+below the hull are dropped for good, so the work is a few steps a post. A line through a fine grid begins on the coarser
+ones around it, so the shadow of a far mountain falls on near detail too. Heights are linear between posts, and horizons
+between lines.
 
 The Sun's disc is half a degree wide. The share of it above a straight horizon is, with x the height of its middle above
 the horizon in its radii,
 
     1/2 + (x sqrt(1 - x^2) + asin x) / pi        -1 <= x <= 1
 
-which is the penumbra: behind a 10 m rock under a Sun 2 degrees high it is some 80 m wide.
+which is the penumbra: behind a 10 m rock under a Sun 2 degrees high it is about 80 m wide.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ import numpy.typing as npt
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Sun
-from emulator.scene.array_cache import Progress, kept
+from emulator.scene.array_cache import Progress, cached_array
 from emulator.scene.terrain.compiled import map_entry
 from emulator.scene.terrain.ground import Ground
 from emulator.scene.terrain.heightmap import load_heightmap
@@ -49,14 +48,14 @@ Slopes = npt.NDArray[np.float32]
 def horizon_slopes(ground: Ground, azimuth_deg: float) -> Slopes:
     """Return the tangent of the horizon's elevation at every post, (grids, rows, columns) float32.
 
-    The azimuth is 0 along +y and 90 along +x. Where nothing lies towards the Sun it is -1000.
+    The azimuth is 0 along +y and 90 along +x. Posts with no ground towards the Sun have -1000.
     """
     azimuth = math.radians(azimuth_deg)
     east, north = math.sin(azimuth), math.cos(azimuth)
     swapped = abs(east) > abs(north)
     heights = ground.heights_m.transpose(0, 2, 1) if swapped else ground.heights_m
     across, along = (north, east) if swapped else (east, north)
-    if along < 0:  # walk down the rows in any case
+    if along < 0:  # the lines run down the rows in any case
         heights = heights[:, ::-1]
     walked = np.ascontiguousarray(heights)
     length_m = ground.unit_m * math.hypot(across, along) / abs(along)
@@ -89,7 +88,7 @@ def _sweep(heights: npt.NDArray[np.float32], grid: int, drift: float, length_m: 
     room = len(heights) * rows + 2
     place, height = np.empty(room), np.empty(room)
     for line in range(lines):
-        _walk(heights, grid, (line - before, drift, length_m), (place, height), sheared[:, line])
+        _follow(heights, grid, (line - before, drift, length_m), (place, height), sheared[:, line])
     out = np.empty((rows, columns), np.float32)
     for i in range(rows):
         for j in range(columns):
@@ -101,14 +100,14 @@ def _sweep(heights: npt.NDArray[np.float32], grid: int, drift: float, length_m: 
 
 
 @map_entry
-def _walk(
+def _follow(
     heights: npt.NDArray[np.float32],
     grid: int,
     line: tuple[float, float, float],
     profile_room: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]],
     out: Slopes,
 ) -> None:
-    """Walk one line towards lower rows, and write the horizons at the rows of `grid`, (rows,).
+    """Follow one line towards lower rows, and write the horizons at the rows of `grid`, (rows,).
 
     Parameters
     ----------
@@ -165,7 +164,7 @@ def _height(heights: npt.NDArray[np.float32], grid: int, x: float, y: int) -> fl
 
 @map_entry
 def _is_on(at: float, columns: int) -> bool:
-    """Return whether a column lies on a grid, or so near that a line there must have been walked at the next row.
+    """Return whether a column lies on a grid, or so near that a line there is needed at the next row.
 
     One column beyond the border is needed to interpolate between lines, and a line moves by at most two columns from
     one row of a coarser grid to the next.
@@ -173,7 +172,7 @@ def _is_on(at: float, columns: int) -> bool:
     return -3.0 <= at <= columns + 2.0
 
 
-_LOOKS = 240  # instants, a second of the scene apart, at which the path is looked at beforehand
+_LOOKS = 240  # instants, a second of the scene apart, at which the path is sampled in advance
 _LOOK_NS = 1_000_000_000
 _APART_NS = 20_000_000
 
@@ -187,8 +186,8 @@ class TerrainWorld:
     ----------
     sun : (3,) unit, towards it.
     irradiance_w_m2 : sunlight on a surface that faces the Sun.
-    motion_bound_px_s : from the path's speed, turning and height, looked at once a second of the first four minutes.
-    distance_m : the least height over the ground beneath, of those looked at beforehand.
+    motion_bound_px_s : from the path's speed, turning and height, sampled once a second of the first four minutes.
+    distance_m : the least sampled height over the ground beneath.
 
     Raises
     ------
@@ -214,20 +213,20 @@ class TerrainWorld:
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """What poses from outside did."""
+        """Counts of poses received from outside."""
         return live_counts(self.camera)
 
     def notes(self, first_frame: npt.NDArray[np.float32]) -> tuple[str, ...]:
-        """Return what is odd about the map, what lies beyond it, and whether the first frame is black."""
+        """Return remarks on faults of the map, on views beyond it, and on a black first frame."""
         notes = list(self.ground.notes)
         if self.parameters.sun_elevation_deg < 0:
             notes.append("the Sun is below the horizontal: only slopes that rise above it are lit")
         if not first_frame.any():
-            notes.append("the first picture is black: no lit ground is before the camera")
+            notes.append("the first light frame is black: the camera sees no lit ground")
         return tuple(notes)
 
     def motion_px_s(self, t_ns: int) -> float:
-        """Return how fast the picture moves at stream time `t_ns`."""
+        """Return the speed of the ground in the light frame at stream time `t_ns`."""
         return self._moving_px_s(self.time.scene_ns(t_ns))
 
     def height_m(self, scene_ns: int, pose: Pose) -> float:
@@ -244,15 +243,15 @@ class TerrainWorld:
         return z - ground_m
 
     def sunlit(self) -> npt.NDArray[np.float32]:
-        """Return the share of `irradiance_w_m2` that shines on each post, times its albedo, (grids, rows, columns).
+        """Return the share of `irradiance_w_m2` that reaches each post, times its albedo, (grids, rows, columns).
 
         The irradiance is that of the Sun on the brightest ground, so the share is at most 1.
-        Beyond the map the body goes on at the height of the map's lowest ground: its own horizon is the least there is.
+        Beyond the map the body continues at the height of the map's lowest ground, which gives the least horizon.
         """
         p, ground = self.parameters, self.ground
         digest = hashlib.sha256(ground.heights_m.tobytes()).hexdigest()
         azimuth = p.sun_azimuth_deg
-        slopes = kept("horizon", (digest, ground.unit_m, azimuth), lambda: horizon_slopes(ground, azimuth))
+        slopes = cached_array("horizon", (digest, ground.unit_m, azimuth), lambda: horizon_slopes(ground, azimuth))
         relief_m = float(np.ptp(ground.heights_m))
         dip = math.sqrt(2 * relief_m / p.body_radius_m) if p.body_radius_m else 0.0
         slopes = np.maximum(slopes, np.float32(-dip))
@@ -260,7 +259,7 @@ class TerrainWorld:
         return share if ground.albedo is None else share * (ground.albedo / np.float32(self._brightest))
 
     def planes(self, pose: Pose) -> Floats:
-        """Return the inward normals of the four planes through the picture's edges and of the one behind, (5, 3)."""
+        """Return the inward normals of the four planes through the frame's edges and of the one behind, (5, 3)."""
         pinhole = self.pinhole
         x, y = pinhole.width / 2 / pinhole.focal_px, pinhole.height / 2 / pinhole.focal_px
         inward = np.array([[1.0, 0, x], [-1.0, 0, x], [0, 1.0, y], [0, -1.0, y], [0, 0, 1.0]])
@@ -271,7 +270,7 @@ class TerrainWorld:
         close_receivers(self.camera)
 
     def _moving_px_s(self, scene_ns: int) -> float:
-        """Return how fast the ground moves through the picture, from the path's speed, turning and height then."""
+        """Return the speed of the ground in the light frame, from the path's speed, turning and height then."""
         if not math.isfinite(self.camera.speed_bound_m_s):
             return math.inf
         speed, turn = measured_bounds(self.camera.pose, [scene_ns, scene_ns + _APART_NS])
@@ -280,7 +279,7 @@ class TerrainWorld:
         return self.pinhole.focal_px * wide * (turn + speed / max(height_m, 1e-3)) * self.time.factor
 
     def _heights_on_the_way(self) -> list[float]:
-        """Return the camera's height over the ground at the looks; refuses a path through the ground."""
+        """Return the camera's height over the ground at the sampled instants; refuses a path through the ground."""
         times = [k * _LOOK_NS for k in range(_LOOKS)]
         return [self.height_m(t, self.camera.pose(t)) for t in times]
 
@@ -289,8 +288,8 @@ def build_ground(p: TerrainParameters) -> Ground:
     """Return the ground of `p`, from the cache where it was made before; raises SceneError."""
     if isinstance(p.ground, Ridge):
         ridge = p.ground
-        heights = kept("ridge", ridge, lambda: make_ridge(ridge, Progress("making the map")).heights_m)
-        albedo = kept("albedo", ridge, lambda: make_albedo(ridge)) if ridge.albedo_rms > 0 else None
+        heights = cached_array("ridge", ridge, lambda: make_ridge(ridge, Progress("making the map")).heights_m)
+        albedo = cached_array("albedo", ridge, lambda: make_albedo(ridge)) if ridge.albedo_rms > 0 else None
         ground = Ground(ridge.size_m / ridge.posts / (1 << (len(heights) - 1)), heights, albedo=albedo)
     else:
         ground = load_heightmap(p.ground, p.body_radius_m)

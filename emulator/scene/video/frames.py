@@ -3,17 +3,10 @@
     a folder                 its images in the order of their names, each of any format that pillow reads
     .npy                     an array (frames, height, width): uint8 and uint16 are levels, floats are linear light
     .gif .tif .png .webp     the frames of one file, by pillow
-    .mp4 .mkv .avi .mov      by PyAV (`pip install '.[files]'`), with the times that the file gives
+    .mp4 .mkv .avi .mov      by PyAV (`pip install '.[files]'`, FFmpeg), with the times that the file gives
 
-Pillow and PyAV read in a child process, see `foreign_file`.
-Colours become luminance (Rec. 709). Levels are taken from 0 to 1 and decoded by the sRGB curve unless told to be
-linear.
-
-Frames one after the other as one array, within a bound of memory.
-
-Frames of images by pillow; for a child process, see `foreign_file`.
-
-Frames of a video by PyAV (FFmpeg); for a child process, see `foreign_file`.
+Pillow and PyAV read in a child process, see `foreign_file`. All frames become one array, within a bound of memory.
+Colours become luminance (Rec. 709). Levels are scaled to 0 to 1 and decoded by the sRGB curve, except linear ones.
 """
 
 from __future__ import annotations
@@ -51,22 +44,22 @@ Levels = npt.NDArray[Any]
 
 
 def stacked(frames: Iterator[tuple[str, Levels]]) -> Levels:
-    """Return all frames as one array; raises SceneError where they are not alike, too large, or none."""
-    kept: list[Levels] = []
+    """Return all frames as one array; raises SceneError where they differ in form, are too large, or none."""
+    collected: list[Levels] = []
     room = MOST_BYTES
     for name, levels in frames:
-        if kept and (levels.shape != kept[0].shape or levels.dtype != kept[0].dtype):
+        if collected and (levels.shape != collected[0].shape or levels.dtype != collected[0].dtype):
             raise SceneError(
                 f"{name} is {levels.shape[1]} x {levels.shape[0]} {levels.dtype}, the first frame "
-                f"{kept[0].shape[1]} x {kept[0].shape[0]} {kept[0].dtype}: all must be alike"
+                f"{collected[0].shape[1]} x {collected[0].shape[0]} {collected[0].dtype}: all must be alike"
             )
         room -= levels.nbytes
         if room < 0:
             raise SceneError(f"more than {MOST_BYTES >> 30} GiB of frames; cut it or make it smaller")
-        kept.append(levels)
-    if not kept:
+        collected.append(levels)
+    if not collected:
         raise SceneError("holds no frames")
-    return np.stack(kept)
+    return np.stack(collected)
 
 
 _LIMITS = Limits(memory_bytes=3 * MOST_BYTES, cpu_s=600)  # a video of one MiB may well hold a GiB of frames
@@ -93,7 +86,7 @@ class Frames:
 
 
 def read_frames(path: Path) -> Frames:
-    """Read all frames; raises SceneError with the file and, where it can be told, the frame."""
+    """Read all frames; raises SceneError with the file and, where it is known, the frame."""
     if path.suffix == ".npy" and path.is_file():
         return Frames(_array(path))
     is_video = path.is_file() and path.suffix.lower() in VIDEO_SUFFIXES
@@ -119,7 +112,7 @@ def _array(path: Path) -> Levels:
     if levels.ndim != 3 or not levels.size:
         raise SceneError(f"{path}: has the shape {levels.shape}; (frames, height, width) is needed")
     if levels.dtype.kind == "f":
-        with np.errstate(invalid="ignore", over="ignore"):  # what is not finite then is refused
+        with np.errstate(invalid="ignore", over="ignore"):  # values that are not finite then are refused
             levels = levels.astype(np.float32)
         bad = np.flatnonzero(~(np.isfinite(levels) & (levels >= 0)).all(axis=(1, 2)))
         if bad.size:
@@ -146,7 +139,7 @@ def _frames(paths: list[Path]) -> Iterator[tuple[str, Levels]]:
                     yield f"{path.name}, frame {k}", _grey(frame)
         except (MemoryError, ImportError, SceneError):
             raise
-        except Exception as error:  # pillow answers a damaged file with whatever it ran into
+        except Exception as error:  # pillow raises arbitrary exceptions for a damaged file
             raise SceneError(f"{path.name}: cannot be read as an image: {shortened(error)}") from error
 
 
@@ -181,7 +174,7 @@ def read_video(path: Path) -> dict[str, npt.NDArray[Any]]:
         levels = stacked(frames())
     except (MemoryError, SceneError):
         raise
-    except Exception as error:  # FFmpeg's own errors, and what PyAV runs into
+    except Exception as error:  # FFmpeg's own errors, and those of PyAV
         raise SceneError(f"frame {len(times)} cannot be read: {shortened(error)}") from error
     has_times = len(times) > 1 and bool(np.all(np.diff(times) > 0))
     return {"levels": levels, "times_s": np.array(times) - times[0] if has_times else np.zeros(0)}

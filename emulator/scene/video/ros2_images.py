@@ -1,20 +1,18 @@
-"""A topic of images of ROS 2 before the camera, without ROS: `sensor_msgs/msg/Image` by CycloneDDS.
+"""A topic of images of ROS 2 as a scene, without ROS: `sensor_msgs/msg/Image` by CycloneDDS.
 
-What has come is taken when a picture is to be drawn, at most 16 messages a picture. An image of another size than the
-sensor's is resampled by area in linear light. One that is not what its message says is refused and counted, and the run
-goes on with those that are known; so it does when the writer has gone.
+Received images are read when a light frame is drawn, at most 16 messages each time. An image of another size than the
+sensor's is resampled by area in linear light. An image that does not match its message's header is refused and counted,
+and the run continues with the valid ones; it continues also when the writer has gone.
 
-Images that come while the run goes on: those known by now, joined in the logarithm of light.
+Images are joined in the logarithm of light. For a light frame of time t, with the images' times shifted by a delay
 
-For a picture of time t, with the images' times shifted by a delay
-
-    between two known images    each pixel goes along a straight line in log light, as in a video
-    after the newest one        the newest one stays, and the picture is counted as late
+    between two images          each pixel follows a straight line in log light, as in a video
+    after the newest one        the newest one stays, and the light frame is counted as late
     before the first one        the first one; even grey where there is none
 
-The time of an image is that of its arrival, or goes on from the last one's by the difference of their stamps: so stamps
-may be Unix time or the time of another simulation. A stamp that goes back, or that leads away from the arrival by more
-than a second, begins anew at the arrival, and is counted.
+The time of an image is that of its arrival, or continues from the last one's by the difference of their stamps: so
+stamps may be Unix time or the time of another simulation. A stamp that goes back, or that differs from the arrival by
+more than a second, starts again at the arrival, and is counted.
 """
 
 from __future__ import annotations
@@ -62,7 +60,7 @@ _MOST_ASTRAY_NS = 1_000_000_000
 
 @dataclass(frozen=True, eq=False)
 class Around:
-    """Log light (height, width) of the images around a time, how far between them it lies, and the seconds between."""
+    """Log light (height, width) of the images around a time, the share of the later one, and their gap in s."""
 
     before: _Float32s
     after: _Float32s
@@ -78,8 +76,8 @@ class ImageCounters:
     ----------
     taken : images used.
     repeated : images at the time of the one before them, refused.
-    clock_jumps : stamps that did not go on from those before.
-    late_pictures : pictures drawn with an image that stood still for want of a newer one.
+    clock_jumps : stamps that did not continue those before.
+    late_pictures : light frames drawn with an old image because no newer one was received.
     """
 
     taken: int = 0
@@ -89,13 +87,13 @@ class ImageCounters:
 
 
 class LiveImages:
-    """The images known by now.
+    """The images received so far.
 
     Parameters
     ----------
     grey : log light until the first one, (height, width).
-    delay_ns : how much later than its time an image is shown.
-    by_stamp : whether times go by the stamps; else by arrival.
+    delay_ns : delay from an image's time until it is shown.
+    by_stamp : True: times follow the stamps; False: the arrival.
     """
 
     def __init__(self, grey: _Float32s, delay_ns: int, *, by_stamp: bool) -> None:
@@ -105,7 +103,7 @@ class LiveImages:
         self.counters = ImageCounters()
 
     def add(self, log_light: _Float32s, stamp_ns: int, arrival_ns: int) -> None:
-        """Take an image, (height, width) log light, that arrived at the scene's time `arrival_ns`."""
+        """Add an image, (height, width) log light, that arrived at the scene's time `arrival_ns`."""
         t_ns = self._time_ns(stamp_ns, arrival_ns)
         if self._known and t_ns < self._known[-1][0] + _LEAST_APART_NS:
             self.counters.repeated += 1
@@ -170,23 +168,23 @@ class Ros2ImageParameters:
     floor
         Light of black, as a share of white.
     stamps
-        When an image was: "arrival", or by "header": distances in time are those of the headers' stamps.
+        Time of an image: "arrival", or "header": distances in time are those of the headers' stamps.
     delay_ms
-        How much later an image is shown. Between two images light goes along a straight line in log, so this should be
-        more than the time from one to the next; with less, light jumps at each.
+        Delay until an image is shown. Between two images light follows a straight line in log, so this should be more
+        than the time from one to the next; with less, light jumps at each.
     wait_s
-        How long the start waits for the first image; 0: not at all, and the scene is grey until it comes.
+        Time that the start waits for the first image; 0: no wait, and the scene is grey until it comes.
     reliable
-        Whether lost images are asked for again. Then a writer that is not reliable (sensor data) is not heard.
+        True: lost images are requested again. Then a writer that is not reliable (sensor data) is not received.
     domain
         ROS_DOMAIN_ID.
     interfaces
         Names or addresses of network interfaces to use; empty: only programs on this machine. There is no
-        authentication: whoever is in reach can write to the topic.
+        authentication: any machine on these networks can write to the topic.
     peers
-        Machines that are asked by unicast.
+        Machines that are contacted by unicast.
     multicast
-        Whether machines on `interfaces` find each other by multicast, as ROS 2 does by default.
+        True: machines on `interfaces` find each other by multicast, as ROS 2 does by default.
     """
 
     kind: ClassVar[str] = "ros2"
@@ -218,7 +216,7 @@ class Ros2ImageParameters:
 
     @property
     def network(self) -> DdsNetwork:
-        """Where the topic is exchanged."""
+        """Network settings of the topic."""
         return DdsNetwork(self.domain, self.interfaces, self.peers, self.multicast)
 
 
@@ -232,14 +230,14 @@ ROS2_IMAGES = SceneKind(
 
 
 class ImageSource(Protocol):
-    """Where messages come from."""
+    """Source of messages."""
 
     def take(self) -> list[Message]:
-        """Return what has come, without waiting."""
+        """Return the messages received so far, without waiting."""
         ...
 
     def close(self) -> None:
-        """Leave."""
+        """Leave the topic."""
         ...
 
 
@@ -263,7 +261,7 @@ class Ros2Images(Scene):
 
     @property
     def motion_bound_px_s(self) -> float:
-        """Nobody knows what will come."""
+        """Infinite: images carry no motion bound."""
         return math.inf
 
     @property
@@ -273,19 +271,19 @@ class Ros2Images(Scene):
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Images that were used and refused, and pictures that lacked one."""
+        """Images that were used and refused, and light frames without a new one."""
         counters = self._images.counters
-        told = {
+        used = {
             "images": counters.taken,
             "images at the time of the one before": counters.repeated,
             "jumps of the images' clock": counters.clock_jumps,
             "pictures without a new image": counters.late_pictures,
         }
         refused = {f"images refused: {reason}": count for reason, count in self._refused.items()}
-        return {name: count for name, count in (told | refused).items() if count}
+        return {name: count for name, count in (used | refused).items() if count}
 
     def light(self, t_ns: int, out: Light) -> None:
-        """Take in what has come, and write the light at `t_ns`."""
+        """Read the received images, and write the light at `t_ns`."""
         self._receive(t_ns)
         around = self._images.around(t_ns)
         np.exp((1 - around.share) * around.before + around.share * around.after, out=out)
@@ -374,14 +372,14 @@ def open_ros2_images(parameters: Ros2ImageParameters, size: tuple[int, int]) -> 
 
 
 def _nothing_came(p: Ros2ImageParameters, writers: int, refused: dict[str, int]) -> str:
-    """Return what is wrong where no image has come."""
-    told = f"no image came on {p.topic} in domain {p.domain} within {p.wait_s:g} s"
+    """Return the reason why no image has come."""
+    lack = f"no image came on {p.topic} in domain {p.domain} within {p.wait_s:g} s"
     if refused:
-        return f"{told}: {', '.join(f'{count} {name}' for name, count in refused.items())}"
+        return f"{lack}: {', '.join(f'{count} {name}' for name, count in refused.items())}"
     if writers:
-        return f"{told}, though something writes to it"
-    reach = "" if p.interfaces else "; only programs on this machine are heard (interfaces)"
+        return f"{lack}, though a program writes to it"
+    scope = "" if p.interfaces else "; only programs on this machine are received (interfaces)"
     return (
-        f"{told}: nothing writes sensor_msgs/msg/Image to it that can be heard{reach}; "
+        f"{lack}: no program in reach writes sensor_msgs/msg/Image to it{scope}; "
         "see docs/streams.md for ROS's own settings"
     )

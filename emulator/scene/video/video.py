@@ -1,11 +1,11 @@
-"""A video before the camera: frames with times, joined in the logarithm of light.
+"""A video as a scene: frames with times, joined in the logarithm of light.
 
-Between two frames each pixel's light goes along a straight line in log, so its rate is known exactly; before the first
-frame and after the last it stands still, or begins anew. Frames of another size than the sensor's are resampled by area
-in linear light. Darkness is held `floor` above zero, or there would be no logarithm.
+Between two frames each pixel's light follows a straight line in log, so its rate is exact; before the first frame and
+after the last it stands still, or starts again. Frames of another size than the sensor's are resampled by area in
+linear light. Darkness is held `floor` above zero, because zero has no logarithm.
 
-A video with 8 bits is a poor scene for an event sensor, which `notes` tells: from one level to the next light steps by
-a ratio that is large where it is dark, and wherever that ratio is more than a threshold a pixel fires at steps that
+A video with 8 bits is a poor scene for an event sensor, which `notes` reports: from one level to the next light steps
+by a ratio that is large where it is dark, and wherever that ratio is more than a threshold a pixel fires at steps that
 only the file has.
 """
 
@@ -43,7 +43,7 @@ class VideoParameters:
     path
         A folder of images, a .npy array, an animation or a video, beside the rig file.
     frames_per_s
-        Where the file gives no times of its own.
+        Frame rate, used where the file gives no times of its own.
     levels
         "srgb": decoded by the sRGB curve; "linear": proportional to light, as floats always are.
     light_at_white
@@ -51,9 +51,9 @@ class VideoParameters:
     floor
         Light of black, as a share of white.
     time_scale
-        How much faster than recorded it is shown.
+        Speed relative to the recording.
     loop
-        Whether it begins anew at its end; else the last frame stays.
+        True: the video starts again at its end; false: the last frame stays.
     """
 
     kind: ClassVar[str] = "video"
@@ -113,12 +113,12 @@ class Video(Scene):
 
     @property
     def motion_bound_px_s(self) -> float:
-        """Nobody knows how fast things move in a video."""
+        """Infinite: a video carries no motion bound."""
         return math.inf
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the depth of the frames costs."""
+        """Remarks for the user on false events from the bit depth of the frames."""
         levels = self._frames.levels
         if levels.dtype.kind == "f":
             return ()
@@ -157,7 +157,7 @@ class Video(Scene):
         self._kept.clear()
 
     def _around(self, t_ns: int) -> tuple[_Float32s, _Float32s, np.float32, float]:
-        """Return the log light of the frames around `t_ns`, how far between them it lies, and the seconds between."""
+        """Return log light of the frames around `t_ns`, the share of the way to the later one, and their gap in s."""
         t_ns = int(t_ns) % self._round_ns if self._p.loop else int(t_ns)
         times = self._times_ns
         k = bisect.bisect_right(times, t_ns) - 1
@@ -179,7 +179,7 @@ class Video(Scene):
 
 
 def _times_ns(frames: Frames, p: VideoParameters) -> list[int]:
-    """Return when each frame is shown, stream time."""
+    """Return the stream time at which each frame is shown."""
     scale = Fraction(repr(float(p.time_scale)))
     if frames.times_s is not None:
         return [int(Fraction(t) * 10**9 / scale) for t in frames.times_s]
@@ -201,7 +201,7 @@ def resampled(light: _Float32s, size: tuple[int, int]) -> _Float32s:
 
 
 def _shares(source: int, target: int) -> _Float32s:
-    """Return which share of each of `target` equal stretches each of `source` equal ones fills, (target, source)."""
+    """Return the share of each of `target` equal stretches that each of `source` equal ones fills, (target, source)."""
     if source < 1:
         raise SceneError("a frame has no pixels")
     edges = np.arange(target + 1) * (source / target)

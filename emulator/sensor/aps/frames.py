@@ -3,7 +3,17 @@
 A frame takes the settings of its start. The first one starts at the end of the step in which the host switched frames
 on, later ones an interval after the one before, or when that one is done. Switching frames off ends the present one.
 
-From light on active pixels to samples of the converter, with their noise.
+Timing of a frame:
+
+    global shutter    reset reads, line after line | exposure of all | signal reads, line after line
+    rolling shutter   reset and signal reads take turns; the signal read of a line comes as many turns after its reset
+                      read as make up the exposure, so an exposure is a multiple of the time of two lines, at least one
+
+A line is the result of one read of the chip: a column of the chip's frame, which is a row of the user's image where the
+chip is mounted turned, as it is in the hardware. Source of the order: one recording; see `row_kicks`.
+
+The exposure of each pixel is the integral over its light, on a straight line between two light frames. The converter
+makes samples from it, with their noise:
 
     reset read   R + n1                                   R: the reset level; n1, n2: half of the read noise each
     signal read  R - (electrons / e + pattern) + n2       electrons: Poisson; e: electrons per DN
@@ -11,17 +21,6 @@ From light on active pixels to samples of the converter, with their noise.
 Both are rounded and cut to 0..1023. Every random number is keyed by the pixel and the frame's start, so that a frame
 does not depend on the steps in which it was exposed. Photons: mean + sqrt(mean) z + (z^2 - 1) / 6, which has a Poisson
 number's first three moments but for its rounding.
-
-The light on each pixel while it is exposed: the integral over pictures, on a straight line between two.
-
-When what happens in a frame.
-
-    global shutter    reset reads, line after line | exposure of all | signal reads, line after line
-    rolling shutter   reset and signal reads take turns; the signal read of a line comes as many turns after its reset
-                      read as make up the exposure, so an exposure is a multiple of the time of two lines, at least one
-
-A line is what one read of the chip gives: a column of the chip's frame, which is a row of the user's picture where the
-chip lies turned, as it does in the hardware. Source of the order: one recording; see `parameters`.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ class Converter:
     size
         (width, height) of the array.
     by_column
-        Whether a line is a column of the user's picture; all arrays of lines are (lines, samples).
+        True: a line is a column of the user's image; all arrays of lines are (lines, samples).
     """
 
     def __init__(self, parameters: FrameParameters, seed: int, size: tuple[int, int], by_column: bool) -> None:
@@ -84,7 +83,7 @@ class Converter:
         return _converted(self._parameters.reset_dn + self._read_noise(Purpose.APS_RESET_NOISE, lines, samples, frame))
 
     def signal(self, light_ms: Floats, lines: slice, samples: slice, frame: int) -> Samples:
-        """Return the signal reads of a part that has seen `light_ms`, (lines, samples) float32."""
+        """Return the signal reads of a part after the exposure `light_ms`, (lines, samples) float32."""
         p = self._parameters
         brightness = light_ms * self._gain[lines, samples] * np.float32(p.sensitivity_dn_ms)
         if p.electrons_per_dn:
@@ -94,7 +93,7 @@ class Converter:
         return _converted(p.reset_dn - brightness + self._read_noise(Purpose.APS_SIGNAL_NOISE, lines, samples, frame))
 
     def _photons(self, brightness: Floats, z: Floats) -> Floats:
-        """Return brightness, DN, with its shot noise; what has no light has none."""
+        """Return brightness, DN, with its shot noise; zero without light."""
         e = np.float32(self._parameters.electrons_per_dn)
         mean = brightness * e
         electrons = mean + np.sqrt(mean) * z + np.where(mean > 0, (z * z - 1) / 6, 0)
@@ -181,7 +180,7 @@ class FrameTimes:
     Attributes
     ----------
     reset_ns, signal_ns
-        When the reads of each line begin; each takes `line_ns`.
+        Start of the reads of each line; each takes `line_ns`.
     open_ns, shut_ns
         Exposure of each line.
     """
@@ -209,7 +208,7 @@ class Schedule:
 
     @classmethod
     def of(cls, times: FrameTimes) -> Schedule:
-        """Return that of a frame; a line has its reading when its read is done, in whole us from then on."""
+        """Return the schedule of a frame; a line has its reading when its read is done, in whole us from then on."""
         lines = np.arange(len(times.reset_ns))
         records = (
             (LineKind.START, [times.start_ns], [0]),
@@ -227,7 +226,7 @@ class Schedule:
 
 
 def frame_times(start_ns: int, settings: FrameSettings, line_us: float) -> FrameTimes:
-    """Return when what happens in a frame that starts at `start_ns`."""
+    """Return the timing of a frame that starts at `start_ns`."""
     left, top, right, bottom = settings.roi
     shape = (bottom - top + 1, right - left + 1)
     lines, samples = shape[::-1] if settings.by_column else shape
@@ -350,16 +349,16 @@ class FrameSource:
     def read(self, frame: LightFrame, settings: tuple[int, ...]) -> Readings:
         """Move to the time of `frame` and return the lines that were read until then."""
         light, t_ns = frame.light, frame.t_ns
-        asked = FrameSettings.of(settings)
+        requested = FrameSettings.of(settings)
         records = np.zeros(0, self.record)
         self._begun = []
-        if not asked.run:
+        if not requested.run:
             self._frame = self._next_ns = None
             self._t_ns = t_ns
             return records
         if self._next_ns is None:
             self._next_ns = self._t_ns if self._before_ns == self._t_ns else t_ns
-        records = np.concatenate([records, *self._frames(light, t_ns, asked)])
+        records = np.concatenate([records, *self._frames(light, t_ns, requested)])
         self._before[:] = light
         self._report_reads(t_ns)
         self._t_ns = self._before_ns = t_ns
@@ -372,12 +371,12 @@ class FrameSource:
             t, line, signal = (np.concatenate([getattr(one, name) for one in parts]) for name in _READ)
             self._disturb(LineReads(t, line, signal, parts[-1].by_column))
 
-    def _frames(self, light: Light, t_ns: int, asked: FrameSettings) -> Iterator[Readings]:
+    def _frames(self, light: Light, t_ns: int, requested: FrameSettings) -> Iterator[Readings]:
         """Yield the readings of each frame until `t_ns`."""
         while self._frame is not None or (self._next_ns is not None and self._next_ns <= t_ns):
             if self._frame is None:
-                converter = self._converter(by_column=asked.by_column)
-                self._frame = _Frame(self._next_ns or 0, asked, converter, self._parameters.line_us)
+                converter = self._converter(by_column=requested.by_column)
+                self._frame = _Frame(self._next_ns or 0, requested, converter, self._parameters.line_us)
             frame = self._frame
             self._begun.append(frame)
             if self._before_ns == self._t_ns:

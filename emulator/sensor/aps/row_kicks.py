@@ -1,26 +1,25 @@
-"""Reading a line of active pixels disturbs its event pixels: something is added to their signal for a moment.
+"""Row kicks: reading a line of active pixels disturbs its event pixels for a moment; and the rig table of frames.
 
-A pixel whose level comes within that of its ON threshold fires then, instead of later: the rest of its course is as if
-it had crossed the threshold by itself. So every leak event of a still pixel comes at a read, and events of a rising
-light come in bursts at the reads of their line, with fewer after them.
+A read adds a small value to the signal of the line's event pixels. A pixel whose level is within this value of its ON
+threshold fires then, instead of later: afterwards it behaves as if it had crossed the threshold by itself. So every
+leak event of a still pixel comes at a read, and events of a rising light come in bursts at the reads of their line,
+with fewer after them.
 
 Source: one recording of a DAVIS346 (2.36 s, 59 frames). In still pixels 373 of 376 events lie within 22 us of a read of
-their own row, 302 at signal and 74 at reset reads; 10.4 % of all ON events within 20 us. They begin some 18 us before
-their median and decay over about 36 us: here an exponential delay. What is added is 0.10 of the ON threshold; that of
+their own row, 302 at signal and 74 at reset reads; 10.4 % of all ON events within 20 us. They begin about 18 us before
+their median and decay over about 36 us: here an exponential delay. The added value is 0.10 of the ON threshold; that of
 signal reads is a little larger in most pixels, because in stillness the larger one always comes first.
 
 Levels at a read lie on the straight line between those at both ends of the step.
 
-The figures of a DAVIS346's frames, as a table of a rig.
-
-DN are units of the 10-bit converter. Where the defaults come from:
+Sources of the defaults of `FrameParameters`; DN are units of the 10-bit converter:
 
     line time, order of reads      one recording: rows read 35.25 us apart, 260 of them before and after the exposure
     noise of pixels, total         the same: 1.7 of 255 at middle level, here 2 DN of reading and the rest of photons
     noise of columns and rows      the same: 0.42 and 0.10 of 255
     fixed pattern of columns       the same: 2.2 of 255, mostly of period 2
     sensitivity, reset level, gain spread   estimate: a rig's own
-    row kicks                      the same: see `row_kicks`
+    row kicks                      the same: see above
 """
 
 from __future__ import annotations
@@ -41,12 +40,12 @@ __all__ = ["FrameParameters", "KickParameters", "LineReads", "RowKicks"]
 
 @dataclass(frozen=True, slots=True)
 class KickParameters:
-    """How the read of a line disturbs the event pixels of that line: something is added to their signal for a moment.
+    """Disturbance of the event pixels of a line by its read: a value is added to their signal for a moment.
 
     Attributes
     ----------
     share : of the ON threshold that is added; 0: frames do not disturb events.
-    signal_excess : by how much that of signal reads is larger than that of reset reads, as a share of `share`.
+    signal_excess : excess of the value of signal reads over that of reset reads, as a share of `share`.
     spread : between pixels and reads, standard deviation, as a share of `share`.
     delay_us : mean time from the read to the events, exponential.
     """
@@ -78,7 +77,7 @@ class FrameParameters:
     column_fixed_dn : fixed offset of each column beside that, rms, DN.
     gain_spread : between pixels, rms, as a share.
     line_us : time to read a line of 346 samples; shorter lines take less.
-    kicks : how reading disturbs events.
+    kicks : disturbance of events by reading.
     """
 
     sensitivity_dn_ms: float = 100.0
@@ -111,7 +110,7 @@ _RESET, _SIGNAL = 0, 1
 
 @dataclass(frozen=True)
 class LineReads:
-    """Reads that begin in a step: times (n,) ns, lines (n,) of the user's picture, whether of the signal (n,)."""
+    """Reads that begin in a step: times (n,) ns, lines (n,) of the user's image, True for signal reads (n,)."""
 
     t_ns: _Int64s
     line: _Int64s
@@ -139,7 +138,7 @@ class LineReads:
 
 @dataclass(frozen=True)
 class _Before:
-    """The pixels that are read in a step, when, and their levels at its start."""
+    """The pixels that are read in a step, the times of their reads, and their levels at its start."""
 
     pixel: _Int64s
     t_ns: _Int64s
@@ -165,7 +164,7 @@ class RowKicks:
         self._place = np.full(len(pixels), -1, np.int64)
 
     def begin(self, reads: LineReads) -> list[_Before]:
-        """Take note of the levels at a step's start of all pixels that are read in it."""
+        """Store the levels at a step's start of all pixels that are read in it."""
         groups = []
         for kind in (_RESET, _SIGNAL):
             own = reads.only(signal=kind == _SIGNAL)
@@ -176,7 +175,7 @@ class RowKicks:
         return groups
 
     def end(self, groups: list[_Before], crossings: Crossings, t0_ns: int, t1_ns: int) -> Crossings:
-        """Return a step's crossings with what the reads made of them; some events may come in a later step."""
+        """Return a step's crossings with the effect of the reads; some events may come in a later step."""
         for group in groups:
             crossings = self._kicked(group, crossings, t0_ns, t1_ns)
         if not len(self._late) and not groups:
@@ -211,7 +210,7 @@ class RowKicks:
     def _moved_or_added(
         self, group: _Before, fired: _Int64s, crossings: Crossings, later: tuple[_Int64s, _Int64s]
     ) -> Crossings:
-        """Let the pixels `fired` of a group fire: instead of their next event in the step, if that is an ON event."""
+        """Fire the pixels `fired` of a group: instead of their next event in the step, if that is an ON event."""
         places, first = np.unique(later[1], return_index=True)
         following = np.full(len(group.pixel), -1, np.int64)
         following[places] = later[0][first]

@@ -1,15 +1,14 @@
-"""Defective pixels: hot ones, whose leak has its own rate, and dead ones, which no light fires.
+"""Defective pixels, leak that changes while the array runs, and the effect of the chip's temperature.
 
-Both are drawn by key from a share, or listed in the rig. A dose of radiation makes more pixels hot: each has a dose at
-which it turns, drawn from an exponential law, so a hot pixel stays hot, and a higher share or dose only adds pixels.
+Defects are hot pixels, whose leak has its own rate, and dead ones, which no light fires. Both are drawn by key from a
+share, or listed in the rig. A dose of radiation makes more pixels hot: each has a dose at which it turns, drawn from an
+exponential law, so a hot pixel stays hot, and a higher share or dose only adds pixels.
 
-Leak that changes while the array runs: pixels that a dose turns hot, and jitter between stretches of time.
+Leak changes when a dose turns pixels hot, and by jitter. The leak of a pixel is constant over each stretch of 2^33 ns
+(8.6 s, the epochs of `array`): the pixel's usual leak times 1 + share times a keyed normal number, never below 0. It
+changes at fixed stream times, which `Sensor` makes the ends of steps, so the result does not depend on the steps.
 
-The leak of a pixel is constant over each stretch of 2^33 ns (8.6 s, the epochs of `array`): the pixel's usual leak
-times 1 + share times a keyed normal number, never below 0. It changes at fixed stream times, which `Sensor` makes the
-ends of steps, so the result does not depend on the steps.
-
-Effect of the chip's temperature on a sensor's figures: leak and dark current double every so many kelvin.
+Temperature: leak and dark current double every so many kelvin.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ __all__ = ["LEAST_DARK", "MOST_DARK", "MOST_HZ", "NEVER_NS", "Defects", "Leaks",
 
 
 _DAY_NS = 86_400 * 10**9
-_NEVER_NS = (1 << 63) - 1
+NEVER_NS = (1 << 63) - 1
 
 _Int64s = npt.NDArray[np.int64]
 _Floats = npt.NDArray[np.float64]
@@ -57,14 +56,14 @@ class Defects:
 
 
 def _turning_ns(p: SensorParameters, seed: int, pixel: _Int64s) -> _Int64s:
-    """Return when each pixel turns hot: -1 if it always is, _NEVER_NS if it never is."""
-    turns = np.full(pixel.size, _NEVER_NS, np.int64)
+    """Return the time at which each pixel turns hot: -1 if it always is, NEVER_NS if it never is."""
+    turns = np.full(pixel.size, NEVER_NS, np.int64)
     radiation = p.radiation
     if radiation.hot_share_per_krad and (radiation.dose_krad or radiation.dose_krad_per_day):
         dose_krad = -np.log(uniform(seed, Purpose.DOSE, pixel)) / radiation.hot_share_per_krad
         if radiation.dose_krad_per_day:
             days = (dose_krad - radiation.dose_krad) / radiation.dose_krad_per_day
-            soon = days * _DAY_NS < _NEVER_NS / 2
+            soon = days * _DAY_NS < NEVER_NS / 2
             turns[soon] = np.ceil(days[soon] * _DAY_NS).astype(np.int64)
         turns[dose_krad <= radiation.dose_krad] = -1
     hot = uniform(seed, Purpose.HOT, pixel) < p.defects.hot_share
@@ -83,13 +82,12 @@ def draw_defects(p: SensorParameters, seed: int) -> Defects:
     dead = uniform(seed, Purpose.DEAD, pixel) < p.defects.dead_share
     dead[_places(p, p.defects.dead_pixels)] = True
     turns = _turning_ns(p, seed, pixel)
-    hot = np.flatnonzero((turns < _NEVER_NS) & ~dead)
+    hot = np.flatnonzero((turns < NEVER_NS) & ~dead)
     hot = hot[np.argsort(turns[hot], kind="stable")]
     hot_hz = p.defects.hot_hz * np.exp(p.defects.hot_spread * normal(seed, Purpose.HOT_RATE, hot))
     return Defects(np.flatnonzero(dead), hot, hot_hz, turns[hot])
 
 
-NEVER_NS = (1 << 63) - 1
 _STRETCH_BITS = 33
 
 
@@ -120,7 +118,7 @@ class Leaks:
         self.next_ns = NEVER_NS
 
     def follow(self, t_ns: int) -> None:
-        """Set the leak that holds from `t_ns`, the array's time, until `next_ns`."""
+        """Set the leak that is valid from `t_ns`, the array's time, until `next_ns`."""
         d, hz = self._defects, self._usual_hz.copy()
         turned = int(np.searchsorted(d.hot_from_ns, t_ns, side="right"))
         hz[d.hot[:turned]] = d.hot_hz[:turned]
@@ -141,7 +139,7 @@ LEAST_DARK, MOST_DARK = 1e-30, 1e6
 
 
 def at_temperature(p: SensorParameters) -> SensorParameters:
-    """Return the sensor's figures at `temperature.celsius`, from those at the reference temperature.
+    """Return the sensor's parameters at `temperature.celsius`, from those at the reference temperature.
 
     Hot pixels leak through a junction too, so their rate follows the leak's.
 

@@ -1,4 +1,4 @@
-"""The arbiter as read-out: it turns requests of pixels into events on the output bus.
+"""The arbiter as read-out, which turns requests of pixels into events on the output bus; and the jitter of events.
 
 A pixel that fires raises a request until the arbiter serves it. A crossing of a pixel whose request still waits is
 lost, and counted. Whenever the arbiter is free and a request waits, it takes three steps:
@@ -17,11 +17,10 @@ the refractory period.
 
 The cost is linear in the events: requests and rows are bit maps, 64 to a word, without sorting or searching by event.
 
-Jitter of events: a keyed delay for each event of each pixel, which preserves the order of a pixel's events.
-
-Event number k of a pixel (counted since the reset) is delayed by a log-normal time of the given mean and deviation,
-keyed by pixel and k; it leaves at least 1 ns after event k - 1. Events that leave after the step stay pending. So the
-result depends on the crossings alone, not on their division into steps.
+Jitter is a keyed delay for each event of each pixel, which preserves the order of a pixel's events. Event number k of a
+pixel (counted since the reset) is delayed by a log-normal time of the given mean and deviation, keyed by pixel and k;
+it leaves at least 1 ns after event k - 1. Events that leave after the step stay pending. So the result depends on the
+crossings alone, not on their division into steps.
 """
 
 from __future__ import annotations
@@ -140,7 +139,7 @@ def _next_row(rows: _Words, last: int, height: int) -> int:
 
 @kernel
 def _latch(maps: _Maps, row: int) -> tuple[int, int]:
-    """Take all requests of a row: return how many and the first word. One request, the usual case, has a known word."""
+    """Take all requests of a row: return their number and the first word. For one request, the word is known."""
     n = maps.counts[row]
     first, beyond = (maps.words[row], maps.words[row] + 1) if n == 1 else (0, maps.latched.size)
     for k in range(first, beyond):
@@ -410,5 +409,5 @@ class Jitter:
         return unpacked(keys, window.t0_ns, self._pixel_bits)
 
     def last_ns(self) -> int:
-        """Return when the last waiting event leaves; the present time if none waits."""
+        """Return the time at which the last waiting event leaves; the present time if none waits."""
         return int(self._pending.t_ns[: self.waiting].max(initial=self._t_ns))

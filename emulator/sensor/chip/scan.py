@@ -1,14 +1,15 @@
-"""The read-out of a scanned sensor: it looks at one column after another, over and over.
+"""The read-out of a scanned sensor, which reads one column after another, over and over.
 
-A pixel that fires keeps a request until its column is looked at, which sends it; a crossing of a pixel whose request
-still waits is lost, and counted. So a pixel sends at most one event a scan, at the time at which its column is looked
-at, and the time within a scan sweeps over the columns.
+A pixel that fires holds a request until its column is read, which sends it; a crossing of a pixel whose request still
+waits is lost, and counted. So a pixel sends at most one event a scan, at the time at which its column is read, and the
+time within a scan sweeps over the columns.
 
 A column takes 1 / width of the scan, or the time of its events on the bus where these are longer: scans become slower
-under load. Scans follow each other without a pause from stream time 0 on. A look at time T finds the requests raised up
+under load. Scans follow each other without a pause from stream time 0 on. A read at time T finds the requests raised up
 to and including T only, so the result does not depend on how crossings are divided over calls of `push`.
 
-Not modelled: a real comparator is read only at the look, and an excursion that is over by then is not seen. Here it is.
+Not modelled: a real comparator is sampled only at the read, and an excursion that is over by then is lost. Here it is
+sent.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def _idle(scan: _Scan, until_ns: int, timing: _Timing) -> _Scan:
 
 @kernel
 def _look(scan: _Scan, maps: _Maps, timing: _Timing, out: Events, n: int) -> tuple[int, int]:
-    """Send the requests of a column, into `out` from n on; return the new n and how long it takes, ps."""
+    """Send the requests of a column, into `out` from n on; return the new n and the time that this takes, ps."""
     requests, counts = maps
     column, t_ns = scan.column, scan.t_ns
     sent = counts[column]

@@ -1,23 +1,19 @@
-"""Background activity as it was counted on a recording: events at a constant rate, some in pairs, some pixels hot.
+"""Sources of random events beside the pixels: background activity, and particles that cross the chip.
 
-Each pixel has a rate of its own, drawn once: log-normal around the mean, or that of a hot pixel. Primaries are drawn by
-slots of stream time, their pixel in proportion to its rate; a primary is followed by an event of the other polarity
-with a probability of its pixel, after an exponential time. Events do not depend on the light, and leave the pixel's
-level alone.
+Events are drawn by slots of stream time and released step by step. The draws of a slot of 1024 us depend on the slot
+and the seed alone. An event may lie after its slot (the second of a pair, the OFF event after a particle), so drawn
+events stay pending until a step reaches them. The pixel's own level does not change.
 
-Random events that are drawn by slots of stream time and released step by step, such as those of particles.
+Background activity, as counted in a recording, has a constant rate, some events in pairs, some pixels hot. Each pixel
+has a rate of its own, drawn once: log-normal around the mean, or that of a hot pixel. Primaries are drawn with their
+pixel in proportion to its rate; a primary is followed by an event of the other polarity with a probability of its
+pixel, after an exponential time. Events do not depend on the light.
 
-The draws of a slot of 1024 us depend on the slot and the seed alone. An event may lie after its slot (the second of a
-pair, the OFF event after a particle), so drawn events stay pending until a step reaches them.
-
-Particles that cross the chip: straight tracks of events, at a rate per area and time.
-
-A particle meets the chip anywhere, at any time (a Poisson process, drawn by slots). Its direction is that of isotropic
-flux through a plane: the square of the cosine to the normal is uniform, the azimuth too. While it crosses the sensitive
-layer it moves sideways by depth times the tangent; each pixel under that line raises an ON event at that moment,
-because charge looks like light, and some raise an OFF event when the charge has drained, after an exponential time.
-
-The pixel's own level is left alone. Pixels that a dose turns hot are in `defects`.
+Particles give straight tracks of events, at a rate per area and time. A particle meets the chip anywhere, at any time
+(a Poisson process). Its direction is that of isotropic flux through a plane: the square of the cosine to the normal is
+uniform, the azimuth too. While it crosses the sensitive layer it moves sideways by depth times the tangent; each pixel
+under that line raises an ON event at that moment, because charge acts like light, and some raise an OFF event when the
+charge has drained, after an exponential time. Pixels that a dose turns hot are in `defects`.
 """
 
 from __future__ import annotations
@@ -164,7 +160,7 @@ def primaries_hz(p: SensorParameters, seed: int) -> tuple[_Floats, _Floats]:
 
 
 @kernel_that_allocates
-def _draw_slot(
+def _draw_background(
     slot: int, c: _Constants, below: _Floats, pair: _Floats, pending: Pending, n: int
 ) -> tuple[Pending, int]:
     """Add the events that begin in a slot to `pending` from n on; `below` are sums of rates up to each pixel."""
@@ -193,7 +189,7 @@ def _advance(
 ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
     """Draw the slots up to t1; return the events pending after t1, and the packed events before it, unsorted."""
     for slot in range(window.slot, -(-window.t1_ns // SLOT_NS)):
-        pending, n = _draw_slot(slot, c, below, pair, pending, n)
+        pending, n = _draw_background(slot, c, below, pair, pending, n)
     keys = np.empty(n + 1, np.uint64)
     found, remaining = release(window, pending, n, keys)
     return pending, remaining, keys[:found]
@@ -276,7 +272,7 @@ def _until_next(at: float, along: float) -> tuple[float, float]:
 
 @kernel
 def path(track: _Track, width: int, height: int, pixel: npt.NDArray[np.int64]) -> int:
-    """Write the pixels under a track into `pixel`, (width + height + 2,) int64, in order; return how many.
+    """Write the pixels under a track into `pixel`, (width + height + 2,) int64, in order; return their number.
 
     From pixel to pixel across the nearest border (Amanatides and Woo, 1987), until the track or the chip ends.
     """
@@ -312,7 +308,7 @@ def _track(base: np.uint64, chip: _Chip) -> _Track:
 
 
 @kernel
-def _strike(base: np.uint64, t_ns: int, pixel: npt.NDArray[np.int64], chip: _Chip, pending: Pending, n: int) -> int:
+def _add_track(base: np.uint64, t_ns: int, pixel: npt.NDArray[np.int64], chip: _Chip, pending: Pending, n: int) -> int:
     """Add the events of a track's pixels to `pending` from n on; return the new n."""
     for k in range(pixel.size):
         bits, key = word(base, _PIXELS + k), np.uint64(pixel[k]) << _ONE
@@ -326,7 +322,7 @@ def _strike(base: np.uint64, t_ns: int, pixel: npt.NDArray[np.int64], chip: _Chi
 
 
 @kernel_that_allocates
-def _draw_slot_radiation(
+def _draw_particles(
     slot: int, chip: _Chip, pixel: npt.NDArray[np.int64], dead: npt.NDArray[np.bool_], pending: Pending, n: int
 ) -> tuple[Pending, int]:
     """Add the particles of a slot to `pending` from n on."""
@@ -342,12 +338,12 @@ def _draw_slot_radiation(
             pixel[alive] = pixel[j]
             alive += not dead[pixel[j]]
         pending = reserve(pending, n, 2 * alive)
-        n = _strike(base, slot * SLOT_NS + int(t * SLOT_NS), pixel[:alive], chip, pending, n)
+        n = _add_track(base, slot * SLOT_NS + int(t * SLOT_NS), pixel[:alive], chip, pending, n)
         k += 1
 
 
 @cached_entry
-def _advance_radiation(
+def _advance_particles(
     window: Window,
     chip: _Chip,
     dead: npt.NDArray[np.bool_],
@@ -357,7 +353,7 @@ def _advance_radiation(
     """Draw the slots up to t1; return the events pending after t1, and the packed events before it, unsorted."""
     pixel = np.empty(chip.width + chip.height + 2, np.int64)
     for slot in range(window.slot, -(-window.t1_ns // SLOT_NS)):
-        pending, n = _draw_slot_radiation(slot, chip, pixel, dead, pending, n)
+        pending, n = _draw_particles(slot, chip, pixel, dead, pending, n)
     keys = np.empty(n + 1, np.uint64)
     found, remaining = release(window, pending, n, keys)
     return pending, remaining, keys[:found]
@@ -394,7 +390,7 @@ class Particles(SlottedEvents):
     def _advance(
         self, window: Window, light: npt.NDArray[np.float32], pending: Pending, known: int
     ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
-        result: tuple[Pending, int, npt.NDArray[np.uint64]] = _advance_radiation(
+        result: tuple[Pending, int, npt.NDArray[np.uint64]] = _advance_particles(
             window, self._chip, self._dead, pending, known
         )
         return result

@@ -1,1 +1,1 @@
-"""The inertial measurement unit beside the sensor: what its elements feel, with their errors."""
+"""The inertial measurement unit beside the sensor: the motion of its elements, with their errors."""

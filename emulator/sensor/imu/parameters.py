@@ -1,4 +1,4 @@
-"""The [camera.imu] table of a rig: an IMU as its data sheet describes it, and the gravity that it feels.
+"""The [camera.imu] table of a rig: an IMU as its data sheet describes it, and the gravity that acts on it.
 
 Defaults, with their sources:
 
@@ -32,11 +32,11 @@ class ImuParameters:
     unit
         "mpu_9250", also for the MPU-6500 of a DAVIS346, or "mpu_6050": its filters and its thermometer.
     q_camera_from_imu
-        How it is turned against the camera (x right, y down, z along the boresight): unit quaternion, scalar first.
+        Rotation against the camera (x right, y down, z along the boresight): unit quaternion, scalar first.
     gravity_m_s2
         Gravity in the world, the same everywhere. Without it, and without `gm_m3_s2`: that of the Moon above a terrain,
-        straight down in -z; that of the body that a path of kind "orbit" goes round; that of the Earth, straight down
-        in the picture, where the camera has no path; else none.
+        straight down in -z; that of the central body of a path of kind "orbit"; that of the Earth, straight down in the
+        image, where the camera has no path; else none.
     gm_m3_s2
         Above 0: gravity of a point mass at the world's origin instead.
     gyroscope_noise_deg_s, accelerometer_noise_ug
@@ -44,13 +44,13 @@ class ImuParameters:
     gyroscope_walk_deg_s, accelerometer_walk_g
         Random walk of the bias, a root of second.
     gyroscope_bias_deg_s, accelerometer_bias_g
-        Bias at the start; without it one is drawn, by the seed, with the spread below.
+        Bias at the start; without it one is drawn from the seed, with the spread below.
     gyroscope_bias_spread_deg_s, accelerometer_bias_spread_g
         Standard deviation of the biases drawn.
     temperature_c
         Temperature of the unit.
     clock_ppm
-        How much its own clock runs too fast.
+        Rate error of its own clock, positive when it runs too fast.
     """
 
     unit: Literal["mpu_9250", "mpu_6050"] = "mpu_9250"

@@ -1,13 +1,22 @@
-"""Samples of an IMU on a camera's path, by its own clock.
+"""Samples of an IMU on a camera's path: motion and gravity, errors, filters and counts.
+
+The elements measure
 
     specific force    R^T (a - g)      R: world_from_imu, a: acceleration of the path, g: gravity at its place
     angular rate      along the unit's axes
 
-Sample k is taken at k periods of stream time, 1 ms on the unit's own clock. Where the scene's time goes faster than
-stream time by a factor, rates are faster by it and accelerations, gravity's too, by its square: it is the same motion,
-seen in fast motion, and free fall stays free.
+with a gravity that is the same everywhere, or that of a point mass at the origin. Sample k is taken at k periods of
+stream time, 1 ms on the unit's own clock. Where the scene's time runs faster than stream time by a factor, rates are
+faster by it and accelerations, gravity's too, by its square: it is the same motion, faster, and free fall stays free. A
+record of motion, before filter and converter, is IMU_MOTION:
 
-Errors of an IMU's elements: bias, its random walk, and white noise, before any filter.
+    t            u64     stream time, us
+    index        u64     number of the sample since time zero, at the unit's own rate of about 1 kHz
+    force        3 f64   specific force along x, y, z of the unit, m/s2: acceleration less gravity, so zero in free fall
+    rate         3 f64   angular rate about them, rad/s
+    temperature  f64     degrees Celsius
+
+Errors are bias, its random walk, and white noise, before any filter:
 
     error of sample k = bias + walk of the first k periods + noise / sqrt(2 period) * normal(k)
 
@@ -15,27 +24,15 @@ A one-sided noise density n makes white samples of variance n^2 / (2 period); be
 variance is n^2 B, and the Allan deviation of the unfiltered samples is n / sqrt(2 tau). All draws are keyed by (seed,
 purpose, axis, sample), so a sample does not depend on the time or the batch of its request.
 
-The record of what the elements of an IMU feel, before its filter and its converter.
-
-t            u64     stream time, us
-index        u64     number of the sample since time zero, at the unit's own rate of about 1 kHz
-force        3 f64   specific force along x, y, z of the unit, m/s2: acceleration less gravity, so zero in free fall
-rate         3 f64   angular rate about them, rad/s
-temperature  f64     degrees Celsius
-
-Gravity at a place of the world: the same everywhere, or that of a point mass at the origin.
-
-From the elements of an IMU to the counts of its converters, with the settings of the host's registers.
+The converter makes counts, with the settings of the host's registers:
 
     motion at 1 kHz -> low-pass -> every n-th sample -> rounded to whole counts, cut at 16 bits
 
 The low-pass is Butterworth's with two poles; the data sheet gives only bandwidths and delays. With the drivers' default
 white noise gets a correlation from sample to sample of 0.72 for the gyroscope and 0.65 for the accelerometer; a real
 DAVIS346 had 0.72 and 0.52. Its delay at low frequencies is 1.2 ms at 184 Hz; the data sheet gives 2.9 ms, so a part of
-the real delay is left out. Settings act from the next sample on; a filter that is changed or switched on starts
+the real delay is left out. Settings apply from the next sample on; a filter that is changed or switched on starts
 settled.
-
-IMU samples of a run, step by step, with the settings of the camera's registers.
 """
 
 from __future__ import annotations
@@ -107,29 +104,29 @@ class ElementErrors:
         self._step = errors.walk * np.sqrt(period_s)
         drawn = errors.spread * normal(seed, Purpose.IMU_BIAS, np.arange(AXES))
         self.bias = np.where(np.isnan(errors.bias), drawn, errors.bias)
-        self._walked = 0, np.zeros(AXES)  # number of steps, and their sum
+        self._bias_sum = 0, np.zeros(AXES)  # number of steps, and their sum
 
     def at(self, first: int, count: int) -> Floats:
         """Return the errors of samples `first` to `first + count - 1`, (count, 6)."""
         index = np.arange(first, first + count)[:, None]
         white = self._deviation * normal(self._seed, Purpose.IMU_NOISE, np.arange(AXES), index)
-        return np.asarray(self.bias + self._walk(first, count) + white)
+        return np.asarray(self.bias + self._bias_walk(first, count) + white)
 
-    def _walk(self, first: int, count: int) -> Floats:
+    def _bias_walk(self, first: int, count: int) -> Floats:
         """Return the walks after `first`, `first + 1`, ... steps, (count, 6)."""
         if not self._step.any() or not count:
             return np.zeros((count, AXES))
-        known, total = self._walked if self._walked[0] <= first else (0, np.zeros(AXES))
+        known, total = self._bias_sum if self._bias_sum[0] <= first else (0, np.zeros(AXES))
         while known < first:
             upto = min(first, known + _BLOCK)
             total = self._summed(total, known, upto)[-1]
             known = upto
         walks = self._summed(total, first, first + count - 1)
-        self._walked = first + count - 1, walks[-1]
+        self._bias_sum = first + count - 1, walks[-1]
         return walks
 
     def _summed(self, total: Floats, first: int, last: int) -> Floats:
-        """Return the sums after `first` to `last` steps, the first being `total`; one by one: no batch shows."""
+        """Return the sums after `first` to `last` steps, the first being `total`; added one by one."""
         return np.cumsum(np.concatenate([total[None], self._steps(first, last)]), axis=0)
 
     def _steps(self, first: int, last: int) -> Floats:
@@ -179,7 +176,7 @@ WEIGHTLESS = Gravity()
 MOON_BELOW = Gravity(np.array([0.0, 0.0, -1.62]))
 """The Moon's mean surface gravity, in a world with z up."""
 EARTH_IN_THE_PICTURE = Gravity(np.array([0.0, STANDARD_GRAVITY_M_S2, 0.0]))
-"""1 g downwards in the picture of a camera at rest with the world's axes."""
+"""1 g downwards in the image of a camera at rest with the world's axes."""
 
 
 _PERIOD_NS = 1_000_000
@@ -187,7 +184,7 @@ _PERIOD_NS = 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class Carried:
-    """How the unit is carried: the camera's path, its time, and the gravity along it."""
+    """Motion of the unit: the camera's path, its time, and the gravity along it."""
 
     path: Trajectory
     gravity: Gravity
@@ -209,7 +206,7 @@ class ImuUnit:
         first, last = self._samples_until(t0_ns), self._samples_until(t1_ns)
         motion = no_motion(last - first)
         for k in range(first, last):
-            self._feel(self._time_ns(k), motion[k - first : k - first + 1])
+            self._sense(self._time_ns(k), motion[k - first : k - first + 1])
         errors = self._errors.at(first, last - first)
         motion["force"] += errors[:, :3]
         motion["rate"] += errors[:, 3:]
@@ -218,7 +215,7 @@ class ImuUnit:
         return motion
 
     def _samples_until(self, t_ns: int) -> int:
-        """Return how many samples are taken up to `t_ns`; the first one at time zero is not."""
+        """Return the number of samples up to `t_ns`, without the first one at time zero."""
         count = int(t_ns / self._period_ns)
         while self._time_ns(count + 1) <= t_ns:
             count += 1
@@ -229,7 +226,7 @@ class ImuUnit:
     def _time_ns(self, index: int) -> int:
         return round(index * self._period_ns)
 
-    def _feel(self, t_ns: int, out: ImuMotion) -> None:
+    def _sense(self, t_ns: int, out: ImuMotion) -> None:
         carried = self._carried
         scene_ns, factor = carried.time.scene_ns(t_ns), carried.time.factor
         pose, motion = carried.path.pose_and_motion(scene_ns)
@@ -270,7 +267,7 @@ class Converter:
         self._filter = None
 
     def samples(self, motion: ImuMotion, settings: ImuSettings) -> ImuSamples:
-        """Return the samples that `motion`, (n,) IMU_MOTION in order, leads to, (m <= n,) IMU_SAMPLE."""
+        """Return the samples of `motion`, (n,) IMU_MOTION in order: (m <= n,) IMU_SAMPLE."""
         samples = no_samples(len(motion))
         taken = np.zeros(len(motion), np.bool_)
         for k, one in enumerate(motion):
@@ -288,7 +285,7 @@ class Converter:
 
 
 def _counts(felt: Floats, temperature_c: float, settings: ImuSettings) -> npt.NDArray[np.int16]:
-    """Return the seven counts: accelerometer, temperature, gyroscope; 0 for what does not run."""
+    """Return the seven counts: accelerometer, temperature, gyroscope; 0 for elements that are off."""
     scale, (per_degree, offset_c) = ImuScale.parse(settings.scale), THERMOMETERS[settings.unit]
     there = [scale.accelerometer] * 3 + [scale.temperature] + [scale.gyroscope] * 3
     counts = np.concatenate(
@@ -302,7 +299,9 @@ def _counts(felt: Floats, temperature_c: float, settings: ImuSettings) -> npt.ND
 
 
 class _LowPass:
-    """A Butterworth low-pass of two poles for six signals at 1 kHz, settled at `start`; from half the rate on, nothing.
+    """A Butterworth low-pass of two poles for six signals at 1 kHz, settled at `start`.
+
+    From half the rate on it has no effect.
 
     Source: the bilinear transform with the corner kept (Oppenheim and Schafer, Discrete-Time Signal Processing, 7.1).
     """
@@ -318,7 +317,7 @@ class _LowPass:
         self._s1 = (self._twice * b - a1) * start + self._s2
 
     def step(self, x: Floats) -> Floats:
-        """Return what comes out as `x`, (6,), goes in."""
+        """Return the output for the input `x`, (6,)."""
         y = self._b * x + self._s1
         self._s1 = self._twice * self._b * x - self._a1 * y + self._s2
         self._s2 = self._once * self._b * x - self._a2 * y
@@ -326,7 +325,7 @@ class _LowPass:
 
 
 def _coefficients(bandwidth_hz: float) -> tuple[float, float, float]:
-    """Return b0 (b1 = 2 b0, b2 = b0), a1 and a2; (1, 0, 0) for what the rate cannot limit."""
+    """Return b0 (b1 = 2 b0, b2 = b0), a1 and a2; (1, 0, 0) for a bandwidth beyond half the rate."""
     if bandwidth_hz >= _RATE_HZ / 2:
         return 1.0, 0.0, 0.0
     k = math.tan(math.pi * bandwidth_hz / _RATE_HZ)

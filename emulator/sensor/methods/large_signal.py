@@ -1,27 +1,23 @@
 """Pixels whose photoreceptor is a circuit with large signals: off unless a rig selects it.
 
-Arithmetic is float64. Between two frames log light is a cubic, or a straight line without
-derivatives, as there. The circuit is solved pixel by pixel with steps of its own, each as long as an error of
-`_TOLERANCE` allows; between their ends the comparator's signal is the cubic through values and derivatives. A pixel at
-rest in light that does not change is not solved at all.
-
-The photoreceptor's circuit in large-signal form, and one step of its solution.
-
 In units of the thermal voltage, p is the photodiode's node above its rest, y the output, u = ln i the photocurrent. The
-feedback transistor carries e^(y - p); the amplifier has a bias current that limits how fast its output can rise, and a
-capacitance couples its output to the photodiode. Behind it lies the source follower w:
+feedback transistor carries e^(y - p); the amplifier has a bias current that limits the rise of its output, and a
+capacitance couples its output to the photodiode. The source follower w comes behind it:
 
     dp/dt = a (e^(y - p) - i) + dy/dt        a    = 2 pi corner_hz_at_reference
     dy/dt = b (1 - e^p)                      b    = 2 pi corner_max_hz
     dw/dt = c (y - w)                        c    = 2 pi source_follower_hz
 
 For small signals that is y'' + (a i + b) y' + a i b (y - u) = 0: two poles, at a i and at b, of which the slower one is
-that of the one-pole model. For large ones the output rises by at most b a second, and falls as slowly as the little
-light that is left allows. The circuit and its large-signal form: Graca and Delbruck, arXiv 2505.07386; here with ideal
-transistors, and with the coupling at which the circuit does not ring, not with their fitted figures.
+that of the one-pole model. For large ones the output rises by at most b a second, and falls as slowly as the remaining
+light allows. The circuit and its large-signal form: Graca and Delbruck, arXiv 2505.07386; here with ideal transistors,
+and with the coupling at which the circuit does not ring, not with their fitted parameters.
 
-One step is Shampine's Rosenbrock method of order 4 with an error estimate of order 3 (Hairer and Wanner, Solving ODEs
-II, IV.7), with the exact Jacobian: it stays stable however stiff the circuit is.
+Arithmetic is float64. Between two frames log light is a cubic, or a straight line without derivatives. The circuit is
+solved pixel by pixel with steps of its own, each as long as an error of `_TOLERANCE` allows; between their ends the
+comparator's signal is the cubic through values and derivatives. A pixel at rest in light that does not change is not
+solved at all. One step is Shampine's Rosenbrock method of order 4 with an error estimate of order 3 (Hairer and Wanner,
+Solving ODEs II, IV.7), with the exact Jacobian: it stays stable however stiff the circuit is.
 """
 
 from __future__ import annotations
@@ -203,7 +199,7 @@ def _extrema(piece: _Piece) -> tuple[float, float]:
 
 @kernel
 def _meet(piece: _Piece, level: float, low: float, high: float) -> float:
-    """Return where the signal, monotone from `low` to `high`, meets a level, by bisection."""
+    """Return the share at which the signal, monotone from `low` to `high`, meets a level, by bisection."""
     rising = _signal(piece, high) > _signal(piece, low)
     for _ in range(45):
         middle = 0.5 * (low + high)
@@ -234,7 +230,7 @@ def _next(piece: _Piece, after: float, up: float, down: float) -> tuple[float, i
 
 @kernel
 def _pass_over(piece: _Piece, z: float, reference: float, thresholds: tuple[float, float]) -> tuple[float, int]:
-    """Return the reference after all crossings of a substep from share z on, and how many they are."""
+    """Return the reference after all crossings of a substep from share z on, and their number."""
     turns, lost = _extrema(piece), 0
     for k in range(3):
         high = turns[k] if k < 2 else 1.0
@@ -250,7 +246,7 @@ def _pass_over(piece: _Piece, z: float, reference: float, thresholds: tuple[floa
 def _fire(
     pixel: int, piece: _Piece, m: _Model, s: _Array, pending: Pending, at: tuple[int, int]
 ) -> tuple[Pending, int, int]:
-    """Add the events of a substep to `pending`; return it, the number of its events, and how many are lost.
+    """Add the events of a substep to `pending`; return it, the number of its events, and the number of lost ones.
 
     `at` are the numbers of events in it before this step of the pixel, and now.
     """

@@ -1,46 +1,39 @@
-"""v2e's rule, which counts thresholds and spreads events evenly, and the same rule with an exact filter.
-
-v2e (Hu, Liu and Delbruck, CVPRW 2021; read at commit cac6384): the filter mixes the last filtered value with the log of
-the new frame, v += min(1, lambda h) (u1 - v); the change since the reference over the threshold, rounded down, is the
-number of events; they are spread evenly, the last at the step's end. Within a refractory period events are not lost but
-deferred, as the reference moves only for those that are emitted. Here each pixel spreads its own events; v2e takes the
-array's largest count for all.
-
-`V2eExactFilter` decays exactly towards the new light, as if that held during the whole step (the front end of IEBCS),
-and counts and spreads as v2e does.
-
-The common part of other simulators' rules: the sensor's pixels, the log of the light, and crossings in order.
+"""Rules of other simulators: v2e, AirSim, Ziegler et al., PANGU, Sikorski and ESIM.
 
 A rule treats each frame as its simulator does, with this sensor's physics in this sensor's units: photocurrent
 i = max(E, 0) + i_dark, u = ln i, thresholds and leak drawn as `PixelArray` draws them. Unreadable light (NaN, infinite)
 silences a pixel for that step and is counted; its filter starts again from the next readable light. At most 64
 crossings of a pixel in a step are listed, the others are counted. Arithmetic is float64 in numpy: these rules reproduce
-what their authors publish, and need not be fast.
+published methods, and need not be fast.
 
-Difference of two frames: AirSim's rule, and the basic one of Ziegler et al. (arXiv 2209.04634).
+v2e (Hu, Liu and Delbruck, CVPRW 2021; read at commit cac6384): the filter mixes the last filtered value with the log of
+the new frame, v += min(1, lambda h) (u1 - v); the change since the reference over the threshold, rounded down, is the
+number of events; they are spread evenly, the last at the step's end. Within a refractory period events are not lost but
+deferred, as the reference moves only for those that are emitted. Here each pixel spreads its own events; v2e takes the
+array's largest count for all. `V2eExactFilter` decays exactly towards the new light, as if that lasted during the whole
+step (the front end of IEBCS), and counts and spreads as v2e does.
 
-The number of events is the change of log light between two frames over the threshold, rounded down. There is no filter,
-no leak and no reference: the rest of the change is lost. Events are spread evenly, the last at the end of the step.
+AirSim, and the basic rule of Ziegler et al. (arXiv 2209.04634): the number of events is the change of log light between
+two frames over the threshold, rounded down. There is no filter, no leak and no reference: the rest of the change is
+lost. Events are spread evenly, the last at the end of the step.
 
-PANGU's rule, after "Real-time event-based sensor simulation for space applications".
+PANGU, after "Real-time event-based sensor simulation for space applications":
 
     filter       v += clip(lambda h, least, 1) (u1 - v); lambda proportional to light, least from the lowest corner
     reference    reduced by leakage, that of the junction and that by light: r -= (leak + by_light i) h
     difference   d = v - r
     no reset     N = floor(d / theta), r += N theta
     reset        in reset for the whole step: r = v. Else d is scaled by the share of the step that is left after the
-                 reset that was going on, and is taken to grow evenly over it, at s: a first event if d >= theta, at
+                 present reset, and is assumed to grow evenly over it, at s: a first event if d >= theta, at
                  theta / s; then as many more as periods of reset and event, t_ref + theta / s, fit. The last reset is
                  not counted
     event times  the step in N equal slots, each event a keyed uniform share of its slot after its start
 
-The paper gives no reference after a reset within the step; here it is on the even growth at the end
-of the last reset, or v if that lies beyond the step. The *raw event image* is what PANGU's shader leaves of a pixel.
+The paper gives no reference after a reset within the step; here it is on the even growth at the end of the last reset,
+or v if that lies beyond the step. The *raw event image* is the output of PANGU's shader for a pixel.
 
-A straight line in log light, no filter and no leak: Sikorski's rule and ESIM's.
-
-Both interpolate the log of each pixel's light linearly between frames, and fire where the line meets the next level.
-The differences:
+Sikorski and ESIM interpolate the log of each pixel's light linearly between frames, without filter and leak, and fire
+where the line meets the next level. The differences:
 
                          Sikorski                        ESIM
     a level met exactly  fires                           must lie above (ON) or below (OFF) where the line starts: a
@@ -123,7 +116,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Fired:
-    """Crossings, (n,) each: pixel, when as a share of the step in [0, 1], and polarity; and how many more are lost."""
+    """Crossings, (n,) each: pixel, time as a share of the step in [0, 1], and polarity; and the number of lost ones."""
 
     pixel: _Int64s
     share: _Float64s
@@ -202,7 +195,7 @@ class Rule(PixelMethod):
 
     @abstractmethod
     def _fire(self, step: Step) -> Fired:
-        """Return what fires in a step, in any order, and move the state; pixels that are not `readable` stay silent."""
+        """Return the crossings of a step, in any order, and move the state; unreadable pixels stay silent."""
 
     def _crossings(self, fired: Fired, t0_ns: int, h_ns: int) -> Crossings:
         """Sort by time and pixel, and drop the crossings of a pixel beyond the cap."""
@@ -263,7 +256,7 @@ class V2e(Rule):
     def _pass(
         self, pixel: npt.NDArray[np.int64], k: npt.NDArray[np.int64], t_ns: npt.NDArray[np.int64]
     ) -> npt.NDArray[np.bool_]:
-        """Return which events lie outside the refractory period of the last one emitted, slot by slot."""
+        """Return the mask of events outside the refractory period of the last one emitted, slot by slot."""
         if self._refractory_ns() == 0:
             return np.ones(pixel.size, np.bool_)
         emitted = np.zeros(pixel.size, np.bool_)
@@ -409,7 +402,7 @@ class Sikorski(Rule):
         return Fired(fired, np.concatenate(shares), up[fired])
 
     def _pass(self, pixel: _Int64s, t_ns: _Int64s) -> _Bools:
-        """Return which crossings lie outside the refractory period, and begin new ones."""
+        """Return the mask of crossings outside the refractory period, and begin new periods."""
         passes = t_ns >= self._refractory_until_ns[pixel]
         self._refractory_until_ns[pixel[passes]] = t_ns[passes] + self._refractory_ns()
         return passes
@@ -423,7 +416,7 @@ class Esim(Sikorski):
     parameters, seed
         See `Rule`.
     redraw : bool
-        Whether every pixel's thresholds are drawn again in each step, with the sensor's mismatch.
+        True: every pixel's thresholds are drawn again in each step, with the sensor's mismatch.
     """
 
     def __init__(self, parameters: SensorParameters, seed: int, redraw: bool = False) -> None:

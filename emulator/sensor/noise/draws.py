@@ -1,8 +1,16 @@
-"""Compiled loops of `point_process`: draw a window of candidates, thin them by the light, merge them with crossings.
+"""Compiled loops of `points`: draw a window of candidates, thin them by the light, merge them with crossings.
 
-The candidates of a window of some slots are drawn once, whatever the steps that cross it, and lie sorted by time. A
-step then uses the candidates of its own time alone, and the next events of bursts that are due, which lie in lists by
-slot and by window (see `pending`), so that no step searches all of them.
+The candidates of a window of some slots are drawn once, whatever the steps that cross it, and are sorted by time. A
+step then uses the candidates of its own time only, and the next events of bursts that are due. These are in lists by
+slot and by window, so that no step searches all of them. In the dark a burst waits half a second for its next event,
+and hundreds of thousands are pending in a large array; with the lists the cost of noise follows its events:
+
+    soon    a list for each slot of the present window, (WINDOW_SLOTS, 3, room); a step reads those of its own slots
+    ring    a list for each of the next RING windows, (RING, 3, room)
+    far     a list of later events, (3, room)
+
+When a window opens its list is distributed over its slots. Once in RING windows the far events are distributed over the
+ring.
 
 Numbers of one kind share an array, because each array argument costs 0.05 us a call, and each named tuple twice that
 (named tuples and arrays made for the result, as elsewhere in this folder, cost 4 us):
@@ -13,20 +21,9 @@ Numbers of one kind share an array, because each array argument costs 0.05 us a 
     table        (thresholds + 2, nodes) float32: ln of the primaries' rate in Hz over (threshold, ln f); below, over
                  ln f, the probability that another event follows, and the mean wait for it in ns
     lights       (6,) float32: dark current, corner frequency at the reference, least, most, nodes a fold, last place
-    soon         (WINDOW_SLOTS, 3, room) int64: WHEN, KEY, BURST
-    ring, far    (RING, 3, room) and (3, room) int64, the same for later windows, see `pending`
+    soon, ring   (WINDOW_SLOTS, 3, room) and (RING, 3, room) int64: WHEN, KEY, BURST
+    far          (3, room) int64, the same
     state        (STATE_SIZE,) int64, see `State`
-
-The next events of bursts that are due in later windows, in a list for each of the windows to come.
-
-In the dark a burst waits half a second for its next event, and hundreds of thousands are under way in a large array. A
-step must find its own without looking at the others, so that the cost of noise follows its events:
-
-    soon    a list for each slot of the present window, (WINDOW_SLOTS, 3, room); a step looks at those of its own slots
-    ring    a list for each of the next RING windows, (RING, 3, room)
-    far     a list of what comes after them, (3, room)
-
-A window that opens has its list spread over its slots. Once in RING windows the far events are spread over the ring.
 """
 
 from __future__ import annotations
@@ -98,8 +95,8 @@ class State(IntEnum):
 
 STATE_SIZE = State.RING + RING
 
-_WINDOW, _TURN = int(State.WINDOW_NS), int(State.TURN)
-_FAR, _SOON, _RING = int(State.FAR), int(State.SOON), int(State.RING)
+_T0, _T1, _WINDOW, _FIRST, _COUNT, _REFRACTORY, _PIXEL_BITS, _FULL = (int(place) for place in list(State)[:8])
+_TURN, _FAR, _SOON, _RING = int(State.TURN), int(State.FAR), int(State.SOON), int(State.RING)
 
 
 @kernel
@@ -111,7 +108,7 @@ def put(events: _Int64s, n: int, event: tuple[int, int, int]) -> int:
 
 @kernel
 def _windows_ahead(t_ns: int, state: _Int64s) -> Any:
-    """Return how many windows lie between the present one and that of an event due after it."""
+    """Return the number of windows between the present one and that of an event due after it."""
     return np.int64(np.uint64(t_ns - state[_WINDOW]) // np.uint64(_WINDOW_NS))
 
 
@@ -185,10 +182,6 @@ _Words = npt.NDArray[np.uint64]
 _Events = tuple[_Int64s, npt.NDArray[np.uint32], npt.NDArray[np.bool_]]
 
 
-_T0, _T1, _WINDOW_DRAWS, _FIRST, _COUNT, _REFRACTORY, _PIXEL_BITS, _FULL = (int(place) for place in list(State)[:8])
-_SOON_DRAWS = int(State.SOON)
-
-
 @vector_kernel
 def _logs(base: np.uint64, index: int, n: int, out: _Float32s) -> None:
     """Write ln of the uniform numbers of every third word from `index` on."""
@@ -204,7 +197,7 @@ def _words(base: np.uint64, index: int, n: int, out: _Words) -> None:
 
 @kernel
 def _times(log_gap: _Float32s, n: int, t: float, mean_gap: float, out: _Floats) -> tuple[int, float]:
-    """Write the times of the next candidates as shares of the slot; return how many lie in it, and the last time."""
+    """Write the times of the next candidates as shares of the slot; return the number within it, and the last time."""
     for k in range(n):
         t -= mean_gap * np.float64(log_gap[k])
         out[k] = t
@@ -232,7 +225,7 @@ def draw_window(
     candidates: _Int64s,
     chances: _Float32s,
 ) -> int:
-    """Draw the candidates of some slots; return how many, or -1 if the buffer is too short for them.
+    """Draw the candidates of some slots; return their number, or -1 if the buffer is too short for them.
 
     `slots` are the first, their number, the root of their streams, the mean gap between candidates as a share of a slot
     and the share of ON events; `alias` and `row` are (pixels,), `log_highest` ln W by row of the table.
@@ -294,7 +287,7 @@ def _find_rates(row: _Float32s, node: _Float32s, n: int, table: _Float32s, out: 
 
 @kernel
 def _choose(log_chance: _Float32s, log_rate: _Float32s, n: int, chosen: _Int64s) -> int:
-    """List those of n candidates that fire, return how many."""
+    """List those of n candidates that fire, return their number."""
     found = 0
     for k in range(n):
         chosen[found] = k
@@ -350,13 +343,13 @@ def _due(
     keys: _Words,
     state: _Int64s,
 ) -> int:
-    """Pack the next events of bursts that the step reaches, and compact the rest; return how many were packed.
+    """Pack the next events of bursts that the step reaches, and compact the rest; return the number that were packed.
 
     Only the lists of the step's slots are looked at. `node` is a buffer for the places of _BATCH lights.
     """
     (table, lights), found = rates, NONE
     for slot in range(slot_of(state[_T0], state), slot_of(state[_T1] - 1, state) + 1):
-        events, n, remaining = ahead[0][slot], state[_SOON_DRAWS + slot], NONE
+        events, n, remaining = ahead[0][slot], state[_SOON + slot], NONE
         for k in range(n):
             if k % _BATCH == 0:
                 some = min(_BATCH, n - k)
@@ -368,11 +361,11 @@ def _due(
                 event, found = _follow(event, place if place == place else _ZERO, table, keys, state, found)
             if event[0] < 0:
                 continue
-            if event[0] < state[_WINDOW_DRAWS] and slot_of(event[0], state) == slot:
+            if event[0] < state[_WINDOW] and slot_of(event[0], state) == slot:
                 remaining = put(events, remaining, event)
             else:
                 put_ahead(ahead, event, state)
-        state[_SOON_DRAWS + slot] = remaining
+        state[_SOON + slot] = remaining
     return int(found)
 
 
@@ -385,7 +378,7 @@ def _look(light: _Float32s, events: _Int64s, first: int, n: int, out: _Float32s)
 
 @kernel
 def _take(light: _Float32s, candidates: _Int64s, span: tuple[int, int, int], out: _Float32s) -> int:
-    """Write the light of a step's next candidates, `span` being the first, the end and t1; return how many."""
+    """Write the light of a step's next candidates, `span` being the first, the end and t1; return their number."""
     first, end, t1_ns = span
     n = 0
     while n < _BATCH and first + n < end and candidates[WHEN, first + n] < t1_ns:
@@ -403,7 +396,7 @@ def fire(
     keys: _Words,
     state: _Int64s,
 ) -> int:
-    """Pack the events of a step, unsorted, into `keys`; return how many, and update `state`.
+    """Pack the events of a step, unsorted, into `keys`; return their number, and update `state`.
 
     With FULL set in `state`, `keys` had no room for all: call again for the same step and further room. `drawn` are
     candidates and chances, `rates` table and lights, `ahead` soon, ring and far.

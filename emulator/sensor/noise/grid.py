@@ -1,18 +1,16 @@
-"""Pixels whose noise voltage is simulated on a fixed grid of times: the reference for `point_process`.
+"""Pixels whose noise voltage is simulated on a fixed grid of times: the reference for `points`.
 
-Its cost allows some thousand pixels.
-
-Arithmetic is float64. The grid's step is a tenth of the shortest time constant of
+Its cost allows some thousand pixels. Arithmetic is float64. The grid's step is a tenth of the shortest time constant of
 the noise, rounded down to a power of two of 1 us, and its times are multiples of it since stream time zero. From one
 grid time to the next, with log light on a straight line between frames,
 
-    filter    v in warped time, as in `lowpass`; behind a second pole w, for a v on a straight line
+    filter    v in warped time, as in `curve`; behind a second pole w, for a v on a straight line
     noise     n1 = n0 A + sigma sqrt(1 - A^2) N,  A = e^(-delta / tau_n), N keyed by (seed, pixel, grid time)
-    x - r     what the comparator sees: moves by the change of w + n and by the leaks, that of light by its mean
+    x - r     the comparator's input: moves by the change of w + n and by the leaks, that of light by its mean
 
 Within a grid step x is a Brownian bridge of variance V = 2 sigma^2 delta / tau_n: a level c above both ends a, b is met
-all the same with probability exp(-2 (c - a)(c - b) / V), at a time drawn uniformly; the
-comparator's value at the end of a refractory period is drawn from the bridge.
+nevertheless with probability exp(-2 (c - a)(c - b) / V), at a time drawn uniformly; the comparator's value at the end
+of a refractory period is drawn from the bridge.
 
 All draws are keyed by grid time, and events are known up to the last grid time only (`settled_ns`). So in still light
 the result does not depend on the steps, and in moving light it does so only through the light between frames.
@@ -181,7 +179,7 @@ def _later(move: _Move) -> _Move:
 
 @kernel_that_allocates
 def _fire(move: _Move, m: _Model, s: _State, pending: Pending, n: int) -> tuple[Pending, int, int]:
-    """Move a pixel's comparator over one grid step; add its events to `pending`, and return how many are lost."""
+    """Move a pixel's comparator over one grid step; add its events to `pending`, and return the number of lost ones."""
     pixel, events, refractory = move.pixel, 0, m.refractory_ns / m.delta_ns
     at, seen, end = 0.0, s.seen[pixel], s.seen[pixel] + move.change
     if seen != seen:
@@ -243,7 +241,7 @@ def _advance(
 
 
 class NoisyPixels(DrawnPixels):
-    """An array of pixels whose noise is followed in time.
+    """An array of pixels whose noise is simulated in time.
 
     Parameters
     ----------

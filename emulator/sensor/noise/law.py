@@ -1,14 +1,13 @@
-"""Rate of the events that temporal noise alone raises in still light.
+"""Rate of the events that temporal noise alone raises in still light: the exact law of first passages, and its table.
 
 The noise is a voltage n of rms sigma with one pole at f_n (an Ornstein-Uhlenbeck process). An event needs a first
 passage from the level that the last event left to a threshold away from it. The rate of these passages, over f_n,
 depends on the thresholds over sigma and on the refractory period over tau = 1 / (2 pi f_n), at whose end the level is
-set again, usually on a peak of the noise. `first_passage` solves the chain of levels exactly; here its table is
-interpolated, over
+set again, usually on a peak of the noise. A run interpolates a table, over
 
-    a            mean of the two thresholds over sigma: log(rate / (a e^(-a^2 / 2))) runs straight in a^2, also beyond
+    a            mean of the two thresholds over sigma: log(rate / (a e^(-a^2 / 2))) is linear in a^2, also beyond
     difference   (ON - OFF) over the mean
-    refractory   refractory period over tau, in its square root, because that is how far a diffusion gets
+    refractory   refractory period over tau, in its square root, which is proportional to the distance of a diffusion
 
 The difference matters: with equal thresholds and a short refractory period the levels come to lie midway between two
 passages, and stay there, firing ON and OFF in turns; with thresholds that differ by some percent each pair of events
@@ -32,11 +31,10 @@ noise of constant rms. A fixed pole `corner` behind it, the signal's source foll
 so noise events are rare in bright light, and in the dark, where f is low. A sensor without a low-pass (infinite f) has
 the fixed pole alone: sigma = rms, f_n = corner. One without a fixed pole has sigma = rms, f_n = f.
 
-Statistics of noise events from first passages: the exact law that `law` interpolates in a table.
-
-The noise is an Ornstein-Uhlenbeck process x, here in units of its deviation sigma and its time constant tau. A pixel
-that was read anew at the level c fires when x, which starts at c, first leaves (c - off, c + on). It is then refractory
-for the time rho, and is read anew at c' = x at its end, which is normal:
+The table is made from the exact law of first passages. The noise is an Ornstein-Uhlenbeck process x, here in units of
+its deviation sigma and its time constant tau. A pixel whose reference was set at the level c fires when x, which starts
+at c, first leaves (c - off, c + on). It is then refractory for the time rho, and its reference is set at c' = x at its
+end, which is normal:
 
     c' = (c + on) e^-rho + sqrt(1 - e^(-2 rho)) N     after an ON event; after an OFF event c - off in place of c + on
 
@@ -211,7 +209,7 @@ _NODES = 7  # of the differences between the two thresholds of the pixels
 
 
 class NoiseStatistics(NamedTuple):
-    """Arrays of what `first_passage.Statistics` has for one pixel."""
+    """Arrays of the values that `Statistics` has for one pixel."""
 
     on: _Floats
     off: _Floats
@@ -303,7 +301,7 @@ def of_array(p: SensorParameters, thresholds: npt.ArrayLike, f_hz: npt.ArrayLike
 
 
 def beyond_the_law(p: SensorParameters, f_hz: npt.ArrayLike) -> str:
-    """Return what of a point process does not hold for a sensor's noise at some corner frequencies; empty: all does."""
+    """Return the limits of the point process that a sensor's noise exceeds at some corner frequencies; empty: none."""
     f = np.atleast_1d(np.asarray(f_hz, np.float64))
     mean = (p.threshold_on + p.threshold_off) / 2
     least_a = mean / float(rms(p, f).max())

@@ -14,15 +14,13 @@ All random numbers are keyed by a slot of 1024 us of stream time, never by the s
     thinning   selected with probability rate / W_p, the rate being that in the light at the end of the event's step
 
 The numbers that do not depend on the light are drawn for sixteen slots at a time, a window; a step thins the candidates
-in it.
+in it. When a sensor starts, bursts are pending already: as many as there are at any time in still light.
 
 The next event of a burst is drawn when the one before leaves, from bits that belong to the burst, in the light of that
 step. An array of still light thus gives the same noise, bit for bit, whatever the steps. Left out: the pixel's level
 stays, a noise event starts no refractory period, and the events of a moving scene are not shifted (noise makes them
 earlier by up to two rms over the contrast rate). Rates, polarities and intervals are those of the law; see `law` for
 what the law leaves out. The light must change by more than 0.3 rms in a time constant; else use the grid grade.
-
-Bursts of noise events that are under way when a sensor starts: as many as there are at any time in still light.
 """
 
 from __future__ import annotations
@@ -184,10 +182,10 @@ def _tables(p: SensorParameters, thresholds: _Floats) -> _Tables:
 
 
 def _lights(p: SensorParameters, nodes: int) -> _Float32s:
-    figures = p.dark_current_relative, p.corner_hz_at_reference, p.corner_min_hz, min(p.corner_max_hz, _FASTEST_HZ)
+    values = p.dark_current_relative, p.corner_hz_at_reference, p.corner_min_hz, min(p.corner_max_hz, _FASTEST_HZ)
     if math.isinf(p.corner_hz_at_reference):
-        figures = p.dark_current_relative, 1.0, 1.0, 1.0
-    return np.array([*figures, 1 / _LOG_STEP, nodes - 1.001], np.float32)
+        values = p.dark_current_relative, 1.0, 1.0, 1.0
+    return np.array([*values, 1 / _LOG_STEP, nodes - 1.001], np.float32)
 
 
 class _Model:
@@ -283,7 +281,7 @@ class NoiseEvents:
         self._candidates, self._chances = np.empty((3, candidates), np.int64), np.empty((2, candidates), np.float32)
 
     def follow(self, parameters: SensorParameters, thresholds: _Floats) -> None:
-        """Take over changed figures from the present time on; `thresholds` as in the constructor.
+        """Apply changed parameters from the present time on; `thresholds` as in the constructor.
 
         The present window's candidates are drawn again, and those before the present time left out. Bursts that were
         under way end; those of the new figures are under way from the window's end on, at most 16 ms later.
@@ -298,7 +296,7 @@ class NoiseEvents:
             state[State.FIRST], state[State.COUNT] = np.searchsorted(self._candidates[WHEN, :n], self._t_ns), n
 
     def _draw(self, slot: int) -> int:
-        """Draw the candidates of the window that begins with a slot; return how many."""
+        """Draw the candidates of the window that begins with a slot; return their number."""
         m = self._model
         slots = slot, WINDOW_SLOTS, m.root, m.mean_gap, m.on_share
         while (n := draw_window(slots, m.alias, m.row, m.log_highest, self._candidates, self._chances)) < 0:

@@ -8,11 +8,11 @@ The generator is that of `firmware_protocol.device.clock`, with one stream for e
     base  = mix(root + pixel * golden)                root: of the seed and the purpose
     value = mix(base + (index + 1) * golden)
 
-Keyed random numbers for compiled loops, which draw them one by one.
+Compiled loops draw the same numbers one by one:
 
-root = keyed.root_of(seed, purpose)      once, in Python
-base = stream(root, pixel)               of a pixel; or of a slot of time, a particle
-word(base, index)                        equals keyed.words(seed, purpose, pixel, index)
+    root = keyed.root_of(seed, purpose)      once, in Python
+    base = stream(root, pixel)               of a pixel; or of a slot of time, a particle
+    word(base, index)                        equals keyed.words(seed, purpose, pixel, index)
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The pixel array: from frames of light to threshold crossings with exact times.
 
-The whole memory of a pixel is in one `PixelState`; all other figures follow from the parameters and the seed. Absolute
+The whole memory of a pixel is in one `PixelState`; all other values follow from the parameters and the seed. Absolute
 time is used as whole nanoseconds only: leak is counted from an epoch that moves every 2^33 ns (8.6 s), so a step 30
 days into a stream equals the same step at its start.
 """
@@ -140,7 +140,9 @@ class PixelArray(PixelMethod):
         """
         before = self.parameters
         if name == "source_follower_hz" and not (before.source_follower_hz > 0 and value > 0):
-            raise ValueError("source_follower_hz can change between figures above 0: its pole is there or it is not")
+            raise ValueError(
+                "source_follower_hz can change between values above 0 only: the pole cannot be added or removed"
+            )
         changed: dict[str, Any] = {name: value}
         after = dataclasses.replace(before, **changed)
         if name == "threshold_on":
@@ -333,7 +335,7 @@ class PixelArray(PixelMethod):
         return buffers.add(lists, (t0_ns, self._pixel_bits), n)
 
     def _replace_light(self) -> None:
-        """Let the light jump to that of a frame whose time was the last one's, where there is one."""
+        """Change the light at once to that of a pending frame at the time of the last one."""
         if self._replacing is None:
             return
         (flat, slope), self._replacing, state = self._replacing, None, self.state

@@ -1,12 +1,12 @@
-"""The candidates of a step, the pixels that may fire: gathered in a table, one column a pixel, and solved together.
+"""The candidates of a step, the pixels that may fire: collected in a table, one column a pixel, and solved together.
 
-The comparator's view of a candidate, the filtered value plus leak minus the reference, is the cubic in time through its
-values and derivatives at both ends of the step (the derivative is the rate times the filter's lag). The part of the
-exponential in the filter's answer that this cubic misses is at most |B| E(S), E = min(S^4 / 384, 0.16 S + 0.2).
+The comparator's input of a candidate, the filtered value plus leak minus the reference, is the cubic in time through
+its values and derivatives at both ends of the step (the derivative is the rate times the filter's lag). The part of the
+exponential in the filter's response that this cubic misses is at most |B| E(S), E = min(S^4 / 384, 0.16 S + 0.2).
 
-Solved here are steps on smooth light where this error is below 1 % of a threshold and the cubic is monotone: its end
-values decide whether the pixel fires, and `cubic_roots` finds the crossing for all candidates of the table at once.
-Pixels that fire again in the same step stay in the table. All others march through the step in substeps (`march`).
+Steps on smooth light are solved here where this error is below 1 % of a threshold and the cubic is monotone: its end
+values decide whether the pixel fires, and `newton` finds the crossing for all candidates of the table at once. Pixels
+that fire again in the same step stay in the table. All others are solved in substeps (`march`).
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from emulator.sensor.numerics.cached import cached_entry
 from emulator.sensor.numerics.compiled import NONE, inlined, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import aligned_zeros, exponential, use_widest_vectors
 from emulator.sensor.pixels.curve import Course, is_smooth, missed_by_cubic, photocurrent, transient
-from emulator.sensor.pixels.march import SETTLED, Bracket, Cubic, bisect, march_through, newton, value
-from emulator.sensor.pixels.march_table import CAPACITY, March, Start, enter, new_march
+from emulator.sensor.pixels.march import SETTLED, Bracket, Cubic, bisect, newton, solve_substeps, value
+from emulator.sensor.pixels.march_table import CAPACITY, Start, SubstepTable, enter, new_substep_table
 from emulator.sensor.pixels.state import (
     BEFORE_ROWS,
     BLOCK,
@@ -74,18 +74,18 @@ class Table(NamedTuple):
     rows: _Float32s
     pixels: _Int64s
     listed: _Int64s
-    march: March
+    substep_table: SubstepTable
 
 
 def new_table() -> Table:
     """Return an empty table."""
     rows = aligned_zeros(_C_ROWS * CAPACITY)
-    return Table(rows, np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.int64), new_march())
+    return Table(rows, np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.int64), new_substep_table())
 
 
 @inlined
 def _at(row: int, k: np.uint64) -> np.uint64:
-    """Return the index of entry k of a row; unsigned, which spares the test for negative indices."""
+    """Return the index of entry k of a row; unsigned, which avoids the test for negative indices."""
     return np.uint64(row) + k
 
 
@@ -204,7 +204,7 @@ def _add_parasitic(table: _Float32s, n: int, c: StepConstants) -> None:
 
 @vector_kernel
 def _sort_by_kind(table: _Float32s, n: int, c: StepConstants) -> None:
-    """Finish each candidate's curve, relative to `base` and with leak, and write its kind: what happens to it."""
+    """Finish each candidate's curve, relative to `base` and with leak, and write its kind."""
     use_widest_vectors()
     for j in range(n):
         leak, on, off, start = table[_C_LEAK + j], table[_C_ON + j], table[_C_OFF + j], table[_C_START + j]
@@ -237,7 +237,7 @@ def _cubic(rows: _Float32s, j: int) -> Cubic:
 
 @lane
 def _bracket(rows: _Float32s, j: int) -> Bracket:
-    """Return where the curve of candidate j meets its next level."""
+    """Return the bracket in which the curve of candidate j meets its next level."""
     a = rows[_C_A + j]
     rising = rows[_C_D1 + j] > a
     level = a + (rows[_C_ON + j] if rising else -rows[_C_OFF + j])
@@ -298,7 +298,7 @@ def _move_column(table: Table, j: int, k: int) -> None:
 
 @kernel
 def _fire(pixels: Pixels, table: Table, n: int, keys: Keys, n_keys: int, c: StepConstants) -> tuple[int, int]:
-    """Write the events of the candidates that fire, and their references; return n_keys and how many fire again."""
+    """Write the events of the candidates that fire, and their references; return n_keys and the count of repeats."""
     rows, again = table.rows, NONE
     for j in range(n):
         if rows[_C_KIND + j] != _FIRES:
@@ -318,7 +318,7 @@ def _fire(pixels: Pixels, table: Table, n: int, keys: Keys, n_keys: int, c: Step
 
 @kernel
 def _pass_over(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
-    """Move the references of candidates that fire too often to their last crossings, and return how many are lost."""
+    """Move the references of candidates that fire too often to their last crossings; return the count of lost ones."""
     rows, lost = table.rows, NONE
     for j in range(n):
         a, d1, at = rows[_C_A + j], rows[_C_D1 + j], slot(table.pixels[j])
@@ -331,7 +331,7 @@ def _pass_over(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
 
 @kernel
 def _start(rows: _Float32s, j: int, c: StepConstants) -> Start:
-    """Return column j of the table as the start of a march."""
+    """Return column j of the table as the start of substeps."""
     return Start(
         u0=rows[_C_U0 + j], u1=rows[_C_U1 + j], a0=rows[_C_A0 + j], a1=rows[_C_A1 + j], v=rows[_C_V0 + j],
         w=rows[_C_W0 + j] if c.second > _ZERO else rows[_C_V0 + j],
@@ -343,19 +343,19 @@ def _start(rows: _Float32s, j: int, c: StepConstants) -> Start:
 
 @kernel
 def _dispatch(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
-    """Store the references of re-armed candidates that do not fire; enter those that need substeps, return how many.
+    """Store the references of re-armed candidates that do not fire; enter and count those that need substeps.
 
     This loop is a function of its own because it runs over all candidates; see `compiled` on reference counts.
     """
-    rows, marching = table.rows, NONE
+    rows, in_substeps = table.rows, NONE
     for j in range(n):
         kind = rows[_C_KIND + j]
         if kind == _NEEDS_SUBSTEPS:
-            enter(table.march, marching, table.pixels[j], _start(rows, j, c))
-            marching += 1
+            enter(table.substep_table, in_substeps, table.pixels[j], _start(rows, j, c))
+            in_substeps += 1
         elif kind == _RE_ARMS:
             pixels.fields[slot(table.pixels[j]) + _REF] = rows[_C_BASE + j] + rows[_C_A + j]
-    return int(marching)
+    return int(in_substeps)
 
 
 @kernel
@@ -389,8 +389,8 @@ def solve(
     _sort_by_kind(table.rows, whole_vectors(n), c)
     if c.parasitic > _ZERO:
         _fold_parasitic(pixels, table, n, c)
-    marching = _dispatch(pixels, table, n, c)
-    keys, n_keys, lost, undersampled = march_through(pixels, table.march, marching, keys, n_keys, c)
+    in_substeps = _dispatch(pixels, table, n, c)
+    keys, n_keys, lost, undersampled = solve_substeps(pixels, table.substep_table, in_substeps, keys, n_keys, c)
     event = 0
     while n > 0:
         if (event >= MOST_EVENTS) & (c.refractory_ns == 0):

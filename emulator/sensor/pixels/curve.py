@@ -1,4 +1,4 @@
-"""Quality checks of the cubic interpolation of log light within a step.
+"""Interpolation of log light within a step with its quality checks, and the low-pass that follows it.
 
 The cubic goes through the values and time derivatives of two frames. d is the change over the step, a0 and a1 are the
 slopes per step at its ends. d - (a0 + a1) / 2, the error of the trapezium rule, is zero for a parabola, and as large as
@@ -23,10 +23,10 @@ a curve through these ends exists if |delta| < g / 2. In between the bend has th
 No rule helps where a whole plateau lies between two frames: the frames do not show it. There the straight line may have
 more right sequences than any curve that follows the slopes.
 
-The photoreceptor's low-pass over an interval of time, solved in warped time; float32, for loops that become vectors.
-
-Log light u goes from u0 to u1 with given slopes at both ends; the filter follows it at the rate lambda, which depends
-on the light. In warped time s, the integral of lambda dt, the filter's time constant is one at any light:
+The second half of the module solves the photoreceptor's low-pass over an interval of time, in warped time; float32, for
+loops that become vectors. Log light u goes from u0 to u1 with given slopes at both ends; the filter follows it at the
+rate lambda, which depends on the light. In warped time s, the integral of lambda dt, the filter's time constant is one
+at any light:
 
     dv/ds = u - v,    u(s) = the cubic through u0, u1 with the slopes w0, w1 (per whole interval S) at the ends
     v(s)  = u - u' + u'' - u''' + B e^-s                    (primes: d/ds), B such that v(0) = v0
@@ -34,8 +34,8 @@ on the light. In warped time s, the integral of lambda dt, the filter's time con
 All formulas below are of fourth order in the length of the interval.
 
 A second pole of fixed rate follows v: dw/dt = lambda2 (v - w). Up to S = 1, v is the cubic in time through its values
-and slopes. On longer intervals no cubic holds B e^-s, and the first slope alone may put it off by many times B; there
-the cubic is used for the steady part of v only, and B e^-s has a closed form, which is accurate where both rates meet.
+and slopes. On longer intervals no cubic fits B e^-s, and the first slope alone may shift it by many times B; there the
+cubic is used for the steady part of v only, and B e^-s has a closed form, which is accurate where both rates are equal.
 """
 
 from __future__ import annotations
@@ -73,10 +73,10 @@ __all__ = [
 ]
 
 
-_ZERO, _ONE, _TWO, _THREE, _SIX = (np.float32(x) for x in (0, 1, 2, 3, 6))
+_ZERO, _ONE, _TWO, _THREE, _FOUR, _SIX = (np.float32(x) for x in (0, 1, 2, 3, 4, 6))
 _HALF, _QUARTER, _EIGHTH, _THIRD = (np.float32(x) for x in (0.5, 0.25, 0.125, 1 / 3))
 LARGEST_CHANGE = np.float32(0.5)
-"""Largest change of log light in one piece: the fourth-order rules of `lowpass` allow no more."""
+"""Largest change of log light in one piece: the fourth-order rules of the low-pass allow no more."""
 
 UNSEEN_SHARE = np.float32(0.5)
 """Share of a threshold that may stay unseen between two frames; a step with more is undersampled."""
@@ -166,10 +166,7 @@ def limit(d: Real, a0: Real, a1: Real) -> Real:
     return not_too_steep if fits else min(_SLOPES * abs(d) / together, not_too_steep)
 
 
-_ZERO_LOWPASS, _ONE_LOWPASS, _TWO_LOWPASS, _THREE_LOWPASS, _FOUR, _SIX_LOWPASS, _HALF_LOWPASS = (
-    np.float32(x) for x in (0, 1, 2, 3, 4, 6, 0.5)
-)
-_THIRD_LOWPASS, _TWELFTH, _A_384TH = np.float32(1 / 3), np.float32(1 / 12), np.float32(1 / 384)
+_TWELFTH, _A_384TH = np.float32(1 / 12), np.float32(1 / 384)
 # k = 1/6 - s/24 + s^2/120 ... for s in [0, 0.5]: Chebyshev's polynomial of third degree, within 9e-8.
 _K0, _K1, _K2, _K3 = (np.float32(x) for x in (0.16666658, -0.04166122, 0.00827807, -0.00120679))
 _SERIES_UP_TO = np.float32(0.5)  # beyond, the closed forms lose less than the series
@@ -211,7 +208,7 @@ class Filtered(NamedTuple):
 @lane
 def photocurrent(u: Real) -> Real:
     """Return the photocurrent of a log light; 0 where it is not known."""
-    return exponential(u) if u == u else _ZERO_LOWPASS
+    return exponential(u) if u == u else _ZERO
 
 
 @lane
@@ -222,9 +219,9 @@ def warped_time(h: Real, rates: tuple[Real, Real], a0: Real, a1: Real, c: StepCo
     rate is at least the lower one of both ends.
     """
     l0, l1 = rates
-    bend0 = l0 * a0 if (l0 > c.rate_min) & (l0 < c.rate_max) else _ZERO_LOWPASS
-    bend1 = l1 * a1 if (l1 > c.rate_min) & (l1 < c.rate_max) else _ZERO_LOWPASS
-    return h * max(_HALF_LOWPASS * (l0 + l1) + _TWELFTH * (bend0 - bend1), min(l0, l1))
+    bend0 = l0 * a0 if (l0 > c.rate_min) & (l0 < c.rate_max) else _ZERO
+    bend1 = l1 * a1 if (l1 > c.rate_min) & (l1 < c.rate_max) else _ZERO
+    return h * max(_HALF * (l0 + l1) + _TWELFTH * (bend0 - bend1), min(l0, l1))
 
 
 @lane
@@ -234,23 +231,21 @@ def rise_of_filter(q: Real, behind: Real, u: Course) -> Real:
     With the integrals I0 = q / s, I1 = (1 - I0) / s, I2 = (1 - 2 I1) / s, k is (1/2 - I1) / s.
     """
     s, d, w0, w1 = u
-    inverse, short = _ONE_LOWPASS / s, s < _SERIES_UP_TO
+    inverse, short = _ONE / s, s < _SERIES_UP_TO
     series = ((_K3 * s + _K2) * s + _K1) * s + _K0
-    less_i0 = s * (_HALF_LOWPASS - s * series) if short else _ONE_LOWPASS - q * inverse
-    less_i1 = s * series if short else _HALF_LOWPASS - less_i0 * inverse
+    less_i0 = s * (_HALF - s * series) if short else _ONE - q * inverse
+    less_i1 = s * series if short else _HALF - less_i0 * inverse
     k = series if short else less_i1 * inverse
-    bent = (_SIX_LOWPASS * d - _FOUR * w0 - _TWO_LOWPASS * w1) * less_i1 + (
-        _THREE_LOWPASS * (w0 + w1) - _SIX_LOWPASS * d
-    ) * (_THIRD_LOWPASS - _TWO_LOWPASS * k)
+    bent = (_SIX * d - _FOUR * w0 - _TWO * w1) * less_i1 + (_THREE * (w0 + w1) - _SIX * d) * (_THIRD - _TWO * k)
     return q * behind + (w0 * less_i0 + bent)
 
 
 @lane
 def transient(behind: Real, u: Course) -> Transient:
     """Return the exponential part of the answer of a filter that starts at `behind` = u0 - v0."""
-    inverse = _ONE_LOWPASS / max(u.s, _SHORTEST)
-    third = _SIX_LOWPASS * (u.w0 + u.w1 - _TWO_LOWPASS * u.d)  # derivatives of u by s / S
-    second = _TWO_LOWPASS * (_THREE_LOWPASS * u.d - _TWO_LOWPASS * u.w0 - u.w1)
+    inverse = _ONE / max(u.s, _SHORTEST)
+    third = _SIX * (u.w0 + u.w1 - _TWO * u.d)  # derivatives of u by s / S
+    second = _TWO * (_THREE * u.d - _TWO * u.w0 - u.w1)
     lag0 = inverse * (u.w0 - inverse * (second - inverse * third))
     lag1 = inverse * (u.w1 - inverse * (second + third - inverse * third))
     b = lag0 - behind
@@ -273,7 +268,7 @@ def passed_by_second_pole(s: Real, r0: Real, second: Real) -> Real:
     decays. The answer is then second (e^-r - e^-second) / (second - r).
     """
     lead = s - second
-    r = r0 + (s - r0) * (_TWO_LOWPASS + max(-lead, _ZERO_LOWPASS)) / (_THREE_LOWPASS + abs(lead))
+    r = r0 + (s - r0) * (_TWO + max(-lead, _ZERO)) / (_THREE + abs(lead))
     gap = max(abs(second - r), _LEAST_GAP)
     return second * exponential(-min(r, second)) * (decay(gap) / gap)
 
@@ -285,8 +280,8 @@ def rise_behind_second_pole(q: Real, behind: Real, second: Real, u: Course, v: F
     `second` is the pole's rate times the length of the interval.
     """
     t = transient(v.behind0, u)
-    slow = u.s < _ONE_LOWPASS
-    b = _ZERO_LOWPASS if slow else t.b
+    slow = u.s < _ONE
+    b = _ZERO if slow else t.b
     rise = v.rise if slow else u.d - (t.lag1 - t.lag0)
     m0, m1 = v.r0 * (v.behind0 if slow else t.lag0), v.r1 * (v.behind1 if slow else t.lag1)
     followed = rise_of_filter(q, behind - b, Course(second, rise, m0, m1))

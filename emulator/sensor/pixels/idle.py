@@ -1,17 +1,17 @@
-"""Blocks of pixels, and parts of blocks, to which nothing happens, and for how long: the pixel step skips them.
+"""Idle blocks of pixels, and idle parts of blocks, which the pixel step skips, and the time until which they are idle.
 
-A part is idle from a step on in which nothing moved: light, its slopes and the filter are bit for bit what they were,
-and no pixel was a candidate. Repeating such a step changes nothing, until the light changes or the leak of one of its
-pixels comes near a threshold. Three numbers decide when the part must be computed again:
+A part is idle from a step on in which nothing moved: light, its slopes and the filter are bit for bit the same as
+before, and no pixel was a candidate. Repeating such a step changes nothing, until the light changes or the leak of one
+of its pixels comes near a threshold. Three numbers decide when the part must be computed again:
 
     until_ns    a step that ends later may bring an event of leak; at most the end of the epoch, where references move
-    longest     a longer step may move a filter that rests because its way to the light is lost in rounding
+    longest     a longer step may move a filter that rests because its distance to the light is lost in rounding
     shortest    the same for shorter steps, where there is a second pole: then only steps of one length are skipped
 
-A block is idle if all its parts are, and has the strictest of their figures.
+A block is idle if all its parts are, and has the strictest of their limits.
 
-What the light was is known by one number where all pixels have the same light, as in a black sky: such a picture is
-compared with it at the speed of the memory. Otherwise by a copy.
+The last light is one number where all pixels have the same light, as in a black sky: such a frame is compared with it
+at the speed of the memory. Otherwise it is a copy.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ NO_PART = _NOT_IDLE - 1
 
 
 class Idle(NamedTuple):
-    """The idle blocks and parts of an array: the figures above, `until_ns` _NOT_IDLE for those that are not idle.
+    """The idle blocks and parts of an array: the limits above, `until_ns` _NOT_IDLE for those that are not idle.
 
     All but `seen` have blocks * (1 + PARTS) entries, those of the blocks first; one array for both, because each costs
     time in every call. `until_ns` is NO_PART for a block without an idle part. `level` is the light of all pixels, NaN
@@ -175,7 +175,7 @@ def _find_rest(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
 
 @vector_kernel
 def _least(wait: _Float32s) -> np.float32:
-    """Return the least of a part's times, and overwrite them; halved first, because one chain of minima is slow."""
+    """Return the least of a part's times, and overwrite them; two halves first, because one chain of minima is slow."""
     for width in (PART // 2, PART // 4, PART // 8):
         for i in range(width):
             wait[i] = min(wait[i], wait[width + i])
@@ -220,7 +220,7 @@ def _mark_part(light: _Float32s, wait: _Float32s, idle: Idle, first: int, c: Ste
 
 @kernel
 def _sum_up(idle: Idle, first: int) -> None:
-    """Write the figures of the block that begins at pixel `first` from those of its parts."""
+    """Write the limits of the block that begins at pixel `first` from those of its parts."""
     block, begin = first // BLOCK, part_at(idle, first)
     until_ns, level = idle.until_ns[begin], idle.level[begin]
     longest, shortest = idle.longest[begin], idle.shortest[begin]

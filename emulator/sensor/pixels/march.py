@@ -1,15 +1,14 @@
-"""The march of pixels through a step, substep by substep and event by event, for a whole table of pixels at once.
+"""Stepping of pixels through a step, substep by substep and event by event, for a whole table of pixels at once.
 
 The turning points of a cubic are known in closed form. Between them the comparator curve g is monotone, so its values
 at the ends decide whether a level is met, and no crossing is missed. A round takes every column over one substep (see
 `substeps`), and within it from event to event: Newton iterations for all columns together, bisection for the few that
 do not settle.
 
-Roots of a monotone cubic inside a bracket: a fixed number of Newton iterations, and bisection.
-
-Both ways of finding crossings use it: `candidates`, one cubic a step, and `march`, one cubic a substep. A loop over the
-columns of a table calls `newton` for every column, because a fixed number of iterations becomes vectors; columns whose
-last correction exceeds `SETTLED` are listed and bisected afterwards, so that the others pay nothing for them.
+The roots of a monotone cubic inside a bracket come from a fixed number of Newton iterations, and bisection.
+`candidates` uses this too, for one cubic a step; here there is one cubic a substep. A loop over the columns of a table
+calls `newton` for every column, because a fixed number of iterations becomes vectors; columns whose last correction
+exceeds `SETTLED` are listed and bisected afterwards, so that they cost the others nothing.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ import numpy.typing as npt
 import emulator.sensor.pixels.march_table as row
 from emulator.sensor.numerics.compiled import NONE, Real, kernel, kernel_that_allocates, lane, vector_kernel
 from emulator.sensor.pixels.curve import photocurrent
-from emulator.sensor.pixels.march_table import March
+from emulator.sensor.pixels.march_table import SubstepTable
 from emulator.sensor.pixels.state import (
     BLOCK,
     MOST_EVENTS,
@@ -38,7 +37,7 @@ from emulator.sensor.pixels.state import (
 )
 from emulator.sensor.pixels.substeps import begin, begin_substep
 
-__all__ = ["SETTLED", "Bracket", "Cubic", "bisect", "march_through", "newton", "value"]
+__all__ = ["SETTLED", "Bracket", "Cubic", "bisect", "newton", "solve_substeps", "value"]
 
 
 SETTLED = np.float32(3e-5)
@@ -122,7 +121,7 @@ def _cubic(rows: _Float32s, j: int) -> Cubic:
 
 @lane
 def _bracket(rows: _Float32s, j: int) -> Bracket:
-    """Return where the curve of column j meets its level."""
+    """Return the bracket in which the curve of column j meets its level."""
     to = rows[row.TO + j]
     return Bracket(rows[row.LOW + j], rows[row.HIGH + j], to, to > rows[row.LEVEL + j])
 
@@ -166,14 +165,14 @@ def _cross(rows: _Float32s, n: int) -> None:
 
 
 @kernel
-def _bisect_unsettled(march: March, n: int) -> None:
+def _bisect_unsettled(table: SubstepTable, n: int) -> None:
     """Bisect the crossings whose Newton iterations have not settled; these are listed first."""
-    rows, unsettled = march.rows, 0
+    rows, unsettled = table.rows, 0
     for j in range(n):
-        march.unsettled[unsettled] = j
+        table.unsettled[unsettled] = j
         unsettled += (rows[row.FIRES + j] != _ZERO) & (rows[row.MISS + j] > SETTLED)
     for k in range(unsettled):
-        j = march.unsettled[k]
+        j = table.unsettled[k]
         rows[row.HIT + j] = bisect(_cubic(rows, j), _bracket(rows, j))
 
 
@@ -199,15 +198,17 @@ def _pass_over(rows: _Float32s, j: int) -> int:
 
 
 @kernel
-def _fire(pixels: Pixels, march: March, n: int, keys: Keys, n_keys: int, c: StepConstants) -> tuple[int, int, int]:
-    """Write the events of the columns that fire; return how many events there are now, were written and were lost."""
-    rows = march.rows
+def _fire(
+    pixels: Pixels, table: SubstepTable, n: int, keys: Keys, n_keys: int, c: StepConstants
+) -> tuple[int, int, int]:
+    """Write the events of the columns that fire; return the numbers of events in `keys`, written, and lost."""
+    rows = table.rows
     fired = lost = NONE
     for j in range(n):
         if rows[row.FIRES + j] == _ZERO:
             continue
         fired += 1
-        pixel, to = march.pixels[j], rows[row.TO + j]
+        pixel, to = table.pixels[j], rows[row.TO + j]
         z = rows[row.Z + j] + rows[row.HIT + j] * rows[row.SPAN + j]
         dt_ns = min(int(z * c.h_ns), c.h_ns)
         if rows[row.COUNT + j] < MOST_EVENTS:
@@ -236,9 +237,9 @@ def _last_reference(rows: _Float32s, j: int, c: StepConstants) -> np.float32:
 
 
 @kernel
-def _store(pixels: Pixels, march: March, j: int, c: StepConstants) -> None:
+def _store(pixels: Pixels, table: SubstepTable, j: int, c: StepConstants) -> None:
     """Write the state of a column that has reached the end of the step."""
-    rows, here = march.rows, slot(march.pixels[j])
+    rows, here = table.rows, slot(table.pixels[j])
     level, leaked = rows[row.LEVEL + j], _ZERO
     pixels.fields[here + _V] = rows[row.V1 + j]
     if c.second > _ZERO:
@@ -255,17 +256,17 @@ def _store(pixels: Pixels, march: March, j: int, c: StepConstants) -> None:
 
 
 @kernel
-def _end_substep(pixels: Pixels, march: March, n: int, c: StepConstants) -> int:
+def _end_substep(pixels: Pixels, table: SubstepTable, n: int, c: StepConstants) -> int:
     """Store the columns that have reached the end of the step, compact the others; return how many remain."""
-    rows, remaining = march.rows, 0
+    rows, remaining = table.rows, 0
     for j in range(n):
         if rows[row.Z1 + j] >= _ONE:
-            _store(pixels, march, j, c)
+            _store(pixels, table, j, c)
             continue
         rows[row.V + j], rows[row.W + j], rows[row.P + j] = rows[row.V1 + j], rows[row.W1 + j], rows[row.P1 + j]
         rows[row.Z + j] = rows[row.Z1 + j]
         if remaining < j:
-            march.pixels[remaining] = march.pixels[j]
+            table.pixels[remaining] = table.pixels[j]
             for k in range(row.STEP_ROWS):
                 rows[k * row.CAPACITY + remaining] = rows[k * row.CAPACITY + j]
         remaining += 1
@@ -273,8 +274,8 @@ def _end_substep(pixels: Pixels, march: March, n: int, c: StepConstants) -> int:
 
 
 @kernel_that_allocates
-def march_through(
-    pixels: Pixels, march: March, n: int, keys: Keys, n_keys: int, c: StepConstants
+def solve_substeps(
+    pixels: Pixels, table: SubstepTable, n: int, keys: Keys, n_keys: int, c: StepConstants
 ) -> tuple[Keys, int, int, int]:
     """Take the n columns of the table through the step.
 
@@ -283,19 +284,19 @@ def march_through(
     The keys (a longer copy where they were too short), the number of events in them, the number of crossings beyond
     MOST_EVENTS of a pixel, and the number of undersampled pixels.
     """
-    begin(march.rows, whole_vectors(n), c)
+    begin(table.rows, whole_vectors(n), c)
     undersampled = lost = NONE
     for j in range(n):
-        undersampled += march.rows[row.UNDERSAMPLED + j] != _ZERO
+        undersampled += table.rows[row.UNDERSAMPLED + j] != _ZERO
     while n > 0:
-        begin_substep(march.rows, whole_vectors(n), c)
+        begin_substep(table.rows, whole_vectors(n), c)
         fired = n
         while fired > 0:
             keys = reserve(keys, n_keys + n)
-            _find_firing_part(march.rows, whole_vectors(n))
-            _cross(march.rows, whole_vectors(n))
-            _bisect_unsettled(march, n)
-            n_keys, fired, more = _fire(pixels, march, n, keys, n_keys, c)
+            _find_firing_part(table.rows, whole_vectors(n))
+            _cross(table.rows, whole_vectors(n))
+            _bisect_unsettled(table, n)
+            n_keys, fired, more = _fire(pixels, table, n, keys, n_keys, c)
             lost += more
-        n = _end_substep(pixels, march, n, c)
+        n = _end_substep(pixels, table, n, c)
     return keys, n_keys, lost, undersampled

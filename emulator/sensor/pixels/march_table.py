@@ -15,7 +15,7 @@ from emulator.sensor.numerics.compiled import Real, kernel
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.pixels.state import BLOCK
 
-__all__ = ["CAPACITY", "STEP_ROWS", "March", "Start", "enter", "new_march"]
+__all__ = ["CAPACITY", "STEP_ROWS", "Start", "SubstepTable", "enter", "new_substep_table"]
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
@@ -39,8 +39,8 @@ STEP_ROWS = 18
 _ROWS = STEP_ROWS + 25
 
 
-class March(NamedTuple):
-    """The table: float32 rows, pixels of the columns, and room to list columns whose root has not settled."""
+class SubstepTable(NamedTuple):
+    """The table: float32 rows, pixels of the columns, and a list of columns whose root has not settled."""
 
     rows: _Float32s
     pixels: _Int64s
@@ -64,17 +64,17 @@ class Start(NamedTuple):
     leak: Real
 
 
-def new_march() -> March:
+def new_substep_table() -> SubstepTable:
     """Return an empty table."""
     rows = aligned_zeros(_ROWS * CAPACITY)
-    return March(rows, np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.int64))
+    return SubstepTable(rows, np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.int64))
 
 
 @kernel
-def enter(march: March, j: int, pixel: int, p: Start) -> None:
+def enter(table: SubstepTable, j: int, pixel: int, p: Start) -> None:
     """Write a pixel into column j."""
-    rows = march.rows
-    march.pixels[j] = pixel
+    rows = table.rows
+    table.pixels[j] = pixel
     rows[U + j], rows[D + j], rows[A0 + j], rows[A1 + j] = p.u0, p.u1 - p.u0, p.a0, p.a1
     rows[V + j], rows[W + j], rows[P + j], rows[RE_ARMED + j] = p.v, p.w, p.leaked, p.re_armed
     rows[BASE + j], rows[ON + j], rows[OFF + j], rows[LEAK + j] = p.reference, p.on, p.off, p.leak

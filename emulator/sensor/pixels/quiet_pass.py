@@ -9,7 +9,7 @@ The equations (photocurrent i relative to the reference light, u = ln i, natural
     crossing  ON when g - reference >= threshold_on, OFF when <= -threshold_off
 
 Between two frames u is the cubic through its values and time derivatives at both; the filter is solved over S, the
-integral of lambda dt, by `lowpass`, and so is the second pole.
+integral of lambda dt, as in `curve`, and so is the second pole.
 
 The step of a pixel is *quiet* when bounds show that it cannot fire: v stays between v0 and v0 + q (U - v0), with
 q = 1 - e^-S and U the highest (lowest) of u, which the cubic's Bernstein coefficients bound. Most steps are quiet and
@@ -17,7 +17,7 @@ cost one pass of plain arithmetic. A step is *smooth* when the cubic describes i
 0.5 of change in log light, no sign of an unseen change between the frames. A step that is not quiet or not smooth goes
 to `candidates`.
 
-What makes it fast, all measured:
+These measures make it fast, as measured:
 
 - State is kept in blocks of 512 pixels, field after field within a block (see `Field`), in one flat array. A block
   stays in the nearest caches with its scratch, and all its fields lie at distances known when compiled: LLVM gives up
@@ -30,7 +30,7 @@ What makes it fast, all measured:
 - Slopes are stored by warped time, which saves the divisions by the rate.
 - The second pole and parasitic leak, which few sensors have, are loops of their own, entered once a block or never.
 - The list of candidates is made without a branch, `found[k] = i; k += flag`, and only where a word of flags has any.
-- Candidates are gathered while their block is in the first cache, and solved in batches (`candidates`).
+- Candidates are collected while their block is in the first cache, and solved in batches (`candidates`).
 """
 
 from __future__ import annotations
@@ -187,7 +187,7 @@ def _add_second_pole(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
 def _add_parasitic(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
     """Add a block's parasitic leak, the integral of i, to its pixels' sums and to the bounds.
 
-    The sums are kept without what the present light leaks since the epoch: they do not change while the light is still.
+    The sums are stored without the leak by the present light since the epoch: they do not change under still light.
     """
     use_widest_vectors()
     for i in range(BLOCK):
@@ -218,7 +218,7 @@ def _test(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -
 
 @kernel
 def list_flags(eights: npt.NDArray[np.uint64], found: _Int64s) -> int:
-    """Write the indices of a block's pixels that may fire into `found`; return how many.
+    """Write the indices of a block's pixels that may fire into `found`; return their number.
 
     `eights` is `may_fire` seen as words, eight flags in each.
     """
@@ -258,7 +258,7 @@ def move_quietly(
 
 @vector_kernel
 def _restart_filters(s: _Float32s, before: _Float32s) -> None:
-    """Let the filters of a block start anew where its light is not readable, or was not."""
+    """Restart the filters of a block where its light is not readable, or was not."""
     for i in range(BLOCK):
         u0, u1 = before[_U0 + i], s[_U + i]
         readable = (u0 == u0) & (u1 == u1)
@@ -267,7 +267,7 @@ def _restart_filters(s: _Float32s, before: _Float32s) -> None:
 
 @vector_kernel
 def _move_leaked(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
-    """Leave a block's parasitic leak so far as it is: the sums are kept without what the present light leaks."""
+    """Preserve a block's parasitic leak so far: the sums are stored without the leak by the present light."""
     for i in range(BLOCK):
         more = photocurrent(s[_U + i]) - photocurrent(before[_U0 + i])
         s[_P + i] -= c.parasitic * s[_ON + i] * more * c.since_epoch_0
@@ -275,7 +275,7 @@ def _move_leaked(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
 
 @kernel
 def replace_light_of_block(light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, c: StepConstants) -> int:
-    """Let a block's light jump at the start of a step; return in how many pixels it is not readable."""
+    """Change a block's light at the start of a step; return the number of pixels in which it is not readable."""
     if c.chord:
         _take_light_alone(light, s, before, c)
     else:

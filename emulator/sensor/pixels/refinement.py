@@ -2,7 +2,7 @@
 
     t0 ---------------- t1     a pixel is undersampled between two frames: its state is copied to a subset,
     t0 ------ m ------- t1     its light at m is computed, and the same kernels solve both halves;
-         ... m' ...            a half that is still undersampled is halved again, up to three times
+         ... m' ...            a half that is still undersampled is divided again, up to three times
 
 All pixels of a subset form an array of their own. The arithmetic of a pixel is that of the whole array, and does not
 depend on which other pixels are refined. A refinement costs the scene the light of one pixel, and no further frame.
@@ -99,7 +99,7 @@ class Refinement:
         return together, together.size, Tally(*(sum(column) for column in zip(*self._tallies, strict=True)))
 
     def _refine(self, above: Pixels, n: int, whole: _Interval, level: int) -> None:
-        """Solve in halves the n pixels that the array `above` has gathered in an interval, and scatter them back."""
+        """Solve in halves the n pixels that the array `above` has collected in an interval, and scatter them back."""
         subset, middle_ns = self._subsets[level], (whole.t0_ns + whole.t1_ns) // 2
         listed = subset.pixels[:n]
         origin, here = whole.origin[listed], self._array(subset, above, n)

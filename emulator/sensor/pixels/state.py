@@ -1,20 +1,19 @@
-"""Memory layout of the pixels' state, and the constants of a step.
+"""State of the pixels: memory layout, constants of a step, the drawn parameters of each pixel, and packed events.
 
-Thresholds, leak rates and leak phases of each pixel: the numbers of `PixelArray`, in float64.
-
-All methods and the truth draw them here, so that with one seed all have the same pixels.
+Thresholds, leak rates and leak phases of each pixel are drawn here in float64, for all methods and the truth, so that
+with one seed all have the same pixels.
 
 The reference is stored with leak times the time since the epoch added (see `array`). When the leak changes, the
 reference moves by the change of leak times that time, and the comparator's level stays.
 
-How far the comparators of some pixels are from their references, and firing a pixel from outside.
+`Levels` gives the distance of the comparators of some pixels from their references, and fires pixels from outside:
 
 level = signal + leak - reference, ln units: an ON event where it reaches the ON threshold
 
-Packed events of one step, one number each, so that sorting the numbers sorts the events; and lost ones, counted.
-
-A pixel without a refractory period may cross any number of thresholds in a step, as under light with parasitic leak.
-Beyond MOST_EVENTS they are not found one by one: on a monotone curve their number is the way over the threshold.
+The events of one step are packed in one number each, so that sorting the numbers sorts the events; lost ones are
+counted. A pixel without a refractory period may cross any number of thresholds in a step, as under light with parasitic
+leak. Beyond MOST_EVENTS they are not found one by one: on a monotone curve their number is its change over the
+threshold.
 """
 
 from __future__ import annotations
@@ -155,7 +154,7 @@ class StepConstants(NamedTuple):
     pixel_bits: int
     chord: bool  # whether log light is a straight line, because its derivative is not given
     unseen_share: np.float32  # share of a threshold that may stay unseen; more makes a step undersampled
-    refine: bool  # whether undersampled pixels are gathered for refinement
+    refine: bool  # undersampled pixels are collected for refinement
 
 
 @kernel
@@ -227,7 +226,7 @@ class Drawn:
 
 
 def draw(parameters: SensorParameters, seed: int) -> Drawn:
-    """Return the figures of a sensor's pixels for a seed."""
+    """Return the parameters of a sensor's pixels for a seed."""
     pixel = np.arange(parameters.width * parameters.height)
     on, off = (
         nominal * np.maximum(1 + parameters.mismatch * normal(seed, purpose, pixel), _LEAST_THRESHOLD)
@@ -343,7 +342,7 @@ MOST_LOST = 1 << 32
 
 @kernel
 def levels_passed(level: float, end: float, threshold: float) -> tuple[int, float]:
-    """Return how many thresholds lie between a level and the end of a monotone curve, and what is left of the way.
+    """Return the number of thresholds between a level and the end of a monotone curve, and the remaining change.
 
     The rest is below a threshold; 0 where the numbers are too large to have one.
     """

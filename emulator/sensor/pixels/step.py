@@ -1,9 +1,8 @@
 """A step of all pixels, or of a thread's share of them: block by block, then the candidates in batches.
 
-A block that is idle costs a comparison of its light, or none outside the changed region (`idle`). Of
-a block of which little is active only the active parts are moved, together with those of others (`packs`).
-The arithmetic of a pixel does not depend on which blocks are moved with it, in what order, and by which thread, so the
-events are the same to the last bit.
+A block that is idle costs a comparison of its light, or none outside the changed region (`idle`). Of a block with few
+active parts only these are moved, together with those of others (`subset`). The arithmetic of a pixel does not depend
+on the blocks that are moved with it, their order and their thread, so the events are the same to the last bit.
 """
 
 from __future__ import annotations
@@ -75,7 +74,7 @@ class Tally(NamedTuple):
     undersampled: int  # light that changed between the frames in a way that they do not show
     candidates: int  # solved for crossings
     unreadable: int  # light not finite
-    refined: int  # undersampled, and gathered for refinement instead of being solved
+    refined: int  # undersampled, and collected for refinement instead of being solved
     moved: int  # in blocks and parts that were not skipped
 
 
@@ -207,7 +206,7 @@ def _move_pack(
 def _move_block(
     frame: _Frame, pixels: Pixels, buffers: Buffers, idle: Idle, at: tuple[int, _Progress], c: StepConstants
 ) -> _Progress:
-    """Move the block that begins at pixel `at[0]` where it is."""
+    """Move the block that begins at pixel `at[0]` in place."""
     first, scratch = at[0], buffers.scratch
     firsts = scratch.found[_FIRSTS:_PACKED]
     list_all(first, firsts)
@@ -238,7 +237,7 @@ def _first_of(block: int, share: Share) -> int:
 def _past_resting(block: int, size: int, share: Share, c: StepConstants) -> int:
     """Return the next of a share's blocks, from `block` on, that is not both idle and outside the touched part.
 
-    A loop of its own, so that a still picture has few values in registers.
+    A separate loop, so that still light needs few values in registers.
     """
     while True:
         first = _first_of(block, share)
@@ -293,7 +292,7 @@ def compile_parts(which: str, pixels: Pixels, buffers: Buffers, share: Share, c:
 def advance(
     frame: _Frame, pixels: Pixels, buffers: Buffers, keys: _Keys, share: Share, c: StepConstants
 ) -> tuple[_Keys, int, Tally]:
-    """Move a share of the pixels over one step. Of pixels gathered for refinement only the light moves.
+    """Move a share of the pixels over one step. Of pixels collected for refinement only the light moves.
 
     Parameters
     ----------

@@ -1,13 +1,12 @@
-"""Compact copy of the undersampled pixels, at their state before the step.
+"""Compact copies of pixels for a step: of the undersampled pixels, and of active parts of blocks.
 
-`refinement` advances this copy over parts of the step with the kernels that move the whole array, and writes the result
-back (gather and scatter).
+`refinement` advances a copy of the undersampled pixels, at their state before the step, over parts of the step with the
+kernels that move the whole array, and writes the result back (gather and scatter).
 
-Packs: parts of several blocks, moved together as one block.
-
-Where little of a block is active, as where a star passes, only its active parts are moved: those of several blocks are
-copied to one scratch block (gather), moved by the kernels that move a whole one, and copied back (scatter). Of a sky of
-stars at 1280x720, 1.3 % of the pixels change in a step, which lie in 53 % of the blocks and in 10 % of the parts.
+A pack holds active parts of several blocks, moved together as one block. Where few parts of a block are active, as
+where a star passes, only these are copied to one scratch block (gather), moved by the kernels that move a whole one,
+and copied back (scatter). Of a sky of stars at 1280x720, 1.3 % of the pixels change in a step, which lie in 53 % of the
+blocks and in 10 % of the parts.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ _Int64s = npt.NDArray[np.int64]
 _Frame = tuple[_Float32s, _Float32s]
 
 MOST_PACKED = PARTS // 2
-"""Active parts of a block up to which it is packed; with more it is moved as it is, which spares the copies."""
+"""Active parts of a block up to which it is packed; with more it is moved in place, which saves the copies."""
 
 _MOVED = tuple(int(f) * BLOCK for f in (Field.LOG_LIGHT, Field.FILTERED, Field.RATE, Field.SLOPE, Field.SECOND))
 _LEAKED = int(Field.LEAKED) * BLOCK
@@ -71,7 +70,7 @@ def pixel_at(firsts: _Int64s, i: int) -> int:
 
 @kernel
 def list_all(first: int, firsts: _Int64s) -> int:
-    """List the parts of the block that begins at pixel `first`; return how many."""
+    """List the parts of the block that begins at pixel `first`; return their number."""
     for j in range(PARTS):
         firsts[j] = first + j * PART
     return PARTS
@@ -79,7 +78,7 @@ def list_all(first: int, firsts: _Int64s) -> int:
 
 @kernel
 def list_active(frame: _Frame, first: int, idle: Idle, touched: Touched, firsts: _Int64s, c: StepConstants) -> int:
-    """List the parts of the block that begins at pixel `first` that cannot be skipped; return how many."""
+    """List the parts of the block that begins at pixel `first` that cannot be skipped; return their number."""
     if idle.until_ns[first // BLOCK] == NO_PART:
         return int(list_all(first, firsts))
     n = 0
@@ -127,7 +126,7 @@ def gather_parts(
 
 @kernel
 def scatter_parts(s: _Float32s, fields: _Float32s, firsts: _Int64s, parasitic: bool) -> None:
-    """Copy what a step may have changed of the state in a scratch block back to its parts."""
+    """Copy the state that a step may have changed from a scratch block back to its parts."""
     for j in range(firsts.size):
         here, at = j * PART, slot(firsts[j])
         for row in _MOVED:

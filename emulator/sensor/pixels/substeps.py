@@ -4,11 +4,11 @@ Pixels come here whose step is not one smooth cubic: large changes, turns, jumps
 periods that end inside the step, and exponentials. Over a substep
 
     light     changes by at most 0.5 in its logarithm, and so do its slopes times the substep
-    filter    is solved by `lowpass`; the comparator sees g, the cubic in time through values and slopes at both ends
-    length    is limited so that the part of the exponential that this cubic misses, |B| E(S), is below 0.4 % of a
+    filter    is solved as in `curve`; the comparator's input is g, the cubic in time through values and slopes at both
+    ends length    is limited so that the part of the exponential that this cubic misses, |B| E(S), is below 0.4 % of a
               threshold. The rest of B decays by e^-S in the next substep, so a few substeps do for any light and rate
 
-`march` finds the events on these curves.
+`march.solve_substeps` finds the events on these curves.
 """
 
 from __future__ import annotations

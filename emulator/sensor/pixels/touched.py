@@ -18,7 +18,7 @@ _Bytes = npt.NDArray[np.uint8]
 
 
 class Touched(NamedTuple):
-    """The part of a picture of `width` columns that may have changed; last row and column not included.
+    """The part of a light frame of `width` columns that may have changed; last row and column not included.
 
     `units`, (blocks * (1 + PARTS),), gives it instead, with 1 where a block or part may have changed, blocks first. It
     is empty where it is not used. One array for both, because each costs time in every call.

@@ -1,8 +1,8 @@
-"""The threads of an array's step: each moves a share of the blocks, and the events are merged.
+"""The threads of an array's step, and the buffers of its events.
 
-How many work on a step follows from what the last step moved: counts, no clock. Bit for bit the result is that of one.
-
-Buffers of a step's events, which grow on demand and are used again.
+Each thread moves a share of the blocks, and the events are merged. The number of threads follows from the work of the
+last step: counts, no clock. The result is bit for bit that of one thread. The buffers of a step's events grow on demand
+and are used again.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emulator.gl.render_target import UNDER_WAY, Rectangle, Stage
+from emulator.gl.render_target import MOST_PENDING, Rectangle, RenderTarget
 from emulator.light import SceneError
 
 pytestmark = [pytest.mark.gl, pytest.mark.usefixtures("gl")]
@@ -22,7 +22,7 @@ class Turning:
     """A triangle that turns, in a picture whose margin it cannot reach."""
 
     def __init__(self):
-        self.stage = Stage(SIZE, 3)
+        self.stage = RenderTarget(SIZE, 3)
         with self.stage.context as gl:
             self.program = gl.program(vertex_shader=VERTEX, fragment_shader=FRAGMENT)
             corners = np.array([(-0.9, -0.8), (0.1, 0.9), (0.8, -0.3)], np.float32)
@@ -33,7 +33,7 @@ class Turning:
             self.program["turn"] = turn
             self.array.render()
 
-        self.stage.begin(render, reach=Rectangle(2, 1, 29, 18))
+        self.stage.begin(render, region=Rectangle(2, 1, 29, 18))
 
     def take(self, out=None):
         out = np.full(SIZE[::-1], 9, np.float32) if out is None else out
@@ -44,18 +44,18 @@ class Turning:
 def test_pictures_begun_ahead_are_those_drawn_one_by_one():
     plain = Turning()
     ahead = Turning()
-    turns = np.linspace(0, 2, 2 * UNDER_WAY + 1)
+    turns = np.linspace(0, 2, 2 * MOST_PENDING + 1)
     expected = []
     for turn in turns:
         plain.begin(turn)
         expected.append(plain.take())
     assert len({picture.tobytes() for picture in expected}) == len(turns)
-    for turn in turns[:UNDER_WAY]:
+    for turn in turns[:MOST_PENDING]:
         ahead.begin(turn)
     for k, picture in enumerate(expected):
         np.testing.assert_array_equal(ahead.take(), picture)
-        if k + UNDER_WAY < len(turns):
-            ahead.begin(turns[k + UNDER_WAY])
+        if k + MOST_PENDING < len(turns):
+            ahead.begin(turns[k + MOST_PENDING])
     assert np.all(expected[0][0] == 0)
     assert expected[0].any()
 
@@ -75,9 +75,9 @@ def test_too_many_or_no_pictures_under_way_are_refused():
     turning = Turning()
     with pytest.raises(SceneError, match="draw one before"):
         turning.take()
-    for _ in range(UNDER_WAY):
+    for _ in range(MOST_PENDING):
         turning.begin(0.1)
-    with pytest.raises(SceneError, match=f"{UNDER_WAY} pictures are under way"):
+    with pytest.raises(SceneError, match=f"{MOST_PENDING} light frames are pending"):
         turning.begin(0.1)
     turning.take()
     turning.begin(0.2)

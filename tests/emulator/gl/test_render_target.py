@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emulator.gl.render_target import UNDER_WAY, Rectangle, Stage, depth_terms
+from emulator.gl.render_target import MOST_PENDING, Rectangle, RenderTarget, depth_terms
 from emulator.light import SceneError
 
 pytestmark = pytest.mark.gl
@@ -21,7 +21,7 @@ FRAGMENT = "#version 430\nflat in float light;\nout float r;\nvoid main() { r = 
 
 def draw(triangles, size=(8, 6), samples=2, depth=(1.0, 1000.0)):
     """Draw triangles ((x, y) of -1 to 1 with y down, z along the boresight, light), clockwise on the screen."""
-    stage = Stage(size, samples)
+    stage = RenderTarget(size, samples)
     out = np.full(size[::-1], 9.0, np.float32)
     with stage.context as gl:
         program = gl.program(vertex_shader=VERTEX, fragment_shader=FRAGMENT)
@@ -56,15 +56,15 @@ def test_the_far_side_is_not_drawn():
 
 
 def test_outside_its_reach_a_picture_is_black_whatever_was_there_before():
-    stage, picture = Stage((8, 6), 2), np.empty((6, 8), np.float32)
+    stage, picture = RenderTarget((8, 6), 2), np.empty((6, 8), np.float32)
     with stage.context as gl:
         program = gl.program(vertex_shader=VERTEX, fragment_shader=FRAGMENT)
         program["depth"] = depth_terms(1.0, 1000.0)
         data = np.array([[*corner, 5.0, 3.0] for corner in EVERYWHERE], np.float32)
         array = gl.vertex_array(program, [(gl.buffer(data), "3f 1f", "place", "shine")])
-    for reach in [None] * UNDER_WAY + [Rectangle(2, 1, 3, 4), Rectangle(4, 3, 4, 3)] * UNDER_WAY:
-        stage.draw(lambda _: array.render(), picture, reach=reach)
-        left, top, width, height = (reach.left, reach.top, reach.width, reach.height) if reach else (0, 0, 8, 6)
+    for region in [None] * MOST_PENDING + [Rectangle(2, 1, 3, 4), Rectangle(4, 3, 4, 3)] * MOST_PENDING:
+        stage.draw(lambda _: array.render(), picture, region=region)
+        left, top, width, height = (region.left, region.top, region.width, region.height) if region else (0, 0, 8, 6)
         assert np.all(picture[top : top + height, left : left + width] == 3)
         assert (picture != 0).sum() == width * height
     stage.close()
@@ -80,7 +80,7 @@ def test_depth_terms_reach_from_near_to_far():
 
 
 def test_a_closed_stage_draws_no_more():
-    stage = Stage((4, 4), 1)
+    stage = RenderTarget((4, 4), 1)
     stage.close()
     stage.close()
     with pytest.raises(SceneError, match="was closed"):
@@ -89,4 +89,4 @@ def test_a_closed_stage_draws_no_more():
 
 def test_a_picture_too_large_is_refused():
     with pytest.raises(SceneError, match="use fewer samples"):
-        Stage((16000, 4), 4)
+        RenderTarget((16000, 4), 4)

@@ -165,7 +165,7 @@ def test_what_a_view_must_have():
     topology, _ = grid(2)
     renderer = Renderer(topology, SCREEN)
     out = np.zeros((30, 40), np.float32)
-    with pytest.raises(ValueError, match="its facets name 9"):
+    with pytest.raises(ValueError, match="its facets need 9"):
         renderer.draw(View(np.zeros((4, 3)), np.zeros((4, 3)), np.zeros(9), np.zeros(9)), out, out.copy())
     with pytest.raises(ValueError, match="not \\(n, 3\\)"):
         View(np.zeros((4, 2)), np.zeros((4, 2)), np.zeros(4), np.zeros(4))

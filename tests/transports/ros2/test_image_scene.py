@@ -93,7 +93,7 @@ def test_an_image_of_another_process_is_the_light(encoding):
 def test_no_image_in_time_says_what_to_look_at():
     parameters = Ros2ImageParameters(own_topic("images"), domain=DOMAIN, wait_s=0.1)
     for _ in range(2):  # the domain can be joined again after that
-        with pytest.raises(SceneError, match=r"no image came on .* nothing writes sensor_msgs/msg/Image"):
+        with pytest.raises(SceneError, match=r"no image came on .* no program in reach writes sensor_msgs/msg/Image"):
             open_ros2_images(parameters, (34, 26))
 
 

@@ -239,7 +239,7 @@ def test_light_depends_on_nothing_but_time():
 def test_drawing_only_where_the_body_can_be_cuts_nothing(monkeypatch, pole, camera, turned_deg):
     aim = eros(pole=pole, q=scalar_first(camera), start_deg=turned_deg, range_m=26e3, field_deg=110.0, samples=1)
     part = shoot(**aim)
-    monkeypatch.setattr(bodies_module, "reach", lambda *_: Rectangle(0, 0, *SIZE))
+    monkeypatch.setattr(bodies_module, "touched_region", lambda *_: Rectangle(0, 0, *SIZE))
     whole = shoot(**aim)
     assert whole.any()
     np.testing.assert_array_equal(part, whole)

@@ -67,15 +67,15 @@ class World:
 def test_a_lambert_ball_has_the_cosine_of_incidence():
     sun = Sun((1.0, 0.0, 0.0), 2.0)
     world = World([body()], [ball()], sun=sun, camera=FixedPath((5.0, 5.0, 0.0)))
-    glow = world.light()[0]
+    surface_light = world.light()[0]
     surface = world.surfaces[0]
     mu0 = surface.normals[:, 0]
     seen = surface.normals @ unit([1, 1, 0]) > 0.3
     clear = np.abs(mu0) > math.sin(sun.radius_rad) + 0.01
     expected = sun.irradiance_w_m2 / math.pi * np.maximum(mu0, 0)
-    np.testing.assert_allclose(glow.radiance[seen & clear], expected[seen & clear], rtol=1e-9, atol=1e-12)
-    assert (glow.radiance[surface.normals @ unit([1, 1, 0]) < -0.1] == 0).all()
-    assert (glow.rate == 0).all()
+    np.testing.assert_allclose(surface_light.radiance[seen & clear], expected[seen & clear], rtol=1e-9, atol=1e-12)
+    assert (surface_light.radiance[surface.normals @ unit([1, 1, 0]) < -0.1] == 0).all()
+    assert (surface_light.rate == 0).all()
 
 
 def test_the_terminator_of_a_ball_is_as_wide_as_the_sun():
@@ -84,17 +84,17 @@ def test_the_terminator_of_a_ball_is_as_wide_as_the_sun():
     k = np.arange(200_000) + 0.5
     height = np.sqrt(k / len(k)) * np.sin(k * math.pi * (3 - math.sqrt(5)))
     world = World([body()], [ball(5)], sun=sun, camera=FixedPath((0.0, 0.0, 9.0)))
-    glow, normals = world.light()[0], world.surfaces[0].normals
+    surface_light, normals = world.light()[0], world.surfaces[0].normals
     near = np.flatnonzero((np.abs(normals[:, 0]) < 1.1 * sun.radius_rad) & (normals[:, 2] > 0.4))[::7]
     assert len(near) > 30
     for n in near:
         elevation = math.asin(normals[n, 0])
         mean = np.maximum(elevation + sun.radius_rad * height, 0).mean()
-        assert glow.radiance[n] == pytest.approx(
+        assert surface_light.radiance[n] == pytest.approx(
             sun.irradiance_w_m2 / math.pi * mean, abs=1.5e-3 * sun.irradiance_w_m2 / math.pi
         )
-    assert glow.radiance[near].max() > 0
-    assert glow.radiance[(normals[:, 0] < -math.sin(sun.radius_rad) - 0.02)].max() == 0
+    assert surface_light.radiance[near].max() > 0
+    assert surface_light.radiance[(normals[:, 0] < -math.sin(sun.radius_rad) - 0.02)].max() == 0
 
 
 LAWS = [Lambert(), LommelSeeliger(), LunarLambert(), Hapke(), Glossy()]
@@ -198,9 +198,9 @@ def test_a_moon_goes_through_a_shadow():
     radiance, rate = [], []
     times = np.arange(3_000_000_000, 9_000_000_000, 10_000_000)
     for t in times:
-        glow = world.light(int(t))[1]
-        radiance.append(glow.radiance.sum())
-        rate.append(glow.rate.sum())
+        surface_light = world.light(int(t))[1]
+        radiance.append(surface_light.radiance.sum())
+        rate.append(surface_light.rate.sum())
     radiance, rate = np.array(radiance), np.array(rate)
     middle = len(times) // 2
     assert radiance[middle] == 0
@@ -232,12 +232,12 @@ def test_a_part_shades_another_of_its_group_also_under_an_overhang(smooth):
     ]
     for sun, place in (((0.9, 0.0, 0.44), (-4.1, 0.0)), ((0.1, 0.1, 1.0), (-0.2, -0.2))):
         world = World(bodies, [plate, hung], sun=Sun(sun), camera=FixedPath((0.0, 0.0, 30.0)))
-        glow, surface = world.light()[0], world.surfaces[0]
+        surface_light, surface = world.light()[0], world.surfaces[0]
         towards, turn = unit(sun), world.poses(0)[0].world_from_body
         points = surface.points @ turn.T
         beside = np.linalg.norm(np.cross(np.array([0, 0, 2.0]) - points, towards), axis=1)
         top = (surface.normals[:, 2] > 0.9) & (np.abs(points[:, :2]) < 3.9).all(axis=1)
-        lit, dark = glow.radiance[top & (beside > 0.83)], glow.radiance[top & (beside < 0.76)]
+        lit, dark = surface_light.radiance[top & (beside > 0.83)], surface_light.radiance[top & (beside < 0.76)]
         assert (lit > 0.99 * lit.max()).all()
         assert len(dark) > 20 or abs(place[0]) > 4
         assert (dark == 0).all()
@@ -256,11 +256,11 @@ def test_a_body_that_throws_no_shadow_throws_none():
 
 def test_ambient_light_fills_the_night():
     world = World([body()], [ball(3)], sun=Sun((0.0, 0.0, 1.0)), camera=FixedPath((0.0, 0.0, -9.0)), ambient_w_m2=2.0)
-    glow, normals = world.light()[0], world.surfaces[0].normals
+    surface_light, normals = world.light()[0], world.surfaces[0].normals
     towards = np.array([0, 0, -9.0]) - world.surfaces[0].points
     mu = (normals * towards).sum(axis=1) / np.linalg.norm(towards, axis=1)
     night = normals[:, 2] < -0.3
-    np.testing.assert_allclose(glow.radiance[night], 2.0 / math.pi * mu[night], rtol=1e-9)
+    np.testing.assert_allclose(surface_light.radiance[night], 2.0 / math.pi * mu[night], rtol=1e-9)
 
 
 def test_degenerate_points_give_no_nan():
@@ -270,16 +270,16 @@ def test_degenerate_points_give_no_nan():
     mesh = Mesh(good.vertices, good.faces, bad)
     for eye in ((0.0, 0.0, -5.0), tuple(lit_surface(good, smooth=True).points[7]), (0.0, 0.0, 0.0)):
         world = World([body(Glossy())], [mesh], sun=Sun((0.2, 0.1, -1.0)), camera=FixedPath(eye), ambient_w_m2=1.0)
-        glow = world.light()[0]
-        assert np.isfinite(glow.radiance).all()
-        assert np.isfinite(glow.rate).all()
-        assert (glow.radiance >= 0).all()
+        surface_light = world.light()[0]
+        assert np.isfinite(surface_light.radiance).all()
+        assert np.isfinite(surface_light.rate).all()
+        assert (surface_light.radiance >= 0).all()
 
 
 def test_nothing_moves_nothing_changes():
     pose = Pose(np.zeros(3), np.array([1.0, 0, 0, 0]))
     eye = Pose(np.array([0, 0, -5.0]), np.array([1.0, 0, 0, 0]))
     world, poses = World([body()], [ball(2)], sun=Sun((0, 0, -1))), Poses(eye, [pose])
-    glow = world.lighting.light(Motion(poses, poses, poses, 1.0))[0]
-    assert glow.radiance.any()
-    assert not glow.rate.any()
+    surface_light = world.lighting.light(Motion(poses, poses, poses, 1.0))[0]
+    assert surface_light.radiance.any()
+    assert not surface_light.rate.any()

@@ -82,7 +82,7 @@ def test_every_family_of_plate_table_gives_the_same_shape(text):
         ("v 1 2 3\nf 0 1 99999999999999999999", "line 2"),
         ("hello", "line 1: 'hello' is not a count"),
         ("3\n0 0 0\n1 0 0\n0 1 0", "ends before the facets"),
-        ("3\n0 0 0\n1 0 0\n0 1 0\n2\n1 2 3", "3 vertices and 2 facets are promised, 3 and 1 are there"),
+        ("3\n0 0 0\n1 0 0\n0 1 0\n2\n1 2 3", "3 vertices and 2 facets are announced, 3 and 1 are there"),
         ("1 1\n0 0\n1 2 3", "line 2"),
     ],
 )

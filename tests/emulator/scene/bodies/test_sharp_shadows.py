@@ -18,7 +18,7 @@ from emulator.scene.bodies.polygons import cut_around, double_area, without_shor
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.shadow_polygons import SharpShadows, blank_room, receivers_of, with_narrow_penumbras
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
-from emulator.threads import Crew
+from emulator.threads import ThreadPool
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.parameters import FixedPath, SpinPath
 from emulator.trajectory.pose import STILL
@@ -152,9 +152,9 @@ def test_threads_and_parts_change_no_bit(shapes, monkeypatch, threads, parts):
     one = SharpShadows(0, tree, [plate, plate], 1e-7).cast([dark, dark], around)
     monkeypatch.setattr("emulator.scene.bodies.shadow_polygons._MOST_PARTS", parts)
     monkeypatch.setattr("emulator.scene.bodies.shadow_polygons._FIRST_ROWS", 16)  # less than there is to write
-    crew = Crew(threads)
-    found = SharpShadows(0, tree, [plate, plate], 1e-7, crew).cast([dark, dark], around)
-    crew.close()
+    pool = ThreadPool(threads)
+    found = SharpShadows(0, tree, [plate, plate], 1e-7, pool).cast([dark, dark], around)
+    pool.close()
     assert len(found.faces) > 500
     for name in ("corners", "radiance", "rate", "faces", "over"):
         np.testing.assert_array_equal(getattr(found, name), getattr(one, name))

@@ -1,4 +1,4 @@
-"""The part of a picture that bodies can reach."""
+"""The part of a light frame that bodies can touch."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from emulator.geometry.camera import Pinhole
 from emulator.gl.render_target import Rectangle
-from emulator.scene.bodies.gl_bodies import box_corners, reach
+from emulator.scene.bodies.gl_bodies import box_corners, touched_region
 
 CAMERA = Pinhole.of_field((64, 48), 60.0)
 CUBE = box_corners(np.array([[-1.0, -1, -1], [1, 1, 1]]))
@@ -21,20 +21,20 @@ def test_a_box_has_eight_corners():
 def test_a_cube_before_the_camera_is_seen_as_wide_as_its_front():
     half_px = CAMERA.focal_px / 9
     across = Rectangle(int(32 - half_px) - 1, int(24 - half_px) - 1, 2 * int(half_px) + 4, 2 * int(half_px) + 4)
-    assert reach([CUBE + [0, 0, 10]], CAMERA) == across
+    assert touched_region([CUBE + [0, 0, 10]], CAMERA) == across
 
 
 def test_what_is_behind_the_camera_is_not_seen_and_what_is_around_it_may_be_anywhere():
-    assert reach([], CAMERA) == reach([CUBE - [0, 0, 10]], CAMERA) == Rectangle(0, 0, 1, 1)
-    assert reach([CUBE + [5, 0, 0.5]], CAMERA) == Rectangle(0, 0, 64, 48)
-    assert reach([CUBE - [0, 0, 10], CUBE + [0, 0, 10]], CAMERA) == reach([CUBE + [0, 0, 10]], CAMERA)
+    assert touched_region([], CAMERA) == touched_region([CUBE - [0, 0, 10]], CAMERA) == Rectangle(0, 0, 1, 1)
+    assert touched_region([CUBE + [5, 0, 0.5]], CAMERA) == Rectangle(0, 0, 64, 48)
+    assert touched_region([CUBE - [0, 0, 10], CUBE + [0, 0, 10]], CAMERA) == touched_region([CUBE + [0, 0, 10]], CAMERA)
 
 
 @given(st.lists(st.tuples(number, number, st.floats(-5, 30)), min_size=1, max_size=4), st.integers(0, 2**32 - 1))
 @settings(max_examples=50, deadline=None)
 def test_every_point_that_is_seen_lies_within(places, seed):
     boxes = [CUBE + place for place in places]
-    seen = reach(boxes, CAMERA)
+    seen = touched_region(boxes, CAMERA)
     assert 0 <= seen.left < seen.left + seen.width <= 64
     assert 0 <= seen.top < seen.top + seen.height <= 48
     points = np.concatenate([np.random.default_rng(seed).uniform(-1, 1, (100, 3)) + place for place in places])

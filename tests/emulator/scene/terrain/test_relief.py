@@ -10,7 +10,7 @@ from scipy import integrate, special
 
 from emulator.geometry.camera import Pinhole
 from emulator.scene import array_cache
-from emulator.scene.array_cache import Progress, kept
+from emulator.scene.array_cache import Progress, cached_array
 from emulator.scene.terrain.ground import nested
 from emulator.scene.terrain.relief import (
     DEPTH,
@@ -226,18 +226,18 @@ def test_what_was_made_is_kept(tmp_path, monkeypatch):
         return np.full((1, 2, 3), len(made), np.float32)
 
     for _ in range(2):
-        assert kept("thing", SMALL, make)[0, 0, 0] == 1
-    assert kept("thing", Ridge(), make)[0, 0, 0] == 2
+        assert cached_array("thing", SMALL, make)[0, 0, 0] == 1
+    assert cached_array("thing", Ridge(), make)[0, 0, 0] == 2
     for path in (tmp_path / "evstim").iterdir():
         path.write_bytes(path.read_bytes()[:-5])  # cut short by a full disk
-    assert kept("thing", SMALL, make)[0, 0, 0] == 3
+    assert cached_array("thing", SMALL, make)[0, 0, 0] == 3
     assert not list((tmp_path / "evstim").glob("*.part"))
 
 
 def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setattr(array_cache, "cache_folder", lambda: tmp_path / "file" / "evstim")
-    assert kept("thing", SMALL, lambda: np.ones((1, 2, 2), np.float32)).all()
+    assert cached_array("thing", SMALL, lambda: np.ones((1, 2, 2), np.float32)).all()
     assert "cannot be written" in capsys.readouterr().err
 
 
@@ -252,7 +252,7 @@ def test_progress_is_told_on_stderr(capsys):
     ("changes", "message"),
     [
         ({"posts": 100}, "posts is 100"),
-        ({"ridge_m": 5000.0, "size_m": 8000.0}, "finds no room"),
+        ({"ridge_m": 5000.0, "size_m": 8000.0}, "does not fit"),
         ({"seed": -1}, "seed is -1"),
         ({"slope_deg": float("nan")}, "slope_deg is nan"),
     ],
