@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, Self, TypeVar
 from emulator.rig.kinds import assigned_fault, convert_fault
 from emulator.rig.loading import Rig, load_rig, with_options
 from emulator.run.assembly import build_scene, build_session, link_setups, schedule
-from emulator.run.kernels import cold, parts_of, prepare
+from emulator.run.kernels import parts_of, prepare, uncompiled
 from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.session import Session
 from emulator.run.standard_descriptors import fill_standard_descriptors
@@ -143,7 +143,7 @@ def _compile_ahead(rig: Rig) -> None:
     In the process that compiles it, code may differ in the last bit from the code that is stored and loaded later: the
     first run on a machine would have other events than the next one.
     """
-    if missing := cold(parts_of(rig)):
+    if missing := uncompiled(parts_of(rig)):
         log.warning("compiling, once on this machine: %s", ", ".join(part.name for part in missing))
         prepare(missing)
 
