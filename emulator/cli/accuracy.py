@@ -10,7 +10,8 @@ from typing import Annotated, Literal, TypeVar
 from cyclopts import Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.cli.checks import failures
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.evaluation.accuracy.harness import CASES, QUICK, methods
 from emulator.evaluation.accuracy.rendering import Stretch, fits, rendering_rows, rows_of
 from emulator.evaluation.accuracy.report import (

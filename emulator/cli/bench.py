@@ -7,7 +7,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.cli.checks import failures
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
 from emulator.evaluation.bench.measures import MEASURES, Measure
 from emulator.evaluation.bench.streams import BenchFailed
 from emulator.tables.typed_table import unknown

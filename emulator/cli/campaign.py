@@ -43,19 +43,8 @@ from emulator.campaign.table import (
     write_table,
 )
 from emulator.campaign.workers import LocalWorkers, WarmWorker, Workers, cores, part_of, remaining, run_campaign
-from emulator.cli.output import (
-    BAD_VERDICT,
-    GOOD,
-    LACKING,
-    WRONG_USE,
-    Failure,
-    check_recording,
-    console,
-    failures,
-    prepared,
-    print_json,
-    status,
-)
+from emulator.cli.checks import check_recording, failures, prepared
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.signals import interrupt_on_stop_signals, stop_on_signals
 from emulator.run.kernels import parts_of
 

@@ -8,7 +8,8 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.cli.checks import failures
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.evaluation.characterise.measurements import figures, measurements
 from emulator.evaluation.characterise.recordings import compare, write_comparison
 from emulator.evaluation.characterise.report import reading, write

@@ -13,19 +13,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.output import (
-    BAD_VERDICT,
-    GOOD,
-    WRONG_USE,
-    Failure,
-    check_recording,
-    console,
-    parsed_size,
-    print_json,
-    reading,
-    status,
-    writing,
-)
+from emulator.cli.checks import check_recording, parsed_size, reading, writing
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
 from transports.recording.aedat4 import RawEvents, recover_aedat4
 from transports.recording.format import Format
 from transports.recording.guarded import OpenRecording

@@ -24,19 +24,9 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from emulator.cli.checks import failures, prepared
 from emulator.cli.driver_client import DRIVER, driver_works
-from emulator.cli.output import (
-    BAD_VERDICT,
-    GOOD,
-    LACKING,
-    WRONG_USE,
-    Failure,
-    console,
-    failures,
-    prepared,
-    print_json,
-    status,
-)
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.run import summary
 from emulator.cli.run_summary import lateness_lines
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals

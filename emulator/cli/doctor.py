@@ -8,7 +8,8 @@ from typing import Annotated
 from cyclopts import Parameter
 from rich.text import Text
 
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, console, failures, prepared, print_json
+from emulator.cli.checks import failures, prepared
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, console, print_json
 from emulator.cli.rigs import Needed, examined_needs
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from emulator.run.keeping_up import RealTimeSpeed, keeping_up

@@ -11,7 +11,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, failures, print_json
+from emulator.cli.checks import failures
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.dynamics.flight import (
     DynamicsError,

@@ -10,7 +10,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.output import GOOD, WRONG_USE, Failure, console, failures, print_json
+from emulator.cli.checks import failures
+from emulator.cli.output import GOOD, WRONG_USE, Failure, console, print_json
 from emulator.rig.loading import load_rig
 from firmware_protocol.can_frames.dbc import CanMessage, can_messages
 from firmware_protocol.ground.cosmos import CosmosPorts, cosmos_files

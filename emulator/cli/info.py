@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from cyclopts import Parameter
 
-from emulator.cli.output import BAD_VERDICT, GOOD, console, parsed_size, print_json, reading
+from emulator.cli.checks import parsed_size, reading
+from emulator.cli.output import BAD_VERDICT, GOOD, console, print_json
 from emulator.run.truth.file import truth_in
 from firmware_protocol.events import Events
 from transports.recording.guarded import OpenRecording

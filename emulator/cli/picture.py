@@ -11,7 +11,8 @@ from typing import Annotated
 import numpy as np
 from cyclopts import Parameter
 
-from emulator.cli.output import GOOD, WRONG_USE, Failure, console, failures, prepared, print_json
+from emulator.cli.checks import failures, prepared
+from emulator.cli.output import GOOD, WRONG_USE, Failure, console, print_json
 from emulator.light import Light
 from emulator.report.pictures import MOVIES, Rgb, captioned, event_picture, save_movie, save_png, scaled, white_of
 from emulator.rig.loading import Rig, load_rig

@@ -8,7 +8,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.output import GOOD, console, failures, print_json
+from emulator.cli.checks import failures
+from emulator.cli.output import GOOD, console, print_json
 from emulator.plan.plan import Decision, Plan, make_plan
 from emulator.plan.scene_probe import probe
 from emulator.rig.camera_models import CAMERA_MODELS

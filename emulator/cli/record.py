@@ -9,17 +9,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.output import (
-    BAD_VERDICT,
-    GOOD,
-    WRONG_USE,
-    Failure,
-    check_recording,
-    console,
-    failures,
-    prepared,
-    print_json,
-)
+from emulator.cli.checks import check_recording, failures, prepared
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json
 from emulator.cli.run import print_summary, run_rig, summary
 from emulator.cli.signals import ignore_stop_signals
 from emulator.rig.loading import Rig, load_rig, with_options

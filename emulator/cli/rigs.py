@@ -14,7 +14,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.output import GOOD, console, failures, print_json
+from emulator.cli.checks import failures
+from emulator.cli.output import GOOD, console, print_json
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from emulator.rig.remarks import OpenedFile, open_files, remarks

@@ -10,20 +10,8 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.output import (
-    BAD_VERDICT,
-    GOOD,
-    LACKING,
-    WRONG_USE,
-    Failure,
-    check_output,
-    check_recording,
-    console,
-    failures,
-    prepared,
-    print_json,
-    status,
-)
+from emulator.cli.checks import check_output, check_recording, failures, prepared
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.run_display import LiveTable, OptionalPage, RunReporter, begin_report, check_serving
 from emulator.cli.run_summary import (
     Truth,

@@ -15,7 +15,8 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from emulator.cli.output import LACKING, WRONG_USE, Failure, check_output, console
+from emulator.cli.checks import check_output
+from emulator.cli.output import LACKING, WRONG_USE, Failure, console
 from emulator.rig.loading import Rig
 from emulator.run.kernels import TRUTH, Part
 from emulator.run.link_process import traced

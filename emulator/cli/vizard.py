@@ -12,7 +12,8 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, failures, print_json, status
+from emulator.cli.checks import failures
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.run import NO_FILES, Files, print_summary, rig_with_options, run_with_files, summary
 from emulator.cli.run_summary import quantile_text
 from emulator.report.pictures import check_png, grey_png

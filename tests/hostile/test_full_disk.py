@@ -8,7 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from emulator.cli.output import Failure, check_output
+from emulator.cli.checks import check_output
+from emulator.cli.output import Failure
 from firmware_protocol.events import EVENT
 from transports.faults.kinds import BitFlips
 from transports.faults.script import FaultPlan, Faults

@@ -9,8 +9,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
+from emulator.cli.checks import failures, prepared
 from emulator.cli.listen.reception import Limits, report_problems, until
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, failures, prepared, print_json, status
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.run_summary import quantile_text
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.kernels import DECODER

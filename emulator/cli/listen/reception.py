@@ -15,7 +15,8 @@ from typing import Annotated, Protocol
 
 from cyclopts import Parameter
 
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, check_output, console, prepared, status
+from emulator.cli.checks import check_output, prepared
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, console, status
 from emulator.cli.run_summary import quantile_text
 from emulator.run.kernels import DECODER
 from firmware_protocol.packets.telecommands import (

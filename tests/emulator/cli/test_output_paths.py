@@ -4,7 +4,8 @@ import os
 
 import pytest
 
-from emulator.cli.output import Failure, check_output
+from emulator.cli.checks import check_output
+from emulator.cli.output import Failure
 
 
 def test_a_new_file_does_not_appear_while_it_is_checked(tmp_path, monkeypatch):
