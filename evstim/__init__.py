@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from emulator.scene.terrain.table import TerrainParameters as TerrainScene
     from emulator.scene.video.ros2_images import Ros2ImageParameters as Ros2Scene
     from emulator.scene.video.video import VideoParameters as VideoScene
-    from emulator.sensor.aps.row_kicks import FrameParameters, KickParameters
+    from emulator.sensor.aps.parameters import FrameParameters, KickParameters
     from emulator.sensor.effects import (
         BackgroundParameters,
         DefectParameters,
@@ -308,7 +308,7 @@ _NAMES = {
     "emulator.scene.bodies.table": ("Bare", "Clouds", "Regolith"),
     "emulator.scene.stars.table": ("MovingPoint",),
     "emulator.scene.terrain.table": ("Heightmap", "Ridge"),
-    "emulator.sensor.aps.row_kicks": ("FrameParameters", "KickParameters"),
+    "emulator.sensor.aps.parameters": ("FrameParameters", "KickParameters"),
     "emulator.sensor.effects": (
         "BackgroundParameters",
         "DefectParameters",

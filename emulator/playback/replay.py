@@ -15,7 +15,7 @@ import numpy.typing as npt
 from emulator.light import LightFrame
 from emulator.playback.recording import RecordingParameters, load_recording
 from emulator.scene.kind import Blank
-from emulator.sensor.aps.row_kicks import KickParameters
+from emulator.sensor.aps.parameters import KickParameters
 from emulator.sensor.chip.readout import ReadOut
 from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import SensorParameters

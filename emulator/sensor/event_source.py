@@ -6,7 +6,8 @@ from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 from emulator.light import LightFrame
-from emulator.sensor.aps.row_kicks import KickParameters, LineReads
+from emulator.sensor.aps.parameters import KickParameters
+from emulator.sensor.aps.row_kicks import LineReads
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events
 

@@ -18,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame, Region
-from emulator.sensor.aps.row_kicks import KickParameters, LineReads, RowKicks
+from emulator.sensor.aps.parameters import KickParameters
+from emulator.sensor.aps.row_kicks import LineReads, RowKicks
 from emulator.sensor.chip.defects import NEVER_NS, Defects, Leaks, at_temperature, draw_defects
 from emulator.sensor.chip.imager import Imager, part_of_the_way
 from emulator.sensor.effects import DefectParameters

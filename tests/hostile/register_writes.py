@@ -21,7 +21,7 @@ import numpy as np
 
 from emulator.light import LightFrame
 from emulator.sensor.aps.frames import FrameSource
-from emulator.sensor.aps.row_kicks import FrameParameters
+from emulator.sensor.aps.parameters import FrameParameters
 from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, Carried, ImuSource, ImuUnit
 from emulator.trajectory.motion import Timescale

@@ -28,7 +28,7 @@ from emulator.light import LightFrame, Scene
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.run.truth.file import About, TruthRecorder
-from emulator.sensor.aps.row_kicks import KickParameters
+from emulator.sensor.aps.parameters import KickParameters
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.event_source import EventSource
 from emulator.sensor.origins import TracedSensor

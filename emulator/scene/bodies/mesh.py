@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import trimesh
 
 from emulator.light import SceneError
 from emulator.scene.bodies.mesh_files import PlateTableError, parse_plates, parse_wavefront
@@ -251,6 +250,8 @@ def vertex_normals(points: _Points, corners: _Faces) -> _Points:
 
 def read_surface(path: Path) -> dict[str, npt.NDArray[Any]]:
     """Return `vertices` (n, 3) float64 in the file's unit and `faces` (m, 3) int64; textures are ignored."""
+    import trimesh  # in the child process alone: it takes a second
+
     with path.open("rb") as file:
         try:
             loaded = trimesh.load_mesh(file, file_type=path.suffix[1:].lower(), process=False, skip_materials=True)
