@@ -18,7 +18,7 @@ from firmware_protocol.device.event_device import EventDevice
 
 __all__ = ["CameraSettings", "ChangeWatch", "Occurrence"]
 
-_MOST_WAITING = 1000  # changes that a busy session has not read; beyond this the newest replaces the last one
+_MOST_WAITING = 1000  # changes that a busy session has not read
 _FOREVER_US = 1 << 62
 
 
@@ -75,6 +75,7 @@ class ChangeWatch:
         self._acts = type(device).sensor_factors is not EventDevice.sensor_factors
         self._factors: dict[str, float] = {}
         self._without_effect: dict[str, str] = {}
+        self._not_listed = 0
         self.waiting: deque[CameraSettings | Occurrence] = deque()
 
     def look(self, t_us: int) -> None:
@@ -88,10 +89,27 @@ class ChangeWatch:
             self.add(CameraSettings(t_us, by, factors, without_effect))
 
     def add(self, change: CameraSettings | Occurrence) -> None:
-        """Record a change."""
-        if len(self.waiting) == _MOST_WAITING:
+        """Record a change; if 1000 wait, occurrences are only counted, and settings replace the last ones.
+
+        So the sensor follows the settings whatever else a host sends.
+        """
+        if len(self.waiting) < _MOST_WAITING:
+            self._add_count(change.t_us)
+            self.waiting.append(change)
+        elif isinstance(change, Occurrence):
+            self._not_listed += 1
+        else:
+            self._replace_settings(change)
+
+    def _add_count(self, t_us: int) -> None:
+        if self._not_listed:
+            self.waiting.append(Occurrence(t_us, self._device.set_by, f"{self._not_listed} more, not listed"))
+            self._not_listed = 0
+
+    def _replace_settings(self, settings: CameraSettings) -> None:
+        if isinstance(self.waiting[-1], CameraSettings):
             self.waiting.pop()
-        self.waiting.append(change)
+        self.waiting.append(settings)
 
     def settled_us(self, reached_us: int) -> int:
         """Return the stream time before which no further change of the sensor can come, for a camera at `reached_us`.

@@ -40,7 +40,12 @@ name = "a"
 kind = "loopback"
 name = "b"
 """
-_EVSTIM = [sys.executable, "-c", "from emulator.cli import main; print(flush=True); main()", "run"]
+_PROGRAM = (
+    "import signal\n"
+    "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored by what a shell starts in the background
+    "from emulator.cli import main; print(flush=True); main()"
+)
+_EVSTIM = [sys.executable, "-c", _PROGRAM, "run"]
 
 
 def open_link(**more):

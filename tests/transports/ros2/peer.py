@@ -8,6 +8,7 @@ imports nothing of evstim.
     python peer.py write DOMAIN TOPIC Type ReliabilityDepth    the same, from stdin
 """
 
+import signal
 import struct
 import sys
 import time
@@ -136,4 +137,5 @@ def main():
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored by what a shell starts in the background
     main()

@@ -1,0 +1,50 @@
+"""Changes of a camera that wait for a session too busy to read: settings are never lost, the rest is counted."""
+
+from types import SimpleNamespace
+
+from firmware_protocol.event_device import EventDevice
+from transports.link.changes import CameraSettings, ChangeWatch, Occurrence
+
+
+class Device(SimpleNamespace):
+    """What a watch looks at."""
+
+    set_by = "telecommand"
+    sensor_factors = EventDevice.sensor_factors
+
+    def take_commands(self):
+        commands, self.commands = self.commands, ()
+        return commands
+
+
+def watched():
+    device = Device(commands=(), without_effect={})
+    device.__dict__["factors"] = {}
+    type(device).sensor_factors = property(lambda self: self.factors)
+    return device, ChangeWatch(device)
+
+
+def test_settings_behind_a_flood_of_telecommands_are_the_last_ones():
+    device, watch = watched()
+    for k in range(300):
+        device.commands = tuple(f"SetRegion({k}, {n})" for n in range(10))
+        device.factors = {"threshold_on": 1.0 + k / 100}
+        watch.look(k)
+    device.commands = ("SetRegion(0, 0)",)
+    watch.look(300)
+    assert len(watch.waiting) <= 1001
+    settings = [one for one in watch.waiting if isinstance(one, CameraSettings)]
+    assert settings[-1] == CameraSettings(299, "telecommand", {"threshold_on": 3.99}, {})
+
+
+def test_what_found_no_room_is_counted_when_there_is_room_again():
+    device, watch = watched()
+    device.commands = tuple(map(str, range(1500)))
+    watch.look(1)
+    assert len(watch.waiting) == 1000
+    watch.waiting.clear()
+    device.commands = ("last",)
+    watch.look(2)
+    assert list(watch.waiting) == [
+        Occurrence(2, "telecommand", "500 more, not listed"), Occurrence(2, "telecommand", "last"),
+    ]  # fmt: skip
