@@ -2,7 +2,7 @@
 
 from types import SimpleNamespace
 
-from firmware_protocol.event_device import EventDevice
+from firmware_protocol.device.event_device import EventDevice
 from transports.link.changes import CameraSettings, ChangeWatch, Occurrence
 
 
