@@ -12,7 +12,7 @@ from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.device.clock import ClockSettings
 from firmware_protocol.events import EdgeKind
-from firmware_protocol.imx636.registers import BiasModel, BiasSlopes
+from firmware_protocol.imx636.biases import BiasModel, BiasSlopes
 from transports.link.edges import EdgeTiming, EdgeTrain
 
 __all__ = ["Camera", "Method", "Run", "SecondCamera", "Trigger", "TriggerEdges", "Verdict"]

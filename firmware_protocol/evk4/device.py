@@ -7,7 +7,7 @@
 Run gate: events leave while the array runs (register 0004 bit 10), the output is enabled (9028 bit 1 is 0) and time
 runs (9008 bit 0). Opening it begins a stream; closing it drops waiting events. Device time is zero when time starts.
 
-Biases act on the sensor through `sensor_factors`; see `imx636.registers`.
+Biases act on the sensor through `sensor_factors`; see `imx636.biases`.
 
 Vendor request on endpoint 0, without which neuromorphic_drivers does not list the camera:
 
@@ -35,7 +35,8 @@ from firmware_protocol.device.event_device import CameraCounters, EdgeCounters
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events, join_events
 from firmware_protocol.evk4.treuzell import Board, BoardFacts
 from firmware_protocol.evt.evt3 import Evt3Encoder
-from firmware_protocol.imx636.registers import BIASES, SIZE, BiasModel, Registers, Surroundings
+from firmware_protocol.imx636.biases import BiasModel
+from firmware_protocol.imx636.registers import BIASES, SIZE, Registers, Surroundings
 from firmware_protocol.imx636.selection import Selection
 from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.descriptors import (

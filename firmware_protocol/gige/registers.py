@@ -44,7 +44,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum, IntFlag
 
 from firmware_protocol.gige.gvcp import Refused, Status
-from firmware_protocol.imx636.registers import BiasModel
+from firmware_protocol.imx636.biases import BiasModel
 
 __all__ = [
     "ACQUISITION_START",

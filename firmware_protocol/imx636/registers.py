@@ -21,122 +21,33 @@ Other registers only store their value. Addresses from 0 to FFFC and from 400000
 not implemented: the bit reads back as 0. Rows count from the top, as in EVT3 and OpenEB; neuromorphic_drivers counts
 those of masks from the bottom.
 
+The effect of the biases on the pixels is in `imx636.biases`.
+
 Sources: register map and drivers of OpenEB 5.1.1; registers that neuromorphic_drivers writes and reads. Factory values
 of the biases are those in neuromorphic_drivers. The power-on values of other registers are not public: 0 here.
-
-The effect of the biases on the pixels is a set of factors on the parameters that the factory's biases give:
-
-    threshold_on             1 + diff_on  x steps of diff_on
-    threshold_off            1 + diff_off x steps of diff_off
-    refractory_us       1 / (1 + refr     x steps of refr)
-    corner_max_hz            1 + fo       x steps of fo; source_follower_hz if the sensor has a source follower
-
-`steps` are those away from the factory's value, and the slopes are those of `BiasSlopes`: at the factory's biases all
-factors are 1, and the parameters are those of the sensor's preset or of the rig. Factors end at 0.1 and 1000.
-
-No formula is public, and no measurement of a threshold over a bias was found. Basis of the model:
-
-    directions      Prophesee's page "Biases": a higher diff_on, diff_off is a higher threshold, a higher fo passes
-                    faster changes, a higher refr is a shorter dead time
-    straight lines  the same page of 2021 on the sensor before: contrast is the difference of two bias voltages
-    fo, refr        registers are current DACs. The corner of a follower is proportional to its current and a dead time
-                    inverse, as in jAER's formulas (IEEE 7962235); so a slope is one over the factory's value, 83 and 20
-                    (those in neuromorphic_drivers). Assumed: current is proportional to the register
-    diff_on         assumed: the least recommended offset, -85, gives the least threshold that was published, 11 %
-                    (Finateu et al., ISSCC 2020, from memory), where the factory's value gives 25 %
-    diff_off        assumed as diff_on: the recommended ranges of both have 225 steps
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from firmware_protocol.imx636.biases import BiasModel
+
 __all__ = [
     "BIASES",
-    "LEAST_FACTOR",
-    "MOST_FACTOR",
     "PIXEL_MASKS",
     "SIZE",
     "Address",
-    "BiasModel",
-    "BiasSlopes",
     "NoRegister",
     "Registers",
     "Surroundings",
     "is_register",
 ]
-
-
-LEAST_FACTOR, MOST_FACTOR = 0.1, 1000.0
-_WITHOUT_EFFECT = {
-    "hpf": "the simulated pixel has no high-pass filter",
-    "diff": "the reference that both thresholds share is not modelled; Prophesee advises not to change it",
-}
-
-
-@dataclass(frozen=True)
-class BiasSlopes:
-    """Effect of one step of each bias on the simulated IMX636, as a share of the parameter at the factory's bias.
-
-    Attributes
-    ----------
-    diff_on, diff_off
-        Of the ON and the OFF contrast threshold, 0 to 1. Assumed: no measurement was found.
-    fo
-        Of the low-pass corner frequency, 0 to 1: one over the factory's value of the register.
-    refr
-        Of the inverse of the refractory period, 0 to 1: one over the factory's value of the register.
-    """
-
-    diff_on: float = 0.0063
-    diff_off: float = 0.0063
-    fo: float = 0.012
-    refr: float = 0.05
-
-    def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
-            if not 0 <= value <= 1:
-                raise ValueError(f"{one.name} must be 0 to 1 a step, got {value}")
-
-
-@dataclass(frozen=True)
-class BiasModel:
-    """The conversion, for one sensor.
-
-    Attributes
-    ----------
-    low_pass
-        Parameter that bias fo changes: the fixed pole after the photoreceptor, or, if the sensor has none, the
-        photoreceptor's corner frequency in bright light.
-    """
-
-    slopes: BiasSlopes = field(default_factory=BiasSlopes)
-    low_pass: Literal["corner_max_hz", "source_follower_hz"] = "corner_max_hz"
-
-    def factors(self, steps: Mapping[str, int]) -> dict[str, float]:
-        """Return the factors that are not 1, by parameter, for biases by name in steps from the factory's value."""
-        rise = {one.name: 1 + getattr(self.slopes, one.name) * steps.get(one.name, 0) for one in fields(self.slopes)}
-        factors = {
-            "threshold_on": rise["diff_on"],
-            "threshold_off": rise["diff_off"],
-            "refractory_us": 1 / rise["refr"] if rise["refr"] > 0 else MOST_FACTOR,
-            self.low_pass: rise["fo"],
-        }
-        limited = {name: min(max(factor, LEAST_FACTOR), MOST_FACTOR) for name, factor in factors.items()}
-        return {name: factor for name, factor in limited.items() if factor != 1}
-
-    def without_effect(self, steps: Mapping[str, int]) -> dict[str, str]:
-        """Return the biases that were changed without an effect here, each with the reason."""
-        acting = {one.name for one in fields(self.slopes)}
-        moved = sorted(name for name, offset in steps.items() if offset and name not in acting)
-        return {name: _WITHOUT_EFFECT.get(name, "it is not modelled") for name in moved}
 
 
 SIZE = (1280, 720)

@@ -24,7 +24,8 @@ from firmware_protocol.gige.registers import ACQUISITION_START, GigeSettings, Re
 from firmware_protocol.gige.triton2 import Triton2
 from firmware_protocol.gige.triton2_control import Triton2Control
 from tests.hostile.gige_datagrams import answer_limit, hostile_datagram, valid_request
-from transports.gige.answering import ControlProcess, ControlSetup
+from transports.gige.answering import ControlSetup
+from transports.gige.control_process import ControlProcess
 from transports.gige.host import GigeHost
 from transports.link.pacing import MonotonicClock
 from transports.link.rings import FREE_RUNNING, EventRing

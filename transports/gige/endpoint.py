@@ -28,7 +28,8 @@ from firmware_protocol.gige.outflow import Outgoing
 from firmware_protocol.gige.triton2 import Triton2
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
-from transports.gige.answering import ControlProcess, ControlSetup, Move, Mute, Release
+from transports.gige.answering import ControlSetup, Move, Mute, Release
+from transports.gige.control_process import ControlProcess
 from transports.gige.kind import GigeLink
 from transports.gige.packet_faults import FaultyPackets, Packet
 from transports.gige.sockets import StreamSocket

@@ -13,7 +13,7 @@ from emulator.run.changes import BiasFollowing, Change, Changes
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346.biases import BIASES, CoarseFine, sensor_factors
-from firmware_protocol.imx636.registers import BiasModel
+from firmware_protocol.imx636.biases import BiasModel
 from transports.link.changes import CameraSettings
 
 ADDRESSES = {bias.name: bias.address for bias in BIASES}

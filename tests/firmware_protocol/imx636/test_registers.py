@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.imx636.registers import BiasModel, BiasSlopes, NoRegister, Registers, Surroundings
+from firmware_protocol.imx636.biases import BiasModel, BiasSlopes
+from firmware_protocol.imx636.registers import NoRegister, Registers, Surroundings
 
 
 def test_the_thermometer_answers_when_it_is_started():

@@ -3,7 +3,7 @@
 import pytest
 
 from firmware_protocol.davis346.biases import BIASES as DAVIS_BIASES
-from firmware_protocol.imx636.registers import BiasModel
+from firmware_protocol.imx636.biases import BiasModel
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import DavisBiases, Imx636Biases
 

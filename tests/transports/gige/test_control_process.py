@@ -15,7 +15,8 @@ import pytest
 from firmware_protocol.gige.control import DeviceTime, Owner, Write
 from firmware_protocol.gige.gvcp import Command, Status, request
 from firmware_protocol.gige.registers import ACQUISITION_START, GigeSettings, Register
-from transports.gige.answering import ControlProcess, ControlSetup
+from transports.gige.answering import ControlSetup
+from transports.gige.control_process import ControlProcess
 from transports.link.endpoint import LinkBroken
 
 pytestmark = pytest.mark.socket
@@ -24,7 +25,7 @@ LONELY = """
 import sys, time
 from firmware_protocol.gige.registers import GigeSettings
 from transports.gige.answering import ControlSetup
-from transports.gige.answering import ControlProcess
+from transports.gige.control_process import ControlProcess
 process = ControlProcess(ControlSetup("127.0.0.1", 0, (), GigeSettings(), 1))
 print(process.pid, flush=True)
 sys.stdin.read()
