@@ -44,7 +44,7 @@ def valid_for(checksum: int, dispatcher: Any) -> Any:
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-RULE = (__name__, "firmware_protocol.compiled")
+RULE = (__name__,)
 """Sources of every entry, which need no declaration."""
 
 _ROOT = Path(__file__).parents[1]
