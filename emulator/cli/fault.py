@@ -56,7 +56,7 @@ def fault(
         return _list(faults, json)
     table = {"kind": kind, **_keys(keys)}
     table |= {key: value for key, value in (("link", link), ("for_s", for_s)) if value is not None}
-    injected = answer_of(path, {"ask": "inject", "fault": table})
+    injected = answer_of(path, {"request": "inject", "fault": table})
     if "error" in injected:
         raise Failure(str(injected["error"]), WRONG_USE)
     record = _follow(path, injected, kind, float(table.get("for_s", 0.0)))
@@ -65,7 +65,7 @@ def fault(
     else:
         console.print(f"{injected['link']}: {fault_line(record)}")
         if not record.hits:
-            console.print(_why_no_hits(answer_of(path, {"ask": "faults"})["links"][injected["link"]]), markup=False)
+            console.print(_why_no_hits(answer_of(path, {"request": "faults"})["links"][injected["link"]]), markup=False)
     return GOOD
 
 
@@ -80,11 +80,11 @@ def _why_no_hits(link: dict[str, Any]) -> str:
 def find_run(run: str | None) -> tuple[Path, dict[str, Any]]:
     """Return the control socket of the chosen run, and its answer about faults."""
     if run is not None and Path(run).is_socket():
-        return Path(run), answer_of(Path(run), {"ask": "faults"})
+        return Path(run), answer_of(Path(run), {"request": "faults"})
     found = []
     for path in sockets():
         try:
-            found.append((path, send_request(path, {"ask": "faults"})))
+            found.append((path, send_request(path, {"request": "faults"})))
         except NoAnswer:
             continue  # its run has died
     meant = [(path, faults) for path, faults in found if run in (None, faults["rig"])]
@@ -136,7 +136,7 @@ def _follow(path: Path, injected: dict[str, Any], kind: str, for_s: float) -> Fa
     record = None
     while record is None or (record.ended_us is None and time.monotonic() < until_s):
         time.sleep(_POLL_PERIOD_S)
-        records = answer_of(path, {"ask": "faults"})["links"][injected["link"]]["injected"][injected["after"] :]
+        records = answer_of(path, {"request": "faults"})["links"][injected["link"]]["injected"][injected["after"] :]
         record = next((FaultRecord(**each) for each in records if each["kind"] == kind), None)
         if record is None and time.monotonic() > until_s:
             raise Failure(f"link {injected['link']!r} did not begin the fault", LACKING)
@@ -165,7 +165,7 @@ def trigger(
         Print one JSON object as the last line on stdout.
     """
     path, _ = find_run(run)
-    message: dict[str, Any] = {"ask": "trigger", "kind": kind}
+    message: dict[str, Any] = {"request": "trigger", "kind": kind}
     answer = answer_of(path, message if link is None else message | {"link": link})
     if "error" in answer:
         raise Failure(str(answer["error"]), WRONG_USE)

@@ -262,7 +262,7 @@ class ViewerCommands:
     def _injected(self, fault: dict[str, Any]) -> dict[str, Any]:
         if self.status is None:
             raise ValueError("the run has not begun")
-        answer = self._inject({"ask": "inject", "fault": fault}, self.status)
+        answer = self._inject({"request": "inject", "fault": fault}, self.status)
         return answer if "error" in answer else {"did": f"{fault.get('kind')} on {answer['link']}"}
 
     def _triggered(self) -> dict[str, Any]:

@@ -8,9 +8,9 @@ Only its owner can open it (directory 0700, socket 0600). The session polls it w
 second, and never waits for a client: lines, clients and the work of one poll are bounded, and the oldest connection is
 closed for a newer one. Requests and answers:
 
-{"ask": "faults"}                     ->  {"rig": ..., "t_s": ..., "links": {NAME: {"kinds": [...], "injected": [...]}}}
-{"ask": "inject", "fault": {table}}   ->  {"link": NAME, "after": number of its faults so far} or {"error": ...}
-{"ask": "trigger", "kind": KIND}      ->  {"links": [NAME, ...]}   "link": NAME for one alone
+{"request": "faults"}                    ->  {"rig": ..., "t_s": ..., "links": {NAME: {"kinds": [...], "injected": []}}}
+{"request": "inject", "fault": {table}}  ->  {"link": NAME, "after": number of its faults so far} or {"error": ...}
+{"request": "trigger", "kind": KIND}     ->  {"links": [NAME, ...]}   "link": NAME for one alone
                                           KIND: pulse, rising, falling at the camera's input; reset: its clock
 
 For one version more, "throw" is accepted for "inject", and "injected" is there as "thrown" too.
@@ -286,13 +286,13 @@ class FaultInjection:
     def answer(self, message: Message, status: RunStatus) -> Message:
         """Return the answer to one request."""
         match message:
-            case {"ask": "faults"}:
+            case {"request": "faults"}:
                 return self._faults(status)
-            case {"ask": "inject" | "throw", "fault": table}:
+            case {"request": "inject" | "throw", "fault": table}:
                 return self._inject(table, status)
-            case {"ask": "trigger", "kind": str(kind)}:
+            case {"request": "trigger", "kind": str(kind)}:
                 return self._trigger(kind, message.get("link"))
-        return {"error": "known are ask = 'faults' and ask = 'inject' with a fault, ask = 'trigger' with a kind"}
+        return {"error": "known requests: 'faults', 'inject' with a fault, 'trigger' with a kind"}
 
     def _faults(self, status: RunStatus) -> Message:
         links: dict[str, Any] = {}

@@ -29,7 +29,7 @@ def assert_all_seen(seen: Seen, rig: RunningRig) -> None:
 
 
 def stream_time_s() -> float:
-    return float(send_request(sockets()[0], {"ask": "faults"})["t_s"])
+    return float(send_request(sockets()[0], {"request": "faults"})["t_s"])
 
 
 def test_two_drivers_at_once_do_no_harm_to_the_next(

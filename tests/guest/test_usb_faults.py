@@ -68,7 +68,7 @@ def outcome(driver: Driver, seen: Seen, delivered: Events, fault: dict[str, obje
 
 def inject(name: str) -> None:
     """Ask the only run to let the fault begin."""
-    answer = send_request(sockets()[0], {"ask": "inject", "fault": FAULTS[name]})
+    answer = send_request(sockets()[0], {"request": "inject", "fault": FAULTS[name]})
     assert answer.get("link") == "usbip", answer
 
 

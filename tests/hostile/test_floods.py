@@ -24,7 +24,7 @@ from transports.usb.usbip.server import UsbipServer
 pytestmark = pytest.mark.socket
 FLOOD = int(os.environ.get("EVSTIM_FLOOD", "200"))
 KEPT = 200
-HALF_WORDS = [b"", b"\x01", b"< open ca", b'{"ask": ']
+HALF_WORDS = [b"", b"\x01", b"< open ca", b'{"request": ']
 
 
 class Flood:

@@ -123,11 +123,11 @@ def test_control():
     desk = FaultInjection(parse_rig(RIG, "bench.toml", "bench"), Session(), None)
     now = RunStatus(1.5, 1.6, 10, 100, Lateness(), {})
     rng = random.Random(3)
-    good = [b'{"ask": "faults"}\n']
+    good = [b'{"request": "faults"}\n']
     for kind, fault in known_faults().items():
         table = {name: rng.choice(VALUES) for name in fault.__dataclass_fields__ if rng.random() < 0.3}
-        good.append(json.dumps({"ask": "throw", "fault": {"kind": kind}}).encode() + b"\n")
-        good.append(json.dumps({"ask": "throw", "fault": {**table, "kind": kind}}).encode() + b"\n")
+        good.append(json.dumps({"request": "throw", "fault": {"kind": kind}}).encode() + b"\n")
+        good.append(json.dumps({"request": "throw", "fault": {**table, "kind": kind}}).encode() + b"\n")
     told = {"error": 0, "links": 0, "link": 0}
     for data in inputs([*good, b"[" * 2000, b'{"a":' * 2000], 4):
         answer = _answered(data, lambda message: desk.answer(message, now))

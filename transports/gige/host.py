@@ -249,7 +249,7 @@ class GigeReception:
         Number of triggers.
     blocks_lost
         Number of incomplete blocks.
-    packets_asked, packets_repeated
+    packets_requested, packets_repeated
         Numbers of packets that were requested again, and that arrived more than once.
     gone
         True when the camera was lost.
@@ -261,7 +261,7 @@ class GigeReception:
     digest: int = 0
     edges: int = 0
     blocks_lost: int = 0
-    packets_asked: int = 0
+    packets_requested: int = 0
     packets_repeated: int = 0
     gone: bool = False
 
@@ -314,6 +314,6 @@ def _turn(camera: GigeHost, reception: GigeReception, recorder: Recorder | None)
         reception.with_events(events),
         edges=reception.edges + len(edges),
         blocks_lost=camera.assembly.lost,
-        packets_asked=camera.assembly.requested,
+        packets_requested=camera.assembly.requested,
         packets_repeated=camera.assembly.repeated,
     )

@@ -1,4 +1,4 @@
-"""What a link delivers, sent to the session's process as well, for a Python program that reads it during the run."""
+"""Copy of what a link delivers, sent to the session's process, for a Python program that reads it during the run."""
 
 from __future__ import annotations
 

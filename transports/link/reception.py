@@ -97,7 +97,7 @@ class Reception:
         The newest report.
     answers
         Number of answers to telecommands.
-    told
+    answer_texts
         Texts of the newest answers, at most 1024.
     gone
         True when the other side disconnected.
@@ -113,7 +113,7 @@ class Reception:
     jitter_us: LatencySummary = field(default_factory=LatencySummary)
     housekeeping: Housekeeping | None = None
     answers: int = 0
-    told: tuple[str, ...] = ()
+    answer_texts: tuple[str, ...] = ()
     gone: bool = False
 
 
@@ -132,7 +132,7 @@ class Receiving:
         """Reception so far, without the values that are known only at the end."""
         a = self._arrivals
         counted = Reception(a.events, a.edges, a.seconds, a.last_t_us, a.digest)
-        return replace(counted, answers=self._answers, told=self._answer_texts)
+        return replace(counted, answers=self._answers, answer_texts=self._answer_texts)
 
     def take(self, data: bytes) -> None:
         """Process bytes that have just arrived."""

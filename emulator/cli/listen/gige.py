@@ -54,7 +54,7 @@ def gige(
         console.print(
             f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
             f"digest {reception.digest:08x}, {reception.blocks_lost} blocks lost, "
-            f"{reception.packets_asked} packets requested again"
+            f"{reception.packets_requested} packets requested again"
         )
     return report_problems(problems, reception.blocks_lost)
 

@@ -176,7 +176,7 @@ def received(
 
     def follow(now: Reception) -> bool:
         nonlocal answers
-        for answer in now.told[len(now.told) - (now.answers - answers) :]:
+        for answer in now.answer_texts[len(now.answer_texts) - (now.answers - answers) :]:
             status.print(answer, markup=False)
         answers = now.answers
         return goes_on(now)

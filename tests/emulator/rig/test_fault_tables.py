@@ -91,7 +91,7 @@ def test_the_socket_is_for_its_owner_only_and_goes_with_the_run(runtime):
         assert sockets() == [control.path]
     assert sockets() == []
     with pytest.raises(NoAnswer):
-        ask(control.path, {"ask": "faults"})
+        ask(control.path, {"request": "faults"})
 
 
 def test_a_directory_of_others_is_not_used(runtime):
@@ -102,7 +102,7 @@ def test_a_directory_of_others_is_not_used(runtime):
 
 
 def test_foreign_bytes_at_the_socket_hurt_nobody(runtime):
-    said = [b"", b"\n", b"[]\n", b"{\n", b"\xff\xfe\n", b'{"ask": 7}\n', b"x" * 5000, b'{"ask": "fau', b"{}\nmore"]
+    said = [b"", b"\n", b"[]\n", b"{\n", b"\xff\n", b'{"request": 7}\n', b"x" * 5000, b'{"request": "fau', b"{}\nmore"]
     with ControlSocket("bench") as control:
         clients = []
         for data in said:
@@ -120,10 +120,10 @@ def test_foreign_bytes_at_the_socket_hurt_nobody(runtime):
             except BlockingIOError:
                 answers[data] = None  # it may still finish its line
             client.close()
-    assert json.loads(answers[b'{"ask": 7}\n']) == {"heard": {"ask": 7}}
+    assert json.loads(answers[b'{"request": 7}\n']) == {"heard": {"request": 7}}
     assert json.loads(answers[b"{}\nmore"]) == {"heard": {}}
     assert all("error" in json.loads(answers[data]) for data in said[1:5])
-    assert [answers[data] for data in (b"", b"x" * 5000, b'{"ask": "fau')] == [None] * 3
+    assert [answers[data] for data in (b"", b"x" * 5000, b'{"request": "fau')] == [None] * 3
 
 
 class Injector:
@@ -142,11 +142,11 @@ def test_the_control_lists_and_injects():
     session = Injector()
     control = FaultInjection(rig(SERIAL + LOOPBACK), session, None)
     now = status(serial=LinkReport("open", faults=(FaultRecord(1, "stall", 5, 6, 1, 0),)))
-    told = control.answer({"ask": "faults"}, now)
+    told = control.answer({"request": "faults"}, now)
     assert "bit_flips" in told["links"]["serial"]["kinds"]
     assert told["links"]["serial"]["injected"][0]["ended_us"] == 6
     assert told["links"]["loopback"] == {"kinds": [], "injected": [], "thrown": [], "state": ""}
-    answer = control.answer({"ask": "throw", "fault": {"kind": "bit_flips", "rate": 0.5}}, now)
+    answer = control.answer({"request": "throw", "fault": {"kind": "bit_flips", "rate": 0.5}}, now)
     assert answer == {"link": "serial", "after": 1}
     assert session.injected == [BitFlips(link="serial", rate=0.5)]
 
@@ -154,11 +154,11 @@ def test_the_control_lists_and_injects():
 @pytest.mark.parametrize(
     ("message", "told"),
     [
-        ({}, "known are"),
-        ({"ask": "inject"}, "known are"),
-        ({"ask": "inject", "fault": 7}, "expected a table"),
-        ({"ask": "throw", "fault": {"kind": "bit_flips", "rate": "x"}}, "rate"),
-        ({"ask": "inject", "fault": {"kind": "lost_frames"}}, "no link"),
+        ({}, "known requests"),
+        ({"request": "inject"}, "known requests"),
+        ({"request": "inject", "fault": 7}, "expected a table"),
+        ({"request": "throw", "fault": {"kind": "bit_flips", "rate": "x"}}, "rate"),
+        ({"request": "inject", "fault": {"kind": "lost_frames"}}, "no link"),
     ],
 )
 def test_the_control_says_what_is_wrong_and_injects_nothing(message, told):

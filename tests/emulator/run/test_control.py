@@ -31,7 +31,7 @@ def heard(message):
 def asked(control, answer=heard):
     """Ask as `evstim fault` does while the session looks at its socket."""
     told = []
-    asking = threading.Thread(target=lambda: told.append(send_request(control.path, {"ask": "faults"})))
+    asking = threading.Thread(target=lambda: told.append(send_request(control.path, {"request": "faults"})))
     asking.start()
     while asking.is_alive():
         control.poll(answer)
@@ -54,7 +54,7 @@ def test_what_no_parser_takes_is_answered_and_ends_nothing(control, data):
             except OSError:  # it was sent off: its line is too long
                 break
         control.poll(heard)
-    assert asked(control) == {"heard": {"ask": "faults"}}
+    assert asked(control) == {"heard": {"request": "faults"}}
 
 
 def test_an_answer_that_meets_too_deep_a_table_is_an_error(control):
@@ -66,7 +66,7 @@ def test_an_answer_that_meets_too_deep_a_table_is_an_error(control):
 
 def test_silent_clients_make_way(control):
     silent = [client(control) for _ in range(100)]
-    assert asked(control) == {"heard": {"ask": "faults"}}
+    assert asked(control) == {"heard": {"request": "faults"}}
     assert len(control._clients) <= 16
     for sock in silent:
         sock.close()
@@ -76,7 +76,7 @@ def test_a_client_that_does_not_read_holds_up_nobody(control):
     with client(control) as deaf:
         deaf.sendall(b"{}\n")
         control.poll(lambda message: {"long": "x" * 900_000})
-        assert asked(control) == {"heard": {"ask": "faults"}}
+        assert asked(control) == {"heard": {"request": "faults"}}
         got = b""
         while not got.endswith(b"\n"):
             control.poll(heard)
@@ -108,7 +108,7 @@ def test_the_socket_of_a_dead_run_is_removed_and_that_of_a_living_one_stays(cont
     assert stale.exists()
     assert sockets() == [control.path]
     assert not stale.exists()
-    assert asked(control) == {"heard": {"ask": "faults"}}
+    assert asked(control) == {"heard": {"request": "faults"}}
 
 
 def test_opening_cleans_up_too(tmp_path, monkeypatch):
@@ -137,7 +137,7 @@ def test_a_flood_of_connections_leaves_the_one_that_asks_its_answer(control):
     flooding.start()
     try:
         for _ in range(20):
-            assert asked(control) == {"heard": {"ask": "faults"}}
+            assert asked(control) == {"heard": {"request": "faults"}}
     finally:
         stop.set()
         flooding.join()

@@ -41,7 +41,7 @@ class Session:
 def asked(**message):
     session = Session()
     desk = FaultInjection(parse_rig(RIG, "my.toml", "my"), session, None)
-    return desk.answer({"ask": "trigger", **message}, None), session.happened
+    return desk.answer({"request": "trigger", **message}, None), session.happened
 
 
 def test_an_edge_comes_to_every_link_or_to_the_one_named():

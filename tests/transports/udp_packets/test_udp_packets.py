@@ -332,6 +332,6 @@ def test_the_listener_reads_tells_and_counts(bench):
         ports, lambda now: seen.append(now) or len(seen) < 20, Moving(0), commands=[Ping(), SetTick(10)]
     )
     assert (reception.events, reception.faults, reception.digest) == (500, 0, b.link.report().digest)
-    assert reception.told[-1] == "SetTick: completion good"
+    assert reception.answer_texts[-1] == "SetTick: completion good"
     b.socket = udp_port()
     b.socket.setblocking(False)
