@@ -32,7 +32,7 @@ def some_measurements(p, quick):
 
 
 def compared(told, points):
-    return next(c for c in comparisons(points) if c.published.told.startswith(told))
+    return next(c for c in comparisons(points) if c.published.description.startswith(told))
 
 
 def test_every_published_figure_has_a_source_a_status_and_a_place():

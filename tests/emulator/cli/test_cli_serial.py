@@ -88,7 +88,7 @@ def test_a_camera_is_started_read_and_recorded(camera_after, tmp_path, capsys):
     assert said["faults"] == 0
     assert said["digest"] == digest_of(stream(3000))
     assert said["housekeeping"]["events"]["offered"] >= 0
-    assert {"Start: completion good", "pong"} <= set(said["told"])
+    assert {"Start: completion good", "pong"} <= set(said["answer_texts"])
     assert np.array_equal(load_record(record)[0], stream(3000))
 
 

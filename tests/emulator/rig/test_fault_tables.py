@@ -17,9 +17,9 @@ from emulator.run.control import (
     ControlSocket,
     FaultInjection,
     NoAnswer,
-    ask,
     fault_injection,
     runtime_directory,
+    send_request,
     sockets,
 )
 from emulator.run.outcome import RunStatus
@@ -91,7 +91,7 @@ def test_the_socket_is_for_its_owner_only_and_goes_with_the_run(runtime):
         assert sockets() == [control.path]
     assert sockets() == []
     with pytest.raises(NoAnswer):
-        ask(control.path, {"request": "faults"})
+        send_request(control.path, {"request": "faults"})
 
 
 def test_a_directory_of_others_is_not_used(runtime):
