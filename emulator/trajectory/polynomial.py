@@ -12,15 +12,18 @@ conditioned.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import KroghInterpolator
 
 from emulator.trajectory.measured import measured_bounds
 from emulator.trajectory.motion import AT_REST, Motion
 from emulator.trajectory.pose import STILL, Pose, Trajectory, TrajectoryError
 from emulator.trajectory.sampling import instants_between, require_increasing
+
+if TYPE_CHECKING:
+    from scipy.interpolate import KroghInterpolator
 
 __all__ = ["PolynomialPath"]
 
@@ -107,6 +110,10 @@ class PolynomialPath(Trajectory):
         return min(max(after - (self._used + 1) // 2, 0), len(self._times_ns) - self._used)
 
     def _through(self, first: int) -> KroghInterpolator:
+        from scipy.interpolate import (
+            KroghInterpolator,  # loaded where it is used: it takes longer than the rest of a short run's imports
+        )
+
         used = slice(first, first + self._used)
         steps = (self._times_ns[used] - self._times_ns[first]) / self._step_ns(first)
         if self._velocities is None:

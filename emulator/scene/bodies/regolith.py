@@ -15,10 +15,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from emulator.scene.bodies.detail import facet_size_m
 from emulator.scene.bodies.detail_table import Regolith
@@ -27,6 +27,9 @@ from emulator.scene.bodies.lit_surface import split_sides
 from emulator.scene.bodies.mesh import Mesh, facet_vectors, vertex_normals
 from emulator.scene.bodies.surface_noise import fractal_noise
 from emulator.scene.bodies.tint import with_albedo
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 __all__ = ["smallest_feature_m", "weathered"]
 
@@ -115,6 +118,8 @@ def _laws(p: Regolith) -> dict[int, Law]:
 
 def _divided(mesh: Mesh, made: dict[int, Features]) -> Mesh:
     """Return the body with facets as small under features as they need."""
+    from scipy.spatial import cKDTree  # loaded where it is used: it takes longer than the rest of a short run's imports
+
     fine = mesh
     for _ in range(12):
         wanted_m = np.full(fine.faces.shape, np.inf)
@@ -144,6 +149,8 @@ def _near(tree: cKDTree, some: Features, reach: float, more_m: float) -> tuple[N
 
 def _shaped(mesh: Mesh, made: dict[int, Features], p: Regolith) -> tuple[Floats, Floats]:
     """Return how far each vertex is moved, (n, 3) m, and its albedo beside that of its surroundings, (n,)."""
+    from scipy.spatial import cKDTree
+
     moved, tint = np.zeros(mesh.vertices.shape), np.ones(len(mesh.vertices))
     tree = cKDTree(mesh.vertices)
     for kind, some in made.items():
