@@ -55,7 +55,11 @@ def test_a_program_that_goes_on_is_stopped_with_its_children(tmp_path):
 
 
 def test_a_program_left_by_a_killed_worker_is_ended_and_no_other(tmp_path):
-    with subprocess.Popen(["sleep", "600"], env={"EVSTIM_RUN": "id/1"}, start_new_session=True) as left:
+    # A program that runs: right after it was started, the kernel shows an empty environment of it.
+    argv = [sys.executable, "-c", "import time; print(flush=True); time.sleep(600)"]
+    with subprocess.Popen(argv, env={"EVSTIM_RUN": "id/1"}, start_new_session=True, stdout=subprocess.PIPE) as left:
+        assert left.stdout is not None
+        assert left.stdout.readline() == b"\n"
         (tmp_path / "program.pid").write_text(str(left.pid))
         end_leftover(tmp_path, "id/2")
         assert left.poll() is None
