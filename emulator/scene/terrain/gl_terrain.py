@@ -358,9 +358,6 @@ class GlTerrain(Scene):
             world.parameters.ambient_w_m2,
         )
 
-    def _motion_px_s(self, t_ns: int) -> float:
-        return self._world.motion_px_s(t_ns)
-
 
 def _facet_px(p: TerrainParameters, pinhole: Pinhole) -> float:
     """Return the side of a facet; two facets are a quad."""
