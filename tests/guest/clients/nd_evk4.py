@@ -53,9 +53,10 @@ def main() -> None:
                 overflows += len(packet.polarity_events_overflow_indices or ())
                 collector.add(events["t"], events["x"], events["y"], events["on"])
         if running:
+            # Before the update: the driver's own thread writes it with no lock, and takes answers that others wait for.
+            seen |= {"celsius": camera.temperature_celsius(), "light": camera.illuminance()}
             told.biases.diff_on = 0x70
             camera.update_configuration(told)
-            seen |= {"celsius": camera.temperature_celsius(), "light": camera.illuminance()}
         # Before the camera is closed: after an unplugging, closing may end the process (see environments.py).
         seen |= {"version": version("neuromorphic_drivers"), "discovered": discovered, "overflows": overflows}
         collector.report(running=running, **seen)
