@@ -35,8 +35,7 @@ A message on the pipe is a mapping of data sets to rows that are added to them: 
 of the arrays, their bytes. A message of length 0 ends the file. The queue is bounded. A run that is not paced waits for
 room; in one that is, rows without room are left out of the file and counted.
 
-`evstim info` reads a truth file in a child process with bounds on memory and time, because HDF5 may crash on a damaged
-file.
+`evstim info` reads a truth file in a child process (see `guarded_reader`), because HDF5 may crash on a damaged file.
 """
 
 from __future__ import annotations
@@ -45,7 +44,6 @@ import dataclasses
 import json
 import math
 import os
-import resource
 import struct
 import subprocess
 import sys
@@ -62,6 +60,7 @@ import numpy.typing as npt
 
 from emulator.geometry.camera import Given
 from emulator.sensor.origins import Origin
+from transports.guarded_reader import ForeignFileError, Limits, read_guarded
 
 if TYPE_CHECKING:
     import h5py
@@ -76,7 +75,7 @@ __all__ = [
     "decoded",
     "encoded",
     "is_hdf5",
-    "main",
+    "survey",
     "truth_in",
 ]
 
@@ -332,11 +331,8 @@ def _write(descriptor: int, data: bytes) -> None:
 
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
-_MEMORY_BYTES, _CPU_S = 1 << 31, 120
+_LIMITS = Limits(memory_bytes=1 << 31, cpu_s=120)
 _CHUNK = 1 << 20
-_START_SURVEY = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); from emulator.run.truth.file import main; main()"
-)
 
 
 def is_hdf5(path: Path) -> bool:
@@ -352,27 +348,15 @@ def truth_in(path: Path) -> dict[str, Any] | None:
     """Return the content of a truth file; None where it is none, or cannot be read."""
     if not path.is_file() or not is_hdf5(path):
         return None
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", _START_SURVEY, str(path), json.dumps(sys.path)], capture_output=True, check=False
-    )
     try:
-        report: dict[str, Any] | None = json.loads(done.stdout)
-    except ValueError:
+        return read_guarded(f"{__name__}:survey", path, limits=_LIMITS) or None
+    except ForeignFileError:
         return None
-    return report
 
 
-def main() -> None:
-    """Print the content of the file of the first argument as JSON; null where it is no truth file."""
-    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
-    resource.setrlimit(resource.RLIMIT_CPU, (_CPU_S, _CPU_S))
-    sys.stdout.write(json.dumps(_survey(Path(sys.argv[1]))))
-
-
-def _survey(path: Path) -> dict[str, Any] | None:
+def survey(path: Path) -> dict[str, Any]:
+    """Return the attributes of a truth file and the numbers of its rows; {} for another file. In the child process."""
     import h5py
-
-    from emulator.run.truth.file import FORMAT
 
     try:
         file = h5py.File(path, "r")
@@ -380,7 +364,7 @@ def _survey(path: Path) -> dict[str, Any] | None:
         file = h5py.File(path, "r", swmr=True)
     with file:
         if file.attrs.get("format") != FORMAT:
-            return None
+            return {}
         facts = {name: value.item() if hasattr(value, "item") else value for name, value in _plain(file.attrs).items()}
         counts = {group: len(file[f"{group}/t"]) if group in file else 0 for group in ("events", "clean_events")}
         return {
@@ -400,16 +384,11 @@ def _plain(attributes: Any) -> dict[str, Any]:
 
 
 def _counted(codes: Any) -> dict[str, int]:
-    """Return how many events each origin has, of those that it has any."""
+    """Return the number of events of each origin, without the origins that have none."""
     import h5py
-    import numpy as np
 
     names = {code: name for name, code in h5py.check_enum_dtype(codes.dtype).items()}
     counts = np.zeros(256, np.int64)
     for start in range(0, len(codes), _CHUNK):
         counts += np.bincount(codes[start : start + _CHUNK], minlength=256)
     return {names.get(code, str(code)): int(counts[code]) for code in np.flatnonzero(counts)}
-
-
-if __name__ == "__main__":
-    main()
