@@ -5,7 +5,6 @@ See `kinds` for the attributes that all faults have.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, Protocol
@@ -14,17 +13,18 @@ import numpy as np
 
 from firmware_protocol.can_frames.bus_time import BitRates, frame_bits
 from firmware_protocol.can_frames.frame import Frame
-from transports.faults.kinds import Fault, HitFault, LastingFault, Places
+from transports.faults.items import Delay, HitStage, ItemStage, Repetition
+from transports.faults.kinds import Fault, HitFault, LastingFault
 
 __all__ = [
     "CAN_FAULTS",
     "Babbler",
     "BabblingIdiot",
     "BusOff",
+    "BusStage",
     "ChangedFrames",
     "DeadBus",
     "ErrorFrames",
-    "FrameStage",
     "LostFrames",
     "QueuedFrame",
     "QueuedMessage",
@@ -169,123 +169,76 @@ class QueuedFrame:
     exempt: bool = False
 
 
-class FrameStage:
-    """One active fault; the base class passes frames unchanged.
+class BusStage(ItemStage[QueuedFrame]):
+    """One active fault of a bus itself; frames pass it unchanged.
 
     Attributes
     ----------
-    hits
-        Number of times that it was applied.
-    touched
-        Number of frames that it changed, removed, inserted or held.
-    over
-        True when it has no further effect.
     bus
-        The bus that is off, dead or flooded; None for faults of frames.
+        The bus that is off, dead or flooded.
     off, dead
         State of that bus.
     """
 
-    bus: int | None = None
     off = dead = False
 
-    def __init__(self) -> None:
-        self.hits = self.touched = 0
-        self.over = False
-
-    def change(self, queued: QueuedFrame) -> list[QueuedFrame]:
-        """Return the frames that go to the bus in place of `queued`."""
-        return [queued]
-
-    def finish(self) -> list[QueuedFrame]:
-        """Return the frames that go to the bus at the end of the fault."""
-        return []
-
-
-class _Hitting(FrameStage):
-    """Fault that is applied to each frame that is hit."""
-
-    def __init__(self, fault: HitFault, random: np.random.Generator) -> None:
-        super().__init__()
-        where, self._random = random.spawn(2)
-        self._where = Places(fault, where)
-
-    def change(self, queued: QueuedFrame) -> list[QueuedFrame]:
-        if not self._where.within(1):
-            return [queued]
-        self.hits += 1
-        self.touched += 1
-        self.over = self._where.over
-        return self._hit(queued)
-
-    def _hit(self, queued: QueuedFrame) -> list[QueuedFrame]:
-        return [queued, queued]
-
-
-class _Lost(_Hitting):
-    def _hit(self, queued: QueuedFrame) -> list[QueuedFrame]:
-        if queued.message is not None:
-            queued.message.gone()
-        return []
-
-
-class _Changed(_Hitting):
-    def _hit(self, queued: QueuedFrame) -> list[QueuedFrame]:
-        data = bytearray(queued.frame.data)
-        if not data:
-            return [queued]
-        bit = int(self._random.integers(8 * len(data)))
-        data[bit >> 3] ^= 1 << (bit & 7)
-        message = None if queued.message is None else queued.message.spoilt()
-        return [replace(queued, frame=replace(queued.frame, data=bytes(data)), message=message)]
-
-
-class _Destroyed(_Hitting):
-    def _hit(self, queued: QueuedFrame) -> list[QueuedFrame]:
-        return [QueuedFrame(Frame(_PROTOCOL_ERROR, bytes(8), error=True), queued.urgent), queued]
-
-
-class _Overtaken(FrameStage):
-    def __init__(self, fault: ReorderedFrames, random: np.random.Generator) -> None:
-        super().__init__()
-        self._where = Places(fault, random)
-        self._behind = fault.behind
-        self._held: deque[tuple[QueuedFrame, int]] = deque()  # each with the number of frames that still overtake it
-
-    def change(self, queued: QueuedFrame) -> list[QueuedFrame]:
-        if queued.urgent:
-            return [queued]  # urgent frames are sent separately
-        if self._where.within(1):
-            self.hits += 1
-            self.touched += 1
-            self._held.append((queued, self._behind))
-            return []
-        self.touched += bool(self._held)
-        self._held = deque((held, left - 1) for held, left in self._held)
-        out = [queued]
-        while self._held and self._held[0][1] <= 0:
-            out.append(self._held.popleft()[0])
-        self.over = self._where.over and not self._held
-        return out
-
-    def finish(self) -> list[QueuedFrame]:
-        return [held for held, _ in self._held]
-
-
-class _Bus(FrameStage):
-    def __init__(self, fault: BusOff | DeadBus) -> None:
+    def __init__(self, fault: _OfBus) -> None:
         super().__init__()
         self.bus = _BUSES[fault.bus]
+
+
+class _State(BusStage):
+    def __init__(self, fault: BusOff | DeadBus) -> None:
+        super().__init__(fault)
         self.off, self.dead = isinstance(fault, BusOff), isinstance(fault, DeadBus)
         self.hits = 1
 
 
-class Babbler(FrameStage):
+class _Lost(HitStage[QueuedFrame]):
+    def change(self, item: QueuedFrame) -> list[QueuedFrame]:
+        if not self.is_hit():
+            return [item]
+        if item.message is not None:
+            item.message.gone()
+        return []
+
+
+class _Changed(HitStage[QueuedFrame]):
+    def __init__(self, fault: HitFault, where: np.random.Generator, bits: np.random.Generator) -> None:
+        super().__init__(fault, where)
+        self._bits = bits
+
+    def change(self, item: QueuedFrame) -> list[QueuedFrame]:
+        if not self.is_hit() or not item.frame.data:
+            return [item]
+        data = bytearray(item.frame.data)
+        bit = int(self._bits.integers(8 * len(data)))
+        data[bit >> 3] ^= 1 << (bit & 7)
+        message = None if item.message is None else item.message.spoilt()
+        return [replace(item, frame=replace(item.frame, data=bytes(data)), message=message)]
+
+
+class _Destroyed(HitStage[QueuedFrame]):
+    def change(self, item: QueuedFrame) -> list[QueuedFrame]:
+        error = QueuedFrame(Frame(_PROTOCOL_ERROR, bytes(8), error=True), item.urgent)
+        return [error, item] if self.is_hit() else [item]
+
+
+class _Overtaken(Delay[QueuedFrame]):
+    def change(self, item: QueuedFrame) -> list[QueuedFrame]:
+        if item.urgent:
+            return [item]  # urgent frames are sent separately
+        overtakes = bool(self._held)
+        passed = super().change(item)
+        self.touched += overtakes and bool(passed)
+        return passed
+
+
+class Babbler(BusStage):
     """Node that floods the bus; `due` returns the times of its frames."""
 
     def __init__(self, fault: BabblingIdiot, rates: BitRates) -> None:
-        super().__init__()
-        self.bus = _BUSES[fault.bus]
+        super().__init__(fault)
         self.frame = Frame(fault.identifier, bytes(8))
         self._period_ns = round(rates.duration_ns(frame_bits(self.frame)) / fault.load)
         self._next_ns: int | None = None
@@ -301,24 +254,26 @@ class Babbler(FrameStage):
         return times
 
 
-def frame_stage(fault: Fault, random: np.random.Generator, rates: BitRates) -> FrameStage:
+def frame_stage(fault: Fault, random: np.random.Generator, rates: BitRates) -> ItemStage[QueuedFrame]:
     """Return the stage of a fault on a bus of these bit rates.
 
     Raises ValueError for a fault that a bus does not have.
     """
     match fault:
-        case LostFrames():
-            return _Lost(fault, random)
-        case RepeatedFrames():
-            return _Hitting(fault, random)
         case ReorderedFrames():
-            return _Overtaken(fault, random)
-        case ChangedFrames():
-            return _Changed(fault, random)
-        case ErrorFrames():
-            return _Destroyed(fault, random)
+            return _Overtaken(fault, random, fault.behind)
         case BusOff() | DeadBus():
-            return _Bus(fault)
+            return _State(fault)
         case BabblingIdiot():
             return Babbler(fault, rates)
+    where, bits = random.spawn(2)
+    match fault:
+        case LostFrames():
+            return _Lost(fault, where)
+        case RepeatedFrames():
+            return Repetition(fault, where)
+        case ChangedFrames():
+            return _Changed(fault, where, bits)
+        case ErrorFrames():
+            return _Destroyed(fault, where)
     raise ValueError(f"{fault.kind!r} is no fault of a CAN bus")

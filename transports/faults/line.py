@@ -45,7 +45,7 @@ from transports.faults.kinds import (
     Unplugged,
     WrongBaud,
 )
-from transports.faults.script import FaultPlan, FaultRecord, Faults
+from transports.faults.script import FaultPlan, Faulty, Stage
 
 __all__ = ["ByteStage", "FaultyLine", "ReferenceReceiver", "byte_stage"]
 
@@ -54,19 +54,13 @@ _NOISE_BYTES = 256
 _WEIGHTS = tuple(1 << n for n in range(8))
 
 
-class ByteStage(ABC):
+class ByteStage(Stage, ABC):
     """One active fault on a stream of bytes.
 
     Attributes
     ----------
-    hits
-        Number of times that it was applied.
-    touched
-        Number of bytes that it changed, removed or inserted.
     places
         Places of its hits in the bytes of the last call, counted from their first.
-    over
-        True when it has no further effect.
     holds
         True if no byte can leave.
     gone
@@ -76,9 +70,8 @@ class ByteStage(ABC):
     holds = gone = False
 
     def __init__(self) -> None:
-        self.hits = self.touched = 0
+        super().__init__()
         self.places: list[int] = []
-        self.over = False
 
     @abstractmethod
     def change(self, data: bytes) -> bytes:
@@ -88,10 +81,9 @@ class ByteStage(ABC):
         """Return the bytes that arrive at the end of the fault."""
         return b""
 
-    def _strike(self, places: list[int], touched: int) -> None:
+    def _hit(self, places: list[int], touched: int) -> None:
         self.places = places
-        self.hits += len(places)
-        self.touched += touched
+        self.count(len(places), touched)
 
 
 class _Flips(ByteStage):
@@ -101,7 +93,7 @@ class _Flips(ByteStage):
 
     def change(self, data: bytes) -> bytes:
         bits = self._where.within(8 * len(data))
-        self._strike([bit >> 3 for bit in bits], len({bit >> 3 for bit in bits}))
+        self._hit([bit >> 3 for bit in bits], len({bit >> 3 for bit in bits}))
         self.over = self._where.over
         if not bits:
             return data
@@ -119,7 +111,7 @@ class _Insertions(ByteStage):
 
     def change(self, data: bytes) -> bytes:
         places = self._where.within(len(data))
-        self._strike(places, len(places))
+        self._hit(places, len(places))
         self.over = self._where.over
         parts, begin = [], 0
         for place in places:
@@ -186,7 +178,7 @@ class _Stuck(ByteStage):
 
     def change(self, data: bytes) -> bytes:
         first = self._low and not self.hits and bool(data)
-        self._strike([0] if data and not self.hits else [], len(data))
+        self._hit([0] if data and not self.hits else [], len(data))
         return b"\0" if first else b""
 
 
@@ -214,7 +206,7 @@ class _Resampled(ByteStage):
         self._data_bits = itemgetter(*self._middles[1:9])
 
     def change(self, data: bytes) -> bytes:
-        self._strike([0] if data and not self.hits else [], len(data))
+        self._hit([0] if data and not self.hits else [], len(data))
         sent = np.zeros((len(data), 10), np.uint8)
         sent[:, 1:9] = np.unpackbits(np.frombuffer(data, np.uint8), bitorder="little").reshape(-1, 8)
         sent[:, 9] = 1
@@ -329,7 +321,7 @@ def _same(sent: Message, came: Message) -> bool:
 _Write = Callable[[bytes], int]
 
 
-class FaultyLine:
+class FaultyLine(Faulty[ByteStage]):
     """Serial line with fault injection.
 
     Parameters
@@ -343,7 +335,7 @@ class FaultyLine:
     """
 
     def __init__(self, plan: FaultPlan, profile: str, bytes_per_s: float, arrived: Callable[[Outgoing], None]) -> None:
-        self._faults: Faults[ByteStage] = Faults(plan, partial(byte_stage, bytes_per_s=bytes_per_s))
+        super().__init__(plan, partial(byte_stage, bytes_per_s=bytes_per_s))
         self._profile = profile
         self._arrived = arrived
         self._reference: ReferenceReceiver | None = None
@@ -351,11 +343,6 @@ class FaultyLine:
         self._rest = b""
         self._sent = 0
         self.false = 0
-
-    @property
-    def records(self) -> tuple[FaultRecord, ...]:
-        """Record of each fault."""
-        return self._faults.records
 
     @property
     def lost(self) -> tuple[int, int]:
@@ -374,10 +361,6 @@ class FaultyLine:
             if self._reference is not None:
                 self._reference.damaged()
         self._watch(begun)
-
-    def inject(self, fault: Fault) -> None:
-        """Begin a fault now; raises ValueError for a fault that a line does not have."""
-        self._faults.inject(fault)
 
     def write(self, data: bytes, port: _Write) -> int:
         """Send bytes through the faults; return the number of accepted bytes."""

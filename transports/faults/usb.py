@@ -19,11 +19,11 @@ A fault acts on the device's endpoints, on its control requests, or on its prese
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 
@@ -41,7 +41,7 @@ from firmware_protocol.usb.device import (
     UsbDevice,
 )
 from transports.faults.kinds import Fault, Places
-from transports.faults.script import FaultPlan, FaultRecord, Faults, Stage
+from transports.faults.script import FaultPlan, Faulty, Stage
 from transports.faults.usb_kinds import (
     ControlStall,
     EmptyTransfers,
@@ -60,8 +60,8 @@ __all__ = ["ControlStage", "FalseAnswers", "FaultyDevice", "UsbStage", "flip_reg
 
 
 @dataclass
-class UsbStage:
-    """One active fault of one IN endpoint, or of the whole device when it is `gone`; see `script.Stage`.
+class UsbStage(Stage):
+    """One active fault of one IN endpoint, or of the whole device when it is `gone`.
 
     Attributes
     ----------
@@ -88,22 +88,18 @@ class UsbStage:
     over: bool = False
 
 
-class ControlStage(Protocol):
-    """One active fault of vendor requests; see `script.Stage` for the attributes."""
+class ControlStage(Stage, ABC):
+    """One active fault of vendor requests."""
 
-    hits: int
-    touched: int
-    over: bool
-
+    @abstractmethod
     def check(self, setup: SetupPacket, now_us: int) -> None:
         """Raise Stall for a vendor request that is to be refused, NotReady for one that is answered later."""
 
 
-class _Refusal:
+class _Refusal(ControlStage):
     def __init__(self, fault: ControlStall) -> None:
+        super().__init__()
         self._request, self._left = fault.request, fault.count
-        self.hits = self.touched = 0
-        self.over = False
 
     def check(self, setup: SetupPacket, now_us: int) -> None:
         if self.over or self._request not in (-1, setup.request):
@@ -114,13 +110,12 @@ class _Refusal:
         raise Stall(f"{setup} is refused, by a fault")
 
 
-class _Slowness:
+class _Slowness(ControlStage):
     def __init__(self, fault: SlowControl) -> None:
+        super().__init__()
         self._delay_us = round(fault.delay_ms * 1000)
         self._pending: SetupPacket | None = None
         self._due_us = 0
-        self.hits = self.touched = 0
-        self.over = False
 
     def check(self, setup: SetupPacket, now_us: int) -> None:
         if setup is not self._pending:  # equal bytes after a time-out are another request
@@ -133,7 +128,7 @@ class _Slowness:
 
 def usb_stage(
     fault: Fault, random: np.random.Generator, dropped: Callable[[], int] = lambda: 0
-) -> UsbStage | WordStage | _Refusal | _Slowness:
+) -> UsbStage | WordStage | ControlStage:
     """Return the stage of a fault of a device on USB; raises ValueError for a fault that USB does not have.
 
     `dropped` returns the number of events that the camera has dropped because its FIFO was full.
@@ -249,12 +244,12 @@ def flip_register(device: UsbDevice, false: FalseAnswers, flip: RegisterFlip) ->
     return True
 
 
-class FaultyDevice(UsbDevice):
+class FaultyDevice(Faulty[Stage], UsbDevice):
     """USB device that passes all calls to a device, through the faults."""
 
     def __init__(self, device: UsbDevice, plan: FaultPlan) -> None:
         self._device = device
-        self._faults: Faults[Stage] = Faults(plan, partial(usb_stage, dropped=self._dropped))
+        super().__init__(plan, partial(usb_stage, dropped=self._dropped))
         self._seen: set[int] = set()
         self._halted: set[int] = set()
         self._words = WordPath(device.identity)
@@ -263,11 +258,6 @@ class FaultyDevice(UsbDevice):
         self._given: deque[Transfer | None] = deque()
         self._data_endpoint = device.data_endpoint if isinstance(device, UsbCamera) else 2
         self._now_us = 0
-
-    @property
-    def records(self) -> tuple[FaultRecord, ...]:
-        """Record of each fault."""
-        return self._faults.records
 
     @property
     def gone(self) -> bool:
@@ -291,7 +281,7 @@ class FaultyDevice(UsbDevice):
 
     def inject(self, fault: Fault) -> None:
         """Begin a fault now; raises ValueError for a fault that USB does not have."""
-        self._faults.inject(fault)
+        super().inject(fault)
         self._begin_new()
 
     def close(self) -> None:
@@ -331,14 +321,14 @@ class FaultyDevice(UsbDevice):
             if stage.stalls and endpoint not in self._halted:
                 self._halt(stage)
             if stage.silent:
-                self._strike(stage)
+                self._hit(stage)
                 return None
             if stage.most_bytes and max_bytes > stage.most_bytes:
-                self._strike(stage)
+                self._hit(stage)
                 max_bytes = stage.most_bytes
             if stage.empty is not None and endpoint not in self._halted and stage.empty.within(1):
                 stage.over = stage.empty.over
-                self._strike(stage)
+                self._hit(stage)
                 self._given.append(None)
                 return Transfer(b"")
         if endpoint in self._halted:
@@ -391,14 +381,13 @@ class FaultyDevice(UsbDevice):
         return transfer
 
     def _check_request(self, setup: SetupPacket) -> None:
-        for stage in [stage for stage in self._faults.stages if not isinstance(stage, UsbStage | WordStage)]:
-            checked: ControlStage = stage  # type: ignore[assignment]  # no other type is left
-            hits = checked.hits
+        for stage in [stage for stage in self._faults.stages if isinstance(stage, ControlStage)]:
+            hits = stage.hits
             try:
-                checked.check(setup, self._now_us)
+                stage.check(setup, self._now_us)
             finally:
-                if checked.hits > hits:
-                    self._faults.applied(stage, [checked.hits])
+                if stage.hits > hits:
+                    self._faults.applied(stage, [stage.hits])
 
     def _begin_new(self) -> None:
         """Apply the immediate effects of new faults, and set the versions of the active ones."""
@@ -416,7 +405,7 @@ class FaultyDevice(UsbDevice):
         if isinstance(stage.fault, RegisterFlip):
             stage.over = True
             if flip_register(self._device, self._false, stage.fault):
-                self._strike(stage)
+                self._hit(stage)
 
     def _start_data(self) -> None:
         for stage in self._faults.stages:
@@ -430,9 +419,9 @@ class FaultyDevice(UsbDevice):
         self._halted.add(stage.endpoint)
         stage.stalls -= 1
         stage.over = not stage.stalls
-        self._strike(stage)
+        self._hit(stage)
 
-    def _strike(self, stage: UsbStage) -> None:
+    def _hit(self, stage: UsbStage) -> None:
         stage.hits += 1
         self._faults.applied(stage, [stage.hits] if stage.hits == 1 else [])
 

@@ -23,6 +23,7 @@ from firmware_protocol.davis346.settings import PRODUCT_ID, VENDOR_ID
 from firmware_protocol.davis346.words import MAX_ADDRESS, Special, Words, is_column
 from firmware_protocol.usb.device import Identity, Transfer
 from transports.faults.kinds import Fault, Places
+from transports.faults.script import Stage
 from transports.faults.usb_kinds import (
     MissedWraps,
     OddBytes,
@@ -89,14 +90,10 @@ def inserted(sent: SentWords, at: int, words: list[int]) -> SentWords:
     )
 
 
-class WordStage(ABC):
-    """One active fault; see `script.Stage` for the attributes."""
+class WordStage(Stage, ABC):
+    """One active fault of words."""
 
     endpoint = 2
-
-    def __init__(self) -> None:
-        self.hits = self.touched = 0
-        self.over = False
 
     def room(self, max_bytes: int) -> int:
         """Return the number of bytes that the camera may send, so that the changed transfer fits into `max_bytes`."""
@@ -114,10 +111,6 @@ class WordStage(ABC):
         """Return the words that follow at the end of the fault."""
         return []
 
-    def _hit(self, hits: int, touched: int) -> None:
-        self.hits += hits
-        self.touched += touched
-
 
 class _OddEnds(WordStage):
     def __init__(self, fault: OddBytes, random: np.random.Generator) -> None:
@@ -131,7 +124,7 @@ class _OddEnds(WordStage):
     def change(self, sent: SentWords) -> SentWords:
         if not len(sent.words) or sent.odd or not self._where.within(1):
             return sent
-        self._hit(1, 1)
+        self.count(1, 1)
         self.over = self._where.over
         if self._extra:
             return SentWords(sent.words, sent.origin, self._random.bytes(1))
@@ -149,7 +142,7 @@ class _Repetition(WordStage):
     def change(self, sent: SentWords) -> SentWords:
         columns = np.flatnonzero(is_column(sent.words))
         twice = columns[self._where.within(len(columns))]
-        self._hit(len(twice), len(twice))
+        self.count(len(twice), len(twice))
         self.over = self._where.over
         words = np.insert(sent.words, twice + 1, sent.words[twice])
         return SentWords(words, np.insert(sent.origin, twice + 1, sent.origin[twice]), sent.odd)
@@ -163,7 +156,7 @@ class _MissedWraps(WordStage):
     def change(self, sent: SentWords) -> SentWords:
         wraps = np.flatnonzero(_is_wrap(sent.words))
         gone = wraps[self._where.within(len(wraps))]
-        self._hit(len(gone), len(gone))
+        self.count(len(gone), len(gone))
         self.over = self._where.over
         good = np.ones(len(sent.words), np.bool_)
         good[gone] = False
@@ -182,7 +175,7 @@ class _Ahead(WordStage):
         timing = np.flatnonzero(sent.words >= _WRAP)  # a wrap anywhere else would also change the current low bits
         if self.over or not len(timing):
             return sent
-        self._hit(1, self._wraps)
+        self.count(1, self._wraps)
         self.over = True
         return inserted(sent, int(timing[0]), [_WRAP | 1] * self._wraps)
 
@@ -198,7 +191,7 @@ class _Back(WordStage):
         low = (words[stamps] & _LOW).astype(np.int64)
         words[stamps] = (np.maximum(low - self._by, 0) | _TIMESTAMP).astype(_WORD)
         count = int(np.count_nonzero(stamps))
-        self._hit(count, count)
+        self.count(count, count)
         return SentWords(words, sent.origin, sent.odd)
 
 
@@ -215,7 +208,7 @@ class _Frozen(WordStage):
         wraps = np.flatnonzero(_is_wrap(sent.words))
         self._held += sent.words[wraps[wraps > (resets[-1] if len(resets) else -1)]].tolist()
         count = int(np.count_nonzero(timing))
-        self._hit(count, count)
+        self.count(count, count)
         return sent.only(~timing)
 
     def finish(self) -> list[int]:
@@ -237,7 +230,7 @@ class _Stale(WordStage):
     def change(self, sent: SentWords) -> SentWords:
         if not self._due or self.over:
             return sent
-        self._hit(1, _STALE_WORDS * self._events)
+        self.count(1, _STALE_WORDS * self._events)
         self.over = True
         return inserted(sent, 0, self._words())
 

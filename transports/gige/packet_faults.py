@@ -8,16 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_protocol.gige.gvsp import removed
-from transports.faults.datagrams import (
-    DatagramStage,
-    LateDatagrams,
-    Loss,
-    LostDatagrams,
-    RepeatedDatagrams,
-    datagram_stage,
-)
-from transports.faults.kinds import Fault, Places
-from transports.faults.script import FaultPlan, FaultRecord, Faults
+from transports.faults.datagrams import LateDatagrams, LostDatagrams, RepeatedDatagrams, datagram_stage
+from transports.faults.items import HitStage, ItemStage, Loss, pass_through
+from transports.faults.kinds import Fault
+from transports.faults.script import FaultPlan, Faulty
 from transports.faults.usb_kinds import IpChange, LinkDown, LostHeartbeat, RefusedResends
 
 __all__ = ["PACKET_FAULTS", "FaultyPackets", "Packet"]
@@ -39,28 +33,19 @@ class Packet:
     again: bool = False
 
 
-class _Refusal(DatagramStage[Packet]):
+class _Refusal(HitStage[Packet]):
     """Refusal of single packets that a host requested again: they are reported as no longer stored."""
 
-    def __init__(self, fault: RefusedResends, random: np.random.Generator) -> None:
-        super().__init__()
-        self._where = Places(fault, random)
-
-    def change(self, datagram: Packet) -> list[Packet]:
-        """See `DatagramStage.change`."""
-        if not datagram.again or not self._where.within(1):
-            return [datagram]
-        self.hits += 1
-        self.touched += 1
-        self.over = self._where.over
-        return [Packet(removed(datagram.block, datagram.number))]
+    def change(self, item: Packet) -> list[Packet]:
+        """See `ItemStage.change`."""
+        return [Packet(removed(item.block, item.number))] if item.again and self.is_hit() else [item]
 
 
-class _Down(DatagramStage[Packet]):
+class _Down(ItemStage[Packet]):
     """Fault that stops all packets."""
 
-    def change(self, datagram: Packet) -> list[Packet]:
-        """See `DatagramStage.change`."""
+    def change(self, item: Packet) -> list[Packet]:
+        """See `ItemStage.change`."""
         self.hits = 1
         self.touched += 1
         return []
@@ -79,7 +64,7 @@ class _Moving(_Down):
         self.hits, self.taken = 1, True
 
 
-class _Taking(DatagramStage[Packet]):
+class _Taking(ItemStage[Packet]):
     """Removal of control; over when it is done."""
 
     taken = False
@@ -88,12 +73,8 @@ class _Taking(DatagramStage[Packet]):
         """Record that control has been taken away."""
         self.hits, self.taken, self.over = 1, True, True
 
-    def change(self, datagram: Packet) -> list[Packet]:
-        """See `DatagramStage.change`."""
-        return [datagram]
 
-
-def _stage(fault: Fault, random: np.random.Generator) -> DatagramStage[Packet]:
+def _stage(fault: Fault, random: np.random.Generator) -> ItemStage[Packet]:
     match fault:
         case RefusedResends():
             return _Refusal(fault, random)
@@ -106,18 +87,13 @@ def _stage(fault: Fault, random: np.random.Generator) -> DatagramStage[Packet]:
     return datagram_stage(fault, random)
 
 
-class FaultyPackets:
+class FaultyPackets(Faulty[ItemStage[Packet]]):
     """Faults of one stream."""
 
     def __init__(self, plan: FaultPlan) -> None:
-        self._faults: Faults[DatagramStage[Packet]] = Faults(plan, _stage)
+        super().__init__(plan, _stage)
         self._gone: list[Packet] = []
         self._address: str | None = None
-
-    @property
-    def records(self) -> tuple[FaultRecord, ...]:
-        """Record of each fault."""
-        return self._faults.records
 
     def advance(self, now_us: int) -> list[Packet]:
         """Advance stream time; return the packets that faults held and that pass now."""
@@ -125,23 +101,13 @@ class FaultyPackets:
         self._address = next((stage.address for stage in over if isinstance(stage, _Moving)), self._address)
         return [packet for stage in over for packet in stage.finish()]
 
-    def inject(self, fault: Fault) -> None:
-        """Begin a fault now; raises ValueError for a fault that a stream does not have."""
-        self._faults.inject(fault)
-
     def change(self, packet: Packet) -> list[Packet]:
         """Return the packets to be sent in place of `packet`."""
-        packets = [packet]
-        for stage in self._faults.stages:
-            before, going = stage.hits, list[Packet]()
-            for each in packets:
-                passed = stage.change(each)
-                going += passed
-                self._gone += [each] if not passed and isinstance(stage, (Loss, _Down)) else []
-            if stage.hits != before:
-                self._faults.applied(stage, [packet.number])
-            packets = going
-        return packets
+        return pass_through(self._faults, packet, packet.number, self._remember)
+
+    def _remember(self, stage: ItemStage[Packet], packet: Packet, passed: list[Packet]) -> None:
+        """Collect a packet that a fault has removed."""
+        self._gone += [packet] if not passed and isinstance(stage, (Loss, _Down)) else []
 
     @property
     def link_is_down(self) -> bool:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 
 from firmware_protocol.instrument.instrument import Instrument, Outgoing
@@ -25,7 +26,7 @@ from transports.faults.script import FaultPlan, FaultRecord
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.link.pacing import Clock
-from transports.link.reception import Receiving, Reception
+from transports.link.reception import InstrumentReception, Receiving, receive
 from transports.network.datagrams import ByteBudget, DatagramInlet, DatagramOutlet
 from transports.recording.record import Recorder
 from transports.udp_packets.kind import UdpPacketsLink
@@ -176,35 +177,34 @@ class Ports:
 
 def listen_udp(
     ports: Ports,
-    goes_on: Callable[[Reception], bool],
+    goes_on: Callable[[InstrumentReception], bool],
     clock: Clock,
     recorder: Recorder | None = None,
     commands: Sequence[Telecommand] = (),
-) -> Reception:
+) -> InstrumentReception:
     """Open the port, send `commands`, and read while `goes_on`, called after each turn, returns True.
 
     Raises OSError when the port cannot be opened. The loss of the camera is not detected.
     """
     receiving = Receiving("ccsds", clock, recorder)
-    inlet, outlet = DatagramInlet(ports.host, ports.port, ports.allow), None
-    try:
+
+    def turn() -> None:
+        for datagram in inlet.take(_AT_A_TIME_LISTENER):
+            for packet in whole_packets(datagram):
+                receiving.take(packet)
+        clock.sleep_until(clock.now_ns() + _LOOK_PERIOD_NS)
+
+    with closing(DatagramInlet(ports.host, ports.port, ports.allow)) as inlet:
         inlet.open(_RECEIVE_BUFFER)
-        if commands:
-            outlet = DatagramOutlet(ports.command_host, ports.command_port)
-            outlet.open()
-            for command in commands:
-                outlet.send(receiving.receiver.wrap(command))
-        while goes_on(receiving.now):
-            for datagram in inlet.take(_AT_A_TIME_LISTENER):
-                _take(receiving, datagram)
-            clock.sleep_until(clock.now_ns() + _LOOK_PERIOD_NS)
-    finally:
-        inlet.close()
-        if outlet is not None:
-            outlet.close()
+        _send(ports, [receiving.receiver.wrap(command) for command in commands])
+        receive(lambda: receiving.now, goes_on, turn)
     return receiving.finish(gone=False)
 
 
-def _take(receiving: Receiving, datagram: bytes) -> None:
-    for packet in whole_packets(datagram):
-        receiving.take(packet)
+def _send(ports: Ports, commands: Sequence[bytes]) -> None:
+    if not commands:
+        return
+    with closing(DatagramOutlet(ports.command_host, ports.command_port)) as outlet:
+        outlet.open()
+        for command in commands:
+            outlet.send(command)
