@@ -6,6 +6,7 @@ computer that receives from an instrument, over any transport of the packets.
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -101,7 +102,7 @@ class Arrivals:
         self._clock = clock
         self._recorder = recorder
         self._start_ns = clock.now_ns()
-        self._delays_us: list[float] = []
+        self._delays_us = array("d")
         self.events = self.edges = 0
         self.last_t_us: int | None = None
         self.digest = 0

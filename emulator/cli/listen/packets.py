@@ -1,7 +1,4 @@
-"""`evstim listen serial`: the receiving side of a serial line.
-
-`evstim listen udp`: the receiving side of packets in UDP datagrams.
-"""
+"""`evstim listen serial` and `evstim listen udp`: the receiving side of packets on a serial line and in UDP."""
 
 from __future__ import annotations
 
@@ -111,6 +108,7 @@ class TelecommandOptions:
 
 
 _GONE = "the line went away before the reception was to end: it was unplugged, or the camera's run ended or died"
+_GoesOn = Callable[[InstrumentReception], bool]
 _NO_LIMITS, _LINE, _NO_TELECOMMANDS = Limits(), Line(), TelecommandOptions()
 
 
@@ -204,9 +202,6 @@ def _address(text: str) -> tuple[str, int]:
     if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
         raise Failure(f"{text!r} is not HOST:PORT, such as 127.0.0.1:10015", WRONG_USE)
     return host.strip("[]"), int(port)
-
-
-_GoesOn = Callable[[InstrumentReception], bool]
 
 
 def _with_answers(goes_on: _GoesOn) -> _GoesOn:
