@@ -8,6 +8,7 @@ it was sent, and is lost when no copy is left that could arrive.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -18,36 +19,55 @@ import numpy as np
 from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.profile import Profile
 from transports.faults.items import Delay, ItemStage, Loss, Repetition, pass_through
-from transports.faults.kinds import BitFlips, Fault, HitFault
-from transports.faults.line import byte_stage
+from transports.faults.kinds import Fault, HitFault
+from transports.faults.line import BitFlips
 from transports.faults.script import FaultPlan, Faulty
 
 __all__ = [
     "DATAGRAM_FAULTS",
+    "DatagramFault",
     "FaultyDatagrams",
     "LateDatagrams",
     "LostDatagrams",
     "RepeatedDatagrams",
-    "datagram_stage",
 ]
 
 
+T = TypeVar("T")
+
+
+class DatagramFault(ABC):
+    """Fault of datagrams that does not depend on their contents."""
+
+    @abstractmethod
+    def stage(self, random: np.random.Generator) -> ItemStage[T]:
+        """Return its effect, with hits drawn by `random`."""
+
+
 @dataclass(frozen=True)
-class LostDatagrams(HitFault):
+class LostDatagrams(HitFault, DatagramFault):
     """Datagrams that never arrive, as when a queue on the path is full."""
 
     kind: ClassVar[str] = "lost_datagrams"
 
+    def stage(self, random: np.random.Generator) -> ItemStage[T]:
+        """See `DatagramFault.stage`."""
+        return Loss(self, random)
+
 
 @dataclass(frozen=True)
-class RepeatedDatagrams(HitFault):
+class RepeatedDatagrams(HitFault, DatagramFault):
     """Datagrams that arrive twice."""
 
     kind: ClassVar[str] = "repeated_datagrams"
 
+    def stage(self, random: np.random.Generator) -> ItemStage[T]:
+        """See `DatagramFault.stage`."""
+        return Repetition(self, random)
+
 
 @dataclass(frozen=True)
-class LateDatagrams(HitFault):
+class LateDatagrams(HitFault, DatagramFault):
     """Datagrams that later datagrams overtake.
 
     Attributes
@@ -64,26 +84,14 @@ class LateDatagrams(HitFault):
         if not 1 <= self.overtaken_by <= 1000:
             raise ValueError(f"overtaken_by must be 1 to 1000 datagrams, got {self.overtaken_by}")
 
+    def stage(self, random: np.random.Generator) -> ItemStage[T]:
+        """See `DatagramFault.stage`."""
+        return Delay(self, random, self.overtaken_by)
 
-DATAGRAM_FAULTS: Mapping[str, type[Fault]] = {
-    each.kind: each for each in (LostDatagrams, RepeatedDatagrams, LateDatagrams, BitFlips)
-}
+
+_FAULTS: tuple[type[Fault], ...] = (LostDatagrams, RepeatedDatagrams, LateDatagrams, BitFlips)
+DATAGRAM_FAULTS: Mapping[str, type[Fault]] = {each.kind: each for each in _FAULTS}
 """Faults of packets in datagrams, by kind. Bit flips are not detected by the checksum of UDP, as in a gateway."""
-
-
-T = TypeVar("T")
-
-
-def datagram_stage(fault: Fault, random: np.random.Generator) -> ItemStage[T]:
-    """Return the stage of a fault; raises ValueError for a fault that datagrams do not have."""
-    match fault:
-        case LostDatagrams():
-            return Loss(fault, random)
-        case RepeatedDatagrams():
-            return Repetition(fault, random)
-        case LateDatagrams():
-            return Delay(fault, random, fault.overtaken_by)
-    raise ValueError(f"{fault.kind!r} is no fault of packets in datagrams")
 
 
 _Send = Callable[[bytes], bool]
@@ -108,7 +116,7 @@ class _Copy:
 class _Flips(ItemStage[_Copy]):
     def __init__(self, fault: BitFlips, random: np.random.Generator) -> None:
         super().__init__()
-        self._bits = byte_stage(fault, random, 1.0)
+        self._bits = fault.stage(random, 1.0)
 
     def change(self, copy: _Copy) -> list[_Copy]:
         data = self._bits.change(copy.data)
@@ -117,7 +125,12 @@ class _Flips(ItemStage[_Copy]):
 
 
 def _stage(fault: Fault, random: np.random.Generator) -> ItemStage[_Copy]:
-    return _Flips(fault, random) if isinstance(fault, BitFlips) else datagram_stage(fault, random)
+    """Return the effect of a fault on datagrams; raises ValueError for a fault of another carrier."""
+    if isinstance(fault, BitFlips):
+        return _Flips(fault, random)
+    if not isinstance(fault, DatagramFault):
+        raise ValueError(f"{fault.kind!r} is no fault of packets in datagrams")
+    return fault.stage(random)
 
 
 class FaultyDatagrams(Faulty[ItemStage[_Copy]]):

@@ -11,8 +11,8 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from transports.faults.kinds import HitFault, Places
-from transports.faults.script import Faults, Stage
+from transports.faults.kinds import HitFault, Places, Stage
+from transports.faults.script import Faults
 
 __all__ = ["Delay", "HitStage", "ItemStage", "Loss", "Repetition", "pass_through"]
 

@@ -20,35 +20,12 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from transports.faults.kinds import Fault
+from transports.faults.kinds import Fault, Stage
 from transports.output_file import OutputFile
 
-__all__ = ["FaultPlan", "FaultRecord", "Faults", "Faulty", "Stage"]
+__all__ = ["FaultPlan", "FaultRecord", "Faults", "Faulty"]
 
 _MOST_PLACES = 16  # listed in one log line
-
-
-class Stage:
-    """One active fault; each carrier has its kinds of stages.
-
-    Attributes
-    ----------
-    hits
-        Number of times that it was applied.
-    touched
-        Number of bytes, words, frames or datagrams that it changed, removed, inserted or held.
-    over
-        True when it has no further effect.
-    """
-
-    def __init__(self) -> None:
-        self.hits = self.touched = 0
-        self.over = False
-
-    def count(self, hits: int, touched: int) -> None:
-        """Count hits, and what they touched."""
-        self.hits += hits
-        self.touched += touched
 
 
 S = TypeVar("S", bound=Stage)

@@ -1,26 +1,35 @@
-"""Faults of the packets of a GigE Vision stream, between the camera and the network, and of its control channel."""
+"""Faults of a GigE Vision camera: their tables in a rig, and their effects.
+
+They act on the packets of its stream, between the camera and the network, and on its control channel. See
+`transports.faults.kinds` for the attributes that all faults have.
+"""
 
 from __future__ import annotations
 
+import ipaddress
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from firmware_protocol.gige.gvsp import removed
-from transports.faults.datagrams import LateDatagrams, LostDatagrams, RepeatedDatagrams, datagram_stage
+from transports.faults.datagrams import DatagramFault, LateDatagrams, LostDatagrams, RepeatedDatagrams
 from transports.faults.items import HitStage, ItemStage, Loss, pass_through
-from transports.faults.kinds import Fault
+from transports.faults.kinds import Fault, HitFault, LastingFault
 from transports.faults.script import FaultPlan, Faulty
-from transports.faults.usb_kinds import IpChange, LinkDown, LostHeartbeat, RefusedResends
 
-__all__ = ["PACKET_FAULTS", "FaultyPackets", "Packet"]
-
-PACKET_FAULTS: Mapping[str, type[Fault]] = {
-    one.kind: one
-    for one in (LostDatagrams, RepeatedDatagrams, LateDatagrams, RefusedResends, LostHeartbeat, LinkDown, IpChange)
-}
-"""Faults of a camera, by kind."""
+__all__ = [
+    "PACKET_FAULTS",
+    "FaultyPackets",
+    "IpChange",
+    "LinkDown",
+    "LostHeartbeat",
+    "Packet",
+    "PacketFault",
+    "RefusedResends",
+]
 
 
 @dataclass(frozen=True)
@@ -33,12 +42,63 @@ class Packet:
     again: bool = False
 
 
+class PacketFault(ABC):
+    """Fault of a GigE Vision camera that other datagrams do not have."""
+
+    @abstractmethod
+    def stage(self, random: np.random.Generator) -> ItemStage[Packet]:
+        """Return its effect, with hits drawn by `random`."""
+
+
+@dataclass(frozen=True)
+class RefusedResends(HitFault, PacketFault):
+    """Packets that a host requests again and that the camera no longer holds, like one with a small memory."""
+
+    kind: ClassVar[str] = "refused_resends"
+
+    def stage(self, random: np.random.Generator) -> ItemStage[Packet]:
+        """See `PacketFault.stage`."""
+        return _Refusal(self, random)
+
+
 class _Refusal(HitStage[Packet]):
     """Refusal of single packets that a host requested again: they are reported as no longer stored."""
 
     def change(self, item: Packet) -> list[Packet]:
         """See `ItemStage.change`."""
         return [Packet(removed(item.block, item.number))] if item.again and self.is_hit() else [item]
+
+
+@dataclass(frozen=True)
+class LostHeartbeat(Fault, PacketFault):
+    """The camera takes control away from its host, as when the host's heartbeat did not arrive in time."""
+
+    kind: ClassVar[str] = "lost_heartbeat"
+
+    def stage(self, random: np.random.Generator) -> ItemStage[Packet]:
+        """See `PacketFault.stage`."""
+        return _Taking()
+
+
+class _Taking(ItemStage[Packet]):
+    """Removal of control; over when it is done."""
+
+    taken = False
+
+    def take(self) -> None:
+        """Record that control has been taken away."""
+        self.hits, self.taken, self.over = 1, True, True
+
+
+@dataclass(frozen=True)
+class LinkDown(LastingFault, PacketFault):
+    """The cable is unplugged and plugged in again: no data pass in either direction in between."""
+
+    kind: ClassVar[str] = "link_down"
+
+    def stage(self, random: np.random.Generator) -> ItemStage[Packet]:
+        """See `PacketFault.stage`."""
+        return _Down()
 
 
 class _Down(ItemStage[Packet]):
@@ -49,6 +109,36 @@ class _Down(ItemStage[Packet]):
         self.hits = 1
         self.touched += 1
         return []
+
+
+@dataclass(frozen=True)
+class IpChange(LastingFault, PacketFault):
+    """The camera leaves its IP address and returns with another one, as after a new DHCP lease or a FORCEIP.
+
+    Attributes
+    ----------
+    for_s
+        Time without an address.
+    address
+        IPv4 address that it has afterwards, to the end of the run; one of this machine's, on loopback any 127.x.y.z.
+    """
+
+    kind: ClassVar[str] = "ip_change"
+    for_s: float = 0.5
+    address: str = "127.0.0.254"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        try:
+            good = not ipaddress.IPv4Address(self.address).is_unspecified
+        except ValueError:
+            good = False
+        if not good:
+            raise ValueError(f"address must be an IPv4 address that the camera has afterwards, got {self.address!r}")
+
+    def stage(self, random: np.random.Generator) -> ItemStage[Packet]:
+        """See `PacketFault.stage`."""
+        return _Moving(self.address)
 
 
 class _Moving(_Down):
@@ -64,27 +154,19 @@ class _Moving(_Down):
         self.hits, self.taken = 1, True
 
 
-class _Taking(ItemStage[Packet]):
-    """Removal of control; over when it is done."""
-
-    taken = False
-
-    def take(self) -> None:
-        """Record that control has been taken away."""
-        self.hits, self.taken, self.over = 1, True, True
+_FAULTS: tuple[type[Fault], ...] = (
+    *(LostDatagrams, RepeatedDatagrams, LateDatagrams),
+    *(RefusedResends, LostHeartbeat, LinkDown, IpChange),
+)
+PACKET_FAULTS: Mapping[str, type[Fault]] = {one.kind: one for one in _FAULTS}
+"""Faults of a camera, by kind."""
 
 
 def _stage(fault: Fault, random: np.random.Generator) -> ItemStage[Packet]:
-    match fault:
-        case RefusedResends():
-            return _Refusal(fault, random)
-        case LinkDown():
-            return _Down()
-        case IpChange():
-            return _Moving(fault.address)
-        case LostHeartbeat():
-            return _Taking()
-    return datagram_stage(fault, random)
+    """Return the effect of a fault on a stream; raises ValueError for a fault of another carrier."""
+    if not isinstance(fault, DatagramFault | PacketFault):
+        raise ValueError(f"{fault.kind!r} is no fault of packets in datagrams")
+    return fault.stage(random)
 
 
 class FaultyPackets(Faulty[ItemStage[Packet]]):

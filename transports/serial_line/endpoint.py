@@ -34,8 +34,8 @@ from typing import Generic, TypeVar
 
 from firmware_protocol.instrument.instrument import Instrument, Outgoing
 from firmware_protocol.packets.profile import Profile
+from transports.faults.faulty_line import FaultyLine
 from transports.faults.kinds import Fault
-from transports.faults.line import FaultyLine
 from transports.faults.script import FaultPlan, FaultRecord
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LineUse, Reopening

@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 
 from firmware_protocol.usb.device import Speed, UsbCamera
 from firmware_protocol.usb.functionfs import descriptor_block, string_block
+from transports.faults.faulty_device import FaultyDevice
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
-from transports.faults.usb import FaultyDevice
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
 from transports.usb.functionfs.cable import Cable

@@ -25,9 +25,9 @@ from pathlib import Path
 
 from firmware_protocol.usb.device import UsbCamera, UsbDevice
 from firmware_protocol.usb.usbip import DeviceListReply, DeviceRecord, ImportReply, OpStatus
+from transports.faults.faulty_device import FaultyDevice
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
-from transports.faults.usb import FaultyDevice
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.network.datagrams import Admission, AllowList, Places, Seat, is_loopback
