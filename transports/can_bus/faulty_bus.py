@@ -77,10 +77,6 @@ class BusFaults(Faulty[ItemStage[QueuedFrame]]):
         """Return the nodes that flood this bus."""
         return [stage for stage in self._of(bus) if isinstance(stage, Babbler)]
 
-    def close(self) -> None:
-        """End all faults."""
-        self._faults.close()
-
     def _of(self, bus: int) -> list[BusStage]:
         return [stage for stage in self._faults.stages if isinstance(stage, BusStage) and stage.bus == bus]
 

@@ -183,14 +183,13 @@ class FaultyDatagrams(Faulty[ItemStage[_Copy]]):
             self._waiting.popleft()
         return not self._waiting
 
-    def close(self, socket: _Send) -> None:
-        """End all faults; the datagrams that they hold are sent now, or lost."""
+    def release(self, socket: _Send) -> None:
+        """Send the datagrams that faults hold, before the link ends; those for which there is no room are lost."""
         for stage in self._faults.stages:
             self._waiting += stage.finish()
         if not self.flush(socket):
             for copy in self._waiting:
                 self._drop(copy)
-        self._faults.close()
 
     def _settle(self, stage: ItemStage[_Copy], copy: _Copy, passed: list[_Copy]) -> None:
         """Count the copies that a fault has made, or drop the one that it has removed."""

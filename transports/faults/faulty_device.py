@@ -157,10 +157,6 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
         super().inject(fault)
         self._begin_new()
 
-    def close(self) -> None:
-        """End all faults."""
-        self._faults.close()
-
     @property
     def identity(self) -> Identity:
         """Identity of the device, or the false one of a fault."""

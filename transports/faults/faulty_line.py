@@ -181,9 +181,9 @@ class FaultyLine(Faulty[ByteStage]):
             self._reference = None
 
     def close(self) -> None:
-        """End all faults."""
+        """End all faults; the messages in progress are lost."""
         self.drop()
-        self._faults.close()
+        super().close()
 
     def _watch(self, begun: bytes) -> None:
         if self._faults.stages and self._reference is None:

@@ -200,3 +200,7 @@ class Faulty(Generic[S]):
     def inject(self, fault: Fault) -> None:
         """Begin a fault now; raises ValueError for a fault that this carrier does not have."""
         self._faults.inject(fault)
+
+    def close(self) -> None:
+        """End all faults; the data that they hold are lost with the link."""
+        self._faults.close()

@@ -222,7 +222,3 @@ class FaultyPackets(Faulty[ItemStage[Packet]]):
     def attribute(self, events: int, edges: int) -> None:
         """Attribute the loss of events and edges to the last fault that was applied."""
         self._faults.lose(events, edges)
-
-    def close(self) -> None:
-        """End all faults; the packets that they hold are lost with the link."""
-        self._faults.close()

@@ -21,8 +21,7 @@ from firmware_protocol.packets.ccsds import whole_packets
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Telecommand
 from transports.faults.datagrams import FaultyDatagrams
-from transports.faults.kinds import Fault
-from transports.faults.script import FaultPlan, FaultRecord
+from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.link.pacing import Clock
@@ -51,6 +50,8 @@ class UdpPacketFactory(EndpointFactory[Instrument]):
 
 class UdpPacketEndpoint(Endpoint):
     """Endpoint of one instrument for one receiver."""
+
+    _faulty: FaultyDatagrams
 
     def __init__(self, factory: UdpPacketFactory, instrument: Instrument, deliveries: Deliveries) -> None:
         link = factory.link
@@ -86,21 +87,13 @@ class UdpPacketEndpoint(Endpoint):
         """See `Endpoint.advance_faults`."""
         self._faulty.advance(stream_us)
 
-    def inject(self, fault: Fault) -> None:
-        """See `Endpoint.inject`."""
-        self._faulty.inject(fault)
-
-    @property
-    def faults(self) -> tuple[FaultRecord, ...]:
-        """See `Endpoint.faults`."""
-        return self._faulty.records
-
     async def close(self) -> None:
         """Close the sockets; messages that have not left are lost."""
         if self._next is not None:
             self._instrument.lost(self._next[1])
             self._next = None
-        self._faulty.close(self._outlet.send)
+        self._faulty.release(self._outlet.send)
+        self._faulty.close()
         self._instrument.disconnected()
         self._inlet.close()
         self._outlet.close()
