@@ -99,7 +99,7 @@ if TYPE_CHECKING:
         RepeatedFrames,
     )
     from transports.faults.datagrams import LateDatagrams, LostDatagrams, RepeatedDatagrams
-    from transports.faults.kinds import (
+    from transports.faults.line import (
         BitFlips,
         Burst,
         InsertedBytes,
@@ -110,31 +110,30 @@ if TYPE_CHECKING:
         Unplugged,
         WrongBaud,
     )
-    from transports.faults.usb_kinds import (
+    from transports.faults.usb import (
         ControlStall,
         EmptyTransfers,
         FifoOverflow,
-        IpChange,
-        LinkDown,
-        LostHeartbeat,
-        MissedWraps,
-        OddBytes,
-        RefusedResends,
         RegisterFlip,
-        RepeatedEvents,
         ShortTransfers,
         SlowControl,
-        StaleData,
-        TimeAhead,
-        TimeBack,
-        TimeFrozen,
         UsbSilence,
         UsbStall,
         UsbUnplugged,
         WrongVersion,
     )
+    from transports.faults.words import (
+        MissedWraps,
+        OddBytes,
+        RepeatedEvents,
+        StaleData,
+        TimeAhead,
+        TimeBack,
+        TimeFrozen,
+    )
     from transports.file.kind import FileLink
     from transports.gige.kind import GigeLink
+    from transports.gige.packet_faults import IpChange, LinkDown, LostHeartbeat, RefusedResends
     from transports.network_streams.kind import TcpLink, UdpLink
     from transports.recording.part import RecordingError
     from transports.recording.record import load_record
@@ -362,7 +361,7 @@ _NAMES = {
         "RepeatedFrames",
     ),
     "transports.faults.datagrams": ("LateDatagrams", "LostDatagrams", "RepeatedDatagrams"),
-    "transports.faults.kinds": (
+    "transports.faults.line": (
         "BitFlips",
         "Burst",
         "InsertedBytes",
@@ -373,31 +372,30 @@ _NAMES = {
         "Unplugged",
         "WrongBaud",
     ),
-    "transports.faults.usb_kinds": (
+    "transports.faults.usb": (
         "ControlStall",
         "EmptyTransfers",
         "FifoOverflow",
-        "IpChange",
-        "LinkDown",
-        "LostHeartbeat",
-        "MissedWraps",
-        "OddBytes",
-        "RefusedResends",
         "RegisterFlip",
-        "RepeatedEvents",
         "ShortTransfers",
         "SlowControl",
-        "StaleData",
-        "TimeAhead",
-        "TimeBack",
-        "TimeFrozen",
         "UsbSilence",
         "UsbStall",
         "UsbUnplugged",
         "WrongVersion",
     ),
+    "transports.faults.words": (
+        "MissedWraps",
+        "OddBytes",
+        "RepeatedEvents",
+        "StaleData",
+        "TimeAhead",
+        "TimeBack",
+        "TimeFrozen",
+    ),
     "transports.file.kind": ("FileLink",),
     "transports.gige.kind": ("GigeLink",),
+    "transports.gige.packet_faults": ("IpChange", "LinkDown", "LostHeartbeat", "RefusedResends"),
     "transports.network_streams.kind": ("TcpLink", "UdpLink"),
     "transports.recording.part": ("RecordingError",),
     "transports.recording.record": ("load_record",),

@@ -13,19 +13,16 @@ Methods for the dependence of a column on the parameters:
     PAWN               from any sample: how much the column's distribution changes when the parameter is known
     rank correlation   from any sample, Spearman's: direction and strength of a monotone dependence
 
-Sobol indices are computed by SALib, PAWN by `pawn`. Charts are <svg> and <img> elements that hold their own data.
+Sobol indices are computed by SALib, PAWN by `pawn`.
 """
 
 from __future__ import annotations
 
-import base64
-import html
 import importlib
-import io
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,7 +34,8 @@ from scipy.stats import spearmanr
 from emulator.campaign.campaign import Campaign, Row
 from emulator.campaign.sampling import Law
 from emulator.campaign.success import SuccessRule, proportion
-from emulator.report.page import ChartsLacking, pyplot, table, write_page
+from emulator.report.charts import BLUE, INK, RED, ChartsLacking, image, panels, svg
+from emulator.report.page import Page
 
 __all__ = [
     "Sensitivity",
@@ -193,9 +191,9 @@ def _influence(x: _Floats, y: _Floats) -> dict[str, float]:
     return {"PAWN": pawn(y, slices), "PAWN, 95 % of chance": pawn_of_chance(y, slices)}
 
 
-_GOOD, _BAD, _INK = "#0072b2", "#d55e00", "#333333"  # distinct for colour-blind people too
 _BINS = 8
-_ACROSS = 4
+_ACROSS = 4  # charts of a row, 12 inches together
+_HEIGHT = 2.8
 _FEW = 8  # values that get a tick each
 _FAR = 2.0  # from the values, in their span: a limit that is farther off is not drawn
 
@@ -204,16 +202,16 @@ _Labels = Mapping[str, str]
 
 def success_by_parameter(rows: Sequence[Row], laws: Sequence[Law], labels: _Labels) -> str:
     """Return the share of successes over the values of each parameter, with Wilson intervals."""
-    figure, panels = _panels(len(laws))
+    figure, charts = _panels(len(laws))
     success = numbers(rows, "success")
-    for axes, law in zip(panels, laws, strict=True):
+    for axes, law in zip(charts, laws, strict=True):
         x = parameter_numbers(rows, law)
         centres, shares, low, high = _binned(x, success)
-        axes.errorbar(centres, shares, yerr=[shares - low, high - shares], fmt="o", color=_INK, capsize=3)
+        axes.errorbar(centres, shares, yerr=[shares - low, high - shares], fmt="o", color=INK, capsize=3)
         axes.set(ylim=(-0.03, 1.03))
         _scale(axes, law, rows, labels)
-    panels[0].set_ylabel("share of successes, 95 %")
-    return _svg(figure)
+    charts[0].set_ylabel("share of successes, 95 %")
+    return svg(figure)
 
 
 def _binned(x: _Floats, success: _Floats) -> tuple[_Floats, _Floats, _Floats, _Floats]:
@@ -231,32 +229,32 @@ def _binned(x: _Floats, success: _Floats) -> tuple[_Floats, _Floats, _Floats, _F
 
 def scatter(rows: Sequence[Row], laws: Sequence[Law], column: str, labels: _Labels) -> str:
     """Return a column over each parameter, a point for each run, as an image."""
-    figure, panels = _panels(len(laws))
+    figure, charts = _panels(len(laws))
     y, success = numbers(rows, column), numbers(rows, "success") > 0
-    for axes, law in zip(panels, laws, strict=True):
+    for axes, law in zip(charts, laws, strict=True):
         x = parameter_numbers(rows, law)
-        for which, colour, name in ((success, _GOOD, "success"), (~success, _BAD, "no success")):
+        for which, colour, name in ((success, BLUE, "success"), (~success, RED, "no success")):
             if which.any():
                 axes.plot(x[which], y[which], ".", markersize=5, alpha=0.6, color=colour, label=name)
         _scale(axes, law, rows, labels)
-    panels[0].set_ylabel(labels.get(column, column))
+    charts[0].set_ylabel(labels.get(column, column))
     if not success.all():
-        panels[-1].legend(fontsize=8)
-    return _image(figure, f"{column} over the parameters")
+        charts[-1].legend(fontsize=8)
+    return image(figure, f"{column} over the parameters")
 
 
 def histograms(rows: Sequence[Row], columns: Sequence[str], labels: _Labels, rules: Sequence[SuccessRule]) -> str:
     """Return the distribution of some columns, with the limits of the rules; at least one column has numbers."""
     shown = [(column, values) for column in columns if len(values := _there(numbers(rows, column)))]
-    figure, panels = _panels(len(shown))
-    for axes, (column, values) in zip(panels, shown, strict=True):
-        axes.hist(values, bins=min(40, max(5, int(np.sqrt(len(values))))), color=_INK, histtype="step")
+    figure, charts = _panels(len(shown))
+    for axes, (column, values) in zip(charts, shown, strict=True):
+        axes.hist(values, bins=min(40, max(5, int(np.sqrt(len(values))))), color=INK, histtype="step")
         axes.set(xlabel=labels.get(column, column))
         axes.yaxis.get_major_locator().set_params(integer=True)
         for limit in _limits(rules, column, values):
-            axes.axvline(limit, color=_BAD, linestyle="--")
-    panels[0].set_ylabel("runs")
-    return _svg(figure)
+            axes.axvline(limit, color=RED, linestyle="--")
+    charts[0].set_ylabel("runs")
+    return svg(figure)
 
 
 def _limits(rules: Sequence[SuccessRule], column: str, values: _Floats) -> list[float]:
@@ -285,28 +283,9 @@ def _scale(axes: Any, law: Law, rows: Sequence[Row], labels: _Labels) -> None:
 
 
 def _panels(count: int) -> tuple[Any, list[Any]]:
-    down = -(-count // _ACROSS)
-    across = -(-count // down)
-    figure, axes = pyplot().subplots(down, across, figsize=(12, 2.8 * down), squeeze=False, layout="constrained")
-    every = list(axes.flat)
-    for unused in every[count:]:
-        unused.set_visible(False)
-    return figure, every[:count]
-
-
-def _svg(figure: Any) -> str:
-    text = io.StringIO()
-    figure.savefig(text, format="svg")
-    pyplot().close(figure)
-    return text.getvalue()[text.getvalue().index("<svg") :]
-
-
-def _image(figure: Any, description: str) -> str:
-    data = io.BytesIO()
-    figure.savefig(data, format="png", dpi=100)
-    pyplot().close(figure)
-    text = base64.b64encode(data.getvalue()).decode()
-    return f'<img alt="{description}" style="width:100%" src="data:image/png;base64,{text}">'
+    across = math.ceil(count / math.ceil(count / _ACROSS))
+    figure, found = panels(count, across, (12 / across, _HEIGHT))
+    return figure, [axes for (axes,) in found]
 
 
 _MOST_COLUMNS = 6
@@ -317,21 +296,22 @@ _MOST_TEXT = 120
 def write_report(campaign: Campaign, rows: Sequence[Row], folder: Path) -> Path:
     """Write report.html into a folder, which is made, and return its path; at least one row. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
-    sections = [*_share(campaign, rows), *_plots(campaign, rows), *_sensitivities(campaign, rows)]
-    sections += [*_worst(campaign, rows), *_facts(campaign, rows)]
-    return write_page(campaign.settings.title or campaign.name, sections, folder / "report.html")
+    page = Page(campaign.settings.title or campaign.name)
+    for add in (_add_share, _add_charts, _add_sensitivities, _add_worst, _add_facts):
+        add(page, campaign, rows)
+    return page.write(folder / "report.html")
 
 
-def _share(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
+def _add_share(page: Page, campaign: Campaign, rows: Sequence[Row]) -> None:
     known = proportion(sum(bool(row["success"]) for row in rows), len(rows))
     whole = "" if len(rows) == campaign.runs else f" {campaign.runs - len(rows)} of {campaign.runs} runs are missing."
-    yield f"<p><b>Success: {html.escape(str(known))}.</b> The interval is Wilson's.{whole}</p>"
-    rules = [rule.text for rule in campaign.settings.success] or ["verdict"]
-    kept = [{"rule": one.text, "kept": _kept(one, rows)} for one in campaign.settings.success]
-    yield table(kept) if kept else f"<p>A run is a success when its {rules[0]} is good.</p>"
+    page.text(f"The interval is Wilson's.{whole}", strong=f"Success: {known}.")
+    rules = campaign.settings.success
+    page.text("" if rules else "A run is a success when its verdict is good.")
+    page.table([{"rule": one.text, "kept": _kept(one, rows)} for one in rules])
     outcomes = Counter(str(row["outcome"]) for row in rows)
     if set(outcomes) != {"ok"}:
-        yield table([{"outcome": outcome, "runs": count} for outcome, count in outcomes.most_common()])
+        page.table([{"outcome": outcome, "runs": count} for outcome, count in outcomes.most_common()])
 
 
 def _kept(rule: Any, rows: Sequence[Row]) -> str:
@@ -346,23 +326,21 @@ def _shown(campaign: Campaign, rows: Sequence[Row]) -> list[str]:
     return [name for name in wanted if np.isfinite(numbers(rows, name)).any()][:_MOST_COLUMNS]
 
 
-def _plots(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
+def _add_charts(page: Page, campaign: Campaign, rows: Sequence[Row]) -> None:
     settings, shown = campaign.settings, _shown(campaign, rows)
     laws, labels = settings.parameters, settings.report.labels
     if shown:
-        yield "<h2>Distributions</h2>"
-        yield table([{"column": labels.get(name, name), **quantiles(rows, name)} for name in shown])
+        page.heading("Distributions")
+        page.table([{"column": labels.get(name, name), **quantiles(rows, name)} for name in shown])
     try:
         if shown:
-            yield histograms(rows, shown, labels, settings.success)
+            page.chart(histograms(rows, shown, labels, settings.success))
         if laws:
-            yield "<h2>Success by parameter</h2>"
-            yield success_by_parameter(rows, laws, labels)
+            page.heading("Success by parameter").chart(success_by_parameter(rows, laws, labels))
         for column in shown if laws else ():
-            yield f"<h3>{_name(campaign, column)}</h3>"
-            yield scatter(rows, laws, column, labels)
+            page.heading(labels.get(column, column), 3).chart(scatter(rows, laws, column, labels))
     except ChartsLacking as error:
-        yield f"<p>No charts: {html.escape(str(error))}</p>"
+        page.text(f"No charts: {error}")
 
 
 def quantiles(rows: Sequence[Row], column: str) -> Row:
@@ -372,22 +350,17 @@ def quantiles(rows: Sequence[Row], column: str) -> Row:
     return dict(zip(("least", "10 %", "median", "90 %", "most"), found, strict=True))
 
 
-def _name(campaign: Campaign, column: str) -> str:
-    return html.escape(campaign.settings.report.labels.get(column, column))
-
-
-def _sensitivities(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
+def _add_sensitivities(page: Page, campaign: Campaign, rows: Sequence[Row]) -> None:
     settings = campaign.settings
     if not settings.parameters:
         return
-    yield "<h2>Sensitivity</h2>"
+    page.heading("Sensitivity")
+    labels = settings.report.labels
     designed = settings.sampling == "saltelli" and settings.repeats == 1
     for column in ["success", *_shown(campaign, rows)]:
         found = sensitivity(rows, settings.parameters, column, settings.count if designed else 0)
-        yield f"<h3>{_name(campaign, column)}</h3><p>{html.escape(found.method)}</p>"
-        if found.rows:
-            labels = settings.report.labels
-            yield table([row | {"parameter": labels.get(row["parameter"], row["parameter"])} for row in found.rows])
+        page.heading(labels.get(column, column), 3).text(found.method)
+        page.table([row | {"parameter": labels.get(row["parameter"], row["parameter"])} for row in found.rows])
 
 
 def worst_runs(campaign: Campaign, rows: Sequence[Row]) -> list[Row]:
@@ -403,26 +376,24 @@ def worst_runs(campaign: Campaign, rows: Sequence[Row]) -> list[Row]:
     return sorted(rows, key=badness)[:_MOST_WORST]
 
 
-def _worst(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
+def _add_worst(page: Page, campaign: Campaign, rows: Sequence[Row]) -> None:
     file = Path(campaign.source.file).name
-    yield "<h2>Worst runs</h2>"
-    command = html.escape(f"evstim campaign again {file} INDEX --record run.npz")
-    yield f"<p>One of them again, recorded: <code>{command}</code></p>"
+    page.heading("Worst runs")
+    page.text("One of them again, recorded:", code=f"evstim campaign again {file} INDEX --record run.npz")
     keys = [law.key for law in campaign.settings.parameters]
     names = ["index", "outcome", "success", "margin", *keys, *_shown(campaign, rows), "broken", "error"]
     names = list(dict.fromkeys([*names, campaign.settings.report.worst]))
     worst = worst_runs(campaign, rows)
     names = [name for name in names if any(row.get(name) not in (None, "") for row in worst)]
     labels = campaign.settings.report.labels
-    yield table([{labels.get(name, name): _short(row.get(name)) for name in names} for row in worst])
+    page.table([{labels.get(name, name): _short(row.get(name)) for name in names} for row in worst])
 
 
 def _short(value: Any) -> Any:
     return value if not isinstance(value, str) or len(value) <= _MOST_TEXT else f"{value[:_MOST_TEXT]} ..."
 
 
-def _facts(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
-    yield "<h2>Campaign</h2>"
+def _add_facts(page: Page, campaign: Campaign, rows: Sequence[Row]) -> None:
     settings = campaign.settings
     wall_s = numbers(rows, "machine.wall_s")
     facts = {
@@ -436,4 +407,4 @@ def _facts(campaign: Campaign, rows: Sequence[Row]) -> Iterator[str]:
         "hosts": ", ".join(sorted({str(row["machine.host"]) for row in rows if row.get("machine.host")})),
         "evstim": ", ".join(sorted({str(row["machine.version"]) for row in rows if row.get("machine.version")})),
     }
-    yield table([{"what": key, "value": value} for key, value in facts.items()])
+    page.heading("Campaign").facts(facts)

@@ -33,7 +33,7 @@ from emulator.evaluation.accuracy.sweeps import (
     settings,
     sweep,
 )
-from emulator.report.page import ChartsLacking, check
+from emulator.report.charts import ChartsLacking, check
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 
 __all__ = ["accuracy"]

@@ -14,7 +14,7 @@ from emulator.evaluation.characterise.measurements import figures, measurements
 from emulator.evaluation.characterise.recordings import compare, write_comparison
 from emulator.evaluation.characterise.report import reading, write
 from emulator.evaluation.characterise.stimuli import Point
-from emulator.report.page import ChartsLacking, check
+from emulator.report.charts import ChartsLacking, check
 from emulator.rig.loading import RigError, load_rig
 from emulator.sensor.presets import PRESETS, SensorParameters
 

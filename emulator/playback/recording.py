@@ -2,10 +2,10 @@
 
     .npz       written by `--record` and the listeners; the part after the last restart of the camera's clock
     .aedat4    recordings of iniVation's cameras; read by faery (`pip install '.[files]'`)
-    .es .dat .raw .csv   likewise, as far as faery reads them; in a child process, see `foreign_file`
+    .es .dat .raw .csv   likewise, as far as faery reads them; in a child process, see `guarded_reader`
     others     every format that `evstim convert` reads, see docs/recordings.md
 
-A recording is read whole into memory, 13 bytes an event. faery reads in a child process, see `foreign_file`.
+A recording is read whole into memory, 13 bytes an event. faery reads in a child process, see `guarded_reader`.
 """
 
 from __future__ import annotations

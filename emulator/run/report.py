@@ -7,18 +7,15 @@ per bin     events and ON events in each tenth of a second of stream time, later
 intervals   between two events of the same pixel, of one pixel in eight, in bins of a tenth of a decade
 links       delivered and dropped, at each status of the run
 
-Charts are SVG text and PNG data, drawn by matplotlib. junit.xml has the verdict in the XML that CI systems read: each
+junit.xml has the verdict in the XML that CI systems read: each
 rule is a test case (the JUnit schema of Apache Ant).
 """
 
 from __future__ import annotations
 
-import base64
-import html
-import io
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +25,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from emulator.report.page import pyplot, table, write_json, write_page
+from emulator.report.charts import BLUE, INK, RED, image, pyplot, svg
+from emulator.report.page import Page, write_json
 from emulator.rig.loading import Rig
 from emulator.run.outcome import Judgement, RunResult, RunStatus, good, undersampled_advice, undersampled_text
 from firmware_protocol.events import Events
@@ -152,9 +150,6 @@ class Observation:
         self.intervals += np.histogram(np.maximum(t_us - before, 1)[known], INTERVAL_EDGES_US)[0]
 
 
-_ON, _OFF, _BOTH = "#d55e00", "#0072b2", "#333333"  # distinct for colour-blind people too
-
-
 def rate_chart(seen: Observation, seconds: float) -> str:
     """Return the event rate over the whole bins of stream time in a run of `seconds`, an <svg> element."""
     plt = pyplot()
@@ -163,21 +158,21 @@ def rate_chart(seen: Observation, seconds: float) -> str:
     whole = max(1, int(seconds / bin_s + 1e-9))
     on, every = seen.rates.on[:whole], seen.rates.events[:whole]
     edges_s = np.arange(len(every) + 1) * bin_s
-    axes.stairs(on / bin_s * 1e-3, edges_s, color=_ON, label="ON")
-    axes.stairs((every - on) / bin_s * 1e-3, edges_s, color=_OFF, label="OFF")
+    axes.stairs(on / bin_s * 1e-3, edges_s, color=RED, label="ON")
+    axes.stairs((every - on) / bin_s * 1e-3, edges_s, color=BLUE, label="OFF")
     axes.set(xlabel="stream time, s", ylabel="kev/s", title=f"event rate, in bins of {bin_s:g} s")
     axes.set_ylim(bottom=0)
     axes.legend(frameon=False)
-    return _svg(figure)
+    return svg(figure)
 
 
 def interval_chart(seen: Observation) -> str:
     """Return the histogram of intervals between events of one pixel, an <svg> element."""
     plt = pyplot()
     figure, axes = plt.subplots(figsize=(9, 2.6))
-    axes.stairs(seen.intervals, INTERVAL_EDGES_US, color=_BOTH)
+    axes.stairs(seen.intervals, INTERVAL_EDGES_US, color=INK)
     axes.set(xscale="log", xlabel="us", ylabel="intervals", title="time between two events of a pixel (1 pixel in 8)")
-    return _svg(figure)
+    return svg(figure)
 
 
 def pixel_map(seen: Observation) -> str:
@@ -187,17 +182,7 @@ def pixel_map(seen: Observation) -> str:
     shown = axes.imshow(np.log10(1 + seen.on + seen.off), cmap="cividis", interpolation="nearest")
     figure.colorbar(shown, ax=axes, label="log10(1 + events)")
     axes.set_title("events of each pixel")
-    data = io.BytesIO()
-    figure.savefig(data, format="png", dpi=100, bbox_inches="tight")
-    plt.close(figure)
-    return f'<img alt="events of each pixel" src="data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}">'
-
-
-def _svg(figure: Any) -> str:
-    text = io.StringIO()
-    figure.savefig(text, format="svg", bbox_inches="tight")
-    pyplot().close(figure)
-    return text.getvalue()[text.getvalue().index("<svg") :]
+    return image(figure, "events of each pixel")
 
 
 def write_junit(rig: str, judgements: tuple[Judgement, ...], seconds: float, path: Path) -> Path:
@@ -237,40 +222,23 @@ class ReportContent:
 def write_report(of: ReportContent, folder: Path) -> list[Path]:
     """Write the three files into a folder that exists; return their paths. Raises OSError and ChartsLacking."""
     verdict = "good" if good(of.judgements) else "bad"
-    body = [
-        _verdict(of.judgements),
-        *_advice(of.result),
-        "<h2>Events</h2>",
-        rate_chart(of.seen, of.result.sim_seconds),
-        _ledger(of.result),
-        interval_chart(of.seen),
-        pixel_map(of.seen),
-        "<h2>Links</h2>",
-        *_links(of.result),
-        *_changes(of.result),
-        "<h2>Run</h2>",
-        table(_run_rows(of)),
-    ]
+    page = Page(f"{of.rig.name}: {verdict}")
+    page.table([{"rule": one.rule, "kept": "yes" if one.good else "NO", "found": one.finding} for one in of.judgements])
+    page.text(undersampled_advice(of.result.undersampled_share) or "")
+    page.heading("Events").chart(rate_chart(of.seen, of.result.sim_seconds)).table(_fates(of.result))
+    page.chart(interval_chart(of.seen)).chart(pixel_map(of.seen))
+    _add_links(page, of.result)
+    _add_changes(page, of.result)
+    page.heading("Run").facts(_facts(of))
     numbers = {"verdict": verdict, "rules": [one.as_json() for one in of.judgements], **of.summary, "run": _machine(of)}
     return [
-        write_page(f"{of.rig.name}: {verdict}", body, folder / "report.html"),
+        page.write(folder / "report.html"),
         write_json(msgspec.to_builtins(numbers), folder / "report.json"),
         write_junit(of.rig.name, of.judgements, of.result.wall_seconds, folder / "junit.xml"),
     ]
 
 
-def _verdict(judgements: Sequence[Judgement]) -> str:
-    rows = [{"rule": one.rule, "kept": "yes" if one.good else "NO", "found": one.finding} for one in judgements]
-    return table(rows)
-
-
-def _advice(result: RunResult) -> list[str]:
-    """Return a paragraph where the steps were too long for the light."""
-    advice = undersampled_advice(result.undersampled_share)
-    return [f"<p>{html.escape(advice)}</p>"] if advice else []
-
-
-def _ledger(result: RunResult) -> str:
+def _fates(result: RunResult) -> list[dict[str, object]]:
     """Return the fates of the events: of the sensor, and of each link."""
     ledger = result.ledger
     rows: list[dict[str, object]] = [
@@ -284,7 +252,7 @@ def _ledger(result: RunResult) -> str:
         rows += [
             {"where": link.name, "fate": fate, "events": n} for fate, n in fates.items() if n or fate == "delivered"
         ]
-    return table(rows)
+    return rows
 
 
 def _in_device(result: RunResult, name: str) -> dict[str, int]:
@@ -298,23 +266,24 @@ def _in_device(result: RunResult, name: str) -> dict[str, int]:
     return {f"in the camera: {cause.replace('_', ' ')}": getattr(camera, cause) for cause in causes}
 
 
-def _links(result: RunResult) -> list[str]:
-    if not result.links:
-        return ["<p>none</p>"]
-    rows = [
-        {
-            "link": name,
-            "state": link.state,
-            "digest": f"{link.digest:08x}",
-            "latency p50, us": link.latency.p50,
-            "p99, us": link.latency.p99,
-            "max, us": link.latency.max,
-            "line used": None if link.use is None else link.use.share,
-            "clock offset, us": None if link.clock is None else link.clock.offset_us,
-            "clock drift, ppm": None if link.clock is None else link.clock.ppm,
-        }
-        for name, link in result.links.items()
-    ]
+def _add_links(page: Page, result: RunResult) -> None:
+    page.heading("Links").text("" if result.links else "none")
+    page.table(
+        [
+            {
+                "link": name,
+                "state": link.state,
+                "digest": f"{link.digest:08x}",
+                "latency p50, us": link.latency.p50,
+                "p99, us": link.latency.p99,
+                "max, us": link.latency.max,
+                "line used": None if link.use is None else link.use.share,
+                "clock offset, us": None if link.clock is None else link.clock.offset_us,
+                "clock drift, ppm": None if link.clock is None else link.clock.ppm,
+            }
+            for name, link in result.links.items()
+        ]
+    )
     faults = [
         {
             "link": name,
@@ -323,13 +292,14 @@ def _links(result: RunResult) -> list[str]:
         for name, link in result.links.items()
         for f in link.faults
     ]
-    return [table(rows), *([f"<h3>Faults</h3>{table(faults)}"] if faults else [])]
+    if faults:
+        page.heading("Faults", 3).table(faults)
 
 
-def _changes(result: RunResult) -> list[str]:
-    """Return the changes from outside; nothing where there are none."""
+def _add_changes(page: Page, result: RunResult) -> None:
+    """Add the changes from outside; nothing where there are none."""
     if not result.changes:
-        return []
+        return
     rows = [
         {
             "stream time, s": f"{change.t_ns * 1e-9:.6f}",
@@ -341,13 +311,13 @@ def _changes(result: RunResult) -> list[str]:
         }
         for change in result.changes
     ]
-    beyond = f"<p>and {result.changes_beyond} more</p>" if result.changes_beyond else ""
-    return ["<h2>Changed from outside</h2>", table(rows), beyond]
+    page.heading("Changed from outside").table(rows)
+    page.text(f"and {result.changes_beyond} more" if result.changes_beyond else "")
 
 
-def _run_rows(of: ReportContent) -> list[dict[str, object]]:
+def _facts(of: ReportContent) -> dict[str, object]:
     run, late = of.rig.run, of.result.lateness
-    facts = {
+    return {
         "title": of.rig.title,
         "camera": f"{of.rig.camera.model}, {of.rig.camera.size[0]}x{of.rig.camera.size[1]} pixels",
         "scene": of.rig.scene.kind,
@@ -361,7 +331,6 @@ def _run_rows(of: ReportContent) -> list[dict[str, object]]:
         "drawn by": of.result.drawn_by,
         **_machine(of),
     }
-    return [{"what": key, "value": html.unescape(str(value))} for key, value in facts.items()]
 
 
 def _machine(of: ReportContent) -> dict[str, object]:

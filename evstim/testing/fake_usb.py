@@ -10,7 +10,7 @@
 `break_with(errno.ENODEV)` is a cable that was pulled.
 
 Not modelled: time on a wire, packets, other devices. A read returns what the camera has within its timeout,
-one transfer at a time. Faults (`transports.faults.usb.FaultyDevice`) and another camera go in by
+one transfer at a time. Faults (`transports.faults.faulty_device.FaultyDevice`) and another camera go in by
 `FakeUsbBus(device, descriptors)`; it keeps the contract of `evstim.testing.usb_contract`, as the USB/IP server does.
 """
 

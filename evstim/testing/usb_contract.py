@@ -23,9 +23,9 @@ from evstim.testing.link_contract import event_stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import Events
 from firmware_protocol.usb.device import SetupPacket, UsbDevice
+from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
-from transports.faults.usb import FaultyDevice
-from transports.faults.usb_kinds import ControlStall, ShortTransfers, SlowControl, UsbStall
+from transports.faults.usb import ControlStall, ShortTransfers, SlowControl, UsbStall
 from transports.usb.davis_host import DavisHost, StreamSettings
 from transports.usb.host import StallError, TransferTimeout, UsbHost
 

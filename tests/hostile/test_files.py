@@ -9,6 +9,7 @@ import io
 import os
 import random
 import resource
+import signal
 import warnings
 from dataclasses import dataclass
 
@@ -20,9 +21,7 @@ from PIL import Image, TiffImagePlugin
 from emulator.light import SceneError
 from emulator.playback.recording import load_recording
 from emulator.rig.loading import RigError, load_rig, shipped_rigs
-from emulator.scene import foreign_file
 from emulator.scene.bodies.mesh import load_mesh
-from emulator.scene.foreign_file import answer
 from emulator.scene.terrain.heightmap import load_heightmap
 from emulator.scene.terrain.table import Heightmap
 from emulator.scene.video.frames import MOST_BYTES
@@ -32,6 +31,8 @@ from emulator.trajectory.parameters import FilePath
 from emulator.trajectory.pose import TrajectoryError
 from firmware_protocol.events import EVENT
 from tests.hostile.mutation import damaged_archive, damaged_array, damaged_bytes, damaged_text
+from transports import guarded_reader
+from transports.guarded_reader import serve
 from transports.recording.record import save_record
 
 COUNT = int(os.environ.get("EVSTIM_HOSTILE_FILES", "30"))
@@ -253,22 +254,32 @@ FORMATS = [
 ]
 
 
-def in_a_fork(reader, path, limits, descriptor):
-    """Do what a child does, and return its exit code, negative where a signal ended it."""
-    with warnings.catch_warnings(action="ignore"):  # Python 3.12 warns of threads, of which the child uses none
-        pid = os.fork()
-    if not pid:
-        null = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null, 1)
-        os.dup2(null, 2)
-        order = {"memory_bytes": limits.memory_bytes, "cpu_s": limits.cpu_s, "descriptor": descriptor}
-        try:
-            warnings.simplefilter("default")
-            answer({**order, "reader": reader, "path": str(path)})
-            os._exit(0)
-        finally:
-            os._exit(99)
-    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+class Fork:
+    """A child process as `guarded_reader` starts it, but a fork."""
+
+    def __init__(self, order):
+        with warnings.catch_warnings(action="ignore"):  # Python 3.12 warns of threads, of which the child uses none
+            self.pid = os.fork()
+        if not self.pid:
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, 1)
+            os.dup2(null, 2)
+            try:
+                warnings.simplefilter("default")
+                serve(order)
+            finally:
+                os._exit(99)
+        self.code = None
+
+    def kill(self):
+        if self.code is None:
+            os.kill(self.pid, signal.SIGKILL)
+
+    def wait(self):
+        """Return the exit code, negative where a signal ended it."""
+        if self.code is None:
+            self.code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+        return self.code
 
 
 def spent_s():
@@ -290,7 +301,7 @@ def refusal(one, path, n):
 @pytest.mark.parametrize("one", FORMATS, ids=lambda one: one.name)
 def test_a_damaged_file_is_refused_by_name_or_read(one, tmp_path, monkeypatch):
     if one.in_child:
-        monkeypatch.setattr(foreign_file, "_run_child", in_a_fork)
+        monkeypatch.setattr(guarded_reader, "_start", Fork)
     good, path = one.make(tmp_path), tmp_path / one.name
     path.write_bytes(good)
     one.load(path)

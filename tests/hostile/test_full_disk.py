@@ -11,7 +11,7 @@ import pytest
 from emulator.cli.checks import check_output
 from emulator.cli.output import Failure
 from firmware_protocol.events import EVENT
-from transports.faults.kinds import BitFlips
+from transports.faults.line import BitFlips
 from transports.faults.script import FaultPlan, Faults
 from transports.link.feed import ClockReport, ClockTruth
 from transports.recording.part import Part

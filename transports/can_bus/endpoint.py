@@ -24,8 +24,7 @@ from transports.can_bus.kind import CanLink
 from transports.can_bus.node import EdgeSink, Node
 from transports.can_bus.served import ServedBus
 from transports.faults.bus import QueuedFrame
-from transports.faults.kinds import Fault
-from transports.faults.script import FaultPlan, FaultRecord
+from transports.faults.script import FaultPlan
 from transports.faults.tracker import Tracker
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LineUse, Reopening
@@ -73,12 +72,14 @@ class _Slot:
 class CanEndpoint(Endpoint):
     """Endpoint of an instrument on a CAN bus."""
 
+    _faulty: BusFaults
+
     def __init__(
         self, buses: list[CanBus], faults: BusFaults, node: Node, carried: list[FrameSource], clock: Clock
     ) -> None:
         p = node.parameters
         self._slots = [_slot(FaultyBus(bus, index, faults), clock) for index, bus in enumerate(buses)]
-        self._faults = faults
+        self._faulty = faults
         self._instrument = node.instrument
         self._node = node
         self._sources = carried
@@ -122,7 +123,7 @@ class CanEndpoint(Endpoint):
 
     def advance_faults(self, stream_us: int) -> None:
         """See `Endpoint.advance_faults`."""
-        over, held = self._faults.advance(stream_us)
+        over, held = self._faulty.advance(stream_us)
         if not over:
             return
         slot = self._slots[self._active]
@@ -132,15 +133,6 @@ class CanEndpoint(Endpoint):
             self._down(slot, error)
         for tracker in self._trackers():
             tracker.damaged()
-
-    def inject(self, fault: Fault) -> None:
-        """See `Endpoint.inject`."""
-        self._faults.inject(fault)
-
-    @property
-    def faults(self) -> tuple[FaultRecord, ...]:
-        """See `Endpoint.faults`."""
-        return self._faults.records
 
     def mark(self, edges: Edges) -> int:
         """See `Endpoint.mark`."""
@@ -163,7 +155,7 @@ class CanEndpoint(Endpoint):
             await slot.bus.close()
         for tracker in self._trackers():
             tracker.close()
-        self._faults.close()
+        self._faulty.close()
 
     @property
     def state(self) -> str:
@@ -259,7 +251,7 @@ class CanEndpoint(Endpoint):
     def _next(self, now_ns: int) -> tuple[FrameSource, QueuedFrame] | None:
         for source in self._sources:
             if source.between:
-                self._faults.look_at(source)
+                self._faulty.look_at(source)
             frame, tracker = source.next_frame(now_ns), source.tracker
             if frame is not None:
                 message = None if tracker is None else tracker.message(source.load)

@@ -19,9 +19,9 @@ from firmware_protocol.can_frames.bus_time import BitRates
 from firmware_protocol.can_frames.frame import Frame
 from transports.can_bus.bus import BusDown, CanBus, TimedFrame
 from transports.can_bus.carriage import FrameSource
-from transports.faults.bus import Babbler, FrameStage, QueuedFrame, frame_stage
-from transports.faults.kinds import Fault
-from transports.faults.script import FaultPlan, FaultRecord, Faults
+from transports.faults.bus import Babbler, BusStage, QueuedFrame, frame_stage
+from transports.faults.items import ItemStage, pass_through
+from transports.faults.script import FaultPlan, Faulty
 from transports.faults.tracker import Callbacks, FrameTracker, MessageTracker
 from transports.link.deliveries import Deliveries
 
@@ -30,11 +30,11 @@ __all__ = ["BusFaults", "FaultyBus"]
 _AHEAD_NS = 1_000_000  # frames of a babbling node are queued this long before their time
 
 
-class BusFaults:
+class BusFaults(Faulty[ItemStage[QueuedFrame]]):
     """Faults of one link, for all its buses."""
 
     def __init__(self, plan: FaultPlan, rates: BitRates, deliveries: Deliveries) -> None:
-        self._faults: Faults[FrameStage] = Faults(plan, partial(frame_stage, rates=rates))
+        super().__init__(plan, partial(frame_stage, rates=rates))
         self._posted = 0
         self._callbacks = Callbacks(
             lambda load: deliveries.add(load.events, load.epoch_us, load.edges),
@@ -42,23 +42,14 @@ class BusFaults:
         )
 
     @property
-    def records(self) -> tuple[FaultRecord, ...]:
-        """Record of each fault."""
-        return self._faults.records
-
-    @property
     def strikes_frames(self) -> bool:
         """True while a fault may hit single frames."""
-        return any(stage.bus is None for stage in self._faults.stages)
+        return any(not isinstance(stage, BusStage) for stage in self._faults.stages)
 
     def advance(self, now_us: int) -> tuple[bool, list[QueuedFrame]]:
         """Advance stream time; return True if any fault has ended, and the frames that it had held."""
         over = self._faults.advance(now_us)
         return bool(over), [queued for stage in over for queued in stage.finish()]
-
-    def inject(self, fault: Fault) -> None:
-        """Begin a fault now; raises ValueError for a fault that a bus does not have."""
-        self._faults.inject(fault)
 
     def look_at(self, source: FrameSource) -> None:
         """Set or remove the tracker of a source that is between two messages."""
@@ -70,14 +61,9 @@ class BusFaults:
 
     def changed(self, queued: QueuedFrame) -> list[QueuedFrame]:
         """Return the frames that go to the bus in place of `queued`."""
-        queued_frames = [queued]
-        for stage in self._faults.stages:
-            before = stage.hits
-            queued_frames = [out for each in queued_frames for out in stage.change(each)]
-            if stage.hits != before:
-                self._faults.applied(stage, [self._posted])
+        passed = pass_through(self._faults, queued, self._posted)
         self._posted += 1
-        return queued_frames
+        return passed
 
     def is_off(self, bus: int) -> bool:
         """Return True if our controller has left this bus."""
@@ -91,12 +77,8 @@ class BusFaults:
         """Return the nodes that flood this bus."""
         return [stage for stage in self._of(bus) if isinstance(stage, Babbler)]
 
-    def close(self) -> None:
-        """End all faults."""
-        self._faults.close()
-
-    def _of(self, bus: int) -> list[FrameStage]:
-        return [stage for stage in self._faults.stages if stage.bus == bus]
+    def _of(self, bus: int) -> list[BusStage]:
+        return [stage for stage in self._faults.stages if isinstance(stage, BusStage) and stage.bus == bus]
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ from transports.can_bus.bus import BusDown, PythonCanBus
 from transports.can_bus.kind import CanLink
 from transports.link.deliveries import Deliveries, LatencySummary
 from transports.link.pacing import Clock
-from transports.link.reception import Arrivals
+from transports.link.reception import Arrivals, Reception
 from transports.recording.record import Recorder
 
 __all__ = ["CanReception", "EdgeSink", "Node", "listen_can", "peer_of"]
@@ -207,39 +207,35 @@ _LOOK_PERIOD_S = 0.1
 
 
 @dataclass(frozen=True)
-class CanReception:
-    """Events and counts received so far.
+class CanReception(Reception):
+    """Events and counts received so far from a bus.
 
     Attributes
     ----------
-    seconds
-        Wall time since the bus was joined.
-    last_t_us
-        Time of the newest event; None before the first.
-    digest
-        Digest of all events, see `digest_of`.
     faults
         Number of faults that never occur on an intact link.
     counts
         All other counts by name.
     jitter_us
         Delay of each frame relative to the fastest one, by the bus's time stamps: the camera's clock is not known.
-    gone
-        True when the bus was lost.
     ended
         True if the newest heartbeat reported a stopped camera, as it does at the end of its run.
     """
 
-    events: int = 0
-    edges: int = 0
-    seconds: float = 0.0
-    last_t_us: int | None = None
-    digest: int = 0
     faults: int = 0
     counts: Mapping[str, int] = field(default_factory=dict)
     jitter_us: LatencySummary = field(default_factory=LatencySummary)
-    gone: bool = False
     ended: bool = False
+
+    @property
+    def fault_count(self) -> int:
+        """Number of faults."""
+        return self.faults
+
+    @property
+    def is_early(self) -> bool:
+        """True when the bus was lost before the camera reported its stop."""
+        return self.gone and not self.ended
 
 
 def peer_of(parameters: CanLink) -> CanLink:
@@ -259,8 +255,7 @@ class _Listener:
     @property
     def now(self) -> CanReception:
         """Reception so far, without the values that are known only at the end."""
-        a = self._arrivals
-        return CanReception(a.events, a.edges, a.seconds, a.last_t_us, a.digest)
+        return self._arrivals.reception(CanReception)
 
     def take(self, bus: PythonCanBus) -> None:
         """Process all received frames; raises BusDown when the bus is lost."""
@@ -275,9 +270,8 @@ class _Listener:
 
     def finish(self, *, gone: bool) -> CanReception:
         """Return the complete reception."""
-        receiver, jitter = self._receiver, self._arrivals.jitter()
-        known = replace(self.now, faults=receiver.faults, counts=receiver.counts, jitter_us=jitter)
-        return replace(known, gone=gone, ended=self._ended)
+        more = {"faults": self._receiver.faults, "counts": self._receiver.counts, "jitter_us": self._arrivals.jitter()}
+        return self._arrivals.reception(CanReception, gone=gone, ended=self._ended, **more)
 
 
 async def listen_can(

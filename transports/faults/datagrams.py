@@ -4,8 +4,6 @@
 
 While no fault is active a datagram is sent directly. Each message has one fate: it has arrived when one intact copy of
 it was sent, and is lost when no copy is left that could arrive.
-
-The stages for lost, repeated and late datagrams are independent of the contents, so other transports use them too.
 """
 
 from __future__ import annotations
@@ -14,45 +12,62 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Generic, TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
 from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.profile import Profile
-from transports.faults.kinds import BitFlips, Fault, HitFault, Places
-from transports.faults.line import byte_stage
-from transports.faults.script import FaultPlan, FaultRecord, Faults
+from transports.faults.items import Delay, ItemStage, Loss, Repetition, pass_through
+from transports.faults.kinds import Fault, HitFault
+from transports.faults.line import BitFlips
+from transports.faults.script import FaultPlan, Faulty
 
 __all__ = [
     "DATAGRAM_FAULTS",
-    "DatagramStage",
+    "DatagramFault",
     "FaultyDatagrams",
     "LateDatagrams",
-    "Loss",
     "LostDatagrams",
     "RepeatedDatagrams",
-    "Repetition",
-    "datagram_stage",
 ]
 
 
+T = TypeVar("T")
+
+
+class DatagramFault(ABC):
+    """Fault of datagrams that does not depend on their contents."""
+
+    @abstractmethod
+    def stage(self, random: np.random.Generator) -> ItemStage[T]:
+        """Return its effect, with hits drawn by `random`."""
+
+
 @dataclass(frozen=True)
-class LostDatagrams(HitFault):
+class LostDatagrams(HitFault, DatagramFault):
     """Datagrams that never arrive, as when a queue on the path is full."""
 
     kind: ClassVar[str] = "lost_datagrams"
 
+    def stage(self, random: np.random.Generator) -> ItemStage[T]:
+        """See `DatagramFault.stage`."""
+        return Loss(self, random)
+
 
 @dataclass(frozen=True)
-class RepeatedDatagrams(HitFault):
+class RepeatedDatagrams(HitFault, DatagramFault):
     """Datagrams that arrive twice."""
 
     kind: ClassVar[str] = "repeated_datagrams"
 
+    def stage(self, random: np.random.Generator) -> ItemStage[T]:
+        """See `DatagramFault.stage`."""
+        return Repetition(self, random)
+
 
 @dataclass(frozen=True)
-class LateDatagrams(HitFault):
+class LateDatagrams(HitFault, DatagramFault):
     """Datagrams that later datagrams overtake.
 
     Attributes
@@ -69,99 +84,14 @@ class LateDatagrams(HitFault):
         if not 1 <= self.overtaken_by <= 1000:
             raise ValueError(f"overtaken_by must be 1 to 1000 datagrams, got {self.overtaken_by}")
 
+    def stage(self, random: np.random.Generator) -> ItemStage[T]:
+        """See `DatagramFault.stage`."""
+        return Delay(self, random, self.overtaken_by)
 
-DATAGRAM_FAULTS: Mapping[str, type[Fault]] = {
-    each.kind: each for each in (LostDatagrams, RepeatedDatagrams, LateDatagrams, BitFlips)
-}
+
+_FAULTS: tuple[type[Fault], ...] = (LostDatagrams, RepeatedDatagrams, LateDatagrams, BitFlips)
+DATAGRAM_FAULTS: Mapping[str, type[Fault]] = {each.kind: each for each in _FAULTS}
 """Faults of packets in datagrams, by kind. Bit flips are not detected by the checksum of UDP, as in a gateway."""
-
-
-T = TypeVar("T")
-
-
-class DatagramStage(ABC, Generic[T]):
-    """One active fault of datagrams; see `ByteStage` for the attributes."""
-
-    def __init__(self) -> None:
-        self.hits = self.touched = 0
-        self.over = False
-
-    @abstractmethod
-    def change(self, datagram: T) -> list[T]:
-        """Return the datagrams that are passed on now."""
-
-    def finish(self) -> list[T]:
-        """Return the datagrams that are passed on at the end of the fault."""
-        return []
-
-
-class _Hits(DatagramStage[T]):
-    """Fault that is applied to single datagrams."""
-
-    def __init__(self, fault: HitFault, random: np.random.Generator) -> None:
-        super().__init__()
-        self._where = Places(fault, random)
-
-    def _is_hit(self) -> bool:
-        hit = bool(self._where.within(1))
-        self.hits += hit
-        self.touched += hit
-        self.over = self._where.over
-        return hit
-
-
-class Loss(_Hits[T]):
-    """Loss of single datagrams."""
-
-    def change(self, datagram: T) -> list[T]:
-        """See `DatagramStage.change`."""
-        return [] if self._is_hit() else [datagram]
-
-
-class Repetition(_Hits[T]):
-    """Repetition of single datagrams."""
-
-    def change(self, datagram: T) -> list[T]:
-        """See `DatagramStage.change`."""
-        return [datagram, datagram] if self._is_hit() else [datagram]
-
-
-class _Delay(_Hits[T]):
-    """Delay of single datagrams, which others overtake."""
-
-    def __init__(self, fault: LateDatagrams, random: np.random.Generator) -> None:
-        super().__init__(fault, random)
-        self._overtaken_by = fault.overtaken_by
-        self._held: deque[tuple[int, T]] = deque()
-        self._passed = 0
-
-    def change(self, datagram: T) -> list[T]:
-        if self._is_hit():
-            self._held.append((self._passed + self._overtaken_by, datagram))
-            self.over = False
-            return []
-        self._passed += 1
-        going = [datagram]
-        while self._held and self._held[0][0] <= self._passed:
-            going.append(self._held.popleft()[1])
-        self.over = self._where.over and not self._held
-        return going
-
-    def finish(self) -> list[T]:
-        held, self._held = [datagram for _, datagram in self._held], deque()
-        return held
-
-
-def datagram_stage(fault: Fault, random: np.random.Generator) -> DatagramStage[T]:
-    """Return the stage of a fault; raises ValueError for a fault that datagrams do not have."""
-    match fault:
-        case LostDatagrams():
-            return Loss(fault, random)
-        case RepeatedDatagrams():
-            return Repetition(fault, random)
-        case LateDatagrams():
-            return _Delay(fault, random)
-    raise ValueError(f"{fault.kind!r} is no fault of packets in datagrams")
 
 
 _Send = Callable[[bytes], bool]
@@ -183,10 +113,10 @@ class _Copy:
     of: _Sent
 
 
-class _Flips(DatagramStage[_Copy]):
+class _Flips(ItemStage[_Copy]):
     def __init__(self, fault: BitFlips, random: np.random.Generator) -> None:
         super().__init__()
-        self._bits = byte_stage(fault, random, 1.0)
+        self._bits = fault.stage(random, 1.0)
 
     def change(self, copy: _Copy) -> list[_Copy]:
         data = self._bits.change(copy.data)
@@ -194,11 +124,16 @@ class _Flips(DatagramStage[_Copy]):
         return [_Copy(data, copy.of)]
 
 
-def _stage(fault: Fault, random: np.random.Generator) -> DatagramStage[_Copy]:
-    return _Flips(fault, random) if isinstance(fault, BitFlips) else datagram_stage(fault, random)
+def _stage(fault: Fault, random: np.random.Generator) -> ItemStage[_Copy]:
+    """Return the effect of a fault on datagrams; raises ValueError for a fault of another carrier."""
+    if isinstance(fault, BitFlips):
+        return _Flips(fault, random)
+    if not isinstance(fault, DatagramFault):
+        raise ValueError(f"{fault.kind!r} is no fault of packets in datagrams")
+    return fault.stage(random)
 
 
-class FaultyDatagrams:
+class FaultyDatagrams(Faulty[ItemStage[_Copy]]):
     """Path of datagrams with fault injection; `arrived` is called with each message that an intact receiver gets.
 
     Attributes
@@ -208,25 +143,16 @@ class FaultyDatagrams:
     """
 
     def __init__(self, plan: FaultPlan, arrived: Callable[[Outgoing], None]) -> None:
-        self._faults: Faults[DatagramStage[_Copy]] = Faults(plan, _stage)
+        super().__init__(plan, _stage)
         self._arrived = arrived
         self._waiting: deque[_Copy] = deque()
         self._number = 0
         self.false = 0
 
-    @property
-    def records(self) -> tuple[FaultRecord, ...]:
-        """Record of each fault."""
-        return self._faults.records
-
     def advance(self, now_us: int) -> None:
         """Advance stream time."""
         for stage in self._faults.advance(now_us):
             self._waiting += stage.finish()
-
-    def inject(self, fault: Fault) -> None:
-        """Begin a fault now; raises ValueError for a fault that datagrams do not have."""
-        self._faults.inject(fault)
 
     def send(self, data: bytes, outgoing: Outgoing, socket: _Send) -> bool | None:
         """Send a message through the faults.
@@ -237,7 +163,7 @@ class FaultyDatagrams:
             return None
         if not self._faults.stages:
             return self._straight(data, outgoing, socket)
-        self._waiting += self._changed(_Copy(data, _Sent(data, outgoing)))
+        self._waiting += pass_through(self._faults, _Copy(data, _Sent(data, outgoing)), self._number, self._settle)
         self._number += 1
         self.flush(socket)
         return True
@@ -257,30 +183,20 @@ class FaultyDatagrams:
             self._waiting.popleft()
         return not self._waiting
 
-    def close(self, socket: _Send) -> None:
-        """End all faults; the datagrams that they hold are sent now, or lost."""
+    def release(self, socket: _Send) -> None:
+        """Send the datagrams that faults hold, before the link ends; those for which there is no room are lost."""
         for stage in self._faults.stages:
             self._waiting += stage.finish()
         if not self.flush(socket):
             for copy in self._waiting:
                 self._drop(copy)
-        self._faults.close()
 
-    def _changed(self, copy: _Copy) -> list[_Copy]:
-        copies = [copy]
-        for stage in self._faults.stages:
-            before, gone, going = stage.hits, list[_Copy](), list[_Copy]()
-            for each in copies:
-                passed = stage.change(each)
-                each.of.copies += isinstance(stage, Repetition) and len(passed) - 1
-                going += passed
-                gone += [each] if not passed and isinstance(stage, Loss) else []
-            if stage.hits != before:
-                self._faults.applied(stage, [self._number])
-            for each in gone:
-                self._drop(each)
-            copies = going
-        return copies
+    def _settle(self, stage: ItemStage[_Copy], copy: _Copy, passed: list[_Copy]) -> None:
+        """Count the copies that a fault has made, or drop the one that it has removed."""
+        if isinstance(stage, Repetition):
+            copy.of.copies += len(passed) - 1
+        elif isinstance(stage, Loss) and not passed:
+            self._drop(copy)
 
     def _leave(self, copy: _Copy, socket: _Send) -> bool:
         """Pass a datagram to the kernel; return False when it has no room now."""

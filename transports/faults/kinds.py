@@ -1,7 +1,8 @@
-"""Faults of links as a rig writes them: a table with a `kind`, one frozen dataclass each.
+"""Base classes of faults, which a rig writes as tables with a `kind`.
 
-This module has the common attributes, the faults of a serial line, and `Places`. Faults of a CAN bus are in `bus`,
-those of datagrams in `datagrams`, those of USB and GigE Vision in `usb_kinds`.
+A fault of a carrier is one frozen dataclass: its attributes are the keys of the table, and its method `stage` returns
+its effect on that carrier, a `Stage`. The modules `line`, `bus`, `datagrams`, `words` and `usb` contain the faults of
+each carrier, `transports.gige.packet_faults` those of GigE Vision.
 
 A fault begins at `at_s` of stream time and lasts `for_s`. Faults of single bits, bytes or frames hit each one with
 probability `rate` and end after `count` hits.
@@ -12,28 +13,12 @@ probability `rate` and end after `count` hits.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
-__all__ = [
-    "SERIAL_FAULTS",
-    "BitFlips",
-    "Burst",
-    "Fault",
-    "HitFault",
-    "InsertedBytes",
-    "LastingFault",
-    "LostBytes",
-    "Overrun",
-    "Places",
-    "Stall",
-    "StuckLine",
-    "Unplugged",
-    "WrongBaud",
-]
+__all__ = ["Fault", "HitFault", "LastingFault", "Places", "Stage"]
 
 
 _LONGEST_S = 3.2e7  # a year, the longest run
@@ -102,122 +87,27 @@ class LastingFault(Fault):
             raise ValueError("for_s must be above 0: this fault lasts for a while")
 
 
-@dataclass(frozen=True)
-class BitFlips(HitFault):
-    """Single inverted bits: noise on the line. `rate` is the bit error rate."""
-
-    kind: ClassVar[str] = "bit_flips"
-
-
-@dataclass(frozen=True)
-class InsertedBytes(HitFault):
-    """Random bytes that the camera did not send, inserted before the bytes that are hit."""
-
-    kind: ClassVar[str] = "inserted_bytes"
-
-
-@dataclass(frozen=True)
-class LostBytes(HitFault):
-    """Single bytes that never arrive."""
-
-    kind: ClassVar[str] = "lost_bytes"
-
-
-@dataclass(frozen=True)
-class Burst(HitFault):
-    """A burst of noise: a run of bytes replaced by random ones.
+class Stage:
+    """One active fault; each carrier has its kinds of stages.
 
     Attributes
     ----------
-    length
-        Bytes of one burst.
+    hits
+        Number of times that it was applied.
+    touched
+        Number of bytes, words, frames or datagrams that it changed, removed, inserted or held.
+    over
+        True when it has no further effect.
     """
 
-    kind: ClassVar[str] = "burst"
-    length: int = 32
+    def __init__(self) -> None:
+        self.hits = self.touched = 0
+        self.over = False
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 1 <= self.length <= 1_000_000:
-            raise ValueError(f"length must be 1 to 1000000 bytes, got {self.length}")
-
-
-@dataclass(frozen=True)
-class Overrun(HitFault):
-    """The receiver empties its FIFO too late: it keeps the bytes that fit, and loses the others until then.
-
-    Attributes
-    ----------
-    late_us
-        Time from the byte that is hit until the receiver reads again.
-    fifo_bytes
-        Number of bytes that it keeps until then: 16 in a 16550, 1 in a UART without a FIFO.
-    """
-
-    kind: ClassVar[str] = "overrun"
-    late_us: float = 1000.0
-    fifo_bytes: int = 16
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0 < self.late_us <= 1e7:
-            raise ValueError(f"late_us must be above 0 and at most 1e7, got {self.late_us}")
-        if not 1 <= self.fifo_bytes <= 65_536:
-            raise ValueError(f"fifo_bytes must be 1 to 65536, got {self.fifo_bytes}")
-
-
-@dataclass(frozen=True)
-class StuckLine(LastingFault):
-    """The line stays at one level: bytes sent in this time are lost.
-
-    Attributes
-    ----------
-    level
-        "low": a break, from which a UART makes one zero byte; "high": a broken wire, on which nothing arrives.
-    """
-
-    kind: ClassVar[str] = "stuck_line"
-    level: Literal["low", "high"] = "low"
-
-
-@dataclass(frozen=True)
-class WrongBaud(LastingFault):
-    """The receiver samples the line at another baud rate: garbage, computed from the bits.
-
-    Attributes
-    ----------
-    ratio
-        Baud rate of the receiver over that of the sender.
-    """
-
-    kind: ClassVar[str] = "wrong_baud"
-    ratio: float = 2.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0.1 <= self.ratio <= 10:
-            raise ValueError(f"ratio must be 0.1 to 10, got {self.ratio}")
-
-
-@dataclass(frozen=True)
-class Stall(LastingFault):
-    """The receiver stops the sender (XOFF, RTS, a full buffer): no byte leaves, and the camera's queue fills."""
-
-    kind: ClassVar[str] = "stall"
-
-
-@dataclass(frozen=True)
-class Unplugged(LastingFault):
-    """The port disappears and returns, like an adapter that is unplugged; it is found again within half a second."""
-
-    kind: ClassVar[str] = "unplugged"
-
-
-SERIAL_FAULTS: Mapping[str, type[Fault]] = {
-    each.kind: each
-    for each in (BitFlips, InsertedBytes, LostBytes, Burst, Overrun, StuckLine, WrongBaud, Stall, Unplugged)
-}
-"""Faults of a serial line, by kind."""
+    def count(self, hits: int, touched: int) -> None:
+        """Count hits, and what they touched."""
+        self.hits += hits
+        self.touched += touched
 
 
 _GAPS_AT_ONCE = 256

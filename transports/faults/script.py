@@ -16,24 +16,16 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
-from transports.faults.kinds import Fault
+from transports.faults.kinds import Fault, Stage
 from transports.output_file import OutputFile
 
-__all__ = ["FaultPlan", "FaultRecord", "Faults", "Stage"]
+__all__ = ["FaultPlan", "FaultRecord", "Faults", "Faulty"]
 
 _MOST_PLACES = 16  # listed in one log line
-
-
-class Stage(Protocol):
-    """One active fault; see `ByteStage` and `FrameStage`."""
-
-    hits: int
-    touched: int
-    over: bool
 
 
 S = TypeVar("S", bound=Stage)
@@ -57,7 +49,7 @@ class FaultPlan:
 
 @dataclass(frozen=True)
 class FaultRecord:
-    """Effects of one fault.
+    """Effects of one fault; `hits` and `touched` are those of its `Stage`.
 
     Attributes
     ----------
@@ -65,10 +57,6 @@ class FaultRecord:
         Number of the fault on its link, from 1.
     began_us, ended_us
         Stream time; None while it has not ended.
-    hits
-        Number of times that it was applied.
-    touched
-        Number of bytes or frames that it changed, removed, inserted or held.
     log_trouble
         Reason for an incomplete fault log; empty if it is complete, or if there is no log.
     events_lost, edges_lost
@@ -196,3 +184,23 @@ class Faults(Generic[S]):
         record = injected.record
         head = {"t_us": self._now_us, "link": self._plan.link, "fault": record.number, "kind": record.kind}
         self._log.write(json.dumps({**head, "what": what, **details}).encode() + b"\n", flush=True)
+
+
+class Faulty(Generic[S]):
+    """Base of the path of a carrier's data through the faults of one link; for the parameters see `Faults`."""
+
+    def __init__(self, plan: FaultPlan, build: Callable[[Fault, np.random.Generator], S]) -> None:
+        self._faults: Faults[S] = Faults(plan, build)
+
+    @property
+    def records(self) -> tuple[FaultRecord, ...]:
+        """Record of each fault."""
+        return self._faults.records
+
+    def inject(self, fault: Fault) -> None:
+        """Begin a fault now; raises ValueError for a fault that this carrier does not have."""
+        self._faults.inject(fault)
+
+    def close(self) -> None:
+        """End all faults; the data that they hold are lost with the link."""
+        self._faults.close()

@@ -15,7 +15,7 @@ from firmware_protocol.events import Edges, Events, empty_edges, empty_events
 from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.addresses import Received
 from transports.faults.bus import QueuedMessage
-from transports.faults.line import ReferenceReceiver
+from transports.faults.faulty_line import ReferenceReceiver
 
 __all__ = ["Callbacks", "FrameTracker", "Load", "MessageTracker", "Tracker"]
 

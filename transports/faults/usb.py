@@ -1,67 +1,63 @@
-"""Faults of a device on USB, between it and its host. Sans-I/O.
+"""Faults of a camera on USB: their tables in a rig, and their effects. Sans-I/O.
 
     host <-- control: refused, late, false answers --+
     host <-- read: halted, silent, short, empty -----+-- FaultyDevice <-- device
     host <-- read: changed words --------------------+
 
-If the words of an event or edge do not arrive unchanged, it is removed from the Transfer that the host's side counts,
-and is counted in the fault's record. The device still receives `sent` for all of them, as a real one believes it has
-sent them.
-
-A fault acts on the device's endpoints, on its control requests, or on its presence.
-
-`FalseAnswers` changes the camera's answers: its identity, its versions, and bits of its registers.
-
-    GET_DESCRIPTOR device     bytes 12, 13: bcdDevice; its low byte is the firmware version
-    GET_DESCRIPTOR string 3   the serial number: length, type 3, UTF-16
-    0xBF IN, 4 bytes          a register of a DAVIS346, big-endian; see `davis346.device`
+A fault acts on the device's endpoints, on its control requests, on its presence, or on the words of its data; the last
+ones are in `words`. See `kinds` for the attributes that all faults have.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
-from firmware_protocol.davis346.device import REGISTER
-from firmware_protocol.davis346.registers import Module
-from firmware_protocol.usb.control import Feature, Recipient, StandardRequest
-from firmware_protocol.usb.device import (
-    Identity,
-    NotReady,
-    RequestKind,
-    SetupPacket,
-    Stall,
-    Transfer,
-    UsbCamera,
-    UsbDevice,
+from firmware_protocol.usb.device import NotReady, SetupPacket, Stall
+from transports.faults.kinds import Fault, HitFault, LastingFault, Places, Stage
+from transports.faults.words import (
+    MissedWraps,
+    OddBytes,
+    RepeatedEvents,
+    StaleData,
+    TimeAhead,
+    TimeBack,
+    TimeFrozen,
+    WordFault,
+    WordStage,
 )
-from transports.faults.kinds import Fault, Places
-from transports.faults.script import FaultPlan, FaultRecord, Faults, Stage
-from transports.faults.usb_kinds import (
-    ControlStall,
-    EmptyTransfers,
-    FifoOverflow,
-    RegisterFlip,
-    ShortTransfers,
-    SlowControl,
-    UsbSilence,
-    UsbStall,
-    UsbUnplugged,
-    WrongVersion,
-)
-from transports.faults.words import WordPath, WordStage, word_stage
 
-__all__ = ["ControlStage", "FalseAnswers", "FaultyDevice", "UsbStage", "flip_register", "usb_stage"]
+__all__ = [
+    "DAVIS_FAULTS",
+    "USB_FAULTS",
+    "ControlStage",
+    "ControlStall",
+    "EmptyTransfers",
+    "FifoOverflow",
+    "RegisterFlip",
+    "ShortTransfers",
+    "SlowControl",
+    "UsbFault",
+    "UsbSilence",
+    "UsbStage",
+    "UsbStall",
+    "UsbUnplugged",
+    "WrongVersion",
+    "usb_stage",
+]
+
+
+_SAME = -1
+_UNICODE_MOST = 126  # characters of a string descriptor
 
 
 @dataclass
-class UsbStage:
-    """One active fault of one IN endpoint, or of the whole device when it is `gone`; see `script.Stage`.
+class UsbStage(Stage):
+    """One active fault of one IN endpoint, or of the whole device when it is `gone`.
 
     Attributes
     ----------
@@ -88,22 +84,257 @@ class UsbStage:
     over: bool = False
 
 
-class ControlStage(Protocol):
-    """One active fault of vendor requests; see `script.Stage` for the attributes."""
+class ControlStage(Stage, ABC):
+    """One active fault of vendor requests."""
 
-    hits: int
-    touched: int
-    over: bool
-
+    @abstractmethod
     def check(self, setup: SetupPacket, now_us: int) -> None:
         """Raise Stall for a vendor request that is to be refused, NotReady for one that is answered later."""
 
 
-class _Refusal:
-    def __init__(self, fault: ControlStall) -> None:
-        self._request, self._left = fault.request, fault.count
-        self.hits = self.touched = 0
-        self.over = False
+class UsbFault(ABC):
+    """Fault of a camera on USB that does not depend on its data."""
+
+    @abstractmethod
+    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
+        """Return its effect, with hits drawn by `random`.
+
+        `dropped` returns the number of events that the camera has dropped because its FIFO was full.
+        """
+
+
+@dataclass(frozen=True)
+class UsbSilence(LastingFault, UsbFault):
+    """The endpoint sends no data (NAK): the host's transfers wait, and the camera's FIFO fills.
+
+    Attributes
+    ----------
+    endpoint
+        Number of the IN endpoint; 2 carries a DAVIS346's data, 1 an EVK4's.
+    """
+
+    kind: ClassVar[str] = "usb_silence"
+    endpoint: int = 2
+
+    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
+        """See `UsbFault.stage`."""
+        return UsbStage(self, self.endpoint, silent=True)
+
+
+@dataclass(frozen=True)
+class UsbStall(Fault, UsbFault):
+    """The endpoint halts (STALL) until the host clears the halt: libcaer treats this as an unplugged camera.
+
+    Attributes
+    ----------
+    endpoint
+        Number of the IN endpoint.
+    count
+        Number of halts: it halts again when the host has cleared a halt.
+    """
+
+    kind: ClassVar[str] = "usb_stall"
+    endpoint: int = 2
+    count: int = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.count < 1:
+            raise ValueError(f"count must be 1 or more, got {self.count}")
+
+    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
+        """See `UsbFault.stage`."""
+        return UsbStage(self, self.endpoint, stalls=self.count)
+
+
+@dataclass(frozen=True)
+class ShortTransfers(LastingFault, UsbFault):
+    """Transfers end early, with a short packet: a host must not rely on full buffers.
+
+    Attributes
+    ----------
+    endpoint
+        Number of the IN endpoint.
+    most_bytes
+        Largest size of a transfer.
+    """
+
+    kind: ClassVar[str] = "short_transfers"
+    endpoint: int = 2
+    most_bytes: int = 34
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.most_bytes < 2 or self.most_bytes % 2:
+            raise ValueError(f"most_bytes must be even, a DAVIS346 sends words of two bytes, got {self.most_bytes}")
+
+    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
+        """See `UsbFault.stage`."""
+        return UsbStage(self, self.endpoint, most_bytes=self.most_bytes)
+
+
+@dataclass(frozen=True)
+class EmptyTransfers(HitFault, UsbFault):
+    """Transfers without data, in place of data or silence: a host must request again.
+
+    `rate` is the probability of each transfer that the host requests.
+
+    Attributes
+    ----------
+    endpoint
+        Number of the IN endpoint.
+    """
+
+    kind: ClassVar[str] = "empty_transfers"
+    endpoint: int = 2
+
+    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
+        """See `UsbFault.stage`."""
+        return UsbStage(self, self.endpoint, empty=Places(self, random))
+
+
+@dataclass(frozen=True)
+class FifoOverflow(LastingFault, UsbFault):
+    """The endpoint is silent until the camera's FIFO was full and has dropped events, for `for_s` at most.
+
+    Attributes
+    ----------
+    events
+        Lowest number of dropped events at which it ends.
+    """
+
+    kind: ClassVar[str] = "fifo_overflow"
+    for_s: float = 10.0
+    events: int = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.events < 1:
+            raise ValueError(f"events must be 1 or more, got {self.events}")
+
+    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
+        """See `UsbFault.stage`."""
+        return UsbStage(self, silent=True, overflow=dropped() + self.events)
+
+
+@dataclass(frozen=True)
+class UsbUnplugged(LastingFault, UsbFault):
+    """The camera is unplugged and plugged in again: its host loses it, and finds it without power until then.
+
+    Attributes
+    ----------
+    serial
+        Serial number with which it returns, as if another camera were plugged in; empty: its own.
+    """
+
+    kind: ClassVar[str] = "usb_unplugged"
+    serial: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.serial) > _UNICODE_MOST or not (self.serial + "0").isprintable() or not self.serial.isascii():
+            raise ValueError(f"serial must be at most {_UNICODE_MOST} printable ASCII characters, got {self.serial!r}")
+
+    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
+        """See `UsbFault.stage`."""
+        return UsbStage(self, gone=True, hits=1)
+
+
+@dataclass(frozen=True)
+class WrongVersion(Fault, UsbFault):
+    """The camera reports versions that its host may not support; -1 leaves a version unchanged.
+
+    Attributes
+    ----------
+    firmware
+        Low byte of bcdDevice: drivers require 6.
+    logic_version, logic_patch
+        Drivers require 18, and at least 1.
+    chip
+        Chip identifier: 5 is a DAVIS346B.
+    """
+
+    kind: ClassVar[str] = "wrong_version"
+    firmware: int = _SAME
+    logic_version: int = _SAME
+    logic_patch: int = _SAME
+    chip: int = _SAME
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not _SAME <= self.firmware <= 0xFF:
+            raise ValueError(f"firmware must be -1 (the same) to 255, got {self.firmware}")
+        for name in ("logic_version", "logic_patch", "chip"):
+            if not _SAME <= getattr(self, name) <= 0xFFFFFFFF:
+                raise ValueError(f"{name} must be -1 (the same) or 32 bits, got {getattr(self, name)}")
+
+    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
+        """See `UsbFault.stage`."""
+        return UsbStage(self, hits=1)
+
+
+@dataclass(frozen=True)
+class RegisterFlip(Fault, UsbFault):
+    """One inverted bit of a register, as by radiation; until the host writes the register, or until power-on.
+
+    Attributes
+    ----------
+    module, parameter
+        Address of the register; see the list of registers.
+    bit
+        0 to 31.
+    """
+
+    kind: ClassVar[str] = "register_flip"
+    module: int = 1
+    parameter: int = 3
+    bit: int = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 <= self.bit <= 31:
+            raise ValueError(f"bit must be 0 to 31, got {self.bit}")
+        for name in ("module", "parameter"):
+            if not 0 <= getattr(self, name) <= 0xFFFF:
+                raise ValueError(f"{name} must be 0 to 65535, got {getattr(self, name)}")
+
+    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
+        """See `UsbFault.stage`."""
+        return UsbStage(self)
+
+
+@dataclass(frozen=True)
+class ControlStall(Fault, UsbFault):
+    """Vendor requests are refused (STALL).
+
+    Attributes
+    ----------
+    request
+        bRequest of the refused requests; -1: any vendor request. A DAVIS346 has 191 (0xBF) for registers.
+    count
+        Number of refused requests.
+    """
+
+    kind: ClassVar[str] = "control_stall"
+    request: int = -1
+    count: int = 1
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not -1 <= self.request <= 0xFF:
+            raise ValueError(f"request must be -1 (any) to 255, got {self.request}")
+        if self.count < 1:
+            raise ValueError(f"count must be 1 or more, got {self.count}")
+
+    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
+        """See `UsbFault.stage`."""
+        return _Refusal(self.request, self.count)
+
+
+class _Refusal(ControlStage):
+    def __init__(self, request: int, count: int) -> None:
+        super().__init__()
+        self._request, self._left = request, count
 
     def check(self, setup: SetupPacket, now_us: int) -> None:
         if self.over or self._request not in (-1, setup.request):
@@ -114,13 +345,36 @@ class _Refusal:
         raise Stall(f"{setup} is refused, by a fault")
 
 
-class _Slowness:
-    def __init__(self, fault: SlowControl) -> None:
-        self._delay_us = round(fault.delay_ms * 1000)
+@dataclass(frozen=True)
+class SlowControl(LastingFault, UsbFault):
+    """Vendor requests are answered late: neuromorphic_drivers gives up after a second, libcaer never.
+
+    Attributes
+    ----------
+    delay_ms
+        Time from each request to its answer, in stream time.
+    """
+
+    kind: ClassVar[str] = "slow_control"
+    for_s: float = 5.0
+    delay_ms: float = 200.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.delay_ms <= 1e6:
+            raise ValueError(f"delay_ms must be above 0 and at most 1e6, got {self.delay_ms}")
+
+    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
+        """See `UsbFault.stage`."""
+        return _Slowness(round(self.delay_ms * 1000))
+
+
+class _Slowness(ControlStage):
+    def __init__(self, delay_us: int) -> None:
+        super().__init__()
+        self._delay_us = delay_us
         self._pending: SetupPacket | None = None
         self._due_us = 0
-        self.hits = self.touched = 0
-        self.over = False
 
     def check(self, setup: SetupPacket, now_us: int) -> None:
         if setup is not self._pending:  # equal bytes after a time-out are another request
@@ -131,316 +385,30 @@ class _Slowness:
         self._pending = None
 
 
+_DAVIS_FAULTS: tuple[type[Fault], ...] = (
+    *(WrongVersion, RegisterFlip, StaleData),
+    *(TimeBack, TimeAhead, TimeFrozen, MissedWraps, RepeatedEvents),
+)
+DAVIS_FAULTS: Mapping[str, type[Fault]] = {each.kind: each for each in _DAVIS_FAULTS}
+"""Faults of a DAVIS346, by kind; on other USB cameras they hit nothing."""
+
+_FAULTS: tuple[type[Fault], ...] = (
+    *(UsbSilence, UsbStall, ShortTransfers, EmptyTransfers, OddBytes, FifoOverflow),
+    *(ControlStall, SlowControl, UsbUnplugged),
+)
+USB_FAULTS: Mapping[str, type[Fault]] = {**{each.kind: each for each in _FAULTS}, **DAVIS_FAULTS}
+"""Faults of a camera on USB/IP, by kind."""
+
+
 def usb_stage(
     fault: Fault, random: np.random.Generator, dropped: Callable[[], int] = lambda: 0
-) -> UsbStage | WordStage | _Refusal | _Slowness:
-    """Return the stage of a fault of a device on USB; raises ValueError for a fault that USB does not have.
+) -> UsbStage | WordStage | ControlStage:
+    """Return the effect of a fault of a camera on USB; raises ValueError for a fault of another carrier.
 
     `dropped` returns the number of events that the camera has dropped because its FIFO was full.
     """
-    words = word_stage(fault, random)
-    if words is not None:
-        return words
-    match fault:
-        case ControlStall():
-            return _Refusal(fault)
-        case SlowControl():
-            return _Slowness(fault)
-        case FifoOverflow():
-            return UsbStage(fault, silent=True, overflow=dropped() + fault.events)
-    return _endpoint_stage(fault, random)
-
-
-def _endpoint_stage(fault: Fault, random: np.random.Generator) -> UsbStage:
-    match fault:
-        case UsbSilence():
-            return UsbStage(fault, fault.endpoint, silent=True)
-        case UsbStall():
-            return UsbStage(fault, fault.endpoint, stalls=fault.count)
-        case ShortTransfers():
-            return UsbStage(fault, fault.endpoint, most_bytes=fault.most_bytes)
-        case EmptyTransfers():
-            return UsbStage(fault, fault.endpoint, empty=Places(fault, random))
-        case UsbUnplugged():
-            return UsbStage(fault, gone=True, hits=1)
-        case WrongVersion():
-            return UsbStage(fault, hits=1)
-        case RegisterFlip():
-            return UsbStage(fault)
-    raise ValueError(f"{fault.kind!r} is no fault of a USB link")
-
-
-_DEVICE, _SERIAL = 0x0100, 0x0303
-_STRING_TYPE = 3
-_OUT, _IN = 0x40, 0xC0
-_Address = tuple[int, int]
-_LOGIC, _CHIP, _PATCH = (Module.SYSTEM, 0), (Module.SYSTEM, 1), (Module.SYSTEM, 7)
-
-
-class FalseAnswers:
-    """False answers of the camera.
-
-    Attributes
-    ----------
-    serial
-        Its serial number; empty: its own.
-    versions
-        The faults that change its versions; the last one counts.
-    """
-
-    def __init__(self) -> None:
-        self.serial = ""
-        self.versions: list[WrongVersion] = []
-        self._flipped: dict[_Address, int] = {}
-
-    def power_on(self) -> None:
-        """Discard the flips of registers."""
-        self._flipped.clear()
-
-    def flip(self, address: _Address, bit: int) -> None:
-        """Invert one bit in each reading of a register that no host can write."""
-        self._flipped[address] = self._flipped.get(address, 0) ^ 1 << bit
-
-    def identity(self, true: Identity) -> Identity:
-        """Return the identity that the host's bus lists."""
-        return replace(true, bcd_device=self._firmware(true.bcd_device))
-
-    def answer(self, setup: SetupPacket, true: bytes) -> bytes:
-        """Return the answer to one IN request that the host receives."""
-        if setup.kind is RequestKind.STANDARD and setup.request == StandardRequest.GET_DESCRIPTOR:
-            return self._descriptor(setup, true)
-        if setup.kind is RequestKind.VENDOR and setup.request == REGISTER and len(true) == 4:
-            address = setup.value, setup.index
-            value = self._version(address, int.from_bytes(true, "big")) ^ self._flipped.get(address, 0)
-            return value.to_bytes(4, "big")
-        return true
-
-    def _descriptor(self, setup: SetupPacket, true: bytes) -> bytes:
-        if setup.value == _DEVICE and len(true) >= 14:
-            firmware = self._firmware(int.from_bytes(true[12:14], "little"))
-            return true[:12] + firmware.to_bytes(2, "little") + true[14:]
-        if setup.value == _SERIAL and self.serial:
-            text = self.serial.encode("utf-16-le")
-            return (bytes((len(text) + 2, _STRING_TYPE)) + text)[: setup.length]
-        return true
-
-    def _firmware(self, true: int) -> int:
-        told = [one.firmware for one in self.versions if one.firmware >= 0]
-        return true & 0xFF00 | told[-1] if told else true
-
-    def _version(self, address: _Address, true: int) -> int:
-        values = {_LOGIC: "logic_version", _CHIP: "chip", _PATCH: "logic_patch"}
-        name = values.get((Module(address[0]), address[1])) if address[0] == Module.SYSTEM else None
-        told = [getattr(one, name) for one in self.versions if getattr(one, name) >= 0] if name else []
-        return told[-1] if told else true
-
-
-def flip_register(device: UsbDevice, false: FalseAnswers, flip: RegisterFlip) -> bool:
-    """Invert one bit of a register of `device`; return False if it has no such register requests."""
-    ask = SetupPacket(_IN, REGISTER, flip.module, flip.parameter, 4)
-    tell = SetupPacket(_OUT, REGISTER, flip.module, flip.parameter, 4)
-    try:
-        value = int.from_bytes(device.control(ask, b""), "big") ^ 1 << flip.bit
-        device.control(tell, value.to_bytes(4, "big"))
-        if int.from_bytes(device.control(ask, b""), "big") != value:
-            false.flip((flip.module, flip.parameter), flip.bit)
-    except Stall:
-        return False
-    return True
-
-
-class FaultyDevice(UsbDevice):
-    """USB device that passes all calls to a device, through the faults."""
-
-    def __init__(self, device: UsbDevice, plan: FaultPlan) -> None:
-        self._device = device
-        self._faults: Faults[Stage] = Faults(plan, partial(usb_stage, dropped=self._dropped))
-        self._seen: set[int] = set()
-        self._halted: set[int] = set()
-        self._words = WordPath(device.identity)
-        self._false = FalseAnswers()
-        # Transfers of the device that have no fate yet, oldest first; None: a transfer made by a fault.
-        self._given: deque[Transfer | None] = deque()
-        self._data_endpoint = device.data_endpoint if isinstance(device, UsbCamera) else 2
-        self._now_us = 0
-
-    @property
-    def records(self) -> tuple[FaultRecord, ...]:
-        """Record of each fault."""
-        return self._faults.records
-
-    @property
-    def gone(self) -> bool:
-        """True while the device is unplugged."""
-        return any(stage.gone for stage in self._endpoint_stages)
-
-    @property
-    def silent(self) -> bool:
-        """True while its data endpoint is silent."""
-        return any(stage.silent and stage.endpoint == self._data_endpoint for stage in self._endpoint_stages)
-
-    def advance(self, now_us: int) -> None:
-        """Advance stream time."""
-        self._now_us = max(self._now_us, now_us)
-        dropped = self._dropped()
-        for stage in self._endpoint_stages:
-            stage.over |= bool(stage.overflow) and dropped >= stage.overflow
-        for over in self._faults.advance(now_us):
-            self._words.front += over.finish() if isinstance(over, WordStage) else []
-        self._begin_new()
-
-    def inject(self, fault: Fault) -> None:
-        """Begin a fault now; raises ValueError for a fault that USB does not have."""
-        self._faults.inject(fault)
-        self._begin_new()
-
-    def close(self) -> None:
-        """End all faults."""
-        self._faults.close()
-
-    @property
-    def identity(self) -> Identity:
-        """Identity of the device, or the false one of a fault."""
-        return self._false.identity(self._device.identity)
-
-    def attached(self) -> None:
-        """See `UsbDevice.attached`; no endpoint is halted then."""
-        self._halted.clear()
-        self._false.power_on()
-        self._start_data()
-        self._device.attached()
-
-    def detached(self) -> None:
-        """See `UsbDevice.detached`."""
-        self._device.detached()
-
-    def control(self, setup: SetupPacket, data: bytes) -> bytes:
-        """Pass on a request, unless it is refused or answered late; the host may end a halt."""
-        if setup.kind is RequestKind.VENDOR:
-            self._check_request(setup)
-        answer = self._device.control(setup, data)
-        if _ends_halt(setup):
-            self._halted.discard(setup.index & 0x0F)
-            if setup.index & 0x0F == self._data_endpoint:
-                self._start_data()
-        return self._false.answer(setup, answer) if setup.is_in else answer
-
-    def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
-        """See `UsbDevice.read`."""
-        for stage in [stage for stage in self._endpoint_stages if stage.endpoint == endpoint]:
-            if stage.stalls and endpoint not in self._halted:
-                self._halt(stage)
-            if stage.silent:
-                self._strike(stage)
-                return None
-            if stage.most_bytes and max_bytes > stage.most_bytes:
-                self._strike(stage)
-                max_bytes = stage.most_bytes
-            if stage.empty is not None and endpoint not in self._halted and stage.empty.within(1):
-                stage.over = stage.empty.over
-                self._strike(stage)
-                self._given.append(None)
-                return Transfer(b"")
-        if endpoint in self._halted:
-            raise Stall(f"endpoint {endpoint} is halted, by a fault")
-        return self._read(endpoint, max_bytes)
-
-    def accepts(self, setup: SetupPacket) -> bool:
-        """See `UsbDevice.accepts`."""
-        return self._device.accepts(setup)
-
-    def flushes(self, endpoint: int) -> int:
-        """See `UsbDevice.flushes`."""
-        return self._device.flushes(endpoint)
-
-    def write(self, endpoint: int, data: bytes) -> None:
-        """See `UsbDevice.write`."""
-        self._device.write(endpoint, data)
-
-    def sent(self, transfer: Transfer) -> None:
-        """Pass on the transfer of the device; data that did not arrive are counted for the fault."""
-        given = self._given.popleft()
-        if given is None:
-            return
-        self._faults.lose(len(given.events) - len(transfer.events), len(given.edges) - len(transfer.edges))
-        self._device.sent(given)
-
-    def lost(self, transfer: Transfer) -> None:
-        """Pass on the transfer of the device, which the link has lost."""
-        given = self._given.popleft()
-        if given is not None:
-            self._device.lost(given)
-
-    @property
-    def _endpoint_stages(self) -> list[UsbStage]:
-        return [stage for stage in self._faults.stages if isinstance(stage, UsbStage)]
-
-    def _read(self, endpoint: int, max_bytes: int) -> Transfer | None:
-        stages = [stage for stage in self._faults.stages if isinstance(stage, WordStage) and not stage.over]
-        if endpoint != self._data_endpoint or not self._words.needed(stages):
-            transfer = given = self._device.read(endpoint, max_bytes)
-        else:
-            given = self._device.read(endpoint, self._words.room(stages, max_bytes))
-            before = [stage.hits for stage in stages]
-            transfer = None if given is None else self._words.changed(given, stages)
-            for stage, hits in zip(stages, before, strict=True):
-                if stage.hits > hits:
-                    self._faults.applied(stage, [stage.hits] if not hits else [])
-        if given is not None:
-            self._given.append(given)
-        return transfer
-
-    def _check_request(self, setup: SetupPacket) -> None:
-        for stage in [stage for stage in self._faults.stages if not isinstance(stage, UsbStage | WordStage)]:
-            checked: ControlStage = stage  # type: ignore[assignment]  # no other type is left
-            hits = checked.hits
-            try:
-                checked.check(setup, self._now_us)
-            finally:
-                if checked.hits > hits:
-                    self._faults.applied(stage, [checked.hits])
-
-    def _begin_new(self) -> None:
-        """Apply the immediate effects of new faults, and set the versions of the active ones."""
-        stages = self._endpoint_stages
-        for stage in [stage for stage in stages if id(stage) not in self._seen]:
-            self._begin(stage)
-        self._seen = {id(stage) for stage in stages}
-        self._false.versions = [stage.fault for stage in stages if isinstance(stage.fault, WrongVersion)]
-
-    def _begin(self, stage: UsbStage) -> None:
-        if stage.overflow:
-            stage.endpoint = self._data_endpoint
-        if isinstance(stage.fault, UsbUnplugged) and stage.fault.serial:
-            self._false.serial = stage.fault.serial
-        if isinstance(stage.fault, RegisterFlip):
-            stage.over = True
-            if flip_register(self._device, self._false, stage.fault):
-                self._strike(stage)
-
-    def _start_data(self) -> None:
-        for stage in self._faults.stages:
-            if isinstance(stage, WordStage):
-                stage.started()
-
-    def _dropped(self) -> int:
-        return self._device.counters.dropped_fifo if isinstance(self._device, UsbCamera) else 0
-
-    def _halt(self, stage: UsbStage) -> None:
-        self._halted.add(stage.endpoint)
-        stage.stalls -= 1
-        stage.over = not stage.stalls
-        self._strike(stage)
-
-    def _strike(self, stage: UsbStage) -> None:
-        stage.hits += 1
-        self._faults.applied(stage, [stage.hits] if stage.hits == 1 else [])
-
-
-def _ends_halt(setup: SetupPacket) -> bool:
-    return (
-        setup.kind is RequestKind.STANDARD
-        and setup.recipient == Recipient.ENDPOINT
-        and setup.request == StandardRequest.CLEAR_FEATURE
-        and setup.value == Feature.ENDPOINT_HALT
-    )
+    if isinstance(fault, WordFault):
+        return fault.stage(random)
+    if not isinstance(fault, UsbFault):
+        raise ValueError(f"{fault.kind!r} is no fault of a USB link")
+    return fault.stage(random, dropped)

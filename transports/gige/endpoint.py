@@ -27,7 +27,7 @@ from firmware_protocol.gige.gvsp import HEADER_OCTETS
 from firmware_protocol.gige.outflow import Outgoing
 from firmware_protocol.gige.triton2 import Triton2
 from transports.faults.kinds import Fault
-from transports.faults.script import FaultPlan, FaultRecord
+from transports.faults.script import FaultPlan
 from transports.gige.answering import ControlSetup, Move, Mute, Release
 from transports.gige.control_process import ControlProcess
 from transports.gige.kind import GigeLink
@@ -119,6 +119,8 @@ class _Route:
 class GigeEndpoint(Endpoint):
     """Endpoint of one camera for all its hosts; one of them receives the stream."""
 
+    _faulty: FaultyPackets
+
     def __init__(self, factory: GigeFactory, camera: Triton2, deliveries: Deliveries) -> None:
         self._link = link = factory.link
         self._host = link.host
@@ -180,13 +182,8 @@ class GigeEndpoint(Endpoint):
 
     def inject(self, fault: Fault) -> None:
         """See `Endpoint.inject`."""
-        self._faulty.inject(fault)
+        super().inject(fault)
         self._follow_faults()
-
-    @property
-    def faults(self) -> tuple[FaultRecord, ...]:
-        """See `Endpoint.faults`."""
-        return self._faulty.records
 
     async def close(self) -> None:
         """Close the sockets; packets that have not left are lost."""

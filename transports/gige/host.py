@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import ipaddress
 import socket
 import struct
@@ -21,9 +20,9 @@ from firmware_protocol.gige.gvcp import GVCP_PORT, Command, Flag, Resend, Status
 from firmware_protocol.gige.gvsp import BlockAssembly
 from firmware_protocol.gige.registers import ACQUISITION_START, ACQUISITION_STOP, DISCOVERY_OCTETS, Privilege, Register
 from firmware_protocol.gige.triton2_registers import DO_NOT_FRAGMENT
-from transports.link.deliveries import digest_of
+from transports.link import reception
 from transports.link.pacing import Clock
-from transports.recording.part import Part
+from transports.link.reception import Arrivals, Reception
 from transports.recording.record import Recorder
 
 __all__ = ["CameraGone", "GigeHost", "GigeHostError", "GigeReception", "Identity", "receive"]
@@ -234,47 +233,25 @@ _READ_TIMEOUT_S = 0.1
 
 
 @dataclass(frozen=True)
-class GigeReception:
-    """Events and counts received so far.
+class GigeReception(Reception):
+    """Events and triggers received so far from a GigE Vision camera, in device time.
 
     Attributes
     ----------
-    seconds
-        Wall time since the stream was started.
-    last_t_us
-        Device time of the newest event; None before the first.
-    digest
-        Digest of all events, see `digest_of`.
-    edges
-        Number of triggers.
     blocks_lost
         Number of incomplete blocks.
     packets_requested, packets_repeated
         Numbers of packets that were requested again, and that arrived more than once.
-    gone
-        True when the camera was lost.
     """
 
-    events: int = 0
-    seconds: float = 0.0
-    last_t_us: int | None = None
-    digest: int = 0
-    edges: int = 0
     blocks_lost: int = 0
     packets_requested: int = 0
     packets_repeated: int = 0
-    gone: bool = False
 
-    def with_events(self, events: Events) -> GigeReception:
-        """Return the reception with `events`, (n,) EVENT in device time, added."""
-        if not len(events):
-            return self
-        return dataclasses.replace(
-            self,
-            events=self.events + len(events),
-            last_t_us=int(events["t"][-1]),
-            digest=digest_of(events, self.digest),
-        )
+    @property
+    def fault_count(self) -> int:
+        """Number of incomplete blocks."""
+        return self.blocks_lost
 
 
 def receive(
@@ -288,32 +265,22 @@ def receive(
 
     The loss of the camera ends it too. Raises GigeHostError when the camera cannot be started.
     """
-    reception = GigeReception()
     camera.start(packet_size)
-    start_ns = clock.now_ns()
-    try:
-        while goes_on(reception):
-            reception = _turn(camera, reception, recorder)
-            reception = dataclasses.replace(reception, seconds=(clock.now_ns() - start_ns) * 1e-9)
+    arrivals = Arrivals(clock, recorder)
+
+    def now(*, gone: bool = False) -> GigeReception:
+        of = camera.assembly
+        counts = {"blocks_lost": of.lost, "packets_requested": of.requested, "packets_repeated": of.repeated}
+        return arrivals.reception(GigeReception, gone=gone, **counts)
+
+    def turn() -> None:
+        arrivals.add(camera.read(_READ_TIMEOUT_S), camera.take_edges(), clock.now_ns())
+
+    def stop() -> None:
         camera.stop()
         before = -1
-        while reception.events > before or camera.assembly.waiting:
-            before, reception = reception.events, _turn(camera, reception, recorder)
-    except CameraGone:
-        return dataclasses.replace(reception, gone=True)
-    return reception
+        while arrivals.events > before or camera.assembly.waiting:
+            before = arrivals.events
+            turn()
 
-
-def _turn(camera: GigeHost, reception: GigeReception, recorder: Recorder | None) -> GigeReception:
-    """Return the reception with the data that arrived since the last turn."""
-    events = camera.read(_READ_TIMEOUT_S)
-    edges = camera.take_edges()
-    if recorder is not None and (len(events) or len(edges)):
-        recorder.append(Part(events, edges))
-    return dataclasses.replace(
-        reception.with_events(events),
-        edges=reception.edges + len(edges),
-        blocks_lost=camera.assembly.lost,
-        packets_requested=camera.assembly.requested,
-        packets_repeated=camera.assembly.repeated,
-    )
+    return now(gone=reception.receive(now, goes_on, turn, stop=stop, lost=CameraGone))

@@ -1,32 +1,35 @@
-"""Faults of the packets of a GigE Vision stream, between the camera and the network, and of its control channel."""
+"""Faults of a GigE Vision camera: their tables in a rig, and their effects.
+
+They act on the packets of its stream, between the camera and the network, and on its control channel. See
+`transports.faults.kinds` for the attributes that all faults have.
+"""
 
 from __future__ import annotations
 
+import ipaddress
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from firmware_protocol.gige.gvsp import removed
-from transports.faults.datagrams import (
-    DatagramStage,
-    LateDatagrams,
-    Loss,
-    LostDatagrams,
-    RepeatedDatagrams,
-    datagram_stage,
-)
-from transports.faults.kinds import Fault, Places
-from transports.faults.script import FaultPlan, FaultRecord, Faults
-from transports.faults.usb_kinds import IpChange, LinkDown, LostHeartbeat, RefusedResends
+from transports.faults.datagrams import DatagramFault, LateDatagrams, LostDatagrams, RepeatedDatagrams
+from transports.faults.items import HitStage, ItemStage, Loss, pass_through
+from transports.faults.kinds import Fault, HitFault, LastingFault
+from transports.faults.script import FaultPlan, Faulty
 
-__all__ = ["PACKET_FAULTS", "FaultyPackets", "Packet"]
-
-PACKET_FAULTS: Mapping[str, type[Fault]] = {
-    one.kind: one
-    for one in (LostDatagrams, RepeatedDatagrams, LateDatagrams, RefusedResends, LostHeartbeat, LinkDown, IpChange)
-}
-"""Faults of a camera, by kind."""
+__all__ = [
+    "PACKET_FAULTS",
+    "FaultyPackets",
+    "IpChange",
+    "LinkDown",
+    "LostHeartbeat",
+    "Packet",
+    "PacketFault",
+    "RefusedResends",
+]
 
 
 @dataclass(frozen=True)
@@ -39,31 +42,103 @@ class Packet:
     again: bool = False
 
 
-class _Refusal(DatagramStage[Packet]):
+class PacketFault(ABC):
+    """Fault of a GigE Vision camera that other datagrams do not have."""
+
+    @abstractmethod
+    def stage(self, random: np.random.Generator) -> ItemStage[Packet]:
+        """Return its effect, with hits drawn by `random`."""
+
+
+@dataclass(frozen=True)
+class RefusedResends(HitFault, PacketFault):
+    """Packets that a host requests again and that the camera no longer holds, like one with a small memory."""
+
+    kind: ClassVar[str] = "refused_resends"
+
+    def stage(self, random: np.random.Generator) -> ItemStage[Packet]:
+        """See `PacketFault.stage`."""
+        return _Refusal(self, random)
+
+
+class _Refusal(HitStage[Packet]):
     """Refusal of single packets that a host requested again: they are reported as no longer stored."""
 
-    def __init__(self, fault: RefusedResends, random: np.random.Generator) -> None:
-        super().__init__()
-        self._where = Places(fault, random)
-
-    def change(self, datagram: Packet) -> list[Packet]:
-        """See `DatagramStage.change`."""
-        if not datagram.again or not self._where.within(1):
-            return [datagram]
-        self.hits += 1
-        self.touched += 1
-        self.over = self._where.over
-        return [Packet(removed(datagram.block, datagram.number))]
+    def change(self, item: Packet) -> list[Packet]:
+        """See `ItemStage.change`."""
+        return [Packet(removed(item.block, item.number))] if item.again and self.is_hit() else [item]
 
 
-class _Down(DatagramStage[Packet]):
+@dataclass(frozen=True)
+class LostHeartbeat(Fault, PacketFault):
+    """The camera takes control away from its host, as when the host's heartbeat did not arrive in time."""
+
+    kind: ClassVar[str] = "lost_heartbeat"
+
+    def stage(self, random: np.random.Generator) -> ItemStage[Packet]:
+        """See `PacketFault.stage`."""
+        return _Taking()
+
+
+class _Taking(ItemStage[Packet]):
+    """Removal of control; over when it is done."""
+
+    taken = False
+
+    def take(self) -> None:
+        """Record that control has been taken away."""
+        self.hits, self.taken, self.over = 1, True, True
+
+
+@dataclass(frozen=True)
+class LinkDown(LastingFault, PacketFault):
+    """The cable is unplugged and plugged in again: no data pass in either direction in between."""
+
+    kind: ClassVar[str] = "link_down"
+
+    def stage(self, random: np.random.Generator) -> ItemStage[Packet]:
+        """See `PacketFault.stage`."""
+        return _Down()
+
+
+class _Down(ItemStage[Packet]):
     """Fault that stops all packets."""
 
-    def change(self, datagram: Packet) -> list[Packet]:
-        """See `DatagramStage.change`."""
+    def change(self, item: Packet) -> list[Packet]:
+        """See `ItemStage.change`."""
         self.hits = 1
         self.touched += 1
         return []
+
+
+@dataclass(frozen=True)
+class IpChange(LastingFault, PacketFault):
+    """The camera leaves its IP address and returns with another one, as after a new DHCP lease or a FORCEIP.
+
+    Attributes
+    ----------
+    for_s
+        Time without an address.
+    address
+        IPv4 address that it has afterwards, to the end of the run; one of this machine's, on loopback any 127.x.y.z.
+    """
+
+    kind: ClassVar[str] = "ip_change"
+    for_s: float = 0.5
+    address: str = "127.0.0.254"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        try:
+            good = not ipaddress.IPv4Address(self.address).is_unspecified
+        except ValueError:
+            good = False
+        if not good:
+            raise ValueError(f"address must be an IPv4 address that the camera has afterwards, got {self.address!r}")
+
+    def stage(self, random: np.random.Generator) -> ItemStage[Packet]:
+        """See `PacketFault.stage`."""
+        return _Moving(self.address)
 
 
 class _Moving(_Down):
@@ -79,45 +154,28 @@ class _Moving(_Down):
         self.hits, self.taken = 1, True
 
 
-class _Taking(DatagramStage[Packet]):
-    """Removal of control; over when it is done."""
-
-    taken = False
-
-    def take(self) -> None:
-        """Record that control has been taken away."""
-        self.hits, self.taken, self.over = 1, True, True
-
-    def change(self, datagram: Packet) -> list[Packet]:
-        """See `DatagramStage.change`."""
-        return [datagram]
+_FAULTS: tuple[type[Fault], ...] = (
+    *(LostDatagrams, RepeatedDatagrams, LateDatagrams),
+    *(RefusedResends, LostHeartbeat, LinkDown, IpChange),
+)
+PACKET_FAULTS: Mapping[str, type[Fault]] = {one.kind: one for one in _FAULTS}
+"""Faults of a camera, by kind."""
 
 
-def _stage(fault: Fault, random: np.random.Generator) -> DatagramStage[Packet]:
-    match fault:
-        case RefusedResends():
-            return _Refusal(fault, random)
-        case LinkDown():
-            return _Down()
-        case IpChange():
-            return _Moving(fault.address)
-        case LostHeartbeat():
-            return _Taking()
-    return datagram_stage(fault, random)
+def _stage(fault: Fault, random: np.random.Generator) -> ItemStage[Packet]:
+    """Return the effect of a fault on a stream; raises ValueError for a fault of another carrier."""
+    if not isinstance(fault, DatagramFault | PacketFault):
+        raise ValueError(f"{fault.kind!r} is no fault of packets in datagrams")
+    return fault.stage(random)
 
 
-class FaultyPackets:
+class FaultyPackets(Faulty[ItemStage[Packet]]):
     """Faults of one stream."""
 
     def __init__(self, plan: FaultPlan) -> None:
-        self._faults: Faults[DatagramStage[Packet]] = Faults(plan, _stage)
+        super().__init__(plan, _stage)
         self._gone: list[Packet] = []
         self._address: str | None = None
-
-    @property
-    def records(self) -> tuple[FaultRecord, ...]:
-        """Record of each fault."""
-        return self._faults.records
 
     def advance(self, now_us: int) -> list[Packet]:
         """Advance stream time; return the packets that faults held and that pass now."""
@@ -125,23 +183,13 @@ class FaultyPackets:
         self._address = next((stage.address for stage in over if isinstance(stage, _Moving)), self._address)
         return [packet for stage in over for packet in stage.finish()]
 
-    def inject(self, fault: Fault) -> None:
-        """Begin a fault now; raises ValueError for a fault that a stream does not have."""
-        self._faults.inject(fault)
-
     def change(self, packet: Packet) -> list[Packet]:
         """Return the packets to be sent in place of `packet`."""
-        packets = [packet]
-        for stage in self._faults.stages:
-            before, going = stage.hits, list[Packet]()
-            for each in packets:
-                passed = stage.change(each)
-                going += passed
-                self._gone += [each] if not passed and isinstance(stage, (Loss, _Down)) else []
-            if stage.hits != before:
-                self._faults.applied(stage, [packet.number])
-            packets = going
-        return packets
+        return pass_through(self._faults, packet, packet.number, self._remember)
+
+    def _remember(self, stage: ItemStage[Packet], packet: Packet, passed: list[Packet]) -> None:
+        """Collect a packet that a fault has removed."""
+        self._gone += [packet] if not passed and isinstance(stage, (Loss, _Down)) else []
 
     @property
     def link_is_down(self) -> bool:
@@ -174,7 +222,3 @@ class FaultyPackets:
     def attribute(self, events: int, edges: int) -> None:
         """Attribute the loss of events and edges to the last fault that was applied."""
         self._faults.lose(events, edges)
-
-    def close(self) -> None:
-        """End all faults; the packets that they hold are lost with the link."""
-        self._faults.close()

@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar
 
 from firmware_protocol.events import Edges
 from transports.faults.kinds import Fault
-from transports.faults.script import FaultRecord
+from transports.faults.script import FaultRecord, Faulty
 from transports.link.deliveries import Deliveries
 from transports.link.pacing import Clock
 from transports.recording.summary import RecordingSummary
@@ -49,7 +49,12 @@ class LinkBroken(Exception):
 
 
 class Endpoint(ABC):
-    """Host side of a camera's connector: the transport that reads the camera's bytes."""
+    """Host side of a camera's connector: the transport that reads the camera's bytes.
+
+    A subclass sets `_faulty`, the path of its data through the faults of the link, if this kind of link has any.
+    """
+
+    _faulty: Faulty[Any] | None = None
 
     @abstractmethod
     async def start(self) -> None:
@@ -76,7 +81,9 @@ class Endpoint(ABC):
 
     def inject(self, fault: Fault) -> None:
         """Begin a fault now; raises ValueError for a fault that this kind of link cannot have."""
-        raise ValueError(f"{fault.kind!r} is no fault of this kind of link")
+        if self._faulty is None:
+            raise ValueError(f"{fault.kind!r} is no fault of this kind of link")
+        self._faulty.inject(fault)
 
     @property
     def withholds(self) -> bool:
@@ -86,7 +93,7 @@ class Endpoint(ABC):
     @property
     def faults(self) -> tuple[FaultRecord, ...]:
         """Record of each fault."""
-        return ()
+        return () if self._faulty is None else self._faulty.records
 
     @abstractmethod
     async def close(self) -> None:

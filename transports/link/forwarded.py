@@ -8,8 +8,8 @@ from multiprocessing.connection import Connection
 
 from transports.recording.live import AnyRecorder
 from transports.recording.part import Part, counts_of, encoded_end, encoded_part, encoded_restart
-from transports.recording.pipe_queue import PipeQueue
 from transports.recording.summary import RecordingSummary
+from transports.recording.writer_process import PipeQueue
 
 __all__ = ["ForwardingRecorder"]
 

@@ -1,12 +1,15 @@
-"""Reception of a computer from an instrument, over any transport of the packets.
+"""Reception of the data of a link, for a listener on its other side: `receive` is the loop, `Reception` the result.
 
-`Arrivals` holds the counts of one listener: number, digest, delay and record of the received events.
+`Arrivals` holds the counts of one listener: number, digest, delay and record of the received events. `Receiving` is a
+computer that receives from an instrument, over any transport of the packets.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from array import array
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,7 +21,65 @@ from transports.link.pacing import Clock
 from transports.recording.part import Part
 from transports.recording.record import Recorder
 
-__all__ = ["Arrivals", "Receiving", "Reception"]
+__all__ = ["Arrivals", "InstrumentReception", "Receiving", "Reception", "receive"]
+
+
+@dataclass(frozen=True)
+class Reception:
+    """Events and edges received so far.
+
+    Attributes
+    ----------
+    seconds
+        Wall time since the reception began.
+    last_t_us
+        The camera's time of the newest event; None before the first.
+    digest
+        Digest of all events, see `digest_of`.
+    gone
+        True when the other side disconnected, or the transport was lost.
+    """
+
+    events: int = 0
+    edges: int = 0
+    seconds: float = 0.0
+    last_t_us: int | None = None
+    digest: int = 0
+    gone: bool = False
+
+    @property
+    def fault_count(self) -> int:
+        """Number of faults that never occur on an intact link."""
+        return 0
+
+    @property
+    def is_early(self) -> bool:
+        """True when the other side was lost before the end of its run."""
+        return self.gone
+
+
+_R = TypeVar("_R", bound=Reception)
+
+
+def receive(
+    now: Callable[[], _R],
+    goes_on: Callable[[_R], bool],
+    turn: Callable[[], None],
+    *,
+    stop: Callable[[], None] = lambda: None,
+    lost: type[Exception] | tuple[type[Exception], ...] = (),
+) -> bool:
+    """Call `turn` while `goes_on`, called with the reception before each turn, returns True; then `stop`.
+
+    Returns whether the other side was lost, which `turn` and `stop` report by raising `lost`.
+    """
+    try:
+        while goes_on(now()):
+            turn()
+        stop()
+    except lost:
+        return True
+    return False
 
 
 _MOST_DELAYS = 1_000_000
@@ -41,7 +102,7 @@ class Arrivals:
         self._clock = clock
         self._recorder = recorder
         self._start_ns = clock.now_ns()
-        self._delays_us: list[float] = []
+        self._delays_us = array("d")
         self.events = self.edges = 0
         self.last_t_us: int | None = None
         self.digest = 0
@@ -64,6 +125,10 @@ class Arrivals:
         if len(self._delays_us) < _MOST_DELAYS:
             self._delays_us.append(t_ns / 1000 - float(events["t"][-1]))
 
+    def reception(self, kind: type[_R], **more: Any) -> _R:
+        """Return a reception of a kind with the counts so far, and `more` values of it."""
+        return kind(self.events, self.edges, self.seconds, self.last_t_us, self.digest, **more)
+
     def jitter(self) -> LatencySummary:
         """Return the delay of each arrival relative to the fastest one, us: the camera's own clock is not known."""
         if not self._delays_us:
@@ -76,17 +141,11 @@ _MOST_ANSWER_TEXTS = 1024
 
 
 @dataclass(frozen=True)
-class Reception:
-    """Events, counts and answers received so far.
+class InstrumentReception(Reception):
+    """Events, counts and answers received so far from an instrument.
 
     Attributes
     ----------
-    seconds
-        Wall time since the reception began.
-    last_t_us
-        The camera's time of the newest event; None before the first.
-    digest
-        Digest of all events, see `digest_of`.
     faults
         Number of faults that never occur on an intact link: damaged frames, gaps in the counts, wrong blocks.
     counts
@@ -99,22 +158,19 @@ class Reception:
         Number of answers to telecommands.
     answer_texts
         Texts of the newest answers, at most 1024.
-    gone
-        True when the other side disconnected.
     """
 
-    events: int = 0
-    edges: int = 0
-    seconds: float = 0.0
-    last_t_us: int | None = None
-    digest: int = 0
     faults: int = 0
     counts: Mapping[str, int] = field(default_factory=dict)
     jitter_us: LatencySummary = field(default_factory=LatencySummary)
     housekeeping: Housekeeping | None = None
     answers: int = 0
     answer_texts: tuple[str, ...] = ()
-    gone: bool = False
+
+    @property
+    def fault_count(self) -> int:
+        """Number of faults."""
+        return self.faults
 
 
 class Receiving:
@@ -128,11 +184,9 @@ class Receiving:
         self._answers = 0
 
     @property
-    def now(self) -> Reception:
+    def now(self) -> InstrumentReception:
         """Reception so far, without the values that are known only at the end."""
-        a = self._arrivals
-        counted = Reception(a.events, a.edges, a.seconds, a.last_t_us, a.digest)
-        return replace(counted, answers=self._answers, answer_texts=self._answer_texts)
+        return self._arrivals.reception(InstrumentReception, answers=self._answers, answer_texts=self._answer_texts)
 
     def take(self, data: bytes) -> None:
         """Process bytes that have just arrived."""
@@ -143,14 +197,16 @@ class Receiving:
         self._answers += len(texts)
         self._answer_texts = (self._answer_texts + texts)[-_MOST_ANSWER_TEXTS:]
 
-    def finish(self, *, gone: bool) -> Reception:
+    def finish(self, *, gone: bool) -> InstrumentReception:
         """Return the complete reception."""
         receiver = self.receiver
-        return replace(
-            self.now,
+        return self._arrivals.reception(
+            InstrumentReception,
+            gone=gone,
             faults=receiver.faults,
             counts=receiver.counts,
             jitter_us=self._arrivals.jitter(),
             housekeeping=receiver.housekeeping,
-            gone=gone,
+            answers=self._answers,
+            answer_texts=self._answer_texts,
         )

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from transports.needs import install_command
-from transports.recording.part import Facts, Reader, RecordingError, Writer
+from transports.recording.part import Facts, LibraryMissing, Reader, RecordingError, Writer
 
 __all__ = ["FORMATS", "Format", "format_to_read", "format_to_write", "reason", "with_addition"]
 
@@ -87,12 +87,12 @@ class Format:
         return reader
 
     def imported(self, where: str) -> Any:
-        """Return the class that `writer` or `reader` names; raises RecordingError if its library is missing."""
+        """Return the class that `writer` or `reader` names; raises LibraryMissing."""
         module, _, name = where.partition(":")
         try:
             return getattr(importlib.import_module(module), name)
         except ImportError as error:
-            raise RecordingError(f"{self.title} needs {self.needs}: {install_command('files')}") from error
+            raise LibraryMissing(f"{self.title} needs {self.needs}: {install_command('files')}") from error
 
 
 _HERE = "transports.recording"

@@ -25,6 +25,7 @@ __all__ = [
     "IMU",
     "Facts",
     "Frame",
+    "LibraryMissing",
     "Part",
     "PipeReader",
     "Reached",
@@ -44,6 +45,10 @@ __all__ = [
 
 class RecordingError(Exception):
     """Error: a recording cannot be read or written; the message gives the reason, without the file's name."""
+
+
+class LibraryMissing(RecordingError, ImportError):
+    """Error: the optional package that reads or writes this format is not installed."""
 
 
 def counts_of(part: Part) -> Counter[str]:

@@ -34,9 +34,8 @@ from typing import Generic, TypeVar
 
 from firmware_protocol.instrument.instrument import Instrument, Outgoing
 from firmware_protocol.packets.profile import Profile
-from transports.faults.kinds import Fault
-from transports.faults.line import FaultyLine
-from transports.faults.script import FaultPlan, FaultRecord
+from transports.faults.faulty_line import FaultyLine
+from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LineUse, Reopening
 from transports.serial_line.kind import SerialLink
@@ -255,6 +254,8 @@ class SerialFactory(EndpointFactory[Instrument]):
 class SerialEndpoint(Endpoint):
     """Endpoint of one instrument on one port."""
 
+    _faulty: FaultyLine
+
     def __init__(self, factory: SerialFactory, instrument: Instrument, deliveries: Deliveries) -> None:
         self._line = factory.line
         self._instrument = instrument
@@ -310,15 +311,6 @@ class SerialEndpoint(Endpoint):
     def advance_faults(self, stream_us: int) -> None:
         """See `Endpoint.advance_faults`."""
         self._faulty.advance(stream_us, self._out.begun)
-
-    def inject(self, fault: Fault) -> None:
-        """See `Endpoint.inject`."""
-        self._faulty.inject(fault)
-
-    @property
-    def faults(self) -> tuple[FaultRecord, ...]:
-        """See `Endpoint.faults`."""
-        return self._faulty.records
 
     @property
     def state(self) -> str:

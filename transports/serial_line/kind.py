@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 from firmware_protocol.instrument.settings import InstrumentSettings
-from transports.faults.kinds import SERIAL_FAULTS
+from transports.faults.line import SERIAL_FAULTS
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import LinkKind, Listener, Wiring, check_region
 

@@ -34,7 +34,7 @@ import threading
 import tty
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import serial
@@ -42,7 +42,7 @@ from serial.rs485 import RS485Settings
 
 from firmware_protocol.packets.telecommands import Telecommand
 from transports.link.pacing import Clock
-from transports.link.reception import Receiving, Reception
+from transports.link.reception import InstrumentReception, Receiving, receive
 from transports.recording.record import Recorder
 from transports.serial_line.kind import SerialLink
 
@@ -421,11 +421,11 @@ _LOOK_PERIOD_NS = 500_000
 
 def listen_serial(
     line: SerialLink,
-    goes_on: Callable[[Reception], bool],
+    goes_on: Callable[[InstrumentReception], bool],
     clock: Clock,
     recorder: Recorder | None = None,
     commands: Sequence[Telecommand] = (),
-) -> Reception:
+) -> InstrumentReception:
     """Open the port, send `commands`, and read while `goes_on`, called after each turn, returns True.
 
     Raises OSError when the port cannot be opened; the reception ends if it is lost later.
@@ -433,16 +433,15 @@ def listen_serial(
     listening = Receiving(line.profile, clock, recorder)
     port = open_port(line)
     unsent = b"".join(listening.receiver.wrap(command) for command in commands)
-    gone = False
-    try:
-        while goes_on(listening.now):
-            unsent = unsent[port.write(unsent) :] if unsent else b""
-            listening.take(_all_there(port))
-            clock.sleep_until(clock.now_ns() + _LOOK_PERIOD_NS)
-    except OSError:
-        gone = True
-    finally:
-        port.close()
+
+    def turn() -> None:
+        nonlocal unsent
+        unsent = unsent[port.write(unsent) :] if unsent else b""
+        listening.take(_all_there(port))
+        clock.sleep_until(clock.now_ns() + _LOOK_PERIOD_NS)
+
+    with closing(port):
+        gone = receive(lambda: listening.now, goes_on, turn, lost=OSError)
     return listening.finish(gone=gone)
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 
 from firmware_protocol.instrument.instrument import Instrument, Outgoing
@@ -20,12 +21,11 @@ from firmware_protocol.packets.ccsds import whole_packets
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Telecommand
 from transports.faults.datagrams import FaultyDatagrams
-from transports.faults.kinds import Fault
-from transports.faults.script import FaultPlan, FaultRecord
+from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.link.pacing import Clock
-from transports.link.reception import Receiving, Reception
+from transports.link.reception import InstrumentReception, Receiving, receive
 from transports.network.datagrams import ByteBudget, DatagramInlet, DatagramOutlet
 from transports.recording.record import Recorder
 from transports.udp_packets.kind import UdpPacketsLink
@@ -50,6 +50,8 @@ class UdpPacketFactory(EndpointFactory[Instrument]):
 
 class UdpPacketEndpoint(Endpoint):
     """Endpoint of one instrument for one receiver."""
+
+    _faulty: FaultyDatagrams
 
     def __init__(self, factory: UdpPacketFactory, instrument: Instrument, deliveries: Deliveries) -> None:
         link = factory.link
@@ -85,21 +87,13 @@ class UdpPacketEndpoint(Endpoint):
         """See `Endpoint.advance_faults`."""
         self._faulty.advance(stream_us)
 
-    def inject(self, fault: Fault) -> None:
-        """See `Endpoint.inject`."""
-        self._faulty.inject(fault)
-
-    @property
-    def faults(self) -> tuple[FaultRecord, ...]:
-        """See `Endpoint.faults`."""
-        return self._faulty.records
-
     async def close(self) -> None:
         """Close the sockets; messages that have not left are lost."""
         if self._next is not None:
             self._instrument.lost(self._next[1])
             self._next = None
-        self._faulty.close(self._outlet.send)
+        self._faulty.release(self._outlet.send)
+        self._faulty.close()
         self._instrument.disconnected()
         self._inlet.close()
         self._outlet.close()
@@ -176,35 +170,34 @@ class Ports:
 
 def listen_udp(
     ports: Ports,
-    goes_on: Callable[[Reception], bool],
+    goes_on: Callable[[InstrumentReception], bool],
     clock: Clock,
     recorder: Recorder | None = None,
     commands: Sequence[Telecommand] = (),
-) -> Reception:
+) -> InstrumentReception:
     """Open the port, send `commands`, and read while `goes_on`, called after each turn, returns True.
 
     Raises OSError when the port cannot be opened. The loss of the camera is not detected.
     """
     receiving = Receiving("ccsds", clock, recorder)
-    inlet, outlet = DatagramInlet(ports.host, ports.port, ports.allow), None
-    try:
+
+    def turn() -> None:
+        for datagram in inlet.take(_AT_A_TIME_LISTENER):
+            for packet in whole_packets(datagram):
+                receiving.take(packet)
+        clock.sleep_until(clock.now_ns() + _LOOK_PERIOD_NS)
+
+    with closing(DatagramInlet(ports.host, ports.port, ports.allow)) as inlet:
         inlet.open(_RECEIVE_BUFFER)
-        if commands:
-            outlet = DatagramOutlet(ports.command_host, ports.command_port)
-            outlet.open()
-            for command in commands:
-                outlet.send(receiving.receiver.wrap(command))
-        while goes_on(receiving.now):
-            for datagram in inlet.take(_AT_A_TIME_LISTENER):
-                _take(receiving, datagram)
-            clock.sleep_until(clock.now_ns() + _LOOK_PERIOD_NS)
-    finally:
-        inlet.close()
-        if outlet is not None:
-            outlet.close()
+        _send(ports, [receiving.receiver.wrap(command) for command in commands])
+        receive(lambda: receiving.now, goes_on, turn)
     return receiving.finish(gone=False)
 
 
-def _take(receiving: Receiving, datagram: bytes) -> None:
-    for packet in whole_packets(datagram):
-        receiving.take(packet)
+def _send(ports: Ports, commands: Sequence[bytes]) -> None:
+    if not commands:
+        return
+    with closing(DatagramOutlet(ports.command_host, ports.command_port)) as outlet:
+        outlet.open()
+        for command in commands:
+            outlet.send(command)

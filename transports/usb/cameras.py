@@ -6,23 +6,22 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
 from firmware_protocol.davis346.decoder import WordFaults
 from firmware_protocol.events import Edges, Events, empty_events
-from transports.link.deliveries import digest_of
+from transports.link import reception
 from transports.link.pacing import Clock
-from transports.recording.part import Part
+from transports.link.reception import Arrivals, Reception
 from transports.recording.record import Recorder
 from transports.usb.davis_host import DAVIS_PRODUCT, DAVIS_VENDOR, DavisHost, DavisInfo, StreamSettings
 from transports.usb.evk4_host import EVK4_PRODUCT, EVK4_VENDOR, Evk4Host, Evk4Info
 from transports.usb.host import DeviceAbsent, PeerGone, UnsuitableDevice, UsbHost
 from transports.usb.pyusb_host import PyusbHost
 
-__all__ = ["CAMERAS", "CameraHost", "Reception", "driver_of", "first_on_the_bus", "receive"]
+__all__ = ["CAMERAS", "CameraHost", "CameraReception", "driver_of", "first_on_the_bus", "receive"]
 
 
 class CameraHost(Protocol):
@@ -87,73 +86,40 @@ _READ_TIMEOUT_S = 0.1
 
 
 @dataclass(frozen=True)
-class Reception:
-    """Events and counts received so far.
+class CameraReception(Reception):
+    """Events and edges of the external input received so far from a camera, in device time.
 
     Attributes
     ----------
-    seconds
-        Wall time since the stream was started.
-    last_t_us
-        Device time of the newest event; None before the first.
-    digest
-        Digest of all events, see `digest_of`.
     faults
         Number of words that an intact stream never contains.
-    gone
-        True when the camera was lost.
-    edges
-        Number of edges of the external input.
     """
 
-    events: int = 0
-    seconds: float = 0.0
-    last_t_us: int | None = None
-    digest: int = 0
     faults: int = 0
-    gone: bool = False
-    edges: int = 0
 
-    def with_events(self, events: Events, edges: int = 0) -> Reception:
-        """Return the reception with `events`, in device time, and a number of edges added."""
-        more = dataclasses.replace(self, edges=self.edges + edges)
-        if not len(events):
-            return more
-        return dataclasses.replace(
-            more,
-            events=self.events + len(events),
-            last_t_us=int(events["t"][-1]),
-            digest=digest_of(events, self.digest),
-        )
-
-    def at(self, seconds: float, faults: int, *, gone: bool = False) -> Reception:
-        """Return the reception with the values of a later moment."""
-        return dataclasses.replace(self, seconds=seconds, faults=faults, gone=gone)
+    @property
+    def fault_count(self) -> int:
+        """Number of faults."""
+        return self.faults
 
 
 def receive(
-    camera: CameraHost, goes_on: Callable[[Reception], bool], clock: Clock, recorder: Recorder | None = None
-) -> Reception:
+    camera: CameraHost, goes_on: Callable[[CameraReception], bool], clock: Clock, recorder: Recorder | None = None
+) -> CameraReception:
     """Start the camera and read it while `goes_on`, called after each transfer, returns True; then stop it.
 
     The loss of the camera ends it too. Raises UsbHostError when the camera cannot be started.
     """
-    reception = Reception()
-    start_ns = clock.now_ns()
+    arrivals = Arrivals(clock, recorder)
+
+    def now(*, gone: bool = False) -> CameraReception:
+        return arrivals.reception(CameraReception, gone=gone, faults=camera.faults.total)
 
     def take(events: Events | None) -> None:
-        nonlocal reception
-        events, edges = empty_events() if events is None else events, camera.take_edges()
-        reception = reception.with_events(events, len(edges))
-        if recorder is not None and (len(events) or len(edges)):
-            recorder.append(Part(events, edges))
-        reception = reception.at((clock.now_ns() - start_ns) * 1e-9, camera.faults.total)
+        arrivals.add(empty_events() if events is None else events, camera.take_edges(), clock.now_ns())
 
     camera.start(StreamSettings(edges=True))
-    try:
-        while goes_on(reception):
-            take(camera.read(_READ_TIMEOUT_S))
-        take(camera.stop())
-    except PeerGone:
-        return reception.at(reception.seconds, camera.faults.total, gone=True)
-    return reception
+    gone = reception.receive(
+        now, goes_on, lambda: take(camera.read(_READ_TIMEOUT_S)), stop=lambda: take(camera.stop()), lost=PeerGone
+    )
+    return now(gone=gone)

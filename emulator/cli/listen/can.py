@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
 from emulator.cli.checks import failures, prepared
-from emulator.cli.listen.reception import Limits, report_problems, until
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.listen.reception import Limits, Source, lacking, listen_to
+from emulator.cli.output import GOOD, WRONG_USE, Failure, console, status
 from emulator.cli.run_summary import quantile_text
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.kernels import DECODER
@@ -20,6 +21,7 @@ from transports.can_bus.bus import BusDown
 from transports.can_bus.kind import CanLink
 from transports.can_bus.node import CanReception, listen_can, peer_of
 from transports.link.pacing import MonotonicClock
+from transports.recording.record import Recorder
 
 __all__ = ["can", "dbc"]
 
@@ -60,14 +62,23 @@ def can(
     parameters = dataclasses.replace(
         parameters, interface=interface or parameters.interface, channel=channel or parameters.channel
     )
-    reception, trouble = _listen(parameters, limits)
-    is_early = reception.gone and not reception.ended
-    problems = [_GONE] * is_early + [trouble] * bool(trouble)
-    if json:
-        print_json({**dataclasses.asdict(reception), "problems": problems})
-    else:
-        _print(reception)
-    return report_problems(problems, reception.faults)
+    prepared([DECODER])
+    status.print(f"CAN bus {parameters.channel} by {parameters.interface}, {parameters.bitrate} bit/s")
+
+    def receive(goes_on: Callable[[CanReception], bool], recorder: Recorder | None) -> CanReception:
+        with lacking(BusDown):
+            return asyncio.run(listen_can(parameters, goes_on, MonotonicClock(), recorder))
+
+    return listen_to(Source(receive, _summary, _GONE), limits, json=json)
+
+
+def _summary(reception: CanReception) -> list[str]:
+    lines = [f", {reception.faults} faults{', the bus ended' if reception.gone else ''}"]
+    if reception.jitter_us.p50 is not None:
+        j = reception.jitter_us
+        p50, p99 = quantile_text(j.p50), quantile_text(j.p99)
+        lines.append(f"delay above the shortest: p50 {p50} us, p99 {p99} us, max {j.max:.0f} us")
+    return lines + [f"{name}: {count}" for name, count in reception.counts.items()]
 
 
 def dbc(
@@ -106,29 +117,3 @@ def _link(rig: Rig, name: str | None) -> CanLink:
     if not links:
         raise Failure(f"{rig.name} has no CAN link{f' {name!r}' if name else ''}", WRONG_USE)
     return links[0]
-
-
-def _listen(parameters: CanLink, limits: Limits) -> tuple[CanReception, str]:
-    """Return the reception, and the reason if its record is not complete, else ""."""
-    prepared([DECODER])
-    status.print(f"CAN bus {parameters.channel} by {parameters.interface}, {parameters.bitrate} bit/s")
-    try:
-        with limits.recorder() as recorder:
-            reception = asyncio.run(listen_can(parameters, until(limits), MonotonicClock(), recorder))
-    except BusDown as error:
-        raise Failure(str(error), LACKING) from error
-    return reception, recorder.trouble if recorder is not None else ""
-
-
-def _print(reception: CanReception) -> None:
-    gone = ", the bus ended" if reception.gone else ""
-    console.print(
-        f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
-        f"digest {reception.digest:08x}, {reception.faults} faults{gone}"
-    )
-    if reception.jitter_us.p50 is not None:
-        j = reception.jitter_us
-        p50, p99 = quantile_text(j.p50), quantile_text(j.p99)
-        console.print(f"delay above the shortest: p50 {p50} us, p99 {p99} us, max {j.max:.0f} us")
-    for name, count in reception.counts.items():
-        console.print(f"{name}: {count}", markup=False)

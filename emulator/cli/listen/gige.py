@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
+from contextlib import closing
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.listen.reception import Limits, report_problems, until
-from emulator.cli.output import LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.listen.reception import Limits, Source, lacking, listen_to
+from emulator.cli.output import WRONG_USE, Failure, status
 from firmware_protocol.gige.gvsp import LEAST_PACKET, MOST_PACKET
 from transports.gige.host import GigeHost, GigeHostError, GigeReception, receive
 from transports.link.pacing import MonotonicClock
@@ -43,34 +43,17 @@ def gige(
     limits.check()
     if not LEAST_PACKET <= packet_size <= MOST_PACKET or packet_size % 2:
         raise Failure(f"--packet-size must be even, {LEAST_PACKET} to {MOST_PACKET}, got {packet_size}", WRONG_USE)
-    try:
-        reception, trouble = _receive(*_address(at), packet_size, limits)
-    except GigeHostError as error:
-        raise Failure(str(error), LACKING) from error
-    problems = [_GONE] * reception.gone + [trouble] * bool(trouble)
-    if json:
-        print_json({**dataclasses.asdict(reception), "problems": problems})
-    else:
-        console.print(
-            f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
-            f"digest {reception.digest:08x}, {reception.blocks_lost} blocks lost, "
-            f"{reception.packets_requested} packets requested again"
-        )
-    return report_problems(problems, reception.blocks_lost)
-
-
-def _receive(host: str, port: int, packet_size: int, limits: Limits) -> tuple[GigeReception, str]:
-    """Return the reception, and the reason if its record is not complete, else ""."""
+    host, port = _address(at)
     clock = MonotonicClock()
-    camera = GigeHost(host, port, now_ns=clock.now_ns)
-    try:
+    with lacking(GigeHostError), closing(GigeHost(host, port, now_ns=clock.now_ns)) as camera:
         about = camera.identity
         status.print(f"{about.manufacturer} {about.model} serial {about.serial}")
-        with limits.recorder() as recorder:
-            reception = receive(camera, packet_size, until(limits), clock, recorder)
-    finally:
-        camera.close()
-    return reception, recorder.trouble if recorder is not None else ""
+        source = Source(lambda goes_on, to: receive(camera, packet_size, goes_on, clock, to), _summary, _GONE)
+        return listen_to(source, limits, json=json)
+
+
+def _summary(reception: GigeReception) -> list[str]:
+    return [f", {reception.blocks_lost} blocks lost, {reception.packets_requested} packets requested again"]
 
 
 def _address(text: str) -> tuple[str, int]:

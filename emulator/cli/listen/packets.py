@@ -1,20 +1,35 @@
-"""`evstim listen serial`: the receiving side of a serial line.
-
-`evstim listen udp`: the receiving side of packets in UDP datagrams.
-"""
+"""`evstim listen serial` and `evstim listen udp`: the receiving side of packets on a serial line and in UDP."""
 
 from __future__ import annotations
 
 import dataclasses
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.listen.reception import Limits, TelecommandOptions, print_reception, received, report_problems
-from emulator.cli.output import WRONG_USE, Failure, print_json
+from emulator.cli.checks import prepared
+from emulator.cli.listen.reception import Limits, Source, lacking, listen_to
+from emulator.cli.output import WRONG_USE, Failure, status
+from emulator.cli.run_summary import quantile_text
+from emulator.run.kernels import DECODER
+from firmware_protocol.packets.telecommands import (
+    Ping,
+    RequestHousekeeping,
+    SetRateLimit,
+    SetRegion,
+    SetTick,
+    SetTime,
+    Start,
+    Stop,
+    Telecommand,
+)
 from transports.link.pacing import MonotonicClock
+from transports.link.reception import InstrumentReception
 from transports.network.datagrams import check_allow
+from transports.recording.record import Recorder
 from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import listen_serial
 from transports.udp_packets.endpoint import Ports, listen_udp
@@ -44,7 +59,56 @@ class Line:
     stop_bits: float = 1.0
 
 
+@dataclass(frozen=True)
+class TelecommandOptions:
+    """Telecommands sent once, when the link is open, in this order.
+
+    Attributes
+    ----------
+    set_time
+        Set the camera's clock to this machine's (UTC as Unix time).
+    tick
+        Resolution of event times: 1, 10, 100 or 1000 us.
+    region
+        X Y WIDTH HEIGHT: send only these pixels.
+    rate_limit
+        Send at most this many events per second; 0: no limit.
+    start
+        Start sending events.
+    stop
+        Stop sending events.
+    ping
+        Request a sign of life.
+    housekeeping
+        Request a housekeeping report now.
+    """
+
+    set_time: Annotated[bool, Parameter(negative="")] = False
+    tick: int | None = None
+    region: Annotated[tuple[int, int, int, int] | None, Parameter(negative="")] = None
+    rate_limit: int | None = None
+    start: Annotated[bool, Parameter(negative="")] = False
+    stop: Annotated[bool, Parameter(negative="")] = False
+    ping: Annotated[bool, Parameter(negative="")] = False
+    housekeeping: Annotated[bool, Parameter(negative="")] = False
+
+    def telecommands(self) -> list[Telecommand]:
+        """Return the telecommands; raises ValueError for a value out of range."""
+        wanted: list[tuple[bool, Callable[[], Telecommand]]] = [
+            (self.set_time, lambda: SetTime(time.time_ns() // 1000)),
+            (self.tick is not None, lambda: SetTick(self.tick or 0)),
+            (self.region is not None, lambda: SetRegion(*(self.region or ()))),
+            (self.rate_limit is not None, lambda: SetRateLimit(self.rate_limit or 0)),
+            (self.start, Start),
+            (self.stop, Stop),
+            (self.ping, Ping),
+            (self.housekeeping, RequestHousekeeping),
+        ]
+        return [make() for is_wanted, make in wanted if is_wanted]
+
+
 _GONE = "the line went away before the reception was to end: it was unplugged, or the camera's run ended or died"
+_GoesOn = Callable[[InstrumentReception], bool]
 _NO_LIMITS, _LINE, _NO_TELECOMMANDS = Limits(), Line(), TelecommandOptions()
 
 
@@ -80,15 +144,13 @@ def serial(
         raise Failure(str(error), WRONG_USE) from error
     if port == "pty":
         raise Failure("give the path that `evstim run` prints: a receiver does not make a pty", WRONG_USE)
-    reception, trouble = received(
-        lambda goes_on, recorder: listen_serial(parameters, goes_on, MonotonicClock(), recorder, telecommands), limits
-    )
-    problems = [_GONE] * reception.gone + [trouble] * bool(trouble)
-    if json:
-        print_json({**dataclasses.asdict(reception), "problems": problems})
-    else:
-        print_reception(reception)
-    return report_problems(problems, reception.faults)
+
+    def receive(goes_on: _GoesOn, recorder: Recorder | None) -> InstrumentReception:
+        with lacking(OSError):
+            return listen_serial(parameters, _with_answers(goes_on), MonotonicClock(), recorder, telecommands)
+
+    prepared([DECODER])
+    return listen_to(Source(receive, _summary, _GONE), limits, json=json)
 
 
 def udp(
@@ -126,15 +188,13 @@ def udp(
         telecommands = orders.telecommands()
     except ValueError as error:
         raise Failure(str(error), WRONG_USE) from error
-    reception, trouble = received(
-        lambda goes_on, recorder: listen_udp(ports, goes_on, MonotonicClock(), recorder, telecommands), limits
-    )
-    problems = [trouble] * bool(trouble)
-    if json:
-        print_json({**dataclasses.asdict(reception), "problems": problems})
-    else:
-        print_reception(reception)
-    return report_problems(problems, reception.faults)
+
+    def receive(goes_on: _GoesOn, recorder: Recorder | None) -> InstrumentReception:
+        with lacking(OSError):
+            return listen_udp(ports, _with_answers(goes_on), MonotonicClock(), recorder, telecommands)
+
+    prepared([DECODER])
+    return listen_to(Source(receive, _summary), limits, json=json)
 
 
 def _address(text: str) -> tuple[str, int]:
@@ -142,3 +202,34 @@ def _address(text: str) -> tuple[str, int]:
     if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
         raise Failure(f"{text!r} is not HOST:PORT, such as 127.0.0.1:10015", WRONG_USE)
     return host.strip("[]"), int(port)
+
+
+def _with_answers(goes_on: _GoesOn) -> _GoesOn:
+    """Return `goes_on`, which now also prints the answers to telecommands as they come."""
+    answers = 0
+
+    def follow(now: InstrumentReception) -> bool:
+        nonlocal answers
+        for answer in now.answer_texts[len(now.answer_texts) - (now.answers - answers) :]:
+            status.print(answer, markup=False)
+        answers = now.answers
+        return goes_on(now)
+
+    return follow
+
+
+def _summary(reception: InstrumentReception) -> list[str]:
+    lines = [", the other side closed the line" if reception.gone else ""]
+    lines.append(", ".join(f"{count} {name}" for name, count in reception.counts.items()))
+    jitter = reception.jitter_us
+    if jitter.p50 is not None:
+        p50, p99 = quantile_text(jitter.p50), quantile_text(jitter.p99)
+        lines.append(f"delay of blocks above the shortest: p50 {p50} us, p99 {p99} us")
+    if (report := reception.housekeeping) is not None:
+        e = report.events
+        lines.append(
+            f"housekeeping: {report.mode.name.lower()}, {e.offered} events offered = {e.sent} sent + {e.waiting} "
+            f"waiting + {e.not_running} not running + {e.not_selected} not selected + {e.over_rate} over the rate + "
+            f"{e.too_late} too late + {e.buffer_full} buffer full + {e.flushed} flushed + {e.lost_on_link} lost"
+        )
+    return [*lines, "no fault" if not reception.faults else f"{reception.faults} FAULTS"]

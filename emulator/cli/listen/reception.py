@@ -1,54 +1,27 @@
-"""Limits, progress and summary of a reception, for all kinds of link.
+"""Reception of the data of a link, the same for all kinds: limits, progress, summary and exit code.
 
-Listeners of an instrument, on a serial line or in datagrams, also have telecommand options.
+A command opens its camera and gives `listen_to` a `Source`; everything that follows is here.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import signal
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Protocol
+from typing import Any, Generic, TypeVar
 
-from cyclopts import Parameter
-
-from emulator.cli.checks import check_output, prepared
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, console, status
-from emulator.cli.run_summary import quantile_text
-from emulator.run.kernels import DECODER
-from firmware_protocol.packets.telecommands import (
-    Ping,
-    RequestHousekeeping,
-    SetRateLimit,
-    SetRegion,
-    SetTick,
-    SetTime,
-    Start,
-    Stop,
-    Telecommand,
-)
+from emulator.cli.checks import check_output
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, console, print_json, status
 from transports.link.reception import Reception
 from transports.recording.record import Recorder
 
-__all__ = ["Limits", "Progress", "TelecommandOptions", "print_reception", "received", "report_problems", "until"]
+__all__ = ["Limits", "Source", "lacking", "listen_to"]
 
-
+_R = TypeVar("_R", bound=Reception)
 _LINE_PERIOD_S = 1.0
-
-
-class Progress(Protocol):
-    """State of a reception."""
-
-    @property
-    def events(self) -> int:
-        """Events so far."""
-
-    @property
-    def seconds(self) -> float:
-        """Wall time so far."""
 
 
 @dataclass(frozen=True)
@@ -87,14 +60,59 @@ class Limits:
                 recorder.close()
 
 
-def report_problems(problems: list[str], faults: int) -> int:
-    """Print the problems of a reception on stderr, a line each, and return the exit code."""
+@dataclass(frozen=True)
+class Source(Generic[_R]):
+    """Other side of a link.
+
+    Attributes
+    ----------
+    receive
+        Function that receives while its first argument returns True, and records by its second one.
+    summary
+        Function that returns the end of the summary's first line, and its further lines.
+    gone
+        Problem that is reported when the other side was lost too early.
+    """
+
+    receive: Callable[[Callable[[_R], bool], Recorder | None], _R]
+    summary: Callable[[_R], list[str]]
+    gone: str = ""
+
+
+@contextmanager
+def lacking(*errors: type[Exception]) -> Iterator[None]:
+    """Turn errors of a transport into a Failure with the exit code of a missing requirement."""
+    try:
+        yield
+    except errors as error:
+        raise Failure(str(error), LACKING) from error
+
+
+def listen_to(source: Source[Any], limits: Limits, *, json: bool) -> int:
+    """Receive until a limit, Ctrl-C or the end of the other side; print the summary and return the exit code."""
+    goes_on = _until(limits)
+    with limits.recorder() as recorder:
+        reception = source.receive(goes_on, recorder)
+    problems = [source.gone] * reception.is_early
+    if recorder is not None and recorder.trouble:
+        problems.append(recorder.trouble)
+    if json:
+        print_json({**dataclasses.asdict(reception), "problems": problems})
+    else:
+        _print(reception, *source.summary(reception))
     for problem in problems:
         status.print(f"evstim: {problem}", markup=False)
-    return BAD_VERDICT if problems or faults else GOOD
+    return BAD_VERDICT if problems or reception.fault_count else GOOD
 
 
-def until(limits: Limits) -> Callable[[Progress], bool]:
+def _print(reception: Reception, end: str, *lines: str) -> None:
+    counts = f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s"
+    console.print(f"{counts}, digest {reception.digest:08x}{end}")
+    for line in lines:
+        console.print(line, markup=False)
+
+
+def _until(limits: Limits) -> Callable[[Reception], bool]:
     """Return a function that is False past a limit and after Ctrl-C; it prints the event rate meanwhile."""
     stopped = False
     next_line_s, before = _LINE_PERIOD_S, (0, 0.0)
@@ -106,7 +124,7 @@ def until(limits: Limits) -> Callable[[Progress], bool]:
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
 
-    def goes_on(now: Progress) -> bool:
+    def goes_on(now: Reception) -> bool:
         nonlocal next_line_s, before
         if now.seconds >= next_line_s:
             rate = (now.events - before[0]) / (now.seconds - before[1]) * 1e-3
@@ -116,95 +134,3 @@ def until(limits: Limits) -> Callable[[Progress], bool]:
         return not stopped and in_time and (limits.events is None or now.events < limits.events)
 
     return goes_on
-
-
-@dataclass(frozen=True)
-class TelecommandOptions:
-    """Telecommands sent once, when the link is open, in this order.
-
-    Attributes
-    ----------
-    set_time
-        Set the camera's clock to this machine's (UTC as Unix time).
-    tick
-        Resolution of event times: 1, 10, 100 or 1000 us.
-    region
-        X Y WIDTH HEIGHT: send only these pixels.
-    rate_limit
-        Send at most this many events per second; 0: no limit.
-    start
-        Start sending events.
-    stop
-        Stop sending events.
-    ping
-        Request a sign of life.
-    housekeeping
-        Request a housekeeping report now.
-    """
-
-    set_time: Annotated[bool, Parameter(negative="")] = False
-    tick: int | None = None
-    region: Annotated[tuple[int, int, int, int] | None, Parameter(negative="")] = None
-    rate_limit: int | None = None
-    start: Annotated[bool, Parameter(negative="")] = False
-    stop: Annotated[bool, Parameter(negative="")] = False
-    ping: Annotated[bool, Parameter(negative="")] = False
-    housekeeping: Annotated[bool, Parameter(negative="")] = False
-
-    def telecommands(self) -> list[Telecommand]:
-        """Return the telecommands; raises ValueError for a value out of range."""
-        wanted: list[tuple[bool, Callable[[], Telecommand]]] = [
-            (self.set_time, lambda: SetTime(time.time_ns() // 1000)),
-            (self.tick is not None, lambda: SetTick(self.tick or 0)),
-            (self.region is not None, lambda: SetRegion(*(self.region or ()))),
-            (self.rate_limit is not None, lambda: SetRateLimit(self.rate_limit or 0)),
-            (self.start, Start),
-            (self.stop, Stop),
-            (self.ping, Ping),
-            (self.housekeeping, RequestHousekeeping),
-        ]
-        return [make() for is_wanted, make in wanted if is_wanted]
-
-
-def received(
-    listen: Callable[[Callable[[Reception], bool], Recorder | None], Reception], limits: Limits
-) -> tuple[Reception, str]:
-    """Return the reception, and the reason if its record is not complete, else ""; print answers as they come."""
-    prepared([DECODER])
-    goes_on = until(limits)
-    answers = 0
-
-    def follow(now: Reception) -> bool:
-        nonlocal answers
-        for answer in now.answer_texts[len(now.answer_texts) - (now.answers - answers) :]:
-            status.print(answer, markup=False)
-        answers = now.answers
-        return goes_on(now)
-
-    try:
-        with limits.recorder() as recorder:
-            reception = listen(follow, recorder)
-    except OSError as error:
-        raise Failure(str(error), LACKING) from error
-    return reception, recorder.trouble if recorder is not None else ""
-
-
-def print_reception(reception: Reception) -> None:
-    """Print a reception, for people."""
-    console.print(
-        f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
-        f"digest {reception.digest:08x}{', the other side closed the line' if reception.gone else ''}"
-    )
-    console.print(", ".join(f"{count} {name}" for name, count in reception.counts.items()), markup=False)
-    jitter = reception.jitter_us
-    if jitter.p50 is not None:
-        p50, p99 = quantile_text(jitter.p50), quantile_text(jitter.p99)
-        console.print(f"delay of blocks above the shortest: p50 {p50} us, p99 {p99} us")
-    if (report := reception.housekeeping) is not None:
-        e = report.events
-        console.print(
-            f"housekeeping: {report.mode.name.lower()}, {e.offered} events offered = {e.sent} sent + {e.waiting} "
-            f"waiting + {e.not_running} not running + {e.not_selected} not selected + {e.over_rate} over the rate + "
-            f"{e.too_late} too late + {e.buffer_full} buffer full + {e.flushed} flushed + {e.lost_on_link} lost"
-        )
-    console.print("no fault" if not reception.faults else f"{reception.faults} FAULTS")

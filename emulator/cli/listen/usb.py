@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
+from contextlib import closing
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.listen.reception import Limits, report_problems, until
-from emulator.cli.output import LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.listen.reception import Limits, Source, lacking, listen_to
+from emulator.cli.output import WRONG_USE, Failure, status
 from transports.link.pacing import MonotonicClock
-from transports.usb.cameras import CameraHost, Reception, driver_of, first_on_the_bus, receive
+from transports.usb.cameras import CameraReception, driver_of, first_on_the_bus, receive
 from transports.usb.host import UsbHost, UsbHostError
 from transports.usb.usbip.client import UsbipHost
 
@@ -41,22 +41,14 @@ def listen(
         Print one JSON object as the last line on stdout.
     """
     limits.check()
-    try:
-        camera = driver_of(_host(usbip, busid))
+    with lacking(UsbHostError), closing(driver_of(_host(usbip, busid))) as camera:
         status.print(f"{camera.model} serial {camera.info.serial}, {camera.info.size[0]}x{camera.info.size[1]} pixels")
-        reception, trouble = _receive(camera, limits)
-    except UsbHostError as error:
-        raise Failure(str(error), LACKING) from error
-    problems = [_GONE] * reception.gone + [trouble] * bool(trouble)
-    if json:
-        print_json({**dataclasses.asdict(reception), "problems": problems})
-    else:
-        console.print(
-            f"{reception.events} events and {reception.edges} edges in {reception.seconds:.2f} s, "
-            f"digest {reception.digest:08x}, {reception.faults} malformed words"
-            f"{', the camera was unplugged' if reception.gone else ''}"
-        )
-    return report_problems(problems, reception.faults)
+        source = Source(lambda goes_on, recorder: receive(camera, goes_on, MonotonicClock(), recorder), _summary, _GONE)
+        return listen_to(source, limits, json=json)
+
+
+def _summary(reception: CameraReception) -> list[str]:
+    return [f", {reception.faults} malformed words{', the camera was unplugged' if reception.gone else ''}"]
 
 
 def _host(usbip: str | None, busid: str) -> UsbHost:
@@ -66,13 +58,3 @@ def _host(usbip: str | None, busid: str) -> UsbHost:
     if not host or not port.isdigit():
         raise Failure(f"--usbip must be HOST:PORT such as 127.0.0.1:3240, got {usbip!r}", WRONG_USE)
     return UsbipHost.attach(host, int(port), busid, timeout_s=5.0)
-
-
-def _receive(camera: CameraHost, limits: Limits) -> tuple[Reception, str]:
-    """Return the reception, and the reason if its record is not complete, else ""."""
-    try:
-        with limits.recorder() as recorder:
-            reception = receive(camera, until(limits), MonotonicClock(), recorder)
-    finally:
-        camera.close()
-    return reception, recorder.trouble if recorder is not None else ""

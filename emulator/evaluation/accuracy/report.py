@@ -22,7 +22,8 @@ from emulator.evaluation.accuracy.sweeps import (
     frames_needed,
     reading_against_line,
 )
-from emulator.report.page import inline, pyplot, save, sentences, table, write_csv, write_json, write_page
+from emulator.report.charts import figure_legend, panels, save
+from emulator.report.page import Page, write_csv, write_json
 
 __all__ = [
     "draw_rendering",
@@ -60,7 +61,6 @@ _MARKERS = {
     "esim": "+",
 }
 _COLUMNS = 4
-_GRID: dict[str, Any] = {"squeeze": False, "layout": "constrained"}
 _FLOOR_US = 1e-3
 _FLOOR_SHARE = 1e-4
 
@@ -74,11 +74,6 @@ def _style(name: str) -> dict[str, Any]:
         "linewidth": 2.0 if name == "hermite" else 1.2,
         "linestyle": "--" if name in ("esim", "v2e") else "-",  # where it runs over another
     }
-
-
-def _legend(figure: Any, axes: Any) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels), frameon=False)
 
 
 def _above(value: float, floor: float) -> float:
@@ -95,27 +90,19 @@ def draw_work_precision(points: Sequence[Point], descriptions: dict[str, str], a
     against : "frames_per_s", "us_per_frame" or "us_per_stream_ms".
     stem : path without suffix.
     """
-    plt = pyplot()
-    names = list(descriptions)
-    columns = min(_COLUMNS, len(names))
-    bands = math.ceil(len(names) / columns)
-    figure, grid = plt.subplots(2 * bands, columns, figsize=(4.0 * columns, 5.2 * bands + 0.5), **_GRID)
+    figure, found = panels(len(descriptions), _COLUMNS, (4.0, 2.7), high=2)
     quantities: tuple[tuple[str, Callable[[Point], float], float], ...] = (
         ("95 % timestamp error, us", lambda p: _above(p.scores.t95_us, _FLOOR_US), _FLOOR_US),
         ("wrong events, share", lambda p: _above(p.scores.wrong_events, _FLOOR_SHARE), _FLOOR_SHARE),
     )
-    for k in range(bands * columns):
-        for row, (label, value, floor) in enumerate(quantities):
-            axes = grid[2 * (k // columns) + row][k % columns]
-            if k >= len(names):
-                axes.set_visible(False)
-                continue
-            _panel(axes, [p for p in points if p.case == names[k]], against, value)
+    for k, (panel, name) in enumerate(zip(found, descriptions, strict=True)):
+        for axes, (label, value, floor) in zip(panel, quantities, strict=True):
+            _panel(axes, [p for p in points if p.case == name], against, value)
             axes.set_ylim(bottom=floor * 0.7)
-            axes.set_title(descriptions[names[k]] if row == 0 else "", fontsize=10)
-            axes.set_ylabel(label if k % columns == 0 else "", fontsize=9)
-            axes.set_xlabel(_AGAINST[against] if row == 1 else "", fontsize=9)
-    _legend(figure, grid[0][0])
+            axes.set_ylabel(label if k % _COLUMNS == 0 else "", fontsize=9)
+        panel[0].set_title(descriptions[name], fontsize=10)
+        panel[1].set_xlabel(_AGAINST[against], fontsize=9)
+    figure_legend(figure)
     return save(figure, stem)
 
 
@@ -151,26 +138,16 @@ def _panel(axes: Any, points: Sequence[Point], against: str, value: Callable[[Po
 
 def draw_rendering(rows: Sequence[Drawn], stem: Path) -> list[Path]:
     """Draw false and missed events of each rig's settings against the time of a light frame."""
-    plt = pyplot()
     names = list(dict.fromkeys(row.rig for row in rows))
     settings = list(dict.fromkeys(row.setting for row in rows))
-    columns = min(_COLUMNS, len(names))
-    bands = math.ceil(len(names) / columns)
-    figure, grid = plt.subplots(bands, columns, figsize=(4.0 * columns, 3.6 * bands + 1.0), **_GRID)
-    for axes, name in zip(grid.ravel(), names, strict=False):
+    figure, found = panels(len(names), _COLUMNS, (4.0, 4.1))
+    for (axes,), name in zip(found, names, strict=True):
         for row in (row for row in rows if row.rig == name):
             k = settings.index(row.setting)
             share = 100 * _above(row.false + row.missed, _FLOOR_SHARE)
             axes.plot(row.ms, share, marker="os^Dv<>pXP*h"[k % 12], color=f"C{k % 10}", linestyle="", label=row.setting)
         _name_rendering(axes, name)
-    for axes in grid.ravel()[len(names) :]:
-        axes.set_visible(False)
-    shown: dict[str, Any] = {}
-    for axes in grid.ravel():
-        shown |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
-    figure.legend(
-        shown.values(), shown, loc="outside upper center", ncols=min(4, len(shown)), frameon=False, fontsize=8
-    )
+    figure_legend(figure, ncols=min(4, len(settings)), fontsize=8)
     return save(figure, stem)
 
 
@@ -187,30 +164,22 @@ def _name_rendering(axes: Any, name: str) -> None:
 
 def draw_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], stem: Path) -> list[Path]:
     """Draw the share of right sequences and the timestamp error of every method along each axis of the map."""
-    plt = pyplot()
-    columns = min(_COLUMNS, len(sweeps))
-    bands = math.ceil(len(sweeps) / columns)
-    figure, grid = plt.subplots(2 * bands, columns, figsize=(4.0 * columns, 4.6 * bands + 0.5), **_GRID)
-    for k in range(bands * columns):
-        upper, lower = (grid[2 * (k // columns) + row][k % columns] for row in range(2))
-        if k >= len(sweeps):
-            upper.set_visible(False)
-            lower.set_visible(False)
-            continue
-        own = [cell for cell in cells if cell.axis == sweeps[k].axis]
-        _strip(upper, own, sweeps[k], lambda c: 100 * c.right)
-        _strip(lower, own, sweeps[k], lambda c: _above(c.t95_steps, 1e-7))
+    figure, found = panels(len(sweeps), _COLUMNS, (4.0, 2.4), high=2)
+    for k, ((upper, lower), sweep) in enumerate(zip(found, sweeps, strict=True)):
+        own = [cell for cell in cells if cell.axis == sweep.axis]
+        _strip(upper, own, sweep, lambda c: 100 * c.right)
+        _strip(lower, own, sweep, lambda c: _above(c.t95_steps, 1e-7))
         upper.set_ylim(-3, 103)
         upper.set_xticklabels([])
         upper.axhline(95, color="black", linewidth=0.6, linestyle=":")
         lower.set_yscale("log")
         low, high = lower.get_ylim()
         lower.set_ylim(min(low, high / 100), 1.5 * high)
-        upper.set_title(sweeps[k].description, fontsize=10)
-        upper.set_ylabel("right sequences, %" if k % columns == 0 else "", fontsize=9)
-        lower.set_ylabel("95 % timestamp error, steps" if k % columns == 0 else "", fontsize=9)
-        lower.set_xlabel(sweeps[k].label, fontsize=9)
-    _legend(figure, grid[0][0])
+        upper.set_title(sweep.description, fontsize=10)
+        upper.set_ylabel("right sequences, %" if k % _COLUMNS == 0 else "", fontsize=9)
+        lower.set_ylabel("95 % timestamp error, steps" if k % _COLUMNS == 0 else "", fontsize=9)
+        lower.set_xlabel(sweep.label, fontsize=9)
+    figure_legend(figure)
     return save(figure, stem)
 
 
@@ -232,8 +201,9 @@ def write_work_precision(
 ) -> list[Path]:
     """Write the chart of speed against accuracy into folder `out`; return the files, the page first."""
     descriptions = {swept.case.name: swept.description for swept in cases}
+    lines, needs = reading(points, descriptions), _needs(points, descriptions)
+    page = Page("Speed against accuracy").findings(lines)
     files = [write_csv([point.row() for point in points], out / "work_precision.csv")]
-    sections: list[str] = [sentences(reading(points, descriptions))]
     for against, title in (
         ("frames_per_s", "Against frames rendered"),
         ("us_per_stream_ms", "Against the work for a millisecond of stream"),
@@ -241,33 +211,28 @@ def write_work_precision(
     ):
         drawn = draw_work_precision(points, descriptions, against, out / f"work_precision_{against}")
         files += drawn
-        sections.append(f"<h2>{title}</h2>" + inline(drawn[0]))
-    needs = _needs(points, descriptions)
-    sections.append("<h2>Frames a second needed</h2>" + _NEEDS + table(needs))
-    effect_table = [
-        {
-            "effect": row.name,
-            "set to": row.setting,
-            "us a frame": row.us_per_frame,
-            "count": row.scores.count,
-            "same sequence": row.scores.right,
-            "median shift us": row.scores.t50_us,
-            "95 % shift us": row.scores.t95_us,
-            "events changed": row.scores.wrong_events,
-        }
-        for row in effects
-    ]
+        page.heading(title).chart(drawn)
+    page.heading("Frames a second needed").text(_NEEDS).table(needs)
+    effect_table = [_effect(row) for row in effects]
     files.append(write_csv(effect_table, out / "effects.csv"))
-    sections.append("<h2>What each effect costs and changes, switched on alone</h2>" + _EFFECTS + table(effect_table))
-    sections.append("<h2>All points</h2>" + table([_short(point) for point in points]))
-    whole: dict[str, Any] = {
-        "needs": needs,
-        "points": [p.row() for p in points],
-        "effects": effect_table,
-        "reading": reading(points, descriptions),
-    }
+    page.heading("What each effect costs and changes, switched on alone").text(_EFFECTS).table(effect_table)
+    page.heading("All points").table([_short(point) for point in points])
+    whole = {"needs": needs, "points": [p.row() for p in points], "effects": effect_table, "reading": lines}
     files.append(write_json(whole, out / "work_precision.json"))
-    return [write_page("Speed against accuracy", sections, out / "accuracy.html"), *files]
+    return [page.write(out / "accuracy.html"), *files]
+
+
+def _effect(row: EffectRow) -> dict[str, Any]:
+    return {
+        "effect": row.name,
+        "set to": row.setting,
+        "us a frame": row.us_per_frame,
+        "count": row.scores.count,
+        "same sequence": row.scores.right,
+        "median shift us": row.scores.t50_us,
+        "95 % shift us": row.scores.t95_us,
+        "events changed": row.scores.wrong_events,
+    }
 
 
 def write_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], out: Path) -> list[Path]:
@@ -278,23 +243,19 @@ def write_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], out: Path) -
     files = [write_csv(rows, out / "stability.csv"), *drawn]
     lines = reading_of_the_map(cells, sweeps)
     files.append(write_json({"cells": rows, "boundaries": bounds, "reading": lines}, out / "stability.json"))
-    sections = [
-        sentences(lines),
-        inline(drawn[0]),
-        "<h2>Up to where 95 % of the sequences are right</h2>" + table(bounds),
-        "<h2>All cells</h2>" + table(rows),
-    ]
-    return [write_page("Where methods fail", sections, out / "stability.html"), *files]
+    page = Page("Where methods fail").findings(lines).chart(drawn)
+    page.heading("Up to where 95 % of the sequences are right").table(bounds).heading("All cells").table(rows)
+    return [page.write(out / "stability.html"), *files]
 
 
 def write_rendering(rows: Sequence[Drawn], out: Path) -> list[Path]:
     """Write the chart of drawing time against false and missed events into folder `out`; the page first."""
     records = [row.row() for row in rows]
     drawn = draw_rendering(rows, out / "rendering")
-    sections = [sentences(reading_of_rendering(rows)), inline(drawn[0]), table(records)]
-    page = write_page("What drawing more cheaply costs in events", sections, out / "rendering.html")
+    page = Page("What drawing more cheaply costs in events").findings(reading_of_rendering(rows))
+    page.chart(drawn).table(records)
     data = [write_csv(records, out / "rendering.csv"), write_json({"rows": records}, out / "rendering.json")]
-    return [page, *data, *drawn]
+    return [page.write(out / "rendering.html"), *data, *drawn]
 
 
 def reading_of_rendering(rows: Sequence[Drawn]) -> list[str]:
@@ -394,13 +355,13 @@ def _short(point: Point) -> dict[str, Any]:
 
 
 _NEEDS = (
-    "<p>For a 95 % timestamp error with at least 90 % of the sequences right; “about”: beyond the shortest step swept, "
-    "by the order that the three shortest show; “never”: the error does not fall with the step.</p>"
+    "For a 95 % timestamp error with at least 90 % of the sequences right; “about”: beyond the shortest step swept, "
+    "by the order that the three shortest show; “never”: the error does not fall with the step."
 )
 _EFFECTS = (
-    "<p>Each effect added to the ideal sensor (equal thresholds, no leak, no low-pass, no refractory period, no noise) "
+    "Each effect added to the ideal sensor (equal thresholds, no leak, no low-pass, no refractory period, no noise) "
     "under the moving checkerboard; counts, sequences and shifts are against the ideal sensor's events, and the time "
-    "is that of a whole step of 346 x 260 pixels.</p>"
+    "is that of a whole step of 346 x 260 pixels."
 )
 
 
@@ -417,33 +378,25 @@ def write_against_line(cells: Sequence[Difference], out: Path) -> list[Path]:
     """Write the map into folder `out`; return the files, the page first."""
     rows = [cell.row() for cell in cells]
     drawn = _draw(cells, out / "against_line")
-    sections = [sentences(reading_against_line(cells)), inline(drawn[0]), table(rows)]
-    page = write_page("hermite against line", sections, out / "against_line.html")
-    return [page, write_csv(rows, out / "against_line.csv"), *drawn]
+    page = Page("hermite against line").findings(reading_against_line(cells)).chart(drawn).table(rows)
+    return [page.write(out / "against_line.html"), write_csv(rows, out / "against_line.csv"), *drawn]
 
 
 def _draw(cells: Sequence[Difference], stem: Path) -> list[Path]:
     """Draw one map a scene and quantity: blue where hermite is better, red where it is worse."""
-    plt = pyplot()
     names = list(dict.fromkeys(cell.scene for cell in cells))
-    columns, rows = min(_MAP_COLUMNS, len(names)), 2 * -(-len(names) // _MAP_COLUMNS)
-    size = 3.2 * columns, 2.6 * rows
-    figure, grid = plt.subplots(rows, columns, figsize=size, squeeze=False, layout="constrained")
-    for axes in grid.flat:
-        axes.set_visible(False)
-    for place, name in enumerate(names):
+    figure, found = panels(len(names), _MAP_COLUMNS, (3.2, 2.6), high=2)
+    for k, (panel, name) in enumerate(zip(found, names, strict=True)):
         own = {(cell.blur_px, cell.speed_px): cell for cell in cells if cell.scene == name}
-        row, column = 2 * (place // _MAP_COLUMNS), place % _MAP_COLUMNS
-        for axes, (label, value, sign) in zip(grid[row : row + 2, column], _PANELS, strict=True):
+        for axes, (label, value, sign) in zip(panel, _PANELS, strict=True):
             _map(axes, [[value(own[blur, speed]) for speed in SPEEDS_PX] for blur in BLURS_PX], sign)
             axes.set_title(f"{name}\n{label}", fontsize=9)
             axes.set_xlabel("px a step", fontsize=8)
-            axes.set_ylabel("blur, px" if column == 0 else "", fontsize=8)
+            axes.set_ylabel("blur, px" if k % _MAP_COLUMNS == 0 else "", fontsize=8)
     return save(figure, stem)
 
 
 def _map(axes: Any, values: list[list[float]], sign: float) -> None:
-    axes.set_visible(True)
     axes.imshow([[sign * v for v in row] for row in values], cmap="RdBu", vmin=-_LIMIT, vmax=_LIMIT, aspect="auto")
     for i, row in enumerate(values):
         for k, v in enumerate(row):

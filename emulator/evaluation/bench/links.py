@@ -24,7 +24,7 @@ from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
 from transports.link.rings import FREE_RUNNING, EventRing
-from transports.usb.cameras import Reception, receive
+from transports.usb.cameras import CameraReception, receive
 from transports.usb.davis_host import DavisHost
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.server import UsbipFactory
@@ -51,12 +51,12 @@ class _Receiver:
         if not self._mine.poll(30.0) or self._mine.recv() != "started":
             raise BenchFailed("the receiver did not start")
 
-    def finish(self, total: int) -> Reception:
+    def finish(self, total: int) -> CameraReception:
         """Return the reception, once it has `total` events."""
         self._total.value = total
         if not self._mine.poll(60.0):
             raise BenchFailed("the receiver did not get all events within a minute")
-        reception: Reception = self._mine.recv()
+        reception: CameraReception = self._mine.recv()
         self._process.join(10.0)
         return reception
 
@@ -66,7 +66,7 @@ def _receive(address: str, control: Connection, total: Any) -> None:
     camera = DavisHost(UsbipHost.attach(host, int(port), "1-1", timeout_s=10.0))
     started = False
 
-    def goes_on(now: Reception) -> bool:
+    def goes_on(now: CameraReception) -> bool:
         nonlocal started
         if not started:
             control.send("started")
@@ -105,7 +105,7 @@ def usbip_events() -> float:
     return pushed / seconds * 1e-6
 
 
-def _check(pushed: int, reception: Reception, report: LinkReport) -> None:
+def _check(pushed: int, reception: CameraReception, report: LinkReport) -> None:
     if report.delivered != pushed or report.dropped or report.dropped_in_device:
         raise BenchFailed(f"{pushed} events pushed, {report}")
     if (reception.events, reception.digest, reception.faults) != (pushed, report.digest, 0):

@@ -17,7 +17,7 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
-from transports.link.reception import Reception
+from transports.link.reception import InstrumentReception
 from transports.link.report import LinkReport
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.serial_line.endpoint import SerialFactory
@@ -59,7 +59,7 @@ def serial_fill() -> float:
     return 100 * (filled.use.share if filled.use else 0.0)
 
 
-def _check(report: LinkReport, received: Reception) -> None:
+def _check(report: LinkReport, received: InstrumentReception) -> None:
     if received.faults or received.digest != report.digest or received.events != report.delivered:
         raise BenchFailed(f"sent {report.delivered} events with digest {report.digest:08x}, received {received}")
     if report.use is None or report.use.carried != received.counts["bytes"]:
@@ -75,13 +75,13 @@ class _Computer:
         self._process = context.Process(target=_listen, args=(address, theirs), daemon=True)
         self._process.start()
 
-    def finish(self) -> Reception:
+    def finish(self) -> InstrumentReception:
         """Return the reception."""
         if not self._mine.poll(_PATIENCE_S):
             raise BenchFailed("the computer did not report what it received")
         received: Any = self._mine.recv()
         self._process.join(10.0)
-        if not isinstance(received, Reception):
+        if not isinstance(received, InstrumentReception):
             raise BenchFailed(f"the computer received nothing: {received}")
         return received
 

@@ -28,7 +28,7 @@ from scipy.ndimage import uniform_filter
 
 from emulator.light import LightFrame
 from emulator.playback.recording import read_events
-from emulator.report.page import sentences, table, write_csv, write_json, write_page
+from emulator.report.page import Page, write_csv, write_json
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import Events
@@ -366,9 +366,9 @@ def write_comparison(found: Compared, name: str, out: Path) -> list[Path]:
         write_csv(rows, out / "recording.csv"),
         write_json({"reading": found.reading, "statistics": rows, "fit": found.fitted}, out / "recording.json"),
     ]
-    sections = [sentences(found.reading), table(rows)]
+    page = Page(f"{name} beside a recording").findings(found.reading).table(rows)
     if found.fitted is not None:
         path = out / "fit.toml"
         path.write_text(toml(found.fitted, found.reading[0]), encoding="utf-8")
         files.append(path)
-    return [write_page(f"{name} beside a recording", sections, out / "recording.html"), *files]
+    return [page.write(out / "recording.html"), *files]

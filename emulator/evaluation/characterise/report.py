@@ -17,7 +17,8 @@ import numpy as np
 
 from emulator.evaluation.characterise.published import PUBLISHED, Published
 from emulator.evaluation.characterise.stimuli import CURVES, FIGURE, Curve, Point
-from emulator.report.page import inline, pyplot, save, sentences, table, write_csv, write_json, write_page
+from emulator.report.charts import panels, save
+from emulator.report.page import Page, write_csv, write_json
 
 __all__ = ["Comparison", "comparisons", "draw", "reading", "write"]
 
@@ -42,9 +43,9 @@ def draw(points: Sequence[Point], out: Path) -> dict[str, list[Path]]:
 
 
 def _chart(points: Sequence[Point], names: Sequence[str], stem: Path) -> list[Path]:
-    size = 5.4 * len(names), 5.4
-    figure, grid = pyplot().subplots(1, len(names), figsize=size, squeeze=False, gridspec_kw={"wspace": 0.25})
-    for axes, name in zip(grid[0], names, strict=True):
+    figure, found = panels(len(names), len(names), (5.4, 5.4), layout="none")  # a legend below must not shrink them
+    figure.subplots_adjust(wspace=0.25)
+    for (axes,), name in zip(found, names, strict=True):
         _panel(axes, CURVES[name], [point for point in points if point.curve == name])
         _mark(axes, [known for known in PUBLISHED if known.curve == name])
         _legend(axes)
@@ -277,10 +278,12 @@ def write(points: Sequence[Point], name: str, out: Path) -> list[Path]:
     rows = [dataclasses.asdict(point) for point in points]
     charts = draw(points, out)
     single = [{"figure": p.series, "measured": p.y, "as configured": p.model} for p in points if p.curve == FIGURE]
-    sections = [sentences(lines)]
-    sections += [f"<h2>{_TITLES[chart]}</h2>{inline(files[0])}" for chart, files in charts.items()]
-    sections += ["<h2>Single figures</h2>" + table(single)] if single else []
-    sections += ["<h2>Published figures</h2>" + table([c.row() for c in found])]
+    page = Page(f"{name}, characterised").findings(lines)
+    for chart, drawn in charts.items():
+        page.heading(_TITLES[chart]).chart(drawn)
+    if single:
+        page.heading("Single figures").table(single)
+    page.heading("Published figures").table([c.row() for c in found])
     files = [
         write_csv(rows, out / "points.csv"),
         write_csv([c.row() for c in found], out / "published.csv"),
@@ -289,5 +292,4 @@ def write(points: Sequence[Point], name: str, out: Path) -> list[Path]:
             out / "characterise.json",
         ),
     ]
-    page = write_page(f"{name}, characterised", sections, out / "characterise.html")
-    return [page, *files, *(path for drawn in charts.values() for path in drawn)]
+    return [page.write(out / "characterise.html"), *files, *(path for drawn in charts.values() for path in drawn)]

@@ -27,32 +27,18 @@ The world is right-handed, in metres; q_world_from_x turns coordinates along the
 Quantities that a scene does not have are no data set, and `absent` contains the reason. While it is written, and after
 its writer was killed, the file opens as h5py.File(path, swmr=True).
 
-Rows go through a pipe to a process that compresses them and waits for the disk:
+A separate process compresses the rows and waits for the disk (see `transports.recording.writer_process`). A message to
+it is a mapping of data sets to rows that are added to them; the last one contains attributes of the file. A run that is
+not paced waits for room in its queue; in one that is, rows without room are left out of the file and counted.
 
-    run --put--> queue --thread--> pipe --> writer process --> file
-
-A message on the pipe is a mapping of data sets to rows that are added to them: a length, a line of JSON with the shapes
-of the arrays, their bytes. A message of length 0 ends the file. The queue is bounded. A run that is not paced waits for
-room; in one that is, rows without room are left out of the file and counted.
-
-`evstim info` reads a truth file in a child process with bounds on memory and time, because HDF5 may crash on a damaged
-file.
+`evstim info` reads a truth file in a child process (see `guarded_reader`), because HDF5 may crash on a damaged file.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
-import os
-import resource
-import struct
-import subprocess
-import sys
-import threading
-from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,6 +48,9 @@ import numpy.typing as npt
 
 from emulator.geometry.camera import Given
 from emulator.sensor.origins import Origin
+from transports.array_messages import encoded
+from transports.guarded_reader import ForeignFileError, Limits, read_guarded
+from transports.recording.writer_process import WriterProcess
 
 if TYPE_CHECKING:
     import h5py
@@ -73,10 +62,8 @@ __all__ = [
     "Rows",
     "TruthRecorder",
     "create",
-    "decoded",
-    "encoded",
     "is_hdf5",
-    "main",
+    "survey",
     "truth_in",
 ]
 
@@ -164,45 +151,8 @@ def _rows(file: h5py.File, name: str, shape: tuple[int, ...], kind: Any, unit: s
 Rows = Mapping[str, npt.NDArray[Any]]
 """Rows to add, by the path of their data set."""
 
-_HEAD = struct.Struct("<I")
-_MOST_HEAD_BYTES = 1 << 20
-
-
-def encoded(rows: Rows) -> bytes:
-    """Return the message; the arrays may change afterwards."""
-    head = json.dumps([[name, values.dtype.str, values.shape] for name, values in rows.items()]).encode()
-    return b"".join(
-        [_HEAD.pack(len(head)), head, *(np.ascontiguousarray(values).tobytes() for values in rows.values())]
-    )
-
-
-def decoded(read: Callable[[int], bytes]) -> dict[str, npt.NDArray[Any]] | None:
-    """Return the next message of `read`, which gives that many bytes; None at the end of its input.
-
-    Raises ValueError for other bytes.
-    """
-    head = read(_HEAD.size)
-    if len(head) < _HEAD.size:
-        return None
-    (length,) = _HEAD.unpack(head)
-    if length > _MOST_HEAD_BYTES:
-        raise ValueError("the other process sends no truth")
-    rows = {}
-    for name, kind, shape in json.loads(read(length)):
-        dtype = np.dtype(kind)
-        data = read(math.prod(shape) * dtype.itemsize)
-        if len(data) < math.prod(shape) * dtype.itemsize:
-            return None  # the process that feeds this one was killed
-        rows[name] = np.frombuffer(data, dtype).reshape(shape)
-    return rows
-
-
 _CAPACITY_BYTES = 1 << 28
 _CLOSE_S = 60.0  # a full queue is written in some seconds
-_START = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); "
-    "from emulator.run.truth.writer_process import main; main()"
-)
 
 
 class TruthRecorder:
@@ -220,24 +170,15 @@ class TruthRecorder:
     def __init__(self, path: Path, about: About, *, waits: bool) -> None:
         self.path, self._waits = path, waits
         self.missing_pictures = self.missing_events = 0
-        self._why = ""
-        self._waiting: deque[bytes] = deque()
-        self._waiting_bytes = 0
-        self._changed = threading.Condition()
-        self._ending = self._broken = False
-        self._process = _started(path, about)
-        report = self._read_report()
-        if "opened" not in report:
-            self._close_pipes()
-            raise OSError(0, report.get("error", f"its writer ended (exit code {self._process.returncode})"), str(path))
-        self._thread = threading.Thread(target=self._send_all, name="truth", daemon=True)
-        self._thread.start()
+        order = {"path": str(path), **dataclasses.asdict(about)}
+        self._writer = WriterProcess("emulator.run.truth.writer_process:main", order, _CAPACITY_BYTES)
+        self._closed = False
 
     @property
     def trouble(self) -> str:
         """Reason why the file is not complete, for people; "" where it is."""
-        if self._why:
-            return f"truth stopped: {self._why} ({self.path})"
+        if why := self._writer.report.get("trouble"):
+            return f"truth stopped: {why} ({self.path})"
         if self.missing_pictures or self.missing_events:
             lost = f"{self.missing_pictures} pictures and {self.missing_events} events"
             return f"truth lacks {lost}: they came faster than they could be written ({self.path})"
@@ -245,98 +186,23 @@ class TruthRecorder:
 
     def put(self, rows: Rows) -> None:
         """Add rows."""
-        data = encoded(rows)
-        with self._changed:
-            if self._waits:
-                self._changed.wait_for(lambda: self._broken or self._has_room(len(data)))
-            if self._broken or not self._has_room(len(data)):
-                self.missing_pictures += len(rows.get("pictures/t", ()))
-                self.missing_events += len(rows.get("events/t", ()))
-                return
-            self._queue(data)
+        if not self._writer.put([b"".join(encoded(rows))], wait=self._waits):
+            self.missing_pictures += len(rows.get("pictures/t", ()))
+            self.missing_events += len(rows.get("events/t", ()))
 
     def close(self) -> None:
         """Wait for the writer to finish the file, and receive its report; a second call does nothing."""
-        if self._ending:
+        if self._closed:
             return
+        self._closed = True
         facts = {"missing_pictures": self.missing_pictures, "missing_events": self.missing_events}
-        whole = not any(facts.values())
-        with self._changed:
-            self._queue(encoded({f"@{k}": np.array([v]) for k, v in {**facts, "complete": whole}.items()}))
-            self._ending = True
-            self._changed.notify_all()
-        self._thread.join(_CLOSE_S)
-        if self._thread.is_alive():
-            self._why = f"still being written by process {self._process.pid}"
-
-    def _has_room(self, size: int) -> bool:
-        return not self._waiting_bytes or self._waiting_bytes + size <= _CAPACITY_BYTES
-
-    def _queue(self, data: bytes) -> None:
-        self._waiting.append(data)
-        self._waiting_bytes += len(data)
-        self._changed.notify_all()
-
-    def _send_all(self) -> None:
-        """Send the queue until the end, and then receive the report; in the thread."""
-        try:
-            while data := self._next():
-                _write(self._process.stdin.fileno(), data)  # type: ignore[union-attr]
-                with self._changed:
-                    self._waiting_bytes -= len(data)
-                    self._changed.notify_all()
-        except OSError:  # the writer has ended
-            pass
-        with suppress(OSError):
-            self._process.stdin.close()  # type: ignore[union-attr]
-        why = self._read_report().get("trouble", "its writer was killed")
-        with self._changed:
-            self._broken, self._why = True, why
-            self._changed.notify_all()
-        self._close_pipes()
-
-    def _next(self) -> bytes:
-        with self._changed:
-            self._changed.wait_for(lambda: self._waiting or self._ending)
-            return self._waiting.popleft() if self._waiting else b""
-
-    def _read_report(self) -> dict[str, Any]:
-        """Return the writer's next line, {} where it ended without one."""
-        line = self._process.stdout.readline() if self._process.stdout else b""
-        try:
-            report: dict[str, Any] = json.loads(line)
-        except ValueError:
-            return {}
-        return report
-
-    def _close_pipes(self) -> None:
-        with suppress(OSError):
-            self._process.stdin.close()  # type: ignore[union-attr]
-        self._process.stdout.close()  # type: ignore[union-attr]
-        self._process.wait()
-
-
-def _started(path: Path, about: About) -> subprocess.Popen[bytes]:
-    order = json.dumps({"path": str(path), **dataclasses.asdict(about)})
-    # A session of its own: a signal to the group of the run must not end it before its input does.
-    return subprocess.Popen(
-        [sys.executable, "-P", "-c", _START, order, json.dumps(sys.path)],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
-
-
-def _write(descriptor: int, data: bytes) -> None:
-    view = memoryview(data)
-    while view:
-        view = view[os.write(descriptor, view) :]
+        attributes = {**facts, "complete": not any(facts.values())}
+        self._writer.close(_CLOSE_S, [b"".join(encoded({"attributes": attributes}))])
 
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"
-_MEMORY_BYTES, _CPU_S = 1 << 31, 120
+_LIMITS = Limits(memory_bytes=1 << 31, cpu_s=120)
 _CHUNK = 1 << 20
-_START_SURVEY = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); from emulator.run.truth.file import main; main()"
-)
 
 
 def is_hdf5(path: Path) -> bool:
@@ -352,27 +218,15 @@ def truth_in(path: Path) -> dict[str, Any] | None:
     """Return the content of a truth file; None where it is none, or cannot be read."""
     if not path.is_file() or not is_hdf5(path):
         return None
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", _START_SURVEY, str(path), json.dumps(sys.path)], capture_output=True, check=False
-    )
     try:
-        report: dict[str, Any] | None = json.loads(done.stdout)
-    except ValueError:
+        return read_guarded(f"{__name__}:survey", path, limits=_LIMITS) or None
+    except ForeignFileError:
         return None
-    return report
 
 
-def main() -> None:
-    """Print the content of the file of the first argument as JSON; null where it is no truth file."""
-    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
-    resource.setrlimit(resource.RLIMIT_CPU, (_CPU_S, _CPU_S))
-    sys.stdout.write(json.dumps(_survey(Path(sys.argv[1]))))
-
-
-def _survey(path: Path) -> dict[str, Any] | None:
+def survey(path: Path) -> dict[str, Any]:
+    """Return the attributes of a truth file and the numbers of its rows; {} for another file. In the child process."""
     import h5py
-
-    from emulator.run.truth.file import FORMAT
 
     try:
         file = h5py.File(path, "r")
@@ -380,7 +234,7 @@ def _survey(path: Path) -> dict[str, Any] | None:
         file = h5py.File(path, "r", swmr=True)
     with file:
         if file.attrs.get("format") != FORMAT:
-            return None
+            return {}
         facts = {name: value.item() if hasattr(value, "item") else value for name, value in _plain(file.attrs).items()}
         counts = {group: len(file[f"{group}/t"]) if group in file else 0 for group in ("events", "clean_events")}
         return {
@@ -400,16 +254,11 @@ def _plain(attributes: Any) -> dict[str, Any]:
 
 
 def _counted(codes: Any) -> dict[str, int]:
-    """Return how many events each origin has, of those that it has any."""
+    """Return the number of events of each origin, without the origins that have none."""
     import h5py
-    import numpy as np
 
     names = {code: name for name, code in h5py.check_enum_dtype(codes.dtype).items()}
     counts = np.zeros(256, np.int64)
     for start in range(0, len(codes), _CHUNK):
         counts += np.bincount(codes[start : start + _CHUNK], minlength=256)
     return {names.get(code, str(code)): int(counts[code]) for code in np.flatnonzero(counts)}
-
-
-if __name__ == "__main__":
-    main()

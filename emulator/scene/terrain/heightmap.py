@@ -6,8 +6,8 @@ Of a GeoTIFF these tags are read (OGC 19-008r4; GDAL for the last one), beside t
     33922   ModelTiepoint      column, row, 0 -> x, y, z in the plane of the projection
     42113   GDAL_NODATA        a number as text: the value of posts without a measurement
 
-Pillow reads GeoTIFF, in a child process (see `foreign_file`). It supports the common compressions, also LZW, for which
-tifffile would need the large package imagecodecs.
+Pillow reads GeoTIFF, in a child process (see `guarded_reader`). It supports the common compressions, also LZW, for
+which tifffile would need the large package imagecodecs.
 
 The plane of a polar stereographic projection is stretched: at a distance rho from the pole by 1 + (rho / 2 R)^2, which
 is 0.12 % at 86 degrees. If the map's middle is given, the distance of posts is reduced by this factor.
@@ -25,11 +25,10 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import SceneError
-from emulator.scene.foreign_file import read_in_child
+from emulator.scene.foreign_file import read_array, read_in_child
 from emulator.scene.terrain.ground import Ground, nested
 from emulator.scene.terrain.table import Heightmap
 from emulator.tables.toml_text import shortened
-from transports.recording.record import ArrayFileError, load_array
 
 __all__ = ["filled", "load_heightmap", "read_geotiff"]
 
@@ -111,17 +110,10 @@ def _read(path: Path) -> dict[str, npt.NDArray[Any]]:
     """Return `heights`, and of a GeoTIFF `scale`, `tie` and `nodata`."""
     match path.suffix.lower():
         case ".npy":
-            return {"heights": _array(path)}
+            return {"heights": read_array(path)}
         case ".tif" | ".tiff":
             return read_in_child("emulator.scene.terrain.heightmap:read_geotiff", path)
     raise SceneError(f"{path}: unknown format: name the file .npy or .tif")
-
-
-def _array(path: Path) -> npt.NDArray[Any]:
-    try:
-        return load_array(path)
-    except (OSError, ArrayFileError) as error:
-        raise SceneError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
 
 
 def _map(found: dict[str, npt.NDArray[Any]]) -> _Map:

@@ -5,7 +5,7 @@
     .gif .tif .png .webp     the frames of one file, by pillow
     .mp4 .mkv .avi .mov      by PyAV (`pip install '.[files]'`, FFmpeg), with the times that the file gives
 
-Pillow and PyAV read in a child process, see `foreign_file`. All frames become one array, within a bound of memory.
+Pillow and PyAV read in a child process, see `guarded_reader`. All frames become one array, within a bound of memory.
 Colours become luminance (Rec. 709). Levels are scaled to 0 to 1 and decoded by the sRGB curve, except linear ones.
 """
 
@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import SceneError
-from emulator.scene.foreign_file import Limits, read_in_child
+from emulator.scene.foreign_file import read_array, read_in_child
 from emulator.tables.toml_text import shortened
-from transports.recording.record import ArrayFileError, load_array
+from transports.guarded_reader import Limits
 
 __all__ = [
     "MOST_BYTES",
@@ -105,10 +105,7 @@ def linear_light(levels: Levels, full_scale: float, *, is_linear: bool) -> npt.N
 
 
 def _array(path: Path) -> Levels:
-    try:
-        levels = load_array(path)
-    except (OSError, ArrayFileError) as error:
-        raise SceneError(f"{path}: cannot be read as an array: {error}") from error
+    levels = read_array(path)
     if levels.ndim != 3 or not levels.size:
         raise SceneError(f"{path}: has the shape {levels.shape}; (frames, height, width) is needed")
     if levels.dtype.kind == "f":

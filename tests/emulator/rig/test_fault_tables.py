@@ -25,7 +25,7 @@ from emulator.run.control import (
 from emulator.run.outcome import RunStatus
 from emulator.run.pacing import Lateness
 from transports.faults.bus import DeadBus
-from transports.faults.kinds import BitFlips
+from transports.faults.line import BitFlips
 from transports.faults.script import FaultRecord
 from transports.link.pacing import MonotonicClock
 from transports.link.report import LinkReport

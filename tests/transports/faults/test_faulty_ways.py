@@ -13,8 +13,8 @@ from firmware_protocol.packets.addresses import Message, MessageKind
 from transports.can_bus.bus import BusDown, CanBus, TimedFrame
 from transports.can_bus.faulty_bus import BusFaults, FaultyBus
 from transports.faults.bus import BabblingIdiot, BusOff, DeadBus, QueuedFrame, RepeatedFrames
-from transports.faults.kinds import LostBytes, Stall, WrongBaud
-from transports.faults.line import FaultyLine
+from transports.faults.faulty_line import FaultyLine
+from transports.faults.line import LostBytes, Stall, WrongBaud
 from transports.faults.script import FaultPlan
 from transports.faults.tracker import Callbacks, FrameTracker, Load
 

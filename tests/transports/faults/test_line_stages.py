@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from transports.faults.bus import LostFrames
-from transports.faults.kinds import (
+from transports.faults.line import (
     SERIAL_FAULTS,
     BitFlips,
     Burst,
@@ -18,8 +18,8 @@ from transports.faults.kinds import (
     Stall,
     StuckLine,
     WrongBaud,
+    byte_stage,
 )
-from transports.faults.line import byte_stage
 
 BYTES_PER_S = 300_000.0
 FAULTS = [

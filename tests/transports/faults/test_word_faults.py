@@ -6,20 +6,10 @@ import pytest
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.events import EVENT
+from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
-from transports.faults.usb import FaultyDevice
-from transports.faults.usb_kinds import (
-    FifoOverflow,
-    MissedWraps,
-    OddBytes,
-    RegisterFlip,
-    RepeatedEvents,
-    StaleData,
-    TimeAhead,
-    TimeBack,
-    TimeFrozen,
-    WrongVersion,
-)
+from transports.faults.usb import FifoOverflow, RegisterFlip, WrongVersion
+from transports.faults.words import MissedWraps, OddBytes, RepeatedEvents, StaleData, TimeAhead, TimeBack, TimeFrozen
 from transports.usb.davis_host import DavisHost, StreamSettings
 from transports.usb.loopback import DirectHost
 

@@ -10,8 +10,8 @@ from firmware_protocol.gige.gvcp import Command, request
 from firmware_protocol.gige.registers import Register
 from tests.transports.gige.bench import stream
 from transports.faults.datagrams import LateDatagrams, LostDatagrams, RepeatedDatagrams
-from transports.faults.usb_kinds import IpChange, LinkDown, LostHeartbeat, RefusedResends
 from transports.gige.host import CameraGone
+from transports.gige.packet_faults import IpChange, LinkDown, LostHeartbeat, RefusedResends
 from transports.link.deliveries import digest_of
 from transports.link.endpoint import LinkBroken
 from transports.link.rings import FREE_RUNNING

@@ -84,7 +84,7 @@ def test_a_killed_writer_leaves_what_it_wrote_and_is_told(name, tmp_path):
     assert waited(lambda: recorder.room == (1 << 27) // EVENT.itemsize)
     most_lost = {"dsec": 300_000}.get(name, 20_000)
     assert waited(lambda: len(read_until_damage(path)[0]) >= len(events) - most_lost)  # the writer is busy yet
-    os.kill(recorder._process.pid, signal.SIGKILL)
+    os.kill(recorder._writer.pid, signal.SIGKILL)
     recorder.close()
     recorder.append(Part(events[:10]), unix_us=None)
     assert "its writer was killed" in recorder.trouble
@@ -107,7 +107,7 @@ recorder = LiveRecorder(Path(sys.argv[1]), FORMATS["aedat4"], Facts((346, 260)))
 events = np.zeros(5000, EVENT)
 events["t"] = np.arange(5000)
 recorder.append(Part(events))
-while recorder._messages.waiting_bytes: pass
+while recorder._writer.waiting_bytes: pass
 os.kill(os.getpid(), 9)
 """
 
@@ -143,10 +143,10 @@ def test_a_folder_that_is_not_there_is_told_at_once(name, tmp_path):
 def test_events_that_come_faster_than_they_can_be_written_are_counted(tmp_path, monkeypatch):
     monkeypatch.setattr("transports.recording.live._CAPACITY_BYTES", 13 * 5000)
     recorder = LiveRecorder(tmp_path / "a.aedat4", FORMATS["aedat4"], FACTS)
-    os.kill(recorder._process.pid, signal.SIGSTOP)
+    os.kill(recorder._writer.pid, signal.SIGSTOP)
     for k in range(300):
         recorder.append(Part(events_at(range(1000 * k, 1000 * k + 1000))), unix_us=UNIX_US)
-    os.kill(recorder._process.pid, signal.SIGCONT)
+    os.kill(recorder._writer.pid, signal.SIGCONT)
     recorder.close()
     assert recorder.missing["events"] > 100_000
     assert f"lacks {recorder.missing['events']} events: they came faster" in recorder.trouble

@@ -11,7 +11,7 @@ import serial
 from line_bench import ORIGIN_NS, PATIENCE_S, Bench, stream
 
 from firmware_protocol.instrument.settings import InstrumentSettings
-from transports.faults.kinds import (
+from transports.faults.line import (
     BitFlips,
     Burst,
     InsertedBytes,

@@ -17,7 +17,7 @@ from firmware_protocol.packets.telecommands import Ping, SetTick, Stop
 from firmware_protocol.receiver.instrument import SerialReceiver
 from tests.transports.network_streams.stream_readers import udp_port
 from transports.faults.datagrams import DATAGRAM_FAULTS, LateDatagrams, LostDatagrams, RepeatedDatagrams
-from transports.faults.kinds import BitFlips, Stall
+from transports.faults.line import BitFlips, Stall
 from transports.faults.script import FaultPlan
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup

@@ -10,9 +10,9 @@ from firmware_protocol.events import EVENT
 from firmware_protocol.evk4 import Evk4, Evk4Settings
 from firmware_protocol.evk4.treuzell import Frame, Property
 from firmware_protocol.usb.device import Identity, Speed
+from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
-from transports.faults.usb import FaultyDevice
-from transports.faults.usb_kinds import UsbSilence
+from transports.faults.usb import UsbSilence
 from transports.usb.cameras import driver_of, first_on_the_bus
 from transports.usb.davis_host import StreamSettings
 from transports.usb.evk4_host import Evk4Host

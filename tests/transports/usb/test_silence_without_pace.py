@@ -10,7 +10,7 @@ from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import empty_events
 from firmware_protocol.evk4 import Evk4, Evk4Settings
 from transports.faults.script import FaultPlan
-from transports.faults.usb_kinds import FifoOverflow, UsbSilence
+from transports.faults.usb import FifoOverflow, UsbSilence
 from transports.link.pacing import MonotonicClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing

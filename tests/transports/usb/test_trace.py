@@ -10,9 +10,9 @@ import pytest
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.usb.usbip import Submit, Unlink, UrbRecord
 from tests.transports.usb.raw_host import attached, read_urb, submit
+from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
-from transports.faults.usb import FaultyDevice
-from transports.faults.usb_kinds import ControlStall
+from transports.faults.usb import ControlStall
 from transports.usb.davis_host import DavisHost, StreamSettings
 from transports.usb.host import StallError
 from transports.usb.usbip.client import UsbipHost

@@ -8,10 +8,10 @@ import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.usb.device import NotReady, SetupPacket, Stall
-from transports.faults.kinds import LostBytes
+from transports.faults.faulty_device import FaultyDevice
+from transports.faults.line import LostBytes
 from transports.faults.script import FaultPlan
-from transports.faults.usb import FaultyDevice, usb_stage
-from transports.faults.usb_kinds import (
+from transports.faults.usb import (
     USB_FAULTS,
     ControlStall,
     EmptyTransfers,
@@ -21,6 +21,7 @@ from transports.faults.usb_kinds import (
     UsbStall,
     UsbUnplugged,
     WrongVersion,
+    usb_stage,
 )
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup

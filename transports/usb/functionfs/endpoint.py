@@ -9,9 +9,8 @@ from dataclasses import dataclass, field
 
 from firmware_protocol.usb.device import Speed, UsbCamera
 from firmware_protocol.usb.functionfs import descriptor_block, string_block
-from transports.faults.kinds import Fault
-from transports.faults.script import FaultPlan, FaultRecord
-from transports.faults.usb import FaultyDevice
+from transports.faults.faulty_device import FaultyDevice
+from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
 from transports.usb.functionfs.cable import Cable
@@ -41,6 +40,8 @@ class GadgetFactory(EndpointFactory[UsbCamera]):
 
 class GadgetEndpoint(Endpoint):
     """Endpoint of one camera at one controller."""
+
+    _faulty: FaultyDevice
 
     def __init__(self, factory: GadgetFactory, camera: UsbCamera, deliveries: Deliveries) -> None:
         self._camera = camera
@@ -82,19 +83,10 @@ class GadgetEndpoint(Endpoint):
             self._is_gone = self._faulty.gone
             self._plug(connected=not self._is_gone)
 
-    def inject(self, fault: Fault) -> None:
-        """See `Endpoint.inject`."""
-        self._faulty.inject(fault)
-
     @property
     def withholds(self) -> bool:
         """See `Endpoint.withholds`."""
         return self._faulty.silent
-
-    @property
-    def faults(self) -> tuple[FaultRecord, ...]:
-        """See `Endpoint.faults`."""
-        return self._faulty.records
 
     async def close(self) -> None:
         """Disconnect the camera from its host, and remove the gadget if this link made it."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from transports.faults.usb_kinds import USB_FAULTS
+from transports.faults.usb import USB_FAULTS
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import LinkKind, Wiring
 from transports.needs import UDC

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from transports.faults.usb_kinds import USB_FAULTS
+from transports.faults.usb import USB_FAULTS
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import LinkKind, Listener, Wiring
 from transports.needs import VHCI

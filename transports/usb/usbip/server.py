@@ -25,9 +25,8 @@ from pathlib import Path
 
 from firmware_protocol.usb.device import UsbCamera, UsbDevice
 from firmware_protocol.usb.usbip import DeviceListReply, DeviceRecord, ImportReply, OpStatus
-from transports.faults.kinds import Fault
-from transports.faults.script import FaultPlan, FaultRecord
-from transports.faults.usb import FaultyDevice
+from transports.faults.faulty_device import FaultyDevice
+from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.network.datagrams import Admission, AllowList, Places, Seat, is_loopback
@@ -220,11 +219,13 @@ class UsbipFactory(EndpointFactory[UsbCamera]):
 class UsbipEndpoint(Endpoint):
     """Endpoint of one camera on one port."""
 
+    _faulty: FaultyDevice
+
     def __init__(
         self, factory: UsbipFactory, device: FaultyDevice, deliveries: Deliveries, trace: UrbTrace | None
     ) -> None:
         self._at = factory
-        self._device = device
+        self._faulty = device
         self._is_gone = False
         self._trace = trace
         observed = Observed(device, deliveries)
@@ -247,29 +248,20 @@ class UsbipEndpoint(Endpoint):
 
     def advance_faults(self, stream_us: int) -> None:
         """See `Endpoint.advance_faults`."""
-        self._device.advance(stream_us)
-        if self._device.gone != self._is_gone:
-            self._is_gone = self._device.gone
+        self._faulty.advance(stream_us)
+        if self._faulty.gone != self._is_gone:
+            self._is_gone = self._faulty.gone
             (self._server.unplug if self._is_gone else self._server.plug)(self._at.busid)
-
-    def inject(self, fault: Fault) -> None:
-        """See `Endpoint.inject`."""
-        self._device.inject(fault)
 
     @property
     def withholds(self) -> bool:
         """See `Endpoint.withholds`."""
-        return self._device.silent
-
-    @property
-    def faults(self) -> tuple[FaultRecord, ...]:
-        """See `Endpoint.faults`."""
-        return self._device.records
+        return self._faulty.silent
 
     async def close(self) -> None:
         """Drop the hosts and stop listening."""
         await self._server.close()
-        self._device.close()
+        self._faulty.close()
         if self._trace is not None:
             self._trace.close()
 

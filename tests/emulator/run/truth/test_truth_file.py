@@ -19,7 +19,7 @@ from emulator.light import LightFrame
 from emulator.rig.loading import RigError, load_rig, parse_rig
 from emulator.run.assembly import build_scene
 from emulator.run.truth import file as recorder_module
-from emulator.run.truth.file import About, TruthRecorder, decoded, encoded, truth_in
+from emulator.run.truth.file import About, TruthRecorder, truth_in
 from emulator.run.truth.source import TruthRefused, ideal_of
 from emulator.sensor.sensor import Sensor
 from tests.emulator.campaign.processes import gone
@@ -317,11 +317,11 @@ def command_of(pid):
 def test_a_run_in_real_time_leaves_out_what_finds_no_room_and_counts_it(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder_module, "_CAPACITY_BYTES", 30_000)
     recorder = TruthRecorder(tmp_path / "t.h5", About((64, 48)), waits=False)
-    os.kill(recorder._process.pid, signal.SIGSTOP)  # a disk that is far too slow, however busy this machine is
+    os.kill(recorder._writer.pid, signal.SIGSTOP)  # a disk that is far too slow, however busy this machine is
     rows = {"pictures/t": np.zeros(1), "pictures/light": np.ones((1, 48, 64), np.float32)}
     for _ in range(200):
         recorder.put(rows | {"events/t": np.arange(10, dtype=np.uint64)})
-    os.kill(recorder._process.pid, signal.SIGCONT)
+    os.kill(recorder._writer.pid, signal.SIGCONT)
     recorder.close()
     assert recorder.missing_pictures > 50
     assert recorder.missing_events == 10 * recorder.missing_pictures
@@ -337,37 +337,11 @@ def test_a_run_that_may_wait_does_and_loses_nothing(tmp_path, monkeypatch):
     recorder = TruthRecorder(tmp_path / "t.h5", About((64, 48)), waits=True)
     for k in range(100):
         recorder.put({"pictures/t": np.full(1, float(k)), "pictures/light": np.ones((1, 48, 64), np.float32)})
-        assert recorder._waiting_bytes <= 30_000
+        assert recorder._writer.waiting_bytes <= 30_000
     recorder.close()
     assert recorder.trouble == ""
     with h5py.File(tmp_path / "t.h5") as file:
         assert file["pictures/t"][:].tolist() == list(range(100))
-
-
-def test_messages_come_back_and_end_where_they_are_cut():
-    rows = {"a": np.arange(6.0).reshape(2, 3), "b/c": np.array([True]), "e": np.zeros((0, 4), np.uint16)}
-    data = encoded(rows)
-
-    def reader(content):
-        left = memoryview(content)
-
-        def read(n):
-            nonlocal left
-            taken, left = bytes(left[:n]), left[n:]
-            return taken
-
-        return read
-
-    read = reader(data + data)
-    for _ in range(2):
-        back = decoded(read)
-        assert {name: (values.tolist(), values.dtype) for name, values in back.items()} == {
-            name: (values.tolist(), values.dtype) for name, values in rows.items()
-        }
-    assert decoded(read) is None
-    assert decoded(reader(data[:-1])) is None
-    with pytest.raises(ValueError, match="no truth"):
-        decoded(reader(b"\xff" * 40))
 
 
 def test_other_files_are_no_truth(tmp_path):

@@ -114,7 +114,7 @@ def text(path):
         ("map.npy", nothing, {}, "cannot be read: No such file"),
         ("map.npy", text, {}, "map.npy: cannot be read"),
         ("map.tif", text, {}, "is not a TIFF"),
-        ("map.jpg", text, {}, "name it .npy or .tif"),
+        ("map.jpg", text, {}, "name the file .npy or .tif"),
         ("map.npy", lambda p: saved(p, np.zeros((9, 9))), {}, "give post_m"),
         ("map.npy", lambda p: saved(p, np.zeros(9)), {"post_m": 1.0}, "numbers in rows and columns"),
         ("map.npy", lambda p: saved(p, np.array([["a"] * 9] * 9)), {"post_m": 1.0}, "numbers in rows and columns"),

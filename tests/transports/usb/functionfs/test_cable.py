@@ -10,9 +10,9 @@ from firmware_protocol.usb.device import SetupPacket, Speed, Transfer
 from firmware_protocol.usb.functionfs import EventKind
 from tests.transports.usb.conftest import FakeDevice
 from tests.transports.usb.gadget_port import PACKET_BYTES, PATIENCE_S, GadgetBench, PortHost
+from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
-from transports.faults.usb import FaultyDevice
-from transports.faults.usb_kinds import UsbStall
+from transports.faults.usb import UsbStall
 from transports.usb.davis_host import DavisHost, StreamSettings
 from transports.usb.evk4_host import Evk4Host
 from transports.usb.host import StallError, TransferTimeout

@@ -1,0 +1,85 @@
+"""Faults of single items: loss, repetition and delay, the path of an item, and refused faults."""
+
+import numpy as np
+import pytest
+
+from firmware_protocol.can_frames.bus_time import BitRates
+from transports.faults.bus import CAN_FAULTS, LostFrames, frame_stage
+from transports.faults.datagrams import DATAGRAM_FAULTS, FaultyDatagrams, LateDatagrams, LostDatagrams
+from transports.faults.items import Delay, Loss, Repetition, pass_through
+from transports.faults.line import LostBytes
+from transports.faults.script import FaultPlan, Faults
+from transports.gige.packet_faults import PACKET_FAULTS, FaultyPackets
+
+RATES = BitRates()
+
+
+def random():
+    return np.random.default_rng(1)
+
+
+def late(overtaken_by, **fault):
+    return Delay(LateDatagrams(**fault), random(), overtaken_by)
+
+
+def test_a_late_item_follows_the_items_that_overtake_it():
+    stage = late(2, count=2)
+    assert [stage.change(n) for n in range(5)] == [[], [], [2], [3, 0, 1], [4]]
+    assert (stage.hits, stage.touched, stage.over) == (2, 2, True)
+
+
+def test_a_delay_is_not_over_while_it_holds_an_item():
+    stage = late(3)
+    stage.change(0)
+    assert not stage.over
+    assert stage.finish() == [0]
+    assert stage.finish() == []
+
+
+def test_the_first_item_is_lost_or_repeated_by_default():
+    lost, repeated = Loss(LostDatagrams(), random()), Repetition(LostDatagrams(), random())
+    assert [lost.change(n) for n in range(2)] == [[], [1]]
+    assert [repeated.change(n) for n in range(2)] == [[0, 0], [1]]
+
+
+def test_an_item_passes_the_stages_in_order_and_each_hit_is_recorded_before_its_fate():
+    faults = Faults(FaultPlan(), lambda fault, _: {1: Repetition, 2: Loss}[fault.count](fault, random()))
+    faults.inject(LostDatagrams(count=1))
+    faults.inject(LostDatagrams(count=2, rate=1.0))
+    steps = []
+
+    def fate(stage, item, passed):
+        steps.append((type(stage), item, passed))
+        faults.lose(len(passed) == 0, 0)
+
+    assert pass_through(faults, "a", 7, fate) == []
+    assert steps == [(Repetition, "a", ["a", "a"]), (Loss, "a", []), (Loss, "a", [])]
+    assert [(record.hits, record.events_lost) for record in faults.records] == [(1, 0), (2, 2)]
+
+
+@pytest.mark.parametrize("kind", CAN_FAULTS)
+def test_every_fault_of_a_bus_has_an_effect(kind):
+    assert frame_stage(CAN_FAULTS[kind](), random(), RATES).hits in (0, 1)
+
+
+@pytest.mark.parametrize("kind", DATAGRAM_FAULTS)
+def test_every_fault_of_datagrams_begins(kind):
+    path = FaultyDatagrams(FaultPlan(), lambda _: None)
+    path.inject(DATAGRAM_FAULTS[kind]())
+    assert [record.kind for record in path.records] == [kind]
+
+
+@pytest.mark.parametrize("kind", PACKET_FAULTS)
+def test_every_fault_of_a_gige_camera_begins(kind):
+    path = FaultyPackets(FaultPlan())
+    path.inject(PACKET_FAULTS[kind]())
+    assert [record.kind for record in path.records] == [kind]
+
+
+def test_a_carrier_refuses_the_faults_of_another():
+    with pytest.raises(ValueError, match="'lost_bytes' is no fault of a CAN bus"):
+        frame_stage(LostBytes(), random(), RATES)
+    with pytest.raises(ValueError, match="'lost_frames' is no fault of packets in datagrams"):
+        FaultyDatagrams(FaultPlan(), lambda _: None).inject(LostFrames())
+    with pytest.raises(ValueError, match="'lost_frames' is no fault of packets in datagrams"):
+        FaultyPackets(FaultPlan()).inject(LostFrames())

@@ -1,0 +1,304 @@
+"""Fault injection on a device on USB, between it and its host; the faults are in `usb` and `words`. Sans-I/O.
+
+If the words of an event or edge do not arrive unchanged, it is removed from the Transfer that the host's side counts,
+and is counted in the fault's record. The device still receives `sent` for all of them, as a real one believes it has
+sent them.
+
+`FalseAnswers` changes the camera's answers: its identity, its versions, and bits of its registers.
+
+    GET_DESCRIPTOR device     bytes 12, 13: bcdDevice; its low byte is the firmware version
+    GET_DESCRIPTOR string 3   the serial number: length, type 3, UTF-16
+    0xBF IN, 4 bytes          a register of a DAVIS346, big-endian; see `davis346.device`
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import replace
+from functools import partial
+
+from firmware_protocol.davis346.device import REGISTER
+from firmware_protocol.davis346.registers import Module
+from firmware_protocol.usb.control import Feature, Recipient, StandardRequest
+from firmware_protocol.usb.device import (
+    Identity,
+    RequestKind,
+    SetupPacket,
+    Stall,
+    Transfer,
+    UsbCamera,
+    UsbDevice,
+)
+from transports.faults.kinds import Fault, Stage
+from transports.faults.script import FaultPlan, Faulty
+from transports.faults.usb import ControlStage, RegisterFlip, UsbStage, UsbUnplugged, WrongVersion, usb_stage
+from transports.faults.word_path import WordPath
+from transports.faults.words import WordStage
+
+__all__ = ["FalseAnswers", "FaultyDevice", "flip_register"]
+
+
+_DEVICE, _SERIAL = 0x0100, 0x0303
+_STRING_TYPE = 3
+_OUT, _IN = 0x40, 0xC0
+_Address = tuple[int, int]
+_LOGIC, _CHIP, _PATCH = (Module.SYSTEM, 0), (Module.SYSTEM, 1), (Module.SYSTEM, 7)
+
+
+class FalseAnswers:
+    """False answers of the camera.
+
+    Attributes
+    ----------
+    serial
+        Its serial number; empty: its own.
+    versions
+        The faults that change its versions; the last one counts.
+    """
+
+    def __init__(self) -> None:
+        self.serial = ""
+        self.versions: list[WrongVersion] = []
+        self._flipped: dict[_Address, int] = {}
+
+    def power_on(self) -> None:
+        """Discard the flips of registers."""
+        self._flipped.clear()
+
+    def flip(self, address: _Address, bit: int) -> None:
+        """Invert one bit in each reading of a register that no host can write."""
+        self._flipped[address] = self._flipped.get(address, 0) ^ 1 << bit
+
+    def identity(self, true: Identity) -> Identity:
+        """Return the identity that the host's bus lists."""
+        return replace(true, bcd_device=self._firmware(true.bcd_device))
+
+    def answer(self, setup: SetupPacket, true: bytes) -> bytes:
+        """Return the answer to one IN request that the host receives."""
+        if setup.kind is RequestKind.STANDARD and setup.request == StandardRequest.GET_DESCRIPTOR:
+            return self._descriptor(setup, true)
+        if setup.kind is RequestKind.VENDOR and setup.request == REGISTER and len(true) == 4:
+            address = setup.value, setup.index
+            value = self._version(address, int.from_bytes(true, "big")) ^ self._flipped.get(address, 0)
+            return value.to_bytes(4, "big")
+        return true
+
+    def _descriptor(self, setup: SetupPacket, true: bytes) -> bytes:
+        if setup.value == _DEVICE and len(true) >= 14:
+            firmware = self._firmware(int.from_bytes(true[12:14], "little"))
+            return true[:12] + firmware.to_bytes(2, "little") + true[14:]
+        if setup.value == _SERIAL and self.serial:
+            text = self.serial.encode("utf-16-le")
+            return (bytes((len(text) + 2, _STRING_TYPE)) + text)[: setup.length]
+        return true
+
+    def _firmware(self, true: int) -> int:
+        false = [one.firmware for one in self.versions if one.firmware >= 0]
+        return true & 0xFF00 | false[-1] if false else true
+
+    def _version(self, address: _Address, true: int) -> int:
+        values = {_LOGIC: "logic_version", _CHIP: "chip", _PATCH: "logic_patch"}
+        name = values.get((Module(address[0]), address[1])) if address[0] == Module.SYSTEM else None
+        false = [getattr(one, name) for one in self.versions if getattr(one, name) >= 0] if name else []
+        return false[-1] if false else true
+
+
+def flip_register(device: UsbDevice, false: FalseAnswers, flip: RegisterFlip) -> bool:
+    """Invert one bit of a register of `device`; return False if it has no such register requests."""
+    get = SetupPacket(_IN, REGISTER, flip.module, flip.parameter, 4)
+    put = SetupPacket(_OUT, REGISTER, flip.module, flip.parameter, 4)
+    try:
+        value = int.from_bytes(device.control(get, b""), "big") ^ 1 << flip.bit
+        device.control(put, value.to_bytes(4, "big"))
+        if int.from_bytes(device.control(get, b""), "big") != value:
+            false.flip((flip.module, flip.parameter), flip.bit)
+    except Stall:
+        return False
+    return True
+
+
+class FaultyDevice(Faulty[Stage], UsbDevice):
+    """USB device that passes all calls to a device, through the faults."""
+
+    def __init__(self, device: UsbDevice, plan: FaultPlan) -> None:
+        self._device = device
+        super().__init__(plan, partial(usb_stage, dropped=self._dropped))
+        self._seen: set[int] = set()
+        self._halted: set[int] = set()
+        self._words = WordPath(device.identity)
+        self._false = FalseAnswers()
+        # Transfers of the device that have no fate yet, oldest first; None: a transfer made by a fault.
+        self._given: deque[Transfer | None] = deque()
+        self._data_endpoint = device.data_endpoint if isinstance(device, UsbCamera) else 2
+        self._now_us = 0
+
+    @property
+    def gone(self) -> bool:
+        """True while the device is unplugged."""
+        return any(stage.gone for stage in self._endpoint_stages)
+
+    @property
+    def silent(self) -> bool:
+        """True while its data endpoint is silent."""
+        return any(stage.silent and stage.endpoint == self._data_endpoint for stage in self._endpoint_stages)
+
+    def advance(self, now_us: int) -> None:
+        """Advance stream time."""
+        self._now_us = max(self._now_us, now_us)
+        dropped = self._dropped()
+        for stage in self._endpoint_stages:
+            stage.over |= bool(stage.overflow) and dropped >= stage.overflow
+        for over in self._faults.advance(now_us):
+            self._words.front += over.finish() if isinstance(over, WordStage) else []
+        self._begin_new()
+
+    def inject(self, fault: Fault) -> None:
+        """Begin a fault now; raises ValueError for a fault that USB does not have."""
+        super().inject(fault)
+        self._begin_new()
+
+    @property
+    def identity(self) -> Identity:
+        """Identity of the device, or the false one of a fault."""
+        return self._false.identity(self._device.identity)
+
+    def attached(self) -> None:
+        """See `UsbDevice.attached`; no endpoint is halted then."""
+        self._halted.clear()
+        self._false.power_on()
+        self._start_data()
+        self._device.attached()
+
+    def detached(self) -> None:
+        """See `UsbDevice.detached`."""
+        self._device.detached()
+
+    def control(self, setup: SetupPacket, data: bytes) -> bytes:
+        """Pass on a request, unless it is refused or answered late; the host may end a halt."""
+        if setup.kind is RequestKind.VENDOR:
+            self._check_request(setup)
+        answer = self._device.control(setup, data)
+        if _ends_halt(setup):
+            self._halted.discard(setup.index & 0x0F)
+            if setup.index & 0x0F == self._data_endpoint:
+                self._start_data()
+        return self._false.answer(setup, answer) if setup.is_in else answer
+
+    def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
+        """See `UsbDevice.read`."""
+        for stage in [stage for stage in self._endpoint_stages if stage.endpoint == endpoint]:
+            if stage.stalls and endpoint not in self._halted:
+                self._halt(stage)
+            if stage.silent:
+                self._hit(stage)
+                return None
+            if stage.most_bytes and max_bytes > stage.most_bytes:
+                self._hit(stage)
+                max_bytes = stage.most_bytes
+            if stage.empty is not None and endpoint not in self._halted and stage.empty.within(1):
+                stage.over = stage.empty.over
+                self._hit(stage)
+                self._given.append(None)
+                return Transfer(b"")
+        if endpoint in self._halted:
+            raise Stall(f"endpoint {endpoint} is halted, by a fault")
+        return self._read(endpoint, max_bytes)
+
+    def accepts(self, setup: SetupPacket) -> bool:
+        """See `UsbDevice.accepts`."""
+        return self._device.accepts(setup)
+
+    def flushes(self, endpoint: int) -> int:
+        """See `UsbDevice.flushes`."""
+        return self._device.flushes(endpoint)
+
+    def write(self, endpoint: int, data: bytes) -> None:
+        """See `UsbDevice.write`."""
+        self._device.write(endpoint, data)
+
+    def sent(self, transfer: Transfer) -> None:
+        """Pass on the transfer of the device; data that did not arrive are counted for the fault."""
+        given = self._given.popleft()
+        if given is None:
+            return
+        self._faults.lose(len(given.events) - len(transfer.events), len(given.edges) - len(transfer.edges))
+        self._device.sent(given)
+
+    def lost(self, transfer: Transfer) -> None:
+        """Pass on the transfer of the device, which the link has lost."""
+        given = self._given.popleft()
+        if given is not None:
+            self._device.lost(given)
+
+    @property
+    def _endpoint_stages(self) -> list[UsbStage]:
+        return [stage for stage in self._faults.stages if isinstance(stage, UsbStage)]
+
+    def _read(self, endpoint: int, max_bytes: int) -> Transfer | None:
+        stages = [stage for stage in self._faults.stages if isinstance(stage, WordStage) and not stage.over]
+        if endpoint != self._data_endpoint or not self._words.needed(stages):
+            transfer = given = self._device.read(endpoint, max_bytes)
+        else:
+            given = self._device.read(endpoint, self._words.room(stages, max_bytes))
+            before = [stage.hits for stage in stages]
+            transfer = None if given is None else self._words.changed(given, stages)
+            for stage, hits in zip(stages, before, strict=True):
+                if stage.hits > hits:
+                    self._faults.applied(stage, [stage.hits] if not hits else [])
+        if given is not None:
+            self._given.append(given)
+        return transfer
+
+    def _check_request(self, setup: SetupPacket) -> None:
+        for stage in [stage for stage in self._faults.stages if isinstance(stage, ControlStage)]:
+            hits = stage.hits
+            try:
+                stage.check(setup, self._now_us)
+            finally:
+                if stage.hits > hits:
+                    self._faults.applied(stage, [stage.hits])
+
+    def _begin_new(self) -> None:
+        """Apply the immediate effects of new faults, and set the versions of the active ones."""
+        stages = self._endpoint_stages
+        for stage in [stage for stage in stages if id(stage) not in self._seen]:
+            self._begin(stage)
+        self._seen = {id(stage) for stage in stages}
+        self._false.versions = [stage.fault for stage in stages if isinstance(stage.fault, WrongVersion)]
+
+    def _begin(self, stage: UsbStage) -> None:
+        if stage.overflow:
+            stage.endpoint = self._data_endpoint
+        if isinstance(stage.fault, UsbUnplugged) and stage.fault.serial:
+            self._false.serial = stage.fault.serial
+        if isinstance(stage.fault, RegisterFlip):
+            stage.over = True
+            if flip_register(self._device, self._false, stage.fault):
+                self._hit(stage)
+
+    def _start_data(self) -> None:
+        for stage in self._faults.stages:
+            if isinstance(stage, WordStage):
+                stage.started()
+
+    def _dropped(self) -> int:
+        return self._device.counters.dropped_fifo if isinstance(self._device, UsbCamera) else 0
+
+    def _halt(self, stage: UsbStage) -> None:
+        self._halted.add(stage.endpoint)
+        stage.stalls -= 1
+        stage.over = not stage.stalls
+        self._hit(stage)
+
+    def _hit(self, stage: UsbStage) -> None:
+        stage.hits += 1
+        self._faults.applied(stage, [stage.hits] if stage.hits == 1 else [])
+
+
+def _ends_halt(setup: SetupPacket) -> bool:
+    return (
+        setup.kind is RequestKind.STANDARD
+        and setup.recipient == Recipient.ENDPOINT
+        and setup.request == StandardRequest.CLEAR_FEATURE
+        and setup.value == Feature.ENDPOINT_HALT
+    )
