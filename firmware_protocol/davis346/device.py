@@ -81,6 +81,7 @@ class Davis346(UsbCamera):
         self._now_us = 0
         self._not_running = self._offered = self._flushes = 0
         self._has_sent = False
+        self._settings_version = 0
         self._power_on()
 
     @property
@@ -97,6 +98,16 @@ class Davis346(UsbCamera):
     def streaming(self) -> bool:
         """True while events offered now would go to the host."""
         return self._gate.events and self._now_us >= self._silent_until_us
+
+    @property
+    def at_rest(self) -> bool:
+        """True while the gate for words is closed."""
+        return not self._gate.words
+
+    @property
+    def settings_version(self) -> int:
+        """Number of changes of its registers."""
+        return self._settings_version
 
     @property
     def room_events(self) -> int:
@@ -152,6 +163,16 @@ class Davis346(UsbCamera):
             edges=self._edge_counters(),
             readings=self._readings.counters(self._stream.block_fates),
         )
+
+    @property
+    def delivered(self) -> int:
+        """See `EventDevice.delivered`."""
+        return self._stream.delivered
+
+    @property
+    def waiting_items(self) -> int:
+        """See `EventDevice.waiting_items`."""
+        return self._stream.waiting_items + self._input.pending + len(self._stalled) + self._readings.waiting
 
     def _edge_counters(self) -> EdgeCounters:
         seen, reported = self._input, self._stream.mark_counters
@@ -357,6 +378,7 @@ class Davis346(UsbCamera):
             self._turn(before, self._gate)
 
     def _follow_registers(self) -> None:
+        self._settings_version += 1
         self._gate = RunGate.of(self._registers)
         self._readings.follow(words=self._gate.words)
         self._filters.follow(self._registers, self._now_us)

@@ -384,6 +384,11 @@ class ReadingInput:
             held[kind] += waits
             self._dropped[kind] += not waits
 
+    @property
+    def waiting(self) -> int:
+        """Number of readings that were offered and are not in the stream."""
+        return len(self._held) + len(self._waiting)
+
     def flush(self) -> None:
         """Drop the blocks that wait."""
         self._flushed.update(block.reading.kind for block in (*self._held, *self._waiting))

@@ -284,6 +284,17 @@ class EventStream:
         return StreamCounters(self._dropped, self._flushed, self._delivered, self._lost, queued, self._rows)
 
     @property
+    def delivered(self) -> int:
+        """Number of delivered events."""
+        return self._delivered
+
+    @property
+    def waiting_items(self) -> int:
+        """Number of events, marks and blocks in the FIFO or in a transfer whose fate is open."""
+        events, marks = self._fifo.queued_events + self._in_flight, self._fifo.queued_marks + self._marks_in_flight
+        return events + marks + self._fifo.queued_blocks.total() + self._blocks_in_flight.total()
+
+    @property
     def mark_counters(self) -> MarkCounters:
         """The fates of marks so far."""
         queued = self._fifo.queued_marks + self._marks_in_flight
@@ -370,7 +381,8 @@ class EventStream:
         """Queue the wraps due at stream time `now_us` that fit; a later call makes up for the rest."""
         before = self._encoder.state
         words = self._encoder.advance(now_us - self._epoch_us, self._fifo.free_wrap_words)
-        self._fifo.put_wraps(self._batch(words, before))
+        if len(words):
+            self._fifo.put_wraps(self._batch(words, before))
 
     def flush(self) -> None:
         """Drop the queue, except a timestamp reset: without it the host would misread all later times.

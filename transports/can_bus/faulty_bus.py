@@ -51,6 +51,11 @@ class BusFaults:
         """True while a fault may hit single frames."""
         return any(stage.bus is None for stage in self._faults.stages)
 
+    @property
+    def next_us(self) -> int:
+        """See `Faults.next_us`."""
+        return self._faults.next_us
+
     def advance(self, now_us: int) -> tuple[bool, list[QueuedFrame]]:
         """Advance stream time; return True if any fault has ended, and the frames that it had held."""
         over = self._faults.advance(now_us)
@@ -198,6 +203,15 @@ class FaultyBus(CanBus):
     def waiting(self) -> int:
         """See `CanBus.waiting`."""
         return self._bus.waiting + len(self._rest)
+
+    @property
+    def is_busy(self) -> bool:
+        """See `CanBus.is_busy`."""
+        return self._bus.is_busy or bool(self._rest)
+
+    def serve(self, attend: Callable[[], None]) -> None:
+        """See `CanBus.serve`."""
+        self._bus.serve(attend)
 
     @property
     def counts(self) -> Mapping[str, int]:

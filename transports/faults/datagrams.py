@@ -219,6 +219,11 @@ class FaultyDatagrams:
         """Record of each fault."""
         return self._faults.records
 
+    @property
+    def next_us(self) -> int:
+        """See `Faults.next_us`."""
+        return self._faults.next_us
+
     def advance(self, now_us: int) -> None:
         """Advance stream time."""
         for stage in self._faults.advance(now_us):

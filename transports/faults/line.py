@@ -367,6 +367,11 @@ class FaultyLine:
         """True while a fault has removed the port."""
         return any(stage.gone for stage in self._faults.stages)
 
+    @property
+    def next_us(self) -> int:
+        """See `Faults.next_us`."""
+        return self._faults.next_us
+
     def advance(self, now_us: int, begun: bytes) -> None:
         """Advance stream time; `begun` is the sent part of the current frame on the line."""
         for stage in self._faults.advance(now_us):

@@ -119,6 +119,11 @@ class FaultyPackets:
         """Record of each fault."""
         return self._faults.records
 
+    @property
+    def next_us(self) -> int:
+        """See `Faults.next_us`."""
+        return self._faults.next_us
+
     def advance(self, now_us: int) -> list[Packet]:
         """Advance stream time; return the packets that faults held and that pass now."""
         over = self._faults.advance(now_us)

@@ -10,6 +10,7 @@ class Device(SimpleNamespace):
     """What a watch looks at."""
 
     set_by = "telecommand"
+    settings_version = None
     sensor_factors = EventDevice.sensor_factors
 
     def take_commands(self):

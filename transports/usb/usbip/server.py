@@ -18,7 +18,7 @@ import logging
 import re
 import socket
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,7 @@ from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
 from transports.faults.usb import FaultyDevice
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory
 from transports.network.datagrams import Admission, AllowList, Places, Seat, is_loopback
 from transports.network.listener import Listener
 from transports.usb.loopback import Observed
@@ -61,6 +61,11 @@ class UsbipServer:
     observer
         Observer of every URB.
 
+    Attributes
+    ----------
+    attend
+        Function that is called before the bytes of a host are processed, and before a host is lost.
+
     Raises
     ------
     ValueError
@@ -87,6 +92,7 @@ class UsbipServer:
         self._unplugged: set[str] = set()
         self._idle = asyncio.Event()
         self._idle.set()
+        self.attend: Callable[[], None] = lambda: None
 
     @property
     def attached(self) -> Mapping[str, str]:
@@ -244,6 +250,20 @@ class UsbipEndpoint(Endpoint):
     def pump(self) -> None:
         """Answer the hosts' pending requests."""
         self._server.pump()
+
+    def serve(self, attend: Callable[[], None]) -> None:
+        """See `Endpoint.serve`."""
+        self._server.attend = attend
+
+    @property
+    def longest_sleep_ns(self) -> int:
+        """See `Endpoint.longest_sleep_ns`."""
+        return REST_NS
+
+    @property
+    def next_fault_us(self) -> int:
+        """See `Endpoint.next_fault_us`."""
+        return self._device.next_us
 
     def advance_faults(self, stream_us: int) -> None:
         """See `Endpoint.advance_faults`."""
