@@ -82,6 +82,8 @@ class Davis346(UsbCamera):
         self._not_running = self._offered = self._flushes = 0
         self._has_sent = False
         self._settings_version = 0
+        self._input_settings_of: tuple[int, int | None] | None = None
+        self._input_now = InputSettings()
         self._power_on()
 
     @property
@@ -202,9 +204,12 @@ class Davis346(UsbCamera):
             raise ValueError(f"event at {events['t'][0]} us offered after the camera's clock reached {self._now_us} us")
         until_us = int(events["t"][-1])
         first = int(np.searchsorted(events["t"], self._silent_until_us)) if self._gate.events else len(events)
-        passed = self._filters.passed(copy_events(events[first:]), self._registers)
-        self._put(passed.events, until_us)
-        self._filters.take(passed)
+        if first < len(events):
+            passed = self._filters.passed(copy_events(events[first:]), self._registers)
+            self._put(passed.events, until_us)
+            self._filters.take(passed)
+        else:
+            self._put(empty_events(), until_us)
         self._not_running += first
         self._offered += len(events)
         self._now_us = until_us
@@ -243,8 +248,7 @@ class Davis346(UsbCamera):
 
     def _put(self, events: Events, until_us: int) -> None:
         """Queue events, (n,) EVENT, the marks of the external input and the readings up to `until_us`."""
-        report_from_us = self._silent_until_us if self._gate.words else None
-        marks = self._input.marks(self._now_us, until_us, InputSettings.of(self._registers, report_from_us))
+        marks = self._input.marks(self._now_us, until_us, self._input_settings)
         if len(self._stalled):
             self._stalled["t"] = np.maximum(self._stalled["t"], self._now_us)
             marks, self._stalled = join_marks([self._stalled, marks]), no_marks()
@@ -259,6 +263,15 @@ class Davis346(UsbCamera):
             raise
         self._hold(late_marks)
         self._readings.hold(late_blocks)
+
+    @property
+    def _input_settings(self) -> InputSettings:
+        """Settings of the external input, read again after a change."""
+        report_from_us = self._silent_until_us if self._gate.words else None
+        if self._input_settings_of != (self._settings_version, report_from_us):
+            self._input_settings_of = self._settings_version, report_from_us
+            self._input_now = InputSettings.of(self._registers, report_from_us)
+        return self._input_now
 
     def _hold(self, marks: Marks) -> None:
         """Hold or drop marks that found no room, as the registers select."""

@@ -138,9 +138,11 @@ class Link:
     def attend(self) -> None:
         """Feed the camera up to now, before a request that arrived between two ticks is processed.
 
-        Does nothing in a run without pacing, where all published data have been fed when the link sleeps.
+        A camera that a host reads may be half a millisecond behind, another one a tenth. Nothing is done in a run
+        without pacing: all published data have been fed when the link sleeps.
         """
-        if self.is_paced and self._clock.now_ns() - self.ticked_ns >= self._period_ns:
+        behind_ns = self._clock.now_ns() - self.ticked_ns
+        if self.is_paced and behind_ns >= (_GATHER_US * 1000 if self._device.at_rest else self._period_ns):
             self._advance(self._ring.now_us)
 
     def _advance(self, now_us: int) -> None:
@@ -217,9 +219,9 @@ class Link:
     @property
     def _longest_sleep_ns(self) -> int:
         longest_ns = self.endpoint.longest_sleep_ns
-        if self.is_at_rest:
-            return min(longest_ns, REST_NS)
-        return min(longest_ns, BUSY_NS if self._feed.has_edges_of_others else HOSTED_NS)
+        if self._feed.has_edges_of_others and not self.is_at_rest:
+            return min(longest_ns, BUSY_NS)
+        return min(longest_ns, HOSTED_NS if self.is_paced and not self.is_at_rest else REST_NS)
 
     @property
     def _due_ns(self) -> int:
