@@ -206,7 +206,8 @@ class Fifo:
         self._used -= len(taken.data) // 2
         self._events -= len(taken.events)
         self._marks -= len(taken.marks)
-        self._blocks.subtract(reading.kind for reading in readings)
+        if readings:
+            self._blocks.subtract(reading.kind for reading in readings)
         return taken
 
     def flush(self) -> Flushed:
@@ -225,7 +226,8 @@ class Fifo:
         self._events += len(events)
         self._marks += len(marks)
         blocks = batch.blocks[: batch.encoded.blocks_in(len(words))] if batch.blocks else ()
-        self._blocks.update(block.reading.kind for block in blocks)
+        if blocks:
+            self._blocks.update(block.reading.kind for block in blocks)
         self._chunks.append(_Chunk(batch, words, events, marks, blocks))
 
 
@@ -364,7 +366,8 @@ class EventStream:
         except ValueError:
             self._encoder.state = at_start
             raise
-        self._fifo.put_wraps(self._batch(wraps, at_start))
+        if len(wraps):
+            self._fifo.put_wraps(self._batch(wraps, at_start))
         queued, queued_marks = self._fifo.queued_events, self._fifo.queued_marks
         fitting = encoded.words[: self._fifo.put(Batch(encoded, events, before, self._epoch_us, marks, blocks))]
         if len(fitting) < len(encoded.words):
@@ -410,7 +413,8 @@ class EventStream:
         self._in_flight += len(taken.events)
         self._marks_in_flight += len(taken.marks)
         edges = edges_of(taken.marks["t"], taken.marks["code"])
-        self._blocks_in_flight.update(reading.kind for reading in taken.readings)
+        if taken.readings:
+            self._blocks_in_flight.update(reading.kind for reading in taken.readings)
         return Transfer(taken.data, taken.events, taken.epoch_us, edges, taken.readings)
 
     def sent(self, transfer: Transfer) -> None:
@@ -430,6 +434,8 @@ class EventStream:
         self._settle(transfer, self._blocks.lost)
 
     def _settle(self, transfer: Transfer, fate: Counter[ReadingKind]) -> None:
+        if not transfer.readings:
+            return
         kinds = [reading.kind for reading in transfer.readings]
         self._blocks_in_flight.subtract(kinds)
         fate.update(kinds)

@@ -13,7 +13,8 @@ Longest sleep from one tick to the next:
     no host, a file, a run that is not paced and up to date 4 ms     only the ring of events must not fill
 
 Events leave 0.1 ms after the time of the first of them, so that several leave together, and not within half a
-millisecond of the last tick.
+millisecond of the last tick; of a dense stream (256 events a tick and more) a whole one, as the packets of a camera on
+USB do, because a tick costs nearly the same for 300 events as for 1500.
 """
 
 from __future__ import annotations
@@ -188,7 +189,8 @@ class LinkLoop:
     def _attend(self) -> None:
         """Prepare for a request that an event loop delivers; the next turn reports its effects."""
         self._link.attend()
-        self._wake_at(self._link.soonest_ns)
+        if self._link.is_at_rest or not self._link.is_paced:
+            self._wake_at(self._link.soonest_ns)
 
     def _follow_publication(self) -> None:
         self._link.ring.woken()

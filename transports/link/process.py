@@ -51,6 +51,7 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 _TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
 _MANY_EVENTS = 1024  # a tick that fed so many, of a run without pacing, is followed by the next one at once
+_DENSE_EVENTS = 256  # a paced tick that fed so many is followed by the next one after a whole millisecond
 _GATHER_US = 100  # from the first due event to the tick that sends it, with those that follow
 _WITHHELD_STEP_US = 1000  # step of a run without pacing during a silence: the silence ends at most this late
 
@@ -201,7 +202,11 @@ class Link:
             return self.soonest_ns
         if not self.is_paced and self._lags:
             return self.ticked_ns if self._fed >= _MANY_EVENTS else self.soonest_ns
-        return max(self.soonest_ns, min(self.ticked_ns + self._longest_sleep_ns, self._due_ns))
+        longest_ns = self._longest_sleep_ns
+        latest_ns = self.ticked_ns + longest_ns
+        if self._fed >= _DENSE_EVENTS and longest_ns == HOSTED_NS:
+            return latest_ns
+        return max(self.soonest_ns, min(latest_ns, self._due_ns))
 
     def asleep_us(self, until_ns: int) -> int:
         """Return the stream time until which a sleep until `until_ns` lasts; 0 if no publication need end it."""

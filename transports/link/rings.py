@@ -145,10 +145,11 @@ class SharedRing:
         if not n:
             return np.empty(0, self._record)
         start = taken % self.capacity
-        first = min(n, self.capacity - start)
-        records = np.concatenate((self._body[start : start + first], self._body[: n - first])).view(self._record)
+        first = self._body[start : start + n]  # up to the end of the memory
+        rest = n - len(first)
+        records = np.concatenate((first, self._body[:rest])) if rest else first.copy()
         self._head[_TAKEN] = taken + n
-        return records
+        return records.view(self._record)
 
     def time_of(self, index: int) -> int | None:
         """Return `t` of the waiting record at `index`, us; None if there is none."""
@@ -159,11 +160,15 @@ class SharedRing:
     def _due(self, taken: int, there: int, until_us: int) -> int:
         """Return how many of the next `there` records have t <= `until_us`."""
         times, capacity = self._times, self.capacity
-        if there < 1 or int(times[taken % capacity]) > until_us:
+        start = taken % capacity
+        if there < 1 or times[start] > until_us:
             return 0
-        if int(times[(taken + there - 1) % capacity]) <= until_us:
+        if times[(taken + there - 1) % capacity] <= until_us:
             return there
-        return bisect.bisect_right(range(there), until_us, key=lambda i: int(times[(taken + i) % capacity]))
+        first = min(there, capacity - start)  # records before the end of the memory
+        if first < there and times[capacity - 1] <= until_us:
+            return first + bisect.bisect_right(times, until_us, 0, there - first)
+        return bisect.bisect_right(times, until_us, start, start + first) - start
 
 
 FREE_RUNNING = -1
