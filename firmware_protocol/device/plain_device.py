@@ -188,7 +188,7 @@ class PlainDevice(EventDevice):
 
     @property
     def settings_version(self) -> int:
-        """A constant: nobody changes its settings."""
+        """A constant: its settings never change."""
         return 0
 
     @property

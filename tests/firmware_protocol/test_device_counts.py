@@ -13,6 +13,7 @@ from firmware_protocol.events import EdgeKind, empty_edges
 from firmware_protocol.evk4.device import Evk4, Evk4Settings
 from firmware_protocol.gige.triton2 import Triton2
 from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.telecommands import SetBias
 from transports.usb.evk4_host import Evk4Host
 from transports.usb.loopback import DirectHost
@@ -44,7 +45,7 @@ def triton2():
 
 
 def instrument():
-    camera = Instrument((346, 260))
+    camera = Instrument((346, 260), InstrumentSettings(housekeeping_s=0))
     return camera, camera.next_message
 
 

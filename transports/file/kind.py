@@ -147,7 +147,7 @@ class FileEndpoint(Endpoint):
 
     @property
     def is_watched(self) -> bool:
-        """False: nobody notices when data are passed to the writer."""
+        """False: no receiver notices when data are passed to the writer."""
         return False
 
     def _hand_over(self, recorder: LiveRecorder, taken: Taken) -> None:

@@ -3,8 +3,8 @@
     timer -------------------------------> turn: Link.tick, changes, a report ten times a second
     session --byte in the ring's pipe----> a turn, because events were published that are due before the next one
     session --Stop, InjectFault, Happen--> acts at once, then a turn
-    host ----bytes at an input-----------> a turn
-    host ----bytes to an event loop------> Link.attend before they are processed, then a turn
+    host ----bytes at an input-----------> Link.attend, then a turn, half a millisecond after the last one or later
+    host ----bytes to an event loop------> Link.attend before they are processed, then a turn if the camera rested
 
 Longest sleep from one tick to the next:
 
@@ -41,7 +41,6 @@ __all__ = ["Happen", "InjectFault", "LinkLoop", "Stop"]
 
 _REPORT_PERIOD_NS = 100_000_000
 _LONGEST_DRAIN_TURN_NS = 5_000_000
-_INPUT_PERIOD_NS = 250_000  # between two ticks for an input that is readable all the time
 
 
 @dataclass(frozen=True)
@@ -183,8 +182,9 @@ class LinkLoop:
     def _read(self, descriptor: int) -> None:
         """Process a request at an input, which is watched again after the next turn."""
         self._watch(descriptor)
+        soonest_ns = self._link.soonest_ns
         self._link.attend()
-        self._wake_at(self._link.ticked_ns + _INPUT_PERIOD_NS)
+        self._wake_at(soonest_ns)
 
     def _attend(self) -> None:
         """Prepare for a request that an event loop delivers; the next turn reports its effects."""

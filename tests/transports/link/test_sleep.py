@@ -336,7 +336,7 @@ def test_an_input_that_is_readable_all_the_time_does_not_keep_a_link_awake(new_b
     bench = new_bench(Inbox(theirs), PlainDevice)
     bench.publish_all(1)
     bench.run(1)
-    assert len(bench.ticks_ns) <= 4000 + 10 + 3
+    assert len(bench.ticks_ns) <= 2000 + 10 + 3
 
 
 def test_edges_of_a_list_are_applied_at_their_time(new_bench):
