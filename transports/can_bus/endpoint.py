@@ -135,10 +135,13 @@ class CanEndpoint(Endpoint):
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`; without a listener and a second bus nothing has to happen in time."""
+        """See `Endpoint.longest_sleep_ns`; without a listener and a second bus nothing has to happen in time.
+
+        Listeners see the SYNCs of this node at most half a millisecond late.
+        """
         if self._pending is not None or self._urgent or any(slot.bus.is_busy for slot in self._slots):
             return BUSY_NS
-        if self._listeners_present and self._instrument.waiting_items:
+        if self._listeners_present and (self._instrument.waiting_items or self._node.parameters.sync_ms):
             return BUSY_NS
         return HOSTED_NS if self._listeners_present or len(self._slots) > 1 else REST_NS
 

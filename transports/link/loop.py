@@ -8,7 +8,8 @@
 
 Longest sleep from one tick to the next:
 
-    a fault is active, edges come from another process      0.5 ms   as data move, and as every link did before
+    a fault is active, edges come from another process,     0.5 ms   as data move, and as every link did before
+    SYNCs are sent, data wait in the camera
     a host is present, nothing is due                       1 ms     time that its camera reports advances
     no host, a file, a run that is not paced and up to date 4 ms     only the ring of events must not fill
 
