@@ -31,8 +31,9 @@ from firmware_protocol.events import EdgeKind, Events
 from transports.faults.kinds import Fault
 from transports.link.changes import CameraSettings, Occurrence
 from transports.link.deliveries import DeliveryTally
+from transports.link.loop import Happen, InjectFault, Stop
 from transports.link.pacing import Clock
-from transports.link.process import STOP_SIGNALS, Happen, InjectFault, LinkSetup, Stop, run_link
+from transports.link.process import STOP_SIGNALS, LinkSetup, run_link
 from transports.link.report import LinkReport
 from transports.recording.format import with_addition
 from transports.recording.summary import RecordingSummary

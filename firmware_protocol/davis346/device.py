@@ -81,6 +81,9 @@ class Davis346(UsbCamera):
         self._now_us = 0
         self._not_running = self._offered = self._flushes = 0
         self._has_sent = False
+        self._settings_version = 0
+        self._input_settings_of: tuple[int, int | None] | None = None
+        self._input_now = InputSettings()
         self._power_on()
 
     @property
@@ -97,6 +100,16 @@ class Davis346(UsbCamera):
     def streaming(self) -> bool:
         """True while events offered now would go to the host."""
         return self._gate.events and self._now_us >= self._silent_until_us
+
+    @property
+    def at_rest(self) -> bool:
+        """True while the gate for words is closed."""
+        return not self._gate.words
+
+    @property
+    def settings_version(self) -> int:
+        """Number of changes of its registers."""
+        return self._settings_version
 
     @property
     def room_events(self) -> int:
@@ -153,6 +166,16 @@ class Davis346(UsbCamera):
             readings=self._readings.counters(self._stream.block_fates),
         )
 
+    @property
+    def delivered(self) -> int:
+        """See `EventDevice.delivered`."""
+        return self._stream.delivered
+
+    @property
+    def waiting_items(self) -> int:
+        """See `EventDevice.waiting_items`."""
+        return self._stream.waiting_items + self._input.pending + len(self._stalled) + self._readings.waiting
+
     def _edge_counters(self) -> EdgeCounters:
         seen, reported = self._input, self._stream.mark_counters
         return EdgeCounters(
@@ -181,9 +204,12 @@ class Davis346(UsbCamera):
             raise ValueError(f"event at {events['t'][0]} us offered after the camera's clock reached {self._now_us} us")
         until_us = int(events["t"][-1])
         first = int(np.searchsorted(events["t"], self._silent_until_us)) if self._gate.events else len(events)
-        passed = self._filters.passed(copy_events(events[first:]), self._registers)
-        self._put(passed.events, until_us)
-        self._filters.take(passed)
+        if first < len(events):
+            passed = self._filters.passed(copy_events(events[first:]), self._registers)
+            self._put(passed.events, until_us)
+            self._filters.take(passed)
+        else:
+            self._put(empty_events(), until_us)
         self._not_running += first
         self._offered += len(events)
         self._now_us = until_us
@@ -222,8 +248,7 @@ class Davis346(UsbCamera):
 
     def _put(self, events: Events, until_us: int) -> None:
         """Queue events, (n,) EVENT, the marks of the external input and the readings up to `until_us`."""
-        report_from_us = self._silent_until_us if self._gate.words else None
-        marks = self._input.marks(self._now_us, until_us, InputSettings.of(self._registers, report_from_us))
+        marks = self._input.marks(self._now_us, until_us, self._input_settings)
         if len(self._stalled):
             self._stalled["t"] = np.maximum(self._stalled["t"], self._now_us)
             marks, self._stalled = join_marks([self._stalled, marks]), no_marks()
@@ -238,6 +263,15 @@ class Davis346(UsbCamera):
             raise
         self._hold(late_marks)
         self._readings.hold(late_blocks)
+
+    @property
+    def _input_settings(self) -> InputSettings:
+        """Settings of the external input, read again after a change."""
+        report_from_us = self._silent_until_us if self._gate.words else None
+        if self._input_settings_of != (self._settings_version, report_from_us):
+            self._input_settings_of = self._settings_version, report_from_us
+            self._input_now = InputSettings.of(self._registers, report_from_us)
+        return self._input_now
 
     def _hold(self, marks: Marks) -> None:
         """Hold or drop marks that found no room, as the registers select."""
@@ -357,6 +391,7 @@ class Davis346(UsbCamera):
             self._turn(before, self._gate)
 
     def _follow_registers(self) -> None:
+        self._settings_version += 1
         self._gate = RunGate.of(self._registers)
         self._readings.follow(words=self._gate.words)
         self._filters.follow(self._registers, self._now_us)

@@ -65,6 +65,11 @@ class FilterSettings:
     hot: tuple[tuple[int, int], ...]
     every: int | None
 
+    @property
+    def is_open(self) -> bool:
+        """True if events of every pixel of the region pass unchanged."""
+        return not self.flatten and self.suppressed is None and not self.hot and self.every is None
+
     @classmethod
     def of(cls, registers: RegisterFile, size: tuple[int, int]) -> FilterSettings:
         """Return the settings in the registers of a camera of `size` (width, height)."""
@@ -137,12 +142,15 @@ class DvsFilters:
 
     def follow(self, registers: RegisterFile, now_us: int) -> None:
         """Apply registers that were written at `now_us`."""
+        self._settings = FilterSettings.of(registers, self._size)
         if self._activity is not None:
             self._activity.follow(registers, now_us)
 
     def passed(self, events: Events, registers: RegisterFile) -> Passed:
         """Return the part of `events`, (n,) EVENT, that passes; `events` may be changed. `take` counts the result."""
-        settings = FilterSettings.of(registers, self._size)
+        settings = self._settings
+        if self._activity is None and settings.is_open and settings.region == self._whole:
+            return Passed(events)
         good = _of_polarity(events, settings) & self._in_region(events, settings)
         cold = _cold(events, settings)
         hot = int(np.count_nonzero(good & ~cold))

@@ -193,6 +193,8 @@ class ExternalInput:
 
     def marks(self, after_us: int, until_us: int, settings: InputSettings) -> Marks:
         """Return the marks after `after_us` and up to `until_us`, (n,) MARK in stream time."""
+        if not self._changes and self._level_cause is None and self._generator is None and settings.generator is None:
+            return no_marks()
         while self._happen(after_us, until_us, settings):
             pass
         reported, self._reported = np.array(self._reported, MARK), []
@@ -339,6 +341,8 @@ class ReadingInput:
 
         Those that waited beyond their time have that of `now_us`.
         """
+        if not self._waiting and not self._held:
+            return []
         count = bisect.bisect_right(self._waiting, until_us, key=_time_of)
         new, self._waiting = self._waiting[:count], self._waiting[count:]
         passed = deque(block for block in new if self._is_included(block))
@@ -383,6 +387,11 @@ class ReadingInput:
                 self._held.append(block)
             held[kind] += waits
             self._dropped[kind] += not waits
+
+    @property
+    def waiting(self) -> int:
+        """Number of readings that were offered and are not in the stream."""
+        return len(self._held) + len(self._waiting)
 
     def flush(self) -> None:
         """Drop the blocks that wait."""

@@ -206,7 +206,8 @@ class Fifo:
         self._used -= len(taken.data) // 2
         self._events -= len(taken.events)
         self._marks -= len(taken.marks)
-        self._blocks.subtract(reading.kind for reading in readings)
+        if readings:
+            self._blocks.subtract(reading.kind for reading in readings)
         return taken
 
     def flush(self) -> Flushed:
@@ -225,7 +226,8 @@ class Fifo:
         self._events += len(events)
         self._marks += len(marks)
         blocks = batch.blocks[: batch.encoded.blocks_in(len(words))] if batch.blocks else ()
-        self._blocks.update(block.reading.kind for block in blocks)
+        if blocks:
+            self._blocks.update(block.reading.kind for block in blocks)
         self._chunks.append(_Chunk(batch, words, events, marks, blocks))
 
 
@@ -282,6 +284,17 @@ class EventStream:
         """The fates so far, and the number of row words queued."""
         queued = self._fifo.queued_events + self._in_flight
         return StreamCounters(self._dropped, self._flushed, self._delivered, self._lost, queued, self._rows)
+
+    @property
+    def delivered(self) -> int:
+        """Number of delivered events."""
+        return self._delivered
+
+    @property
+    def waiting_items(self) -> int:
+        """Number of events, marks and blocks in the FIFO or in a transfer whose fate is open."""
+        events, marks = self._fifo.queued_events + self._in_flight, self._fifo.queued_marks + self._marks_in_flight
+        return events + marks + self._fifo.queued_blocks.total() + self._blocks_in_flight.total()
 
     @property
     def mark_counters(self) -> MarkCounters:
@@ -353,7 +366,8 @@ class EventStream:
         except ValueError:
             self._encoder.state = at_start
             raise
-        self._fifo.put_wraps(self._batch(wraps, at_start))
+        if len(wraps):
+            self._fifo.put_wraps(self._batch(wraps, at_start))
         queued, queued_marks = self._fifo.queued_events, self._fifo.queued_marks
         fitting = encoded.words[: self._fifo.put(Batch(encoded, events, before, self._epoch_us, marks, blocks))]
         if len(fitting) < len(encoded.words):
@@ -370,7 +384,8 @@ class EventStream:
         """Queue the wraps due at stream time `now_us` that fit; a later call makes up for the rest."""
         before = self._encoder.state
         words = self._encoder.advance(now_us - self._epoch_us, self._fifo.free_wrap_words)
-        self._fifo.put_wraps(self._batch(words, before))
+        if len(words):
+            self._fifo.put_wraps(self._batch(words, before))
 
     def flush(self) -> None:
         """Drop the queue, except a timestamp reset: without it the host would misread all later times.
@@ -398,7 +413,8 @@ class EventStream:
         self._in_flight += len(taken.events)
         self._marks_in_flight += len(taken.marks)
         edges = edges_of(taken.marks["t"], taken.marks["code"])
-        self._blocks_in_flight.update(reading.kind for reading in taken.readings)
+        if taken.readings:
+            self._blocks_in_flight.update(reading.kind for reading in taken.readings)
         return Transfer(taken.data, taken.events, taken.epoch_us, edges, taken.readings)
 
     def sent(self, transfer: Transfer) -> None:
@@ -418,6 +434,8 @@ class EventStream:
         self._settle(transfer, self._blocks.lost)
 
     def _settle(self, transfer: Transfer, fate: Counter[ReadingKind]) -> None:
+        if not transfer.readings:
+            return
         kinds = [reading.kind for reading in transfer.readings]
         self._blocks_in_flight.subtract(kinds)
         fate.update(kinds)

@@ -198,6 +198,19 @@ class EventDevice(ABC):
         """True while events offered now would go to the host."""
 
     @property
+    def at_rest(self) -> bool:
+        """True while no host notices the time that it has reached: a request finds it advanced all the same."""
+        return not self.streaming and self.now_us >= self.silent_until_us
+
+    @property
+    def settings_version(self) -> int | None:
+        """Number that changes with its sensor factors, settings without effect, commands and settings of readings.
+
+        None: these are to be compared each time.
+        """
+        return None
+
+    @property
     @abstractmethod
     def room_events(self) -> int:
         """Events that certainly fit its buffer now."""
@@ -235,6 +248,17 @@ class EventDevice(ABC):
     @abstractmethod
     def counters(self) -> CameraCounters:
         """Fates of all events offered so far."""
+
+    @property
+    def delivered(self) -> int:
+        """Number of events that left it, as `counters` has it; devices count it without the other fates."""
+        return self.counters.delivered
+
+    @property
+    def waiting_items(self) -> int:
+        """Number of events, edges and readings that wait in it, as `counters` has them."""
+        counters = self.counters
+        return counters.queued + counters.edges.queued + sum(one.queued for one in counters.readings.values())
 
     @abstractmethod
     def offer(self, events: Events) -> None:

@@ -186,6 +186,21 @@ class PlainDevice(EventDevice):
             edges=edges, readings={str(kind): fates.counters for kind, fates in self._readings.items()},
         )  # fmt: skip
 
+    @property
+    def settings_version(self) -> int:
+        """A constant: its settings never change."""
+        return 0
+
+    @property
+    def delivered(self) -> int:
+        """See `EventDevice.delivered`."""
+        return self._delivered - self._lost
+
+    @property
+    def waiting_items(self) -> int:
+        """See `EventDevice.waiting_items`."""
+        return self._queued + self._edges_queued + sum(fates.queued for fates in self._readings.values())
+
     def offer(self, events: Events) -> None:
         """Queue events (n,) EVENT, as many as fit; raises ValueError if they go back in time."""
         if len(events) and (int(events["t"][0]) < self._now_us or bool((events["t"][1:] < events["t"][:-1]).any())):

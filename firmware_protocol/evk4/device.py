@@ -288,6 +288,7 @@ class Evk4(UsbCamera):
         self._now_us = self._epoch_us = self._silent_until_us = 0
         self._outflow = self._new_outflow()
         self._was_running = False
+        self._settings_version = 0
 
     @property
     def identity(self) -> Identity:
@@ -303,6 +304,16 @@ class Evk4(UsbCamera):
     def streaming(self) -> bool:
         """True while events offered now would go to the host."""
         return self._registers.running and self._now_us >= self._silent_until_us
+
+    @property
+    def at_rest(self) -> bool:
+        """True while the sensor is stopped."""
+        return not self._registers.running
+
+    @property
+    def settings_version(self) -> int:
+        """Number of writes to its registers."""
+        return self._settings_version
 
     @property
     def room_events(self) -> int:
@@ -347,6 +358,16 @@ class Evk4(UsbCamera):
         queued = self._outflow.queued + self._carried
         fates: dict[str, Any] = dict(self._fates)
         return CameraCounters(**fates, queued=queued, edges=edges)
+
+    @property
+    def delivered(self) -> int:
+        """See `EventDevice.delivered`."""
+        return self._fates["delivered"]
+
+    @property
+    def waiting_items(self) -> int:
+        """See `EventDevice.waiting_items`."""
+        return self._outflow.queued + self._carried + self._outflow.edges_queued + self._edges_carried
 
     def offer(self, events: Events) -> None:
         """Queue events (n,) EVENT; raises ValueError if they go back in time or lie outside the array."""
@@ -437,6 +458,7 @@ class Evk4(UsbCamera):
 
     def write_register(self, address: int, value: int) -> None:
         """Execute a host's write to the sensor; raises LookupError if there is no register."""
+        self._settings_version += 1
         had_time = self._registers.time_runs
         self._registers.write(address, value)
         self._selection.written(address)
@@ -453,6 +475,7 @@ class Evk4(UsbCamera):
             self._silent_until_us = self._now_us + self.settings.start_delay_us
 
     def _power_on(self) -> None:
+        self._settings_version += 1
         self._standard.power_on()
         self._registers.power_on()
         self._selection.reset()

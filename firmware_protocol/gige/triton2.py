@@ -81,10 +81,12 @@ class Triton2(EventDevice):
         self._extra: deque[Extra] = deque()
         self._scheduled_us: list[int] = []
         self._starts = 0
+        self._settings_version = 0
         self.messages = Messages()
 
     def obey(self, order: Order) -> None:
         """Execute an order that the control channel has accepted."""
+        self._settings_version += 1
         match order:
             case Write(address, value):
                 self._memory.write(address, value)
@@ -159,6 +161,11 @@ class Triton2(EventDevice):
         return self.settings.biases.without_effect(self.biases)
 
     @property
+    def settings_version(self) -> int:
+        """Number of orders."""
+        return self._settings_version
+
+    @property
     def room_events(self) -> int:
         """Events that fit now."""
         return self.settings.capacity - self._outflow.queued
@@ -178,6 +185,16 @@ class Triton2(EventDevice):
         """Fates of all events and edges offered so far."""
         edges = EdgeCounters(**self._edge_fates, queued=self._outflow.edges_queued + self._edges_carried)
         return CameraCounters(**self._fates, queued=self._outflow.queued + self._carried, edges=edges, readings={})
+
+    @property
+    def delivered(self) -> int:
+        """See `EventDevice.delivered`."""
+        return self._fates["delivered"]
+
+    @property
+    def waiting_items(self) -> int:
+        """See `EventDevice.waiting_items`."""
+        return self._outflow.queued + self._carried + self._outflow.edges_queued + self._edges_carried
 
     def offer(self, events: Events) -> None:
         """Queue events (n,) EVENT; raises ValueError if they go back in time or lie outside the array."""

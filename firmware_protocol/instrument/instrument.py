@@ -163,6 +163,7 @@ class Instrument(EventDevice):
         self._reporter = Reporter(round(settings.housekeeping_s * 1e6))
         self._started, self._connected = settings.autostart, True
         self._biases: SensorBiases = biases or DavisBiases()
+        self._settings_version = 0
         self.frames_refused = 0
 
     @property
@@ -184,6 +185,16 @@ class Instrument(EventDevice):
     def streaming(self) -> bool:
         """True while events offered now would be sent."""
         return self._started and self._connected
+
+    @property
+    def at_rest(self) -> bool:
+        """True while no receiver is present."""
+        return not self._connected
+
+    @property
+    def settings_version(self) -> int:
+        """Number of telecommands and of biases that were set."""
+        return self._settings_version
 
     @property
     def room_events(self) -> int:
@@ -216,6 +227,16 @@ class Instrument(EventDevice):
             dropped_late=f.dropped_late,
             edges=self._edges.counters,
         )
+
+    @property
+    def delivered(self) -> int:
+        """See `EventDevice.delivered`."""
+        return self._path.fates.delivered
+
+    @property
+    def waiting_items(self) -> int:
+        """See `EventDevice.waiting_items`."""
+        return self._path.waiting + self._path.in_flight + self._edges.counters.queued
 
     def offer(self, events: Events) -> None:
         """See `EventDevice.offer`."""
@@ -307,6 +328,7 @@ class Instrument(EventDevice):
 
     def set_bias(self, bias: int, value: int) -> None:
         """Set a bias by its number; raises ValueError for a number or a value that the sensor does not have."""
+        self._settings_version += 1
         self._biases.set(bias, value)
 
     def next_message(self, *, events: bool = True, edges: bool = True) -> Outgoing | None:
@@ -347,6 +369,7 @@ class Instrument(EventDevice):
 
     def command(self, received: ReceivedCommand) -> None:
         """Execute a telecommand, and answer as PUS service 1 does."""
+        self._settings_version += 1
         self._telecommands.handle(received)
 
     def take_commands(self) -> tuple[str, ...]:

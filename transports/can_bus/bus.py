@@ -14,7 +14,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,6 +90,15 @@ class CanBus(ABC):
         return 0
 
     @property
+    def is_busy(self) -> bool:
+        """True while frames are on the bus or wait for it, as far as that is known."""
+        return self.waiting > 0
+
+    def serve(self, attend: Callable[[], None]) -> None:
+        """Receive the function to call when another node has sent a frame, before or after it can be taken."""
+        return
+
+    @property
     def counts(self) -> Mapping[str, int]:
         """Counts of clients of the bus by name, for the summary."""
         return {}
@@ -159,6 +168,7 @@ class PythonCanBus(CanBus):
         self._closing = threading.Event()
         self._arrived = asyncio.Event()
         self._notified = False  # True while `_arrived` is set or about to be
+        self._attend: Callable[[], None] = lambda: None
         # udp_multicast returns our own frames to us (python-can 4.6): this signature identifies them.
         self._signature = f"evstim-{os.getpid()}-{id(self)}"
 
@@ -220,10 +230,15 @@ class PythonCanBus(CanBus):
         """See `CanBus.take`; frames received before the bus was lost are returned before BusDown is raised."""
         if not self._unread:
             self._living()
+        self._notified = False  # first: the next frame may arrive while the others are taken
         frames = []
         while self._unread:
             frames.append(self._unread.popleft())
         return frames
+
+    def serve(self, attend: Callable[[], None]) -> None:
+        """See `CanBus.serve`."""
+        self._attend = attend
 
     async def wait(self, timeout_s: float) -> None:
         """Return when a frame has arrived since the last `wait`, or after `timeout_s`."""
@@ -285,7 +300,11 @@ class PythonCanBus(CanBus):
         """Wake the waiting task, at most once until it has read all frames."""
         if not self._notified and not self._closing.is_set():
             self._notified = True
-            self._loop.call_soon_threadsafe(self._arrived.set)
+            self._loop.call_soon_threadsafe(self._received)
+
+    def _received(self) -> None:
+        self._arrived.set()
+        self._attend()
 
     def _store(self, message: can.Message) -> None:
         frame = from_message(message)

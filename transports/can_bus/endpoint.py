@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -27,7 +27,15 @@ from transports.faults.bus import QueuedFrame
 from transports.faults.script import FaultPlan
 from transports.faults.tracker import Tracker
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory, LineUse, Reopening
+from transports.link.endpoint import (
+    BUSY_NS,
+    HOSTED_NS,
+    REST_NS,
+    Endpoint,
+    EndpointFactory,
+    LineUse,
+    Reopening,
+)
 from transports.link.pacing import Clock
 
 __all__ = ["CanEndpoint", "CanFactory"]
@@ -120,6 +128,23 @@ class CanEndpoint(Endpoint):
         except BusDown as error:
             self._down(slot, error)
         self._settle()
+
+    def serve(self, attend: Callable[[], None]) -> None:
+        """See `Endpoint.serve`."""
+        for slot in self._slots:
+            slot.bus.serve(attend)
+
+    @property
+    def longest_sleep_ns(self) -> int:
+        """See `Endpoint.longest_sleep_ns`; without a listener and a second bus nothing has to happen in time.
+
+        Listeners see the SYNCs of this node at most half a millisecond late.
+        """
+        if self._pending is not None or self._urgent or any(slot.bus.is_busy for slot in self._slots):
+            return BUSY_NS
+        if self._listeners_present and (self._instrument.waiting_items or self._node.parameters.sync_ms):
+            return BUSY_NS
+        return HOSTED_NS if self._listeners_present or len(self._slots) > 1 else REST_NS
 
     def advance_faults(self, stream_us: int) -> None:
         """See `Endpoint.advance_faults`."""

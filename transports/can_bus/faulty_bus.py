@@ -182,6 +182,15 @@ class FaultyBus(CanBus):
         return self._bus.waiting + len(self._rest)
 
     @property
+    def is_busy(self) -> bool:
+        """See `CanBus.is_busy`."""
+        return self._bus.is_busy or bool(self._rest)
+
+    def serve(self, attend: Callable[[], None]) -> None:
+        """See `CanBus.serve`."""
+        self._bus.serve(attend)
+
+    @property
     def counts(self) -> Mapping[str, int]:
         """See `CanBus.counts`."""
         return self._bus.counts

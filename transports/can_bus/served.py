@@ -198,6 +198,7 @@ class ServedBus(CanBus):
         self._unread: deque[TimedFrame] = deque(maxlen=_MOST_UNREAD)
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns()
         self._counts: Counter[str] = Counter()
+        self._attend: Callable[[], None] = lambda: None
         self.missed = 0
 
     @property
@@ -210,6 +211,15 @@ class ServedBus(CanBus):
     def waiting(self) -> int:
         """Number of our ordinary frames that have not begun."""
         return self._wire.waiting(_ORDINARY)
+
+    @property
+    def is_busy(self) -> bool:
+        """See `CanBus.is_busy`."""
+        return self._wire.busy or self.waiting > 0
+
+    def serve(self, attend: Callable[[], None]) -> None:
+        """See `CanBus.serve`."""
+        self._attend = attend
 
     @property
     def has_listeners(self) -> bool:
@@ -285,6 +295,7 @@ class ServedBus(CanBus):
 
     def offer(self, client: BusClient, frames: list[Frame]) -> int:
         """Put a client's frames on the wire."""
+        self._attend()
         now_ns = self._clock.now_ns()
         self._carry(now_ns)
         for frame in frames:

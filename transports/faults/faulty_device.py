@@ -145,12 +145,12 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
     def advance(self, now_us: int) -> None:
         """Advance stream time."""
         self._now_us = max(self._now_us, now_us)
-        dropped = self._dropped()
-        for stage in self._endpoint_stages:
-            stage.over |= bool(stage.overflow) and dropped >= stage.overflow
+        if self._faults.stages:
+            self._end_full()
         for over in self._faults.advance(now_us):
             self._words.front += over.finish() if isinstance(over, WordStage) else []
-        self._begin_new()
+        if self._faults.stages or self._seen:
+            self._begin_new()
 
     def inject(self, fault: Fault) -> None:
         """Begin a fault now; raises ValueError for a fault that USB does not have."""
@@ -257,6 +257,12 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
             finally:
                 if stage.hits > hits:
                     self._faults.applied(stage, [stage.hits])
+
+    def _end_full(self) -> None:
+        """End the faults that last until the device has dropped a number of events."""
+        dropped = self._dropped()
+        for stage in self._endpoint_stages:
+            stage.over |= bool(stage.overflow) and dropped >= stage.overflow
 
     def _begin_new(self) -> None:
         """Apply the immediate effects of new faults, and set the versions of the active ones."""

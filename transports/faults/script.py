@@ -25,6 +25,7 @@ from transports.output_file import OutputFile
 
 __all__ = ["FaultPlan", "FaultRecord", "Faults", "Faulty"]
 
+_FOREVER_US = 1 << 62
 _MOST_PLACES = 16  # listed in one log line
 
 
@@ -118,9 +119,18 @@ class Faults(Generic[S]):
         records = [injected.record for injected in self._all]
         return sum(r.events_lost for r in records), sum(r.edges_lost for r in records)
 
+    @property
+    def next_us(self) -> int:
+        """Stream time of the next begin of a fault; 0 while one is active, because it may end by count or by time."""
+        if self._active:
+            return 0
+        return round(self._waiting[0].at_s * 1e6) if self._waiting else _FOREVER_US
+
     def advance(self, now_us: int) -> list[S]:
         """Advance stream time: begin the faults that are due; return the stages of those that have ended."""
         self._now_us = max(self._now_us, now_us)
+        if not self._active and not self._waiting:
+            return []
         while self._waiting and self._waiting[0].at_s * 1e6 <= self._now_us:
             fault = self._waiting.pop(0)
             self._begin(fault, round(fault.at_s * 1e6))
@@ -196,6 +206,11 @@ class Faulty(Generic[S]):
     def records(self) -> tuple[FaultRecord, ...]:
         """Record of each fault."""
         return self._faults.records
+
+    @property
+    def next_us(self) -> int:
+        """See `Faults.next_us`."""
+        return self._faults.next_us
 
     def inject(self, fault: Fault) -> None:
         """Begin a fault now; raises ValueError for a fault that this carrier does not have."""

@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 from firmware_protocol.device.event_device import ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice, Taken
 from transports.link.deliveries import Delivered, DeliveredParts, Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
 from transports.needs import Need, package
 from transports.recording.format import Format, format_to_write, with_addition
@@ -139,6 +139,16 @@ class FileEndpoint(Endpoint):
             self._hand_over(recorder, taken)
         if not self._device.waiting and self._epoch_us == self._device.epoch_us:
             recorder.reach(self._device.now_us - self._device.epoch_us)
+
+    @property
+    def longest_sleep_ns(self) -> int:
+        """See `Endpoint.longest_sleep_ns`; a writer without room is tried again soon."""
+        return BUSY_NS if self._device.waiting else REST_NS
+
+    @property
+    def is_watched(self) -> bool:
+        """False: no receiver notices when data are passed to the writer."""
+        return False
 
     def _hand_over(self, recorder: LiveRecorder, taken: Taken) -> None:
         restarted = taken.epoch_us != self._epoch_us

@@ -66,6 +66,11 @@ class ControlProcess:
         """Number of the process."""
         return self._process.pid
 
+    @property
+    def orders(self) -> int:
+        """Descriptor that is readable when orders wait."""
+        return self._incoming.fileno()
+
     def take(self) -> Iterator[Order]:
         """Yield the orders of hosts; raises LinkBroken when the process has died, or cannot use its new address."""
         for _ in range(_AT_A_TIME):

@@ -19,7 +19,7 @@ from __future__ import annotations
 import ipaddress
 import logging
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -34,7 +34,7 @@ from transports.gige.kind import GigeLink
 from transports.gige.packet_faults import FaultyPackets, Packet
 from transports.gige.sockets import StreamSocket
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory
 from transports.network.datagrams import AllowList, ByteBudget
 
 __all__ = ["BlockFates", "GigeEndpoint", "GigeFactory"]
@@ -174,6 +174,18 @@ class GigeEndpoint(Endpoint):
         while self._budget.left > 0 and (self._send_block() or (self._prepare() and self._send())):
             pass
         self._fates.settle(self._clock.now_ns())
+
+    @property
+    def inputs(self) -> Sequence[int]:
+        """See `Endpoint.inputs`."""
+        return () if self._control is None else (self._control.orders,)
+
+    @property
+    def longest_sleep_ns(self) -> int:
+        """See `Endpoint.longest_sleep_ns`; a host that has control reads the clock that `pump` writes."""
+        if self._going is not None or self._ready or self._camera.waits_extra or self._camera.waiting_items:
+            return BUSY_NS
+        return REST_NS if self._camera.owner is None else HOSTED_NS
 
     def advance_faults(self, stream_us: int) -> None:
         """See `Endpoint.advance_faults`."""

@@ -76,10 +76,27 @@ class ChangeWatch:
         self._factors: dict[str, float] = {}
         self._without_effect: dict[str, str] = {}
         self._not_listed = 0
+        self._version: int | None = None
         self.waiting: deque[CameraSettings | Occurrence] = deque()
+
+    @property
+    def is_behind(self) -> bool:
+        """True if the device has counted a change since the last `look`."""
+        return self._device.settings_version != self._version
+
+    @property
+    def acts(self) -> bool:
+        """True if hosts of this kind of device can change the sensor."""
+        return self._acts
 
     def look(self, t_us: int) -> None:
         """Record the changes since the last call, at stream time `t_us` of the camera."""
+        version = self._device.settings_version
+        if version is None or version != self._version:
+            self._version = version
+            self._compare(t_us)
+
+    def _compare(self, t_us: int) -> None:
         by = self._device.set_by
         for command in self._device.take_commands():
             self.add(Occurrence(t_us, by, command))

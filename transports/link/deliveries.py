@@ -26,6 +26,7 @@ import numpy.typing as npt
 
 from firmware_protocol.device.clock import DeviceClock
 from firmware_protocol.device.event_device import Reading, ReadingKind
+from firmware_protocol.device.plain_device import own_time
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events
 from firmware_protocol.frames import FrameAssembler, WholeFrame
 from firmware_protocol.imu_samples import ImuSamples, no_samples, physical
@@ -53,6 +54,7 @@ _EVEN_BINS = 20_000
 _EVEN_US = float(_BIN_US * _EVEN_BINS)
 _RATIO = 1.01
 _YEAR_US = 3.2e13  # the longest run
+_MOST_PENDING = 1 << 15
 _BINS = _EVEN_BINS + math.ceil(math.log(_YEAR_US / _EVEN_US, _RATIO))
 
 
@@ -66,16 +68,30 @@ class LatencySummary:
 
 
 class LatencyHistogram:
-    """Histogram of latencies in bins of 10 us up to 0.2 s, and of 1 % above; the largest is stored exactly."""
+    """Histogram of latencies in bins of 10 us up to 0.2 s, and of 1 % above; the largest is stored exactly.
+
+    Latencies are counted some ten thousand at once: for a few events, the calls would cost more than the counting.
+    """
 
     def __init__(self) -> None:
         self._counts = np.zeros(_BINS, np.int64)
         self._max_us: float | None = None
+        self._pending: list[npt.NDArray[np.floating[Any]]] = []
+        self._pending_count = 0
 
     def add(self, latency_us: npt.NDArray[np.floating[Any]]) -> None:
-        """Count latencies, shape (n,), us; an event that leaves before its own time counts as 0."""
-        if not len(latency_us):
+        """Count latencies, shape (n,), us, which stay unchanged; an event that leaves before its time counts as 0."""
+        self._pending.append(latency_us)
+        self._pending_count += len(latency_us)
+        if self._pending_count >= _MOST_PENDING:
+            self._count()
+
+    def _count(self) -> None:
+        """Count the latencies that were added since the last call."""
+        if not self._pending_count:
             return
+        latency_us = np.concatenate(self._pending)
+        self._pending, self._pending_count = [], 0
         bins = _bins(latency_us)
         first = int(bins.min())
         counts = np.bincount(bins - first)
@@ -84,6 +100,7 @@ class LatencyHistogram:
 
     def summary(self) -> LatencySummary:
         """Return median, 99th percentile (upper edge of the bin, never above the maximum) and maximum."""
+        self._count()
         if self._max_us is None:
             return LatencySummary()
         return LatencySummary(self._quantile_us(0.5), self._quantile_us(0.99), self._max_us)
@@ -228,7 +245,10 @@ class Deliveries:
         edges = empty_edges() if edges is None else edges
         if len(events):
             self._measure(events)
-        readings = () if self._recorder is None else readings
+        if self._recorder is None:
+            if len(events) or len(edges):
+                self._follow(own_time(events, epoch_us), epoch_us)
+            return
         part = self._parts.part(Delivered(events, edges, readings), epoch_us)
         if counts_of(part):
             self._record_part(part, epoch_us)
@@ -289,10 +309,15 @@ class Deliveries:
         else:
             self.latency.add(now_us - self._device_clock.stream_us(device_us, max(0, int(now_us))))
 
-    def _record_part(self, part: Part, epoch_us: int) -> None:
+    def _follow(self, events: Events, epoch_us: int) -> bool:
+        """Add events, (n,) EVENT in the time of the device's clock, to the digest; return True if it has restarted."""
         restarted = epoch_us != self._epoch_us
         self._epoch_us = epoch_us
-        self.digest = digest_of(part.events, 0 if restarted else self.digest)
+        self.digest = digest_of(events, 0 if restarted else self.digest)
+        return restarted
+
+    def _record_part(self, part: Part, epoch_us: int) -> None:
+        restarted = self._follow(part.events, epoch_us)
         if self._recorder is not None:
             unix_us = self.unix_us(epoch_us) if restarted else self._unix_us
             self._unix_us = unix_us

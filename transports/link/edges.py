@@ -19,7 +19,7 @@ import numpy as np
 
 from firmware_protocol.device.clock import Draw, normal
 from firmware_protocol.events import EDGE, EdgeKind, Edges, empty_edges
-from transports.link.rings import FREE_RUNNING, EventRing, SharedRing
+from transports.link.rings import FOREVER_US, FREE_RUNNING, EventRing, SharedRing
 
 __all__ = ["EdgeRing", "EdgeSink", "EdgeSource", "EdgeTiming", "EdgeTrain", "ListedEdges", "PeriodicEdges"]
 
@@ -34,6 +34,11 @@ class EdgeSource(Protocol):
     @property
     def refused(self) -> int:
         """Number of edges that were lost before they could be taken."""
+        ...
+
+    @property
+    def next_us(self) -> int | None:
+        """Stream time of the next edge; None if it is not known, because edges come from another process."""
         ...
 
 
@@ -91,6 +96,11 @@ class EdgeRing:
     def refused(self) -> int:
         """Number of edges for which there was no room, counted by the writer."""
         return self._ring.refused
+
+    @property
+    def next_us(self) -> int | None:
+        """See `EdgeSource.next_us`."""
+        return self._ring.time_of(0)
 
     def push(self, edge: Edges) -> None:
         """Write one edge, (1,) EDGE, or count it as refused."""
@@ -169,12 +179,19 @@ class PeriodicEdges:
         """Number of refused edges: always 0, because this source has no queue."""
         return 0
 
+    @property
+    def next_us(self) -> int:
+        """Stream time of the next edge."""
+        return self._next_us
+
     def _time_us(self, after_us: int) -> int:
         at_ns = (self._number + 1) * self._period_us * 1000
         return max((at_ns + self._timing.delay_ns(self._number)) // 1000, after_us)
 
     def take(self, until_us: int) -> Edges:
         """Return the edges up to `until_us` that have not been taken, (n,) EDGE in time order."""
+        if self._next_us > until_us:
+            return empty_edges()
         edges = [empty_edges()]
         while self._next_us <= until_us:
             edges.append(self._timing.edge(self._next_us, self._number))
@@ -208,8 +225,15 @@ class ListedEdges:
         """Number of refused edges: always 0, because this source has no queue."""
         return 0
 
+    @property
+    def next_us(self) -> int:
+        """Stream time of the next edge."""
+        return self._next[0][0] if self._next else FOREVER_US
+
     def take(self, until_us: int) -> Edges:
         """Return the edges up to `until_us` that have not been taken, (n,) EDGE in time order."""
+        if self.next_us > until_us:
+            return empty_edges()
         edges = []
         while self._next and self._next[0][0] <= until_us:
             at_us, k, number = heapq.heappop(self._next)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -17,10 +17,29 @@ from transports.faults.kinds import Fault
 from transports.faults.script import FaultRecord, Faulty
 from transports.link.deliveries import Deliveries
 from transports.link.pacing import Clock
+from transports.link.rings import FOREVER_US
 from transports.recording.summary import RecordingSummary
 
-__all__ = ["Endpoint", "EndpointFactory", "LineUse", "LinkBroken", "Reopening"]
+__all__ = [
+    "BUSY_NS",
+    "HOSTED_NS",
+    "REST_NS",
+    "Endpoint",
+    "EndpointFactory",
+    "LineUse",
+    "LinkBroken",
+    "Reopening",
+]
 
+
+BUSY_NS = 500_000
+"""Time from one tick of a link to the next while data move or a fault is active."""
+
+HOSTED_NS = 1_000_000
+"""Longest time without a tick while a host is present: it sees wraps, counters and timers of its camera advance."""
+
+REST_NS = 4_000_000
+"""Longest time without a tick while no host is present: the ring of events is emptied, and the port looked at."""
 
 _Served = TypeVar("_Served", contravariant=True)  # an endpoint for any camera on USB serves a Davis346 too
 
@@ -67,6 +86,36 @@ class Endpoint(ABC):
     @abstractmethod
     def pump(self) -> None:
         """Send the requested data; called when the camera may have new data."""
+
+    def serve(self, attend: Callable[[], None]) -> None:
+        """Receive the function to call before a request that an event loop delivers is processed.
+
+        It feeds the camera up to now, whether its link slept or not.
+        """
+        return
+
+    @property
+    def inputs(self) -> Sequence[int]:
+        """Descriptors that become readable when a host's request has arrived, which the next tick then processes."""
+        return ()
+
+    @property
+    def longest_sleep_ns(self) -> int:
+        """Longest time from one `pump` to the next while no data are due and no request arrives.
+
+        A link that sleeps long also needs `serve` or `inputs` for its requests.
+        """
+        return BUSY_NS
+
+    @property
+    def is_watched(self) -> bool:
+        """True if a host notices when data leave: events then leave at their own time, not some milliseconds later."""
+        return True
+
+    @property
+    def next_fault_us(self) -> int:
+        """Stream time at which a fault of the rig begins; the past while one is active."""
+        return FOREVER_US if self._faulty is None else self._faulty.next_us
 
     def mark(self, edges: Edges) -> int:
         """Send the camera's own marks, (n > 0,) EDGE in the time its receivers see; return the number sent.

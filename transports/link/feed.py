@@ -23,7 +23,7 @@ from firmware_protocol.device.clock import ClockSettings, DeviceClock
 from firmware_protocol.device.event_device import EventDevice, ReadingKind
 from firmware_protocol.events import EdgeKind, Edges, Events, copy_events, empty_edges
 from transports.link.edges import EdgeRing, EdgeSource
-from transports.link.rings import EventRing, ReadingRing
+from transports.link.rings import FOREVER_US, EventRing, ReadingRing
 from transports.output_file import OutputFile
 
 __all__ = ["ClockReport", "ClockTruth", "EdgeReport", "Feed", "ReadingFeed", "ReadingReport", "Timing"]
@@ -58,13 +58,14 @@ class ReadingFeed:
         self._device = device
         self._rings = rings
         self._clock = clock
+        self._version: int | None = None
         self._taken: Counter[ReadingKind] = Counter()
         self._ignored: Counter[ReadingKind] = Counter()
 
     def offer(self, until_us: int) -> None:
         """Offer the readings due up to stream time `until_us`, and send the host's settings to the session."""
+        self._write_settings()
         for ring in self._rings:
-            ring.write_settings(self._device.reading_settings(ring.kind))
             records = ring.take(until_us)
             if not len(records):
                 continue
@@ -72,6 +73,19 @@ class ReadingFeed:
                 records["t"] = self._clock.shown_us(records["t"])
             used = self._device.offer_readings(ring.kind, records)
             (self._taken if used else self._ignored)[ring.kind] += len(records)
+
+    def _write_settings(self) -> None:
+        version = self._device.settings_version
+        if version is not None and version == self._version:
+            return
+        self._version = version
+        for ring in self._rings:
+            ring.write_settings(self._device.reading_settings(ring.kind))
+
+    @property
+    def first_us(self) -> int | None:
+        """Stream time of the first waiting reading; None if none waits."""
+        return min((t_us for ring in self._rings if (t_us := ring.time_of(0)) is not None), default=None)
 
     def until_us(self, until_us: int) -> int:
         """Return the stream time, at most `until_us`, up to which readings find room in the device."""
@@ -222,19 +236,42 @@ class Feed:
         self._last_mark = 0
         self._marks = 0
         self.marks_sent = 0
+        self._fed = 0
         self._taken = self._late = self._worst_late_us = 0
         self.reached_us = 0
 
-    def feed(self, until_us: int, limit: int) -> None:
-        """Move the data due up to stream time `until_us`, at most `limit` events in one stretch."""
+    @property
+    def due_us(self) -> int:
+        """Stream time of the first event, edge or reading to feed, as far as it is known here."""
+        edges_us = None if self._edges is None else self._edges.next_us
+        times = (self._ring.first_us, edges_us, self.readings.first_us)
+        return min((t_us for t_us in times if t_us is not None), default=FOREVER_US)
+
+    @property
+    def restart_us(self) -> int:
+        """Stream time of the next restart of the device's clock."""
+        return self._restarts_us[0] if self._restarts_us else FOREVER_US
+
+    @property
+    def has_edges_of_others(self) -> bool:
+        """True if edges may come at any time, from another process, beside the events."""
+        return self._sync_in is not None or isinstance(self._edges, EdgeRing)
+
+    def feed(self, until_us: int, limit: int) -> int:
+        """Move the data due up to stream time `until_us`, at most `limit` events in one stretch.
+
+        Returns the number of events.
+        """
+        before = self._fed
         while self._restarts_us and self._restarts_us[0] <= until_us:
             if not self._stretch(self._restarts_us[0], limit):
-                return
+                return self._fed - before
             del self._restarts_us[0]
             if self._device.restart_clock():
                 self._last_mark = 0
         self._stretch(until_us, limit)
         self._synchronise()
+        return self._fed - before
 
     def happen(self, kind: EdgeKind | None) -> None:
         """Apply an edge to the input now, at the device's current time; None: reset the clock to zero."""
@@ -248,6 +285,8 @@ class Feed:
 
     def _synchronise(self) -> None:
         """Send resets to a slave, or apply those of a master that this device's time has reached."""
+        if self._sync_in is None and not self._sync_out:
+            return
         if self._sync_in is not None:
             for edge in self._sync_in.take(self._device.now_us):
                 self._device.follow_reset(int(edge["t"]))
@@ -260,6 +299,7 @@ class Feed:
     def _stretch(self, until_us: int, limit: int) -> bool:
         """Feed one stretch; return False when there were more events than `limit`."""
         events = self._ring.take(until_us, limit)
+        self._fed += len(events)
         complete = len(events) < limit
         # After a cut batch the device's time must not pass the events that still wait in the ring.
         reached_us = until_us if complete else max(int(events["t"][-1]) if len(events) else 0, self.reached_us)

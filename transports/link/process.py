@@ -18,7 +18,6 @@ from __future__ import annotations
 import asyncio
 import gc
 import os
-import select
 import signal
 from collections import deque
 from collections.abc import Callable
@@ -35,58 +34,30 @@ from transports.faults.script import FaultRecord
 from transports.link.background_log import log_in_background
 from transports.link.changes import CameraSettings, ChangeWatch, Occurrence
 from transports.link.deliveries import Deliveries, DeliveryTally
-from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
+from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory, LinkBroken
 from transports.link.feed import ClockReport, ClockTruth, Feed, Timing
 from transports.link.forwarded import ForwardingRecorder
+from transports.link.loop import LinkLoop
 from transports.link.pacing import Clock, FineSelector, MonotonicClock
 from transports.link.report import LinkReport
-from transports.link.rings import FREE_RUNNING, EventRing, ReadingRing
+from transports.link.rings import FOREVER_US, FREE_RUNNING, EventRing, ReadingRing
 from transports.recording.live import AnyRecorder, open_recorder
 from transports.recording.part import Facts
 
-__all__ = ["STOP_SIGNALS", "Happen", "InjectFault", "Link", "LinkSetup", "Stop", "run_link"]
+__all__ = ["STOP_SIGNALS", "Link", "LinkSetup", "run_link"]
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end a run: to the session alone or to its whole process group."""
 
-_REPORT_PERIOD_NS = 100_000_000
-_LONGEST_DRAIN_TURN_NS = 5_000_000
 _TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
+_MANY_EVENTS = 1024  # a tick that fed so many, of a run without pacing, is followed by the next one at once
+_DENSE_EVENTS = 256  # a paced tick that fed so many is followed by the next one after a whole millisecond
+_GATHER_US = 100  # from the first due event to the tick that sends it, with those that follow
 _WITHHELD_STEP_US = 1000  # step of a run without pacing during a silence: the silence ends at most this late
 
 _NO_FACTS = Facts()
 
 _Device = TypeVar("_Device", bound=EventDevice)
-
-
-@dataclass(frozen=True)
-class Stop:
-    """Request of the session to end: deliver the waiting data for at most `drain_s` of the link's own time.
-
-    A turn counts with at most 5 ms, so that a link that was delayed by the machine or by compilation gets all its
-    turns.
-    """
-
-    drain_s: float
-
-
-@dataclass(frozen=True)
-class InjectFault:
-    """Request of the session to begin a fault now, of a kind that this link can have; `by`: name of the requester."""
-
-    fault: Fault
-    by: str = ""
-
-
-@dataclass(frozen=True)
-class Happen:
-    """Request of the session to apply an edge to the camera's input now; None: reset its clock to zero.
-
-    `by`: name of the requester.
-    """
-
-    kind: EdgeKind | None
-    by: str = ""
 
 
 @dataclass(frozen=True)
@@ -131,12 +102,21 @@ class LinkSetup(Generic[_Device]):
 
 
 class Link:
-    """Event device that is fed from a ring and read by an endpoint. One tick moves all due data."""
+    """Event device that is fed from a ring and read by an endpoint. One tick moves all due data.
+
+    Attributes
+    ----------
+    ring
+        Ring of its events.
+    ticked_ns
+        Start of the last tick.
+    """
 
     def __init__(self, setup: LinkSetup[Any], clock: Clock) -> None:
-        self._ring = setup.ring
+        self.ring = self._ring = setup.ring
         self._tally = setup.tally
         self._clock = clock
+        self._period_ns = setup.tick_us * 1000
         self._device: EventDevice = setup.device()
         recorder = _recorder(setup)
         self._feed = Feed(self._device, setup.ring, setup.timing, setup.readings)
@@ -147,28 +127,117 @@ class Link:
         self._silence = -1, 0, 0  # end of the newest one, and the stream time and the time of its start
         self._deliveries = Deliveries(setup.ring, clock, recorder, self._feed.clock, setup.facts.imu_unit)
         self.endpoint: Endpoint = setup.endpoint.build(self._device, self._deliveries)
+        self.ticked_ns = clock.now_ns()
+        self._fed = 0
 
     def tick(self) -> None:
         """Feed the due data to the camera, and let the endpoint send the requested data."""
-        origin_ns = self._ring.origin_ns
         now_us = self._ring.now_us  # read first: data that entered the ring after a request are not fed before it
         self.endpoint.listen()
+        self._advance(now_us)
+
+    def attend(self) -> None:
+        """Feed the camera up to now, before a request that arrived between two ticks is processed.
+
+        A camera that a host reads may be half a millisecond behind, another one a tenth. Nothing is done in a run
+        without pacing: all published data have been fed when the link sleeps.
+        """
+        behind_ns = self._clock.now_ns() - self.ticked_ns
+        if self.is_paced and behind_ns >= (_GATHER_US * 1000 if self._device.at_rest else self._period_ns):
+            self._advance(self._ring.now_us)
+
+    def _advance(self, now_us: int) -> None:
+        """Move all data that are due, of a stream that has reached `now_us`."""
+        self.ticked_ns = self._clock.now_ns()
         self._watch.look(self._feed.reached_us)
-        if origin_ns == FREE_RUNNING:
-            bounded = self._device.streaming and not self.endpoint.withholds
-            room = self._device.room_events if bounded else _TAKE_LIMIT
-            self._feed.feed(self._free_until_us(now_us), min(room, _TAKE_LIMIT))
-        elif origin_ns is not None:
-            due_us = max(0, (self._clock.now_ns() - origin_ns) // 1000 - self._holdback_us)
-            self._feed.feed(min(due_us, now_us), _TAKE_LIMIT)
+        self._fed = self._feed_due(now_us)
         self.endpoint.advance_faults(self._feed.reached_us)
         marks = self._feed.own_marks()
         if len(marks):
             self._feed.marks_sent += self.endpoint.mark(marks)
         self.endpoint.pump()
         self._tally.delivered = self._delivered
-        if self._deliveries.recording is not None and not self._queued:
+        if self._deliveries.recording is not None and not self._device.waiting_items:
             self._deliveries.reach(self._device.now_us, self._device.epoch_us)
+
+    def _feed_due(self, now_us: int) -> int:
+        """Feed the due data; return the number of events."""
+        origin_ns = self._ring.origin_ns
+        if origin_ns is None:
+            return 0
+        if origin_ns == FREE_RUNNING:
+            bounded = self._device.streaming and not self.endpoint.withholds
+            room = self._device.room_events if bounded else _TAKE_LIMIT
+            return self._feed.feed(self._free_until_us(now_us), min(room, _TAKE_LIMIT))
+        due_us = max(0, (self._clock.now_ns() - origin_ns) // 1000 - self._holdback_us)
+        return self._feed.feed(min(due_us, now_us), _TAKE_LIMIT)
+
+    @property
+    def is_paced(self) -> bool:
+        """True in a run whose events leave at their own time."""
+        return self._ring.origin_ns not in (None, FREE_RUNNING)
+
+    @property
+    def is_at_rest(self) -> bool:
+        """True while no host notices if data leave some milliseconds late."""
+        return self._device.at_rest or not self.endpoint.is_watched
+
+    @property
+    def soonest_ns(self) -> int:
+        """Time of the next tick while data move."""
+        return self.ticked_ns + self._period_ns
+
+    @property
+    def published_ns(self) -> int:
+        """Time of the next tick after a publication.
+
+        At once in a run that is not paced, if the session waits for this camera's settings before it goes on.
+        """
+        return self.soonest_ns if self.is_paced or not self._watch.acts else self.ticked_ns
+
+    @property
+    def next_ns(self) -> int:
+        """Time at which the next tick is due if neither a request nor a publication comes before."""
+        if self._watch.is_behind or self.endpoint.next_fault_us <= self._feed.reached_us:
+            return self.soonest_ns
+        if not self.is_paced and self._lags:
+            return self.ticked_ns if self._fed >= _MANY_EVENTS else self.soonest_ns
+        longest_ns = self._longest_sleep_ns
+        latest_ns = self.ticked_ns + longest_ns
+        if self._fed >= _DENSE_EVENTS and longest_ns == HOSTED_NS:
+            return latest_ns
+        return max(self.soonest_ns, min(latest_ns, self._due_ns))
+
+    def asleep_us(self, until_ns: int) -> int:
+        """Return the stream time until which a sleep until `until_ns` lasts; 0 if no publication need end it."""
+        origin_ns = self._ring.origin_ns
+        if origin_ns is None or origin_ns == FREE_RUNNING:
+            return FOREVER_US
+        return 0 if self.is_at_rest else max(0, (until_ns - origin_ns) // 1000 - self._holdback_us)
+
+    @property
+    def _lags(self) -> bool:
+        """True if the camera has not reached the stream time of the run that has begun."""
+        begun = self._ring.origin_ns is not None
+        return begun and (self._feed.reached_us < self._ring.now_us or self._ring.waiting > 0)
+
+    @property
+    def _longest_sleep_ns(self) -> int:
+        longest_ns = self.endpoint.longest_sleep_ns
+        if self._feed.has_edges_of_others and not self.is_at_rest:
+            return min(longest_ns, BUSY_NS)
+        return min(longest_ns, HOSTED_NS if self.is_paced and not self.is_at_rest else REST_NS)
+
+    @property
+    def _due_ns(self) -> int:
+        """Time at which the first data, fault or restart of the clock is due; never in a run that is not paced."""
+        origin_ns = self._ring.origin_ns
+        if origin_ns is None or origin_ns == FREE_RUNNING:
+            return self.ticked_ns + REST_NS
+        due_us = min(self.endpoint.next_fault_us, self._feed.restart_us)
+        if not self.is_at_rest:
+            due_us = min(due_us, self._feed.due_us + _GATHER_US)
+        return origin_ns + (due_us + self._holdback_us) * 1000
 
     @property
     def changes(self) -> deque[CameraSettings | Occurrence]:
@@ -208,20 +277,14 @@ class Link:
 
     @property
     def _delivered(self) -> int:
-        destroyed = sum(fault.events_lost for fault in self.endpoint.faults)
-        return self._device.counters.delivered - destroyed
+        return self._device.delivered - sum(fault.events_lost for fault in self.endpoint.faults)
 
     @property
     def idle(self) -> bool:
         """True when no data wait, neither in the ring nor in the camera."""
-        reached = self._ring.origin_ns is None or self._feed.reached_us >= self._ring.now_us
-        return reached and self._ring.waiting == 0 and self._feed.readings.waiting == 0 and self._queued == 0
-
-    @property
-    def _queued(self) -> int:
-        """Number of events, edges and readings that wait in the camera."""
-        counters = self._device.counters
-        return counters.queued + counters.edges.queued + sum(one.queued for one in counters.readings.values())
+        if self._lags or self._ring.waiting or self._feed.readings.waiting:
+            return False
+        return self._device.waiting_items == 0
 
     def report(self, *, final: bool = False, error: str | None = None) -> LinkReport:
         """Return the report of the link; the final report counts the data left in the ring as dropped."""
@@ -310,7 +373,7 @@ async def _report_all(setup: LinkSetup[Any], control: Connection) -> None:
     broken: str | None = None
     try:
         control.send(link.report())
-        await _tick_until_stopped(link, setup, control, clock)
+        await LinkLoop(link, control, clock).run()
     except LinkBroken as error:
         broken = str(error)
     finally:
@@ -329,53 +392,3 @@ def _take_priority(fifo_priority: int) -> None:
             f"may not run with run.fifo_priority = {fifo_priority}: leave it out, run as root, or give this user "
             "'rtprio' in /etc/security/limits.conf",
         ) from error
-
-
-async def _tick_until_stopped(link: Link, setup: LinkSetup[Any], control: Connection, clock: Clock) -> None:
-    loop = asyncio.get_running_loop()
-    period_ns = setup.tick_us * 1000
-    deadline_ns = report_ns = last_ns = clock.now_ns()
-    drain_ns: int | None = None
-    while True:
-        link.tick()
-        _send_changes(link, control)
-        now_ns = clock.now_ns()
-        if drain_ns is not None:
-            drain_ns -= min(now_ns - last_ns, _LONGEST_DRAIN_TURN_NS)
-            if link.idle or drain_ns < 0:
-                return
-        last_ns = now_ns
-        if now_ns >= report_ns:
-            if _is_read(control):
-                control.send(link.report())
-            report_ns = now_ns + _REPORT_PERIOD_NS
-        if drain_ns is None and control.poll():
-            order: Stop | InjectFault | Happen = control.recv()
-            if isinstance(order, Stop):
-                drain_ns = int(order.drain_s * 1e9)
-            elif isinstance(order, InjectFault):
-                link.inject(order.fault, order.by)
-            else:
-                link.happen(order.kind, order.by)
-        deadline_ns = max(deadline_ns + period_ns, now_ns)
-        await _sleep_until(loop, deadline_ns, clock)
-
-
-def _send_changes(link: Link, control: Connection) -> None:
-    """Send the changes of the camera, and after them its stream time."""
-    while link.changes and _is_read(control):
-        control.send(link.changes.popleft())
-    if not link.changes:
-        link.settle()
-
-
-def _is_read(control: Connection) -> bool:
-    """Return True if the session reads reports: a busy session must not stop its links."""
-    room = select.poll()
-    room.register(control, select.POLLOUT)
-    return bool(room.poll(0))
-
-
-async def _sleep_until(loop: asyncio.AbstractEventLoop, deadline_ns: int, clock: Clock) -> None:
-    """Sleep, but give the event loop at least one turn even when late, because the sockets must be served."""
-    await asyncio.sleep(max(0, deadline_ns - clock.now_ns()) * 1e-9)

@@ -21,12 +21,19 @@ the device's host.
 No call blocks: records without room are counted as refused. A frame is stored whole or not at all: if the whole frame
 might find no room, its start and all its lines are refused. The numbers are written between two versions of a counter,
 so that a reader that reads in between keeps the previous numbers.
+
+A reader that sleeps stores the stream time until which it does so, looks at the ring once more, and sleeps. The writer
+looks at that time after it has published, and writes a byte into a pipe if it published anything earlier. Neither side
+has a memory barrier: if both miss the other's store, which takes nanoseconds, the reader wakes at the end of its sleep.
 """
 
 from __future__ import annotations
 
 import bisect
 import multiprocessing
+import os
+from contextlib import suppress
+from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
@@ -36,7 +43,7 @@ from firmware_protocol.device.event_device import ReadingKind, Readings
 from firmware_protocol.events import EVENT, Events
 from firmware_protocol.frames import LineKind
 
-__all__ = ["FREE_RUNNING", "MOST_NUMBERS", "EventRing", "ReadingRing", "SharedRing"]
+__all__ = ["FOREVER_US", "FREE_RUNNING", "MOST_NUMBERS", "EventRing", "ReadingRing", "SharedRing"]
 
 
 _WRITTEN, _TAKEN, _REFUSED, _CELLS = range(4)
@@ -78,6 +85,7 @@ class SharedRing:
         self._raw = np.dtype(f"V{record.itemsize}")
         self._head = np.frombuffer(head, np.int64)
         self._body = np.frombuffer(body, self._raw)
+        self._times = self._body.view(record)["t"]
         self.cells = self._head[_CELLS:]
 
     def __getstate__(self) -> tuple[Any, ...]:
@@ -134,29 +142,43 @@ class SharedRing:
         taken = int(self._head[_TAKEN])
         there = self.written - taken
         n = self._due(taken, there if limit is None else min(there, max(limit, 0)), until_us)
+        if not n:
+            return np.empty(0, self._record)
         start = taken % self.capacity
-        first = min(n, self.capacity - start)
-        records = np.concatenate((self._body[start : start + first], self._body[: n - first])).view(self._record)
+        first = self._body[start : start + n]  # up to the end of the memory
+        rest = n - len(first)
+        records = np.concatenate((first, self._body[:rest])) if rest else first.copy()
         self._head[_TAKEN] = taken + n
-        return records
+        return records.view(self._record)
 
     def time_of(self, index: int) -> int | None:
         """Return `t` of the waiting record at `index`, us; None if there is none."""
         if index >= self.waiting:
             return None
-        place = (int(self._head[_TAKEN]) + index) % self.capacity
-        return int(self._body.view(self._record)["t"][place])
+        return int(self._times[(int(self._head[_TAKEN]) + index) % self.capacity])
 
     def _due(self, taken: int, there: int, until_us: int) -> int:
         """Return how many of the next `there` records have t <= `until_us`."""
-        times = self._body.view(self._record)["t"]
-        return bisect.bisect_right(range(there), until_us, key=lambda i: int(times[(taken + i) % self.capacity]))
+        times, capacity = self._times, self.capacity
+        start = taken % capacity
+        if there < 1 or times[start] > until_us:
+            return 0
+        if times[(taken + there - 1) % capacity] <= until_us:
+            return there
+        first = min(there, capacity - start)  # records before the end of the memory
+        if first < there and times[capacity - 1] <= until_us:
+            return first + bisect.bisect_right(times, until_us, 0, there - first)
+        return bisect.bisect_right(times, until_us, start, start + first) - start
 
 
 FREE_RUNNING = -1
 """Origin of a run without pacing: events may leave as soon as they are available."""
 
-_NOW_US, _ORIGIN_NS, _CLOSED, _SETTLED_US, _CELLS_RING = range(5)
+FOREVER_US = 1 << 62
+"""Stream time that no run reaches."""
+
+_NOW_US, _ORIGIN_NS, _CLOSED, _SETTLED_US, _ASLEEP_US, _CELLS_RING = range(6)
+_MOST_WAKES = 64  # bytes that one read of the pipe removes; the writer writes one for each sleep
 
 
 class EventRing:
@@ -164,6 +186,17 @@ class EventRing:
 
     def __init__(self, capacity: int = 1 << 20) -> None:
         self._ring = SharedRing(EVENT, capacity, _CELLS_RING)
+        self._wakes_in, self._wakes_out = multiprocessing.get_context("spawn").Pipe(duplex=False)
+        self._first_us = FOREVER_US
+        for end in (self._wakes_in, self._wakes_out):
+            os.set_blocking(end.fileno(), False)
+
+    def __getstate__(self) -> tuple[SharedRing, Connection, Connection]:
+        return self._ring, self._wakes_in, self._wakes_out
+
+    def __setstate__(self, parts: tuple[SharedRing, Connection, Connection]) -> None:
+        self._ring, self._wakes_in, self._wakes_out = parts
+        self._first_us = FOREVER_US
 
     @property
     def capacity(self) -> int:
@@ -211,6 +244,7 @@ class EventRing:
     def start(self, origin_ns: int) -> None:
         """Start the run: stream time zero is at monotonic time `origin_ns`, or FREE_RUNNING."""
         self._ring.cells[_ORIGIN_NS] = origin_ns
+        self._wake(0)
 
     def close(self) -> None:
         """Mark the ring as finished: no further events are written."""
@@ -218,11 +252,38 @@ class EventRing:
 
     def push(self, events: Events) -> int:
         """Write the events that fit, in order, and return their number; the others are counted as refused."""
+        if not len(events):
+            return 0
+        self._first_us = min(self._first_us, int(events["t"][0]))
         return self._ring.push(events)
 
     def publish(self, now_us: int) -> None:
-        """Publish the stream time `now_us`: every earlier event has been pushed."""
+        """Publish the stream time `now_us`: every earlier event has been pushed. Wake a reader that sleeps too long."""
         self._ring.cells[_NOW_US] = now_us
+        first_us, self._first_us = self._first_us, FOREVER_US
+        self._wake(min(first_us, now_us))
+
+    def _wake(self, t_us: int) -> None:
+        """Wake a reader that sleeps beyond `t_us`, once for each sleep."""
+        cells = self._ring.cells
+        if cells[_ASLEEP_US] > t_us:
+            cells[_ASLEEP_US] = 0
+            with suppress(BlockingIOError, BrokenPipeError):  # many wake-ups wait; the reader has ended
+                os.write(self._wakes_out.fileno(), b"\0")
+
+    @property
+    def wakes(self) -> int:
+        """Descriptor that becomes readable when the writer wakes the reader; `woken` makes it unreadable again."""
+        return self._wakes_in.fileno()
+
+    def sleep(self, until_us: int) -> None:
+        """Announce that the reader sleeps until the stream time `until_us`; 0: it is awake, and is not woken."""
+        self._ring.cells[_ASLEEP_US] = until_us
+
+    def woken(self) -> None:
+        """Remove the wake-ups that the writer has written."""
+        with suppress(BlockingIOError):
+            os.read(self._wakes_in.fileno(), _MOST_WAKES)
 
     def settle(self, until_us: int) -> None:
         """Store the stream time that the camera has reached, after the earlier changes of its hosts have been sent."""
@@ -231,6 +292,11 @@ class EventRing:
     def take(self, until_us: int, limit: int | None = None) -> Events:
         """Take at most `limit` events with t <= `until_us`; returns a copy, shape (n,)."""
         return self._ring.take(until_us, limit)
+
+    @property
+    def first_us(self) -> int | None:
+        """Time of the first waiting event, us; None if none waits."""
+        return self._ring.time_of(0)
 
 
 MOST_NUMBERS = 16

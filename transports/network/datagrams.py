@@ -198,6 +198,11 @@ class DatagramInlet:
         """Host and port that it listens on."""
         return f"{self._host}:{self._port}"
 
+    @property
+    def descriptors(self) -> tuple[int, ...]:
+        """Descriptor of the open socket, which is readable when a datagram has arrived."""
+        return () if self._socket is None or self._socket.fileno() < 0 else (self._socket.fileno(),)
+
     def open(self, buffer_bytes: int = 0) -> None:
         """Open the socket, with a receive buffer of this size if it is not 0; raises OSError, with the remedy."""
         try:

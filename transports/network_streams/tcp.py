@@ -23,7 +23,7 @@ from firmware_protocol.device.plain_device import PlainDevice, Taken, own_time
 from firmware_protocol.events import empty_edges, empty_events
 from firmware_protocol.network_streams.coders import ConnectionCoder
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
 from transports.link.pacing import Clock
 from transports.needs import install_command
 from transports.network.datagrams import Admission, AllowList, Seat
@@ -203,6 +203,7 @@ class ClientGroup:
         self._counts: Counter[str] = Counter()
         self._empty = asyncio.Event()
         self._empty.set()
+        self.attend: Callable[[], None] = lambda: None
 
     def __len__(self) -> int:
         """Return the number of clients."""
@@ -275,6 +276,7 @@ class ClientGroup:
 
     def _connect(self, seat: Seat) -> Client:
         def joined(client: Client) -> None:
+            self.attend()
             self._admission.settle(seat)
             self._clients[client] = seat
             self._counts["clients"] += 1
@@ -345,6 +347,16 @@ class TcpEndpoint(Endpoint):
         if len(self._clients) and not self._device.waiting:
             nothing = Taken(empty_events(), empty_edges(), self._epoch_us)
             self._clients.spread(nothing, self._coder.advance(self._device.now_us - self._epoch_us))
+
+    def serve(self, attend: Callable[[], None]) -> None:
+        """See `Endpoint.serve`."""
+        for clients in self._groups:
+            clients.attend = attend
+
+    @property
+    def longest_sleep_ns(self) -> int:
+        """See `Endpoint.longest_sleep_ns`."""
+        return BUSY_NS if self._device.waiting else REST_NS
 
     async def close(self) -> None:
         """Let the clients read the data in transit, and close."""

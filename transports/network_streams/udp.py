@@ -17,7 +17,7 @@ from itertools import chain
 from firmware_protocol.device.plain_device import PlainDevice, Taken, own_time
 from firmware_protocol.network_streams.coders import Datagram, DatagramCoder
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointFactory
 from transports.network.datagrams import ByteBudget, DatagramOutlet
 from transports.network_streams.kind import UdpLink
 
@@ -64,6 +64,11 @@ class UdpEndpoint(Endpoint):
         while self._budget.left > 0 and self._prepare() and self._send():
             pass
         self._batch.report()
+
+    @property
+    def longest_sleep_ns(self) -> int:
+        """See `Endpoint.longest_sleep_ns`."""
+        return BUSY_NS if self._next is not None or self._device.waiting else HOSTED_NS
 
     async def close(self) -> None:
         """Close the socket; events that have not left are lost."""

@@ -7,7 +7,7 @@ members only to describe the types to other participants; it would encode each m
 are those that ROS 2 gives to DDS.
 """
 
-from __future__ import annotations
+# No `from __future__ import annotations`: CycloneDDS reads the annotations of the messages, and cannot resolve `str`.
 
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -121,37 +121,6 @@ class Message:
     written_ns: int
 
 
-class DdsParticipant:
-    """Participant in a domain, one for each domain; raises OSError, with the remedy, if the network cannot be used."""
-
-    def __init__(self, network: DdsNetwork) -> None:
-        try:
-            self._domain = Domain(network.domain, network.configuration)
-            self._participant = DomainParticipant(network.domain, Qos(Policy.Userdata(b"enclave=/;")))
-        except DDSException as error:
-            named = ", ".join(network.interfaces) or "the loopback interface"
-            raise OSError(
-                f"cannot join DDS domain {network.domain} on {named} ({error.msg.strip()}): is the interface there "
-                "(`ip address`), are there less than 32 processes in the domain, and no second one of this process?"
-            ) from error
-
-    def writer(self, topic: str, kind: MessageType, qos: TopicQos) -> TopicWriter:
-        """Return a writer of the topic named `topic` in ROS 2."""
-        return TopicWriter(DataWriter(self._participant, self._topic(topic, kind), qos=_qos(kind, qos)), kind)
-
-    def reader(self, topic: str, kind: MessageType, qos: TopicQos) -> TopicReader:
-        """Return a reader of the topic named `topic` in ROS 2."""
-        return TopicReader(DataReader(self._participant, self._topic(topic, kind), qos=_qos(kind, qos)))
-
-    def close(self) -> None:
-        """Leave the domain, after its writers and readers are closed; a second call does nothing."""
-        for name in ("_participant", "_domain"):  # CycloneDDS deletes objects without references
-            self.__dict__.pop(name, None)
-
-    def _topic(self, topic: str, kind: MessageType) -> Any:
-        return Topic(self._participant, f"rt{topic}", MESSAGE_TYPES[kind])
-
-
 class TopicWriter:
     """Writer of messages to one topic."""
 
@@ -203,6 +172,37 @@ class TopicReader:
     def close(self) -> None:
         """Leave the topic."""
         self._reader = None
+
+
+class DdsParticipant:
+    """Participant in a domain, one for each domain; raises OSError, with the remedy, if the network cannot be used."""
+
+    def __init__(self, network: DdsNetwork) -> None:
+        try:
+            self._domain = Domain(network.domain, network.configuration)
+            self._participant = DomainParticipant(network.domain, Qos(Policy.Userdata(b"enclave=/;")))
+        except DDSException as error:
+            named = ", ".join(network.interfaces) or "the loopback interface"
+            raise OSError(
+                f"cannot join DDS domain {network.domain} on {named} ({error.msg.strip()}): is the interface there "
+                "(`ip address`), are there less than 32 processes in the domain, and no second one of this process?"
+            ) from error
+
+    def writer(self, topic: str, kind: MessageType, qos: TopicQos) -> TopicWriter:
+        """Return a writer of the topic named `topic` in ROS 2."""
+        return TopicWriter(DataWriter(self._participant, self._topic(topic, kind), qos=_qos(kind, qos)), kind)
+
+    def reader(self, topic: str, kind: MessageType, qos: TopicQos) -> TopicReader:
+        """Return a reader of the topic named `topic` in ROS 2."""
+        return TopicReader(DataReader(self._participant, self._topic(topic, kind), qos=_qos(kind, qos)))
+
+    def close(self) -> None:
+        """Leave the domain, after its writers and readers are closed; a second call does nothing."""
+        for name in ("_participant", "_domain"):  # CycloneDDS deletes objects without references
+            self.__dict__.pop(name, None)
+
+    def _topic(self, topic: str, kind: MessageType) -> Any:
+        return Topic(self._participant, f"rt{topic}", MESSAGE_TYPES[kind])
 
 
 def _qos(kind: MessageType, qos: TopicQos) -> Qos:

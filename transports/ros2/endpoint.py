@@ -27,7 +27,7 @@ from firmware_protocol.network_streams.pictures import Image as EventImage
 from firmware_protocol.network_streams.pictures import chosen, coloured, frames_for
 from firmware_protocol.ros2.messages import EVENT_PACKET, IMAGE, Header, Image, event_packet, image_message, mono_events
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
 from transports.needs import install_command
 from transports.ros2.kind import Ros2Link
 
@@ -232,6 +232,11 @@ class Ros2Endpoint(Endpoint):
         if self._pictures is not None and self._readers and not self._device.waiting and not self._gathering.holds:
             t_us = self._device.now_us - self._epoch_us
             self._show(self._pictures.advance(t_us, self._unix_us))
+
+    @property
+    def longest_sleep_ns(self) -> int:
+        """See `Endpoint.longest_sleep_ns`."""
+        return BUSY_NS if self._gathering.holds or self._device.waiting else REST_NS
 
     async def close(self) -> None:
         """Publish the waiting data, wait a second for slow readers, and leave the domain."""

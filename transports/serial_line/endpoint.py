@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -37,7 +37,15 @@ from firmware_protocol.packets.profile import Profile
 from transports.faults.faulty_line import FaultyLine
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory, LineUse, Reopening
+from transports.link.endpoint import (
+    BUSY_NS,
+    HOSTED_NS,
+    REST_NS,
+    Endpoint,
+    EndpointFactory,
+    LineUse,
+    Reopening,
+)
 from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import Port, open_port, remove_abandoned
 
@@ -179,6 +187,11 @@ class Transmitter(Generic[_Tag]):
             if not self._send(write, due, now_ns):
                 return
 
+    @property
+    def is_busy(self) -> bool:
+        """True while frames wait for their time on the line."""
+        return bool(self._frames)
+
     def drop(self) -> list[_Tag]:
         """Discard all frames, including the one on the line, and return their tags."""
         tags = [frame.tag for frame in self._frames]
@@ -307,6 +320,20 @@ class SerialEndpoint(Endpoint):
         port, self._port = self._port, None
         if port is not None:
             await asyncio.to_thread(port.close)
+
+    @property
+    def inputs(self) -> Sequence[int]:
+        """See `Endpoint.inputs`."""
+        if self._port is None or self._faulty.gone or not self._has_reader or self._port.descriptor is None:
+            return ()
+        return (self._port.descriptor,)
+
+    @property
+    def longest_sleep_ns(self) -> int:
+        """See `Endpoint.longest_sleep_ns`; a port without a descriptor is looked at every time."""
+        if self._pulled_ns is not None or self._out.is_busy or (self._has_reader and self._instrument.waiting_items):
+            return BUSY_NS
+        return REST_NS if self._port is None or self._port.descriptor is not None else HOSTED_NS
 
     def advance_faults(self, stream_us: int) -> None:
         """See `Endpoint.advance_faults`."""

@@ -90,6 +90,11 @@ class Port(ABC):
         return 0
 
     @property
+    def descriptor(self) -> int | None:
+        """Descriptor that becomes readable when bytes arrive; None if there is none."""
+        return None
+
+    @property
     @abstractmethod
     def address(self) -> str:
         """Address at which the other side finds it."""
@@ -153,6 +158,11 @@ class DescriptorPort(Port):
         if not data and events & (select.POLLIN | select.POLLHUP | select.POLLERR):
             raise ConnectionResetError(f"{self.address} has hung up")
         return data
+
+    @property
+    def descriptor(self) -> int:
+        """See `Port.descriptor`."""
+        return self._side.fd
 
     @property
     def unsent(self) -> int:
@@ -313,6 +323,11 @@ class PtyPort(Port):
             self._forget()
         self._had_reader = present
         return present
+
+    @property
+    def descriptor(self) -> int:
+        """See `Port.descriptor`."""
+        return self._side.fd
 
     def write(self, data: bytes) -> int:
         """See `Port.write`."""

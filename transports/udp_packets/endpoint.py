@@ -23,7 +23,7 @@ from firmware_protocol.packets.telecommands import Telecommand
 from transports.faults.datagrams import FaultyDatagrams
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointFactory
 from transports.link.pacing import Clock
 from transports.link.reception import InstrumentReception, Receiving, receive
 from transports.network.datagrams import ByteBudget, DatagramInlet, DatagramOutlet
@@ -82,6 +82,16 @@ class UdpPacketEndpoint(Endpoint):
         while self._budget.left > 0 and self._prepare() and self._send():
             pass
         self._faulty.flush(self._outlet.send)
+
+    @property
+    def inputs(self) -> Sequence[int]:
+        """See `Endpoint.inputs`."""
+        return self._inlet.descriptors
+
+    @property
+    def longest_sleep_ns(self) -> int:
+        """See `Endpoint.longest_sleep_ns`."""
+        return BUSY_NS if self._next is not None or self._instrument.waiting_items else HOSTED_NS
 
     def advance_faults(self, stream_us: int) -> None:
         """See `Endpoint.advance_faults`."""

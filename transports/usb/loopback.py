@@ -21,7 +21,7 @@ from firmware_protocol.frames import FrameAssembler
 from firmware_protocol.imu_samples import ImuSamples, no_samples
 from firmware_protocol.usb.device import Identity, NotReady, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
+from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, LinkBroken
 from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Unsuitable, Wiring
 from transports.usb.davis_host import DavisHost, StreamSettings
 from transports.usb.host import StallError, TransferTimeout
@@ -206,6 +206,11 @@ class LoopbackEndpoint(Endpoint):
         self._host = DirectHost(self._device)
         self._camera = DavisHost(self._host)
         self._camera.start(StreamSettings(edges=True, frames=True, imu=True))
+
+    @property
+    def longest_sleep_ns(self) -> int:
+        """See `Endpoint.longest_sleep_ns`."""
+        return REST_NS
 
     def pump(self) -> None:
         """Read all data of the camera; raises LinkBroken when an event differs from the one sent."""

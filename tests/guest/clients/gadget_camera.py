@@ -29,7 +29,8 @@ from firmware_protocol.evk4 import Evk4, Evk4Settings
 from firmware_protocol.usb.device import Speed
 from transports.link.edges import EdgeTiming, PeriodicEdges
 from transports.link.feed import Timing
-from transports.link.process import LinkSetup, Stop, run_link
+from transports.link.loop import Stop
+from transports.link.process import LinkSetup, run_link
 from transports.link.rings import EventRing, ReadingRing
 from transports.recording.part import Facts
 from transports.usb.functionfs.endpoint import GadgetFactory

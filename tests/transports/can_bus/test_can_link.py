@@ -23,6 +23,7 @@ from tests.free_ports import free_port
 from transports.can_bus.bus import BusDown, PythonCanBus, from_message, to_message
 from transports.can_bus.endpoint import CanFactory
 from transports.can_bus.kind import CanLink
+from transports.link.endpoint import BUSY_NS, HOSTED_NS
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
@@ -208,6 +209,19 @@ def test_as_a_master_it_sends_sync_and_time():
     assert peer.heard(p.identifiers.sync)[:3] == [b"\x01", b"\x02", b"\x03"]
     assert [seq for _, seq in marks][:3] == [1, 2, 3]
     assert peer.heard(p.identifiers.scet)[0] == scet(0)
+
+
+@pytest.mark.parametrize(("sync_ms", "longest_ns"), [(0, HOSTED_NS), (100, BUSY_NS)])
+def test_a_link_that_sends_syncs_never_sleeps_longer_than_half_a_millisecond(sync_ms, longest_ns):
+    p = parameters(sync_ms=sync_ms, heartbeat_ms=0)
+    sleeps = []
+
+    def work(link, peer):
+        sleeps.append(link.endpoint.longest_sleep_ns)
+        return len(sleeps) >= 20
+
+    go(p, None, work, InstrumentSettings(housekeeping_s=0))
+    assert max(sleeps) == longest_ns
 
 
 def test_an_overflow_is_told_by_an_emergency_and_its_end_too():

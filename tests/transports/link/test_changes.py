@@ -2,14 +2,18 @@
 
 from types import SimpleNamespace
 
+from firmware_protocol.davis346 import Davis346
 from firmware_protocol.device.event_device import EventDevice
 from transports.link.changes import CameraSettings, ChangeWatch, Occurrence
+from transports.usb.davis_host import DavisHost
+from transports.usb.loopback import DirectHost
 
 
 class Device(SimpleNamespace):
     """What a watch looks at."""
 
     set_by = "telecommand"
+    settings_version = None
     sensor_factors = EventDevice.sensor_factors
 
     def take_commands(self):
@@ -48,3 +52,28 @@ def test_what_found_no_room_is_counted_when_there_is_room_again():
     assert list(watch.waiting) == [
         Occurrence(2, "telecommand", "500 more, not listed"), Occurrence(2, "telecommand", "last"),
     ]  # fmt: skip
+
+
+class Counting(Davis346):
+    """Camera that counts how often its factors are read."""
+
+    reads = 0
+
+    @property
+    def sensor_factors(self):
+        self.reads += 1
+        return super().sensor_factors
+
+
+def test_a_camera_that_nobody_writes_to_is_compared_once():
+    device = Counting()
+    watch = ChangeWatch(device)
+    for t_us in range(100):
+        watch.look(t_us)
+    assert device.reads == 1
+    DavisHost(DirectHost(device)).write_register(5, 12, 1)  # OffBn
+    assert watch.is_behind
+    watch.look(100)
+    assert not watch.is_behind
+    assert device.reads == 2
+    assert [type(one) for one in watch.waiting] == [CameraSettings]

@@ -12,8 +12,9 @@ from firmware_protocol.events import EVENT
 from firmware_protocol.usb.device import SetupPacket, Transfer
 from transports.link.deliveries import digest_of
 from transports.link.endpoint import LinkBroken
+from transports.link.loop import LinkLoop, Stop, _is_read
 from transports.link.pacing import FakeClock
-from transports.link.process import Link, LinkSetup, Stop, _is_read, _tick_until_stopped
+from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.recording.record import load_record
 from transports.usb.host import StallError
@@ -196,6 +197,11 @@ class Stalled:
     def __init__(self, clock, turns, turn_s):
         self.clock, self.left, self.turn_ns, self.ticks = clock, turns, int(turn_s * 1e9), 0
         self.changes, self.settled = (), 0
+        self.ring, self.endpoint = EventRing(1), LoopbackEndpoint(Davis346())
+        self.next_ns = self.soonest_ns = self.ticked_ns = 0
+
+    def asleep_us(self, until_ns):
+        return 0
 
     def settle(self):
         self.settled += 1
@@ -223,10 +229,10 @@ def test_the_drain_counts_the_links_own_time_and_has_an_end(turns, turn_s, left)
     ours, theirs = multiprocessing.Pipe()
     ours.send(Stop(1.0))
 
-    class Setup:
-        tick_us = 0
+    async def drained():
+        await LinkLoop(link, theirs, clock).run()
 
-    asyncio.run(_tick_until_stopped(link, Setup(), theirs, clock))
+    asyncio.run(drained())
     assert link.left == left
 
 

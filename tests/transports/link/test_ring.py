@@ -1,6 +1,7 @@
 """The ring between the sensor and a link."""
 
 import multiprocessing
+import select
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EVENT
-from transports.link.rings import EventRing
+from transports.link.rings import FOREVER_US, FREE_RUNNING, EventRing
 
 
 def events_at(times):
@@ -62,6 +63,45 @@ def test_a_ring_says_where_the_run_is():
 def test_a_ring_needs_room_for_an_event():
     with pytest.raises(ValueError, match="at least one"):
         EventRing(0)
+
+
+def woken(ring):
+    return bool(select.select([ring.wakes], [], [], 0)[0])
+
+
+def test_a_writer_wakes_a_reader_that_sleeps_beyond_its_events_once_for_each_sleep():
+    ring = EventRing(100)
+    ring.sleep(1000)
+    ring.push(events_at([1000, 1001]))
+    ring.publish(2000)
+    assert not woken(ring)  # both are due when it wakes anyway
+    ring.sleep(1500)
+    ring.push(events_at([1499, 1600]))
+    assert not woken(ring)  # not published
+    ring.publish(2500)
+    assert woken(ring)
+    ring.woken()
+    ring.push(events_at([1499]))
+    ring.publish(2600)
+    assert not woken(ring)  # it is awake
+
+
+def test_a_reader_that_is_up_to_date_is_woken_by_any_publication_and_by_the_start():
+    ring = EventRing(100)
+    for publish in (lambda: ring.start(FREE_RUNNING), lambda: ring.publish(10), lambda: ring.publish(20)):
+        ring.sleep(FOREVER_US)
+        publish()
+        assert woken(ring)
+        ring.woken()
+        assert not woken(ring)
+
+
+def test_wake_ups_that_nobody_reads_do_not_stop_the_writer():
+    ring = EventRing(10)
+    for k in range(100_000):  # more than the pipe holds
+        ring.sleep(FOREVER_US)
+        ring.publish(k)
+    assert ring.now_us == 99_999
 
 
 def _write(ring, count):

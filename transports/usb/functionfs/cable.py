@@ -247,6 +247,11 @@ class Cable:
         The port; its descriptors must have been accepted, and its controller be bound after `start`.
     grace_s
         Time in which the host may still read a transfer of an ended stream.
+
+    Attributes
+    ----------
+    attend
+        Function that is called before a request is processed.
     """
 
     def __init__(self, device: UsbDevice, function: Function, grace_s: float = _GRACE_S) -> None:
@@ -260,6 +265,7 @@ class Cable:
         self._orders: deque[Request | Sent | EventKind] = deque()
         self._on_the_way: dict[InThread, _InProgress] = {}
         self._is_attached = self._is_configured = self._is_enabled = self._is_closing = False
+        self.attend: Callable[[], None] = lambda: None
 
     @property
     def enabled(self) -> bool:
@@ -323,6 +329,7 @@ class Cable:
     # Requests and events of the port.
 
     def _enqueue(self, order: Request | Sent | EventKind) -> None:
+        self.attend()
         self._orders.append(order)
         self.pump()
 

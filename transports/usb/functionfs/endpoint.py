@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import signal
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -12,7 +13,7 @@ from firmware_protocol.usb.functionfs import descriptor_block, string_block
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory, LinkBroken
+from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, LinkBroken
 from transports.usb.functionfs.cable import Cable
 from transports.usb.functionfs.files import WAKE_SIGNAL, FunctionFiles, with_spares
 from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of
@@ -75,6 +76,16 @@ class GadgetEndpoint(Endpoint):
             if self._cable.enabled != self._had_host:
                 self._had_host = self._cable.enabled
                 self._check_addresses()
+
+    def serve(self, attend: Callable[[], None]) -> None:
+        """See `Endpoint.serve`."""
+        if self._cable is not None:
+            self._cable.attend = attend
+
+    @property
+    def longest_sleep_ns(self) -> int:
+        """See `Endpoint.longest_sleep_ns`."""
+        return REST_NS
 
     def advance_faults(self, stream_us: int) -> None:
         """See `Endpoint.advance_faults`."""

@@ -34,6 +34,7 @@ import asyncio
 import logging
 import socket
 from collections import OrderedDict, deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Protocol
@@ -126,6 +127,9 @@ class ConnectionSettings:
 class Bus(Protocol):
     """Interface of the server that a connection uses."""
 
+    attend: Callable[[], None]
+    """Function to call before bytes are processed, and before a host is lost: it feeds the devices up to now."""
+
     def list_devices(self) -> DeviceListReply:
         """Return the answer to a device list request."""
 
@@ -209,6 +213,8 @@ class Connection(asyncio.Protocol):
             self._timeout.cancel()
         if error:
             log.info("%s: connection lost: %s", self.peer, error)
+        if self._device:
+            self._bus.attend()
         device, self._device = self._device, None
         for urb in [urb for urbs in self._pending.values() for urb in urbs.values()]:
             self._over(urb, _DEVICE_GONE)
@@ -252,6 +258,7 @@ class Connection(asyncio.Protocol):
 
     def _advance(self) -> None:
         """Process the received requests and send the possible answers."""
+        self._bus.attend()
         try:
             while self._writable:
                 message = self._parser.next_message()

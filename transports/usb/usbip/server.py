@@ -18,7 +18,7 @@ import logging
 import re
 import socket
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -28,7 +28,7 @@ from firmware_protocol.usb.usbip import DeviceListReply, DeviceRecord, ImportRep
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import Endpoint, EndpointFactory
+from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory
 from transports.network.datagrams import Admission, AllowList, Places, Seat, is_loopback
 from transports.network.listener import Listener
 from transports.usb.loopback import Observed
@@ -60,6 +60,11 @@ class UsbipServer:
     observer
         Observer of every URB.
 
+    Attributes
+    ----------
+    attend
+        Function that is called before the bytes of a host are processed, and before a host is lost.
+
     Raises
     ------
     ValueError
@@ -86,6 +91,7 @@ class UsbipServer:
         self._unplugged: set[str] = set()
         self._idle = asyncio.Event()
         self._idle.set()
+        self.attend: Callable[[], None] = lambda: None
 
     @property
     def attached(self) -> Mapping[str, str]:
@@ -245,6 +251,15 @@ class UsbipEndpoint(Endpoint):
     def pump(self) -> None:
         """Answer the hosts' pending requests."""
         self._server.pump()
+
+    def serve(self, attend: Callable[[], None]) -> None:
+        """See `Endpoint.serve`."""
+        self._server.attend = attend
+
+    @property
+    def longest_sleep_ns(self) -> int:
+        """See `Endpoint.longest_sleep_ns`."""
+        return REST_NS
 
     def advance_faults(self, stream_us: int) -> None:
         """See `Endpoint.advance_faults`."""

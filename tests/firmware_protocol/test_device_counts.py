@@ -1,0 +1,134 @@
+"""Counts and versions that a link reads at every tick are those of the complete counters and settings."""
+
+import numpy as np
+import pytest
+from davis_host import Host as DavisRequests
+from gige_host import Host as GigeHost
+from instrument_ground import Ground, stream
+
+from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.plain_device import PlainDevice
+from firmware_protocol.events import EdgeKind, empty_edges
+from firmware_protocol.evk4.device import Evk4, Evk4Settings
+from firmware_protocol.gige.triton2 import Triton2
+from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.instrument.settings import InstrumentSettings
+from firmware_protocol.packets.telecommands import SetBias
+from transports.usb.evk4_host import Evk4Host
+from transports.usb.loopback import DirectHost
+
+
+def edges_at(*times_us):
+    edges = empty_edges(len(times_us))
+    edges["t"], edges["kind"] = times_us, EdgeKind.PULSE
+    return edges
+
+
+def davis():
+    camera = Davis346(Davis346Settings(start_delay_us=0))
+    host = DavisRequests(camera)
+    host.write_all(((4, 0, 1), (4, 3, 1), (0, 0, 1), (0, 1, 1), (0, 3, 1), (9, 0, 1), (1, 3, 1)))
+    return camera, lambda: camera.read(2, 512)
+
+
+def evk4():
+    camera = Evk4(Evk4Settings(start_delay_us=0))
+    Evk4Host(DirectHost(camera)).start()
+    return camera, lambda: camera.read(1, 512)
+
+
+def triton2():
+    host = GigeHost()
+    host.start()
+    return host.camera, lambda: host.camera.next_block(at_once=True)
+
+
+def instrument():
+    camera = Instrument((346, 260), InstrumentSettings(housekeeping_s=0))
+    return camera, camera.next_message
+
+
+def plain():
+    camera = PlainDevice()
+    camera.sent = lambda taken: camera.arrived(len(taken.events), len(taken.edges))
+    return camera, lambda: camera.carry(100)
+
+
+@pytest.mark.parametrize("make", [davis, evk4, triton2, instrument, plain])
+def test_counts_are_those_of_the_counters(make):
+    camera, take = make()
+    events = stream(1000)
+    for step in (
+        lambda: camera.offer(events[:500]),
+        lambda: camera.advance(5000),
+        lambda: camera.sent(take()),
+        lambda: camera.offer_edges(edges_at(5_100, 6_000)),
+        lambda: camera.offer(events[500:]),
+        lambda: camera.advance(20_000),
+        take,
+    ):
+        step()
+        assert camera.delivered == EventDevice.delivered.fget(camera)
+        assert camera.waiting_items == EventDevice.waiting_items.fget(camera)
+    assert camera.delivered > 0
+    assert camera.waiting_items > 0
+
+
+def write_davis():
+    camera = Davis346()
+    return camera, lambda: DavisRequests(camera).write(5, 12, 1)
+
+
+def write_evk4():
+    camera = Evk4()
+    host = Evk4Host(DirectHost(camera))
+    return camera, lambda: host.write_register(0x1000, 0x11A1_0504)
+
+
+def write_triton2():
+    host = GigeHost()
+    return host.camera, host.start
+
+
+def command_instrument():
+    camera = Instrument((346, 260))
+    return camera, lambda: Ground(camera).tell(SetBias(12, 1))
+
+
+@pytest.mark.parametrize("make", [write_davis, write_evk4, write_triton2, command_instrument])
+def test_a_request_that_changes_settings_changes_their_version(make):
+    camera, request = make()
+    before = camera.settings_version
+    camera.offer(stream(10))
+    camera.advance(1000)
+    assert camera.settings_version == before
+    request()
+    assert camera.settings_version != before
+
+
+@pytest.mark.parametrize("make", [davis, evk4, triton2, instrument, plain])
+def test_a_camera_whose_data_a_host_reads_is_not_at_rest(make):
+    camera, _ = make()
+    assert not camera.at_rest
+
+
+@pytest.mark.parametrize("kind", [Davis346, Evk4, Triton2])
+def test_a_camera_without_a_host_is_at_rest(kind):
+    assert kind().at_rest
+
+
+def test_a_camera_that_sends_frames_alone_is_not_at_rest():
+    camera = Davis346(Davis346Settings(start_delay_us=0))
+    DavisRequests(camera).write_all(((0, 0, 1), (0, 1, 1), (0, 3, 1), (9, 0, 1)))  # words, but no events
+    assert not camera.streaming
+    assert not camera.at_rest
+
+
+def test_a_camera_in_the_silence_after_its_start_is_not_at_rest():
+    camera = Davis346(Davis346Settings(start_delay_us=300_000))
+    DavisRequests(camera).write_all(((0, 0, 1), (0, 1, 1), (0, 3, 1), (9, 0, 1), (1, 3, 1)))
+    camera.advance(1000)
+    assert not camera.streaming
+    assert not camera.at_rest
+    assert np.asarray(camera.silent_until_us) > 1000

@@ -1,0 +1,387 @@
+"""A link sleeps until something is due, and wakes for orders, requests and publications. Ticks are counted."""
+
+import asyncio
+import multiprocessing
+import socket
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+import pytest
+from virtual_loop import VirtualLoop
+
+from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.device.plain_device import PlainDevice
+from firmware_protocol.events import EVENT
+from firmware_protocol.frames import line_record
+from firmware_protocol.usb.usbip import ImportRequest
+from transports.faults.script import FaultPlan
+from transports.faults.usb import UsbUnplugged
+from transports.link.edges import EdgeTrain, ListedEdges
+from transports.link.endpoint import HOSTED_NS, REST_NS, Endpoint, EndpointFactory
+from transports.link.feed import Timing
+from transports.link.loop import Happen, InjectFault, LinkLoop, Stop
+from transports.link.pacing import FakeClock
+from transports.link.process import Link, LinkSetup
+from transports.link.rings import FREE_RUNNING, EventRing, ReadingRing
+from transports.usb.loopback import LoopbackFactory
+from transports.usb.usbip.server import UsbipFactory
+
+MS = 1_000_000
+ORIGIN_NS = 1_000 * MS
+
+
+class Recording(Davis346):
+    """Camera that records the stream time of its last start of power, and counts reads of its settings."""
+
+    def __init__(self, settings=None):
+        self.attached_us, self.reads = [], 0
+        super().__init__(settings or Davis346Settings(start_delay_us=0))
+
+    def attached(self):
+        self.attached_us.append(self.now_us)
+        super().attached()
+
+    def reading_settings(self, kind):
+        self.reads += 1
+        return super().reading_settings(kind)
+
+
+@dataclass(frozen=True)
+class Inbox(EndpointFactory):
+    """Endpoint with one input: `early` reads it before the camera is fed, as a process that answers hosts has it."""
+
+    connection: socket.socket
+    early: bool = False
+    hosted: bool = True
+    got: list = field(default_factory=list)
+
+    def build(self, device, deliveries):
+        return InboxEndpoint(self, device, deliveries)
+
+
+class InboxEndpoint(Endpoint):
+    state = "open"
+    longest_sleep_ns = REST_NS
+
+    def __init__(self, factory, device, deliveries):
+        self.at, self.device, self.deliveries = factory, device, deliveries
+
+    async def start(self):
+        self.at.connection.setblocking(False)
+        self.device.run(self.at.hosted)
+
+    @property
+    def inputs(self):
+        return (self.at.connection.fileno(),)
+
+    def listen(self):
+        if self.at.early:
+            self.receive()
+
+    def pump(self):
+        self.receive()
+        while (taken := self.device.take(1000)) is not None:
+            self.deliveries.add(taken.events)
+
+    def receive(self):
+        try:
+            self.at.got.append((self.at.connection.recv(100), self.device.now_us))
+        except BlockingIOError:
+            return
+
+    async def close(self):
+        self.at.connection.close()
+
+
+class Bench:
+    """A link in an event loop of virtual time, with the session's ends of its pipe and ring."""
+
+    def __init__(self, endpoint, device=Recording, **more):
+        self.clock = FakeClock(ORIGIN_NS)
+        self.loop = VirtualLoop(self.clock)
+        self.ring = EventRing(100_000)
+        self.session, self.control = multiprocessing.Pipe()
+        self.setup = LinkSetup("link", self.ring, device, endpoint, **more)
+        self.ticks_ns = []
+
+    @property
+    def now_us(self):
+        return (self.clock.now_ns() - ORIGIN_NS) // 1000
+
+    def close(self):
+        self.session.close()
+        self.control.close()
+        self.loop.close()
+
+    def at(self, ms, function):
+        self.loop.at(ORIGIN_NS + round(ms * MS), function)
+
+    def run(self, seconds):
+        """Run the link, and stop it after `seconds`; return it."""
+        self.at(1000 * seconds, lambda: self.session.send(Stop(0.0)))
+        return self.loop.run_until_complete(self._run())
+
+    async def _run(self):
+        self.link = Link(self.setup, self.clock)
+        await self.link.endpoint.start()
+        tick = self.link.tick
+        self.link.tick = lambda: (self.ticks_ns.append(self.clock.now_ns()), tick())
+        try:
+            await LinkLoop(self.link, self.control, self.clock).run()
+            return self.link.report()
+        finally:
+            await self.link.close()
+
+    def publish_all(self, seconds):
+        """Start a paced run whose session publishes a step of 10 ms each 10 ms, 20 ms ahead."""
+        self.ring.start(ORIGIN_NS)
+        for k in range(100 * seconds + 2):
+            self.at(10 * (k - 2), partial(self.ring.publish, 10_000 * k))
+
+
+@pytest.fixture
+def new_bench():
+    made = []
+
+    def make(*args, **more):
+        made.append(Bench(*args, **more))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def events_at(*times_us):
+    events = np.zeros(len(times_us), EVENT)
+    events["t"] = times_us
+    return events
+
+
+def test_a_link_without_a_host_wakes_each_four_milliseconds_and_for_reports(new_bench):
+    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench.publish_all(1)
+    bench.run(1)
+    assert len(bench.ticks_ns) <= 250 + 10 + 3
+    assert max(np.diff(bench.ticks_ns)) <= REST_NS
+
+
+def test_events_for_nobody_do_not_wake_a_link(new_bench):
+    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench.publish_all(1)
+    bench.ring.push(events_at(*range(0, 1_000_000, 100)))
+    report = bench.run(1)
+    assert report.camera.not_running >= 9990 - 100
+    assert len(bench.ticks_ns) <= 250 + 10 + 3
+
+
+def test_the_time_of_a_camera_with_a_host_advances_each_millisecond(new_bench):
+    bench = new_bench(LoopbackFactory())
+    bench.publish_all(1)
+    bench.run(1)
+    assert len(bench.ticks_ns) <= 1000 + 10 + 3
+    assert max(np.diff(bench.ticks_ns)) <= HOSTED_NS
+
+
+def test_single_events_leave_a_tenth_of_a_millisecond_after_their_time(new_bench):
+    bench = new_bench(LoopbackFactory())
+    bench.publish_all(1)
+    bench.ring.push(events_at(*range(10_300, 990_000, 10_000)))
+    report = bench.run(1)
+    assert report.delivered == 98
+    assert 0 < report.latency.max <= 501  # half a millisecond after the last tick
+    assert report.latency.p50 <= 110
+
+
+def test_a_dense_stream_is_sent_once_a_millisecond(new_bench):
+    bench = new_bench(LoopbackFactory())
+    bench.publish_all(1)
+    bench.ring.push(events_at(*range(99_000)))
+    report = bench.run(0.1)
+    assert report.delivered >= 98_000
+    assert len(bench.ticks_ns) <= 100 + 5
+    assert report.latency.max <= 1001
+
+
+def test_a_stream_of_few_events_is_sent_twice_a_millisecond(new_bench):
+    bench = new_bench(LoopbackFactory())
+    bench.publish_all(1)
+    bench.ring.push(events_at(*range(0, 990_000, 20)))
+    report = bench.run(1)
+    assert report.delivered == 49_500
+    assert len(bench.ticks_ns) <= 2000 + 10 + 3
+    assert report.latency.max <= 501
+
+
+def test_late_events_wake_a_sleeping_link(new_bench):
+    bench = new_bench(LoopbackFactory())
+    bench.ring.start(ORIGIN_NS)
+    late_ms = [20 + 7.13 * k for k in range(100)]  # somewhere in each sleep of 1 ms
+    for ms in late_ms:
+        bench.at(ms, partial(bench.ring.push, events_at(int(1000 * ms))))
+        bench.at(ms, partial(bench.ring.publish, int(1000 * ms)))
+    report = bench.run(1)
+    assert report.delivered == 100
+    assert report.latency.max <= 501  # half a millisecond after the last tick, and not the longest sleep
+    assert report.latency.p50 <= 250
+
+
+@pytest.mark.parametrize("step_us", [1000, 10_000])
+def test_a_link_that_is_not_paced_follows_each_publication_at_once(new_bench, step_us):
+    bench = new_bench(LoopbackFactory())
+    bench.ring.start(FREE_RUNNING)
+    behind = []
+
+    def publish(k):
+        behind.append((k - 1) * step_us - bench.ring.settled_us)
+        bench.ring.push(events_at(k * step_us - 1))
+        bench.ring.publish(k * step_us)
+
+    for k in range(1, 101):
+        bench.at(0.01 * k, partial(publish, k))
+    report = bench.run(0.1)
+    assert report.delivered == 100
+    assert max(behind) == 0
+    assert len(bench.ticks_ns) <= 100 + 25 + 4
+
+
+def test_a_plain_link_that_is_not_paced_gathers_publications(new_bench):
+    ours, theirs = socket.socketpair()
+    bench = new_bench(Inbox(theirs), PlainDevice)
+    bench.ring.start(FREE_RUNNING)
+    for k in range(1, 1001):
+        bench.at(0.01 * k, partial(bench.ring.push, events_at(k)))
+        bench.at(0.01 * k, partial(bench.ring.publish, k))
+    report = bench.run(0.1)
+    ours.close()
+    assert report.delivered == 1000
+    assert len(bench.ticks_ns) <= 20 + 25 + 4
+
+
+def test_an_order_acts_at_once_and_at_the_time_of_its_arrival(new_bench):
+    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench.publish_all(1)
+    acted = []
+
+    def inject(fault, by=""):
+        acted.append((bench.now_us, bench.link._device.now_us))
+        Link.inject(bench.link, fault, by)
+
+    def order():
+        bench.link.inject = inject
+        bench.session.send(InjectFault(UsbUnplugged(for_s=0.01)))
+
+    bench.at(501.7, order)
+    report = bench.run(1)
+    assert acted == [(501_700, 501_700)]
+    assert ORIGIN_NS + 501_700_000 in bench.ticks_ns  # and its effect is there
+    assert report.faults[0].began_us == 501_700
+    assert report.faults[0].ended_us - 511_700 <= 500
+
+
+def test_an_edge_by_hand_has_the_time_of_its_order(new_bench):
+    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench.publish_all(1)
+    bench.at(301.9, lambda: bench.session.send(Happen(None, "user")))
+    bench.run(1)
+    assert bench.link._device.epoch_us == 301_900
+
+
+@pytest.mark.parametrize("at_s", [0.5003, 0.75])
+def test_a_scripted_fault_begins_within_a_millisecond(new_bench, at_s):
+    plan = FaultPlan("usb", (UsbUnplugged(at_s=at_s, for_s=0.1),))
+    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1", plan))
+    bench.publish_all(1)
+    report = bench.run(1)
+    (fault,) = report.faults
+    assert 0 <= fault.began_us - at_s * 1e6 <= 1000
+    assert 0 <= fault.ended_us - (at_s + 0.1) * 1e6 <= 1000
+
+
+def test_a_host_attaches_a_camera_that_has_been_fed_up_to_now(new_bench):
+    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench.publish_all(1)
+    host, server = socket.socketpair()
+
+    def attach():
+        host.sendall(bytes(ImportRequest("1-1")))
+
+    async def serve():
+        await bench.link.endpoint._server.serve(server)
+
+    bench.at(100, lambda: bench.loop.create_task(serve()))
+    bench.at(777.7, attach)
+    bench.run(1)
+    host.close()
+    assert bench.link._device.attached_us == [777_700]
+
+
+@pytest.mark.parametrize("early", [False, True])
+def test_a_request_at_an_input_is_answered_by_a_camera_that_has_been_fed_up_to_now(new_bench, early):
+    ours, theirs = socket.socketpair()
+    endpoint = Inbox(theirs, early, hosted=False)
+    bench = new_bench(endpoint, PlainDevice)
+    bench.publish_all(1)
+    bench.at(333.3, partial(ours.sendall, b"?"))
+    bench.run(1)
+    ours.close()
+    assert endpoint.got == [(b"?", 333_300)]
+
+
+def test_an_input_that_is_readable_all_the_time_does_not_keep_a_link_awake(new_bench):
+    ours, theirs = socket.socketpair()
+    ours.close()  # the end of the stream can be read for ever
+    bench = new_bench(Inbox(theirs), PlainDevice)
+    bench.publish_all(1)
+    bench.run(1)
+    assert len(bench.ticks_ns) <= 2000 + 10 + 3
+
+
+def test_edges_of_a_list_are_applied_at_their_time(new_bench):
+    timing = Timing(edges=ListedEdges([EdgeTrain(1, 10_400, 50_000, 10)]))
+    bench = new_bench(LoopbackFactory(), timing=timing)
+    bench.publish_all(1)
+    report = bench.run(1)
+    assert report.edges.taken == 10
+    assert report.edges.worst_late_us == 0
+    ticks_us = {(t_ns - ORIGIN_NS) // 1000 for t_ns in bench.ticks_ns}
+    assert {10_500 + 50_000 * k for k in range(10)} <= ticks_us
+
+
+def test_settings_that_no_host_changes_are_read_once(new_bench):
+    readings = (ReadingRing(ReadingKind.FRAMES, line_record(346), 4096),)
+    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"), readings=readings)
+    bench.publish_all(1)
+    bench.run(1)
+    assert len(bench.ticks_ns) > 200
+    assert bench.link._device.reads == 1
+
+
+def test_the_end_of_the_session_ends_a_link_that_sleeps(new_bench):
+    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench.publish_all(1)
+    bench.at(100, bench.session.close)
+    with pytest.raises((EOFError, ConnectionError)):
+        bench.run(1)
+    assert bench.now_us <= 100_000
+
+
+def test_a_stop_drains_for_the_links_own_time(new_bench):
+    bench = new_bench(LoopbackFactory())
+    bench.ring.start(ORIGIN_NS)
+    bench.ring.push(events_at(*range(0, 2_000_000, 1000)))
+    bench.ring.publish(2_000_000)
+    bench.at(100, lambda: bench.session.send(Stop(0.25)))
+    report = bench.loop.run_until_complete(bench._run())
+    assert 340 <= report.delivered <= 352
+
+
+def test_the_loop_ends_without_its_readers(new_bench):
+    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench.publish_all(1)
+    bench.run(0.1)
+    assert not [key for key in bench.loop._selector.get_map().values() if key.fd == bench.control.fileno()]
+    assert not [key for key in bench.loop._selector.get_map().values() if key.fd == bench.ring.wakes]
+    assert asyncio.all_tasks(bench.loop) == set()

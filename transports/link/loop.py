@@ -1,0 +1,235 @@
+"""Ticks of a link in the event loop of its process: when something is due, and when a request or a publication comes.
+
+    timer -------------------------------> turn: Link.tick, changes, a report ten times a second
+    session --byte in the ring's pipe----> a turn, because events were published that are due before the next one
+    session --Stop, InjectFault, Happen--> acts at once, then a turn
+    host ----bytes at an input-----------> Link.attend, then a turn, half a millisecond after the last one or later
+    host ----bytes to an event loop------> Link.attend before they are processed, then a turn if the camera rested
+
+Longest sleep from one tick to the next:
+
+    a fault is active, edges come from another process,     0.5 ms   as data move, and as every link did before
+    SYNCs are sent, data wait in the camera
+    a host is present, nothing is due                       1 ms     time that its camera reports advances
+    no host, a file, a run that is not paced and up to date 4 ms     only the ring of events must not fill
+
+Events leave 0.1 ms after the time of the first of them, so that several leave together, and not within half a
+millisecond of the last tick; of a dense stream (256 events a tick and more) a whole one, as the packets of a camera on
+USB do, because a tick costs nearly the same for 300 events as for 1500.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import select
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING
+
+from firmware_protocol.events import EdgeKind
+from transports.faults.kinds import Fault
+from transports.link.pacing import Clock
+from transports.link.rings import FOREVER_US
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from transports.link.process import Link
+
+__all__ = ["Happen", "InjectFault", "LinkLoop", "Stop"]
+
+
+_REPORT_PERIOD_NS = 100_000_000
+_LONGEST_DRAIN_TURN_NS = 5_000_000
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Request of the session to end: deliver the waiting data for at most `drain_s` of the link's own time.
+
+    A turn counts with at most 5 ms, so that a link that was delayed by the machine or by compilation gets all its
+    turns.
+    """
+
+    drain_s: float
+
+
+@dataclass(frozen=True)
+class InjectFault:
+    """Request of the session to begin a fault now, of a kind that this link can have; `by`: name of the requester."""
+
+    fault: Fault
+    by: str = ""
+
+
+@dataclass(frozen=True)
+class Happen:
+    """Request of the session to apply an edge to the camera's input now; None: reset its clock to zero.
+
+    `by`: name of the requester.
+    """
+
+    kind: EdgeKind | None
+    by: str = ""
+
+
+class LinkLoop:
+    """Ticks of a link in the running event loop; made there.
+
+    Attributes
+    ----------
+    turns
+        Number of turns so far.
+    """
+
+    def __init__(self, link: Link, control: Connection, clock: Clock) -> None:
+        self._link = link
+        self._control = control
+        self._clock = clock
+        self._loop = asyncio.get_running_loop()
+        self._over: asyncio.Future[None] = self._loop.create_future()
+        self._timer: asyncio.Handle | None = None
+        self._timer_ns = 0
+        self._inputs: set[int] = set()
+        self._report_ns = self._last_ns = clock.now_ns()
+        self._drain_ns: int | None = None
+        self.turns = 0
+
+    async def run(self) -> None:
+        """Tick until the session has sent Stop and the link is drained.
+
+        Raises LinkBroken, and EOFError or ConnectionError when the session has ended.
+        """
+        self._loop.add_reader(self._control.fileno(), self._call, self._obey)
+        self._loop.add_reader(self._link.ring.wakes, self._call, self._follow_publication)
+        self._link.endpoint.serve(partial(self._call, self._attend))
+        self._wake_at(self._clock.now_ns())
+        try:
+            await self._over
+        finally:
+            self._end()
+
+    def _end(self) -> None:
+        self._link.ring.sleep(0)
+        self._link.endpoint.serve(lambda: None)
+        for descriptor in (self._control.fileno(), self._link.ring.wakes, *self._inputs):
+            self._loop.remove_reader(descriptor)
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def _call(self, function: Callable[[], None]) -> None:
+        """Call a function of this object; an error ends the loop."""
+        if self._over.done():
+            return
+        try:
+            function()
+        except Exception as error:  # noqa: BLE001  # `run` raises it
+            self._over.set_exception(error)
+
+    def _wake_at(self, at_ns: int) -> None:
+        """Set the next turn to `at_ns`, unless it is earlier already."""
+        if self._timer is not None:
+            if self._timer_ns <= at_ns:
+                return
+            self._timer.cancel()
+        self._timer_ns = at_ns
+        delay_ns = at_ns - self._clock.now_ns()
+        if delay_ns > 0:
+            self._timer = self._loop.call_later(delay_ns * 1e-9, self._call, self._turn)
+        else:
+            self._timer = self._loop.call_soon(self._call, self._turn)
+
+    def _turn(self) -> None:
+        """Tick, send changes and reports, and sleep."""
+        self._timer = None
+        self.turns += 1
+        self._link.ring.sleep(0)
+        self._link.tick()
+        self._send_changes()
+        now_ns = self._clock.now_ns()
+        if self._is_drained(now_ns):
+            self._over.set_result(None)
+            return
+        if now_ns >= self._report_ns:
+            if _is_read(self._control):
+                self._control.send(self._link.report())
+            self._report_ns = now_ns + _REPORT_PERIOD_NS
+        self._sleep()
+
+    def _sleep(self) -> None:
+        """Wait for the next turn.
+
+        The writer of the ring wakes this process for everything from the first announcement on, so that nothing which
+        is published while the next time is computed stays unnoticed.
+        """
+        link = self._link
+        link.ring.sleep(FOREVER_US)
+        next_ns = min(link.next_ns, self._report_ns)
+        link.ring.sleep(link.asleep_us(next_ns))
+        for descriptor in set(link.endpoint.inputs) ^ self._inputs:
+            self._watch(descriptor)
+        self._wake_at(next_ns)
+
+    def _watch(self, descriptor: int) -> None:
+        """Begin to watch an input, or cease."""
+        if descriptor in self._inputs:
+            self._inputs.remove(descriptor)
+            self._loop.remove_reader(descriptor)
+        else:
+            self._inputs.add(descriptor)
+            self._loop.add_reader(descriptor, self._call, partial(self._read, descriptor))
+
+    def _read(self, descriptor: int) -> None:
+        """Process a request at an input, which is watched again after the next turn."""
+        self._watch(descriptor)
+        soonest_ns = self._link.soonest_ns
+        self._link.attend()
+        self._wake_at(soonest_ns)
+
+    def _attend(self) -> None:
+        """Prepare for a request that an event loop delivers; the next turn reports its effects."""
+        self._link.attend()
+        if self._link.is_at_rest or not self._link.is_paced:
+            self._wake_at(self._link.soonest_ns)
+
+    def _follow_publication(self) -> None:
+        self._link.ring.woken()
+        self._wake_at(self._link.published_ns)
+
+    def _obey(self) -> None:
+        """Execute an order of the session."""
+        order: Stop | InjectFault | Happen = self._control.recv()
+        if isinstance(order, Stop):
+            self._drain_ns, self._last_ns = int(order.drain_s * 1e9), self._clock.now_ns()
+            self._loop.remove_reader(self._control.fileno())
+        else:
+            self._link.attend()
+            if isinstance(order, InjectFault):
+                self._link.inject(order.fault, order.by)
+            else:
+                self._link.happen(order.kind, order.by)
+        self._wake_at(self._clock.now_ns())
+
+    def _is_drained(self, now_ns: int) -> bool:
+        """Return True if the session has sent Stop, and no data wait or the time for them has passed."""
+        if self._drain_ns is None:
+            return False
+        self._drain_ns -= min(now_ns - self._last_ns, _LONGEST_DRAIN_TURN_NS)
+        self._last_ns = now_ns
+        return self._link.idle or self._drain_ns < 0
+
+    def _send_changes(self) -> None:
+        """Send the changes of the camera, and after them its stream time."""
+        changes = self._link.changes
+        while changes and _is_read(self._control):
+            self._control.send(changes.popleft())
+        if not changes:
+            self._link.settle()
+
+
+def _is_read(control: Connection) -> bool:
+    """Return True if the session reads reports: a busy session must not stop its links."""
+    room = select.poll()
+    room.register(control, select.POLLOUT)
+    return bool(room.poll(0))
