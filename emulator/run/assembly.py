@@ -59,7 +59,7 @@ from emulator.trajectory.parameters import OrbitPath
 from emulator.trajectory.pose import Fixed
 from firmware_protocol.davis346.registers import driver_imu_settings
 from firmware_protocol.device.clock import ClockSettings
-from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.frames import FrameSettings
 from firmware_protocol.gige.registers import GigeSettings

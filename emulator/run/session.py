@@ -28,7 +28,7 @@ from emulator.run.pacing import Drive, Lateness, Lockstep, Simulation, StepRule
 from emulator.run.readings import ReadingSources, StepOutput
 from emulator.run.stereo import SecondView, ledger_of
 from emulator.sensor.event_source import AdjustableSource, EventSource
-from firmware_protocol.device.event_device import ReadingKind, Readings
+from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EdgeKind, Events
 from transports.faults.kinds import Fault
 from transports.link.changes import CameraSettings, Occurrence

@@ -49,7 +49,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.device.event_device import Reading, ReadingKind, Readings
+from firmware_protocol.device.items import Reading, ReadingKind, Readings
 from firmware_protocol.events import EDGE, EdgeKind, Edges
 from firmware_protocol.frames import LineKind
 from firmware_protocol.imu_samples import IMU_SAMPLE, ImuSamples

@@ -11,12 +11,11 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from firmware_protocol.davis346.blocks import Block, Marks, edges_of, no_marks
-from firmware_protocol.davis346.inputs import BlockFates
 from firmware_protocol.davis346.words import (
     SINGLE_WRAPS,
     WRAP_BITS,
@@ -29,11 +28,12 @@ from firmware_protocol.davis346.words import (
     is_mark,
     is_row,
 )
-from firmware_protocol.device.event_device import Reading, ReadingKind
+from firmware_protocol.device.fates import Fates
+from firmware_protocol.device.items import Reading, ReadingKind
 from firmware_protocol.events import Events, empty_events, join_events
 from firmware_protocol.usb.device import Transfer
 
-__all__ = ["Batch", "EventStream", "Fifo", "Flushed", "MarkCounters", "StreamCounters", "Taken"]
+__all__ = ["Batch", "EventStream", "Fifo", "Flushed", "Taken"]
 
 
 _MIN_BYTES = 1024
@@ -235,64 +235,36 @@ _WRAP_SHARE = 8
 _WORDS_PER_EVENT = 3
 
 
-@dataclass(frozen=True)
-class StreamCounters:
-    """Events that reached the stream, by fate. `queued` are in the FIFO or in a transfer whose fate is open."""
-
-    dropped_fifo: int = 0
-    flushed: int = 0
-    delivered: int = 0
-    lost_on_link: int = 0
-    queued: int = 0
-    rows: int = 0
-
-    @property
-    def accepted(self) -> int:
-        """Events that entered the FIFO."""
-        return self.flushed + self.delivered + self.lost_on_link + self.queued
-
-
-@dataclass(frozen=True)
-class MarkCounters:
-    """Marks that reached the stream, by fate, as for events; `dropped_fifo` does not include marks held back."""
-
-    dropped_fifo: int = 0
-    flushed: int = 0
-    delivered: int = 0
-    lost_on_link: int = 0
-    queued: int = 0
-
-
 class EventStream:
-    """Stream of the camera: encodes events into the FIFO, and makes transfers of the FIFO's content."""
+    """Stream of the camera: encodes items into the FIFO, and makes transfers of the FIFO's content.
 
-    def __init__(self, encoder: WordEncoder, fifo: Fifo) -> None:
+    Attributes
+    ----------
+    rows
+        Number of row words queued so far.
+    """
+
+    def __init__(self, encoder: WordEncoder, fifo: Fifo, fates: Fates) -> None:
         self._encoder = encoder
         self._fifo = fifo
         self._epoch_us = 0
-        self._in_flight = 0
-        self._dropped = self._flushed = self._delivered = self._lost = self._rows = 0
-        self._marks_in_flight = 0
-        self._marks_dropped = self._marks_flushed = self._marks_delivered = self._marks_lost = 0
-        self._blocks = BlockFates()
-        self._blocks_in_flight: Counter[ReadingKind] = Counter()
+        self._fates = fates
+        self.rows = 0
 
     @property
-    def counters(self) -> StreamCounters:
-        """The fates so far, and the number of row words queued."""
-        queued = self._fifo.queued_events + self._in_flight
-        return StreamCounters(self._dropped, self._flushed, self._delivered, self._lost, queued, self._rows)
+    def queued_events(self) -> int:
+        """Events in the FIFO."""
+        return self._fifo.queued_events
 
     @property
-    def mark_counters(self) -> MarkCounters:
-        """The fates of marks so far."""
-        queued = self._fifo.queued_marks + self._marks_in_flight
-        return MarkCounters(self._marks_dropped, self._marks_flushed, self._marks_delivered, self._marks_lost, queued)
+    def queued_edges(self) -> int:
+        """Marks in the FIFO."""
+        return self._fifo.queued_marks
 
     @property
-    def block_fates(self) -> BlockFates:
-        """The fates of blocks so far."""
-        return replace(self._blocks, queued=self._fifo.queued_blocks + self._blocks_in_flight)
+    def queued_readings(self) -> Counter[ReadingKind]:
+        """Blocks in the FIFO, by kind."""
+        return self._fifo.queued_blocks
 
     @property
     def free_words(self) -> int:
@@ -341,7 +313,7 @@ class EventStream:
         """Queue `events`, (n,) EVENT, `marks`, (m,) MARK, and `blocks`, in stream time and at least one in all.
 
         Events that find no room are dropped and counted. Marks and blocks that find none are returned: the caller may
-        offer them again, or drop them; it then counts marks with `drop_marks`, and blocks itself.
+        offer them again, or drop and count them.
         """
         marks = no_marks() if marks is None else marks
         at_start = self._encoder.state
@@ -358,13 +330,9 @@ class EventStream:
         fitting = encoded.words[: self._fifo.put(Batch(encoded, events, before, self._epoch_us, marks, blocks))]
         if len(fitting) < len(encoded.words):
             self._encoder.state = before.after(fitting)
-            self._dropped += len(events) - (self._fifo.queued_events - queued)
-        self._rows += int(np.count_nonzero(is_row(fitting)))
+            self._fates.dropped_fifo += len(events) - (self._fifo.queued_events - queued)
+        self.rows += int(np.count_nonzero(is_row(fitting)))
         return marks[self._fifo.queued_marks - queued_marks :], blocks[encoded.blocks_in(len(fitting)) :]
-
-    def drop_marks(self, count: int) -> None:
-        """Count `count` marks as dropped for lack of room."""
-        self._marks_dropped += count
 
     def advance(self, now_us: int) -> None:
         """Queue the wraps due at stream time `now_us` that fit; a later call makes up for the rest."""
@@ -385,9 +353,10 @@ class EventStream:
 
     def _empty(self) -> Flushed:
         flushed = self._fifo.flush()
-        self._flushed += flushed.events
-        self._marks_flushed += flushed.marks
-        self._blocks.flushed.update(flushed.readings)
+        self._fates.flushed += flushed.events
+        self._fates.edges.flushed += flushed.marks
+        for kind, count in flushed.readings.items():
+            self._fates.of(kind).flushed += count
         return flushed
 
     def take(self, max_bytes: int) -> Transfer | None:
@@ -395,32 +364,18 @@ class EventStream:
         taken = self._fifo.take(max_bytes)
         if taken is None:
             return None
-        self._in_flight += len(taken.events)
-        self._marks_in_flight += len(taken.marks)
         edges = edges_of(taken.marks["t"], taken.marks["code"])
-        self._blocks_in_flight.update(reading.kind for reading in taken.readings)
-        return Transfer(taken.data, taken.events, taken.epoch_us, edges, taken.readings)
+        transfer = Transfer(taken.events, edges, taken.epoch_us, taken.readings, taken.data)
+        self._fates.take(transfer)
+        return transfer
 
     def sent(self, transfer: Transfer) -> None:
         """Count a transfer's events as delivered."""
-        self._in_flight -= len(transfer.events)
-        self._delivered += len(transfer.events)
-        self._marks_in_flight -= len(transfer.edges)
-        self._marks_delivered += len(transfer.edges)
-        self._settle(transfer, self._blocks.delivered)
+        self._fates.leave(transfer, "delivered")
 
     def lost(self, transfer: Transfer) -> None:
         """Count a transfer's events as lost on the link."""
-        self._in_flight -= len(transfer.events)
-        self._lost += len(transfer.events)
-        self._marks_in_flight -= len(transfer.edges)
-        self._marks_lost += len(transfer.edges)
-        self._settle(transfer, self._blocks.lost)
-
-    def _settle(self, transfer: Transfer, fate: Counter[ReadingKind]) -> None:
-        kinds = [reading.kind for reading in transfer.readings]
-        self._blocks_in_flight.subtract(kinds)
-        fate.update(kinds)
+        self._fates.leave(transfer, "lost_on_link")
 
     def _batch(self, words: Words, before: WordState) -> Batch:
         return Batch(Encoded(words), empty_events(), before, self._epoch_us)

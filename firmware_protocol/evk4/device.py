@@ -24,14 +24,14 @@ build date of a shipped camera are not public: those here are new enough for bot
 
 from __future__ import annotations
 
-from collections import Counter, deque
+import dataclasses
+from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from firmware_protocol.device.event_device import CameraCounters, EdgeCounters
+from firmware_protocol.device.fates import Fates
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events, join_events
 from firmware_protocol.evk4.treuzell import Board, BoardFacts
 from firmware_protocol.evt.evt3 import Evt3Encoder
@@ -117,8 +117,8 @@ class Outflow:
             self._cut = None
             return whole
         end = max_bytes & ~1
-        self._cut = Transfer(whole.data[end:], whole.events, whole.epoch_us, whole.edges)
-        return Transfer(whole.data[:end], epoch_us=whole.epoch_us)
+        self._cut = dataclasses.replace(whole, data=whole.data[end:])
+        return Transfer(epoch_us=whole.epoch_us, data=whole.data[:end])
 
     def _next(self, now_us: int, max_bytes: int) -> Transfer | None:
         begin_us = self._first_us()
@@ -139,7 +139,7 @@ class Outflow:
             return None
         self._reported_us = min(until_us, self._reported_us + _LONGEST_SILENCE_US)
         words = self._encoder.advance(self._reported_us - self.epoch_us)
-        return Transfer(words, epoch_us=self.epoch_us) if words else None
+        return Transfer(epoch_us=self.epoch_us, data=words) if words else None
 
     def _words(self, begin_us: int, now_us: int, max_bytes: int) -> Transfer:
         until_us = min(now_us, begin_us + _LONGEST_GAP_US)
@@ -151,7 +151,7 @@ class Outflow:
         last_us = max(int(each["t"][-1]) for each in (events, edges) if len(each))
         self._reported_us = max(self._reported_us, last_us)
         words = self._encoder.encode(self._own(events), self._own(edges))
-        return Transfer(words, events, self.epoch_us, edges)
+        return Transfer(events, edges, self.epoch_us, data=words)
 
     def _taken(self, until_us: int, room: int) -> Events:
         """Return up to `room` events that are not later than `until_us`."""
@@ -282,9 +282,8 @@ class Evk4(UsbCamera):
         facts = BoardFacts(int(settings.serial, 16), settings.release, settings.build_unix_s)
         self._board = Board(facts, self)
         self._answers: deque[bytes] = deque()
-        self._fates: Counter[str] = Counter()
-        self._edge_fates: Counter[str] = Counter()
-        self._carried = self._edges_carried = self._flushes = 0
+        self._fates = Fates()
+        self._flushes = 0
         self._now_us = self._epoch_us = self._silent_until_us = 0
         self._outflow = self._new_outflow()
         self._was_running = False
@@ -341,37 +340,35 @@ class Evk4(UsbCamera):
         return self.settings.biases.without_effect(self._registers.bias_steps)
 
     @property
-    def counters(self) -> CameraCounters:
+    def counters(self) -> Fates:
         """Fates of all events and edges offered so far."""
-        edges = EdgeCounters(**self._edge_fates, queued=self._outflow.edges_queued + self._edges_carried)
-        queued = self._outflow.queued + self._carried
-        fates: dict[str, Any] = dict(self._fates)
-        return CameraCounters(**fates, queued=queued, edges=edges)
+        return self._fates.waiting(self._outflow.queued, self._outflow.edges_queued)
 
     def offer(self, events: Events) -> None:
         """Queue events (n,) EVENT; raises ValueError if they go back in time or lie outside the array."""
         if not len(events):
             return
         self._check(events)
-        self._fates["offered"] += len(events)
+        self._fates.offered += len(events)
         begun = events[:0]
         if self._registers.running:
             begun = events[int(np.searchsorted(events["t"], self._silent_until_us)) :]
         self._now_us = int(events["t"][-1])
         selected = self._selection.apply(begun, self._epoch_us)
         fitting = self._outflow.put(selected.events)
-        self._fates["not_running"] += len(events) - len(begun)
-        self._fates["not_selected"] += selected.outside
-        self._fates["dropped_rate"] += selected.beyond_rate
-        self._fates["dropped_fifo"] += len(selected.events) - fitting
+        self._fates.not_running += len(events) - len(begun)
+        self._fates.not_selected += selected.outside
+        self._fates.dropped_rate += selected.beyond_rate
+        self._fates.dropped_fifo += len(selected.events) - fitting
 
     def offer_edges(self, edges: Edges) -> None:
         """Apply edges (n,) EDGE to the trigger input."""
-        self._edge_fates["offered"] += len(edges)
+        counts = self._fates.edges
+        counts.offered += len(edges)
         if not (self.streaming and self._registers.has_trigger):
-            self._edge_fates["ignored"] += len(edges)
+            counts.ignored += len(edges)
             return
-        self._edge_fates["dropped"] += len(edges) - self._outflow.put_edges(edges)
+        counts.dropped_fifo += len(edges) - self._outflow.put_edges(edges)
 
     def advance(self, now_us: int) -> None:
         """Set stream time to `now_us`; the clock never goes back."""
@@ -379,7 +376,7 @@ class Evk4(UsbCamera):
 
     def descriptors(self, speed: Speed) -> DescriptorSet:
         """Return the answers to GET_DESCRIPTOR at a speed."""
-        return replace(self.settings, speed=speed).descriptors()
+        return dataclasses.replace(self.settings, speed=speed).descriptors()
 
     def flushes(self, endpoint: int) -> int:
         """Number of times that the sensor was started, stopped, or lost power."""
@@ -419,17 +416,16 @@ class Evk4(UsbCamera):
             return None
         transfer = self._outflow.take(self._now_us, max_bytes)
         if transfer is not None:
-            self._carried += len(transfer.events)
-            self._edges_carried += len(transfer.edges)
+            self._fates.take(transfer)
         return transfer
 
     def sent(self, transfer: Transfer) -> None:
         """Count the transfer's events as delivered."""
-        self._settle(transfer, "delivered")
+        self._fates.leave(transfer, "delivered")
 
     def lost(self, transfer: Transfer) -> None:
         """Count the transfer's events as lost on the link."""
-        self._settle(transfer, "lost_on_link")
+        self._fates.leave(transfer, "lost_on_link")
 
     def read_register(self, address: int) -> int:
         """Return the value that a host reads from the sensor; raises LookupError if there is no register."""
@@ -461,8 +457,8 @@ class Evk4(UsbCamera):
         self._drop_waiting()
 
     def _drop_waiting(self) -> None:
-        self._fates["flushed"] += self._outflow.queued
-        self._edge_fates["dropped"] += self._outflow.edges_queued
+        self._fates.flushed += self._outflow.queued
+        self._fates.edges.flushed += self._outflow.edges_queued
         self._outflow = self._new_outflow()
         self._flushes += 1
 
@@ -476,13 +472,7 @@ class Evk4(UsbCamera):
         answer = self._answers.popleft()
         if len(answer) > max_bytes:
             self._answers.appendleft(answer[max_bytes:])
-        return Transfer(answer[:max_bytes], epoch_us=self._epoch_us)
-
-    def _settle(self, transfer: Transfer, fate: str) -> None:
-        self._carried -= len(transfer.events)
-        self._edges_carried -= len(transfer.edges)
-        self._fates[fate] += len(transfer.events)
-        self._edge_fates[fate] += len(transfer.edges)
+        return Transfer(epoch_us=self._epoch_us, data=answer[:max_bytes])
 
     def _check(self, events: Events) -> None:
         if int(events["t"][0]) < self._now_us or bool((events["t"][1:] < events["t"][:-1]).any()):

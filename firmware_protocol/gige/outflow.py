@@ -12,11 +12,12 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
+from firmware_protocol.device.items import Items
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events, join_events
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.gige.gvsp import BLOCK_OCTETS, Block
@@ -50,12 +51,10 @@ def before(events: Events, until_us: int) -> int:
 
 
 @dataclass(frozen=True)
-class Outgoing:
-    """A block with its content, (n,) EVENT and (m,) EDGE, in stream time."""
+class Outgoing(Items):
+    """A block, and the items in it."""
 
-    block: Block
-    events: Events
-    edges: Edges
+    block: Block = field(kw_only=True)
 
 
 @dataclass(frozen=True)
@@ -139,7 +138,7 @@ class Outflow:
         events, edges, self._edges = events[:used], self._edges[:used_edges], self._edges[used_edges:]
         last_us = max([int(each["t"][-1]) for each in (events, edges) if len(each)])
         self._reported_us = max(self._reported_us, last_us)
-        return Outgoing(self._numbered(words, begin_us, packet_size), events, edges)
+        return Outgoing(events, edges, self._epoch_us, block=self._numbered(words, begin_us, packet_size))
 
     def _taken(self, until_us: int) -> Events:
         """Return the events of one block: limited in number and in length of time."""
@@ -171,7 +170,7 @@ class Outflow:
             return None
         self._reported_us = min(until_us, self._reported_us + _LONGEST_SILENCE_US)
         words = self._encoder.advance(self._reported_us - self._epoch_us)
-        return Outgoing(self._numbered(words, self._reported_us, packet_size), empty_events(), empty_edges())
+        return Outgoing(epoch_us=self._epoch_us, block=self._numbered(words, self._reported_us, packet_size))
 
     def _numbered(self, words: bytes, time_us: int, packet_size: int) -> Block:
         self.number += 1

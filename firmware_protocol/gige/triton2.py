@@ -9,11 +9,12 @@ The device's time is zero at AcquisitionStart: neuromorphic_drivers begins at ze
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Mapping
 from heapq import heappop, heappush
 
-from firmware_protocol.device.event_device import CameraCounters, EdgeCounters, EventDevice
+from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.fates import Fates
 from firmware_protocol.events import EdgeKind, Edges, Events, empty_edges
 from firmware_protocol.gige.control import (
     EDGE_EVENT,
@@ -75,9 +76,7 @@ class Triton2(EventDevice):
         self._outflow = Outflow(0, settings.block_us, settings.size[0])
         self._acquiring = False
         self._silent_until_us = self._epoch_us = 0
-        self._fates: Counter[str] = Counter()
-        self._edge_fates: Counter[str] = Counter()
-        self._carried = self._edges_carried = 0
+        self._fates = Fates()
         self._extra: deque[Extra] = deque()
         self._scheduled_us: list[int] = []
         self._starts = 0
@@ -174,30 +173,29 @@ class Triton2(EventDevice):
         return self._epoch_us
 
     @property
-    def counters(self) -> CameraCounters:
+    def counters(self) -> Fates:
         """Fates of all events and edges offered so far."""
-        edges = EdgeCounters(**self._edge_fates, queued=self._outflow.edges_queued + self._edges_carried)
-        return CameraCounters(**self._fates, queued=self._outflow.queued + self._carried, edges=edges, readings={})
+        return self._fates.waiting(self._outflow.queued, self._outflow.edges_queued)
 
     def offer(self, events: Events) -> None:
         """Queue events (n,) EVENT; raises ValueError if they go back in time or lie outside the array."""
         if not len(events):
             return
         self._check(events)
-        self._fates["offered"] += len(events)
+        self._fates.offered += len(events)
         self._now_us = int(events["t"][-1])
         if self.streaming:
             self._put(events)
         else:
-            self._fates["not_running"] += len(events)
+            self._fates.not_running += len(events)
 
     def offer_edges(self, edges: Edges) -> None:
         """Apply edges (n,) EDGE to the trigger input."""
-        self._edge_fates["offered"] += len(edges)
+        self._fates.edges.offered += len(edges)
         if self.streaming and self._now_us >= self._silent_until_us:
             self._put_edges(edges)
         else:
-            self._edge_fates["ignored"] += len(edges)
+            self._fates.edges.ignored += len(edges)
 
     def advance(self, now_us: int) -> None:
         """Set stream time to `now_us`."""
@@ -210,8 +208,7 @@ class Triton2(EventDevice):
             return None
         outgoing = self._outflow.next(self._now_us, self._memory.get(Register.PACKET_SIZE) & 0xFFFF, at_once=at_once)
         if outgoing is not None:
-            self._carried += len(outgoing.events)
-            self._edges_carried += len(outgoing.edges)
+            self._fates.take(outgoing)
         return outgoing
 
     def next_extra(self) -> Extra | None:
@@ -225,11 +222,11 @@ class Triton2(EventDevice):
 
     def sent(self, outgoing: Outgoing) -> None:
         """Count a block as delivered."""
-        self._settle(outgoing, "delivered")
+        self._fates.leave(outgoing, "delivered")
 
     def lost(self, outgoing: Outgoing) -> None:
         """Count a block as lost on the link."""
-        self._settle(outgoing, "lost_on_link")
+        self._fates.leave(outgoing, "lost_on_link")
 
     def disconnected(self) -> None:
         """Note that the link is closed: no host has control any more."""
@@ -250,8 +247,8 @@ class Triton2(EventDevice):
         if not self.streaming:
             return
         if len(self._scheduled_us) == _MOST_SCHEDULED:
-            self._edge_fates["added"] += 1
-            self._edge_fates["dropped"] += 1
+            self._fates.edges.added += 1
+            self._fates.edges.dropped_fifo += 1
             return
         due_us = self._now_us if time_ns is None else self._epoch_us + time_ns // 1000
         heappush(self._scheduled_us, max(self._now_us, due_us))
@@ -262,7 +259,7 @@ class Triton2(EventDevice):
         while self._scheduled_us and self._scheduled_us[0] <= self._now_us:
             pulse = empty_edges(1)
             pulse["t"], pulse["kind"] = heappop(self._scheduled_us), EdgeKind.PULSE
-            self._edge_fates["added"] += 1
+            self._fates.edges.added += 1
             self._put_edges(pulse)
 
     def _put_edges(self, edges: Edges) -> None:
@@ -273,12 +270,6 @@ class Triton2(EventDevice):
             for time_us, kind in zip(edges["t"].tolist(), edges["kind"].tolist(), strict=True):
                 data = kind.to_bytes(4, "big") if notification == NOTIFY_WITH_DATA else b""
                 self.messages.queue(EDGE_EVENT, 1000 * (time_us - self._epoch_us), data)
-
-    def _settle(self, outgoing: Outgoing, fate: str) -> None:
-        self._carried -= len(outgoing.events)
-        self._edges_carried -= len(outgoing.edges)
-        self._fates[fate] += len(outgoing.events)
-        self._edge_fates[fate] += len(outgoing.edges)
 
     def _check(self, events: Events) -> None:
         if int(events["t"][0]) < self._now_us or bool((events["t"][1:] < events["t"][:-1]).any()):
@@ -293,10 +284,10 @@ class Triton2(EventDevice):
         selected = self._selection.apply(begun, self._epoch_us)
         fitting = selected.events[: self.room_events]
         self._outflow.put(fitting)
-        self._fates["not_running"] += len(events) - len(begun)
-        self._fates["not_selected"] += selected.outside
-        self._fates["dropped_rate"] += selected.beyond_rate
-        self._fates["dropped_fifo"] += len(selected.events) - len(fitting)
+        self._fates.not_running += len(events) - len(begun)
+        self._fates.not_selected += selected.outside
+        self._fates.dropped_rate += selected.beyond_rate
+        self._fates.dropped_fifo += len(selected.events) - len(fitting)
 
     def _own_rules(self) -> dict[int, Rule]:
         """Return the rules of registers that do more than store a value."""
@@ -325,8 +316,8 @@ class Triton2(EventDevice):
         self._acquiring = False
         self._scheduled_us.clear()
         self.messages.clear()
-        self._fates["flushed"] += self._outflow.queued
-        self._edge_fates["dropped"] += self._outflow.edges_queued
+        self._fates.flushed += self._outflow.queued
+        self._fates.edges.flushed += self._outflow.edges_queued
         self._outflow.clear()
 
     def _on_packet_size(self, value: int) -> int:

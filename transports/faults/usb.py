@@ -340,7 +340,7 @@ class FaultyDevice(UsbDevice):
                 stage.over = stage.empty.over
                 self._strike(stage)
                 self._given.append(None)
-                return Transfer(b"")
+                return Transfer()
         if endpoint in self._halted:
             raise Stall(f"endpoint {endpoint} is halted, by a fault")
         return self._read(endpoint, max_bytes)

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.device.clock import DeviceClock
-from firmware_protocol.device.event_device import Reading, ReadingKind
+from firmware_protocol.device.items import Reading, ReadingKind
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events
 from firmware_protocol.frames import FrameAssembler, WholeFrame
 from firmware_protocol.imu_samples import ImuSamples, no_samples, physical

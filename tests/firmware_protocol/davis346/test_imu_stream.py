@@ -8,7 +8,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
-from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.imu_samples import ImuSettings, no_samples
 
 IMU = ReadingKind.IMU

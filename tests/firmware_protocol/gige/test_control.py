@@ -283,7 +283,7 @@ def test_scheduled_actions_end_with_the_acquisition_and_have_a_bound():
     for k in range(300):
         assert _scheduled(host, 1_000_000 + k) == Status.SUCCESS
     edges = host.camera.counters.edges
-    assert (edges.added, edges.dropped) == (44, 44)
+    assert (edges.added, edges.dropped_fifo) == (44, 44)
     host.write(ACQUISITION_STOP, 1)
     host.write(ACQUISITION_START, 1)
     host.camera.advance(9000)

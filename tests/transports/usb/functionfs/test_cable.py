@@ -214,4 +214,4 @@ def test_nothing_of_a_device_is_read_before_a_host_has_chosen_the_configuration(
     host._timeout_s = PATIENCE_S
     host.configure()
     assert host.bulk_in(2, 512) == b"words"
-    assert Transfer(b"words").data == device.given[0]
+    assert Transfer(data=b"words").data == device.given[0]
