@@ -63,8 +63,8 @@ from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.frames import FrameSettings
 from firmware_protocol.gige.registers import GigeSettings
-from firmware_protocol.gige.triton2 import Triton2
 from firmware_protocol.imu_samples import IMU_SAMPLE
+from firmware_protocol.imx636.triton2 import Triton2
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import Imx636Biases
 from firmware_protocol.usb.device import UsbCamera

@@ -11,8 +11,8 @@ from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.gige.gvcp import Command, request
 from firmware_protocol.gige.gvsp import BlockAssembly
 from firmware_protocol.gige.registers import ACQUISITION_START, GigeSettings, Register
-from firmware_protocol.gige.triton2 import Triton2
 from firmware_protocol.gige.triton2_control import Triton2Control
+from firmware_protocol.imx636.triton2 import Triton2
 
 PEER = ("127.0.0.1", 40_000)
 STRANGER = ("127.0.0.1", 40_001)

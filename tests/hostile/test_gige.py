@@ -21,8 +21,8 @@ from firmware_protocol.events import EVENT
 from firmware_protocol.gige.control import DeviceTime
 from firmware_protocol.gige.gvcp import Command, request
 from firmware_protocol.gige.registers import ACQUISITION_START, GigeSettings, Register
-from firmware_protocol.gige.triton2 import Triton2
 from firmware_protocol.gige.triton2_control import Triton2Control
+from firmware_protocol.imx636.triton2 import Triton2
 from tests.hostile.gige_datagrams import answer_limit, hostile_datagram, valid_request
 from transports.gige.answering import ControlSetup
 from transports.gige.control_process import ControlProcess

@@ -24,8 +24,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from firmware_protocol.gige.gvsp import HEADER_OCTETS
-from firmware_protocol.gige.outflow import Outgoing
-from firmware_protocol.gige.triton2 import Triton2
+from firmware_protocol.imx636.triton2 import Outgoing, Triton2
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan, FaultRecord
 from transports.gige.answering import ControlSetup, Move, Mute, Release

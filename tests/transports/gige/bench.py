@@ -7,7 +7,7 @@ import numpy as np
 
 from firmware_protocol.events import EVENT
 from firmware_protocol.gige.registers import GigeSettings, Register
-from firmware_protocol.gige.triton2 import Triton2
+from firmware_protocol.imx636.triton2 import Triton2
 from transports.faults.script import FaultPlan
 from transports.gige.endpoint import GigeFactory
 from transports.gige.host import GigeHost

@@ -5,7 +5,7 @@ import pytest
 
 from evstim.testing.link_contract import event_stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.evk4 import Evk4, Evk4Settings
+from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.usb.device import SetupPacket, Speed, Transfer
 from firmware_protocol.usb.functionfs import EventKind
 from tests.transports.usb.conftest import FakeDevice
