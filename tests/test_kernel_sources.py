@@ -34,7 +34,8 @@ def kernels():
     """Return all compiled functions of ours, those that are cached on disk and those that they call."""
     for module in modules_with_kernels():
         importlib.import_module(module)
-    found = [one for one in gc.get_objects() if isinstance(one, Dispatcher)]
+    # The type, not isinstance: that reads the class of what a weak proxy stands for, which may be gone.
+    found = [one for one in gc.get_objects() if issubclass(type(one), Dispatcher)]
     return [one for one in found if is_ours(one.py_func.__module__)]
 
 

@@ -7,6 +7,7 @@ cannot take the result. With `--json` the last line on stdout is one JSON object
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import sys
@@ -84,6 +85,7 @@ def main() -> None:
     finally:
         ignore_stop_signals()
         log.drain()
+        gc.freeze()  # a last search for garbage takes a second, and the process ends
 
 
 def _main(tokens: list[str]) -> int:

@@ -24,7 +24,6 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from emulator.geometry.attitude import Matrix, Quaternion, Vector, multiply
 from emulator.trajectory.live import between, known_motion
@@ -137,6 +136,10 @@ def _from_mrp(sigma: tuple[float, ...]) -> Quaternion:
 
 
 def _from_matrix(body_from_n: Matrix, name: str) -> Quaternion:
+    from scipy.spatial.transform import (
+        Rotation,  # loaded where it is used: it takes longer than the rest of a short run's imports
+    )
+
     small = bool((np.abs(body_from_n) < 1 + _ROTATION_WITHIN).all())  # so that nothing below overflows
     off = np.abs(body_from_n @ body_from_n.T - np.eye(3)).max() if small else np.inf
     if off > _ROTATION_WITHIN or np.linalg.det(body_from_n) < 0:

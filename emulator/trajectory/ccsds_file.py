@@ -50,15 +50,18 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import KroghInterpolator
 
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.motion import AT_REST, Motion
 from emulator.trajectory.pose import FARTHEST_M, STILL, Pose, Trajectory, TrajectoryError
 from emulator.trajectory.sampling import instants_between, measured_bounds, require_increasing
+
+if TYPE_CHECKING:
+    from scipy.interpolate import KroghInterpolator
 
 __all__ = [
     "CcsdsPath",
@@ -228,6 +231,10 @@ class PolynomialPath(Trajectory):
         return min(max(after - (self._used + 1) // 2, 0), len(self._times_ns) - self._used)
 
     def _through(self, first: int) -> KroghInterpolator:
+        from scipy.interpolate import (
+            KroghInterpolator,  # loaded where it is used: it takes longer than the rest of a short run's imports
+        )
+
         used = slice(first, first + self._used)
         steps = (self._times_ns[used] - self._times_ns[first]) / self._step_ns(first)
         if self._velocities is None:

@@ -24,10 +24,10 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import PchipInterpolator, PPoly
 
 from emulator.geometry.attitude import Quaternion, Vector, quaternion_of
 from emulator.trajectory.keyframes import Keyframes
@@ -35,6 +35,9 @@ from emulator.trajectory.motion import Motion
 from emulator.trajectory.mounting import looking_along
 from emulator.trajectory.pose import STILL, Pose, Trajectory, TrajectoryError
 from emulator.trajectory.sampling import instants_between, measured_bounds
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 __all__ = ["LANDING", "Descent", "Gate"]
 
@@ -144,6 +147,11 @@ def _forward_m(gates: Sequence[Gate]) -> list[float]:
 
 def _depression(gates: Sequence[Gate]) -> PPoly:
     """Return the boresight's depression, rad, as a function of seconds; between gates it stays between theirs."""
+    from scipy.interpolate import (  # loaded where it is used: it takes longer than the rest of a short run's imports
+        PchipInterpolator,
+        PPoly,
+    )
+
     radians = [math.radians(gate.depression_deg) for gate in gates]
     if len(gates) == 1:
         return PPoly([radians], [0.0, 1.0])

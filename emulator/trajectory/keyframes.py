@@ -16,16 +16,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicHermiteSpline, PPoly
-from scipy.spatial.transform import Rotation, RotationSpline
 
 from emulator.geometry.attitude import multiply, quaternion_of_vector
 from emulator.trajectory.motion import AT_REST, Motion, rate_of_vector
 from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
 from emulator.trajectory.sampling import instants_between, measured_bounds, require_increasing
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 __all__ = ["Keyframes"]
 
@@ -124,6 +126,12 @@ def _splines(seconds: _Floats, places: _Floats, velocities: _Floats | None, turn
 
     RotationSpline's own call takes 0.2 ms, as it checks and copies; its polynomials (`interpolator`) take 4 us.
     """
+    from scipy.interpolate import (  # loaded where it is used: it takes longer than the rest of a short run's imports
+        CubicHermiteSpline,
+        PPoly,
+    )
+    from scipy.spatial.transform import Rotation, RotationSpline
+
     if len(seconds) == 1:
         nothing = np.zeros((1, 1, 3))
         return PPoly(nothing + places, [0.0, 1.0]), PPoly(nothing, [0.0, 1.0])

@@ -30,7 +30,6 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from emulator.geometry.attitude import Matrix, Quaternion, Vector, conjugate, matrix_of, multiply
 from emulator.trajectory.motion import AT_REST, Motion, differences
@@ -180,12 +179,18 @@ def from_scalar_last(q: npt.ArrayLike) -> Quaternion:
 
 def from_basilisk(sigma_cn: npt.ArrayLike) -> Quaternion:
     """Return the attitude of Modified Rodrigues Parameters (3,), of the camera's frame from the inertial one."""
+    from scipy.spatial.transform import (
+        Rotation,  # loaded where it is used: it takes longer than the rest of a short run's imports
+    )
+
     # An MRP set of `C from N` names the turn that takes N's axes into C's, which is world from camera.
     return _signed(Rotation.from_mrp(sigma_cn).as_quat(scalar_first=True))
 
 
 def from_spice(instrument_from_frame: npt.ArrayLike, camera_from_instrument: npt.ArrayLike) -> Quaternion:
     """Return the attitude of a C-matrix (3, 3) and the instrument's axes (3, 3), such as CAMERA_FROM_MSI."""
+    from scipy.spatial.transform import Rotation
+
     camera_from_world = np.asarray(camera_from_instrument) @ np.asarray(instrument_from_frame)
     return _signed(Rotation.from_matrix(camera_from_world).inv().as_quat(scalar_first=True))
 

@@ -22,7 +22,7 @@ from tests.guest.all_streams import ASKED, assert_same_frames, assert_same_strea
 from tests.guest.attachment import EVK4
 from tests.guest.comparison import assert_same
 from tests.guest.environments import DRIVERS, Driver
-from tests.guest.gadget_rig import GadgetCamera, GadgetRig, load_port
+from tests.guest.gadget_rig import SLOWEST_LOOP_S, GadgetCamera, GadgetRig, load_port, loop_s
 from tests.guest.gige_run import looped_1280x720
 from tests.guest.machine import Guest
 from tests.guest.streaming import Seen, Streaming
@@ -40,13 +40,17 @@ ND_EVK4 = Driver("nd_evk4", (), adds_host_time=False)
 pytestmark = [
     pytest.mark.guest,
     pytest.mark.socket,
-    pytest.mark.timeout(10 * TIMEOUT_S + 3600),
+    pytest.mark.timeout(10 * TIMEOUT_S),
 ]
 
 
 @pytest.fixture(scope="module")
 def port(guest: Guest) -> Iterator[Guest]:
-    """The guest with a SuperSpeed port."""
+    """The guest with a SuperSpeed port; skips where QEMU is too slow for it."""
+    if (needed_s := loop_s(guest)) > SLOWEST_LOOP_S:
+        pytest.skip(
+            f"QEMU is too slow here for dummy_hcd's timer: a loop took {needed_s:.2f} s, not {SLOWEST_LOOP_S} s"
+        )
     load_port(guest, "super")
     yield guest
     guest.run(["rmmod", "dummy_hcd"])

@@ -243,7 +243,10 @@ class RasterBodies(Scene):
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32."""
-        self.light_and_rate(t_ns, out, self._spare)
+        whole = out if out.flags.c_contiguous else np.empty(out.shape, np.float32)  # of the kernels' only layout
+        self.light_and_rate(t_ns, whole, self._spare)
+        if whole is not out:
+            out[...] = whole
 
     @property
     def has_rate(self) -> bool:

@@ -36,15 +36,18 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from emulator.scene.bodies.clouds import clouded, fractal_noise, with_albedo
 from emulator.scene.bodies.lit_surface import split_sides
 from emulator.scene.bodies.mesh import Mesh, facet_vectors, vertex_normals
 from emulator.scene.bodies.table import Clouds, Detail, Regolith
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 __all__ = [
     "FADED",
@@ -281,6 +284,8 @@ def _laws(p: Regolith) -> dict[int, Law]:
 
 def _divided(mesh: Mesh, made: dict[int, Features]) -> Mesh:
     """Return the body with facets as small under features as they need."""
+    from scipy.spatial import cKDTree  # loaded where it is used: it takes longer than the rest of a short run's imports
+
     fine = mesh
     for _ in range(12):
         wanted_m = np.full(fine.faces.shape, np.inf)
@@ -310,6 +315,8 @@ def _near(tree: cKDTree, some: Features, reach: float, more_m: float) -> tuple[N
 
 def _shaped(mesh: Mesh, made: dict[int, Features], p: Regolith) -> tuple[Floats, Floats]:
     """Return the displacement of each vertex, (n, 3) m, and its albedo over that of its surroundings, (n,)."""
+    from scipy.spatial import cKDTree
+
     moved, tint = np.zeros(mesh.vertices.shape), np.ones(len(mesh.vertices))
     tree = cKDTree(mesh.vertices)
     for kind, some in made.items():

@@ -59,7 +59,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import erfi, ndtr
 
 from emulator.sensor.presets import SensorParameters
 
@@ -123,11 +122,15 @@ class Statistics(NamedTuple):
 
 def _odd_integral(x: _Floats) -> _Floats:
     """Return the integral of e^(y^2 / 2) from 0 to x."""
+    from scipy.special import erfi  # loaded where it is used: it takes longer than the rest of a short run's imports
+
     return np.asarray(np.sqrt(np.pi / 2) * erfi(x / np.sqrt(2)))
 
 
 def _quadrature(begin: _Floats, end: _Floats, low: _Floats) -> _Floats:
     """Return the integrals of e^(y^2 / 2) int_low^y e^(-z^2 / 2) dz from `begin` to `end`, by Simpson's rule."""
+    from scipy.special import ndtr
+
     share = np.linspace(0, 1, _INTERVALS + 1)
     weight = np.ones(_INTERVALS + 1)
     weight[1:-1:2], weight[2:-1:2] = 4, 2
@@ -154,6 +157,8 @@ def _levels(on: float, off: float, refractory: float) -> tuple[_Floats, float]:
 
 def statistics(on: float, off: float, refractory: float) -> Statistics:
     """Return the statistics for thresholds of `on` and `off` sigma and a refractory period in tau, above 0."""
+    from scipy.special import ndtr
+
     c, deviation = _levels(on, off, refractory)
     p_on, wait = _exits(c, on, off)
     edges = np.concatenate([[-np.inf], (c[1:] + c[:-1]) / 2, [np.inf]])

@@ -30,7 +30,7 @@ _PATIENCE_S = 120.0
 @pytest.fixture(autouse=True)
 def unhurried(monkeypatch):
     """A server that waits longer for its viewers than a busy machine keeps them waiting."""
-    for name in ("server._HELLO_S", "server._SEND_S", "viewers.STALLED_S"):
+    for name in ("server._HELLO_S", "server._SEND_S", "server.STALLED_S"):
         monkeypatch.setattr(f"emulator.live_page.{name}", _PATIENCE_S)
 
 

@@ -52,7 +52,7 @@ def test_an_edge_comes_to_every_link_or_to_the_one_named():
 
 @pytest.mark.parametrize(
     ("message", "told"),
-    [({"kind": "level"}, "known are pulse"), ({"kind": "pulse", "link": "c"}, "there is a, b"), ({}, "known are")],
+    [({"kind": "level"}, "known are pulse"), ({"kind": "pulse", "link": "c"}, "there is a, b"), ({}, "known requests")],
 )
 def test_what_is_wrong_is_said_and_nothing_happens(message, told):
     answer, happened = asked(**message)

@@ -93,7 +93,7 @@ def test_a_full_driver_is_no_fault(monkeypatch, full):
             can.CanOperationError("Failed to transmit", errno.ENETDOWN),
             r"it is down: sudo ip link set test-\d+ up type can",
         ),
-        (can.CanOperationError("Failed to transmit", errno.ENXIO), "tried again every second"),
+        (can.CanOperationError("Failed to transmit", errno.ENXIO), "tries again every second"),
         (OSError(errno.EIO, "Input/output error"), "documentation of python-can"),
     ],
 )
