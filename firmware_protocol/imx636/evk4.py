@@ -86,11 +86,10 @@ class UsbOutflow(Outflow):
         return Transfer(epoch_us=whole.epoch_us, data=whole.data[:end])
 
     def _next(self, now_us: int, max_bytes: int) -> Transfer | None:
-        first_us = self._first_us()
-        silent_until_us = self._silent_until_us(first_us, now_us)
-        if first_us is not None and silent_until_us is None:
+        first_us = self._due_us(now_us)
+        if first_us is not None:
             return self._words(first_us, now_us, max_bytes)
-        words = self._silence_words(silent_until_us or 0)
+        words = self._silence_words(now_us)
         return Transfer(epoch_us=self.epoch_us, data=words) if words else None
 
     def _words(self, first_us: int, now_us: int, max_bytes: int) -> Transfer:

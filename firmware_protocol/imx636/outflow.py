@@ -105,18 +105,21 @@ class Outflow:
             firsts.append(max(int(self._edges["t"][0].astype(np.int64)), self._reported_us))
         return min(firsts, default=None)
 
-    def _silence_words(self, until_us: int) -> bytes:
-        """Return the words that carry only the time, up to `until_us`; none while the last words are recent."""
+    def _due_us(self, now_us: int) -> int | None:
+        """Return the time of the first item; None if it is not due, or is so late that time words must come first."""
+        first_us = self._first_us()
+        if first_us is None or first_us > now_us or first_us - self._reported_us > LONGEST_GAP_US:
+            return None
+        return first_us
+
+    def _silence_words(self, now_us: int) -> bytes:
+        """Return the words that carry only the time, up to the first item; none while the last words are recent."""
+        first_us = self._first_us()
+        until_us = now_us if first_us is None else min(first_us, now_us)
         if until_us - self._reported_us < self._limits.silence_us:
             return b""
         self._reported_us = min(until_us, self._reported_us + _LONGEST_SILENCE_US)
         return self._encoder.advance(self._reported_us - self.epoch_us)
-
-    def _silent_until_us(self, first_us: int | None, now_us: int) -> int | None:
-        """Return the end of the silence before the first item; None if that is due and can follow the last words."""
-        if first_us is None or first_us > now_us:
-            return now_us
-        return first_us if first_us - self._reported_us > LONGEST_GAP_US else None
 
     def _taken(self, until_us: int, room: int) -> Events:
         """Remove and return up to `room` events that are older than `until_us`."""

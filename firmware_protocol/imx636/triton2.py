@@ -59,11 +59,9 @@ __all__ = ["Extra", "Outgoing", "Triton2"]
 
 _MOST_EXTRA = 4096  # requested datagrams that wait
 _MOST_SCHEDULED = 256
-
-
 _SENT_BLOCKS = 256
 _MOST_EVENTS = BLOCK_OCTETS // 4  # a row and a column each; events that need more octets go into the next block
-_MOST_EDGES = 1 << 20
+_MOST_EDGES = 1 << 16
 _SILENCE_US = 1_000_000
 
 
@@ -110,12 +108,11 @@ class BlockOutflow(Outflow):
 
     def next(self, now_us: int, packet_size: int, *, at_once: bool = False) -> Outgoing | None:
         """Return the next block; None while it is empty, or may still grow and `at_once` is false."""
-        first_us = self._first_us()
-        silent_until_us = self._silent_until_us(first_us, now_us)
-        if first_us is not None and silent_until_us is None:
+        first_us = self._due_us(now_us)
+        if first_us is not None:
             grows = not at_once and self.queued < _MOST_EVENTS and now_us - first_us < self._block_us
             return None if grows else self._block(first_us, now_us, packet_size)
-        words = self._silence_words(silent_until_us or 0)
+        words = self._silence_words(now_us)
         if not words:
             return None
         return Outgoing(epoch_us=self.epoch_us, block=self._numbered(words, self._reported_us, packet_size))
@@ -290,7 +287,7 @@ class Triton2(Imx636Camera[BlockOutflow]):
         if self.message_destination is not None and notification:
             for time_us, kind in zip(edges["t"].tolist(), edges["kind"].tolist(), strict=True):
                 data = kind.to_bytes(4, "big") if notification == NOTIFY_WITH_DATA else b""
-                self.messages.queue(EDGE_EVENT, 1000 * (time_us - self._epoch_us), data)
+                self.messages.queue(EDGE_EVENT, 1000 * max(0, time_us - self._epoch_us), data)
 
     @property
     def _running(self) -> bool:

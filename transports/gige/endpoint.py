@@ -360,7 +360,7 @@ class GigeEndpoint(Endpoint):
             self._camera.lost(outgoing)
 
     def _arrived(self, outgoing: Outgoing) -> None:
-        self._deliveries.add(outgoing.events, self._camera.epoch_us, outgoing.edges)
+        self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
 
     def _destroyed(self, outgoing: Outgoing) -> None:
         self._faulty.attribute(len(outgoing.events), len(outgoing.edges))

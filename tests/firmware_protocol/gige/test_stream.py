@@ -130,6 +130,23 @@ def test_triggers_come_in_order_of_time():
     assert host.camera.counters.edges.delivered == 2
 
 
+def test_an_edge_that_comes_late_is_reported_with_the_time_that_its_words_have():
+    host = Host()
+    host.camera.advance(100)
+    host.start()
+    host.camera.offer(steady(50, start_us=110, step_us=10))
+    host.camera.advance(5000)
+    host.collect()
+    edges = empty_edges(2)
+    edges["t"], edges["kind"] = [400, 4000], EdgeKind.RISING
+    host.camera.offer_edges(edges)
+    host.camera.advance(9000)
+    (outgoing,) = host.blocks()
+    _, received = host.decoder.decode(outgoing.block.data)
+    assert received["t"].tolist() == [500, 3900]
+    assert outgoing.edges["t"].tolist() == [600, 4000]
+
+
 def test_events_before_the_start_in_the_silence_and_after_the_stop_are_counted():
     host = Host(start_delay_us=1000)
     host.camera.offer(steady(10))
@@ -150,6 +167,16 @@ def test_a_full_camera_drops_and_counts():
     host.start()
     host.camera.offer(steady(150))
     assert (host.camera.room_events, host.camera.counters.dropped_fifo) == (0, 50)
+
+
+def test_edges_that_wait_have_a_bound():
+    host = Host()
+    host.start()
+    edges = empty_edges(70_000)
+    edges["t"], edges["kind"] = np.arange(70_000), EdgeKind.RISING
+    host.camera.offer_edges(edges)
+    counts = host.camera.counters.edges
+    assert (counts.queued, counts.dropped_fifo, counts.balanced) == (65_536, 4464, True)
 
 
 def _write_range(host, registers, ranges):
