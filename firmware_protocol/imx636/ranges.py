@@ -8,7 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import Events
-from firmware_protocol.gige.registers import (
+from firmware_protocol.gige.registers import Rule
+from firmware_protocol.imx636.selection import RateControl, Selected
+from firmware_protocol.imx636.triton2_memory import evs_rules
+from firmware_protocol.imx636.triton2_registers import (
     COLUMNS,
     INVERTED,
     MOST_RANGES,
@@ -16,10 +19,7 @@ from firmware_protocol.gige.registers import (
     ROWS,
     Erc,
     RangeRegisters,
-    Rule,
-    evs_rules,
 )
-from firmware_protocol.imx636.selection import RateControl, Selected
 
 __all__ = ["RangeSelection"]
 

@@ -32,28 +32,20 @@ from firmware_protocol.gige.control import (
 )
 from firmware_protocol.gige.gvcp import Resend, Status
 from firmware_protocol.gige.gvsp import BLOCK_OCTETS, Block, removed, test_packet
-from firmware_protocol.gige.registers import (
+from firmware_protocol.gige.registers import DO_NOT_FRAGMENT, TEST_PACKET, Memory, Register, Rule, packet_size
+from firmware_protocol.imx636.camera import Imx636Camera
+from firmware_protocol.imx636.outflow import LONGEST_GAP_US, Outflow, OutflowLimits
+from firmware_protocol.imx636.ranges import RangeSelection
+from firmware_protocol.imx636.selection import Selected
+from firmware_protocol.imx636.triton2_memory import triton2_areas, triton2_rules
+from firmware_protocol.imx636.triton2_registers import (
     ACQUISITION_START,
     ACQUISITION_STOP,
     BIASES,
     NOTIFY_WITH_DATA,
     Evs,
-    GigeSettings,
-    Memory,
-    Register,
-    Rule,
+    Triton2Settings,
 )
-from firmware_protocol.gige.triton2_registers import (
-    DO_NOT_FRAGMENT,
-    TEST_PACKET,
-    packet_size,
-    triton2_areas,
-    triton2_rules,
-)
-from firmware_protocol.imx636.camera import Imx636Camera
-from firmware_protocol.imx636.outflow import LONGEST_GAP_US, Outflow, OutflowLimits
-from firmware_protocol.imx636.ranges import RangeSelection
-from firmware_protocol.imx636.selection import Selected
 
 __all__ = ["Extra", "Outgoing", "Triton2"]
 
@@ -93,7 +85,7 @@ class BlockOutflow(Outflow):
         Number of the last block.
     """
 
-    def __init__(self, epoch_us: int, settings: GigeSettings, number: int = 0) -> None:
+    def __init__(self, epoch_us: int, settings: Triton2Settings, number: int = 0) -> None:
         encoder = Evt3Encoder(standalone=True, width=settings.size[0], origin_us=epoch_us)
         super().__init__(encoder, epoch_us, OutflowLimits(settings.capacity, _MOST_EDGES, _SILENCE_US))
         self._block_us = settings.block_us
@@ -150,8 +142,8 @@ class Triton2(Imx636Camera[BlockOutflow]):
         Its messages about edges to its host.
     """
 
-    def __init__(self, settings: GigeSettings | None = None) -> None:
-        self.settings = settings = settings or GigeSettings()
+    def __init__(self, settings: Triton2Settings | None = None) -> None:
+        self.settings = settings = settings or Triton2Settings()
         super().__init__(settings.size, settings.biases, BlockOutflow(0, settings))
         self._selection = RangeSelection(settings.size)
         rules = triton2_rules(settings.size) | self._selection.rules() | self._own_rules()

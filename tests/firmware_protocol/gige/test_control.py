@@ -11,7 +11,8 @@ import pytest
 from gige_host import PEER, STRANGER, Host
 
 from firmware_protocol.gige.gvcp import Command, Status, request
-from firmware_protocol.gige.registers import ACQUISITION_START, ACQUISITION_STOP, BIASES, TEMPERATURE, Register
+from firmware_protocol.gige.registers import Register
+from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, ACQUISITION_STOP, BIASES, TEMPERATURE
 
 SECOND_NS = 1_000_000_000
 

@@ -7,7 +7,8 @@ from gige_host import Host
 
 from firmware_protocol.events import EdgeKind, empty_edges
 from firmware_protocol.gige.control import Messages, MessageSettings
-from firmware_protocol.gige.registers import Evs, Register
+from firmware_protocol.gige.registers import Register
+from firmware_protocol.imx636.triton2_registers import Evs
 
 MS = 1_000_000
 

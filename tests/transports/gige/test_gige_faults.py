@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from firmware_protocol.gige.gvcp import Command, request
-from firmware_protocol.gige.registers import ACQUISITION_START, ACQUISITION_STOP, Register
+from firmware_protocol.gige.registers import Register
+from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, ACQUISITION_STOP
 from tests.transports.gige.bench import stream
 from transports.faults.datagrams import LateDatagrams, LostDatagrams, RepeatedDatagrams
 from transports.faults.usb_kinds import IpChange, LinkDown, LostHeartbeat, RefusedResends
