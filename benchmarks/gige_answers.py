@@ -24,7 +24,8 @@ from pathlib import Path
 import numpy as np
 
 from firmware_protocol.gige.gvcp import Command, request
-from firmware_protocol.gige.registers import ACQUISITION_START, Register
+from firmware_protocol.gige.registers import Register
+from firmware_protocol.imx636.triton2_registers import ACQUISITION_START
 from tests.guest.gige_run import GigeRun, looped_1280x720
 
 __all__ = ["main"]

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.device.event_device import Reading, ReadingKind, Readings
+from firmware_protocol.device.items import Reading, ReadingKind, Readings
 
 __all__ = ["FrameAssembler", "FrameSettings", "LineKind", "WholeFrame", "line_record"]
 

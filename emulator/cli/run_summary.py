@@ -22,7 +22,7 @@ from emulator.run.kernels import TRUTH, Part
 from emulator.run.link_process import traced
 from emulator.run.outcome import LinkLedger, RunResult
 from emulator.run.truth.source import SUFFIXES, TruthRefused, check_truth
-from firmware_protocol.device.event_device import ReadingCounters
+from firmware_protocol.device.fates import Counts
 from transports.faults.script import FaultRecord
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
@@ -142,7 +142,7 @@ def _remedies(rig: Rig) -> str:
 def timing_json(report: LinkReport) -> dict[str, object]:
     """Return the `edges`, `clock` and `readings` of a link for the JSON summary."""
     on_the_way = dataclasses.asdict(report.edges)
-    fates = {} if report.camera is None else dataclasses.asdict(report.camera.edges)
+    fates = {} if report.camera is None else _edge_fates(report.camera.edges)
     return {
         "edges": {**on_the_way, **fates, "balanced": report.edges_balanced},
         "clock": None if report.clock is None else dataclasses.asdict(report.clock),
@@ -152,8 +152,24 @@ def timing_json(report: LinkReport) -> dict[str, object]:
 
 def _reading_json(report: LinkReport, kind: str) -> dict[str, object]:
     counted = {} if report.camera is None else report.camera.readings
-    fates = dataclasses.asdict(counted.get(kind, ReadingCounters()))
+    fates = _reading_fates(counted.get(kind, Counts()))
     return {**dataclasses.asdict(report.readings[kind]), **fates, "balanced": report.readings_balanced}
+
+
+def _edge_fates(c: Counts) -> dict[str, int]:
+    """Return the fates of edges by the names of the JSON summary."""
+    return {
+        "offered": c.offered, "ignored": c.ignored, "dropped": c.dropped_for_room, "delivered": c.delivered,
+        "queued": c.queued, "lost_on_link": c.lost_on_link, "added": c.added,
+    }  # fmt: skip
+
+
+def _reading_fates(c: Counts) -> dict[str, int]:
+    """Return the fates of readings by the names of the JSON summary."""
+    return {
+        "offered": c.offered, "not_running": c.not_running, "dropped": c.dropped_fifo, "flushed": c.flushed,
+        "delivered": c.delivered, "lost_on_link": c.lost_on_link, "queued": c.queued,
+    }  # fmt: skip
 
 
 def timing_lines(name: str, report: LinkReport) -> Iterator[str]:
@@ -165,12 +181,12 @@ def timing_lines(name: str, report: LinkReport) -> Iterator[str]:
         lost = f", {e.lost_on_link} lost on the link" if e.lost_on_link else ""
         yield (
             f"{name}: {e.offered} edges, {e.added} added = {e.delivered} delivered, {e.ignored} not enabled, "
-            f"{e.dropped} dropped{lost}{late}{left}"
+            f"{e.dropped_for_room} dropped{lost}{late}{left}"
         )
     if report.edges.marks:
         yield f"{name}: {report.edges.marks} own marks of the camera, {report.edges.marks_sent} sent"
     for kind, fates in () if report.camera is None else report.camera.readings.items():
-        gone = fates.dropped + fates.flushed + fates.lost_on_link
+        gone = fates.dropped_for_room + fates.lost_on_link
         unrequested = f"{fates.not_running} not requested"
         yield f"{name}: {kind}: {fates.offered} readings = {fates.delivered} delivered, {gone} lost, {unrequested}"
     if report.clock is not None:

@@ -10,7 +10,7 @@ from emulator.optics.lens import CHIPS, Chip
 from emulator.rig.tables import Camera
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo
-from firmware_protocol.evk4 import Evk4, Evk4Settings
+from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.imx636.registers import Surroundings
 from firmware_protocol.usb.device import Speed, UsbCamera
 

@@ -59,12 +59,12 @@ from emulator.trajectory.parameters import OrbitPath
 from emulator.trajectory.pose import Fixed
 from firmware_protocol.davis346.registers import driver_imu_settings
 from firmware_protocol.device.clock import ClockSettings
-from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.frames import FrameSettings
-from firmware_protocol.gige.registers import GigeSettings
-from firmware_protocol.gige.triton2 import Triton2
 from firmware_protocol.imu_samples import IMU_SAMPLE
+from firmware_protocol.imx636.triton2 import Triton2
+from firmware_protocol.imx636.triton2_registers import Triton2Settings
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import Imx636Biases
 from firmware_protocol.usb.device import UsbCamera
@@ -398,7 +398,7 @@ def _instrument(rig: Rig, link: Any) -> Callable[[], Instrument]:
 
 
 def _gige_camera(rig: Rig, link: Any) -> Callable[[], Triton2]:
-    settings = GigeSettings(
+    settings = Triton2Settings(
         size=rig.camera.size,
         address=link.host,
         serial=rig.camera.serial,

@@ -26,7 +26,7 @@ from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
-from firmware_protocol.device.event_device import ReadingKind, Readings
+from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EdgeKind, Events
 from transports.faults.kinds import Fault
 from transports.link.changes import CameraSettings, Occurrence

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from emulator.light import LightFrame
-from firmware_protocol.device.event_device import ReadingKind, Readings
+from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import Events
 from transports.link.process import LinkSetup
 from transports.link.rings import ReadingRing

@@ -156,14 +156,9 @@ class ActivityResult:
 
 
 class ActivityFilter:
-    """Both filters of a camera of `size` (width, height), with the counts since the filter was made.
+    """Both filters of a camera of `size` (width, height).
 
     The constructor compiles the kernel, or reads it from disk, so that no event has to wait for it.
-
-    Attributes
-    ----------
-    isolated, too_soon
-        Events that the filter of background activity dropped, and that of the refractory period.
     """
 
     def __init__(self, size: tuple[int, int]) -> None:
@@ -171,7 +166,6 @@ class ActivityFilter:
         self._stamps = np.zeros((_cells(height), _cells(width)), np.int32)
         self._since_us = 0
         self._on = False
-        self.isolated = self.too_soon = 0
         self._result_for(empty_events(), ActivityLimits(0, STAMP_MASK))
 
     def power_on(self) -> None:
@@ -187,7 +181,7 @@ class ActivityFilter:
         self._on = on
 
     def result_for(self, events: Events, registers: RegisterFile) -> ActivityResult | None:
-        """Return the fate of events, (n,) EVENT in stream time; `take` counts it.
+        """Return the fate of events, (n,) EVENT in stream time; `take` applies it.
 
         None: both filters are off. Events outside the array pass and leave no stamp: the encoder refuses them.
         """
@@ -195,9 +189,7 @@ class ActivityFilter:
         return None if limits is None else self._result_for(events, limits)
 
     def take(self, activity: ActivityResult) -> None:
-        """Count the dropped events, and store the stamps of the others."""
-        self.isolated += activity.isolated
-        self.too_soon += activity.too_soon
+        """Store the stamps of the events that passed."""
         self._stamps = activity.stamps
 
     def _result_for(self, events: Events, limits: ActivityLimits) -> ActivityResult:

@@ -49,7 +49,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.device.event_device import Reading, ReadingKind, Readings
+from firmware_protocol.device.items import Reading, ReadingKind, Readings
 from firmware_protocol.events import EDGE, EdgeKind, Edges
 from firmware_protocol.frames import LineKind
 from firmware_protocol.imu_samples import IMU_SAMPLE, ImuSamples
@@ -63,17 +63,17 @@ __all__ = [
     "PLACE",
     "Block",
     "ImuReader",
-    "Items",
     "Marks",
+    "TimedWords",
     "blocks_of",
     "edges_of",
     "frame_words",
     "imu_words",
     "is_imu",
-    "items_of",
     "join_marks",
     "no_marks",
     "put_in_place",
+    "timed_words",
     "with_places",
 ]
 
@@ -118,17 +118,17 @@ def edges_of(times_us: npt.NDArray[np.uint64], codes: Words) -> Edges:
 
 
 @dataclass(frozen=True)
-class Items:
-    """Items in stream order: device times (n,) us, the row in force (n,), and the word of each (n,)."""
+class TimedWords:
+    """Words of items in stream order: device times (n,) us, the row in force (n,), and the word of each (n,)."""
 
     time_us: Times
     rows: Words
     words: Words
 
-    def __getitem__(self, part: slice) -> Items:
-        return Items(self.time_us[part], self.rows[part], self.words[part])
+    def __getitem__(self, part: slice) -> TimedWords:
+        return TimedWords(self.time_us[part], self.rows[part], self.words[part])
 
-    def merged(self, time_us: Times, codes: Words, row: int) -> Items:
+    def merged(self, time_us: Times, codes: Words, row: int) -> TimedWords:
         """Return these items with marks at `time_us` (m,), each before the items of the same time.
 
         A mark has no row: it takes that of the item before it, `row` (-1: none) before the first, so that no row word
@@ -140,7 +140,7 @@ class Items:
         at += np.arange(len(at))
         old = np.ones(len(self.words) + len(at), np.bool_)
         old[at] = False
-        return Items(
+        return TimedWords(
             _merged(self.time_us, time_us, old, at),
             _merged(self.rows, before, old, at),
             _merged(self.words, codes, old, at),
@@ -154,13 +154,13 @@ def _merged(items: Any, marks: Any, old: npt.NDArray[np.bool_], at: npt.NDArray[
     return both
 
 
-def items_of(time_us: Times, rows: Words, columns: Words, on: npt.NDArray[np.bool_]) -> Items:
-    """Return events, each array (n,), as items."""
+def timed_words(time_us: Times, rows: Words, columns: Words, on: npt.NDArray[np.bool_]) -> TimedWords:
+    """Return the words of events, each array (n,)."""
     words = on.astype(np.uint16)
     words <<= 12
     words += _COLUMN_OFF
     words |= columns
-    return Items(time_us, rows, words)
+    return TimedWords(time_us, rows, words)
 
 
 IMU_READ = np.dtype([("sample", IMU_SAMPLE), ("resets", "<u4")])

@@ -42,7 +42,8 @@ from firmware_protocol.davis346.registers import Layout, Module, RegisterFile, R
 from firmware_protocol.davis346.settings import DATA_ENDPOINT, Davis346Settings
 from firmware_protocol.davis346.stream import EventStream, Fifo
 from firmware_protocol.davis346.words import WordEncoder
-from firmware_protocol.device.event_device import CameraCounters, EdgeCounters, ReadingKind, Readings
+from firmware_protocol.device.fates import Fates
+from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import Edges, Events, copy_events, empty_events
 from firmware_protocol.usb.control import Recipient, StandardControl, name_request
 from firmware_protocol.usb.descriptors import DescriptorSet
@@ -71,15 +72,18 @@ class Davis346(UsbCamera):
         self.settings = settings = settings or Davis346Settings()
         self._standard = StandardControl(settings.descriptors())
         self._registers = RegisterFile(settings.registers())
-        self._stream = EventStream(WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes))
-        self._filters = DvsFilters(settings.size, has_activity=settings.activity_filter)
-        self._statistics = Statistics(self._stream, self._filters)
-        self._input = ExternalInput(settings.pulse_us)
+        self._fates = Fates()
+        self._stream = EventStream(
+            WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes), self._fates
+        )
+        self._filters = DvsFilters(settings.size, self._fates, has_activity=settings.activity_filter)
+        self._input = ExternalInput(settings.pulse_us, self._fates.edges)
         self._stalled = no_marks()
-        self._readings = ReadingInput(settings, self._registers)
+        self._readings = ReadingInput(settings, self._registers, self._fates)
+        self._statistics = Statistics(self, self._stream, self._filters)
         self._resets_us: list[int] = []
         self._now_us = 0
-        self._not_running = self._offered = self._flushes = 0
+        self._flushes = 0
         self._has_sent = False
         self._settings_version = 0
         self._input_settings_of: tuple[int, int | None] | None = None
@@ -148,45 +152,23 @@ class Davis346(UsbCamera):
         return self._stream.epoch_us
 
     @property
-    def counters(self) -> CameraCounters:
-        """Fates of all events offered so far."""
-        s = self._stream.counters
-        return CameraCounters(
-            self._offered,
-            self._not_running,
-            s.dropped_fifo,
-            s.flushed,
-            s.delivered,
-            s.lost_on_link,
-            s.queued,
-            not_selected=self._filters.filtered,
-            dropped_background=self._filters.isolated,
-            dropped_refractory=self._filters.too_soon,
-            edges=self._edge_counters(),
-            readings=self._readings.counters(self._stream.block_fates),
-        )
+    def counters(self) -> Fates:
+        """Fates of all items so far."""
+        readings = self._readings.waiting + self._stream.queued_readings
+        waits = self._input.pending + len(self._stalled) + self._stream.queued_edges
+        return self._fates.waiting(self._stream.queued_events, waits, readings)
 
     @property
     def delivered(self) -> int:
         """See `EventDevice.delivered`."""
-        return self._stream.delivered
+        return self._fates.delivered
 
     @property
     def waiting_items(self) -> int:
         """See `EventDevice.waiting_items`."""
-        return self._stream.waiting_items + self._input.pending + len(self._stalled) + self._readings.waiting
-
-    def _edge_counters(self) -> EdgeCounters:
-        seen, reported = self._input, self._stream.mark_counters
-        return EdgeCounters(
-            seen.offered,
-            seen.ignored,
-            reported.dropped_fifo + reported.flushed,
-            reported.delivered,
-            reported.queued + seen.pending + len(self._stalled),
-            reported.lost_on_link,
-            seen.added,
-        )
+        marks = self._input.pending + len(self._stalled) + self._stream.queued_edges
+        readings = self._readings.count + self._stream.queued_readings.total()
+        return self._fates.all_queued + self._stream.queued_events + marks + readings
 
     def offer(self, events: Events) -> None:
         """Take the events of the array, (n,) EVENT in stream time, sorted, none before the time advanced to.
@@ -210,8 +192,8 @@ class Davis346(UsbCamera):
             self._filters.take(passed)
         else:
             self._put(empty_events(), until_us)
-        self._not_running += first
-        self._offered += len(events)
+        self._fates.not_running += first
+        self._fates.offered += len(events)
         self._now_us = until_us
 
     def offer_edges(self, edges: Edges) -> None:
@@ -277,7 +259,7 @@ class Davis346(UsbCamera):
         """Hold or drop marks that found no room, as the registers select."""
         keep = 0 if self._registers.read(Module.MULTIPLEXER, 4) else _INPUT_FIFO
         self._stalled = marks[:keep]
-        self._stream.drop_marks(len(marks[keep:]))
+        self._fates.edges.dropped_fifo += len(marks[keep:])
 
     def take_resets(self) -> tuple[int, ...]:
         """Return the stream times at which the host has reset the timestamps since the last call."""
@@ -420,7 +402,7 @@ class Davis346(UsbCamera):
         return sensor_factors({bias.address: self._registers.read(Module.BIAS, bias.address) for bias in BIASES})
 
     def _drop_stalled(self) -> None:
-        self._stream.drop_marks(len(self._stalled))
+        self._fates.edges.dropped_fifo += len(self._stalled)
         self._stalled = no_marks()
         self._readings.flush()
 

@@ -30,6 +30,8 @@ import numpy.typing as npt
 
 from firmware_protocol.davis346.registers import Module, RegisterFile, Statistic
 from firmware_protocol.davis346.stream import EventStream
+from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.fates import Counts
 from firmware_protocol.events import Events
 
 if TYPE_CHECKING:
@@ -109,30 +111,21 @@ class Passed:
 
 
 class DvsFilters:
-    """The filters of one camera, with the counts since the object was made.
+    """The filters of one camera, which count in its `fates`.
 
     Attributes
     ----------
-    filtered, hot
-        Events that were not selected, and those of them at hot pixels.
+    hot
+        Of the events that were not selected, those at hot pixels.
     """
 
-    def __init__(self, size: tuple[int, int], *, has_activity: bool = False) -> None:
+    def __init__(self, size: tuple[int, int], fates: Counts, *, has_activity: bool = False) -> None:
+        self._fates = fates
         self._size = size
         self._whole = (0, 0, size[0] - 1, size[1] - 1)
         self._skip_count = 0
-        self.filtered = self.hot = 0
+        self.hot = 0
         self._activity = _activity_filter(size) if has_activity else None
-
-    @property
-    def isolated(self) -> int:
-        """Events that the filter of background activity dropped."""
-        return 0 if self._activity is None else self._activity.isolated
-
-    @property
-    def too_soon(self) -> int:
-        """Events that the filter of the refractory period dropped."""
-        return 0 if self._activity is None else self._activity.too_soon
 
     def power_on(self) -> None:
         """Set the count of the skip filter to zero, and clear the memory of the activity filter."""
@@ -172,7 +165,9 @@ class DvsFilters:
         """Count the events that did not pass."""
         if self._activity is not None and passed.activity is not None:
             self._activity.take(passed.activity)
-        self.filtered += passed.filtered
+            self._fates.dropped_background += passed.activity.isolated
+            self._fates.dropped_refractory += passed.activity.too_soon
+        self._fates.not_selected += passed.filtered
         self.hot += passed.hot
         self._skip_count += passed.counted
 
@@ -211,9 +206,8 @@ class Statistics:
     This model has one FIFO in place of the DVS module's and the USB buffers', so both dropped counters show its drops.
     """
 
-    def __init__(self, stream: EventStream, filters: DvsFilters) -> None:
-        self._stream = stream
-        self._filters = filters
+    def __init__(self, camera: EventDevice, stream: EventStream, filters: DvsFilters) -> None:
+        self._camera, self._stream, self._filters = camera, stream, filters
         self.power_on()
 
     def power_on(self) -> None:
@@ -226,15 +220,15 @@ class Statistics:
             registers.count(statistic, count - self._before[statistic])
 
     def _counted(self) -> dict[Statistic, int]:
-        """Return the counts of the parts since they were made."""
-        events, filters = self._stream.counters, self._filters
+        """Return the counts since the camera was made."""
+        fates = self._camera.counters
         return {
-            Statistic.DVS_ROWS: events.rows,
-            Statistic.DVS_COLUMNS: events.accepted,
-            Statistic.DVS_DROPPED: events.dropped_fifo,
-            Statistic.DVS_FILTERED_PIXELS: filters.hot,
-            Statistic.DVS_FILTERED_BACKGROUND_ACTIVITY: filters.isolated,
-            Statistic.DVS_FILTERED_REFRACTORY: filters.too_soon,
-            Statistic.MUX_DVS_DROPPED: events.dropped_fifo,
-            Statistic.MUX_EXTINPUT_DROPPED: self._stream.mark_counters.dropped_fifo,
+            Statistic.DVS_ROWS: self._stream.rows,
+            Statistic.DVS_COLUMNS: fates.flushed + fates.delivered + fates.lost_on_link + fates.queued,
+            Statistic.DVS_DROPPED: fates.dropped_fifo,
+            Statistic.DVS_FILTERED_PIXELS: self._filters.hot,
+            Statistic.DVS_FILTERED_BACKGROUND_ACTIVITY: fates.dropped_background,
+            Statistic.DVS_FILTERED_REFRACTORY: fates.dropped_refractory,
+            Statistic.MUX_DVS_DROPPED: fates.dropped_fifo,
+            Statistic.MUX_EXTINPUT_DROPPED: fates.edges.dropped_fifo,
         }

@@ -31,8 +31,8 @@ from __future__ import annotations
 import bisect
 import heapq
 from collections import Counter, deque
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass, field, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -41,12 +41,13 @@ from firmware_protocol.davis346.blocks import MARK, Block, Marks, blocks_of, joi
 from firmware_protocol.davis346.registers import Module, RegisterFile, aps_waits_on_stall, frame_settings, imu_settings
 from firmware_protocol.davis346.settings import Davis346Settings
 from firmware_protocol.davis346.words import Special
-from firmware_protocol.device.event_device import ReadingCounters, ReadingKind, Readings
+from firmware_protocol.device.fates import Counts, Fates
+from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EdgeKind, Edges
 from firmware_protocol.frames import FrameSettings, LineKind
 from firmware_protocol.imu_samples import ImuSettings
 
-__all__ = ["BlockFates", "ExternalInput", "InputSettings", "ReadingInput"]
+__all__ = ["ExternalInput", "InputSettings", "ReadingInput"]
 
 
 @dataclass(frozen=True)
@@ -148,10 +149,13 @@ class ExternalInput:
     ----------
     pulse_us
         Length of an EDGE of kind PULSE.
+    counts
+        The camera's counts of edges.
     """
 
-    def __init__(self, pulse_us: int) -> None:
+    def __init__(self, pulse_us: int, counts: Counts) -> None:
         self._pulse_us = pulse_us
+        self._counts = counts
         self._changes: list[tuple[int, int, bool, _Cause]] = []
         self._number = 0
         self._level = False
@@ -159,9 +163,6 @@ class ExternalInput:
         self._level_cause: _Cause | None = None
         self._generator: tuple[GeneratorSettings, int] | None = None
         self._reported: list[tuple[int, int]] = []
-        self.offered = 0
-        self.ignored = 0
-        self.added = 0
 
     @property
     def pending(self) -> int:
@@ -185,7 +186,7 @@ class ExternalInput:
                 self._change(t + self._pulse_us, False, cause)
             else:
                 self._change(t, kind == EdgeKind.RISING, _Cause(1))
-        self.offered += len(edges)
+        self._counts.offered += len(edges)
 
     def _change(self, t: int, level: bool, cause: _Cause) -> None:
         heapq.heappush(self._changes, (t, self._number, level, cause))
@@ -233,14 +234,14 @@ class ExternalInput:
         if settings.report_from_us is None or at_us < settings.report_from_us:
             return
         self._reported.append((at_us, int(code)))
-        self.added += cause.marks > 0
+        self._counts.added += cause.marks > 0
         cause.marks += 1
 
     def _close(self, cause: _Cause | None) -> None:
         """Count one of the possible effects of an edge as over."""
         if cause is not None:
             cause.open -= 1
-            self.ignored += cause.open == 0 and cause.marks == 0
+            self._counts.ignored += cause.open == 0 and cause.marks == 0
 
     def _generated(self, after_us: int, until_us: int, settings: InputSettings) -> Marks:
         generator, report_from_us = settings.generator, settings.report_from_us
@@ -250,7 +251,7 @@ class ExternalInput:
         if self._generator is None or self._generator[0] != generator:
             self._generator = (generator, after_us)
         marks = generator.marks(self._generator[1], max(after_us, report_from_us - 1), until_us)
-        self.added += len(marks)
+        self._counts.added += len(marks)
         return marks
 
 
@@ -265,20 +266,10 @@ _LINES = (LineKind.RESET, LineKind.SIGNAL)
 _IMU_WORDS = 1 + 17  # a timestamp, and a sample of all three groups
 
 
-@dataclass
-class BlockFates:
-    """Numbers of blocks of each kind, by fate in the stream."""
-
-    flushed: Counter[ReadingKind] = field(default_factory=Counter)
-    delivered: Counter[ReadingKind] = field(default_factory=Counter)
-    lost: Counter[ReadingKind] = field(default_factory=Counter)
-    queued: Counter[ReadingKind] = field(default_factory=Counter)
-
-
 class ReadingInput:
     """Readings that were offered and are not in the stream yet, and their settings in the registers."""
 
-    def __init__(self, settings: Davis346Settings, registers: RegisterFile) -> None:
+    def __init__(self, settings: Davis346Settings, registers: RegisterFile, fates: Fates) -> None:
         self._settings = settings
         self._registers = registers
         self._longest = {ReadingKind.FRAMES: max(settings.size) + 2, ReadingKind.IMU: _IMU_WORDS}
@@ -287,10 +278,7 @@ class ReadingInput:
         self._waiting: list[Block] = []
         self._held: deque[Block] = deque()
         self._in_frame = self._left_out = False
-        self._offered: Counter[ReadingKind] = Counter()
-        self._not_running: Counter[ReadingKind] = Counter()
-        self._dropped: Counter[ReadingKind] = Counter()
-        self._flushed: Counter[ReadingKind] = Counter()
+        self._fates = fates
 
     def follow(self, *, words: bool) -> None:
         """Read the registers again; `words`: true while the data path runs."""
@@ -327,8 +315,8 @@ class ReadingInput:
         if kind is ReadingKind.FRAMES:
             self._in_frame = self._in_frame and len(blocks) == len(readings)
             blocks = [block for block in blocks if self._is_read(block)]
-        self._offered[kind] += len(readings)
-        self._not_running[kind] += len(readings) - len(blocks)
+        self._fates.of(kind).offered += len(readings)
+        self._fates.of(kind).not_running += len(readings) - len(blocks)
         self._waiting = sorted([*self._waiting, *blocks], key=_time_of)
 
     def _is_read(self, block: Block) -> bool:
@@ -346,7 +334,8 @@ class ReadingInput:
         count = bisect.bisect_right(self._waiting, until_us, key=_time_of)
         new, self._waiting = self._waiting[:count], self._waiting[count:]
         passed = deque(block for block in new if self._is_included(block))
-        self._dropped[ReadingKind.FRAMES] += len(new) - len(passed)
+        if len(passed) < len(new):
+            self._fates.of(ReadingKind.FRAMES).dropped_fifo += len(new) - len(passed)
         due: list[Block] = []
         for queue in (self._held, passed):
             while queue and len(queue[0].words) <= free_words:
@@ -386,29 +375,24 @@ class ReadingInput:
             if waits:
                 self._held.append(block)
             held[kind] += waits
-            self._dropped[kind] += not waits
-
-    @property
-    def waiting(self) -> int:
-        """Number of readings that were offered and are not in the stream."""
-        return len(self._held) + len(self._waiting)
+            self._fates.of(kind).dropped_fifo += not waits
 
     def flush(self) -> None:
         """Drop the blocks that wait."""
-        self._flushed.update(block.reading.kind for block in (*self._held, *self._waiting))
+        for kind, count in self.waiting.items():
+            self._fates.of(kind).flushed += count
         self._held, self._waiting = deque(), []
         self._in_frame = False
 
-    def counters(self, fates: BlockFates) -> Mapping[str, ReadingCounters]:
-        """Return the fates of all readings offered, by kind; `fates` are those in the stream."""
-        waiting = Counter(block.reading.kind for block in (*self._held, *self._waiting))
-        return {
-            str(kind): ReadingCounters(
-                offered, self._not_running[kind], self._dropped[kind], self._flushed[kind] + fates.flushed[kind],
-                fates.delivered[kind], fates.lost[kind], fates.queued[kind] + waiting[kind],
-            )
-            for kind, offered in self._offered.items()
-        }  # fmt: skip
+    @property
+    def count(self) -> int:
+        """Number of readings that were offered and are not in the stream."""
+        return len(self._held) + len(self._waiting)
+
+    @property
+    def waiting(self) -> Counter[ReadingKind]:
+        """Readings that were offered and are not in the stream, by kind."""
+        return Counter(block.reading.kind for block in (*self._held, *self._waiting))
 
 
 def _time_of(block: Block) -> int:

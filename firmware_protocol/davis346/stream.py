@@ -12,11 +12,11 @@ from __future__ import annotations
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from firmware_protocol.davis346.blocks import Block, Marks, edges_of, no_marks
-from firmware_protocol.davis346.inputs import BlockFates
 from firmware_protocol.davis346.words import (
     SINGLE_WRAPS,
     WRAP_BITS,
@@ -29,30 +29,39 @@ from firmware_protocol.davis346.words import (
     is_mark,
     is_row,
 )
-from firmware_protocol.device.event_device import Reading, ReadingKind
+from firmware_protocol.device.fates import Fates
+from firmware_protocol.device.items import Reading, ReadingKind
 from firmware_protocol.events import Events, empty_events, join_events
 from firmware_protocol.usb.device import Transfer
 
-__all__ = ["Batch", "EventStream", "Fifo", "Flushed", "MarkCounters", "StreamCounters", "Taken"]
+__all__ = ["Batch", "EventStream", "Fifo", "Flushed"]
 
 
 _MIN_BYTES = 1024
 _WRAP_RESERVE_WORDS = 64
 
 
-@dataclass(frozen=True)
+@dataclass
 class Batch:
-    """Words that enter the FIFO, the events, marks and blocks they complete, and a reader's state before them.
+    """Words in the FIFO, and the events, marks and blocks that they complete and that have not left.
 
-    `epoch_us` is the stream time at which device time is zero for these words.
+    Attributes
+    ----------
+    before
+        State of a reader before the first word.
+    epoch_us
+        Stream time at which device time is zero for these words.
+    words_taken
+        Number of words that have left.
     """
 
     encoded: Encoded
-    events: Events
     before: WordState
     epoch_us: int
+    events: Events = field(default_factory=empty_events)
     marks: Marks = field(default_factory=no_marks)
     blocks: Sequence[Block] = ()
+    words_taken: int = 0
 
     @property
     def is_reset(self) -> bool:
@@ -60,59 +69,51 @@ class Batch:
         words = self.encoded.words
         return len(words) == 1 and int(words[0]) == Special.TIMESTAMP_RESET
 
+    @property
+    def reader_state(self) -> WordState:
+        """State of a reader of the words that have left."""
+        return self.before.after(self.encoded.words[: self.words_taken])
 
-@dataclass
-class _Chunk:
-    """A batch in the queue, or the front of one; `words_taken` and the other counts have left."""
+    @property
+    def is_empty(self) -> bool:
+        """True if all words have left."""
+        return self.words_taken == len(self.encoded.words)
 
-    batch: Batch
-    words: Words
-    events: Events
-    marks: Marks
-    blocks: Sequence[Block] = ()
-    words_taken: int = 0
-    events_taken: int = 0
-    marks_taken: int = 0
-    blocks_taken: int = 0
+    def fitting(self, room: int) -> Batch:
+        """Return as many complete items from the front as fit `room` words."""
+        if len(self.encoded.words) <= room:
+            return self
+        ends = self.encoded.ends
+        count = int(np.searchsorted(ends, room, side="right"))
+        words = self.encoded.words[: ends[count - 1] if count else 0]
+        return replace(
+            self,
+            encoded=replace(self.encoded, words=words),
+            events=self.events[: np.count_nonzero(is_column(words))],
+            marks=self.marks[: np.count_nonzero(is_mark(words))],
+            blocks=self.blocks[: self.encoded.blocks_in(len(words))],
+        )
 
     def take(self, max_words: int) -> tuple[Words, Events, Marks, Sequence[Block]]:
         """Remove up to `max_words` words; return them and the events, marks and blocks they complete."""
-        words = self.words[self.words_taken : self.words_taken + max_words]
+        words = self.encoded.words[self.words_taken : self.words_taken + max_words]
+        blocks_before = self.encoded.blocks_in(self.words_taken) if self.blocks else 0
         self.words_taken += len(words)
-        events, marks = self.events[self.events_taken :], self.marks[self.marks_taken :]
-        if self.words_taken < len(self.words):
+        events, marks, blocks = self.events, self.marks, self.blocks
+        if not self.is_empty:
             events = events[: np.count_nonzero(is_column(words))]
             marks = marks[: np.count_nonzero(is_mark(words))] if len(marks) else marks
-        self.events_taken += len(events)
-        self.marks_taken += len(marks)
-        blocks = self.blocks[self.blocks_taken : self.batch.encoded.blocks_in(self.words_taken)] if self.blocks else ()
-        self.blocks_taken += len(blocks)
+            blocks = blocks[: self.encoded.blocks_in(self.words_taken) - blocks_before] if blocks else ()
+        self.events, self.marks = self.events[len(events) :], self.marks[len(marks) :]
+        self.blocks = self.blocks[len(blocks) :]
         return words, events, marks, blocks
 
 
-@dataclass(frozen=True)
-class Taken:
-    """Content that left the FIFO: bytes, the events, marks and readings they complete, and their common epoch."""
+class Flushed(NamedTuple):
+    """Content that a flush dropped: a reset if there was one, and the reader's state; None if nothing was queued."""
 
-    data: bytes
-    events: Events
-    marks: Marks
-    epoch_us: int
-    readings: tuple[Reading, ...] = ()
-
-
-@dataclass(frozen=True)
-class Flushed:
-    """Content that a flush dropped: events, marks, readings by kind, a reset if there was one, and the reader's state.
-
-    `reader_state` is None if nothing was queued.
-    """
-
-    events: int
-    marks: int
     reset: bool
     reader_state: WordState | None
-    readings: Counter[ReadingKind]
 
 
 class Fifo:
@@ -131,7 +132,7 @@ class Fifo:
         self._used = 0
         self._events = self._marks = 0
         self._blocks: Counter[ReadingKind] = Counter()
-        self._chunks: deque[_Chunk] = deque()
+        self._batches: deque[Batch] = deque()
 
     @property
     def free_words(self) -> int:
@@ -158,77 +159,68 @@ class Fifo:
         """Blocks whose last word has not left, by kind."""
         return self._blocks
 
-    def put(self, batch: Batch) -> int:
-        """Append as many complete items from the front of `batch` as fit; return the number of their words."""
-        words, events, marks = batch.encoded.words, batch.events, batch.marks
-        if len(words) > self.free_words:
-            ends = batch.encoded.ends
-            fitting = int(np.searchsorted(ends, self.free_words, side="right"))
-            words = words[: ends[fitting - 1]] if fitting else words[:0]
-            events = events[: np.count_nonzero(is_column(words))]
-            marks = marks[: np.count_nonzero(is_mark(words))]
-        self._append(batch, words, events, marks)
-        return len(words)
+    def put(self, batch: Batch) -> Batch:
+        """Append as many complete items from the front of `batch` as fit; return them."""
+        return self._append(batch.fitting(self.free_words))
 
     def put_wraps(self, batch: Batch) -> None:
         """Append wraps, which the caller has limited to `free_wrap_words`."""
-        self._append(batch, batch.encoded.words, batch.events, batch.marks)
+        self._append(batch)
 
     def put_reset(self, batch: Batch) -> None:
         """Append a timestamp reset word, even if the FIFO is full; one directly after another adds nothing."""
-        if self._chunks and self._chunks[-1].batch.is_reset:
-            self._chunks[-1].batch = batch
+        if self._batches and self._batches[-1].is_reset:
+            self._batches[-1] = batch
             return
-        self._append(batch, batch.encoded.words, batch.events, batch.marks)
+        self._append(batch)
 
-    def take(self, max_bytes: int) -> Taken | None:
+    def take(self, max_bytes: int) -> Transfer | None:
         """Remove up to `max_bytes` bytes of whole words, all of one epoch; None if there are none."""
         room = max_bytes // 2
-        if not self._chunks or room < 1:
+        if not self._batches or room < 1:
             return None
-        epoch_us = self._chunks[0].batch.epoch_us
+        epoch_us = self._batches[0].epoch_us
         words: list[Words] = []
         events: list[Events] = []
         marks: list[Marks] = []
         readings: list[Reading] = []
-        while room and self._chunks and self._chunks[0].batch.epoch_us == epoch_us:
-            chunk = self._chunks[0]
-            some, completed, completed_marks, blocks = chunk.take(room)
+        while room and self._batches and self._batches[0].epoch_us == epoch_us:
+            batch = self._batches[0]
+            some, completed, completed_marks, blocks = batch.take(room)
             words.append(some)
             events.append(completed)
             marks.append(completed_marks)
             readings += [block.reading for block in blocks]
             room -= len(some)
-            if chunk.words_taken == len(chunk.words):
-                self._chunks.popleft()
+            if batch.is_empty:
+                self._batches.popleft()
         data = b"".join(part.data for part in words)
-        taken = Taken(data, join_events(events), np.concatenate(marks), epoch_us, tuple(readings))
-        self._used -= len(taken.data) // 2
-        self._events -= len(taken.events)
-        self._marks -= len(taken.marks)
+        all_marks = np.concatenate(marks)
+        edges = edges_of(all_marks["t"], all_marks["code"])
+        transfer = Transfer(join_events(events), edges, epoch_us, tuple(readings), data)
+        self._used -= len(data) // 2
+        self._events -= len(transfer.events)
+        self._marks -= len(edges)
         if readings:
             self._blocks.subtract(reading.kind for reading in readings)
-        return taken
+        return transfer
 
     def flush(self) -> Flushed:
         """Drop the whole content."""
-        events, marks, self._events, self._marks, self._used = self._events, self._marks, 0, 0, 0
-        chunks, self._chunks = self._chunks, deque()
-        reset = any(chunk.batch.is_reset for chunk in chunks)
-        reader_state = chunks[0].batch.before.after(chunks[0].words[: chunks[0].words_taken]) if chunks else None
-        blocks, self._blocks = self._blocks, Counter()
-        return Flushed(events, marks, reset, reader_state, blocks)
+        batches, self._batches = self._batches, deque()
+        self._events = self._marks = self._used = 0
+        self._blocks = Counter()
+        return Flushed(any(batch.is_reset for batch in batches), batches[0].reader_state if batches else None)
 
-    def _append(self, batch: Batch, words: Words, events: Events, marks: Marks) -> None:
-        if not len(words):
-            return
-        self._used += len(words)
-        self._events += len(events)
-        self._marks += len(marks)
-        blocks = batch.blocks[: batch.encoded.blocks_in(len(words))] if batch.blocks else ()
-        if blocks:
-            self._blocks.update(block.reading.kind for block in blocks)
-        self._chunks.append(_Chunk(batch, words, events, marks, blocks))
+    def _append(self, batch: Batch) -> Batch:
+        if len(batch.encoded.words):
+            self._used += len(batch.encoded.words)
+            self._events += len(batch.events)
+            self._marks += len(batch.marks)
+            if batch.blocks:
+                self._blocks.update(block.reading.kind for block in batch.blocks)
+            self._batches.append(batch)
+        return batch
 
 
 _WRAP_SHARE = 8
@@ -237,75 +229,36 @@ _WRAP_SHARE = 8
 _WORDS_PER_EVENT = 3
 
 
-@dataclass(frozen=True)
-class StreamCounters:
-    """Events that reached the stream, by fate. `queued` are in the FIFO or in a transfer whose fate is open."""
-
-    dropped_fifo: int = 0
-    flushed: int = 0
-    delivered: int = 0
-    lost_on_link: int = 0
-    queued: int = 0
-    rows: int = 0
-
-    @property
-    def accepted(self) -> int:
-        """Events that entered the FIFO."""
-        return self.flushed + self.delivered + self.lost_on_link + self.queued
-
-
-@dataclass(frozen=True)
-class MarkCounters:
-    """Marks that reached the stream, by fate, as for events; `dropped_fifo` does not include marks held back."""
-
-    dropped_fifo: int = 0
-    flushed: int = 0
-    delivered: int = 0
-    lost_on_link: int = 0
-    queued: int = 0
-
-
 class EventStream:
-    """Stream of the camera: encodes events into the FIFO, and makes transfers of the FIFO's content."""
+    """Stream of the camera: encodes items into the FIFO, and makes transfers of the FIFO's content.
 
-    def __init__(self, encoder: WordEncoder, fifo: Fifo) -> None:
+    Attributes
+    ----------
+    rows
+        Number of row words queued so far.
+    """
+
+    def __init__(self, encoder: WordEncoder, fifo: Fifo, fates: Fates) -> None:
         self._encoder = encoder
         self._fifo = fifo
         self._epoch_us = 0
-        self._in_flight = 0
-        self._dropped = self._flushed = self._delivered = self._lost = self._rows = 0
-        self._marks_in_flight = 0
-        self._marks_dropped = self._marks_flushed = self._marks_delivered = self._marks_lost = 0
-        self._blocks = BlockFates()
-        self._blocks_in_flight: Counter[ReadingKind] = Counter()
+        self._fates = fates
+        self.rows = 0
 
     @property
-    def counters(self) -> StreamCounters:
-        """The fates so far, and the number of row words queued."""
-        queued = self._fifo.queued_events + self._in_flight
-        return StreamCounters(self._dropped, self._flushed, self._delivered, self._lost, queued, self._rows)
+    def queued_events(self) -> int:
+        """Events in the FIFO."""
+        return self._fifo.queued_events
 
     @property
-    def delivered(self) -> int:
-        """Number of delivered events."""
-        return self._delivered
+    def queued_edges(self) -> int:
+        """Marks in the FIFO."""
+        return self._fifo.queued_marks
 
     @property
-    def waiting_items(self) -> int:
-        """Number of events, marks and blocks in the FIFO or in a transfer whose fate is open."""
-        events, marks = self._fifo.queued_events + self._in_flight, self._fifo.queued_marks + self._marks_in_flight
-        return events + marks + self._fifo.queued_blocks.total() + self._blocks_in_flight.total()
-
-    @property
-    def mark_counters(self) -> MarkCounters:
-        """The fates of marks so far."""
-        queued = self._fifo.queued_marks + self._marks_in_flight
-        return MarkCounters(self._marks_dropped, self._marks_flushed, self._marks_delivered, self._marks_lost, queued)
-
-    @property
-    def block_fates(self) -> BlockFates:
-        """The fates of blocks so far."""
-        return replace(self._blocks, queued=self._fifo.queued_blocks + self._blocks_in_flight)
+    def queued_readings(self) -> Counter[ReadingKind]:
+        """Blocks in the FIFO, by kind."""
+        return self._fifo.queued_blocks
 
     @property
     def free_words(self) -> int:
@@ -354,7 +307,7 @@ class EventStream:
         """Queue `events`, (n,) EVENT, `marks`, (m,) MARK, and `blocks`, in stream time and at least one in all.
 
         Events that find no room are dropped and counted. Marks and blocks that find none are returned: the caller may
-        offer them again, or drop them; it then counts marks with `drop_marks`, and blocks itself.
+        offer them again, or drop and count them.
         """
         marks = no_marks() if marks is None else marks
         at_start = self._encoder.state
@@ -368,17 +321,13 @@ class EventStream:
             raise
         if len(wraps):
             self._fifo.put_wraps(self._batch(wraps, at_start))
-        queued, queued_marks = self._fifo.queued_events, self._fifo.queued_marks
-        fitting = encoded.words[: self._fifo.put(Batch(encoded, events, before, self._epoch_us, marks, blocks))]
-        if len(fitting) < len(encoded.words):
-            self._encoder.state = before.after(fitting)
-            self._dropped += len(events) - (self._fifo.queued_events - queued)
-        self._rows += int(np.count_nonzero(is_row(fitting)))
-        return marks[self._fifo.queued_marks - queued_marks :], blocks[encoded.blocks_in(len(fitting)) :]
-
-    def drop_marks(self, count: int) -> None:
-        """Count `count` marks as dropped for lack of room."""
-        self._marks_dropped += count
+        queued = self._fifo.put(Batch(encoded, before, self._epoch_us, events, marks, blocks))
+        words = queued.encoded.words
+        if len(words) < len(encoded.words):
+            self._encoder.state = before.after(words)
+            self._fates.dropped_fifo += len(events) - len(queued.events)
+        self.rows += int(np.count_nonzero(is_row(words)))
+        return marks[len(queued.marks) :], blocks[len(queued.blocks) :]
 
     def advance(self, now_us: int) -> None:
         """Queue the wraps due at stream time `now_us` that fit; a later call makes up for the rest."""
@@ -399,46 +348,26 @@ class EventStream:
             self._encoder.state = flushed.reader_state
 
     def _empty(self) -> Flushed:
-        flushed = self._fifo.flush()
-        self._flushed += flushed.events
-        self._marks_flushed += flushed.marks
-        self._blocks.flushed.update(flushed.readings)
-        return flushed
+        self._fates.flushed += self.queued_events
+        self._fates.edges.flushed += self.queued_edges
+        for kind, count in self.queued_readings.items():
+            self._fates.of(kind).flushed += count
+        return self._fifo.flush()
 
     def take(self, max_bytes: int) -> Transfer | None:
         """Remove up to `max_bytes`; the transfer's events count as queued until `sent` or `lost`."""
-        taken = self._fifo.take(max_bytes)
-        if taken is None:
-            return None
-        self._in_flight += len(taken.events)
-        self._marks_in_flight += len(taken.marks)
-        edges = edges_of(taken.marks["t"], taken.marks["code"])
-        if taken.readings:
-            self._blocks_in_flight.update(reading.kind for reading in taken.readings)
-        return Transfer(taken.data, taken.events, taken.epoch_us, edges, taken.readings)
+        transfer = self._fifo.take(max_bytes)
+        if transfer is not None:
+            self._fates.take(transfer)
+        return transfer
 
     def sent(self, transfer: Transfer) -> None:
         """Count a transfer's events as delivered."""
-        self._in_flight -= len(transfer.events)
-        self._delivered += len(transfer.events)
-        self._marks_in_flight -= len(transfer.edges)
-        self._marks_delivered += len(transfer.edges)
-        self._settle(transfer, self._blocks.delivered)
+        self._fates.leave(transfer, "delivered")
 
     def lost(self, transfer: Transfer) -> None:
         """Count a transfer's events as lost on the link."""
-        self._in_flight -= len(transfer.events)
-        self._lost += len(transfer.events)
-        self._marks_in_flight -= len(transfer.edges)
-        self._marks_lost += len(transfer.edges)
-        self._settle(transfer, self._blocks.lost)
-
-    def _settle(self, transfer: Transfer, fate: Counter[ReadingKind]) -> None:
-        if not transfer.readings:
-            return
-        kinds = [reading.kind for reading in transfer.readings]
-        self._blocks_in_flight.subtract(kinds)
-        fate.update(kinds)
+        self._fates.leave(transfer, "lost_on_link")
 
     def _batch(self, words: Words, before: WordState) -> Batch:
-        return Batch(Encoded(words), empty_events(), before, self._epoch_us)
+        return Batch(Encoded(words), before, self._epoch_us)

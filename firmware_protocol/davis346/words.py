@@ -37,7 +37,16 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.davis346.blocks import NO_ROW, Block, Items, Marks, items_of, no_marks, put_in_place, with_places
+from firmware_protocol.davis346.blocks import (
+    NO_ROW,
+    Block,
+    Marks,
+    TimedWords,
+    no_marks,
+    put_in_place,
+    timed_words,
+    with_places,
+)
 from firmware_protocol.events import Events
 
 __all__ = ["Encoded", "Special", "WordEncoder", "WordState", "Words", "is_column", "is_mark", "is_row", "wrap_words"]
@@ -231,7 +240,7 @@ class WordEncoder:
         return Encoded(*put_in_place(words, blocks))
 
     def _encode_portion(self, events: Events, marks: Marks, epoch_us: int) -> Iterator[Words]:
-        items = items_of(self._device_time(events["t"], epoch_us), *self._addresses(events), events["on"])
+        items = timed_words(self._device_time(events["t"], epoch_us), *self._addresses(events), events["on"])
         if len(marks):
             items = items.merged(self._device_time(marks["t"], epoch_us), marks["code"], self.state.row)
         for start, stop in _between_wraps(items.time_us):
@@ -253,7 +262,7 @@ class WordEncoder:
             raise ValueError(f"no event for {time_us - self.state.time_us} us: the gap is too long to encode")
         return words
 
-    def _encode_run(self, items: Items) -> Words:
+    def _encode_run(self, items: TimedWords) -> Words:
         """Encode items of one wrap period: fill a table of (timestamp, row, column) words, return the needed ones."""
         n = len(items.time_us)
         if n > len(self._table):

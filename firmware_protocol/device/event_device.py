@@ -5,176 +5,24 @@
     run  --time----> advance -+
     ring --frames, samples--> offer_readings
 
-A device is sans-I/O. Events and edges go in with stream time; each gets exactly one fate, which `counters` reports.
-
-Readings are the data of a camera beside events: lines of a frame, samples of an inertial unit. Each gets a fate too. A
-reading is one record of a structured array that has a field `t`, u64 microseconds of stream time. Its kind determines
-the record: `frames.line_record` for frames.
+A device is sans-I/O. Events, edges and readings (lines of a frame, samples of an inertial unit) go in with stream time;
+each of these items gets exactly one fate, which `counters` reports.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from enum import StrEnum
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import numpy.typing as npt
-
+from firmware_protocol.device.fates import Fates
+from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import Edges, Events
 
-__all__ = ["CameraCounters", "EdgeCounters", "EventDevice", "Reading", "ReadingCounters", "ReadingKind", "Readings"]
-
-
-Readings = npt.NDArray[Any]
-"""Records of one kind, shape (n,), sorted by `t`."""
-
-
-class ReadingKind(StrEnum):
-    """Kind of a reading."""
-
-    FRAMES = "frames"
-    IMU = "imu"
-
-
-@dataclass(frozen=True)
-class Reading:
-    """One record of a kind, (1,) of its dtype."""
-
-    kind: ReadingKind
-    record: Readings
-
-
-@dataclass(frozen=True)
-class ReadingCounters:
-    """Readings of one kind offered to a device since it was made, and their fates; `offered` is the sum of the others.
-
-    Attributes
-    ----------
-    not_running
-        Arrived while the host had not enabled this kind, or in the middle of a frame whose start it did not get.
-    dropped
-        Dropped for lack of room.
-    flushed
-        Were in the buffer when it was emptied.
-    lost_on_link
-        Left the camera and were lost on the link.
-    queued
-        Still wait.
-    """
-
-    offered: int = 0
-    not_running: int = 0
-    dropped: int = 0
-    flushed: int = 0
-    delivered: int = 0
-    lost_on_link: int = 0
-    queued: int = 0
-
-    @property
-    def accounted(self) -> int:
-        """Readings with a fate; without an error as many as were offered."""
-        return self.not_running + self.dropped + self.flushed + self.delivered + self.lost_on_link + self.queued
-
+__all__ = ["EventDevice", "ReadingKind", "Readings"]
 
 _FOREVER_US = 1 << 62
 _NO_BOUND = 1 << 30
-
-
-@dataclass(frozen=True)
-class EdgeCounters:
-    """Edges offered to a camera's external input since it was made, and their fates.
-
-    `offered` and `added` together are the sum of the others.
-
-    Attributes
-    ----------
-    ignored
-        Not detected: the camera was not running, or its registers exclude this kind of edge.
-    dropped
-        Detected, and lost because a buffer was full or emptied.
-    lost_on_link
-        Left the camera and were lost on the link.
-    added
-        Made by the camera beyond one for each edge offered: a rising edge may be reported again as the pulse that it
-        begins, and a generator makes its own.
-    """
-
-    offered: int = 0
-    ignored: int = 0
-    dropped: int = 0
-    delivered: int = 0
-    queued: int = 0
-    lost_on_link: int = 0
-    added: int = 0
-
-    @property
-    def accounted(self) -> int:
-        """Edges with a fate; without an error as many as were offered and added."""
-        return self.ignored + self.dropped + self.delivered + self.lost_on_link + self.queued
-
-
-@dataclass(frozen=True)
-class CameraCounters:
-    """Events offered to a camera since it was made, and their fates; `offered` is the sum of the others.
-
-    Attributes
-    ----------
-    not_running
-        Arrived while no host had the camera running.
-    dropped_fifo
-        Found the camera's buffer full, in events or in bytes.
-    flushed
-        Were in the buffer when it was emptied, at a stop or when the host went away.
-    lost_on_link
-        Left the camera and were lost on the link.
-    queued
-        Still wait.
-    not_selected
-        Excluded on purpose: outside the region of interest, or a pixel that sub-sampling skips.
-    dropped_background, dropped_refractory
-        Dropped by the camera's own filters of background activity and of the refractory period.
-    dropped_rate
-        Beyond the camera's rate limit.
-    dropped_late
-        Waited longer than the camera's age limit.
-    edges
-        Counters of the external input.
-    readings
-        Counters of frames and the like, by `ReadingKind`; empty for a camera that does not use them.
-    """
-
-    offered: int = 0
-    not_running: int = 0
-    dropped_fifo: int = 0
-    flushed: int = 0
-    delivered: int = 0
-    lost_on_link: int = 0
-    queued: int = 0
-    not_selected: int = 0
-    dropped_background: int = 0
-    dropped_refractory: int = 0
-    dropped_rate: int = 0
-    dropped_late: int = 0
-    edges: EdgeCounters = field(default_factory=EdgeCounters)
-    readings: Mapping[str, ReadingCounters] = field(default_factory=dict)
-
-    @property
-    def dropped_for_room(self) -> int:
-        """Events that were to be sent and were dropped before; links report them as `dropped`."""
-        return self.dropped_fifo + self.flushed + self.dropped_rate + self.dropped_late
-
-    @property
-    def dropped_in_device(self) -> int:
-        """Events that the camera took and did not hand to the link."""
-        filtered = self.not_selected + self.dropped_background + self.dropped_refractory
-        return self.not_running + filtered + self.dropped_for_room
-
-    @property
-    def accounted(self) -> int:
-        """Events with a fate; without an error as many as were offered."""
-        return self.dropped_in_device + self.delivered + self.lost_on_link + self.queued
 
 
 class EventDevice(ABC):
@@ -246,8 +94,8 @@ class EventDevice(ABC):
 
     @property
     @abstractmethod
-    def counters(self) -> CameraCounters:
-        """Fates of all events offered so far."""
+    def counters(self) -> Fates:
+        """Fates of all items so far."""
 
     @property
     def delivered(self) -> int:
@@ -257,8 +105,7 @@ class EventDevice(ABC):
     @property
     def waiting_items(self) -> int:
         """Number of events, edges and readings that wait in it, as `counters` has them."""
-        counters = self.counters
-        return counters.queued + counters.edges.queued + sum(one.queued for one in counters.readings.values())
+        return self.counters.all_queued
 
     @abstractmethod
     def offer(self, events: Events) -> None:

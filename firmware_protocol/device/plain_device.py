@@ -9,47 +9,22 @@ together with the events of their time, so that no receiver sees time go back.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_protocol.device.event_device import (
-    CameraCounters,
-    EdgeCounters,
-    EventDevice,
-    Reading,
-    ReadingCounters,
-    ReadingKind,
-    Readings,
-)
+from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.fates import Counts, Fate, Fates
+from firmware_protocol.device.items import Items, Reading, ReadingKind, Readings
 from firmware_protocol.events import EVENT, Edges, Events, copy_events, empty_edges, empty_events
 
-__all__ = ["PlainDevice", "Taken", "own_time"]
+__all__ = ["PlainDevice", "own_time"]
 
 _CAPACITY = 1 << 21  # events; edges likewise
 _MOST_READINGS = 1 << 14  # of each kind: 30 frames of a DAVIS346, 16 s of an inertial unit
 _FOREVER_US = 1 << 62
 _NO_SETTINGS: Mapping[ReadingKind, tuple[int, ...]] = {}
-
-
-@dataclass(frozen=True)
-class Taken:
-    """Content taken in one call; nothing that is taken later is earlier.
-
-    Attributes
-    ----------
-    events, edges, readings
-        (n,) EVENT, (m,) EDGE, and readings, on the device's time scale.
-    epoch_us
-        Time at which the device's own clock was zero.
-    """
-
-    events: Events
-    edges: Edges
-    epoch_us: int
-    readings: tuple[Reading, ...] = ()
 
 
 def own_time(records: Events | Edges, epoch_us: int) -> Events | Edges:
@@ -84,7 +59,7 @@ class _Waiting:
         """Add readings of one kind, in the order of time."""
         self.readings = sorted([*self.readings, *readings], key=_time_of) if readings else self.readings
 
-    def take(self, limit: int, now_us: int) -> Taken | None:
+    def take(self, limit: int, now_us: int) -> Items | None:
         """Return the first content, at most `limit` events; None if nothing waits that is certain to be first."""
         events = self._take_events(limit)
         if self.events:
@@ -96,7 +71,7 @@ class _Waiting:
             return None
         times = [events["t"][-1:], edges["t"][-1:], *(one.record["t"][-1:] for one in readings[-1:])]
         self.taken_us = max(self.taken_us, *(int(t[0]) for t in times if len(t)))
-        return Taken(events, edges, self.epoch_us, readings)
+        return Items(events, edges, self.epoch_us, readings)
 
     def _take_events(self, limit: int) -> Events:
         if not self.events or limit < 1:
@@ -146,12 +121,9 @@ class PlainDevice(EventDevice):
         self._settings = dict(readings)
         self.takes_edges = True
         self._running = True
-        self._not_running = self._flushed = self._edges_ignored = self._edges_lost = 0
         self._waiting: deque[_Waiting] = deque([_Waiting(0, 0)])
         self._now_us = 0
-        self._offered = self._queued = self._dropped = self._delivered = self._lost = 0
-        self._edges_offered = self._edges_queued = self._edges_dropped = self._edges_delivered = 0
-        self._readings = {kind: _ReadingFates() for kind in self._settings}
+        self._fates = Fates(readings={str(kind): Counts() for kind in readings})
 
     @property
     def now_us(self) -> int:
@@ -166,7 +138,7 @@ class PlainDevice(EventDevice):
     @property
     def room_events(self) -> int:
         """Events that fit now."""
-        return self._capacity - self._queued
+        return self._capacity - self._fates.queued
 
     @property
     def epoch_us(self) -> int:
@@ -174,17 +146,9 @@ class PlainDevice(EventDevice):
         return self._waiting[-1].epoch_us
 
     @property
-    def counters(self) -> CameraCounters:
-        """Fates of all events and edges so far."""
-        edges = EdgeCounters(
-            offered=self._edges_offered, dropped=self._edges_dropped, delivered=self._edges_delivered,
-            queued=self._edges_queued, ignored=self._edges_ignored, lost_on_link=self._edges_lost,
-        )  # fmt: skip
-        return CameraCounters(
-            offered=self._offered, dropped_fifo=self._dropped, delivered=self._delivered - self._lost,
-            lost_on_link=self._lost, queued=self._queued, not_running=self._not_running, flushed=self._flushed,
-            edges=edges, readings={str(kind): fates.counters for kind, fates in self._readings.items()},
-        )  # fmt: skip
+    def counters(self) -> Fates:
+        """Fates of all items so far."""
+        return self._fates.waiting()
 
     @property
     def settings_version(self) -> int:
@@ -194,39 +158,38 @@ class PlainDevice(EventDevice):
     @property
     def delivered(self) -> int:
         """See `EventDevice.delivered`."""
-        return self._delivered - self._lost
+        return self._fates.delivered
 
     @property
     def waiting_items(self) -> int:
         """See `EventDevice.waiting_items`."""
-        return self._queued + self._edges_queued + sum(fates.queued for fates in self._readings.values())
+        return self._fates.all_queued
 
     def offer(self, events: Events) -> None:
         """Queue events (n,) EVENT, as many as fit; raises ValueError if they go back in time."""
         if len(events) and (int(events["t"][0]) < self._now_us or bool((events["t"][1:] < events["t"][:-1]).any())):
             raise ValueError("events go back in time")
+        self._fates.offered += len(events)
         if not self._running:
-            self._offered += len(events)
-            self._not_running += len(events)
+            self._fates.not_running += len(events)
             return
         fitting = min(len(events), self.room_events)
-        self._offered += len(events)
-        self._dropped += len(events) - fitting
-        self._queued += fitting
+        self._fates.dropped_fifo += len(events) - fitting
+        self._fates.queued += fitting
         if fitting:
             self._waiting[-1].events.append(copy_events(events[:fitting]))
             self._now_us = int(events["t"][fitting - 1])
 
     def offer_edges(self, edges: Edges) -> None:
         """Queue edges (n,) EDGE, as many as fit."""
+        counts = self._fates.edges
+        counts.offered += len(edges)
         if not (self._running and self.takes_edges):
-            self._edges_offered += len(edges)
-            self._edges_ignored += len(edges)
+            counts.ignored += len(edges)
             return
-        fitting = min(len(edges), self._capacity - self._edges_queued)
-        self._edges_offered += len(edges)
-        self._edges_dropped += len(edges) - fitting
-        self._edges_queued += fitting
+        fitting = min(len(edges), self._capacity - counts.queued)
+        counts.dropped_fifo += len(edges) - fitting
+        counts.queued += fitting
         if fitting:
             self._waiting[-1].add_edges(edges[:fitting])
 
@@ -236,14 +199,20 @@ class PlainDevice(EventDevice):
 
     def room_readings(self, kind: ReadingKind) -> int:
         """Readings of a kind that fit now."""
-        return _MOST_READINGS - self._readings[kind].queued if kind in self._readings else _MOST_READINGS
+        return _MOST_READINGS - (self._fates.of(kind).queued if kind in self._settings else 0)
 
     def offer_readings(self, kind: ReadingKind, readings: Readings) -> bool:
         """Queue readings of a kind in its settings, as many as fit; False for others."""
-        if kind not in self._readings:
+        if kind not in self._settings:
             return False
-        fitting = min(len(readings), self.room_readings(kind)) if self._running else 0
-        self._readings[kind].offer(len(readings), fitting, running=self._running)
+        counts, fitting = self._fates.of(kind), 0
+        counts.offered += len(readings)
+        if self._running:
+            fitting = min(len(readings), self.room_readings(kind))
+            counts.dropped_fifo += len(readings) - fitting
+        else:
+            counts.not_running += len(readings)
+        counts.queued += fitting
         taken = readings[:fitting].copy()
         self._waiting[-1].add_readings([Reading(kind, taken[k : k + 1]) for k in range(fitting)])
         return True
@@ -259,16 +228,14 @@ class PlainDevice(EventDevice):
         self._waiting.append(_Waiting(self._now_us, self._now_us))
         return True
 
-    def take(self, limit: int) -> Taken | None:
+    def take(self, limit: int) -> Items | None:
         """Return the first content, at most `limit` events of it, as delivered; None if nothing waits."""
         taken = self.carry(limit)
         if taken is not None:
-            self.arrived(len(taken.events), len(taken.edges))
-            for kind, count in Counter(one.kind for one in taken.readings).items():
-                self._readings[kind].deliver(count)
+            self._fates.leave(taken, "delivered")
         return taken
 
-    def carry(self, limit: int) -> Taken | None:
+    def carry(self, limit: int) -> Items | None:
         """Return the first content, at most `limit` events of it; it counts as queued until it arrived or failed."""
         while len(self._waiting) > 1 and not self._waiting[0]:
             self._waiting.popleft()
@@ -281,87 +248,44 @@ class PlainDevice(EventDevice):
 
     def arrived(self, events: int, edges: int = 0) -> None:
         """Count events and edges returned by `carry` as delivered."""
-        self._queued -= events
-        self._delivered += events
-        self._edges_queued -= edges
-        self._edges_delivered += edges
+        self._settle(events, edges, "delivered")
 
     def failed(self, events: int, edges: int = 0) -> None:
         """Count events and edges returned by `carry` as lost on the link."""
-        self.arrived(events)
-        self._lost += events
-        self._edges_queued -= edges
-        self._edges_lost += edges
+        self._settle(events, edges, "lost_on_link")
+
+    def _settle(self, events: int, edges: int, fate: Fate) -> None:
+        self._fates.settle(events, fate)
+        self._fates.edges.settle(edges, fate)
 
     def run(self, running: bool) -> None:
         """Set the presence of a receiver; the content that waits when the last one leaves is flushed."""
         self._running = running
         if not running:
-            self._flushed += self._empty()
+            self._empty("flushed")
 
     def lost(self, count: int, edges: int = 0) -> None:
         """Count further events and edges that were taken as lost on the link."""
-        self._lost += count
-        self._edges_delivered -= edges
-        self._edges_lost += edges
+        for counts, number in ((self._fates, count), (self._fates.edges, edges)):
+            counts.delivered -= number
+            counts.lost_on_link += number
 
     def lost_readings(self, kind: ReadingKind, count: int) -> None:
         """Count `count` further readings of a kind that were taken as lost on the link."""
         if count:
-            self._readings[kind].lose(count)
+            counts = self._fates.of(kind)
+            counts.delivered -= count
+            counts.lost_on_link += count
 
     def drop_waiting(self) -> None:
         """Drop everything that waits: no receiver will take it."""
-        self._dropped += self._empty()
+        self._empty("dropped_fifo")
 
-    def _empty(self) -> int:
-        """Empty the queues; return the number of events in them. Carried content stays."""
-        events = sum(len(piece) for one in self._waiting for piece in one.events)
-        edges = sum(len(one.edges) for one in self._waiting)
-        for kind, count in Counter(reading.kind for one in self._waiting for reading in one.readings).items():
-            self._readings[kind].flush(count)
+    def _empty(self, fate: Fate) -> None:
+        """Empty the queues, and count their events under `fate`. Carried content stays."""
+        for one in self._waiting:
+            self._fates.settle(sum(len(piece) for piece in one.events), fate)
+            self._fates.edges.settle(len(one.edges), fate)
+            for reading in one.readings:
+                self._fates.of(reading.kind).settle(1, "flushed")
         self._waiting = deque([_Waiting(self.epoch_us, self._waiting[-1].taken_us)])
-        self._queued -= events
-        self._edges_queued -= edges
-        self._edges_dropped += edges
-        return events
-
-
-class _ReadingFates:
-    """Counts of readings of one kind; see `ReadingCounters`."""
-
-    def __init__(self) -> None:
-        self._offered = self._not_running = self._dropped = self._flushed = self._delivered = self._lost = 0
-        self.queued = 0
-
-    def offer(self, count: int, fitting: int, *, running: bool) -> None:
-        """Count readings that were offered, of which the first `fitting` fit."""
-        self._offered += count
-        self.queued += fitting
-        if running:
-            self._dropped += count - fitting
-        else:
-            self._not_running += count - fitting
-
-    def deliver(self, count: int) -> None:
-        """Count readings that left."""
-        self.queued -= count
-        self._delivered += count
-
-    def lose(self, count: int) -> None:
-        """Count readings that left and did not arrive."""
-        self._delivered -= count
-        self._lost += count
-
-    def flush(self, count: int) -> None:
-        """Count readings that were removed."""
-        self.queued -= count
-        self._flushed += count
-
-    @property
-    def counters(self) -> ReadingCounters:
-        """All fates so far."""
-        return ReadingCounters(
-            offered=self._offered, not_running=self._not_running, dropped=self._dropped, flushed=self._flushed,
-            delivered=self._delivered, lost_on_link=self._lost, queued=self.queued,
-        )  # fmt: skip

@@ -46,10 +46,9 @@ from firmware_protocol.gige.gvcp import (
     answer,
     request,
 )
-from firmware_protocol.gige.registers import DISCOVERY_OCTETS, LONGEST_READ, Memory, Privilege, Register
+from firmware_protocol.gige.registers import ACTION_GROUPS, DISCOVERY_OCTETS, LONGEST_READ, Memory, Privilege, Register
 
 __all__ = [
-    "ACTION_GROUPS",
     "EDGE_EVENT",
     "Control",
     "Controlled",
@@ -104,7 +103,6 @@ class DeviceTime(NamedTuple):
 TimeSource = Callable[[], DeviceTime]
 
 
-ACTION_GROUPS = 1
 Datagram = tuple[bytes, Peer]
 
 _NS_PER_MS = 1_000_000

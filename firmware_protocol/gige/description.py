@@ -1,4 +1,4 @@
-"""The GenICam description of the camera: features by name and their registers, as zipped XML in the device's memory.
+"""The GenICam description of a camera: features by name and their registers, as zipped XML in the device's memory.
 
     feature (Integer, Boolean, Command, Enumeration) --pValue--> register (IntReg, MaskedIntReg) --pPort--> Device
     text (StringReg) ------------------------------------------------------------------------------> Device
@@ -10,25 +10,16 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 from firmware_protocol.gige.gvsp import LEAST_PACKET, MOST_PACKET
-from firmware_protocol.gige.registers import (
-    ACQUISITION_START,
-    ACQUISITION_STOP,
-    BIASES,
-    NOTIFY_WITH_DATA,
-    TEMPERATURE,
-    Erc,
-    Evs,
-    Register,
-)
+from firmware_protocol.gige.registers import Register
 
-__all__ = ["Description", "Feature", "features"]
+__all__ = ["TRANSPORT", "Description", "Feature", "Model", "identity_features", "stream_features", "time_features"]
 
 
 Kind = Literal["integer", "boolean", "command", "enumeration", "text"]
@@ -50,6 +41,8 @@ class Feature:
         Octets of a text, or of a register.
     order
         Value that a host writes to execute a command.
+    per_unit
+        Steps of the register in one unit of the feature, which then is a converter.
     """
 
     name: str
@@ -64,25 +57,15 @@ class Feature:
     entries: Mapping[str, int] = field(default_factory=dict)
     room: int = 4
     order: int = 1
+    per_unit: int = 1
 
 
+TRANSPORT = "TransportLayerControl"
 _ON_OFF = (0, 1)
-_BIAS_TIPS = {
-    "diff_on": "Threshold of ON events: higher means fewer",
-    "diff_off": "Threshold of OFF events: higher means fewer",
-    "diff": "Reference level of the comparators; do not change it",
-    "refr": "Refractory period: higher means shorter",
-    "fo": "Low-pass cut-off: higher means faster",
-    "hpf": "High-pass cut-off: higher means that slow changes are suppressed",
-}
 
 
-def features(size: tuple[int, int]) -> list[Feature]:
-    """Return all features of a camera whose sensor has `size` = (width, height) pixels."""
-    return [*_identity(), *_picture(size), *_acquisition(), *_biases(), *_rate_control(), *_messages(), *_transport()]
-
-
-def _identity() -> list[Feature]:
+def identity_features() -> list[Feature]:
+    """Return the features of the texts in the answer to a discovery."""
     texts = (
         ("DeviceVendorName", Register.MANUFACTURER, 32, False),
         ("DeviceModelName", Register.MODEL, 32, False),
@@ -97,63 +80,18 @@ def _identity() -> list[Feature]:
     ]
 
 
-def _picture(size: tuple[int, int]) -> list[Feature]:
-    return [
-        Feature("Width", "ImageFormatControl", "integer", Evs.WIDTH, "Columns", False, limits=(0, size[0])),
-        Feature("Height", "ImageFormatControl", "integer", Evs.HEIGHT, "Rows", False, limits=(0, size[1])),
-        Feature(
-            "EventFormat", "ImageFormatControl", "enumeration", Evs.EVENT_FORMAT, "Encoding", entries={"EVT3_0": 0}
-        ),
-        Feature(
-            "EventFormatSize", "ImageFormatControl", "enumeration", Evs.EVENT_FORMAT_SIZE, "Word", False,
-            entries={"Bpe16": 0},
-        ),
-    ]  # fmt: skip
-
-
-def _acquisition() -> list[Feature]:
-    group = "AcquisitionControl"
+def time_features() -> list[Feature]:
+    """Return the features that read the device's clock."""
     return [
         Feature("TimestampLatch", "DeviceControl", "command", Register.TIME_CONTROL, "Latches the time", order=2),
         Feature("TimestampLatchValue", "DeviceControl", "integer", Register.TIME_HIGH, "Latched time", False, room=8),
-        Feature("AcquisitionMode", group, "enumeration", Evs.MODE, "Mode", entries={"Continuous": 0}),
-        Feature("AcquisitionStart", group, "command", ACQUISITION_START, "Starts the stream; time begins at zero"),
-        Feature("AcquisitionStop", group, "command", ACQUISITION_STOP, "Stops the stream"),
     ]
 
 
-def _biases() -> list[Feature]:
+def stream_features() -> list[Feature]:
+    """Return the features of the stream channel and of control."""
+    group = TRANSPORT
     return [
-        Feature(one.feature, "EventControl", "integer", one.address, _BIAS_TIPS[name], limits=(one.least, one.most))
-        for name, one in BIASES.items()
-    ]
-
-
-def _rate_control() -> list[Feature]:
-    group = "EventControl"
-    return [
-        Feature("ErcEnable", group, "boolean", Erc.ON, "Limits the rate of events", limits=_ON_OFF),
-        Feature("ErcReferencePeriod", group, "integer", Erc.PERIOD_US, "Period, us", limits=(1, 1 << 20)),
-        Feature("ErcEventsPerPeriod", group, "integer", Erc.EVENTS, "Events a period", limits=(0, (1 << 31) - 1)),
-    ]
-
-
-def _messages() -> list[Feature]:
-    group = "EventControl"
-    states = {"Off": 0, "On": 1, "OnWithData": NOTIFY_WITH_DATA}
-    return [
-        Feature(
-            "EventSelector", group, "enumeration", Evs.EVENT_SELECTOR, "Selected event",
-            entries={"Line0AnyEdge": 0},
-        ),
-        Feature("EventNotification", group, "enumeration", Evs.EVENT_NOTIFICATION, "Notification", entries=states),
-    ]  # fmt: skip
-
-
-def _transport() -> list[Feature]:
-    group = "TransportLayerControl"
-    return [
-        Feature("PayloadSize", group, "integer", Evs.PAYLOAD_SIZE, "Most octets of a block", False),
         Feature(
             "GevSCPSPacketSize", group, "integer", Register.PACKET_SIZE, "Octets of a packet with its headers",
             bits=(0, 15), limits=(LEAST_PACKET, MOST_PACKET), step=2,
@@ -174,20 +112,32 @@ def _transport() -> list[Feature]:
 
 
 _ADDRESS = 0x8000_0000
-_NAME = "evstim_TRT009S-E"
-_NAMESPACE = "http://www.genicam.org/GenApi/Version_1_1"
 _MADE = (2026, 1, 1, 0, 0, 0)
-_ROOT = {
-    "ModelName": "TRT009S-E", "VendorName": "Lucid", "ToolTip": "An emulated event camera", "StandardNameSpace": "GEV",
-    "SchemaMajorVersion": "1", "SchemaMinorVersion": "1", "SchemaSubMinorVersion": "0",
+_SCHEMA = {
+    "StandardNameSpace": "GEV", "SchemaMajorVersion": "1", "SchemaMinorVersion": "1", "SchemaSubMinorVersion": "0",
     "MajorVersion": "1", "MinorVersion": "0", "SubMinorVersion": "0",
-    "ProductGuid": "5f3d7a10-636e-4d11-8a52-0f3e1c0faf01", "VersionGuid": "5f3d7a10-636e-4d11-8a52-0f3e1c0faf02",
-    "xmlns": _NAMESPACE,
 }  # fmt: skip
+_NAMESPACE = "http://www.genicam.org/GenApi/Version_1_1"
+
+
+@dataclass(frozen=True)
+class Model:
+    """Names and GUIDs of a camera model."""
+
+    name: str
+    vendor: str
+    product_guid: str
+    version_guid: str
+
+    def attributes(self) -> dict[str, str]:
+        """Return the attributes of the root of its description."""
+        names = {"ModelName": self.name, "VendorName": self.vendor, "ToolTip": "An emulated event camera"}
+        guids = {"ProductGuid": self.product_guid, "VersionGuid": self.version_guid}
+        return {**names, **_SCHEMA, **guids, "xmlns": _NAMESPACE}
 
 
 class Description:
-    """The description of a camera whose sensor has `size` = (width, height) pixels.
+    """The description of a camera.
 
     Attributes
     ----------
@@ -199,36 +149,34 @@ class Description:
         Text of the registers XML_1 and XML_2.
     """
 
-    def __init__(self, size: tuple[int, int]) -> None:
-        self.xml = _xml(features(size))
-        zipped = _zipped(self.xml)
+    def __init__(self, model: Model, features: Sequence[Feature]) -> None:
+        name = f"evstim_{model.name}"
+        self.xml = _xml(model, features)
+        zipped = _zipped(name, self.xml)
         self.address = _ADDRESS
         self.octets = zipped.ljust(-(-len(zipped) // 4) * 4, b"\0")
-        self.location = f"Local:{_NAME}.zip;{_ADDRESS:x};{len(zipped):x}"
+        self.location = f"Local:{name}.zip;{_ADDRESS:x};{len(zipped):x}"
 
 
-def _zipped(xml: bytes) -> bytes:
+def _zipped(name: str, xml: bytes) -> bytes:
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr(zipfile.ZipInfo(f"{_NAME}.xml", _MADE), xml, zipfile.ZIP_DEFLATED)
+        archive.writestr(zipfile.ZipInfo(f"{name}.xml", _MADE), xml, zipfile.ZIP_DEFLATED)
     return file.getvalue()
 
 
-def _xml(all_features: list[Feature]) -> bytes:
-    root = Element("RegisterDescription", _ROOT)
-    names = [feature.name for feature in all_features]
+def _xml(model: Model, features: Sequence[Feature]) -> bytes:
+    root = Element("RegisterDescription", model.attributes())
     by_category: dict[str, list[str]] = {}
-    for feature in all_features:
+    for feature in features:
         by_category.setdefault(feature.category, []).append(feature.name)
-    by_category["DeviceControl"].append("DeviceTemperature")
-    by_category["TransportLayerControl"].append("TLParamsLocked")
+    by_category.setdefault(TRANSPORT, []).append("TLParamsLocked")
+    assert len({feature.name for feature in features}) == len(features)
     _category(root, "Root", list(by_category))
     for category, members in by_category.items():
         _category(root, category, members)
-    for feature in all_features:
+    for feature in features:
         _feature(root, feature)
-    assert len(set(names)) == len(names)
-    _temperature(root)
     locked = _node(root, "Integer", "TLParamsLocked", Value="0", Min="0", Max="1")
     locked.set("NameSpace", "Standard")
     _node(root, "Port", "Device")
@@ -244,6 +192,9 @@ def _category(root: Element, name: str, members: list[str]) -> None:
 def _feature(root: Element, feature: Feature) -> None:
     if feature.kind == "text":
         _text(root, feature)
+        return
+    if feature.per_unit != 1:
+        _converter(root, feature)
         return
     register = f"{feature.name}Register"
     node = SubElement(root, feature.kind.capitalize(), Name=feature.name)
@@ -288,12 +239,12 @@ def _place(node: Element, address: int, length: int, access: str) -> None:
     SubElement(node, "Cachable").text = "NoCache"
 
 
-def _temperature(root: Element) -> None:
-    """Describe the temperature: sixteenths of a degree in the register, degrees for the host."""
-    node = _node(root, "Converter", "DeviceTemperature", FormulaTo="FROM * 16", FormulaFrom="TO / 16.0")
-    SubElement(node, "pValue").text = "DeviceTemperatureRegister"
-    feature = Feature("", "", "integer", TEMPERATURE, "", False, limits=(-4096, 4095))
-    _register(root, "DeviceTemperatureRegister", feature)
+def _converter(root: Element, feature: Feature) -> None:
+    """Describe a register in steps, and its value in units for the host."""
+    steps = feature.per_unit
+    node = _node(root, "Converter", feature.name, FormulaTo=f"FROM * {steps}", FormulaFrom=f"TO / {steps:.1f}")
+    SubElement(node, "pValue").text = f"{feature.name}Register"
+    _register(root, f"{feature.name}Register", feature)
 
 
 def _node(root: Element, kind: str, name: str, **children: str) -> Element:

@@ -1,6 +1,6 @@
-"""Settings and registers of a GigE Vision camera.
+"""The registers that every GigE Vision device has, and its memory.
 
-Registers of every GigE Vision device, by address:
+Registers by address:
 
     0x0000 version, mode, MAC, address, names       248 octets, which are also the answer to a discovery
     0x0200, 0x0400   location of the XML description   text, 512 octets each
@@ -11,27 +11,12 @@ Registers of every GigE Vision device, by address:
     0x0D00 stream channel
     0x9800 action groups
 
-Source: GigE Vision 2.0 as implemented in the open by Aravis; names of the camera from published captures.
-
 The memory of the device has areas of octets, which a host reads, and registers of four octets, which it writes:
 
-area       start --- octets ------- end       READREG, READMEM
-rule       at the address of a register       WRITEREG, WRITEMEM: value written -> value stored, or Refused
+    area       start --- octets ------- end       READREG, READMEM
+    rule       at the address of a register       WRITEREG, WRITEMEM: value written -> value stored, or Refused
 
-Further registers of the Triton2 EVS, by address:
-
-    1010 0030               temperature, signed, 1/16 degree C
-    1030 0000 - 1030 0020   acquisition and image: mode, start, stop, payload size, width, height, event format
-    1030 0024, 1030 0028    messages: selected event, notification: 0 off, 1 without data, 2 with data
-    13F3 0000 + 14 k        bias k: value, least, most (signed offsets from the factory's value)
-    13F6 0000               rate control: on, 0004 period, us, 0018 events a period, 002C events that are dropped
-    1040 1004 - 1040 1038   rows:    on, selector, size, offset, number of ranges
-    1040 1050 - 1040 1084   columns: the same
-    1040 108C               inverted: masks only where a row range and a column range cross
-
-Source: registers that neuromorphic_drivers writes and reads. Of the acquisition registers only start and stop are
-known; the others have addresses chosen here, which a GenICam host reads from the description. Bounds of the biases are
-those recommended for the IMX636.
+Source: GigE Vision 2.0 as implemented in the open by Aravis.
 """
 
 from __future__ import annotations
@@ -40,90 +25,42 @@ import ipaddress
 import zlib
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
 from firmware_protocol.gige.gvcp import Refused, Status
-from firmware_protocol.imx636.biases import BiasModel
+from firmware_protocol.gige.gvsp import LEAST_PACKET, MOST_PACKET
 
 __all__ = [
-    "ACQUISITION_START",
-    "ACQUISITION_STOP",
-    "BIASES",
-    "COLUMNS",
+    "ACTION_GROUPS",
     "DISCOVERY_OCTETS",
-    "INVERTED",
+    "DO_NOT_FRAGMENT",
     "LONGEST_READ",
-    "MOST_RANGES",
-    "NOTIFY_WITH_DATA",
-    "PERIOD_US",
-    "ROWS",
-    "TEMPERATURE",
+    "TEST_PACKET",
     "TICK_HZ",
-    "Bias",
     "Capability",
-    "Erc",
-    "Evs",
-    "GigeSettings",
+    "DeviceIdentity",
     "Memory",
     "Privilege",
-    "RangeRegisters",
     "Register",
     "Rule",
     "between",
-    "bootstrap",
-    "evs_areas",
-    "evs_rules",
+    "no_value",
+    "packet_size",
+    "standard_areas",
+    "standard_rules",
     "unchanged",
 ]
 
 
-@dataclass(frozen=True)
-class GigeSettings:
-    """Identity and buffers of a camera.
-
-    Attributes
-    ----------
-    size
-        (width, height) of the sensor, pixels.
-    address
-        The camera's own IPv4 address, which is in its answer to a discovery.
-    serial, user_name
-        At most 15 ASCII characters.
-    start_delay_us
-        Silence after AcquisitionStart: a host with the stock socket buffer begins to read some 0.1 s later.
-    block_us
-        Age at which a block is closed, unless it is full before.
-    capacity
-        Most events that wait; further ones are dropped and counted.
-    biases
-        Effect of the biases on the sensor.
-    """
-
-    size: tuple[int, int] = (1280, 720)
-    address: str = "127.0.0.1"
-    serial: str = "00000636"
-    user_name: str = ""
-    start_delay_us: int = 300_000
-    block_us: int = 1000
-    capacity: int = 1 << 20
-    biases: BiasModel = field(default_factory=BiasModel)
-
-    def __post_init__(self) -> None:
-        ipaddress.IPv4Address(self.address)
-        for name in ("serial", "user_name"):
-            if len(getattr(self, name)) > 15 or not getattr(self, name).isascii():
-                raise ValueError(f"{name} must have at most 15 ASCII characters, got {getattr(self, name)!r}")
-        if self.start_delay_us < 0 or self.block_us < 1 or self.capacity < 1:
-            raise ValueError("start_delay_us must not be negative, block_us and capacity be at least 1")
-
-
 DISCOVERY_OCTETS = 0xF8
 TICK_HZ = 1_000_000_000
+ACTION_GROUPS = 1
+TEST_PACKET = 1 << 31
+DO_NOT_FRAGMENT = 1 << 30
 _VERSION = 2 << 16
 _MODE_BIG_ENDIAN_UTF8 = 1 << 31 | 1
 _FIXED_ADDRESS = 1
-_MAC_PREFIX = 0x1C0FAF
 _HEARTBEAT_MS = 3000
 _LINK_MBIT_S = 1000
 _LENGTH = 0x0D40
@@ -205,28 +142,52 @@ class Privilege(IntFlag):
     CONTROL = 1 << 1
 
 
-def bootstrap(settings: GigeSettings, xml_location: str) -> bytes:
-    """Return the registers from address 0 on, at power-on."""
+@dataclass(frozen=True)
+class DeviceIdentity:
+    """Identity of a device, which is in its answer to a discovery.
+
+    Attributes
+    ----------
+    manufacturer, model, version, serial, user_name, info
+        At most 31, 31, 31, 15, 15 and 47 ASCII characters.
+    address
+        The device's own IPv4 address.
+    mac_prefix
+        First three octets of its MAC, those of the manufacturer; the others follow from the serial.
+    """
+
+    manufacturer: str
+    model: str
+    version: str
+    serial: str
+    user_name: str
+    address: str
+    mac_prefix: int
+    info: str = "evstim emulator"
+
+
+def standard_areas(identity: DeviceIdentity, description: str) -> dict[int, bytes]:
+    """Return the areas of the registers at power-on; `description` is the location of the XML."""
     octets = bytearray(_LENGTH)
-    for address, number in _numbers(settings).items():
+    for address, number in _numbers(identity).items():
         octets[address : address + 4] = number.to_bytes(4, "big")
-    for address, (text, room) in _texts(settings, xml_location).items():
+    for address, (text, room) in _texts(identity, description).items():
         octets[address : address + room] = text.encode("ascii").ljust(room, b"\0")
-    return bytes(octets)
+    return {0: bytes(octets), Register.ACTION_GROUP: bytes(16 * ACTION_GROUPS)}
 
 
-def _numbers(settings: GigeSettings) -> dict[int, int]:
+def _numbers(identity: DeviceIdentity) -> dict[int, int]:
     all_capabilities = 0
     for one in Capability:
         all_capabilities |= one
     return {
         Register.VERSION: _VERSION,
         Register.DEVICE_MODE: _MODE_BIG_ENDIAN_UTF8,
-        Register.MAC_HIGH: _MAC_PREFIX >> 8,
-        Register.MAC_LOW: (_MAC_PREFIX & 0xFF) << 24 | zlib.crc32(settings.serial.encode()) & 0xFFFFFF,
+        Register.MAC_HIGH: identity.mac_prefix >> 8,
+        Register.MAC_LOW: (identity.mac_prefix & 0xFF) << 24 | zlib.crc32(identity.serial.encode()) & 0xFFFFFF,
         Register.IP_SUPPORTED: _FIXED_ADDRESS,
         Register.IP_CURRENT: _FIXED_ADDRESS,
-        Register.ADDRESS: int(ipaddress.IPv4Address(settings.address)),
+        Register.ADDRESS: int(ipaddress.IPv4Address(identity.address)),
         Register.MASK: 0xFFFFFF00,
         Register.INTERFACES: 1,
         Register.LINK_SPEED: _LINK_MBIT_S,
@@ -242,16 +203,16 @@ def _numbers(settings: GigeSettings) -> dict[int, int]:
     }
 
 
-def _texts(settings: GigeSettings, xml_location: str) -> dict[int, tuple[str, int]]:
+def _texts(identity: DeviceIdentity, description: str) -> dict[int, tuple[str, int]]:
     return {
-        Register.MANUFACTURER: ("Lucid Vision Labs", 32),
-        Register.MODEL: ("TRT009S-E", 32),
-        Register.DEVICE_VERSION: ("1.46.0.0", 32),
-        Register.MANUFACTURER_INFO: ("evstim emulator", 48),
-        Register.SERIAL: (settings.serial, 16),
-        Register.USER_NAME: (settings.user_name, 16),
-        Register.XML_1: (xml_location, 512),
-        Register.XML_2: (xml_location, 512),
+        Register.MANUFACTURER: (identity.manufacturer, 32),
+        Register.MODEL: (identity.model, 32),
+        Register.DEVICE_VERSION: (identity.version, 32),
+        Register.MANUFACTURER_INFO: (identity.info, 48),
+        Register.SERIAL: (identity.serial, 16),
+        Register.USER_NAME: (identity.user_name, 16),
+        Register.XML_1: (description, 512),
+        Register.XML_2: (description, 512),
     }
 
 
@@ -267,6 +228,11 @@ def unchanged(value: int) -> int:
     return value
 
 
+def no_value(value: int) -> int:
+    """Return zero: the rule of a register that gives an order and stores nothing."""
+    return 0
+
+
 def between(least: int, most: int) -> Rule:
     """Return the rule of a register that refuses numbers outside these, signed if `least` is negative."""
 
@@ -277,6 +243,34 @@ def between(least: int, most: int) -> Rule:
         return value
 
     return rule
+
+
+def packet_size(value: int) -> int:
+    """Return the value that register PACKET_SIZE stores; raises Refused for a size that no packet has.
+
+    Sizes must be even: neuromorphic_drivers loses the last octet of an odd payload, and then misreads all that follows.
+    """
+    size = value & 0xFFFF
+    if not LEAST_PACKET <= size <= MOST_PACKET or size % 2:
+        raise Refused(Status.INVALID_PARAMETER)
+    return value & ~TEST_PACKET
+
+
+_PERSISTENT_ADDRESSES = (0x064C, 0x065C, 0x066C)
+_PLAIN = (
+    Register.HEARTBEAT_MS, Register.GVCP_CONFIGURATION, Register.PENDING_MS, Register.GVSP_CONFIGURATION,
+    Register.PACKET_DELAY, Register.STREAM_ADDRESS, Register.ACTION_DEVICE_KEY, *_PERSISTENT_ADDRESSES,
+    Register.MESSAGE_ADDRESS, *(Register.USER_NAME + 4 * k for k in range(4)),
+    *(Register.ACTION_GROUP + 16 * k + place for k in range(ACTION_GROUPS) for place in (0, 4)),
+)  # fmt: skip
+
+
+def standard_rules() -> dict[int, Rule]:
+    """Return the rules of the registers that a host may write, by address."""
+    rules: dict[int, Rule] = dict.fromkeys(_PLAIN, unchanged)
+    rules |= dict.fromkeys((Register.STREAM_PORT, Register.MESSAGE_PORT), between(0, 0xFFFF))
+    rules |= {Register.MESSAGE_TIMEOUT: between(0, 60_000), Register.MESSAGE_RETRIES: between(0, 100)}
+    return rules | {Register.PACKET_SIZE: packet_size, Register.TIME_CONTROL: no_value}
 
 
 class Memory:
@@ -321,116 +315,3 @@ class Memory:
             if address + count <= start + len(area):
                 return area, address - start
         raise Refused(Status.INVALID_ADDRESS)
-
-
-TEMPERATURE = 0x1010_0030
-ACQUISITION_START = 0x1030_0004
-ACQUISITION_STOP = 0x1030_0008
-INVERTED = 0x1040_108C
-PERIOD_US = 200
-NOTIFY_WITH_DATA = 2
-MOST_RANGES = 64
-_CELSIUS = 35
-
-
-class Evs(IntEnum):
-    """Acquisition and image."""
-
-    MODE = 0x1030_0000
-    PAYLOAD_SIZE = 0x1030_0010
-    WIDTH = 0x1030_0014
-    HEIGHT = 0x1030_0018
-    EVENT_FORMAT = 0x1030_001C
-    EVENT_FORMAT_SIZE = 0x1030_0020
-    EVENT_SELECTOR = 0x1030_0024
-    EVENT_NOTIFICATION = 0x1030_0028
-
-
-class Erc(IntEnum):
-    """Event rate control."""
-
-    ON = 0x13F6_0000
-    PERIOD_US = 0x13F6_0004
-    EVENTS = 0x13F6_0018
-    DROP_MODE = 0x13F6_002C
-
-
-@dataclass(frozen=True)
-class Bias:
-    """A bias: its register, its feature's name, and the bounds of its offset."""
-
-    address: int
-    feature: str
-    least: int
-    most: int
-
-
-BIASES: Mapping[str, Bias] = {
-    "diff_on": Bias(0x13F3_0000, "BiasEventThresholdPositive", -85, 140),
-    "diff_off": Bias(0x13F3_0014, "BiasEventThresholdNegative", -35, 190),
-    "diff": Bias(0x13F3_0028, "BiasTuningControl", -25, 23),
-    "refr": Bias(0x13F3_003C, "BiasRefractoryPeriod", -20, 235),
-    "fo": Bias(0x13F3_0050, "BiasLowPassFilterCutoff", -35, 55),
-    "hpf": Bias(0x13F3_0064, "BiasHighPassFilterCutoff", 0, 120),
-}
-"""By Prophesee's names."""
-
-
-@dataclass(frozen=True)
-class RangeRegisters:
-    """Addresses by which a host writes ranges of rows or columns, one after another."""
-
-    on: int
-    selector: int
-    size: int
-    offset: int
-    count: int
-
-
-ROWS = RangeRegisters(0x1040_1004, 0x1040_1008, 0x1040_1010, 0x1040_1024, 0x1040_1038)
-COLUMNS = RangeRegisters(0x1040_1050, 0x1040_1054, 0x1040_105C, 0x1040_1070, 0x1040_1084)
-
-
-def evs_areas(size: tuple[int, int], payload_octets: int) -> dict[int, bytes]:
-    """Return the areas of these registers at power-on."""
-    biases = bytearray(0x14 * len(BIASES))
-    for bias in BIASES.values():
-        offset = bias.address - 0x13F3_0000
-        biases[offset + 4 : offset + 12] = _signed(bias.least) + _signed(bias.most)
-    rate = bytearray(0x40)
-    rate[4:8] = PERIOD_US.to_bytes(4, "big")
-    acquisition = bytearray(0x40)
-    for register, value in ((Evs.PAYLOAD_SIZE, payload_octets), (Evs.WIDTH, size[0]), (Evs.HEIGHT, size[1])):
-        acquisition[register - Evs.MODE : register - Evs.MODE + 4] = value.to_bytes(4, "big")
-    return {
-        TEMPERATURE: _signed(16 * _CELSIUS),
-        Evs.MODE: bytes(acquisition),
-        0x13F3_0000: bytes(biases),
-        Erc.ON: bytes(rate),
-        ROWS.on: bytes(0x100),
-    }
-
-
-def evs_rules(size: tuple[int, int]) -> dict[int, Rule]:
-    """Return the rules of those of these registers that only store a value."""
-    rules = {bias.address: between(bias.least, bias.most) for bias in BIASES.values()}
-    rules |= {Evs.MODE: between(0, 0), Evs.EVENT_FORMAT: between(0, 0), INVERTED: between(0, 1)}
-    rules |= {Erc.ON: between(0, 1), Erc.PERIOD_US: between(1, 1 << 20), Erc.EVENTS: between(0, (1 << 31) - 1)}
-    rules |= {
-        Erc.DROP_MODE: between(0, 4),
-        Evs.EVENT_SELECTOR: between(0, 0),
-        Evs.EVENT_NOTIFICATION: between(0, NOTIFY_WITH_DATA),
-    }
-    for registers, pixels in ((ROWS, size[1]), (COLUMNS, size[0])):
-        rules |= {
-            registers.on: between(0, 1),
-            registers.selector: between(0, MOST_RANGES - 1),
-            registers.size: between(0, pixels),
-            registers.offset: between(0, pixels),
-            registers.count: between(0, MOST_RANGES),
-        }
-    return rules
-
-
-def _signed(value: int) -> bytes:
-    return value.to_bytes(4, "big", signed=True)

@@ -182,8 +182,8 @@ class Registers:
         elif address == Address.ADC_CONTROL and value & 4:
             self._set(Address.ADC_STATUS, _READY | self._around.adc)
         elif address == Address.DEAD_TIME and value & _MEASURE_DEAD_TIME == _MEASURE_DEAD_TIME:
-            count = self._around.dead_time_count(self.sensor_factors.get("refractory_us", 1.0))
-            self._set(address, _MEASURE_DEAD_TIME | _VALID_DEAD_TIME | count)
+            factor = self._biases.factors(self.bias_steps).get("refractory_us", 1.0)
+            self._set(address, _MEASURE_DEAD_TIME | _VALID_DEAD_TIME | self._around.dead_time_count(factor))
         elif address == Address.WINDOW and value & 1:
             self._write_window()
             self._set(address, value | 2)
@@ -201,11 +201,6 @@ class Registers:
     def bias_steps(self) -> dict[str, int]:
         """Steps of each bias away from the factory's value, by Prophesee's names."""
         return {name: (self[address] & 0xFF) - factory for name, (address, factory) in BIASES.items()}
-
-    @property
-    def sensor_factors(self) -> dict[str, float]:
-        """Factors of the sensor's parameters by the biases."""
-        return self._biases.factors(self.bias_steps)
 
     @property
     def time_runs(self) -> bool:

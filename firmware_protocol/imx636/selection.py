@@ -50,7 +50,12 @@ class RateControl:
         """Set the number of events that pass in a period."""
         self._most = events
 
-    def passing(self, events: Events, epoch_us: int) -> _Mask:
+    def selected(self, events: Events, wanted: Events, epoch_us: int) -> Selected:
+        """Return the part that passes of the `wanted` ones of `events`, both sorted; the clock was 0 at `epoch_us`."""
+        passing = wanted[self._passing(wanted, epoch_us)] if self.on else wanted
+        return Selected(passing, len(events) - len(wanted), len(wanted) - len(passing))
+
+    def _passing(self, events: Events, epoch_us: int) -> _Mask:
         """Return a mask of the events (n,) EVENT, sorted, that pass, (n,) bool: the first ones of each period."""
         if not len(events):
             return np.zeros(0, np.bool_)
@@ -96,8 +101,7 @@ class Selection:
     def apply(self, events: Events, epoch_us: int) -> Selected:
         """Return the part that passes of events (n,) EVENT, sorted; the sensor's clock was zero at `epoch_us`."""
         wanted = events[~self._hidden(events)] if self._hides or len(self._pixels) else events
-        let_by = wanted[self._rate.passing(wanted, epoch_us)] if self._rate.on else wanted
-        return Selected(let_by, len(events) - len(wanted), len(wanted) - len(let_by))
+        return self._rate.selected(events, wanted, epoch_us)
 
     def _hidden(self, events: Events) -> _Mask:
         hidden = np.zeros(len(events), np.bool_)

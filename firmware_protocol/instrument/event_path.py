@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_protocol.device.event_device import EdgeCounters
+from firmware_protocol.device.fates import Counts
 from firmware_protocol.events import EDGE, Edges, Events, copy_events, empty_events
 from firmware_protocol.instrument.queue import Dropped, EventQueue, Selection, TokenBucket
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.telemetry import BlockEncoder, BlockSettings, as_received
 from firmware_protocol.telemetry.layout import LONGEST_US
 
-__all__ = ["EdgePath", "EventPath", "Fates", "Piece", "block_settings"]
+__all__ = ["EdgePath", "EventPath", "Piece", "block_settings"]
 
 
 _MOST_REPORTED = 0xFFFF  # dropped events in one block's header; the next block reports the rest
@@ -27,21 +27,6 @@ _BURST_S = 0.02
 def block_settings(settings: InstrumentSettings) -> BlockSettings:
     """Return the block settings of an instrument."""
     return BlockSettings(settings.tick_us, settings.coding, settings.block_events, settings.block_bytes)
-
-
-@dataclass
-class Fates:
-    """Events offered, by fate; the difference to the sum still waits."""
-
-    offered: int = 0
-    not_running: int = 0
-    not_selected: int = 0
-    dropped_fifo: int = 0
-    dropped_late: int = 0
-    dropped_rate: int = 0
-    flushed: int = 0
-    delivered: int = 0
-    lost_on_link: int = 0
 
 
 @dataclass(frozen=True)
@@ -62,15 +47,12 @@ class EventPath:
     Attributes
     ----------
     fates
-        All events so far by fate.
-    in_flight
-        Events that were handed out and are neither sent nor lost yet.
+        The instrument's record; events that were handed out and are neither sent nor lost yet are queued in it.
     """
 
-    def __init__(self, size: tuple[int, int], settings: InstrumentSettings) -> None:
+    def __init__(self, size: tuple[int, int], settings: InstrumentSettings, fates: Counts) -> None:
         self.size = size
-        self.fates = Fates()
-        self.in_flight = 0
+        self.fates = fates
         self._held_by_rate = False
         self._last_us = 0
         self._queue = EventQueue(settings.bounds)
@@ -168,16 +150,6 @@ class EventPath:
             return None
         return self._hand_out(Piece(b"", copy_events(events), self._queue.dropped_before))
 
-    def sent(self, count: int) -> None:
-        """Count events handed out as sent."""
-        self.in_flight -= count
-        self.fates.delivered += count
-
-    def lost(self, count: int) -> None:
-        """Count events handed out as lost by the link."""
-        self.in_flight -= count
-        self.fates.lost_on_link += count
-
     def clear(self) -> None:
         """Drop the events that wait."""
         self.fates.flushed += self._queue.clear()
@@ -205,7 +177,7 @@ class EventPath:
     def _hand_out(self, piece: Piece) -> Piece:
         self._queue.remove(len(piece.events), piece.dropped)
         self._bucket.spend(len(piece.events))
-        self.in_flight += len(piece.events)
+        self.fates.queued += len(piece.events)
         return piece
 
     def _count(self, dropped: Dropped) -> None:
@@ -221,25 +193,18 @@ _MOST_WAITING = 4096
 
 
 class EdgePath:
-    """Path of edges to blocks."""
+    """Path of edges to blocks; `counts` are those of the instrument's edges."""
 
-    def __init__(self, encoder: BlockEncoder) -> None:
+    def __init__(self, encoder: BlockEncoder, counts: Counts) -> None:
         self._encoder = encoder
         self._waiting = np.empty(0, EDGE)
         self._unreported = 0  # dropped since the last block
-        self._offered = self._ignored = self._dropped = self._delivered = self._lost = self._in_flight = 0
+        self._counts = counts
 
     @property
-    def counters(self) -> EdgeCounters:
-        """Fates of all edges so far."""
-        return EdgeCounters(
-            offered=self._offered,
-            ignored=self._ignored,
-            dropped=self._dropped,
-            delivered=self._delivered,
-            lost_on_link=self._lost,
-            queued=len(self._waiting) + self._in_flight,
-        )
+    def waiting(self) -> int:
+        """Edges that wait to be handed out."""
+        return len(self._waiting)
 
     @property
     def oldest_us(self) -> int | None:
@@ -248,14 +213,16 @@ class EdgePath:
 
     def ignore(self, edges: Edges) -> None:
         """Count edges (n,) that came while the instrument was not running."""
-        self._offered += len(edges)
-        self._ignored += len(edges)
+        self._counts.offered += len(edges)
+        self._counts.ignored += len(edges)
 
     def put(self, edges: Edges) -> None:
         """Queue edges (n,); those that find no room are dropped."""
-        self._offered += len(edges)
+        self._counts.offered += len(edges)
         fitting = edges[: _MOST_WAITING - len(self._waiting)]
-        self._drop(len(edges) - len(fitting))
+        dropped = len(edges) - len(fitting)
+        self._counts.dropped_fifo += dropped
+        self._unreported += dropped
         self._waiting = np.concatenate((self._waiting, fitting))
 
     def next_block(self, offset_us: int) -> tuple[bytes, Edges] | None:
@@ -270,24 +237,11 @@ class EdgePath:
         own["t"] += np.uint64(offset_us % (1 << 64))
         reported = min(self._unreported, _MOST_REPORTED)
         self._unreported -= reported
-        self._in_flight += len(edges)
+        self._counts.queued += len(edges)
         return self._encoder.encode_edges(own, reported), edges
-
-    def sent(self, count: int) -> None:
-        """Count edges handed out as sent."""
-        self._in_flight -= count
-        self._delivered += count
-
-    def lost(self, count: int) -> None:
-        """Count edges handed out as lost by the link."""
-        self._in_flight -= count
-        self._lost += count
 
     def clear(self) -> None:
         """Drop the edges that wait."""
-        self._drop(len(self._waiting))
+        self._counts.flushed += len(self._waiting)
+        self._unreported += len(self._waiting)
         self._waiting = self._waiting[:0]
-
-    def _drop(self, count: int) -> None:
-        self._dropped += count
-        self._unreported += count

@@ -18,8 +18,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from firmware_protocol.device.event_device import CameraCounters, EventDevice
-from firmware_protocol.events import Edges, Events, empty_edges, empty_events
+from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.fates import Fates
+from firmware_protocol.device.items import Items
+from firmware_protocol.events import Edges, Events
 from firmware_protocol.instrument.event_path import EdgePath, EventPath, Piece, block_settings
 from firmware_protocol.instrument.queue import OwnTime, Selection
 from firmware_protocol.instrument.settings import DavisBiases, InstrumentSettings, SensorBiases
@@ -47,7 +49,7 @@ class State:
     rate_limit: int
     selection: Selection
     temperature_c: float
-    counters: CameraCounters
+    counters: Fates
     link: LinkCounts
 
 
@@ -85,12 +87,12 @@ class Reporter:
             tick_us=state.tick_us,
             rate_limit_hz=state.rate_limit,
             events=_events(c),
-            edges=EdgeCounts(c.edges.offered, c.edges.delivered, c.edges.ignored, c.edges.dropped),
+            edges=EdgeCounts(c.edges.offered, c.edges.delivered, c.edges.ignored, c.edges.dropped_for_room),
             link=state.link,
         )
 
 
-def _events(c: CameraCounters) -> EventCounts:
+def _events(c: Fates) -> EventCounts:
     return EventCounts(
         offered=c.offered,
         sent=c.delivered,
@@ -106,25 +108,18 @@ def _events(c: CameraCounters) -> EventCounts:
 
 
 @dataclass(frozen=True)
-class Outgoing:
-    """A message, and its content as a receiver decodes it.
+class Outgoing(Items):
+    """A message, and the items in it as a receiver decodes them: rounded to the tick and in the order of the block.
 
     Attributes
     ----------
     message
         Message to send, with the instrument's own time. Its payload is empty if the link packs the events itself.
-    events, edges
-        Content, in stream time: rounded to the tick and in the order of the block.
-    epoch_us
-        Stream time at which the instrument's own time is zero; negative if that is before the stream began.
     dropped
         Events dropped between these and those sent before.
     """
 
-    message: Message
-    events: Events = field(default_factory=empty_events)
-    edges: Edges = field(default_factory=empty_edges)
-    epoch_us: int = 0
+    message: Message = field(kw_only=True)
     dropped: int = 0
 
 
@@ -155,8 +150,9 @@ class Instrument(EventDevice):
         self, size: tuple[int, int], settings: InstrumentSettings | None = None, biases: SensorBiases | None = None
     ) -> None:
         self.settings = settings = settings or InstrumentSettings()
-        self._path = EventPath(size, settings)
-        self._edges = EdgePath(BlockEncoder(size, block_settings(settings)))
+        self._fates = Fates()
+        self._path = EventPath(size, settings, self._fates)
+        self._edges = EdgePath(BlockEncoder(size, block_settings(settings)), self._fates.edges)
         self._time = OwnTime()
         self._answers = Answers(self._time)
         self._telecommands = TelecommandHandler(self, self._answers, self._time)
@@ -211,32 +207,19 @@ class Instrument(EventDevice):
         return patience_us + (self._time.now_us if oldest_us is None else oldest_us)
 
     @property
-    def counters(self) -> CameraCounters:
+    def counters(self) -> Fates:
         """Fates of all events and edges offered so far."""
-        f = self._path.fates
-        return CameraCounters(
-            offered=f.offered,
-            not_running=f.not_running,
-            dropped_fifo=f.dropped_fifo,
-            flushed=f.flushed,
-            delivered=f.delivered,
-            lost_on_link=f.lost_on_link,
-            queued=self._path.waiting + self._path.in_flight,
-            not_selected=f.not_selected,
-            dropped_rate=f.dropped_rate,
-            dropped_late=f.dropped_late,
-            edges=self._edges.counters,
-        )
+        return self._fates.waiting(self._path.waiting, self._edges.waiting)
 
     @property
     def delivered(self) -> int:
         """See `EventDevice.delivered`."""
-        return self._path.fates.delivered
+        return self._fates.delivered
 
     @property
     def waiting_items(self) -> int:
         """See `EventDevice.waiting_items`."""
-        return self._path.waiting + self._path.in_flight + self._edges.counters.queued
+        return self._fates.all_queued + self._path.waiting + self._edges.waiting
 
     def offer(self, events: Events) -> None:
         """See `EventDevice.offer`."""
@@ -248,11 +231,11 @@ class Instrument(EventDevice):
             )
         self._path.check(events)
         self._time.reach(int(events["t"][-1]))
-        self._path.fates.offered += len(events)
+        self._fates.offered += len(events)
         if self.streaming:
             self._path.put(events, self._time.now_us, self._time.offset_us)
         else:
-            self._path.fates.not_running += len(events)
+            self._fates.not_running += len(events)
 
     def offer_edges(self, edges: Edges) -> None:
         """See `EventDevice.offer_edges`."""
@@ -337,11 +320,11 @@ class Instrument(EventDevice):
         `sent` or `lost` must follow for each, in the order of the calls.
         """
         if (answer := self._answers.take()) is not None:
-            return Outgoing(answer)
+            return Outgoing(message=answer)
         if edges and (outgoing := self.next_edges()):
             return outgoing
         if self._reporter.due(self._time.now_us):
-            return Outgoing(Message(MessageKind.HOUSEKEEPING, self.report().encode(), self.own_us))
+            return Outgoing(message=Message(MessageKind.HOUSEKEEPING, self.report().encode(), self.own_us))
         return self._outgoing(self._path.next_block(self._time.offset_us)) if events else None
 
     def next_edges(self) -> Outgoing | None:
@@ -351,7 +334,7 @@ class Instrument(EventDevice):
             return None
         block, carried = found
         message = Message(MessageKind.EDGES, block, self._time.of(int(carried["t"][0])))
-        return Outgoing(message, edges=carried, epoch_us=self.epoch_us)
+        return Outgoing(edges=carried, epoch_us=self.epoch_us, message=message)
 
     def next_events(self, limit: int) -> Outgoing | None:
         """Hand out up to `limit` events for a link that packs them itself; otherwise as `next_message`."""
@@ -359,13 +342,11 @@ class Instrument(EventDevice):
 
     def sent(self, outgoing: Outgoing) -> None:
         """Count an outgoing message as sent: its events are delivered."""
-        self._path.sent(len(outgoing.events))
-        self._edges.sent(len(outgoing.edges))
+        self._fates.leave(outgoing, "delivered")
 
     def lost(self, outgoing: Outgoing) -> None:
         """Count an outgoing message as lost by the link."""
-        self._path.lost(len(outgoing.events))
-        self._edges.lost(len(outgoing.edges))
+        self._fates.leave(outgoing, "lost_on_link")
 
     def command(self, received: ReceivedCommand) -> None:
         """Execute a telecommand, and answer as PUS service 1 does."""
@@ -397,7 +378,7 @@ class Instrument(EventDevice):
         if piece is None:
             return None
         message = Message(MessageKind.EVENTS, piece.block, self._time.of(int(piece.events["t"][0])))
-        return Outgoing(message, piece.events, epoch_us=self.epoch_us, dropped=piece.dropped)
+        return Outgoing(piece.events, epoch_us=self.epoch_us, message=message, dropped=piece.dropped)
 
     def _drop_before_zero(self) -> None:
         """Drop everything that waits if a part of it would have a negative time."""

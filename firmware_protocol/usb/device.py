@@ -14,12 +14,12 @@ from __future__ import annotations
 
 import struct
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING, ClassVar
 
-from firmware_protocol.device.event_device import EventDevice, Reading
-from firmware_protocol.events import Edges, Events, empty_edges, empty_events
+from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.items import Items
 
 if TYPE_CHECKING:
     from firmware_protocol.usb.descriptors import DescriptorSet  # it imports Speed from here
@@ -104,18 +104,10 @@ class Identity:
 
 
 @dataclass(frozen=True)
-class Transfer:
-    """Data that left a device in answer to one IN request, and the events, edges and readings it completed.
+class Transfer(Items):
+    """Data that left a device in answer to one IN request, and the items that they complete."""
 
-    All of them carry stream time (microseconds since the start of the run); `epoch_us` is the stream time at which the
-    device's own clock was last zero, so that device time = t - epoch_us.
-    """
-
-    data: bytes
-    events: Events = field(default_factory=empty_events)
-    epoch_us: int = 0
-    edges: Edges = field(default_factory=empty_edges)
-    readings: tuple[Reading, ...] = ()
+    data: bytes = b""
 
 
 class UsbDevice(ABC):

@@ -5,7 +5,7 @@ import struct
 import numpy as np
 
 from firmware_protocol.events import EVENT
-from firmware_protocol.evk4 import Evk4
+from firmware_protocol.imx636.evk4 import Evk4
 from firmware_protocol.usb.device import SetupPacket
 
 REQUESTS, ANSWERS, DATA = 2, 2, 1

@@ -10,9 +10,10 @@ from firmware_protocol.events import EVENT
 from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.gige.gvcp import Command, request
 from firmware_protocol.gige.gvsp import BlockAssembly
-from firmware_protocol.gige.registers import ACQUISITION_START, GigeSettings, Register
-from firmware_protocol.gige.triton2 import Triton2
-from firmware_protocol.gige.triton2_control import Triton2Control
+from firmware_protocol.gige.registers import Register
+from firmware_protocol.imx636.triton2 import Triton2
+from firmware_protocol.imx636.triton2_control import Triton2Control
+from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, Triton2Settings
 
 PEER = ("127.0.0.1", 40_000)
 STRANGER = ("127.0.0.1", 40_001)
@@ -32,7 +33,7 @@ class Host:
     """Talks to a camera as drivers do."""
 
     def __init__(self, **settings) -> None:
-        chosen = GigeSettings(**{"start_delay_us": 0, **settings})
+        chosen = Triton2Settings(**{"start_delay_us": 0, **settings})
         self.camera = Triton2(chosen)
         self.control = Triton2Control(chosen, lambda: self.camera.time)
         self.number = 0

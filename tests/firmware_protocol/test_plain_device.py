@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.device.event_device import ReadingCounters, ReadingKind
+from firmware_protocol.device.fates import Counts
+from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.events import EDGE, EVENT
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
@@ -52,7 +53,7 @@ def test_edges_have_fates_too():
     device = PlainDevice(2)
     device.offer_edges(np.zeros(3, EDGE))
     edges = device.counters.edges
-    assert (edges.offered, edges.queued, edges.dropped) == (3, 2, 1)
+    assert (edges.offered, edges.queued, edges.dropped_fifo) == (3, 2, 1)
     assert len(device.take(1).edges) == 2
     assert device.counters.edges.accounted == 3
 
@@ -151,7 +152,7 @@ def test_readings_that_nobody_asks_for_are_refused_and_others_have_one_fate():
     device.offer_readings(ReadingKind.IMU, imu_at(range(200, 205)))
     counters = device.counters.readings["imu"]
     assert room == 0
-    assert counters == ReadingCounters(
-        offered=20_105, not_running=5, dropped=20_000 - 16_384, flushed=16_384, delivered=60, lost_on_link=40
+    assert counters == Counts(
+        offered=20_105, not_running=5, dropped_fifo=20_000 - 16_384, flushed=16_384, delivered=60, lost_on_link=40
     )
     assert counters.accounted == counters.offered

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.evt.evt3 import Evt3Decoder
-from firmware_protocol.gige.registers import PERIOD_US
+from firmware_protocol.imx636.triton2_registers import PERIOD_US
 from tests.guest.comparison import assert_same
 from tests.guest.conftest import cannot
 from tests.guest.environments import Driver

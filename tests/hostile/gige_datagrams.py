@@ -7,7 +7,8 @@ import struct
 import numpy as np
 
 from firmware_protocol.gige.gvcp import Command, request
-from firmware_protocol.gige.registers import (
+from firmware_protocol.gige.registers import Register
+from firmware_protocol.imx636.triton2_registers import (
     ACQUISITION_START,
     ACQUISITION_STOP,
     BIASES,
@@ -15,7 +16,6 @@ from firmware_protocol.gige.registers import (
     ROWS,
     Erc,
     Evs,
-    Register,
 )
 
 __all__ = ["answer_limit", "hostile_datagram", "valid_request"]

@@ -27,7 +27,7 @@ from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, Carried, ImuSource, I
 from emulator.trajectory.motion import Timescale
 from emulator.trajectory.pose import Fixed
 from firmware_protocol.davis346 import Access, Davis346, Davis346Settings, Decoder, Layout, SystemInfo, registers
-from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import EDGE, EdgeKind
 from firmware_protocol.frames import LineKind
 from firmware_protocol.usb.device import Stall

@@ -20,9 +20,10 @@ from emulator.run.link_process import LinkProcess
 from firmware_protocol.events import EVENT
 from firmware_protocol.gige.control import DeviceTime
 from firmware_protocol.gige.gvcp import Command, request
-from firmware_protocol.gige.registers import ACQUISITION_START, GigeSettings, Register
-from firmware_protocol.gige.triton2 import Triton2
-from firmware_protocol.gige.triton2_control import Triton2Control
+from firmware_protocol.gige.registers import Register
+from firmware_protocol.imx636.triton2 import Triton2
+from firmware_protocol.imx636.triton2_control import Triton2Control
+from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, Triton2Settings
 from tests.hostile.gige_datagrams import answer_limit, hostile_datagram, valid_request
 from transports.gige.answering import ControlSetup
 from transports.gige.control_process import ControlProcess
@@ -155,7 +156,7 @@ def _answer(owner: socket.socket, asked: bytes) -> bytes:
 @pytest.mark.socket
 @pytest.mark.timeout(0)
 def test_the_process_that_answers_stays_small_and_at_work():
-    draw, process = np.random.default_rng(9), ControlProcess(ControlSetup("127.0.0.1", 0, (), GigeSettings(), 1))
+    draw, process = np.random.default_rng(9), ControlProcess(ControlSetup("127.0.0.1", 0, (), Triton2Settings(), 1))
     resident_kb = []
     with (
         contextlib.closing(process),
@@ -194,7 +195,7 @@ def test_a_flood_of_searches_gets_so_many_answers_a_second():
     That this is less than a flood brings depends on how fast it comes; `test_control.py` counts by a clock of its own.
     """
     answers, searches = [], [request(Command.DISCOVERY, number) for number in (1, 2)]
-    process = ControlProcess(ControlSetup("127.0.0.1", 0, (), GigeSettings(), 1))
+    process = ControlProcess(ControlSetup("127.0.0.1", 0, (), Triton2Settings(), 1))
     with (
         contextlib.closing(process),
         contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as stranger,
@@ -218,8 +219,8 @@ def test_a_flood_of_searches_gets_so_many_answers_a_second():
 @pytest.mark.timeout(0)
 def test_valid_orders_in_any_order_leave_a_balanced_camera():
     draw = np.random.default_rng(10)
-    camera = Triton2(GigeSettings(start_delay_us=0, capacity=5000))
-    control = Triton2Control(GigeSettings(), lambda: DeviceTime(*camera.time))
+    camera = Triton2(Triton2Settings(start_delay_us=0, capacity=5000))
+    control = Triton2Control(Triton2Settings(), lambda: DeviceTime(*camera.time))
     for k in range(COUNT):
         asked = [(valid_request(draw), OWNER)]
         if k % 50 == 0:

@@ -191,7 +191,7 @@ class RawEvents(FrameSource):
         own["t"] -= epoch
         self._frames += self.sender.pack(own, self._instrument.counters.dropped_for_room)
         own["t"] = own["t"] // np.uint64(self._tick_us) * np.uint64(self._tick_us) + epoch
-        self._outgoing = Outgoing(outgoing.message, own, outgoing.edges, outgoing.epoch_us, outgoing.dropped)
+        self._outgoing = replace(outgoing, events=own)
 
 
 class RawEdges(FrameSource):

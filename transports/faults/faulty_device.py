@@ -199,7 +199,7 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
                 stage.over = stage.empty.over
                 self._hit(stage)
                 self._given.append(None)
-                return Transfer(b"")
+                return Transfer()
         if endpoint in self._halted:
             raise Stall(f"endpoint {endpoint} is halted, by a fault")
         return self._read(endpoint, max_bytes)

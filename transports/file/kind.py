@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from firmware_protocol.device.event_device import ReadingKind
-from firmware_protocol.device.plain_device import PlainDevice, Taken
+from firmware_protocol.device.items import Items, ReadingKind
+from firmware_protocol.device.plain_device import PlainDevice
 from transports.link.deliveries import Delivered, DeliveredParts, Deliveries
 from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
@@ -150,7 +150,7 @@ class FileEndpoint(Endpoint):
         """False: no receiver notices when data are passed to the writer."""
         return False
 
-    def _hand_over(self, recorder: LiveRecorder, taken: Taken) -> None:
+    def _hand_over(self, recorder: LiveRecorder, taken: Items) -> None:
         restarted = taken.epoch_us != self._epoch_us
         self._epoch_us = taken.epoch_us
         part = self._parts.part(Delivered(taken.events, taken.edges, taken.readings), taken.epoch_us)

@@ -26,8 +26,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from firmware_protocol.gige.control import DeviceTime
-from firmware_protocol.gige.registers import GigeSettings
-from firmware_protocol.gige.triton2_control import Triton2Control
+from firmware_protocol.imx636.triton2_control import Triton2Control
+from firmware_protocol.imx636.triton2_registers import Triton2Settings
 from transports.gige.sockets import ControlSockets
 
 __all__ = [
@@ -61,7 +61,7 @@ class ControlSetup:
     host: str
     port: int
     allow: tuple[str, ...]
-    settings: GigeSettings
+    settings: Triton2Settings
     stream_port: int
 
 

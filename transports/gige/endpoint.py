@@ -24,8 +24,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from firmware_protocol.gige.gvsp import HEADER_OCTETS
-from firmware_protocol.gige.outflow import Outgoing
-from firmware_protocol.gige.triton2 import Triton2
+from firmware_protocol.imx636.triton2 import Outgoing, Triton2
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan
 from transports.gige.answering import ControlSetup, Move, Mute, Release
@@ -370,7 +369,7 @@ class GigeEndpoint(Endpoint):
             self._camera.lost(outgoing)
 
     def _arrived(self, outgoing: Outgoing) -> None:
-        self._deliveries.add(outgoing.events, self._camera.epoch_us, outgoing.edges)
+        self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
 
     def _destroyed(self, outgoing: Outgoing) -> None:
         self._faulty.attribute(len(outgoing.events), len(outgoing.edges))

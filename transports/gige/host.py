@@ -18,8 +18,8 @@ from firmware_protocol.events import Edges, Events, empty_edges, empty_events
 from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.gige.gvcp import GVCP_PORT, Command, Flag, Resend, Status, request
 from firmware_protocol.gige.gvsp import BlockAssembly
-from firmware_protocol.gige.registers import ACQUISITION_START, ACQUISITION_STOP, DISCOVERY_OCTETS, Privilege, Register
-from firmware_protocol.gige.triton2_registers import DO_NOT_FRAGMENT
+from firmware_protocol.gige.registers import DISCOVERY_OCTETS, DO_NOT_FRAGMENT, Privilege, Register
+from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, ACQUISITION_STOP
 from transports.link import reception
 from transports.link.pacing import Clock
 from transports.link.reception import Arrivals, Reception

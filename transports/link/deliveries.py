@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.device.clock import DeviceClock
-from firmware_protocol.device.event_device import Reading, ReadingKind
+from firmware_protocol.device.items import Reading, ReadingKind
 from firmware_protocol.device.plain_device import own_time
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events
 from firmware_protocol.frames import FrameAssembler, WholeFrame

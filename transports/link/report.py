@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from firmware_protocol.device.event_device import CameraCounters
+from firmware_protocol.device.fates import Fates
 from transports.faults.script import FaultRecord
 from transports.link.deliveries import LatencySummary
 from transports.link.endpoint import LineUse
@@ -52,7 +52,7 @@ class LinkReport:
     address: str | None = None
     delivered: int = 0
     dropped: int = 0
-    camera: CameraCounters | None = None
+    camera: Fates | None = None
     latency: LatencySummary = field(default_factory=LatencySummary)
     digest: int = 0
     final: bool = False
@@ -79,7 +79,7 @@ class LinkReport:
         if self.camera is None:
             return True
         edges = self.camera.edges
-        return edges.offered == self.edges.taken and edges.accounted == edges.offered + edges.added
+        return edges.offered == self.edges.taken and edges.balanced
 
     @property
     def readings_balanced(self) -> bool:
@@ -89,5 +89,5 @@ class LinkReport:
         taken = {kind: report.taken for kind, report in self.readings.items() if report.taken}
         counted = self.camera.readings
         return taken == {kind: c.offered for kind, c in counted.items() if c.offered} and all(
-            c.accounted == c.offered for c in counted.values()
+            c.balanced for c in counted.values()
         )

@@ -19,7 +19,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 
-from firmware_protocol.device.plain_device import PlainDevice, Taken, own_time
+from firmware_protocol.device.items import Items
+from firmware_protocol.device.plain_device import PlainDevice, own_time
 from firmware_protocol.events import empty_edges, empty_events
 from firmware_protocol.network_streams.coders import ConnectionCoder
 from transports.link.deliveries import Deliveries
@@ -240,7 +241,7 @@ class ClientGroup:
             return any(client.has_room for client in reading)
         return bool(reading) and all(client.has_room for client in reading)
 
-    def spread(self, taken: Taken, data: bytes | bytearray) -> None:
+    def spread(self, taken: Items, data: bytes | bytearray) -> None:
         """Queue bytes for the clients that have room."""
         if not data and not len(taken.events) and not len(taken.edges):
             return
@@ -264,7 +265,7 @@ class ClientGroup:
         """Let the clients read the data in transit, and close."""
         await self._listener.close()
         if self._clients:
-            self.spread(Taken(empty_events(), empty_edges(), 0), self._coder.finish())
+            self.spread(Items(empty_events(), empty_edges(), 0), self._coder.finish())
         for client in tuple(self._clients):
             client.hang_up()
         try:
@@ -345,7 +346,7 @@ class TcpEndpoint(Endpoint):
         while self._has_room and (taken := self._device.carry(_MOST_EVENTS)) is not None:
             self._send(taken)
         if len(self._clients) and not self._device.waiting:
-            nothing = Taken(empty_events(), empty_edges(), self._epoch_us)
+            nothing = Items(empty_events(), empty_edges(), self._epoch_us)
             self._clients.spread(nothing, self._coder.advance(self._device.now_us - self._epoch_us))
 
     def serve(self, attend: Callable[[], None]) -> None:
@@ -395,7 +396,7 @@ class TcpEndpoint(Endpoint):
         """Let the camera take edges while any client receives them."""
         self._device.takes_edges = self._coder.has_edges or has_clients
 
-    def _send(self, taken: Taken) -> None:
+    def _send(self, taken: Items) -> None:
         restarts = taken.epoch_us != self._epoch_us
         self._epoch_us = taken.epoch_us
         if self._triggers is not None and self._trigger_clients is not None:
@@ -404,9 +405,9 @@ class TcpEndpoint(Endpoint):
         data = self._coder.encode(own_time(taken.events, taken.epoch_us), own_time(taken.edges, taken.epoch_us))
         self._clients.spread(taken, restart + data if restart else data)
 
-    def _send_triggers(self, taken: Taken, coder: ConnectionCoder, clients: ClientGroup, *, restarts: bool) -> Taken:
+    def _send_triggers(self, taken: Items, coder: ConnectionCoder, clients: ClientGroup, *, restarts: bool) -> Items:
         """Send the edges to their own clients; return the rest."""
         restart = coder.restart() if restarts and len(clients) else b""
-        edges = Taken(empty_events(), taken.edges, taken.epoch_us)
+        edges = Items(empty_events(), taken.edges, taken.epoch_us)
         clients.spread(edges, restart + coder.encode(edges.events, own_time(edges.edges, edges.epoch_us)))
-        return Taken(taken.events, empty_edges(), taken.epoch_us)
+        return Items(taken.events, empty_edges(), taken.epoch_us)

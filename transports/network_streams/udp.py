@@ -14,7 +14,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
 
-from firmware_protocol.device.plain_device import PlainDevice, Taken, own_time
+from firmware_protocol.device.items import Items
+from firmware_protocol.device.plain_device import PlainDevice, own_time
 from firmware_protocol.network_streams.coders import Datagram, DatagramCoder
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointFactory
@@ -104,7 +105,7 @@ class UdpEndpoint(Endpoint):
             self._begin(taken)
         return True
 
-    def _begin(self, taken: Taken) -> None:
+    def _begin(self, taken: Items) -> None:
         self._batch.begin(taken)
         restart = self._coder.restart() if taken.epoch_us != self._epoch_us else iter(())
         self._epoch_us = taken.epoch_us
@@ -130,10 +131,10 @@ class _Batch:
     def __init__(self, device: PlainDevice, deliveries: Deliveries) -> None:
         self._device = device
         self._deliveries = deliveries
-        self._taken: Taken | None = None
+        self._taken: Items | None = None
         self._reported = self._reached = 0
 
-    def begin(self, taken: Taken) -> None:
+    def begin(self, taken: Items) -> None:
         self._taken, self._reported, self._reached = taken, 0, 0
 
     def reached(self, end: int, *, left: bool) -> None:
@@ -177,7 +178,7 @@ _MOST_OPEN = 1 << 22  # events whose fate, or that of earlier events, is open
 class Batch:
     """Events and their bytes; `holders` is the number of clients that have it and have not sent it yet."""
 
-    taken: Taken
+    taken: Items
     data: bytes | bytearray
     holders: int = 0
     delivered: bool = False

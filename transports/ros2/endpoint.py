@@ -20,7 +20,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from firmware_protocol.device.plain_device import PlainDevice, Taken, own_time
+from firmware_protocol.device.items import Items
+from firmware_protocol.device.plain_device import PlainDevice, own_time
 from firmware_protocol.events import Edges, Events
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.network_streams.pictures import Image as EventImage
@@ -106,7 +107,7 @@ class MessageBuffer:
 
     def __init__(self, most_events: int, longest_ns: int) -> None:
         self._most, self._longest_ns = most_events, longest_ns
-        self._parts: list[Taken] = []
+        self._parts: list[Items] = []
         self._since_ns = 0
 
     @property
@@ -119,7 +120,7 @@ class MessageBuffer:
         """True if any data wait here."""
         return bool(self._parts)
 
-    def add(self, taken: Taken, now_ns: int) -> None:
+    def add(self, taken: Items, now_ns: int) -> None:
         """Add a part, of the same clock as the earlier parts."""
         if not self._parts:
             self._since_ns = now_ns
@@ -133,14 +134,14 @@ class MessageBuffer:
         """Return True if the waiting data are to be sent now."""
         return bool(self._parts) and (self.room <= 0 or now_ns - self._since_ns >= self._longest_ns)
 
-    def taken(self) -> Taken | None:
+    def taken(self) -> Items | None:
         """Return and remove all waiting data; None if there are none."""
         if not self._parts:
             return None
         parts, self._parts = self._parts, []
         events = np.concatenate([part.events for part in parts])
         edges = np.concatenate([part.edges for part in parts])
-        return Taken(events, edges, parts[0].epoch_us)
+        return Items(events, edges, parts[0].epoch_us)
 
 
 _STALLED_NS = 2_000_000_000
@@ -335,7 +336,7 @@ class Ros2Endpoint(Endpoint):
         if self._pictures is not None:
             self._pictures.restart()
 
-    def _report(self, taken: Taken, written: bool) -> None:
+    def _report(self, taken: Items, written: bool) -> None:
         """Report events whose message DDS has accepted or refused."""
         self._window.written()
         self._counts["messages of events" if written else "messages that DDS refused"] += 1

@@ -14,10 +14,10 @@ import numpy as np
 
 from firmware_protocol.davis346.decoder import WordFaults
 from firmware_protocol.events import Edges, Events, empty_edges, empty_events
-from firmware_protocol.evk4.device import ANSWER_ENDPOINT, DATA_ENDPOINT, PRODUCT_ID, REQUEST_ENDPOINT, VENDOR_ID
-from firmware_protocol.evk4.treuzell import FAILED, MOST_ANSWER_BYTES, UNKNOWN, Frame, Property
 from firmware_protocol.evt.evt3 import Evt3Decoder
+from firmware_protocol.imx636.evk4 import ANSWER_ENDPOINT, DATA_ENDPOINT, PRODUCT_ID, REQUEST_ENDPOINT, VENDOR_ID
 from firmware_protocol.imx636.registers import SIZE, Address
+from firmware_protocol.imx636.treuzell import FAILED, MOST_ANSWER_BYTES, UNKNOWN, Frame, Property
 from transports.usb.davis_host import StreamSettings
 from transports.usb.host import BulkReader, PeerBroken, UnsuitableDevice, UsbHost, UsbHostError
 

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from firmware_protocol.davis346.decoder import FrameRead
-from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import Edges, Events
 from firmware_protocol.frames import FrameAssembler
 from firmware_protocol.imu_samples import ImuSamples, no_samples
@@ -223,7 +223,7 @@ class LoopbackEndpoint(Endpoint):
             imu = self._camera.take_imu()
             self._edges += len(edges)
             self._samples += len(imu)
-            transfer = (self._host.reader and self._host.reader.last) or Transfer(b"")
+            transfer = (self._host.reader and self._host.reader.last) or Transfer()
             _compare(received, edges, imu, transfer)
             self._compare_frames(self._camera.take_frames(), transfer)
 

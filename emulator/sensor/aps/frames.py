@@ -37,7 +37,7 @@ from emulator.light import Light, LightFrame
 from emulator.sensor.aps.parameters import FrameParameters
 from emulator.sensor.aps.row_kicks import LineReads
 from emulator.sensor.numerics.keyed import Purpose, normal, normals, root_of, streams
-from firmware_protocol.device.event_device import ReadingKind, Readings
+from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.frames import FrameSettings, LineKind, line_record
 
 __all__ = ["Converter", "Exposure", "FrameSource", "FrameTimes", "Schedule", "frame_times"]

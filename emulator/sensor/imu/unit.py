@@ -49,7 +49,7 @@ from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.numerics.keyed import Purpose, normal
 from emulator.trajectory.motion import Timescale
 from emulator.trajectory.pose import Trajectory
-from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.imu_samples import IMU_SAMPLE, THERMOMETERS, ImuSamples, ImuScale, ImuSettings, no_samples
 
 __all__ = [

@@ -9,11 +9,11 @@ from emulator.rig.loading import RigError, parse_rig
 from emulator.rig.tables import Verdict
 from emulator.run.outcome import Ledger, LinkLedger, RunResult, good, judge
 from emulator.run.pacing import Lateness
-from firmware_protocol.device.event_device import CameraCounters
+from firmware_protocol.device.fates import Fates
 from transports.link.deliveries import LatencyHistogram, LatencySummary
 from transports.link.report import LinkReport
 
-CAMERA = CameraCounters(offered=1000, not_running=100, dropped_fifo=30, delivered=870)
+CAMERA = Fates(offered=1000, not_running=100, dropped_fifo=30, delivered=870)
 LINK = LinkReport("", delivered=860, dropped=10, camera=CAMERA, latency=LatencySummary(100.0, 900.0, 950.0))
 LEDGER = Ledger(1000, 0, 0, 1000, (LinkLedger("usb", 860, 10, 130),))
 RESULT = RunResult(2.0, 2.0, 10, 10, LEDGER, Lateness(), {"usb": LINK}, undersampled_share=0.2)

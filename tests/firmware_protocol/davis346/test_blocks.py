@@ -9,7 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
-from firmware_protocol.device.event_device import ReadingCounters, ReadingKind
+from firmware_protocol.device.fates import Counts
+from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.frames import FrameSettings, LineKind, line_record
 
 FRAMES = ReadingKind.FRAMES
@@ -62,7 +63,7 @@ def test_a_frame_among_events_is_read_back_exactly(layout, roi):
     times = lines["t"][[0, -1]].tolist() + [int(lines["t"][lines["kind"] == k][0]) for k in (2, 3)]
     assert [read.start_us, read.end_us, read.exposure_start_us, read.exposure_end_us] == times
     assert host.decoder.faults.total == host.decoder.frames_incomplete == 0
-    assert counted(camera) == ReadingCounters(offered=len(lines), delivered=len(lines))
+    assert counted(camera) == Counts(offered=len(lines), delivered=len(lines))
 
 
 @settings(max_examples=25, deadline=None)
@@ -102,7 +103,7 @@ def test_without_run_bits_readings_are_not_running():
     assert camera.offer_readings(FRAMES, lines)
     camera.advance(10_000)
     assert host.decoded().frames == ()
-    assert counted(camera) == ReadingCounters(offered=24, not_running=24)
+    assert counted(camera) == Counts(offered=24, not_running=24)
 
 
 def test_a_host_that_comes_in_the_middle_of_a_frame_gets_none_of_it():
@@ -114,7 +115,7 @@ def test_a_host_that_comes_in_the_middle_of_a_frame_gets_none_of_it():
     camera.advance(10_000)
     assert len(host.decoded().frames) == 1
     assert host.decoder.frames_incomplete == 0
-    assert counted(camera) == ReadingCounters(offered=21, not_running=9, delivered=12)
+    assert counted(camera) == Counts(offered=21, not_running=9, delivered=12)
 
 
 def test_lines_wait_for_room_where_the_register_says_so():
@@ -127,7 +128,7 @@ def test_lines_wait_for_room_where_the_register_says_so():
         frames += host.decoded().frames
     assert len(frames) == 1
     assert frames[0].end_us > int(lines["t"][-1])
-    assert counted(camera) == ReadingCounters(offered=len(lines), delivered=len(lines))
+    assert counted(camera) == Counts(offered=len(lines), delivered=len(lines))
 
 
 def test_lines_without_room_are_dropped_and_counted_where_they_may_not_wait():
@@ -140,7 +141,7 @@ def test_lines_without_room_are_dropped_and_counted_where_they_may_not_wait():
     camera.advance(20_000)
     assert host.decoded().frames == ()
     assert host.decoder.frames_incomplete == 1  # its end came: start, exposure and end are never dropped
-    assert counted(camera).dropped == len(lines) - counted(camera).delivered > 100
+    assert counted(camera).dropped_fifo == len(lines) - counted(camera).delivered > 100
 
 
 @settings(max_examples=12, deadline=None)
@@ -169,7 +170,7 @@ def test_a_host_too_slow_for_all_frames_gets_fewer_and_those_whole(words, events
     assert len(got) > 5
     assert host.decoder.frames_incomplete == host.decoder.faults.total == 0
     each, told = len(offered[0][0]), counted(camera)
-    assert (told.dropped, told.delivered) == ((60 - len(got)) * each, len(got) * each)
+    assert (told.dropped_fifo, told.delivered) == ((60 - len(got)) * each, len(got) * each)
     assert told.accounted == told.offered
 
 
@@ -179,7 +180,7 @@ def test_closing_the_gate_flushes_what_waits_and_what_is_queued():
     camera.offer_readings(FRAMES, lines)
     camera.advance(1050)
     host.write(0, 0, 0)
-    assert counted(camera) == ReadingCounters(offered=12, flushed=12)
+    assert counted(camera) == Counts(offered=12, flushed=12)
 
 
 def test_a_lost_transfer_loses_its_readings():
@@ -191,7 +192,7 @@ def test_a_lost_transfer_loses_its_readings():
     assert [one.kind for one in transfer.readings] == [FRAMES] * 12
     assert counted(camera).queued == 12
     camera.lost(transfer)
-    assert counted(camera) == ReadingCounters(offered=12, lost_on_link=12)
+    assert counted(camera) == Counts(offered=12, lost_on_link=12)
 
 
 def test_registers_tell_what_the_host_asks_of_frames():

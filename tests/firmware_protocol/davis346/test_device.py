@@ -7,7 +7,7 @@ import pytest
 from davis_host import OUT, RUN, STOP, Host, events_of, steady
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, WordEncoder
-from firmware_protocol.device.event_device import CameraCounters
+from firmware_protocol.device.fates import Fates
 
 PROMPT = Davis346Settings(start_delay_us=0)
 
@@ -36,7 +36,7 @@ def test_nothing_flows_with_one_run_bit_missing(missing):
     camera.offer(steady(10))
     camera.advance(40_000)
     assert not camera.streaming
-    assert camera.counters == CameraCounters(offered=10, not_running=10)
+    assert camera.counters == Fates(offered=10, not_running=10)
     assert host.data() == (b"\x01\x70" if missing == (1, 3, 1) else b"")
 
 
@@ -46,7 +46,7 @@ def test_closing_the_gate_empties_the_fifo(off):
     camera.offer(steady(10))
     host.write(*off)
     assert host.data() == b""
-    assert camera.counters == CameraCounters(offered=10, flushed=10)
+    assert camera.counters == Fates(offered=10, flushed=10)
 
 
 def test_stopping_the_pixels_lets_queued_events_leave():
@@ -55,7 +55,7 @@ def test_stopping_the_pixels_lets_queued_events_leave():
     host.write(1, 3, 0)
     assert len(host.decoded().events) == 10
     camera.offer(steady(5, start_us=100))
-    assert camera.counters == CameraCounters(offered=15, delivered=10, not_running=5)
+    assert camera.counters == Fates(offered=15, delivered=10, not_running=5)
 
 
 def test_flush_request_empties_the_fifo_and_the_stream_stays_readable():
@@ -85,7 +85,7 @@ def test_detaching_and_attaching_return_to_power_on():
     host.write(5, 11, 1234)
     camera.offer(steady(10))
     camera.detached()
-    assert camera.counters == CameraCounters(offered=10, flushed=10)
+    assert camera.counters == Fates(offered=10, flushed=10)
     host = Host(camera)
     assert not camera.streaming
     assert host.read(5, 11) == 24575
@@ -116,7 +116,7 @@ def test_events_of_the_silence_are_not_running_and_the_rest_flows():
     assert camera.streaming
     events = host.decoded().events
     assert events["t"].tolist() == list(range(1000, 2000))
-    assert camera.counters == CameraCounters(offered=2000, not_running=1000, delivered=1000)
+    assert camera.counters == Fates(offered=2000, not_running=1000, delivered=1000)
 
 
 def test_the_reset_word_leaves_during_the_silence_without_any_event():
@@ -214,7 +214,7 @@ def test_a_full_fifo_drops_whole_events_at_the_tail_and_counts_them():
     camera, host = running(fifo_bytes=1024)
     camera.offer(steady(1000))
     kept = camera.counters.queued
-    assert camera.counters == CameraCounters(offered=1000, dropped_fifo=1000 - kept, queued=kept)
+    assert camera.counters == Fates(offered=1000, dropped_fifo=1000 - kept, queued=kept)
     needed = WordEncoder().encode(steady(1000)).ends
     assert needed[kept - 1] <= 512 - 64 < needed[kept]
     events = host.decoded().events

@@ -6,7 +6,7 @@ import pytest
 from davis_host import IN, OUT, RUN, Host, events_of, steady
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.device.event_device import CameraCounters
+from firmware_protocol.device.fates import Fates
 from firmware_protocol.events import empty_events
 from firmware_protocol.usb.device import Stall
 
@@ -39,7 +39,7 @@ def test_events_that_go_back_in_time_are_refused_whole():
     ):
         with pytest.raises(ValueError, match=r"offered after|sorted|outside"):
             camera.offer(bad)
-    assert camera.counters == CameraCounters()
+    assert camera.counters == Fates()
     assert host.data() == b""
     camera.offer(events_of((1000, 1, 1, True)))
     assert host.decoded().events.tolist() == [(1000, 1, 1, True)]
@@ -48,7 +48,7 @@ def test_events_that_go_back_in_time_are_refused_whole():
 def test_an_empty_offer_is_nothing():
     camera, _ = running()
     camera.offer(empty_events())
-    assert camera.counters == CameraCounters()
+    assert camera.counters == Fates()
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Decoder, WordEncoder
 from firmware_protocol.davis346.blocks import GENERATOR_FALLING, GENERATOR_RISING, MARK
 from firmware_protocol.davis346.words import WordState
-from firmware_protocol.device.event_device import EdgeCounters
+from firmware_protocol.device.fates import Counts
 from firmware_protocol.events import EDGE, EdgeKind, empty_edges, empty_events
 
 RISING, FALLING, PULSE = EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.PULSE
@@ -142,7 +142,7 @@ def test_a_detector_that_does_not_run_ignores():
     camera.offer_edges(edges_of((100, RISING)))
     camera.advance(1000)
     assert told(host) == []
-    assert camera.counters.edges == EdgeCounters(offered=1, ignored=1)
+    assert camera.counters.edges == Counts(offered=1, ignored=1)
 
 
 def test_a_camera_that_does_not_run_ignores():
@@ -150,7 +150,7 @@ def test_a_camera_that_does_not_run_ignores():
     host.write_all(STOP)
     camera.offer_edges(edges_of((100, RISING)))
     camera.advance(1000)
-    assert camera.counters.edges == EdgeCounters(offered=1, ignored=1)
+    assert camera.counters.edges == Counts(offered=1, ignored=1)
 
 
 def test_edges_during_the_silence_are_ignored():
@@ -252,7 +252,7 @@ def test_the_generator_tells_of_its_edges_however_time_is_cut(step):
     expected += [(1020, GENERATOR_RISING), (1024, GENERATOR_FALLING)]
     expected += [(1030, GENERATOR_RISING), (1034, GENERATOR_FALLING)]
     assert told(host) == expected
-    assert camera.counters.edges == EdgeCounters(delivered=6, added=6)
+    assert camera.counters.edges == Counts(delivered=6, added=6)
 
 
 def test_the_generator_tells_what_is_asked_and_by_its_polarity():
@@ -289,14 +289,14 @@ def filled(drop):
 
 def test_marks_are_dropped_on_a_stall_and_counted():
     camera, host = filled(drop=1)
-    assert camera.counters.edges == EdgeCounters(offered=20, dropped=20)
+    assert camera.counters.edges == Counts(offered=20, dropped_fifo=20)
     assert (host.read(0, 81), host.read(0, 82)) == (0, 20)
     assert told(host) == []
 
 
 def test_marks_wait_out_a_stall_and_are_stamped_late_where_the_host_wants_that():
     camera, host = filled(drop=0)
-    assert camera.counters.edges == EdgeCounters(offered=20, dropped=12, queued=8)
+    assert camera.counters.edges == Counts(offered=20, dropped_fifo=12, queued=8)
     host.decoded()
     camera.advance(5000)
     assert told(host) == [(3000, RISING)] * 8
@@ -307,7 +307,7 @@ def test_marks_wait_out_a_stall_and_are_stamped_late_where_the_host_wants_that()
 def test_marks_that_wait_are_dropped_with_the_power():
     camera, _ = filled(drop=0)
     camera.detached()
-    assert camera.counters.edges == EdgeCounters(offered=20, dropped=20)
+    assert camera.counters.edges == Counts(offered=20, dropped_fifo=20)
 
 
 def test_marks_survive_events_that_are_refused():
@@ -329,10 +329,10 @@ def test_transfers_carry_edges_and_their_fate():
     assert second.edges["t"].tolist() == [5, 6]
     camera.sent(first)
     camera.lost(second)
-    assert camera.counters.edges == EdgeCounters(offered=2, lost_on_link=2)
+    assert camera.counters.edges == Counts(offered=2, lost_on_link=2)
 
 
 def test_no_edges_are_nothing():
     camera, _ = listening(RISING)
     camera.offer_edges(empty_edges())
-    assert camera.counters.edges == EdgeCounters()
+    assert camera.counters.edges == Counts()

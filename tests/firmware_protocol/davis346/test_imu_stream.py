@@ -8,7 +8,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
-from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.imu_samples import ImuSettings, no_samples
 
 IMU = ReadingKind.IMU
@@ -101,7 +101,7 @@ def test_of_those_that_find_no_room_few_wait_and_the_rest_is_dropped():
     camera, host = running(fifo_bytes=1024)
     camera.offer_readings(IMU, samples(100, period_us=10))
     camera.advance(20_000)
-    queued, dropped = fates(camera).queued, fates(camera).dropped
+    queued, dropped = fates(camera).queued, fates(camera).dropped_fifo
     assert dropped > 0
     assert queued + dropped == 100
     camera.advance(20_001)

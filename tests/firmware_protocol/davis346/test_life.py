@@ -9,7 +9,7 @@ from hypothesis import settings, stateful
 from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Decoder
-from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import EDGE, EVENT
 from firmware_protocol.frames import LineKind, line_record
 from firmware_protocol.imu_samples import no_samples

@@ -11,7 +11,8 @@ import pytest
 from gige_host import PEER, STRANGER, Host
 
 from firmware_protocol.gige.gvcp import Command, Status, request
-from firmware_protocol.gige.registers import ACQUISITION_START, ACQUISITION_STOP, BIASES, TEMPERATURE, Register
+from firmware_protocol.gige.registers import Register
+from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, ACQUISITION_STOP, BIASES, TEMPERATURE
 
 SECOND_NS = 1_000_000_000
 
@@ -283,7 +284,7 @@ def test_scheduled_actions_end_with_the_acquisition_and_have_a_bound():
     for k in range(300):
         assert _scheduled(host, 1_000_000 + k) == Status.SUCCESS
     edges = host.camera.counters.edges
-    assert (edges.added, edges.dropped) == (44, 44)
+    assert (edges.added, edges.dropped_fifo) == (44, 44)
     host.write(ACQUISITION_STOP, 1)
     host.write(ACQUISITION_START, 1)
     host.camera.advance(9000)

@@ -7,7 +7,8 @@ from gige_host import Host
 
 from firmware_protocol.events import EdgeKind, empty_edges
 from firmware_protocol.gige.control import Messages, MessageSettings
-from firmware_protocol.gige.registers import Evs, Register
+from firmware_protocol.gige.registers import Register
+from firmware_protocol.imx636.triton2_registers import Evs
 
 MS = 1_000_000
 
@@ -23,7 +24,10 @@ def _answer(message):
 
 
 def _host():
-    host = Host()
+    return _with_messages(Host())
+
+
+def _with_messages(host):
     host.start()
     for address, value in (
         (Register.MESSAGE_ADDRESS, 0x7F000001), (Register.MESSAGE_PORT, 51_000), (Evs.EVENT_NOTIFICATION, 1),
@@ -94,6 +98,17 @@ def test_nobody_is_told_who_does_not_want_it(register, value):
     assert host.write(register, value) == 0
     host.camera.offer_edges(_edges(7))
     assert host.camera.messages.next(0, MessageSettings()) is None
+
+
+def test_the_message_of_an_edge_from_before_the_start_has_the_time_of_the_start():
+    host = Host()
+    host.camera.advance(1000)
+    _with_messages(host)
+    host.camera.offer_edges(_edges(990))
+    message = host.camera.messages.next(0, MessageSettings())
+    assert struct.unpack(">Q", message[-8:]) == (0,)
+    host.camera.advance(5000)
+    assert host.collect()[1]["t"].tolist() == [0]
 
 
 def test_who_takes_control_next_is_told_nothing():

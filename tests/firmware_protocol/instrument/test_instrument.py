@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from instrument_ground import SIZE, Ground, edges, stream
 
-from firmware_protocol.device.event_device import CameraCounters
+from firmware_protocol.device.fates import Fates
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.addresses import MessageKind
@@ -54,7 +54,7 @@ def test_what_is_offered_is_what_is_decoded(make):
     instrument.offer(offered)
     ground.pull()
     assert np.array_equal(np.concatenate(ground.events), by_time(offered))
-    assert instrument.counters == CameraCounters(offered=5000, delivered=5000)
+    assert instrument.counters == Fates(offered=5000, delivered=5000)
     assert np.array_equal(np.concatenate(ground.events), np.concatenate([out.events for out in ground.outgoing]))
 
 
@@ -73,7 +73,7 @@ def test_nothing_flows_before_start_without_autostart(make):
     assert ends(ground.tell(Start())) == GOOD
     instrument.offer(stream(10, start_us=1000))
     ground.pull()
-    assert instrument.counters == CameraCounters(offered=20, not_running=10, delivered=10)
+    assert instrument.counters == Fates(offered=20, not_running=10, delivered=10)
 
 
 def test_stop_drops_what_waits_and_the_next_block_tells(make):
@@ -251,7 +251,7 @@ def test_too_many_edges_are_dropped_and_told(make):
     instrument.offer_edges(edges(*range(5000)))
     ground.pull()
     assert instrument.counters.edges.delivered == 4096
-    assert instrument.counters.edges.dropped == 904
+    assert instrument.counters.edges.dropped_fifo == 904
     assert sum(block.dropped for block in ground.blocks) == 904
 
 
@@ -264,7 +264,7 @@ def test_a_link_may_pack_the_events_itself(make):
     assert np.array_equal(out.events, offered[:4])
     assert out.message.payload == b""
     instrument.lost(out)
-    assert instrument.counters == CameraCounters(offered=10, lost_on_link=4, queued=6)
+    assert instrument.counters == Fates(offered=10, lost_on_link=4, queued=6)
 
 
 def test_bad_events_are_refused_whole(make):
@@ -276,7 +276,7 @@ def test_bad_events_are_refused_whole(make):
     for bad in (outside, backwards, past):
         with pytest.raises(ValueError, match=r"outside|sorted|after"):
             instrument.offer(bad)
-    assert instrument.counters == CameraCounters()
+    assert instrument.counters == Fates()
 
 
 @pytest.mark.parametrize(

@@ -24,8 +24,8 @@ import numpy as np
 from looped_streams import SIZE, frames, samples
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.device.event_device import ReadingKind
-from firmware_protocol.evk4 import Evk4, Evk4Settings
+from firmware_protocol.device.items import ReadingKind
+from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.usb.device import Speed
 from transports.link.edges import EdgeTiming, PeriodicEdges
 from transports.link.feed import Timing

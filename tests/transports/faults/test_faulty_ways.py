@@ -167,7 +167,7 @@ def load(n):
 
 
 def message():
-    return Outgoing(Message(MessageKind.EVENTS, b"", 0))
+    return Outgoing(message=Message(MessageKind.EVENTS, b"", 0))
 
 
 def test_a_frame_that_comes_twice_counts_once_however_late():

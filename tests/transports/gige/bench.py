@@ -6,8 +6,9 @@ from functools import partial
 import numpy as np
 
 from firmware_protocol.events import EVENT
-from firmware_protocol.gige.registers import GigeSettings, Register
-from firmware_protocol.gige.triton2 import Triton2
+from firmware_protocol.gige.registers import Register
+from firmware_protocol.imx636.triton2 import Triton2
+from firmware_protocol.imx636.triton2_registers import Triton2Settings
 from transports.faults.script import FaultPlan
 from transports.gige.endpoint import GigeFactory
 from transports.gige.host import GigeHost
@@ -27,7 +28,7 @@ class Bench:
         self.clock = FakeClock(1_000_000_000)
         self.ring = EventRing(200_000)
         factory = GigeFactory(GigeLink(**{"port": 0, **more}), FaultPlan("gige", scripted=tuple(faults), seed=1))
-        camera = partial(Triton2, GigeSettings(start_delay_us=0))
+        camera = partial(Triton2, Triton2Settings(start_delay_us=0))
         self.link = Link(LinkSetup("gige", self.ring, camera, factory), self.clock)
         self.loop = asyncio.new_event_loop()
         self.loop.run_until_complete(self.link.endpoint.start())

@@ -14,19 +14,20 @@ import pytest
 
 from firmware_protocol.gige.control import DeviceTime, Owner, Write
 from firmware_protocol.gige.gvcp import Command, Status, request
-from firmware_protocol.gige.registers import ACQUISITION_START, GigeSettings, Register
+from firmware_protocol.gige.registers import Register
+from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, Triton2Settings
 from transports.gige.answering import ControlSetup
 from transports.gige.control_process import ControlProcess
 from transports.link.endpoint import LinkBroken
 
 pytestmark = pytest.mark.socket
-SETUP = ControlSetup("127.0.0.1", 0, (), GigeSettings(), 4567)
+SETUP = ControlSetup("127.0.0.1", 0, (), Triton2Settings(), 4567)
 LONELY = """
 import sys, time
-from firmware_protocol.gige.registers import GigeSettings
+from firmware_protocol.imx636.triton2_registers import Triton2Settings
 from transports.gige.answering import ControlSetup
 from transports.gige.control_process import ControlProcess
-process = ControlProcess(ControlSetup("127.0.0.1", 0, (), GigeSettings(), 1))
+process = ControlProcess(ControlSetup("127.0.0.1", 0, (), Triton2Settings(), 1))
 print(process.pid, flush=True)
 sys.stdin.read()
 """

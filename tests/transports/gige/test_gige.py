@@ -10,8 +10,9 @@ import pytest
 from emulator.rig.loading import RigError, parse_rig
 from firmware_protocol.events import EdgeKind
 from firmware_protocol.gige.gvcp import Command, request
-from firmware_protocol.gige.registers import COLUMNS, ROWS, Erc, Evs, Register
-from firmware_protocol.gige.triton2 import Triton2
+from firmware_protocol.gige.registers import Register
+from firmware_protocol.imx636.triton2 import Triton2
+from firmware_protocol.imx636.triton2_registers import COLUMNS, ROWS, Erc, Evs
 from tests.transports.gige.bench import GAP_US, Refusing, stream
 from transports.gige.endpoint import GigeFactory
 from transports.gige.host import CameraGone, GigeHost, GigeHostError

@@ -8,6 +8,7 @@ import pytest
 
 from firmware_protocol.gige.gvcp import Command, request
 from firmware_protocol.gige.registers import Register
+from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, ACQUISITION_STOP
 from tests.transports.gige.bench import stream
 from transports.faults.datagrams import LateDatagrams, LostDatagrams, RepeatedDatagrams
 from transports.gige.host import CameraGone
@@ -44,6 +45,25 @@ def test_blocks_whose_packets_never_come_are_blamed_on_the_fault(bench):
     host.close()
     assert 0 < lost < 20_000
     assert here.link.report(final=True).delivered == 20_000 - lost
+
+
+def test_blocks_that_wait_for_an_earlier_one_keep_the_clock_of_their_own_acquisition(bench):
+    here = bench(LostDatagrams(rate=1.0, count=0, for_s=0.005))
+    host = here.connect()
+    host.start(packet_size=576)
+    host.assembly.missing = lambda now_ns: []
+    events = stream(20_000)
+    here.run(events, turns=0)
+    for register in (ACQUISITION_STOP, ACQUISITION_START):
+        host.write(register, 1)
+    for _ in range(600):
+        here.turn()
+    host.close()
+    report = here.close()
+    lost = report.faults[0].events_lost
+    assert 0 < lost < 20_000
+    assert here.link._device.epoch_us > 0
+    assert report.digest == digest_of(events[lost : lost + report.delivered])
 
 
 def test_packets_that_the_camera_keeps_no_more_are_not_sent_again(bench):

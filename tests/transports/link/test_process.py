@@ -172,7 +172,7 @@ class Liar(Davis346):
             return transfer
         events = transfer.events.copy()
         events["x"][0] ^= 1
-        return Transfer(transfer.data, events, transfer.epoch_us)
+        return Transfer(events, epoch_us=transfer.epoch_us, data=transfer.data)
 
 
 def test_the_loopback_host_compares_every_event():

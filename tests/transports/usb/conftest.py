@@ -80,7 +80,7 @@ class FakeDevice(UsbDevice):
             self.chunks.appendleft(chunk[max_bytes:])
             chunk = chunk[:max_bytes]
         self.given.append(chunk)
-        return Transfer(chunk)
+        return Transfer(data=chunk)
 
     def sent(self, transfer: Transfer) -> None:
         self.sent_data.append(transfer.data)

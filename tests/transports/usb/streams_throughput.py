@@ -20,7 +20,7 @@ from multiprocessing.connection import Connection
 
 from emulator.evaluation.bench.streams import endless_davis_batches
 from firmware_protocol.davis346 import Davis346, Davis346Settings, WordEncoder
-from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import EdgeKind, empty_edges
 from firmware_protocol.usb.device import SetupPacket, Transfer
 from transports.usb.usbip.client import UsbipHost

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from firmware_protocol.events import EVENT
-from firmware_protocol.evk4 import Evk4, Evk4Settings
-from firmware_protocol.evk4.treuzell import Frame, Property
+from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
+from firmware_protocol.imx636.treuzell import Frame, Property
 from firmware_protocol.usb.device import Identity, Speed
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan

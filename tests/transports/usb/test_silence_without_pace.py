@@ -8,7 +8,7 @@ import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import empty_events
-from firmware_protocol.evk4 import Evk4, Evk4Settings
+from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from transports.faults.script import FaultPlan
 from transports.faults.usb import FifoOverflow, UsbSilence
 from transports.link.pacing import MonotonicClock

@@ -26,7 +26,7 @@ class Spring(UsbDevice):
     """A device that always has data."""
 
     def __init__(self) -> None:
-        self._transfers = {size: Transfer(bytes(size)) for size in SIZES}
+        self._transfers = {size: Transfer(data=bytes(size)) for size in SIZES}
 
     @property
     def identity(self) -> Identity:

@@ -5,7 +5,7 @@ import pytest
 
 from evstim.testing.link_contract import event_stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.evk4 import Evk4, Evk4Settings
+from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.usb.device import SetupPacket, Speed, Transfer
 from firmware_protocol.usb.functionfs import EventKind
 from tests.transports.usb.conftest import FakeDevice
@@ -214,4 +214,4 @@ def test_nothing_of_a_device_is_read_before_a_host_has_chosen_the_configuration(
     host._timeout_s = PATIENCE_S
     host.configure()
     assert host.bulk_in(2, 512) == b"words"
-    assert Transfer(b"words").data == device.given[0]
+    assert Transfer(data=b"words").data == device.given[0]

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from firmware_protocol.davis346 import Davis346Settings
-from firmware_protocol.evk4.device import Evk4Settings
+from firmware_protocol.imx636.evk4 import Evk4Settings
 from firmware_protocol.usb.device import Speed
 from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of
 

@@ -3,7 +3,7 @@
 import pytest
 
 from firmware_protocol.davis346 import Davis346Settings
-from firmware_protocol.evk4.device import Evk4Settings
+from firmware_protocol.imx636.evk4 import Evk4Settings
 from firmware_protocol.usb.descriptors import Endpoint, Interface, TransferType
 from firmware_protocol.usb.device import Speed
 from transports.usb.functionfs.files import with_spares

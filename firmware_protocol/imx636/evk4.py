@@ -2,7 +2,7 @@
 
     host --bulk 02--> write ----> Board --> Registers --> masks, rate control, run gate, biases
          <-bulk 82--- read 2 <--- answers
-    array ----------> offer ----> Selection -> Outflow --bulk 81--> read 1: EVT3
+    array ----------> offer ----> Selection -> UsbOutflow --bulk 81--> read 1: EVT3
 
 Run gate: events leave while the array runs (register 0004 bit 10), the output is enabled (9028 bit 1 is 0) and time
 runs (9008 bit 0). Opening it begins a stream; closing it drops waiting events. Device time is zero when time starts.
@@ -15,8 +15,7 @@ Vendor request on endpoint 0, without which neuromorphic_drivers does not list t
 
 A camera is not safe for concurrent use: one thread at a time may call it.
 
-EVT3 words are made when the host reads, so that events dropped while they wait leave no trace in the stream. During a
-silence, words carry the time every 4096 us: decoders lose it after 8.4 s.
+During a silence, words carry the time every 4096 us.
 
 Sources of identity and descriptors: the checks of OpenEB 5.1.1 and neuromorphic_drivers. Device version, release and
 build date of a shipped camera are not public: those here are new enough for both.
@@ -24,20 +23,18 @@ build date of a shipped camera are not public: those here are new enough for bot
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
-import numpy as np
-
-from firmware_protocol.device.event_device import CameraCounters, EdgeCounters
-from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events, join_events
-from firmware_protocol.evk4.treuzell import Board, BoardFacts
+from firmware_protocol.events import Events
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.imx636.biases import BiasModel
+from firmware_protocol.imx636.camera import Imx636Camera
+from firmware_protocol.imx636.outflow import LONGEST_GAP_US, Outflow, OutflowLimits
 from firmware_protocol.imx636.registers import BIASES, SIZE, Registers, Surroundings
-from firmware_protocol.imx636.selection import Selection
+from firmware_protocol.imx636.selection import Selected, Selection
+from firmware_protocol.imx636.treuzell import Board, BoardFacts
 from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.descriptors import (
     Configuration,
@@ -49,35 +46,22 @@ from firmware_protocol.usb.descriptors import (
 )
 from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Speed, Stall, Transfer, UsbCamera
 
-__all__ = ["ANSWER_ENDPOINT", "DATA_ENDPOINT", "REQUEST_ENDPOINT", "Evk4", "Evk4Settings", "Outflow"]
+__all__ = ["ANSWER_ENDPOINT", "DATA_ENDPOINT", "REQUEST_ENDPOINT", "Evk4", "Evk4Settings", "UsbOutflow"]
 
 
 _SILENCE_US = 4096  # a high part of the time
-_LONGEST_GAP_US = 1_000_000  # between words, without time words of a silence in between
-_LONGEST_SILENCE_US = 3_600_000_000  # in one transfer
 _FEWEST_EVENTS = 16  # made into words together, also for a host that requests less
 _MOST_EDGES = 1024
+_FIFO_BYTES_PER_EVENT = 6
 
 
-class Outflow:
-    """Outgoing events and edges of one run of the sensor.
+class UsbOutflow(Outflow):
+    """Outflow to a bulk endpoint: one stream of words, cut into transfers of any length."""
 
-    Attributes
-    ----------
-    epoch_us
-        Stream time at which the sensor's clock was zero.
-    queued, edges_queued
-        Events and edges that wait.
-    """
-
-    def __init__(self, epoch_us: int, capacity: int) -> None:
-        self.epoch_us = self._reported_us = epoch_us
-        self._capacity = capacity
-        self._encoder = Evt3Encoder(width=SIZE[0])
-        self._waiting: deque[Events] = deque()
-        self._edges = empty_edges()
+    def __init__(self, epoch_us: int, fifo_bytes: int) -> None:
+        limits = OutflowLimits(fifo_bytes // _FIFO_BYTES_PER_EVENT, _MOST_EDGES, _SILENCE_US)
+        super().__init__(Evt3Encoder(width=SIZE[0], origin_us=epoch_us), epoch_us, limits)
         self._cut: Transfer | None = None  # the rest of words beyond the length that the host requested
-        self._queued = 0
 
     @property
     def queued(self) -> int:
@@ -89,25 +73,6 @@ class Outflow:
         """Edges that wait."""
         return len(self._edges) + (0 if self._cut is None else len(self._cut.edges))
 
-    @property
-    def room(self) -> int:
-        """Events that fit now."""
-        return max(0, self._capacity - self.queued)
-
-    def put(self, events: Events) -> int:
-        """Queue as many of events (n,) EVENT, sorted, as fit; return their number; they are copied."""
-        fitting = events[: self.room]
-        if len(fitting):
-            self._waiting.append(copy_events(fitting))
-            self._queued += len(fitting)
-        return len(fitting)
-
-    def put_edges(self, edges: Edges) -> int:
-        """Queue as many of edges (n,) EDGE, sorted, as fit; return their number; old ones get the time sent last."""
-        fitting = edges[: max(0, _MOST_EDGES - len(self._edges))]
-        self._edges = np.concatenate([self._edges, fitting])
-        return len(fitting)
-
     def take(self, now_us: int, max_bytes: int) -> Transfer | None:
         """Remove up to `max_bytes` of words; None if there is nothing to send yet."""
         if max_bytes < 2:
@@ -117,72 +82,24 @@ class Outflow:
             self._cut = None
             return whole
         end = max_bytes & ~1
-        self._cut = Transfer(whole.data[end:], whole.events, whole.epoch_us, whole.edges)
-        return Transfer(whole.data[:end], epoch_us=whole.epoch_us)
+        self._cut = replace(whole, data=whole.data[end:])
+        return Transfer(epoch_us=whole.epoch_us, data=whole.data[:end])
 
     def _next(self, now_us: int, max_bytes: int) -> Transfer | None:
-        begin_us = self._first_us()
-        if begin_us is None or begin_us > now_us:
-            return self._silence(now_us)
-        if begin_us - self._reported_us > _LONGEST_GAP_US:
-            return self._silence(begin_us)
-        return self._words(begin_us, now_us, max_bytes)
+        first_us = self._due_us(now_us)
+        if first_us is not None:
+            return self._words(first_us, now_us, max_bytes)
+        words = self._silence_words(now_us)
+        return Transfer(epoch_us=self.epoch_us, data=words) if words else None
 
-    def _first_us(self) -> int | None:
-        firsts = [int(self._waiting[0]["t"][0])] if self._waiting else []
-        if len(self._edges):
-            firsts.append(max(int(self._edges["t"][0].astype(np.int64)), self._reported_us))
-        return min(firsts, default=None)
-
-    def _silence(self, until_us: int) -> Transfer | None:
-        if until_us - self._reported_us < _SILENCE_US:
-            return None
-        self._reported_us = min(until_us, self._reported_us + _LONGEST_SILENCE_US)
-        words = self._encoder.advance(self._reported_us - self.epoch_us)
-        return Transfer(words, epoch_us=self.epoch_us) if words else None
-
-    def _words(self, begin_us: int, now_us: int, max_bytes: int) -> Transfer:
-        until_us = min(now_us, begin_us + _LONGEST_GAP_US)
+    def _words(self, first_us: int, now_us: int, max_bytes: int) -> Transfer:
+        until_us = min(now_us, first_us + LONGEST_GAP_US)
         room = max(max_bytes // 8 - 2, _FEWEST_EVENTS)
-        events = self._taken(until_us, room)
-        if len(events) == room:
-            until_us = int(events["t"][-1])
-        edges = self._taken_edges(until_us)
-        last_us = max(int(each["t"][-1]) for each in (events, edges) if len(each))
-        self._reported_us = max(self._reported_us, last_us)
-        words = self._encoder.encode(self._own(events), self._own(edges))
-        return Transfer(words, events, self.epoch_us, edges)
-
-    def _taken(self, until_us: int, room: int) -> Events:
-        """Return up to `room` events that are not later than `until_us`."""
-        taken = []
-        while self._waiting and room:
-            first = self._waiting[0]
-            count = min(room, int(np.searchsorted(first["t"], until_us, side="right")))
-            if not count:
-                break
-            taken.append(first[:count])
-            room -= count
-            self._queued -= count
-            self._waiting[0] = first[count:]
-            if count < len(first):
-                break
-            self._waiting.popleft()
-        return join_events(taken) if taken else empty_events()
-
-    def _taken_edges(self, until_us: int) -> Edges:
-        """Return the edges that are not later than `until_us`; the sensor itself assigns the time of late ones."""
-        times = np.maximum.accumulate(np.maximum(self._edges["t"].astype(np.int64), self._reported_us))
-        due = times <= until_us
-        edges = self._edges[due].copy()
-        edges["t"] = times[due]
-        self._edges = self._edges[~due]
-        return edges
-
-    def _own(self, records: Events | Edges) -> Events | Edges:
-        own = copy_events(records) if records.dtype == empty_events().dtype else records.copy()
-        own["t"] -= np.uint64(self.epoch_us)
-        return own
+        events = self._taken(until_us + 1, room)
+        edges = self._due_edges(int(events["t"][-1]) if len(events) == room else until_us)
+        words = self._encoder.encode(events, edges)
+        self._reach(events, edges)
+        return Transfer(events, edges, self.epoch_us, data=words)
 
 
 VENDOR_ID = 0x04B4
@@ -266,29 +183,24 @@ _BOARD_KIND = 0x72
 _KIND = b"\x31\x00"
 _IN = 0x80
 _MOST_ANSWERS = 64
-_FIFO_BYTES_PER_EVENT = 6
 
 
-class Evk4(UsbCamera):
+class Evk4(Imx636Camera[UsbOutflow], UsbCamera):
     """The camera. `offer` takes events, `advance` the passing of stream time; the other methods are the USB side."""
 
     data_endpoint = DATA_ENDPOINT & 15
 
     def __init__(self, settings: Evk4Settings | None = None) -> None:
         self.settings = settings = settings or Evk4Settings()
+        super().__init__(settings.size, settings.biases, UsbOutflow(0, settings.fifo_bytes))
         self._standard = StandardControl(settings.descriptors())
         self._registers = Registers(settings.surroundings, settings.biases)
         self._selection = Selection(self._registers)
         facts = BoardFacts(int(settings.serial, 16), settings.release, settings.build_unix_s)
         self._board = Board(facts, self)
         self._answers: deque[bytes] = deque()
-        self._fates: Counter[str] = Counter()
-        self._edge_fates: Counter[str] = Counter()
-        self._carried = self._edges_carried = self._flushes = 0
-        self._now_us = self._epoch_us = self._silent_until_us = 0
-        self._outflow = self._new_outflow()
+        self._flushes = 0
         self._was_running = False
-        self._settings_version = 0
 
     @property
     def identity(self) -> Identity:
@@ -296,107 +208,25 @@ class Evk4(UsbCamera):
         return self.settings.identity
 
     @property
-    def now_us(self) -> int:
-        """Stream time that the camera has reached."""
-        return self._now_us
-
-    @property
     def streaming(self) -> bool:
         """True while events offered now would go to the host."""
-        return self._registers.running and self._now_us >= self._silent_until_us
+        return self._running and self._now_us >= self._silence_end_us
 
     @property
     def at_rest(self) -> bool:
         """True while the sensor is stopped."""
-        return not self._registers.running
-
-    @property
-    def settings_version(self) -> int:
-        """Number of writes to its registers."""
-        return self._settings_version
-
-    @property
-    def room_events(self) -> int:
-        """Events that fit the buffer now."""
-        return self._outflow.room
-
-    @property
-    def silent_until_us(self) -> int:
-        """End of the silence after the start; 0 while the sensor is stopped."""
-        return self._silent_until_us if self._registers.running else 0
+        return not self._running
 
     @property
     def horizon_us(self) -> int:
         """During the silence after the start its end; otherwise without limit."""
         silent = self._now_us < self.silent_until_us
-        return self._silent_until_us if silent else super().horizon_us
-
-    @property
-    def epoch_us(self) -> int:
-        """Stream time at which device time is zero."""
-        return self._epoch_us
+        return self._silence_end_us if silent else super().horizon_us
 
     @property
     def biases(self) -> dict[str, int]:
         """Currents of the biases, 0 to 255, by Prophesee's names, as the host set them."""
         return {name: self._registers[address] & 0xFF for name, (address, _) in BIASES.items()}
-
-    @property
-    def sensor_factors(self) -> Mapping[str, float]:
-        """Effect on the pixels of the biases that the host wrote; empty while they are the factory's."""
-        return self._registers.sensor_factors
-
-    @property
-    def without_effect(self) -> Mapping[str, str]:
-        """Biases that the host changed without an effect here, each with the reason."""
-        return self.settings.biases.without_effect(self._registers.bias_steps)
-
-    @property
-    def counters(self) -> CameraCounters:
-        """Fates of all events and edges offered so far."""
-        edges = EdgeCounters(**self._edge_fates, queued=self._outflow.edges_queued + self._edges_carried)
-        queued = self._outflow.queued + self._carried
-        fates: dict[str, Any] = dict(self._fates)
-        return CameraCounters(**fates, queued=queued, edges=edges)
-
-    @property
-    def delivered(self) -> int:
-        """See `EventDevice.delivered`."""
-        return self._fates["delivered"]
-
-    @property
-    def waiting_items(self) -> int:
-        """See `EventDevice.waiting_items`."""
-        return self._outflow.queued + self._carried + self._outflow.edges_queued + self._edges_carried
-
-    def offer(self, events: Events) -> None:
-        """Queue events (n,) EVENT; raises ValueError if they go back in time or lie outside the array."""
-        if not len(events):
-            return
-        self._check(events)
-        self._fates["offered"] += len(events)
-        begun = events[:0]
-        if self._registers.running:
-            begun = events[int(np.searchsorted(events["t"], self._silent_until_us)) :]
-        self._now_us = int(events["t"][-1])
-        selected = self._selection.apply(begun, self._epoch_us)
-        fitting = self._outflow.put(selected.events)
-        self._fates["not_running"] += len(events) - len(begun)
-        self._fates["not_selected"] += selected.outside
-        self._fates["dropped_rate"] += selected.beyond_rate
-        self._fates["dropped_fifo"] += len(selected.events) - fitting
-
-    def offer_edges(self, edges: Edges) -> None:
-        """Apply edges (n,) EDGE to the trigger input."""
-        self._edge_fates["offered"] += len(edges)
-        if not (self.streaming and self._registers.has_trigger):
-            self._edge_fates["ignored"] += len(edges)
-            return
-        self._edge_fates["dropped"] += len(edges) - self._outflow.put_edges(edges)
-
-    def advance(self, now_us: int) -> None:
-        """Set stream time to `now_us`; the clock never goes back."""
-        self._now_us = max(self._now_us, now_us)
 
     def descriptors(self, speed: Speed) -> DescriptorSet:
         """Return the answers to GET_DESCRIPTOR at a speed."""
@@ -440,17 +270,8 @@ class Evk4(UsbCamera):
             return None
         transfer = self._outflow.take(self._now_us, max_bytes)
         if transfer is not None:
-            self._carried += len(transfer.events)
-            self._edges_carried += len(transfer.edges)
+            self._fates.take(transfer)
         return transfer
-
-    def sent(self, transfer: Transfer) -> None:
-        """Count the transfer's events as delivered."""
-        self._settle(transfer, "delivered")
-
-    def lost(self, transfer: Transfer) -> None:
-        """Count the transfer's events as lost on the link."""
-        self._settle(transfer, "lost_on_link")
 
     def read_register(self, address: int) -> int:
         """Return the value that a host reads from the sensor; raises LookupError if there is no register."""
@@ -472,7 +293,7 @@ class Evk4(UsbCamera):
         self._drop_waiting()
         self._was_running = self._registers.running
         if self._was_running:
-            self._silent_until_us = self._now_us + self.settings.start_delay_us
+            self._silence_end_us = self._now_us + self.settings.start_delay_us
 
     def _power_on(self) -> None:
         self._settings_version += 1
@@ -484,13 +305,24 @@ class Evk4(UsbCamera):
         self._drop_waiting()
 
     def _drop_waiting(self) -> None:
-        self._fates["flushed"] += self._outflow.queued
-        self._edge_fates["dropped"] += self._outflow.edges_queued
-        self._outflow = self._new_outflow()
+        self._flush()
+        self._outflow = UsbOutflow(self._epoch_us, self.settings.fifo_bytes)
         self._flushes += 1
 
-    def _new_outflow(self) -> Outflow:
-        return Outflow(self._epoch_us, self.settings.fifo_bytes // _FIFO_BYTES_PER_EVENT)
+    @property
+    def _running(self) -> bool:
+        return self._registers.running
+
+    @property
+    def _detects(self) -> bool:
+        return self._registers.running and self._registers.has_trigger
+
+    @property
+    def _bias_steps(self) -> Mapping[str, int]:
+        return self._registers.bias_steps
+
+    def _select(self, events: Events) -> Selected:
+        return self._selection.apply(events, self._epoch_us)
 
     def _answer(self, max_bytes: int) -> Transfer | None:
         """Return the oldest answer; of one that is too long, the first part, and the rest next time."""
@@ -499,17 +331,4 @@ class Evk4(UsbCamera):
         answer = self._answers.popleft()
         if len(answer) > max_bytes:
             self._answers.appendleft(answer[max_bytes:])
-        return Transfer(answer[:max_bytes], epoch_us=self._epoch_us)
-
-    def _settle(self, transfer: Transfer, fate: str) -> None:
-        self._carried -= len(transfer.events)
-        self._edges_carried -= len(transfer.edges)
-        self._fates[fate] += len(transfer.events)
-        self._edge_fates[fate] += len(transfer.edges)
-
-    def _check(self, events: Events) -> None:
-        if int(events["t"][0]) < self._now_us or bool((events["t"][1:] < events["t"][:-1]).any()):
-            raise ValueError("events go back in time")
-        width, height = self.settings.size
-        if int(events["x"].max()) >= width or int(events["y"].max()) >= height:
-            raise ValueError(f"events outside the {width} x {height} array")
+        return Transfer(epoch_us=self._epoch_us, data=answer[:max_bytes])

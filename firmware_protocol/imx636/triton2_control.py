@@ -15,8 +15,9 @@ from collections.abc import Sequence
 
 from firmware_protocol.gige.control import Control, Datagram, DeviceTime, Order, Owner, Peer, Pulse, TimeSource, Write
 from firmware_protocol.gige.gvcp import Action, Refused, Resend, Status
-from firmware_protocol.gige.registers import ACQUISITION_START, ACQUISITION_STOP, Evs, GigeSettings, Memory, Register
-from firmware_protocol.gige.triton2_registers import triton2_areas, triton2_rules
+from firmware_protocol.gige.registers import Memory, Register
+from firmware_protocol.imx636.triton2_memory import triton2_areas, triton2_rules
+from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, ACQUISITION_STOP, Evs, Triton2Settings
 
 __all__ = ["Triton2Control"]
 
@@ -41,7 +42,7 @@ class Triton2Control:
         requests that would give an order are refused as busy.
     """
 
-    def __init__(self, settings: GigeSettings, time: TimeSource, stream_port: int = 0) -> None:
+    def __init__(self, settings: Triton2Settings, time: TimeSource, stream_port: int = 0) -> None:
         self._memory = Memory(triton2_areas(settings), triton2_rules(settings.size))
         self._memory.set(Register.STREAM_SOURCE_PORT, stream_port)
         self._control = Control(self._memory, self)

@@ -6,8 +6,8 @@ from hypothesis import settings, stateful
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EDGE, EVENT
-from firmware_protocol.evk4 import Evk4, Evk4Settings
 from firmware_protocol.evt.evt3 import Evt3Decoder
+from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 
 STEPS_US = st.sampled_from([0, 1, 3, 100, 5000, 2_000_000, 20_000_000])
 

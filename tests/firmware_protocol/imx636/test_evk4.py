@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from evk4_requests import DATA, START, STOP, Host, events_of
 
-from firmware_protocol.device.event_device import CameraCounters
+from firmware_protocol.device.fates import Fates
 from firmware_protocol.events import EDGE, EdgeKind
-from firmware_protocol.evk4 import Evk4, Evk4Settings
+from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.usb.device import SetupPacket, Speed, Stall
 
 PROMPT = Evk4Settings(start_delay_us=0)
@@ -26,7 +26,7 @@ def test_the_words_of_some_events():
     camera.offer(events_of((4100, 7, 5, True), (4100, 1279, 5, False), (4101, 0, 719, True)))
     high_0, high_1, low_4, low_5 = 0x8000, 0x8001, 0x6004, 0x6005
     assert host.words() == [high_0, high_1, low_4, 0x0005, 0x2807, 0x24FF, low_5, 0x02CF, 0x2800]
-    assert camera.counters == CameraCounters(offered=3, delivered=3)
+    assert camera.counters == Fates(offered=3, delivered=3)
 
 
 def test_nothing_leaves_before_all_three_gates_are_open():
@@ -37,7 +37,7 @@ def test_nothing_leaves_before_all_three_gates_are_open():
         camera.offer(events_of((10, 1, 1, True)))
         assert host.words() == []
         assert not camera.streaming
-        assert camera.counters == CameraCounters(offered=1, not_running=1)
+        assert camera.counters == Fates(offered=1, not_running=1)
 
 
 def test_device_time_is_zero_when_time_starts_to_run():
@@ -57,7 +57,7 @@ def test_a_silence_follows_the_start():
     assert (camera.silent_until_us, camera.horizon_us) == (300, 300)
     camera.offer(events_of((299, 1, 1, True), (300, 2, 2, True)))
     assert host.words() == [0x8000, 0x612C, 0x0002, 0x2802]
-    assert camera.counters == CameraCounters(offered=2, not_running=1, delivered=1)
+    assert camera.counters == Fates(offered=2, not_running=1, delivered=1)
 
 
 def test_a_silence_of_the_scene_is_told():
@@ -79,7 +79,7 @@ def test_a_stop_drops_what_waits_and_a_start_begins_anew():
     camera, host = running()
     camera.offer(events_of((10, 1, 1, True), (20, 2, 2, True)))
     host.write(*STOP)
-    assert camera.counters == CameraCounters(offered=2, flushed=2)
+    assert camera.counters == Fates(offered=2, flushed=2)
     camera.advance(1000)
     host.write(*START)
     camera.offer(events_of((1001, 3, 3, True)))
@@ -101,10 +101,10 @@ def test_the_buffer_is_bounded():
     events["t"] = np.arange(1000)
     camera.offer(events)
     assert camera.room_events == 0
-    assert camera.counters == CameraCounters(offered=1000, dropped_fifo=600, queued=400)
+    assert camera.counters == Fates(offered=1000, dropped_fifo=600, queued=400)
     host.words()
     assert camera.room_events == 400
-    assert camera.counters == CameraCounters(offered=1000, dropped_fifo=600, delivered=400)
+    assert camera.counters == Fates(offered=1000, dropped_fifo=600, delivered=400)
 
 
 @pytest.mark.parametrize("max_bytes", [2, 3, 64, 512, 1024, 131_072])
@@ -117,7 +117,7 @@ def test_any_size_of_transfer_brings_the_same_words(max_bytes):
     camera.offer(events)
     other.camera.offer(events)
     assert host.words(max_bytes) == other.words()
-    assert camera.counters == CameraCounters(offered=5000, delivered=5000)
+    assert camera.counters == Fates(offered=5000, delivered=5000)
 
 
 def test_the_trigger_input_is_told_when_it_is_on():
@@ -183,10 +183,10 @@ def test_a_transfer_that_is_lost_is_counted():
     camera, _ = running()
     camera.offer(events_of((10, 1, 1, True)))
     transfer = camera.read(DATA, 4096)
-    assert camera.counters == CameraCounters(offered=1, queued=1)
+    assert camera.counters == Fates(offered=1, queued=1)
     camera.lost(transfer)
     camera.detached()
-    assert camera.counters == CameraCounters(offered=1, lost_on_link=1)
+    assert camera.counters == Fates(offered=1, lost_on_link=1)
 
 
 def test_biases_are_kept_and_read_back_until_power_on():
@@ -220,7 +220,7 @@ def test_bad_events_are_refused_whole():
     ):
         with pytest.raises(ValueError, match="events"):
             camera.offer(bad)
-    assert camera.counters == CameraCounters()
+    assert camera.counters == Fates()
     assert host.words() == []
 
 

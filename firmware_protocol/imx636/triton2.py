@@ -1,7 +1,7 @@
 """The stream of a LUCID Triton2 EVS (TRT009S-E, IMX636), without I/O: orders and events in, blocks out.
 
     Triton2Control --orders--> obey --> Memory --rules--> acquisition, masks, rate control, biases
-    array -------------------> offer -> selection --> Outflow --> next_block --> GVSP packets
+    array -------------------> offer -> selection --> BlockOutflow --> next_block --> GVSP packets
 
 The device's time is zero at AcquisitionStart: neuromorphic_drivers begins at zero and ignores a first time that is
 8.4 s or more ahead.
@@ -9,12 +9,16 @@ The device's time is zero at AcquisitionStart: neuromorphic_drivers begins at ze
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from heapq import heappop, heappush
 
-from firmware_protocol.device.event_device import CameraCounters, EdgeCounters, EventDevice
+import numpy as np
+
+from firmware_protocol.device.items import Items
 from firmware_protocol.events import EdgeKind, Edges, Events, empty_edges
+from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.gige.control import (
     EDGE_EVENT,
     DeviceTime,
@@ -27,34 +31,107 @@ from firmware_protocol.gige.control import (
     Write,
 )
 from firmware_protocol.gige.gvcp import Resend, Status
-from firmware_protocol.gige.gvsp import removed, test_packet
-from firmware_protocol.gige.outflow import Extra, Outflow, Outgoing, Selection, before
-from firmware_protocol.gige.registers import (
+from firmware_protocol.gige.gvsp import BLOCK_OCTETS, Block, removed, test_packet
+from firmware_protocol.gige.registers import DO_NOT_FRAGMENT, TEST_PACKET, Memory, Register, Rule, packet_size
+from firmware_protocol.imx636.camera import Imx636Camera
+from firmware_protocol.imx636.outflow import LONGEST_GAP_US, Outflow, OutflowLimits
+from firmware_protocol.imx636.ranges import RangeSelection
+from firmware_protocol.imx636.selection import Selected
+from firmware_protocol.imx636.triton2_memory import triton2_areas, triton2_rules
+from firmware_protocol.imx636.triton2_registers import (
     ACQUISITION_START,
     ACQUISITION_STOP,
     BIASES,
     NOTIFY_WITH_DATA,
     Evs,
-    GigeSettings,
-    Memory,
-    Register,
-    Rule,
-)
-from firmware_protocol.gige.triton2_registers import (
-    DO_NOT_FRAGMENT,
-    TEST_PACKET,
-    packet_size,
-    triton2_areas,
-    triton2_rules,
+    Triton2Settings,
 )
 
-__all__ = ["Triton2"]
+__all__ = ["Extra", "Outgoing", "Triton2"]
 
 _MOST_EXTRA = 4096  # requested datagrams that wait
 _MOST_SCHEDULED = 256
+_SENT_BLOCKS = 256
+_MOST_EVENTS = BLOCK_OCTETS // 4  # a row and a column each; events that need more octets go into the next block
+_MOST_EDGES = 1 << 16
+_SILENCE_US = 1_000_000
 
 
-class Triton2(EventDevice):
+@dataclass(frozen=True)
+class Outgoing(Items):
+    """A block, and the items in it."""
+
+    block: Block = field(kw_only=True)
+
+
+@dataclass(frozen=True)
+class Extra:
+    """A datagram of the stream that a host requested, with its block and packet number; block 0: none."""
+
+    data: bytes
+    block: int = 0
+    number: int = 0
+
+
+class BlockOutflow(Outflow):
+    """Outflow to numbered blocks, each with its time and row, so that the loss of one does not affect others.
+
+    Sent blocks are stored for a while, so that they can be sent again. During a silence, blocks without events carry
+    the time.
+
+    Attributes
+    ----------
+    number
+        Number of the last block.
+    """
+
+    def __init__(self, epoch_us: int, settings: Triton2Settings, number: int = 0) -> None:
+        encoder = Evt3Encoder(standalone=True, width=settings.size[0], origin_us=epoch_us)
+        super().__init__(encoder, epoch_us, OutflowLimits(settings.capacity, _MOST_EDGES, _SILENCE_US))
+        self._block_us = settings.block_us
+        self._sent_blocks: deque[Block] = deque(maxlen=_SENT_BLOCKS)
+        self.number = number
+
+    def put_edges(self, edges: Edges) -> int:
+        """Queue edges (n,) EDGE in the order of their times."""
+        count = super().put_edges(edges)
+        self._edges = self._edges[np.argsort(self._edges["t"], kind="stable")]
+        return count
+
+    def next(self, now_us: int, packet_size: int, *, at_once: bool = False) -> Outgoing | None:
+        """Return the next block; None while it is empty, or may still grow and `at_once` is false."""
+        first_us = self._due_us(now_us)
+        if first_us is not None:
+            grows = not at_once and self.queued < _MOST_EVENTS and now_us - first_us < self._block_us
+            return None if grows else self._block(first_us, now_us, packet_size)
+        words = self._silence_words(now_us)
+        if not words:
+            return None
+        return Outgoing(epoch_us=self.epoch_us, block=self._numbered(words, self._reported_us, packet_size))
+
+    def sent_block(self, number: int) -> Block | None:
+        """Return a block that was sent; None if it is no longer stored, or never was."""
+        return next((block for block in self._sent_blocks if block.number == number), None)
+
+    def _block(self, first_us: int, now_us: int, packet_size: int) -> Outgoing:
+        """Return a block of as many items as fit, at most a second of them: no time words are needed in between."""
+        events = self._taken(first_us + LONGEST_GAP_US, _MOST_EVENTS)
+        full = len(events) == _MOST_EVENTS
+        edges = self._due_edges(int(events["t"][-1]) if full else min(now_us, first_us + LONGEST_GAP_US))
+        words, used, used_edges = self._encoder.fill(events, edges, BLOCK_OCTETS)
+        self._put_back(events[used:])
+        events, edges = events[:used], edges[:used_edges]
+        self._reach(events, edges)
+        return Outgoing(events, edges, self.epoch_us, block=self._numbered(words, first_us, packet_size))
+
+    def _numbered(self, words: bytes, time_us: int, packet_size: int) -> Block:
+        self.number += 1
+        block = Block(self.number, 1000 * (time_us - self.epoch_us), words, packet_size)
+        self._sent_blocks.append(block)
+        return block
+
+
+class Triton2(Imx636Camera[BlockOutflow]):
     """The camera. `offer` takes events, `advance` the passing of stream time, `obey` orders.
 
     Attributes
@@ -65,23 +142,17 @@ class Triton2(EventDevice):
         Its messages about edges to its host.
     """
 
-    def __init__(self, settings: GigeSettings | None = None) -> None:
-        self.settings = settings = settings or GigeSettings()
-        self._selection = Selection(settings.size)
+    def __init__(self, settings: Triton2Settings | None = None) -> None:
+        self.settings = settings = settings or Triton2Settings()
+        super().__init__(settings.size, settings.biases, BlockOutflow(0, settings))
+        self._selection = RangeSelection(settings.size)
         rules = triton2_rules(settings.size) | self._selection.rules() | self._own_rules()
         self._memory = Memory(triton2_areas(settings), rules)
         self.owner: Peer | None = None
-        self._now_us = 0
-        self._outflow = Outflow(0, settings.block_us, settings.size[0])
         self._acquiring = False
-        self._silent_until_us = self._epoch_us = 0
-        self._fates: Counter[str] = Counter()
-        self._edge_fates: Counter[str] = Counter()
-        self._carried = self._edges_carried = 0
         self._extra: deque[Extra] = deque()
         self._scheduled_us: list[int] = []
         self._starts = 0
-        self._settings_version = 0
         self.messages = Messages()
 
     def obey(self, order: Order) -> None:
@@ -105,11 +176,6 @@ class Triton2(EventDevice):
     def time(self) -> DeviceTime:
         """The device's clock."""
         return DeviceTime(self._starts, 1000 * (self._now_us - self._epoch_us))
-
-    @property
-    def now_us(self) -> int:
-        """Stream time that the camera has reached."""
-        return self._now_us
 
     @property
     def streaming(self) -> bool:
@@ -150,85 +216,18 @@ class Triton2(EventDevice):
         values = {name: self._memory.get(bias.address) for name, bias in BIASES.items()}
         return {name: value - (value >> 31 << 32) for name, value in values.items()}
 
-    @property
-    def sensor_factors(self) -> Mapping[str, float]:
-        """Effect on the pixels of the biases that hosts wrote; empty while they are the factory's."""
-        return self.settings.biases.factors(self.biases)
-
-    @property
-    def without_effect(self) -> Mapping[str, str]:
-        """Biases that hosts changed without an effect here, each with the reason."""
-        return self.settings.biases.without_effect(self.biases)
-
-    @property
-    def settings_version(self) -> int:
-        """Number of orders."""
-        return self._settings_version
-
-    @property
-    def room_events(self) -> int:
-        """Events that fit now."""
-        return self.settings.capacity - self._outflow.queued
-
-    @property
-    def silent_until_us(self) -> int:
-        """End of the silence after the start; 0 while the acquisition is stopped."""
-        return self._silent_until_us if self.streaming else 0
-
-    @property
-    def epoch_us(self) -> int:
-        """Stream time of AcquisitionStart."""
-        return self._epoch_us
-
-    @property
-    def counters(self) -> CameraCounters:
-        """Fates of all events and edges offered so far."""
-        edges = EdgeCounters(**self._edge_fates, queued=self._outflow.edges_queued + self._edges_carried)
-        return CameraCounters(**self._fates, queued=self._outflow.queued + self._carried, edges=edges, readings={})
-
-    @property
-    def delivered(self) -> int:
-        """See `EventDevice.delivered`."""
-        return self._fates["delivered"]
-
-    @property
-    def waiting_items(self) -> int:
-        """See `EventDevice.waiting_items`."""
-        return self._outflow.queued + self._carried + self._outflow.edges_queued + self._edges_carried
-
-    def offer(self, events: Events) -> None:
-        """Queue events (n,) EVENT; raises ValueError if they go back in time or lie outside the array."""
-        if not len(events):
-            return
-        self._check(events)
-        self._fates["offered"] += len(events)
-        self._now_us = int(events["t"][-1])
-        if self.streaming:
-            self._put(events)
-        else:
-            self._fates["not_running"] += len(events)
-
-    def offer_edges(self, edges: Edges) -> None:
-        """Apply edges (n,) EDGE to the trigger input."""
-        self._edge_fates["offered"] += len(edges)
-        if self.streaming and self._now_us >= self._silent_until_us:
-            self._put_edges(edges)
-        else:
-            self._edge_fates["ignored"] += len(edges)
-
     def advance(self, now_us: int) -> None:
-        """Set stream time to `now_us`."""
-        self._now_us = max(self._now_us, now_us)
+        """Set stream time to `now_us`, and apply the pulses that are due."""
+        super().advance(now_us)
         self._pulse()
 
     def next_block(self, *, at_once: bool = False) -> Outgoing | None:
         """Return the next block for the stream, `at_once` even a recent one; report `sent` or `lost` for it later."""
-        if not self.streaming or self._now_us < self._silent_until_us:
+        if not self.streaming or self._now_us < self._silence_end_us:
             return None
         outgoing = self._outflow.next(self._now_us, self._memory.get(Register.PACKET_SIZE) & 0xFFFF, at_once=at_once)
         if outgoing is not None:
-            self._carried += len(outgoing.events)
-            self._edges_carried += len(outgoing.edges)
+            self._fates.take(outgoing)
         return outgoing
 
     def next_extra(self) -> Extra | None:
@@ -239,14 +238,6 @@ class Triton2(EventDevice):
     def waits_extra(self) -> bool:
         """True if `next_extra` has one."""
         return bool(self._extra) and self.destination is not None
-
-    def sent(self, outgoing: Outgoing) -> None:
-        """Count a block as delivered."""
-        self._settle(outgoing, "delivered")
-
-    def lost(self, outgoing: Outgoing) -> None:
-        """Count a block as lost on the link."""
-        self._settle(outgoing, "lost_on_link")
 
     def disconnected(self) -> None:
         """Note that the link is closed: no host has control any more."""
@@ -267,8 +258,8 @@ class Triton2(EventDevice):
         if not self.streaming:
             return
         if len(self._scheduled_us) == _MOST_SCHEDULED:
-            self._edge_fates["added"] += 1
-            self._edge_fates["dropped"] += 1
+            self._fates.edges.added += 1
+            self._fates.edges.dropped_fifo += 1
             return
         due_us = self._now_us if time_ns is None else self._epoch_us + time_ns // 1000
         heappush(self._scheduled_us, max(self._now_us, due_us))
@@ -279,41 +270,28 @@ class Triton2(EventDevice):
         while self._scheduled_us and self._scheduled_us[0] <= self._now_us:
             pulse = empty_edges(1)
             pulse["t"], pulse["kind"] = heappop(self._scheduled_us), EdgeKind.PULSE
-            self._edge_fates["added"] += 1
+            self._fates.edges.added += 1
             self._put_edges(pulse)
 
     def _put_edges(self, edges: Edges) -> None:
         """Queue edges for the stream, and messages of them if the host enabled these."""
-        self._outflow.put_edges(edges)
+        super()._put_edges(edges)
         notification = self._memory.get(Evs.EVENT_NOTIFICATION)
         if self.message_destination is not None and notification:
             for time_us, kind in zip(edges["t"].tolist(), edges["kind"].tolist(), strict=True):
                 data = kind.to_bytes(4, "big") if notification == NOTIFY_WITH_DATA else b""
-                self.messages.queue(EDGE_EVENT, 1000 * (time_us - self._epoch_us), data)
+                self.messages.queue(EDGE_EVENT, 1000 * max(0, time_us - self._epoch_us), data)
 
-    def _settle(self, outgoing: Outgoing, fate: str) -> None:
-        self._carried -= len(outgoing.events)
-        self._edges_carried -= len(outgoing.edges)
-        self._fates[fate] += len(outgoing.events)
-        self._edge_fates[fate] += len(outgoing.edges)
+    @property
+    def _running(self) -> bool:
+        return self.streaming
 
-    def _check(self, events: Events) -> None:
-        if int(events["t"][0]) < self._now_us or bool((events["t"][1:] < events["t"][:-1]).any()):
-            raise ValueError("events go back in time")
-        width, height = self.settings.size
-        if int(events["x"].max()) >= width or int(events["y"].max()) >= height:
-            raise ValueError(f"events outside the {width} x {height} array")
+    @property
+    def _bias_steps(self) -> Mapping[str, int]:
+        return self.biases
 
-    def _put(self, events: Events) -> None:
-        """Queue events of a running camera, except those that are not selected or find no room."""
-        begun = events[before(events, self._silent_until_us) :]
-        selected = self._selection.apply(begun, self._epoch_us)
-        fitting = selected.events[: self.room_events]
-        self._outflow.put(fitting)
-        self._fates["not_running"] += len(events) - len(begun)
-        self._fates["not_selected"] += selected.outside
-        self._fates["dropped_rate"] += selected.beyond_rate
-        self._fates["dropped_fifo"] += len(selected.events) - len(fitting)
+    def _select(self, events: Events) -> Selected:
+        return self._selection.apply(events, self._epoch_us)
 
     def _own_rules(self) -> dict[int, Rule]:
         """Return the rules of registers that do more than store a value."""
@@ -328,8 +306,8 @@ class Triton2(EventDevice):
             self._acquiring = True
             self._starts += 1
             self._epoch_us = self._now_us
-            self._silent_until_us = self._now_us + self.settings.start_delay_us
-            self._outflow = Outflow(self._epoch_us, self.settings.block_us, self.settings.size[0], self._outflow.number)
+            self._silence_end_us = self._now_us + self.settings.start_delay_us
+            self._outflow = BlockOutflow(self._epoch_us, self.settings, self._outflow.number)
         return 0
 
     def _on_stop(self, value: int) -> int:
@@ -342,9 +320,7 @@ class Triton2(EventDevice):
         self._acquiring = False
         self._scheduled_us.clear()
         self.messages.clear()
-        self._fates["flushed"] += self._outflow.queued
-        self._edge_fates["dropped"] += self._outflow.edges_queued
-        self._outflow.clear()
+        self._flush()
 
     def _on_packet_size(self, value: int) -> int:
         remembered = packet_size(value)
