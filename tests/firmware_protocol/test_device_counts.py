@@ -10,8 +10,8 @@ from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.events import EdgeKind, empty_edges
-from firmware_protocol.evk4.device import Evk4, Evk4Settings
-from firmware_protocol.gige.triton2 import Triton2
+from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
+from firmware_protocol.imx636.triton2 import Triton2
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.telecommands import SetBias

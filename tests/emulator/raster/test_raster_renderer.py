@@ -48,7 +48,7 @@ def test_single_pixels_are_those_of_the_picture(picture):
     np.testing.assert_allclose(alone, light.ravel()[pixels], atol=1e-6)
     np.testing.assert_allclose(alone_rate, rate.ravel()[pixels], atol=1e-5)
     assert renderer.query(view, np.zeros(0, np.int64))[0].shape == (0,)
-    with pytest.raises(ValueError, match="not all in a picture"):
+    with pytest.raises(ValueError, match="not all in a light frame"):
         renderer.query(view, np.array([light.size]))
 
 
