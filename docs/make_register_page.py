@@ -26,7 +26,7 @@ The model limits values that are impossible: a region of interest is cut to the 
 frames (of the DVS: no events) where it is empty; frames are at least 1 ms apart; a generator whose pulse is not shorter
 than its interval stands still, and reports at most one edge of each kind in a microsecond; factors of biases stay
 within 0.1 and 1000, also their product over several links. A bias acts on the pixels from the end of the step in
-which it was written ([the rule](timing.md#changes-while-a-run-goes-on)).
+which it was written, in real time somewhat later ([the rule](timing.md#changes-while-a-run-goes-on)).
 
 Registers 31 to 34 of module 1 act in a camera that has these filters: `activity_filter = true` in `[camera]`. Then 30
 reads 1.

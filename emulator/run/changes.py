@@ -7,6 +7,8 @@ The sensor follows the biases that hosts write to their cameras while the run go
 
     host --bias word--> device --CameraSettings, with their stream time--> BiasFollowing --> sensor.adjust
 
+`transports.link.changes` has the first half of this way.
+
 A factor is one at the default words. A change of the factors multiplies the present parameter by new product / old
 product, so that an earlier change by a slider stays. The product is that over all links, limited to the bounds of one
 link's factor, because a camera has one set of pixels, however many hosts set their biases.

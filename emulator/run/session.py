@@ -3,19 +3,12 @@
     for each step [t, t1]:  light frame --+-> sensor -> events -> a ring for each link
                                           +-> frames, samples --> further rings, where a link has them
 
-The way of an event from the pixel to the bus; each line but the first is a copy:
+The way of an event from the pixel to the bus, with its forms and copies:
 
-    form                       place                         made by
-    Crossings                  sensor                        pixels: time, pixel and polarity, sorted
-    EVENT                      sensor                        read-out: stamped at the exit, one array a step
-    EVENT                      ring, shared memory           session, one for each link
-    EVENT                      process of the link           feed: those that are due, in the time of the device
-    EVENT, or words            queue of the device           device: those that its host has selected
-    Items with their bytes     transfer, block or message    encoder, when the host reads or the line is free
-    URB, packets or frames     socket, port or bus           endpoint of the link
+    Crossings -> EVENT (sensor) -> EVENT (ring of a link) -> EVENT (feed) -> queue of the device -> Items -> bus
 
-A device with a FIFO of words, such as the DAVIS346, encodes events as they enter its queue, the others as they leave
-it. `Fates` counts the events that a device drops on this way; rings and faults count their own.
+docs/extend.md "The way of an event" names who makes each. `Fates` counts the events that a device drops on this way;
+rings and faults count their own.
 
 Paced in real time, a step is computed `lead` ahead of the moment its first event is due, and each link lets every event
 go at its own time. Not paced, steps follow each other as fast as they can be computed and links hold the run back when

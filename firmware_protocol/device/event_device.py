@@ -5,7 +5,8 @@
     run  --time----> advance -+
     ring --frames, samples--> offer_readings
 
-A device is sans-I/O. Events, edges and readings (lines of a frame, samples of an inertial unit) go in with stream time;
+A device is sans-I/O. Events, edges and readings (lines of a frame, samples of an inertial unit) go in with clock time,
+which the methods of devices call stream time: the two differ only where a rig gives the camera a clock of its own;
 each of these items gets exactly one fate, which `counters` reports.
 """
 

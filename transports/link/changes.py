@@ -6,6 +6,9 @@
 The stream time of a change is the time that the camera had reached when it accepted the change: it had processed all
 events up to that time and none after it. The camera stores its stream time after it has sent its changes
 (`EventRing.settle`). So when a camera has reached a stream time, a waiting session has all changes before that time.
+
+A bias on its way: the register (`Davis346._write`), its factor (`sensor_factors`), `ChangeWatch.look`,
+`LinkProcess.take_changes`, `Session._follow_cameras`, `BiasFollowing.follow` (`emulator.run.changes`), `Sensor.adjust`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Feed of a device in a link's process: events, edges and readings in time order, in the device's own time.
+"""Feed of a device in a link's process: events, edges and readings in time order, in the time that its clock shows.
 
     EventRing   --+
     EdgeSource  --+--> [device clock] --> device.offer_edges, offer_readings, offer, advance
@@ -52,7 +52,7 @@ class ReadingReport:
 
 
 class ReadingFeed:
-    """Feed of readings of every kind; rings contain stream time, the device receives device time."""
+    """Feed of readings of every kind; rings contain stream time, the device receives clock time."""
 
     def __init__(self, device: EventDevice, rings: Sequence[ReadingRing], clock: DeviceClock | None) -> None:
         self._device = device
@@ -214,7 +214,7 @@ class ClockTruth:
 
 
 class Feed:
-    """Feed of a device; rings contain stream time, the device receives device time.
+    """Feed of a device; rings contain stream time, the device receives clock time.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
 """Description of one kind of link: all data that a rig, a run and the command line need.
 
 Each transport has a description in its own folder, and a package outside evstim provides one as an entry point of the
-group "evstim.links". No other module names kinds of links.
+group "evstim.links". `emulator.rig.kinds` lists the built-in ones; docs/extend.md "A link" lists what else one needs.
 """
 
 from __future__ import annotations
