@@ -196,8 +196,9 @@ class PythonCanBus(CanBus):
             raise OSError(errno.ENETDOWN, "Network is down")
         settings: dict[str, Any] = {"bitrate": p.bitrate}
         if p.interface == "socketcand":
-            # The interface logs a warning for every frame that TCP delivers in two pieces.
-            logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)
+            # The interface logs a warning for every frame that TCP delivers in two pieces, and the traceback of an
+            # error that it also raises.
+            logging.getLogger("can.interfaces.socketcand").setLevel(logging.CRITICAL)
             # The interface retries for ten seconds if no server listens.
             socket.create_connection((p.host, p.port), _CONNECT_TIMEOUT_S).close()
             settings = {"host": p.host, "port": p.port}
@@ -321,7 +322,8 @@ class PythonCanBus(CanBus):
         self._unread.append(TimedFrame(frame, time.monotonic_ns() - (round(age_s * 1e9) if known else 0)))
 
     def _advice(self, error: Exception) -> str:
-        return f"CAN bus {self.address}: {error}; {_cure(self._parameters, self._channel, error)}"
+        message = str(error).partition("Traceback")[0].rstrip()  # python-can's socketcand appends a traceback
+        return f"CAN bus {self.address}: {message}; {_cure(self._parameters, self._channel, error)}"
 
 
 def _has_ended(connection: socket.socket) -> bool:

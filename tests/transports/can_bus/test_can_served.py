@@ -1,6 +1,8 @@
 """A bus that evstim serves, read by python-can's own socketcand client."""
 
 import asyncio
+import socket
+import struct
 import threading
 from dataclasses import replace
 from functools import partial
@@ -199,3 +201,40 @@ def test_a_listener_gets_the_events_that_the_link_delivers(tmp_path, carriage):
 def test_a_bus_that_nobody_serves_is_told_at_once():
     with pytest.raises(BusDown, match=r"nothing serves a bus on 127\.0\.0\.1 port 1:"):
         asyncio.run(listen_can(CanLink(interface="socketcand", port=1), lambda _: True, MonotonicClock()))
+
+
+@pytest.mark.socket
+def test_a_reset_connection_is_one_line_without_a_traceback(caplog):
+    opened = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve_and_reset():
+            server.accept()[0].close()  # the attempt that finds the port
+            connection = server.accept()[0]
+            connection.sendall(b"< hi >")
+            for _ in range(2):
+                connection.recv(100)
+                connection.sendall(b"< ok >")
+            opened.wait(60)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            connection.close()
+
+        async def until_lost():
+            bus = PythonCanBus(CanLink(interface="socketcand", port=server.getsockname()[1]), "can0")
+            await bus.open()
+            opened.set()
+            try:
+                while True:
+                    bus.take()
+                    await bus.wait(0.1)
+            finally:
+                await bus.close()
+
+        serving = threading.Thread(target=serve_and_reset)
+        serving.start()
+        with pytest.raises(BusDown) as lost:
+            asyncio.run(until_lost())
+        serving.join()
+    assert "reset by peer" in str(lost.value)
+    assert "Traceback" not in str(lost.value)
+    assert not caplog.records
