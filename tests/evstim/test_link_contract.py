@@ -99,7 +99,7 @@ class SerialReader(_ReadAllTheTime):
 class CanReader(_ReadAllTheTime):
     """A computer that has joined the served bus."""
 
-    absent = "nobody"
+    absent = "no listener"
 
     def __init__(self, link, parameters):
         port = int(link.report.address.rpartition(":")[2])
