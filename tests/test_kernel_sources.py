@@ -190,6 +190,7 @@ def test_all_code_on_disk_is_made_by_the_one_rule(cached):
     assert [name_of(one) for one in cached if not hasattr(one, "sources")] == []
 
 
+@pytest.mark.system
 def test_every_kernel_declares_all_that_it_is_made_of(cached):
     found = [f"{name_of(one)}: {module}" for one in cached for module in sorted(undeclared(one))]
     assert not found, "\n".join(found)

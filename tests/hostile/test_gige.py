@@ -153,6 +153,7 @@ def _answer(owner: socket.socket, asked: bytes) -> bytes:
     raise AssertionError("no answer to a request that was sent 60 times")
 
 
+@pytest.mark.system
 @pytest.mark.socket
 @pytest.mark.timeout(0)
 def test_the_process_that_answers_stays_small_and_at_work():

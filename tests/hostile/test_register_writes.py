@@ -9,6 +9,7 @@ from tests.hostile.register_writes import Campaign
 WRITES = int(float(os.environ.get("EVSTIM_REGISTER_WRITES", "10000")))
 
 
+@pytest.mark.system
 @pytest.mark.timeout(600 + WRITES // 100)
 def test_no_write_hurts_and_the_camera_is_exact_again_afterwards():
     campaign = Campaign(seed=WRITES)

@@ -72,6 +72,7 @@ def test_s4_order_of_the_step(name, least, most):
     assert least <= coarse / fine <= most
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("motion_px", "sigma_px"), [(0.5, 0.5), (0.25, 0.3), (0.5, 1.0)])
 def test_s5_a_checkerboard_within_half_a_pixel_and_a_blur_a_step(motion_px, sigma_px):
     scores = score(HERMITE, board(motion_px, sigma_px, 5e-3), 5e-3)
@@ -79,6 +80,7 @@ def test_s5_a_checkerboard_within_half_a_pixel_and_a_blur_a_step(motion_px, sigm
     assert scores.t95_us <= 0.012 * 5e3
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("motion_px", "sigma_px"), [(0.125, 0.5), (0.125, 0.3), (0.25, 1.0), (0.5, 2.0)])
 def test_s6_a_line_on_a_checkerboard_within_a_quarter_of_a_blur_a_step(motion_px, sigma_px):
     scores = score(LINE, board(motion_px, sigma_px, 5e-3), 5e-3)
@@ -86,6 +88,7 @@ def test_s6_a_line_on_a_checkerboard_within_a_quarter_of_a_blur_a_step(motion_px
     assert scores.t95_us <= 0.12 * 5e3
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("motion_px", "sigma_px"), [(1.0, 0.3), (0.5, 0.5), (1.0, 0.5), (1.0, 2.0)])
 def test_s7_a_checkerboard_of_a_pixel_a_step_with_refinement(motion_px, sigma_px):
     scores = score(REFINED_UNSEEN_SHARE, board(motion_px, sigma_px, 5e-3), 5e-3)
@@ -109,6 +112,7 @@ def test_s8_a_single_edge_keeps_its_sequence(name, motion_px):
     assert scores.t95_us <= 0.8 * 5e3
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("share", [0, 0.1, 1, 10])
 def test_s9_a_refractory_period_of_any_length(share):
     scores = score(HERMITE, board(0.25, 0.5, 2.5e-3, refractory_us=2500 * share), 2.5e-3)

@@ -315,6 +315,7 @@ def test_an_all_black_picture_is_no_trouble(name):
     assert array.quiet_nan == 0
 
 
+@pytest.mark.system
 def test_eight_bits_undo_what_exact_times_gain():
     sweep = next(s for s in SWEEPS if s.axis == "bit_depth")
     one = next(cells([sweep], [OURS]))

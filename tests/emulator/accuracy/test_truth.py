@@ -57,6 +57,7 @@ def adaptive(scene, p, pixel, duration_s):
         t, r = (t, level) if refractory == 0 else (t + refractory, g(min(t + refractory, duration_s)))
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     "changes",
     [

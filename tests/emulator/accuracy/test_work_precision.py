@@ -134,6 +134,7 @@ def test_the_reading_says_how_many_frames_the_others_need():
     assert any("out of reach of esim" in line for line in lines)
 
 
+@pytest.mark.system
 def test_each_effect_alone_changes_what_it_should():
     case = Case("board", BlurredCheckerboard(pixels=60), row(60, leak_hz=2.0), 0.2)
     rows = {r.name: r for r in effect_rows(case, 2e-3, QUICK_EFFECTS)}

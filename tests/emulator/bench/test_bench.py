@@ -27,6 +27,7 @@ def test_a_load_takes_some_time(monkeypatch):
     assert abs(NoiseLoad(10.0, with_readout=True)()) < 1e5  # a difference, which a busy machine may turn round
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("events", [64, 1024])
 def test_scenes_alike_have_as_many_events(monkeypatch, events):
     monkeypatch.setattr(scenes_alike, "_STEPS", 30)

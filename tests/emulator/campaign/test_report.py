@@ -137,6 +137,7 @@ def test_the_worst_runs_come_first(campaign, rows):
     assert good[0]["events.rate_hz"] == max(row["events.rate_hz"] for row in rows if row["success"])
 
 
+@pytest.mark.system
 def test_the_page_needs_nothing_else(campaign, rows, tmp_path):
     made = campaign(count=48, top='title = "a <title>"\nsuccess = ["verdict", "events.read_out > 90"]')
     page = write_report(made, rows, tmp_path / "new").read_text()

@@ -115,6 +115,7 @@ def test_defects_by_place_stay_behind():
     assert small.defects.hot_share == 0.01
 
 
+@pytest.mark.system
 def test_the_verb_writes_a_page_tables_and_charts(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(verb, "measurements", some_measurements)
     assert verb.characterise("davis346", out=tmp_path / "new", json=True) == 0

@@ -204,6 +204,7 @@ def test_a_run_tells_where_every_event_went(rig, tmp_path):
         assert digest_of(file["events"]) == told["links"]["loopback"]["digest"]
 
 
+@pytest.mark.system
 def test_the_same_run_again_gives_the_same_events(rig, tmp_path):
     digests = {}
     for name, seed in (("a", 7), ("b", 7), ("c", 8)):

@@ -28,6 +28,7 @@ def told(capsys, *arguments):
     return code, json.loads(capsys.readouterr().out.splitlines()[-1])
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("name", ["a.raw", "a.aedat2", "a.aedat31", "a.h5", "a.bag", "a.ros2", "a.npz"])
 def test_a_conversion_there_and_back_keeps_every_event(name, tmp_path, capsys):
     write(tmp_path / "in.aedat4", "aedat4", EVENTS, EDGES)
@@ -216,6 +217,7 @@ def test_truth_and_record_are_in_the_order_of_time_with_triggers(step_us, camera
     assert all((np.diff(t.astype(np.float64)) >= 0).all() for t in streams)
 
 
+@pytest.mark.system
 def test_info_lists_every_stream_with_its_times(camera, tmp_path, capsys):
     told(capsys, "record", camera(10_000), tmp_path / "a.aedat4", "--seconds", "0.2")
     code, info = told(capsys, "info", tmp_path / "a.aedat4")
@@ -236,6 +238,7 @@ def test_info_lists_every_stream_with_its_times(camera, tmp_path, capsys):
     assert "frames    none: the format holds none" in capsys.readouterr().out
 
 
+@pytest.mark.system
 def test_a_record_that_stopped_ends_with_a_verdict_and_says_why(camera, tmp_path, capsys):
     (tmp_path / "full.raw").symlink_to("/dev/full")
     assert _main(["record", str(camera(10_000)), str(tmp_path / "full.raw"), "--seconds", "0.2"]) == 1
@@ -281,6 +284,7 @@ def test_a_trigger_that_is_pressed_while_recording_is_in_the_file(camera, tmp_pa
     assert (np.diff(edges["t"].astype(np.int64)) > 0).all()
 
 
+@pytest.mark.system
 def test_what_a_link_delivers_is_recorded_in_the_formats_of_others(board, tmp_path, capsys):
     for name in ("a.npz", "a.raw"):
         code, run = told(capsys, "run", board, "--seconds", "0.05", "--pace", "free", "--record", tmp_path / name)

@@ -45,6 +45,7 @@ def light_of(rig):
         return light, scene.painter, scene.renderer
 
 
+@pytest.mark.system
 @pytest.mark.gl
 @pytest.mark.parametrize("name", ["eros", "malapert"])
 def test_a_graphics_card_changes_neither_the_painter_nor_the_light(request, name):
@@ -57,6 +58,7 @@ def test_a_graphics_card_changes_neither_the_painter_nor_the_light(request, name
     np.testing.assert_array_equal(light, without)
 
 
+@pytest.mark.system
 @pytest.mark.gl
 @pytest.mark.parametrize(
     ("of_rig", "of_environment", "painter"),
@@ -89,6 +91,7 @@ def test_the_names_of_painters_exclude_no_renderer(gl, monkeypatch, wanted):
     made.release()
 
 
+@pytest.mark.system
 @pytest.mark.gl
 @pytest.mark.parametrize("painter", ["cpu", "gl"])
 def test_summary_and_json_contain_the_painter(gl, capsys, painter):

@@ -123,6 +123,7 @@ def test_a_rig_without_a_file_is_refused():
         RecordingParameters("a.npz", time_scale=0.0)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("name", "file"), [("aedat2", "a.aedat"), ("ros1", "a.bag"), ("dsec", "a.h5"), ("evt2", "a.evt2")]
 )

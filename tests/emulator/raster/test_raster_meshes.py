@@ -30,6 +30,7 @@ def view_of(points, place, t):
     return View(here + place, np.cross(SPIN, here), 1.0 + 0.5 * across, np.zeros(len(points)))
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("subdivisions", "range_m"), [(2, 16.0), (4, 16.0), (4, 90.0)])
 def test_light_of_a_bumpy_ball(picture, trace, subdivisions, range_m):
     points, faces = bumpy(subdivisions)

@@ -182,6 +182,7 @@ def test_the_word_for_it_without_a_run(runtime, capsys):
     assert "no rig 'elsewhere'" in capsys.readouterr().out
 
 
+@pytest.mark.system
 def test_a_fault_injected_into_a_run_is_done_and_told(runtime, capsys):
     bench = rig(SERIAL)
     bench = replace(bench, run=replace(bench.run, seconds=3000.0, max_late_ms=0.0))  # until `session.stop`

@@ -22,6 +22,7 @@ def notes(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.system
 def test_progress_goes_to_the_end_and_tells_each_part_once(notes):
     states = []
     parts = [Part(f"part {k}", 1.0, partial(os.getpid)) for k in range(3)]
@@ -62,6 +63,7 @@ def test_a_camera_with_activity_filter_needs_its_kernel():
     assert prepare([ACTIVITY_FILTER]) == []
 
 
+@pytest.mark.system
 def test_a_part_waits_for_those_that_it_needs(notes):
     first = Part("first", 1.0, partial(os.mkdir, notes / "made"))
     states = []

@@ -101,6 +101,7 @@ def test_the_lights_slope_reaches_the_pixels():
         assert len(straight.step(LightFrame(t, drifting(t)))) > 500
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("level", "hz", "step_ns"), [(1.0, 3.0, 100_000), (1.0, 3.0, 20 * MS), (0.25, 1.5, MS), (0.0, 1.0, 20 * MS)]
 )

@@ -52,6 +52,7 @@ def assert_nothing_is_missed(make, changes, begin_ms=0):
     return skipping
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("model", PRESETS)
 def test_a_changed_figure_acts_on_pixels_that_rest(model, variant):

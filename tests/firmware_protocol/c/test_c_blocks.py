@@ -61,6 +61,7 @@ def check(library, blocks, near_us=0, size=None):
     return len(good)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("vector", GOOD, ids=lambda v: v["name"])
 def test_golden_blocks(library, vector):
     reply = library("b", request([bytes.fromhex(vector["hex"])], vector["near_us"]), size=vector["size"])

@@ -9,6 +9,7 @@ def test_random_bytes_bring_no_crash_and_no_packet(library):
     assert random_bytes(library, 100_000) == 0
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("mode", PROFILES)
 def test_one_fault_costs_at_most_two_frames_and_is_counted(library, mode):
     lost_by = damage_one_in_three(library, mode, 2000)

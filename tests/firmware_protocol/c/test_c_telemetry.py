@@ -77,6 +77,7 @@ def same_as_python(library, name, data, piece=1 << 20):
 CSP_PAGE = bytes.fromhex("c00100289200000000000001800000 6120626c6f636b cb252902")
 
 
+@pytest.mark.system
 def test_the_csp_packet_of_the_page(library):
     assert library("Y", CSP_PAGE).counters[:7] == [1, 0, 0, 0, 0, 0, 1]
     assert library("X", b"\xc0\x00\xdb\xdc" + CSP_PAGE[1:] + b"\xc0").counters[0] == 1

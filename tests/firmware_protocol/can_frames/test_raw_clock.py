@@ -31,6 +31,7 @@ def test_a_receiver_from_the_start_gets_every_time(parts, fd):
     assert receiver.counters.before_clock == receiver.counters.before_epoch == receiver.counters.malformed == 0
 
 
+@pytest.mark.system
 @given(raw.jumping_streams(), st.booleans(), st.integers(0, 40))
 @settings(max_examples=200)
 def test_a_late_joiner_gets_times_modulo_2_to_30_ticks_until_a_clock_frame_and_all_bits_after(parts, fd, joins):

@@ -81,6 +81,7 @@ def some_events(count=4000, seed=1, start_us=5000, step_us=150, size=(40, 30), c
     return events
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("place", "supported"),
     [
@@ -178,6 +179,7 @@ def test_the_reference_is_followed_through_changes_of_the_registers():
         start_us = int(sent["t"][-1])
 
 
+@pytest.mark.system
 @given(
     st.lists(st.integers(1, 399), max_size=20), st.integers(0, 5), st.integers(0, 5), st.booleans(), st.integers(0, 99)
 )

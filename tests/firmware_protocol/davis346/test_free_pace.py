@@ -40,6 +40,7 @@ class FreeLink:
         return int(np.count_nonzero(words >> 12 == 7)) << 15
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("gap_us", [3, 20_000, 33_000, 1_000_000, 300_000_000])
 @pytest.mark.parametrize("fifo_bytes", [1024, 262_144])
 def test_events_far_apart_come_all_and_with_single_wraps(gap_us, fifo_bytes):

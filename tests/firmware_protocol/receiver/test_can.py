@@ -1,6 +1,7 @@
 """A receiver of CAN frames: what is taken is forgotten, answers are read, and replies are bounded."""
 
 import numpy as np
+import pytest
 
 from firmware_protocol.can_frames.dbc import Identifiers
 from firmware_protocol.can_frames.frame import Frame
@@ -26,6 +27,7 @@ def frames_of(message, settings):
             yield frame
 
 
+@pytest.mark.system
 def test_edges_are_taken_once_and_bounded():
     receiver = CanReceiver()
     edges = np.zeros(3, EDGE)

@@ -52,6 +52,7 @@ def test_a_sample_is_seven_records_in_the_units_of_jaer():
     assert [float(read[name][0]) for name in VALUES] == pytest.approx([1, -1, 4, 36, 10, -10, 0], abs=1e-3)
 
 
+@pytest.mark.system
 @given(st.integers(1, 200), st.integers(0, 6), st.integers(0, 9))
 def test_what_was_written_is_read_back_in_any_pieces(piece, n_frames, n_samples):
     frames = [frame_at(1000 * k, (3, 2) if k % 2 else (4, 5), (2, 1) if k % 2 else (0, 0)) for k in range(n_frames)]

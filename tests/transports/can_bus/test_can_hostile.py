@@ -90,6 +90,7 @@ async def joined(bus, sockets):
     return sock
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("carriage", ["raw", "isotp", "cfp"])
 @pytest.mark.parametrize("bitrate", [1_000_000, 125_000])
 def test_at_the_end_of_a_run_what_counts_as_delivered_has_been_received(carriage, bitrate):
@@ -163,6 +164,7 @@ def test_what_cannot_leave_in_time_is_counted_as_dropped(monkeypatch):
     assert told.camera.lost_on_link > 0
 
 
+@pytest.mark.system
 def test_more_connections_than_select_could_take_leave_a_listener_every_frame(sockets):
     async def flood(bus):
         listener = await joined(bus, sockets)
@@ -221,6 +223,7 @@ def test_a_client_that_asks_and_does_not_read_is_sent_off_and_counted():
     assert counts == {"slow clients disconnected": 1}
 
 
+@pytest.mark.system
 def test_a_client_that_does_not_read_misses_frames_and_the_bus_closes(monkeypatch):
     monkeypatch.setattr("transports.can_bus.served._CLOSE_TURNS", 50)
     monkeypatch.setattr("transports.can_bus.served._MOST_UNSENT_BYTES", 4096)

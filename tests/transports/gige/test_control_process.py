@@ -112,6 +112,7 @@ def test_the_latched_time_is_that_of_the_stream_since_the_last_start(process, as
     assert ask(Command.READREG, Register.STREAM_SOURCE_PORT)[1] == (4567).to_bytes(4, "big")
 
 
+@pytest.mark.system
 def test_a_link_that_stands_still_does_not_keep_hosts_waiting(process, ask):
     ask(Command.WRITEREG, Register.PRIVILEGE, 2)
     statuses = {ask(Command.WRITEREG, Register.HEARTBEAT_MS, 6000 + k)[0] for k in range(30_000)}
@@ -129,6 +130,7 @@ def test_a_process_that_was_killed_is_a_broken_link_with_a_reason(process):
         _taken_for_ever(process)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM])
 def test_it_ends_with_its_link(end):
     link = subprocess.Popen([sys.executable, "-c", LONELY], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)

@@ -20,6 +20,7 @@ from transports.link.rings import FREE_RUNNING
 pytestmark = pytest.mark.socket
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("fault", [LostDatagrams, RepeatedDatagrams, LateDatagrams])
 def test_faults_of_the_stream_are_healed_for_a_host_that_asks_again(bench, fault):
     here = bench(fault(rate=0.02, count=0, for_s=1000.0))

@@ -26,12 +26,14 @@ def page(tmp_path):
     return page_of
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("share", "told"), [(0.25, "0.25 of the solved"), (0.02, "0.02 of"), (None, "not measured")])
 def test_the_share_of_undersampled_pixel_steps_is_in_every_report(share, told, page):
     text = page(dataclasses.replace(RESULT, undersampled_share=share))
     assert f"<td>undersampled</td><td>{told}" in text
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("share", [0.25, 0.02])
 def test_the_report_has_the_advice_of_the_terminal(share, page, capsys):
     result = dataclasses.replace(RESULT, undersampled_share=share)

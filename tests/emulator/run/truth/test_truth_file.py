@@ -74,6 +74,7 @@ def made(tmp_path_factory):
         yield events, load_rig(str(folder / "small.toml")), file
 
 
+@pytest.mark.system
 def test_events_are_those_of_a_run_without_truth(made, tmp_path):
     events, _, file = made
     with evstim.run(small_rig(tmp_path), seconds=0.6, pace="free") as run:

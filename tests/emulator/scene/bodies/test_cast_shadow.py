@@ -89,6 +89,7 @@ def test_the_part_of_the_disc_inside_a_polygon():
             assert abs(area) / math.pi == pytest.approx(inside.mean(), abs=2e-3)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("offset", [-1.2, -0.9, -0.4, 0.0, 0.5, 0.95, 1.5])
 def test_the_step_shadow_of_a_wall_is_the_disc_s_share(offset):
     """A high wall from x = 0 on: the nearer edge hides the Sun from inside its shadow, the farther one from outside."""

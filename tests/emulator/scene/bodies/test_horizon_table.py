@@ -85,6 +85,7 @@ def test_a_wall_s_end_is_right_to_the_spacing_and_a_penumbra_wide():
     assert abs(partly.mean()) < 7.2
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("shape", "direction"),
     [("eros022540", (0.25, -0.95, 0.15)), ("eros007790", (0.98, 0.1, -0.1)), ("itokawa_49152", (0.9, 0.3, 0.2))],

@@ -141,6 +141,7 @@ def test_rates_are_of_stream_time():
     np.testing.assert_allclose(fast.light(10**6)[0].rate, 600 * slow.light(6 * 10**8)[0].rate, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.system
 def test_the_rate_is_right_while_a_wall_s_shadow_passes():
     """A post on a table that turns: points pass through the penumbra one after the other."""
     table = trimesh.util.concatenate(
@@ -220,6 +221,7 @@ def test_parts_that_are_fixed_to_each_other_are_one_group():
     np.testing.assert_allclose(groups[0].poses[2].position_m, (0, 1, 2))
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("smooth", [True, False])
 def test_a_part_shades_another_of_its_group_also_under_an_overhang(smooth):
     """A ball hangs over a table: light falls in below it, which a table of horizons would lose."""

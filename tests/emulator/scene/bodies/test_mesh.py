@@ -195,6 +195,7 @@ def test_errors_of_files_name_the_file(tmp_path):
         load_mesh(write(tmp_path, tagged()), units_m=0.0)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("name", ["broken.obj", "broken.stl", "broken.ply", "broken.xyzzy", "noextension"])
 @pytest.mark.parametrize("content", ["", "v 1 2\nf 9 9 9\n", "\x00\x01ply\nformat"])
 def test_broken_files_of_other_formats_are_refused(tmp_path, name, content):

@@ -79,6 +79,7 @@ def test_a_flat_box_with_a_highlight_is_that_of_many_point_samples(shapes):
     assert np.quantile(error, 0.99) < 0.04
 
 
+@pytest.mark.system
 def test_the_rate_is_the_slope_of_finely_sampled_light(shapes):
     """Differences of 256 x 256 samples, over a motion of an eighth of a pixel: the reference knows nothing of rates."""
     pytest.importorskip("embreex", reason="the ray caster of the reference")
@@ -162,6 +163,7 @@ def test_a_small_near_body_is_seen_before_a_large_far_one(shapes):
     assert light[36, 48] > 3 * light[36, 48 - 26] > 0
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("rig", ["eros", "itokawa", "rendezvous", "eros-flyover"])
 def test_shipped_rigs_have_finite_light_and_rate(rig):
     rig = load_rig(rig)

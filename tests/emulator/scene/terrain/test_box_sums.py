@@ -73,6 +73,7 @@ def reflected(bp, bq, b):
 PIXEL = (6.3, 5.1, 0.2), (0.9, 0.1, 0.05), (-0.2, 1.1, -0.1), (0.4, -0.3, 0.5)
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("counts", [(1, 1), (2, 2), (3, 2), (2, 5)])
 @pytest.mark.parametrize("side", [0.013, 0.4, 1.37, 1.99])
 def test_means_are_those_of_linear_ground_over_squares_at_the_lifted_parts(pyramid, counts, side):

@@ -45,6 +45,7 @@ def sampled(p, t_ns, camera=CAMERA, samples=16):
     return light
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("t_s", "median"), [(5, 4e-3), (40, 4e-3), (65, 1.2e-2)])
 @pytest.mark.parametrize("law", [Lambert(0.3), Hapke()])
 def test_light_is_that_of_every_facet_sampled(t_s, median, law):
@@ -70,6 +71,7 @@ def test_no_rate_is_given():
     assert np.isnan(rate).all()
 
 
+@pytest.mark.system
 def test_parts_of_a_pixel_with_heights_of_their_own_are_nearer_to_every_facet():
     rough = dataclasses.replace(RIDGE, finest_m=0.25, posts=512, size_m=512.0)
     slanting = FixedPath((0.0, -150.0, 150.0), look_at_m=(0.0, 0.0, 0.0))
@@ -106,6 +108,7 @@ def test_the_reference_leaves_out_only_facets_without_samples(monkeypatch):
     np.testing.assert_array_equal(light, sampled(p, 40 * 10**9, samples=4))
 
 
+@pytest.mark.system
 def test_light_goes_on_where_blocks_change():
     """All the way down three pictures 2 ms apart lie on a line: levels pass into each other unseen."""
     p, step_ns = parameters(sun_elevation_deg=60.0, reflectance=Lambert(1.0)), 2_000_000

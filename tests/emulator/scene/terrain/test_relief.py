@@ -138,6 +138,7 @@ def test_most_craters_are_old_and_some_stand_in_chains():
     assert lonely.sum() < 5
 
 
+@pytest.mark.system
 def test_boulders_have_flat_sides_a_circle_s_area_and_half_their_width_at_most():
     lots = np.random.default_rng(8).random((200, 4))
     x, y = np.meshgrid(np.linspace(-1.7, 1.7, 120), np.linspace(-1.7, 1.7, 120))

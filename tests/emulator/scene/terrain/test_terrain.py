@@ -169,6 +169,7 @@ DOWNWARD = DescentPath((Gate(0.0, 400.0, 0.0, 10.0, 50.0), Gate(60.0, 30.0, 0.0,
 ACROSS = KeyframePath((Keyframe(0.0, (-180.0, 5.0, 25.0)), Keyframe(70.0, (180.0, 5.0, 25.0))), (0.0, 20.0, -150.0))
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("path", [DOWNWARD, ACROSS], ids=["down", "across the borders of grids"])
 def test_there_are_no_cracks_and_nothing_jumps_on_the_way(terrain, path):
     """Lambert ground under a high Sun, so that nothing on it is dark."""

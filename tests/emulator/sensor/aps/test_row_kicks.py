@@ -103,6 +103,7 @@ def in_frame(t_ns, line):
     return (t_ns - read_times_ns()[0][line]) % 40_000_000
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("rate_hz", [5.37, 47.3])
 def test_events_of_rising_light_come_in_the_frame_as_the_law_has_it(rate_hz):
     seconds = 4.0 if rate_hz < 10 else 0.8
@@ -133,6 +134,7 @@ def test_events_of_still_pixels_come_at_reads_of_their_own_line_alone():
     assert kstest(since - 0.5, "expon", args=(0, 26)).pvalue > 0.001
 
 
+@pytest.mark.system
 def test_in_stillness_the_stronger_read_takes_most_events():
     """302 of 376 at signal reads in the recording."""
     events = after_start(run(40.0, KickParameters(), leak_hz=0.02, step_ns=20_000_000))

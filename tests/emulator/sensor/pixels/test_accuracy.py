@@ -159,6 +159,7 @@ LINE = [
 ]
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(("light", "dt", "t50", "t95"), LINE)
 def test_timestamps_are_within_twice_what_a_straight_line_leaves(light, dt, t50, t95):
     right, median, high, count = score(light, sensor(), 0.4, dt)
@@ -182,6 +183,7 @@ def test_a_ramp_in_log_light_leaves_only_the_change_of_the_time_constant_within_
     assert high < 1.5
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("refractory_us", [10.0, 100.0, 1000.0, 5000.0])
 def test_the_reference_is_read_anew_when_the_refractory_period_ends(refractory_us):
     """V2eExactFilter against the truth; deferring events instead gives up to 3.6 times as many."""

@@ -157,6 +157,7 @@ def test_leak_has_its_rate_and_its_phases_are_spread():
     assert stats.kstest(phase[phase < 1], "uniform").pvalue > 1e-3
 
 
+@pytest.mark.system
 def test_leak_keeps_its_rate_over_days_in_long_steps():
     """Two days in steps of six hours, which are longer than an epoch: the count is right to one event."""
     parameters = sensor(width=4, height=4, leak_hz=0.1, leak_spread=0.3, mismatch=0.03)

@@ -152,6 +152,7 @@ def test_only_parts_of_boxes_are_looked_at():
     assert fired == {*range(3 * WIDTH + 40, 3 * WIDTH + 60), 40 * WIDTH + 100}
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("kind", ["ragged", "long"])
 @pytest.mark.parametrize("slopes", [True, False])
 @pytest.mark.parametrize("effect", ["preset", "leaky", "all"])

@@ -70,12 +70,14 @@ def score(scene, parameters, dt_s):
 SINE, EDGE, BOARD = (kind(pixels=PIXELS) for kind in (SineGrating, MovingEdge, BlurredCheckerboard))
 
 
+@pytest.mark.system
 def test_the_step_is_of_fourth_order():
     for scene in (SINE, BOARD):
         coarse, fine = (score(scene, sensor(corner_hz_at_reference=200.0), dt)[1] for dt in (2e-3, 1e-3))
         assert coarse / fine > 12
 
 
+@pytest.mark.system
 @pytest.mark.parametrize(
     ("scene", "dt_s", "t50", "t95", "changes"),
     [
