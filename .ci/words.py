@@ -14,12 +14,14 @@ and on lines ("told") are not words. `--count` prints numbers by folder instead 
 from __future__ import annotations
 
 import ast
+import inspect
 import io
 import re
 import sys
 import tokenize
 from collections import Counter
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 
 __all__ = ["offences"]
@@ -39,10 +41,22 @@ COINED = re.compile(
 
 
 def _docstrings(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Yield line and text of each docstring: also a string right after an assignment documents its target."""
     kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
     for node in ast.walk(tree):
-        if isinstance(node, kinds) and (text := ast.get_docstring(node)):
-            yield getattr(node.body[0], "lineno", 1), text
+        if isinstance(node, kinds):
+            documented = [
+                after for before, after in pairwise(node.body) if isinstance(before, ast.Assign | ast.AnnAssign)
+            ]
+            yield from ((one.lineno, text) for one in (*node.body[:1], *documented) if (text := _string(one)))
+
+
+def _string(statement: ast.stmt) -> str:
+    """Return the text of a string that stands alone, "" of any other statement."""
+    match statement:
+        case ast.Expr(ast.Constant(str() as text)):
+            return inspect.cleandoc(text)
+    return ""
 
 
 def offences(path: Path) -> Iterator[tuple[int, str]]:

@@ -51,7 +51,7 @@ class _Make:
     frame: Callable[[bytes], bytes]
     deframer: Callable[[int], StreamDeframer]
     command_deframer: Callable[[int], StreamDeframer] | None = None
-    """Where telecommands need another."""
+    """Deframer of telecommands, for profiles whose telecommands need another one."""
 
 
 PROFILES: Mapping[str, _Make] = {

@@ -32,7 +32,7 @@ _WORTH_A_THREAD = 100_000
 """Quiet pixels that take as long as waking a thread pays for, about 100 us."""
 
 _CANDIDATE = 12
-"""What a candidate costs, in quiet pixels."""
+"""Cost of a candidate, in quiet pixels."""
 
 
 class Workers:
