@@ -41,17 +41,18 @@ if TYPE_CHECKING:
     from emulator.scene.terrain.table import TerrainParameters as TerrainScene
     from emulator.scene.video.ros2_images import Ros2ImageParameters as Ros2Scene
     from emulator.scene.video.video import VideoParameters as VideoScene
-    from emulator.sensor.aps.parameters import FrameParameters, KickParameters
-    from emulator.sensor.effects import (
+    from emulator.sensor.parameters import (
         BackgroundParameters,
         DefectParameters,
+        FrameParameters,
         ImagerParameters,
+        ImuParameters,
         JitterParameters,
+        KickParameters,
         NoiseParameters,
         RadiationParameters,
         TemperatureParameters,
     )
-    from emulator.sensor.imu.parameters import ImuParameters
     from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
     from emulator.trajectory.descent import Gate
     from emulator.trajectory.parameters import (
@@ -307,17 +308,18 @@ _NAMES = {
     "emulator.scene.bodies.table": ("Bare", "Clouds", "Regolith"),
     "emulator.scene.stars.table": ("MovingPoint",),
     "emulator.scene.terrain.table": ("Heightmap", "Ridge"),
-    "emulator.sensor.aps.parameters": ("FrameParameters", "KickParameters"),
-    "emulator.sensor.effects": (
+    "emulator.sensor.parameters": (
         "BackgroundParameters",
         "DefectParameters",
+        "FrameParameters",
         "ImagerParameters",
+        "ImuParameters",
         "JitterParameters",
+        "KickParameters",
         "NoiseParameters",
         "RadiationParameters",
         "TemperatureParameters",
     ),
-    "emulator.sensor.imu.parameters": ("ImuParameters",),
     "emulator.sensor.presets": ("PRESETS", "ReadoutParameters", "SensorParameters"),
     "emulator.trajectory.descent": ("Gate",),
     "emulator.trajectory.parameters": (

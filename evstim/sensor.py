@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from emulator.light import LightFrame
 from emulator.sensor import sensor as simulation
-from emulator.sensor.effects import (
+from emulator.sensor.parameters import (
     BackgroundParameters,
     DefectParameters,
     ImagerParameters,

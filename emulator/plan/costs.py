@@ -25,6 +25,7 @@ import numpy as np
 from emulator.plan.scene_probe import Probe
 from emulator.sensor.chip.sources import hits_per_second
 from emulator.sensor.noise.law import bandwidth_hz, beyond_the_law, fixed_corner_hz, of_array, rms
+from emulator.sensor.parameters import REFERENCE_CELSIUS
 from emulator.sensor.presets import SensorParameters
 
 __all__ = [
@@ -298,14 +299,13 @@ def _dark_current(p: SensorParameters, scene: Probe) -> Decision:
 
 def _temperature(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> Decision | None:
     t = p.temperature
-    warmer_k = t.celsius - t.reference_celsius
-    if not warmer_k:
+    if not t.warmer_k:
         return None
-    more_leak = abs(2 ** (warmer_k / t.leak_doubles_every_k) - 1) * p.leak_hz * threshold(p)
-    more_dark = abs(2 ** (warmer_k / t.dark_doubles_every_k) - 1)
+    more_leak = abs(t.leak_factor - 1) * p.leak_hz * threshold(p)
+    more_dark = abs(t.dark_factor - 1)
     drift_us = min(over(more_leak * tolerance.duration_s, scene), interval_s(p, scene)) * 1e6 if more_leak else 0.0
     share = (over(more_leak, scene) if more_leak else 0.0) + more_dark * _dim(p, scene)
-    off = {"temperature": {"celsius": t.reference_celsius}}
+    off = {"temperature": {"celsius": REFERENCE_CELSIUS}}
     return Decision("temperature", "change of leak and of dark current", drift_us, share, off)
 
 

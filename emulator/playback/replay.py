@@ -15,8 +15,8 @@ import numpy.typing as npt
 from emulator.light import LightFrame
 from emulator.playback.recording import RecordingParameters, load_recording
 from emulator.scene.kind import Blank
-from emulator.sensor.aps.parameters import KickParameters
-from emulator.sensor.chip.readout import ReadOut
+from emulator.sensor.chip.readout import ArbiterReadOut
+from emulator.sensor.parameters import KickParameters
 from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events, copy_events, join_events
@@ -55,7 +55,7 @@ class Replay:
         self._t_ns = recording["t"].astype(np.int64) * (_NS * scale.denominator) // scale.numerator
         gap_ns = max(_NS, int(self._t_ns[-1]) // max(1, len(recording) - 1))
         self._round_ns = int(self._t_ns[-1]) + gap_ns if loop else None
-        self._readout = ReadOut(parameters) if through_readout else None
+        self._readout = ArbiterReadOut(parameters) if through_readout else None
         self._next = self._start_ns = 0
         self.raised = 0
 

@@ -10,8 +10,8 @@
 
 `emulator.rig.top_level` has the top-level keys. Each key below them is a field of a dataclass, in `emulator.rig.tables`
 or in the package that owns the table. A mistake raises RigError with the file, the line, the key, the error and the
-allowed values. Old spellings are accepted for one version, with a logged warning that contains the new spelling. A
-command or a call may replace some values of the `[run]` table.
+allowed values. Old spellings, and removed keys where they have no effect, are accepted for one version with a logged
+warning. A command or a call may replace some values of the `[run]` table.
 """
 
 from __future__ import annotations
@@ -35,9 +35,11 @@ from transports.usb.loopback import LoopbackLink
 from transports.usb.usbip.kind import UsbipLink
 
 __all__ = [
+    "REMOVED",
     "VALUES",
     "Camera",
     "LoopbackLink",
+    "RemovedKey",
     "Rig",
     "RigError",
     "Run",
@@ -63,15 +65,39 @@ VALUES: Mapping[tuple[str, str], Mapping[str, str]] = {
 """New value by old value, for each (table, key). Renamed in version 0.2; to be removed in the version after."""
 
 
+@dataclass(frozen=True)
+class RemovedKey:
+    """A key that rigs no longer have: the value that the program now always uses, and the reason."""
+
+    value: object
+    reason: str
+
+
+REMOVED: Mapping[tuple[str, ...], RemovedKey] = {
+    ("run", "pixels"): RemovedKey("cpu", "the CPU solves the pixels of every rig"),
+    ("camera", "sensor", "temperature", "reference_celsius"): RemovedKey(
+        20.0, "leak_hz and dark_current_relative hold at 20 degrees Celsius"
+    ),
+    ("camera", "imu", "gyroscope_bias_spread_deg_s"): RemovedKey(
+        0.4, "a bias that is not given in gyroscope_bias_deg_s is drawn with a deviation of 0.4 deg/s"
+    ),
+    ("camera", "imu", "accelerometer_bias_spread_g"): RemovedKey(
+        0.02, "a bias that is not given in accelerometer_bias_g is drawn with a deviation of 0.02 g"
+    ),
+}
+"""Keys removed in version 0.2; the version after does not know them."""
+
+
 def with_new_spellings(rig: dict[str, Any]) -> dict[str, Any]:
-    """Return a rig's tables with old values replaced by the new ones; the argument stays as it is.
+    """Return a rig's tables with new spellings and without removed keys; the argument stays as it is.
 
     Raises
     ------
     TableError
-        A removed key has a value that the remaining behaviour does not equal.
+        A removed key has another value than the one that the program now always uses.
     """
-    rig = _without_pixels(rig)
+    for path, removed in REMOVED.items():
+        rig = _without(rig, path, path, removed)
     for (name, key), renamed in VALUES.items():
         table = rig.get(name)
         old = table.get(key) if isinstance(table, dict) else None
@@ -81,21 +107,20 @@ def with_new_spellings(rig: dict[str, Any]) -> dict[str, Any]:
     return rig
 
 
-def _without_pixels(rig: dict[str, Any]) -> dict[str, Any]:
-    """Return a rig's tables without `run.pixels`, raising TableError unless it is "cpu".
-
-    Removed in version 0.2; the version after refuses the key.
-    """
-    run = rig.get("run")
-    if not isinstance(run, dict) or "pixels" not in run:
-        return rig
-    if run["pixels"] != "cpu":
-        raise TableError(
-            f"{run['pixels']!r} is not available: the CPU solves the pixels of every rig; remove this key",
-            ("run", "pixels"),
-        )
-    _LOG.warning("run.pixels has no effect: the CPU solves the pixels of every rig; please remove this key")
-    return {**rig, "run": {key: value for key, value in run.items() if key != "pixels"}}
+def _without(
+    table: dict[str, Any], keys: tuple[str, ...], path: tuple[str, ...], removed: RemovedKey
+) -> dict[str, Any]:
+    """Return a table without the key that `keys` lead to; `path` is its place in the rig."""
+    first, *rest = keys
+    if first not in table:
+        return table
+    if rest:
+        inner = table[first]
+        return {**table, first: _without(inner, tuple(rest), path, removed)} if isinstance(inner, dict) else table
+    if table[first] != removed.value:
+        raise TableError(f"{table[first]!r} is not available: {removed.reason}; remove this key", path)
+    _LOG.warning("%s has no effect: %s; please remove this key", dotted(path), removed.reason)
+    return {key: value for key, value in table.items() if key != first}
 
 
 _MOST_BYTES = 1 << 22  # the longest shipped rig has 4 KiB

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from emulator.optics.lens import LensParameters
-from emulator.sensor.aps.parameters import FrameParameters
-from emulator.sensor.imu.parameters import ImuParameters
+from emulator.sensor.parameters import FrameParameters, ImuParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.device.clock import ClockSettings
 from firmware_protocol.events import EdgeKind

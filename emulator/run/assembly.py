@@ -44,14 +44,13 @@ from emulator.run.stereo import SecondView, carries_second, second_rig, wired
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.sensor.aps.frames import FrameSource
 from emulator.sensor.chip.defects import at_temperature
-from emulator.sensor.event_source import EventSource
-from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuSource, ImuUnit
 from emulator.sensor.methods.base import MakePixels
-from emulator.sensor.other_simulators import OTHER_SIMULATORS
+from emulator.sensor.methods.other_simulators import OTHER_SIMULATORS
+from emulator.sensor.parameters import ImuParameters
 from emulator.sensor.parts import own_pixels
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.sensor import Sensor
+from emulator.sensor.sensor import EventSource, Sensor
 from emulator.tables.registry import imported
 from emulator.trajectory.building import HasCameraPath
 from emulator.trajectory.motion import Timescale

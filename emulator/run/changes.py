@@ -22,7 +22,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from emulator.sensor.event_source import AdjustableSource
+from emulator.sensor.sensor import AdjustableSource
 from firmware_protocol.davis346.biases import LEAST_FACTOR, MOST_FACTOR
 from firmware_protocol.events import EdgeKind
 from transports.faults.kinds import Fault

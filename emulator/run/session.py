@@ -34,7 +34,7 @@ from emulator.run.outcome import Ledger, RunResult, RunStatus
 from emulator.run.pacing import Drive, Lateness, Lockstep, Simulation, StepRule
 from emulator.run.readings import ReadingSources, StepOutput
 from emulator.run.stereo import SecondView, ledger_of
-from emulator.sensor.event_source import AdjustableSource, EventSource
+from emulator.sensor.sensor import AdjustableSource, EventSource
 from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EdgeKind, Events
 from transports.faults.kinds import Fault

@@ -16,7 +16,7 @@ from emulator.run.changes import BiasFollowing, Changes
 from emulator.run.outcome import Ledger, LinkLedger
 from emulator.run.readings import ReadingSources, StepOutput
 from emulator.scene.kind import SceneParameters
-from emulator.sensor.event_source import EventSource
+from emulator.sensor.sensor import EventSource
 from emulator.trajectory.building import OffsetPath
 from emulator.trajectory.parameters import BasiliskPath, LivePath
 from firmware_protocol.events import Events

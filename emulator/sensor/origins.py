@@ -26,7 +26,7 @@ from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.chip.sources import BackgroundEvents, Particles
 from emulator.sensor.methods.base import MakePixels
 from emulator.sensor.noise.points import NoiseEvents
-from emulator.sensor.numerics.cached import cached_entry
+from emulator.sensor.numerics.compiled import cached_entry
 from emulator.sensor.parts import finished, make_jitter, make_readout, own_pixels
 from emulator.sensor.pixels.crossings import Crossings, joined, merged
 from emulator.sensor.pixels.state import draw

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.chip.defects import Defects
-from emulator.sensor.chip.readout import Jitter, ReadOut
+from emulator.sensor.chip.readout import ArbiterReadOut, Jitter, ReadOut
 from emulator.sensor.chip.scan import ScanReadOut
 from emulator.sensor.chip.sources import BackgroundEvents, Particles
 from emulator.sensor.methods.base import PixelMethod
@@ -64,12 +64,12 @@ def make_jitter(p: SensorParameters, seed: int) -> Jitter | None:
     return Jitter(p.jitter, seed, p.width * p.height) if p.jitter.latency_us else None
 
 
-def make_readout(p: SensorParameters) -> ReadOut | ScanReadOut:
+def make_readout(p: SensorParameters) -> ReadOut:
     """Return the sensor's read-out, at rest."""
-    return ScanReadOut(p) if p.readout.scan_us else ReadOut(p)
+    return ScanReadOut(p) if p.readout.scan_us else ArbiterReadOut(p)
 
 
-def finished(jitter: Jitter | None, readout: ReadOut | ScanReadOut, late: Crossings = NO_CROSSINGS) -> Events:
+def finished(jitter: Jitter | None, readout: ReadOut, late: Crossings = NO_CROSSINGS) -> Events:
     """Return the events that a read-out, and a delay before it, have not sent yet.
 
     `late` are crossings after the last step. They are delayed as all are, so they may leave before earlier ones.

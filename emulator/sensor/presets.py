@@ -61,8 +61,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Literal
 
-from emulator.sensor.checks import check, check_finite
-from emulator.sensor.effects import (
+from emulator.sensor.parameters import (
     BackgroundParameters,
     DefectParameters,
     ImagerParameters,
@@ -70,6 +69,8 @@ from emulator.sensor.effects import (
     NoiseParameters,
     RadiationParameters,
     TemperatureParameters,
+    check,
+    check_finite,
 )
 
 __all__ = ["PRESETS", "ReadoutParameters", "SensorParameters"]
@@ -124,8 +125,8 @@ class SensorParameters:
     photoreceptor : "one_pole", the small-signal model that all parameters above describe; "large_signal" solves the
         circuit with its slew, its second pole and its slow decay into the dark, at many times the cost.
     readout : the read-out's times.
-    temperature, defects, noise, background, jitter, imager, radiation : see `effects`; all off, or without effect, by
-        default.
+    temperature, defects, noise, background, jitter, imager, radiation : see `parameters`; all off, or without
+        effect, by default.
     """
 
     width: int

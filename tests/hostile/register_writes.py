@@ -21,9 +21,8 @@ import numpy as np
 
 from emulator.light import LightFrame
 from emulator.sensor.aps.frames import FrameSource
-from emulator.sensor.aps.parameters import FrameParameters
-from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, Carried, ImuSource, ImuUnit
+from emulator.sensor.parameters import FrameParameters, ImuParameters
 from emulator.trajectory.motion import Timescale
 from emulator.trajectory.pose import Fixed
 from firmware_protocol.davis346 import Access, Davis346, Davis346Settings, Decoder, Layout, SystemInfo, registers

@@ -5,7 +5,7 @@ A case is a row of pixels under closed-form light, with a sensor. Methods:
     hermite   our own kernel, given the light and its time derivative
     refined   the same, given the light of single pixels between the frames too: it refines undersampled steps
     line      the same kernel without derivatives: a straight line in log light
-    others    the rules of `emulator.sensor.other_simulators`
+    others    the rules of `emulator.sensor.methods.other_simulators`
 
 All get the same float32 frames at the same times, with the same thresholds, leak rates and phases. Time is measured
 on a sensor of 346 x 260 pixels, whose light frame repeats the case's row: the median of some steps, the method's
@@ -47,7 +47,7 @@ from emulator.evaluation.accuracy.scores import Scores, Stream, compare
 from emulator.evaluation.accuracy.truth import true_events
 from emulator.light import LightFrame, PixelLight
 from emulator.sensor.methods.base import MakePixels
-from emulator.sensor.other_simulators import OTHER_SIMULATORS
+from emulator.sensor.methods.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import SensorParameters

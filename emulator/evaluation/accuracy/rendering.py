@@ -44,7 +44,7 @@ from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.terrain.gl_terrain import GlTerrain
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.table import TerrainParameters
-from emulator.sensor.effects import NoiseParameters
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import empty_events
 

@@ -34,9 +34,9 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame, Region
-from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.noise.law import corner_hz, of_array
 from emulator.sensor.noise.points import NoiseEvents
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import PRESETS, SensorParameters

@@ -18,7 +18,7 @@ from emulator.light import LightFrame
 from emulator.rig.loading import load_rig
 from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
-from emulator.sensor.chip.readout import ReadOut
+from emulator.sensor.chip.readout import ArbiterReadOut
 from emulator.sensor.pixels.array import PixelArray
 from firmware_protocol.davis346.blocks import Block, Marks, blocks_of, no_marks
 from firmware_protocol.davis346.words import Special
@@ -62,7 +62,7 @@ def checkerboard_stream(count: int) -> Events:
         raise TypeError("the shipped checkerboard rig has no checkerboard")
     sensor = rig.camera.sensor
     scene = Checkerboard(rig.scene, (sensor.width, sensor.height))
-    pixels, readout = PixelArray(sensor, rig.run.seed), ReadOut(sensor)
+    pixels, readout = PixelArray(sensor, rig.run.seed), ArbiterReadOut(sensor)
     light = np.zeros((sensor.height, sensor.width), np.float32)
     scene.light(0, light)
     pixels.reset(LightFrame(0, light))

@@ -25,8 +25,8 @@ from emulator.evaluation.characterise.stimuli import (
     without_readout,
 )
 from emulator.sensor.chip.defects import at_temperature
-from emulator.sensor.effects import BackgroundParameters
 from emulator.sensor.noise.law import bandwidth_hz, corner_hz, fixed_corner_hz, of_array, rms
+from emulator.sensor.parameters import BackgroundParameters
 from emulator.sensor.presets import SensorParameters
 
 __all__ = [
@@ -143,16 +143,14 @@ def _histogram(curve: str, series: str, values: _Floats, edges: _Floats, below: 
 def leak_temperature(p: SensorParameters, series: str, celsius: float, for_s: float) -> list[Point]:
     """Return the rate of leak events of a pixel at a temperature of the chip, in the dark."""
     warm = dataclasses.replace(p, temperature=dataclasses.replace(p.temperature, celsius=celsius))
-    t = p.temperature
-    model = p.leak_hz * 2 ** ((celsius - t.reference_celsius) / t.leak_doubles_every_k)
+    model = p.leak_hz * warm.temperature.leak_factor
     model += p.parasitic_hz_at_reference * float(np.exp(log_current(warm, 0)))
     return [Point("leak_temperature", series, celsius, *_leak_hz(warm, 0.0, for_s), model)]
 
 
 def leak_light(p: SensorParameters, series: str, light: float, for_s: float) -> list[Point]:
     """Return the rate of leak events of a pixel in a light."""
-    t = p.temperature
-    model = p.leak_hz * 2 ** ((t.celsius - t.reference_celsius) / t.leak_doubles_every_k)
+    model = p.leak_hz * p.temperature.leak_factor
     model += p.parasitic_hz_at_reference * float(np.exp(log_current(p, light)))
     return [Point("leak_light", series, light, *_leak_hz(p, light, for_s), model)]
 

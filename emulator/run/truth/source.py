@@ -28,13 +28,12 @@ from emulator.light import LightFrame, Scene
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.run.truth.file import About, TruthRecorder
-from emulator.sensor.aps.parameters import KickParameters
 from emulator.sensor.chip.defects import at_temperature
-from emulator.sensor.event_source import EventSource
 from emulator.sensor.origins import TracedSensor
+from emulator.sensor.parameters import KickParameters
 from emulator.sensor.parts import own_pixels
 from emulator.sensor.presets import PRESETS, SensorParameters
-from emulator.sensor.sensor import Sensor
+from emulator.sensor.sensor import EventSource, Sensor
 from firmware_protocol.events import Events, join_events
 from transports.needs import install_command
 

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.aps.parameters import KickParameters
 from emulator.sensor.numerics.keyed import Purpose, normal, uniform
+from emulator.sensor.parameters import KickParameters
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, merged
 from emulator.sensor.pixels.state import Levels
 from emulator.sensor.presets import SensorParameters

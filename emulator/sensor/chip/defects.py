@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from emulator.sensor.methods.base import PixelMethod
 from emulator.sensor.numerics.keyed import Purpose, normal, normals, root_of, streams, uniform
+from emulator.sensor.parameters import REFERENCE_CELSIUS
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["LEAST_DARK", "MOST_DARK", "MOST_HZ", "NEVER_NS", "Defects", "Leaks", "at_temperature", "draw_defects"]
@@ -150,16 +151,15 @@ def at_temperature(p: SensorParameters) -> SensorParameters:
         between `LEAST_DARK` and `MOST_DARK`.
     """
     t = p.temperature
-    warmer_k = t.celsius - t.reference_celsius
-    leak = 2 ** (warmer_k / t.leak_doubles_every_k)
+    leak = t.leak_factor
     hot_hz = p.defects.hot_hz * leak if _may_have_hot_pixels(p) else p.defects.hot_hz
-    dark = p.dark_current_relative * 2 ** (warmer_k / t.dark_doubles_every_k)
-    if warmer_k and max(p.leak_hz * leak, hot_hz) > MOST_HZ:
+    dark = p.dark_current_relative * t.dark_factor
+    if t.warmer_k and max(p.leak_hz * leak, hot_hz) > MOST_HZ:
         raise ValueError(
             f"temperature.celsius = {t.celsius:g}: pixels would leak at {max(p.leak_hz * leak, hot_hz):.3g} Hz, and "
             f"{MOST_HZ:g} is the most; lower it, or leak_hz and defects.hot_hz"
         )
-    if warmer_k and not LEAST_DARK <= dark <= MOST_DARK:
+    if t.warmer_k and not LEAST_DARK <= dark <= MOST_DARK:
         raise ValueError(
             f"temperature.celsius = {t.celsius:g}: the dark current would be {dark:.3g} of the reference light"
         )
@@ -168,7 +168,7 @@ def at_temperature(p: SensorParameters) -> SensorParameters:
         leak_hz=p.leak_hz * leak,
         defects=dataclasses.replace(p.defects, hot_hz=hot_hz),
         dark_current_relative=dark,
-        temperature=dataclasses.replace(t, reference_celsius=t.celsius),
+        temperature=dataclasses.replace(t, celsius=REFERENCE_CELSIUS),
     )
 
 

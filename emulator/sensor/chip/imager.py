@@ -29,8 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame, PixelLight
-from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.numerics.compiled import vector_kernel
+from emulator.sensor.numerics.compiled import cached_entry, vector_kernel
 from emulator.sensor.numerics.elementary import decay, natural_log
 from emulator.sensor.numerics.keyed import Purpose, normal, normals, root_of, streams
 from emulator.sensor.presets import SensorParameters

@@ -26,22 +26,22 @@ crossings alone, not on their division into steps.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.chip.sources import LONGEST_NS, Pending, Window, new_pending, release, reserve
-from emulator.sensor.effects import JitterParameters
-from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.numerics.compiled import NONE, kernel, log_compilation
+from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, log_compilation
 from emulator.sensor.numerics.elementary import lowest_bit
 from emulator.sensor.numerics.keyed import Purpose, normal_from, root_of, stream, word
-from emulator.sensor.pixels.crossings import Crossings, joined, unpacked
+from emulator.sensor.parameters import JitterParameters
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined, unpacked
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events
 
-__all__ = ["Jitter", "ReadOut", "check_order"]
+__all__ = ["ArbiterReadOut", "Arrivals", "Jitter", "ReadOut"]
 
 
 _FOREVER_NS = (1 << 63) - 1
@@ -65,7 +65,7 @@ class _Maps(NamedTuple):
     latched_polarity: _Words
 
 
-class _Arrivals(NamedTuple):
+class Arrivals(NamedTuple):
     """Crossings, as in `Crossings`."""
 
     t_ns: _Int64s
@@ -101,7 +101,7 @@ class _Arbiter(NamedTuple):
 
 
 @kernel
-def _admit(arrivals: _Arrivals, k: int, until_ns: int, maps: _Maps, width: int, queue: _Queue) -> tuple[int, _Queue]:
+def _admit(arrivals: Arrivals, k: int, until_ns: int, maps: _Maps, width: int, queue: _Queue) -> tuple[int, _Queue]:
     """Turn crossings from k on, up to and including `until_ns`, into requests; return the next k and the queue."""
     waiting, ready_ns, latest, lost = queue
     while k < arrivals.t_ns.size and arrivals.t_ns[k] <= until_ns:
@@ -179,7 +179,7 @@ def _send(maps: _Maps, a: _Arbiter, event_ps: int, until_ns: int, out: Events, n
 
 @kernel
 def _run(
-    arrivals: _Arrivals, until_ns: int, maps: _Maps, queue: _Queue, a: _Arbiter, timing: _Timing, out: Events
+    arrivals: Arrivals, until_ns: int, maps: _Maps, queue: _Queue, a: _Arbiter, timing: _Timing, out: Events
 ) -> tuple[int, _Queue, _Arbiter]:
     """Run the arbiter until `until_ns`; return the number of events written to `out`, the queue and the arbiter."""
     n = k = NONE
@@ -211,7 +211,7 @@ def _run(
 
 @cached_entry
 def _serve(
-    arrivals: _Arrivals,
+    arrivals: Arrivals,
     until_ns: int,
     maps: _Maps,
     queue: _Queue,
@@ -224,7 +224,7 @@ def _serve(
     return n, queue, a
 
 
-def check_order(crossings: Crossings, last_ns: int, until_ns: int) -> None:
+def _check_order(crossings: Crossings, last_ns: int, until_ns: int) -> None:
     """Raise ValueError unless time goes on, and the crossings lie between the last time and `until_ns`."""
     t_ns = crossings.t_ns
     if until_ns < last_ns:
@@ -233,13 +233,8 @@ def check_order(crossings: Crossings, last_ns: int, until_ns: int) -> None:
         raise ValueError(f"crossings from {t_ns[0]} to {t_ns[-1]} ns: must lie from {last_ns} to {until_ns} ns")
 
 
-class ReadOut:
-    """The arbiter of one sensor.
-
-    Parameters
-    ----------
-    parameters : SensorParameters
-        The sensor: its size and its `readout` times.
+class ReadOut(ABC):
+    """The read-out of one sensor: crossings in, events out, in the order in which they leave.
 
     Attributes
     ----------
@@ -249,37 +244,21 @@ class ReadOut:
         Events returned.
     """
 
-    def __init__(self, parameters: SensorParameters) -> None:
-        log_compilation(_serve, "the read-out")
-        times, height = parameters.readout, parameters.height
-        words = -(-parameters.width // 64)
-        self._timing = _Timing(parameters.width, times.row_ns, max(1, round(times.event_ns * 1000)))
-        self._maps = _Maps(
-            waiting=np.zeros((height, words), np.uint64),
-            polarity=np.zeros((height, words), np.uint64),
-            rows=np.zeros(-(-height // 64), np.uint64),
-            counts=np.zeros(height, np.int64),
-            words=np.zeros(height, np.int64),
-            latched=np.zeros(words, np.uint64),
-            latched_polarity=np.zeros(words, np.uint64),
-        )
-        self._queue = _Queue(0, 0, 0, 0)
-        self._arbiter = _Arbiter(_IDLE, -_FOREVER_NS, height - 1, 0, 0, 0, 0)
+    def __init__(self) -> None:
         self._until_ns = -_FOREVER_NS
         self._out = np.empty(0, EVENT)
         self.raised = 0
         self.read_out = 0
 
     @property
+    @abstractmethod
     def lost_at_readout(self) -> int:
         """Crossings of pixels whose request still waited."""
-        return self._queue.lost
 
     @property
+    @abstractmethod
     def pending(self) -> int:
-        """Waiting requests, and latched events that have not left."""
-        a = self._arbiter
-        return self._queue.waiting + (a.latched - a.sent if a.phase == _SENDING else 0)
+        """Requests that wait, and events that have not left."""
 
     def push(self, crossings: Crossings, until_ns: int) -> Events:
         """Add crossings, and return the events that leave before `until_ns`.
@@ -300,23 +279,67 @@ class ReadOut:
         ValueError
             Time goes back.
         """
-        t_ns = crossings.t_ns
-        check_order(crossings, self._until_ns, until_ns)
-        self.raised += t_ns.size
+        _check_order(crossings, self._until_ns, until_ns)
+        self.raised += len(crossings)
         self._until_ns = until_ns
-        room = self.pending + t_ns.size
+        room = self.pending + len(crossings)
         if room > self._out.size:
             self._out = np.empty(max(room, 2 * self._out.size), EVENT)
-        arrivals = _Arrivals(t_ns, crossings.pixel, crossings.on)
-        n, queue, arbiter = _serve(arrivals, until_ns, self._maps, self._queue, self._arbiter, self._timing, self._out)
-        self._queue, self._arbiter = _Queue(*queue), _Arbiter(*arbiter)
+        n = self._serve(Arrivals(crossings.t_ns, crossings.pixel, crossings.on), until_ns)
         self.read_out += n
         return self._out[:n].copy()
 
     def finish(self) -> Events:
         """Return the events that have not left yet; afterwards `push` must not be called again."""
-        nothing = Crossings(np.empty(0, np.int64), np.empty(0, np.uint32), np.empty(0, np.bool_))
-        return self.push(nothing, _FOREVER_NS)
+        return self.push(NO_CROSSINGS, _FOREVER_NS)
+
+    @abstractmethod
+    def _serve(self, arrivals: Arrivals, until_ns: int) -> int:
+        """Run until `until_ns`; return the number of events written to `_out`."""
+
+
+class ArbiterReadOut(ReadOut):
+    """The arbiter of one sensor.
+
+    Parameters
+    ----------
+    parameters : SensorParameters
+        The sensor: its size and its `readout` times.
+    """
+
+    def __init__(self, parameters: SensorParameters) -> None:
+        super().__init__()
+        log_compilation(_serve, "the read-out")
+        times, height = parameters.readout, parameters.height
+        words = -(-parameters.width // 64)
+        self._timing = _Timing(parameters.width, times.row_ns, max(1, round(times.event_ns * 1000)))
+        self._maps = _Maps(
+            waiting=np.zeros((height, words), np.uint64),
+            polarity=np.zeros((height, words), np.uint64),
+            rows=np.zeros(-(-height // 64), np.uint64),
+            counts=np.zeros(height, np.int64),
+            words=np.zeros(height, np.int64),
+            latched=np.zeros(words, np.uint64),
+            latched_polarity=np.zeros(words, np.uint64),
+        )
+        self._queue = _Queue(0, 0, 0, 0)
+        self._arbiter = _Arbiter(_IDLE, -_FOREVER_NS, height - 1, 0, 0, 0, 0)
+
+    @property
+    def lost_at_readout(self) -> int:
+        """Crossings of pixels whose request still waited."""
+        return self._queue.lost
+
+    @property
+    def pending(self) -> int:
+        """Waiting requests, and latched events that have not left."""
+        a = self._arbiter
+        return self._queue.waiting + (a.latched - a.sent if a.phase == _SENDING else 0)
+
+    def _serve(self, arrivals: Arrivals, until_ns: int) -> int:
+        n, queue, arbiter = _serve(arrivals, until_ns, self._maps, self._queue, self._arbiter, self._timing, self._out)
+        self._queue, self._arbiter = _Queue(*queue), _Arbiter(*arbiter)
+        return int(n)
 
 
 class _Delays(NamedTuple):

@@ -19,12 +19,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.chip.readout import check_order
-from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.numerics.compiled import NONE, kernel, log_compilation
-from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings
+from emulator.sensor.chip.readout import Arrivals, ReadOut
+from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, log_compilation
 from emulator.sensor.presets import SensorParameters
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import Events
 
 __all__ = ["ScanReadOut"]
 
@@ -35,8 +33,6 @@ _Requests = npt.NDArray[np.uint8]
 _Int64s = npt.NDArray[np.int64]
 _Maps = tuple[_Requests, _Int64s]
 """Requests, (width, height), and their number in each column."""
-
-_Times = tuple[_Int64s, npt.NDArray[np.uint32], npt.NDArray[np.bool_]]
 
 
 class _Timing(NamedTuple):
@@ -87,15 +83,14 @@ def _look(scan: _Scan, maps: _Maps, timing: _Timing, out: Events, n: int) -> tup
 
 
 @kernel
-def _admit(crossings: _Times, k: int, until_ns: int, maps: _Maps, scan: _Scan) -> tuple[int, _Scan]:
+def _admit(arrivals: Arrivals, k: int, until_ns: int, maps: _Maps, scan: _Scan) -> tuple[int, _Scan]:
     """Turn crossings from k on, up to and including `until_ns`, into requests; return the next k and the scan."""
     requests, counts = maps
-    times, pixels, ons = crossings
     width, waiting, lost = np.uint32(counts.size), scan.waiting, scan.lost
-    while k < times.size and times[k] <= until_ns:
-        x, y = pixels[k] % width, pixels[k] // width
+    while k < arrivals.t_ns.size and arrivals.t_ns[k] <= until_ns:
+        x, y = arrivals.pixel[k] % width, arrivals.pixel[k] // width
         if requests[x, y] == _FREE:
-            requests[x, y] = _ON if ons[k] else _OFF
+            requests[x, y] = _ON if arrivals.on[k] else _OFF
             counts[x] += 1
             waiting += 1
         else:
@@ -105,52 +100,44 @@ def _admit(crossings: _Times, k: int, until_ns: int, maps: _Maps, scan: _Scan) -
 
 
 @cached_entry
-def _run(crossings: _Times, until_ns: int, maps: _Maps, scan: _Scan, timing: _Timing, out: Events) -> tuple[int, _Scan]:
+def _run(
+    arrivals: Arrivals, until_ns: int, maps: _Maps, scan: _Scan, timing: _Timing, out: Events
+) -> tuple[int, _Scan]:
     """Scan until `until_ns`; with no end, until nothing waits. Return the number of events sent, and the scan."""
     n = k = NONE
-    size = crossings[0].size
+    size = arrivals.t_ns.size
     while scan.t_ns < until_ns:
         if scan.waiting == 0:
             if k == size and until_ns == _FOREVER_NS:
                 break
-            scan = _idle(scan, crossings[0][k] if k < size else until_ns, timing)
-        k, scan = _admit(crossings, k, scan.t_ns, maps, scan)
+            scan = _idle(scan, arrivals.t_ns[k] if k < size else until_ns, timing)
+        k, scan = _admit(arrivals, k, scan.t_ns, maps, scan)
         before = n
         n, taken_ps = _look(scan, maps, timing, out, n)
         column = scan.column + 1 if scan.column + 1 < timing.width else NONE
         ps = scan.ps + taken_ps
         scan = _Scan(column, scan.t_ns + ps // 1000, ps % 1000, scan.waiting - (n - before), scan.lost)
-    _, scan = _admit(crossings, k, np.int64(_FOREVER_NS), maps, scan)
+    _, scan = _admit(arrivals, k, np.int64(_FOREVER_NS), maps, scan)
     return n, scan
 
 
-class ScanReadOut:
+class ScanReadOut(ReadOut):
     """The scan of one sensor.
 
     Parameters
     ----------
     parameters : SensorParameters
         The sensor: its size and its `readout` times.
-
-    Attributes
-    ----------
-    raised : int
-        Crossings pushed; always lost_at_readout + read_out + pending.
-    read_out : int
-        Events returned.
     """
 
     def __init__(self, parameters: SensorParameters) -> None:
+        super().__init__()
         log_compilation(_run, "the scan")
         times, width, height = parameters.readout, parameters.width, parameters.height
         column_ps = max(1, round(times.scan_us * 1e6 / width))
         self._timing = _Timing(width, height, column_ps, max(1, round(times.event_ns * 1000)))
         self._maps = np.zeros((width, height), np.uint8), np.zeros(width, np.int64)
         self._scan = _Scan(0, 0, 0, 0, 0)
-        self._until_ns = -_FOREVER_NS
-        self._out = np.empty(0, EVENT)
-        self.raised = 0
-        self.read_out = 0
 
     @property
     def lost_at_readout(self) -> int:
@@ -162,20 +149,7 @@ class ScanReadOut:
         """Waiting requests."""
         return self._scan.waiting
 
-    def push(self, crossings: Crossings, until_ns: int) -> Events:
-        """Add crossings, and return the events that leave before `until_ns`; see `ReadOut.push`."""
-        check_order(crossings, self._until_ns, until_ns)
-        self.raised += len(crossings)
-        self._until_ns = until_ns
-        room = self.pending + len(crossings)
-        if room > self._out.size:
-            self._out = np.empty(max(room, 2 * self._out.size), EVENT)
-        arrivals = crossings.t_ns, crossings.pixel, crossings.on
+    def _serve(self, arrivals: Arrivals, until_ns: int) -> int:
         n, scan = _run(arrivals, until_ns, self._maps, self._scan, self._timing, self._out)
         self._scan = _Scan(*scan)
-        self.read_out += n
-        return self._out[:n].copy()
-
-    def finish(self) -> Events:
-        """Return the events that have not left yet; afterwards `push` must not be called again."""
-        return self.push(NO_CROSSINGS, _FOREVER_NS)
+        return int(n)

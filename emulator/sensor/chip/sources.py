@@ -25,8 +25,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates
+from emulator.sensor.numerics.compiled import cached_entry, kernel, kernel_that_allocates
 from emulator.sensor.numerics.keyed import Purpose, high, low, normal, root_of, stream, uniform, unit, word
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined, merged, unpacked
 from emulator.sensor.presets import SensorParameters

@@ -45,8 +45,8 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import Vector, matrix_of
 from emulator.light import LightFrame
-from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.numerics.keyed import Purpose, normal
+from emulator.sensor.parameters import ImuParameters
 from emulator.trajectory.motion import Timescale
 from emulator.trajectory.pose import Trajectory
 from firmware_protocol.device.items import ReadingKind
@@ -237,6 +237,10 @@ class ImuUnit:
         out["rate"] = factor * (imu_from_camera @ motion.turn_rad_s)
 
 
+# Standard deviations of the biases drawn; sources in `parameters`.
+_BIAS_SPREAD_G, _BIAS_SPREAD_DEG_S = 0.02, 0.4
+
+
 def errors_of(p: ImuParameters) -> Errors:
     """Return the errors of the elements in SI units."""
     degree, g = np.pi / 180, STANDARD_GRAVITY_M_S2
@@ -249,7 +253,7 @@ def errors_of(p: ImuParameters) -> Errors:
         density=six(p.accelerometer_noise_ug * 1e-6, p.gyroscope_noise_deg_s),
         walk=six(p.accelerometer_walk_g, p.gyroscope_walk_deg_s),
         bias=six(p.accelerometer_bias_g, p.gyroscope_bias_deg_s),
-        spread=six(p.accelerometer_bias_spread_g, p.gyroscope_bias_spread_deg_s),
+        spread=six(_BIAS_SPREAD_G, _BIAS_SPREAD_DEG_S),
     )
 
 

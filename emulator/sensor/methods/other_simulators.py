@@ -52,7 +52,9 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -66,6 +68,7 @@ from emulator.sensor.presets import SensorParameters
 
 __all__ = [
     "MOST_EVENTS",
+    "OTHER_SIMULATORS",
     "RAW_CHANNELS",
     "Esim",
     "Fired",
@@ -437,3 +440,16 @@ class Esim(Sikorski):
 
     def _meets(self, level: _Float64s, u0: _Float64s, u1: _Float64s) -> _Bools:
         return np.where(u1 > u0, (level > u0) & (level <= u1), (level < u0) & (level >= u1))
+
+
+OTHER_SIMULATORS: Mapping[str, type[Rule]] = MappingProxyType(
+    {
+        "pangu": Pangu,
+        "v2e": V2e,
+        "v2e_exact_filter": V2eExactFilter,
+        "sikorski": Sikorski,
+        "esim": Esim,
+        "frame_difference": FrameDifference,
+    }
+)
+"""Pixel methods by their name in a rig, `run.method`."""

@@ -35,8 +35,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.chip.sources import SLOT_NS
-from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.numerics.compiled import NONE, kernel, vector_kernel
+from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import natural_log
 from emulator.sensor.numerics.keyed import high, low, stream, unit, word
 

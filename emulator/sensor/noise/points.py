@@ -45,7 +45,7 @@ from emulator.sensor.noise.draws import (
     take_window,
 )
 from emulator.sensor.noise.law import bandwidth_hz, of_array
-from emulator.sensor.numerics.cached import cached_entry
+from emulator.sensor.numerics.compiled import cached_entry
 from emulator.sensor.numerics.keyed import Purpose, root_of, uniform, words
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
 from emulator.sensor.presets import SensorParameters

@@ -20,7 +20,9 @@ Two options decide whether a loop is fast; without them loops here were 20 to 40
 fastmath contracts a*b + c to one rounding and does nothing else: NaN and infinity keep their meaning, and sums their
 order.
 
-Only the functions that Python calls are cached on disk: see `cached`.
+Only the functions that Python calls, the entries, are cached on disk, as long as no source of the sensor changes. An
+entry must not have an optional argument. numba compares omitted numbers by identity: of several functions with such an
+argument, all but the first have their types resolved again in each call, 50 to 200 us each time (numba issue 6173).
 """
 
 from __future__ import annotations
@@ -32,10 +34,13 @@ from typing import Any, TypeVar
 import numpy as np
 from numba import njit
 
+from firmware_protocol.compiled import entry_of
+
 __all__ = [
     "NONE",
-    "UNCOUNTED",
     "Real",
+    "cached_entry",
+    "cached_kernel",
     "inlined",
     "kernel",
     "kernel_that_allocates",
@@ -55,12 +60,23 @@ NONE: Any = np.int64(0)
 """Start of a counter; see above."""
 
 _COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-UNCOUNTED: dict[str, Any] = {**_COMMON, "_nrt": False}
-kernel: _Decorator[Any] = njit(**UNCOUNTED)
-vector_kernel: _Decorator[Any] = njit(**UNCOUNTED, fastmath={"contract"})
-lane: _Decorator[Any] = njit(**UNCOUNTED, fastmath={"contract"}, forceinline=True)
-inlined: _Decorator[Any] = njit(**UNCOUNTED, inline="always")
+_UNCOUNTED: dict[str, Any] = {**_COMMON, "_nrt": False}
+kernel: _Decorator[Any] = njit(**_UNCOUNTED)
+vector_kernel: _Decorator[Any] = njit(**_UNCOUNTED, fastmath={"contract"})
+lane: _Decorator[Any] = njit(**_UNCOUNTED, fastmath={"contract"}, forceinline=True)
+inlined: _Decorator[Any] = njit(**_UNCOUNTED, inline="always")
 kernel_that_allocates: _Decorator[Any] = njit(**_COMMON)
+
+_SOURCES = ("emulator.sensor", "firmware_protocol.device.clock")
+
+cached_entry: _Decorator[Any] = entry_of(*_SOURCES)
+"""Compiles a function as an entry."""
+
+cached_kernel: _Decorator[Any] = entry_of(*_SOURCES, **_UNCOUNTED)
+"""Compiles a function for compiled callers, as `kernel` does, and caches it on disk for them.
+
+This is for the large parts of an entry: they can be compiled at the same time, in several processes, before it.
+"""
 
 
 def log_compilation(function: Callable[..., Any], what: str) -> None:

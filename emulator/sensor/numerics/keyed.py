@@ -23,8 +23,7 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.numerics.compiled import kernel, vector_kernel
+from emulator.sensor.numerics.compiled import cached_entry, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import natural_log
 from firmware_protocol.device import clock as keyed_draws
 from firmware_protocol.device.clock import GOLDEN, as_words, mix, normal_of, uniform_of, words_of

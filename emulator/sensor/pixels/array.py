@@ -20,7 +20,7 @@ from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.pixels.curve import UNSEEN_SHARE
-from emulator.sensor.pixels.idle import wake
+from emulator.sensor.pixels.idle import Touched, touch, wake
 from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
 from emulator.sensor.pixels.state import (
     BLOCK,
@@ -41,7 +41,6 @@ from emulator.sensor.pixels.state import (
     take_field,
 )
 from emulator.sensor.pixels.step import Share, Tally, advance, compile_parts, replace_light
-from emulator.sensor.pixels.touched import Touched, touch
 from emulator.sensor.pixels.workers import EventBuffers, Workers
 from emulator.sensor.presets import SensorParameters
 

@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.numerics.compiled import NONE, inlined, kernel, lane, vector_kernel
+from emulator.sensor.numerics.compiled import NONE, cached_entry, inlined, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import aligned_zeros, exponential, use_widest_vectors
 from emulator.sensor.pixels.curve import Course, is_smooth, missed_by_cubic, photocurrent, transient
 from emulator.sensor.pixels.march import SETTLED, Bracket, Cubic, bisect, newton, solve_substeps, value

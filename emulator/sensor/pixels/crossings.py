@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.cached import cached_entry
+from emulator.sensor.numerics.compiled import cached_entry
 from emulator.sensor.pixels.step import unpack
 
 __all__ = ["NO_CROSSINGS", "Crossings", "joined", "merged", "unpacked"]

@@ -19,11 +19,10 @@ import numpy.typing as npt
 from emulator.light import PixelLight
 from emulator.sensor.pixels.candidates import Table
 from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
-from emulator.sensor.pixels.idle import new_idle, wake
+from emulator.sensor.pixels.idle import Touched, new_idle, wake
 from emulator.sensor.pixels.state import BLOCK, FIELDS, Pixels, StepConstants
 from emulator.sensor.pixels.step import Buffers, Share, Tally, advance, new_scratch
 from emulator.sensor.pixels.subset import Subset, new_subset, renumbered, scatter
-from emulator.sensor.pixels.touched import Touched
 
 __all__ = ["LEVELS", "SHORTEST_NS", "Refinement"]
 

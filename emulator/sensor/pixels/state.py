@@ -26,8 +26,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.numerics.compiled import kernel, kernel_that_allocates
+from emulator.sensor.numerics.compiled import cached_entry, kernel, kernel_that_allocates
 from emulator.sensor.numerics.keyed import Purpose, normal, uniform
 from emulator.sensor.presets import SensorParameters
 

@@ -13,11 +13,10 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.cached import cached_entry, cached_kernel
-from emulator.sensor.numerics.compiled import NONE, inlined, kernel
+from emulator.sensor.numerics.compiled import NONE, cached_entry, cached_kernel, inlined, kernel
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.pixels.candidates import BATCH, Table, gather, gather_rare, select, solve
-from emulator.sensor.pixels.idle import Idle, is_same, mark, may_rest
+from emulator.sensor.pixels.idle import Idle, Touched, block_is_touched, is_same, mark, may_rest
 from emulator.sensor.pixels.quiet_pass import list_flags, move_quietly, replace_light_of_block
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, FIELDS, PART, PARTS, Pixels, StepConstants
 from emulator.sensor.pixels.subset import (
@@ -29,7 +28,6 @@ from emulator.sensor.pixels.subset import (
     list_all,
     scatter_parts,
 )
-from emulator.sensor.pixels.touched import Touched, block_is_touched
 
 __all__ = [
     "RUN",

@@ -16,10 +16,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.cached import cached_entry
-from emulator.sensor.numerics.compiled import inlined, kernel, vector_kernel
+from emulator.sensor.numerics.compiled import cached_entry, inlined, kernel, vector_kernel
 from emulator.sensor.pixels.curve import completed, is_undersampled
-from emulator.sensor.pixels.idle import NO_PART, Idle, may_rest, part_at, part_is_same
+from emulator.sensor.pixels.idle import NO_PART, Idle, Touched, may_rest, part_at, part_is_same, part_is_touched
 from emulator.sensor.pixels.state import (
     BEFORE_ROWS,
     BLOCK,
@@ -32,7 +31,6 @@ from emulator.sensor.pixels.state import (
     StepConstants,
     slot,
 )
-from emulator.sensor.pixels.touched import Touched, part_is_touched
 
 __all__ = [
     "MOST_PACKED",

@@ -15,11 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.pixels.candidates import new_table
-from emulator.sensor.pixels.idle import new_idle
+from emulator.sensor.pixels.idle import Touched, new_idle
 from emulator.sensor.pixels.state import Pixels, StepConstants
 from emulator.sensor.pixels.step import RUN, Buffers, Share, Tally, advance, new_scratch, unpack, unpack_both
 from emulator.sensor.pixels.subset import new_subset
-from emulator.sensor.pixels.touched import Touched
 from emulator.threads import available_threads
 
 __all__ = ["EventBuffers", "Workers"]

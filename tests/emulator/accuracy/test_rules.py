@@ -8,6 +8,7 @@ import pytest
 from emulator.light import LightFrame
 from emulator.sensor.methods.other_simulators import (
     MOST_EVENTS,
+    OTHER_SIMULATORS,
     RAW_CHANNELS,
     Esim,
     FrameDifference,
@@ -16,7 +17,6 @@ from emulator.sensor.methods.other_simulators import (
     V2e,
     V2eExactFilter,
 )
-from emulator.sensor.other_simulators import OTHER_SIMULATORS
 from tests.emulator.accuracy.rows import row
 
 MS = 1_000_000

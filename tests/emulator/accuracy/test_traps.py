@@ -1,7 +1,7 @@
 """The traps of event simulators: for each, a rule that falls into it, shown falling, and our kernel beside it, not.
 
 Rules that are nobody's method any more, or only a part of one, are written here; the others are those of
-`emulator.sensor.other_simulators`.
+`emulator.sensor.methods.other_simulators`.
 """
 
 import math
@@ -14,8 +14,15 @@ from emulator.evaluation.accuracy.scenes import BlurredCheckerboard, Dark, Flash
 from emulator.evaluation.accuracy.scores import Stream, compare
 from emulator.evaluation.accuracy.stability import SWEEPS, cells
 from emulator.light import LightFrame
-from emulator.sensor.methods.other_simulators import Esim, Fired, FrameDifference, Sikorski, V2e, V2eExactFilter
-from emulator.sensor.other_simulators import OTHER_SIMULATORS
+from emulator.sensor.methods.other_simulators import (
+    OTHER_SIMULATORS,
+    Esim,
+    Fired,
+    FrameDifference,
+    Sikorski,
+    V2e,
+    V2eExactFilter,
+)
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import Field, draw
 from tests.emulator.accuracy.rows import row

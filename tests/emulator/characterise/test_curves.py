@@ -20,8 +20,8 @@ from emulator.evaluation.characterise.measurements import (
     spread,
 )
 from emulator.evaluation.characterise.stimuli import Bench, lags_s, log_current, on_the_bench, settled, without_readout
-from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.noise.law import noise_events, statistics
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS
 
 ALPHA = 1e-4

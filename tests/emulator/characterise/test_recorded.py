@@ -19,7 +19,7 @@ from emulator.evaluation.characterise.recordings import (
     toml,
     write_comparison,
 )
-from emulator.sensor.effects import BackgroundParameters
+from emulator.sensor.parameters import BackgroundParameters
 from emulator.sensor.presets import SensorParameters
 from evstim.sensor import sensor_parameters
 from firmware_protocol.events import EVENT

@@ -7,7 +7,7 @@ import pytest
 
 from emulator.plan.plan import Tolerance, decide, without
 from emulator.plan.scene_probe import Probe
-from emulator.sensor.effects import (
+from emulator.sensor.parameters import (
     DefectParameters,
     ImagerParameters,
     JitterParameters,

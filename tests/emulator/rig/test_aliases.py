@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from emulator.rig.loading import VALUES, RigError, load_rig, parse_rig
+from emulator.rig.loading import REMOVED, VALUES, RigError, load_rig, parse_rig
 
 RIG = '[scene]\nkind = "checkerboard"\n[run]\nmethod = "{}"\n'
 RENAMED = VALUES["run", "method"]
@@ -59,3 +59,19 @@ def test_pixels_on_the_cpu_load_with_a_warning(caplog):
 def test_pixels_elsewhere_are_refused(value):
     with pytest.raises(RigError, match=r"a\.toml, line 4: run\.pixels: .*the CPU solves the pixels of every rig"):
         parse_rig(f'[scene]\nkind = "checkerboard"\n[run]\npixels = {value}\n', "a.toml", "a")
+
+
+def tables_of(path, value):
+    *names, key = path
+    return f'[scene]\nkind = "checkerboard"\n[{".".join(names)}]\n{key} = {value}\n'
+
+
+@pytest.mark.parametrize("path", [path for path in REMOVED if path[0] == "camera"], ids=".".join)
+def test_a_removed_key_with_its_lasting_value_loads_with_a_warning_and_is_refused_with_another(path, caplog):
+    with caplog.at_level(logging.WARNING):
+        rig = parse_rig(tables_of(path, REMOVED[path].value), "a.toml", "a")
+    assert rig == parse_rig(tables_of(path, REMOVED[path].value).rpartition(f"{path[-1]} =")[0], "a.toml", "a")
+    (record,) = caplog.records
+    assert record.getMessage().startswith(f"{'.'.join(path)} has no effect: ")
+    with pytest.raises(RigError, match=rf"a\.toml, line 4: {'.'.join(path)}: 7 is not available: "):
+        parse_rig(tables_of(path, 7), "a.toml", "a")

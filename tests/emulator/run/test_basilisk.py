@@ -14,7 +14,7 @@ from emulator.rig.loading import RigError, parse_rig
 from emulator.rig.remarks import remarks
 from emulator.run.basilisk import BasiliskRun, camera_differs, connected
 from emulator.run.session import Schedule, Session
-from emulator.sensor.effects import NoiseParameters
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from emulator.trajectory.basilisk import ConnectedPath, SimulatedPath

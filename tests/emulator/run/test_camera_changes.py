@@ -17,7 +17,7 @@ from emulator.run.changes import Change, Changes
 from emulator.run.readings import ReadingSources
 from emulator.run.session import Schedule, Session
 from emulator.run.stereo import SecondView
-from emulator.sensor.effects import NoiseParameters
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346 import Davis346, Davis346Settings

@@ -8,7 +8,7 @@ import pytest
 from emulator.cli.app import _main
 from emulator.rig.loading import RigError, parse_rig
 from emulator.run.assembly import build_scene, link_setups, reading_sources
-from emulator.sensor.aps.parameters import FrameParameters
+from emulator.sensor.parameters import FrameParameters
 from transports.recording.record import load_frames
 
 SCENE = '[scene]\nkind = "checkerboard"\nspeed_px_s = 20.0\n'

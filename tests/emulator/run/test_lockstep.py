@@ -12,7 +12,7 @@ from emulator.rig.tables import Trigger
 from emulator.run.assembly import TriggerPaths
 from emulator.run.pacing import Lockstep
 from emulator.run.session import Schedule, Session
-from emulator.sensor.effects import NoiseParameters
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346 import Davis346, Davis346Settings

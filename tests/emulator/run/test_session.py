@@ -12,7 +12,7 @@ from emulator.plan.step_control import FixedSteps
 from emulator.run.session import Schedule, Session
 from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
-from emulator.sensor.effects import NoiseParameters
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from transports.link.pacing import FakeClock

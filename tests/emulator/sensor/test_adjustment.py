@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from emulator.light import LightFrame
-from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.numerics.keyed import Purpose, uniform
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from emulator.light import LightFrame
-from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.methods.large_signal import LargeSignalPixels
 from emulator.sensor.methods.other_simulators import Pangu
 from emulator.sensor.noise.grid import NoisyPixels
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from emulator.rig.loading import RigError, parse_rig
-from emulator.sensor.effects import (
+from emulator.sensor.parameters import (
     DefectParameters,
     ImagerParameters,
     JitterParameters,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from emulator.light import LightFrame
+from emulator.sensor.methods.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.origins import Origin, TracedSensor
-from emulator.sensor.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 

@@ -14,8 +14,9 @@ from scipy import stats
 
 from emulator.light import LightFrame
 from emulator.sensor.chip.defects import at_temperature, draw_defects
-from emulator.sensor.chip.readout import ReadOut
-from emulator.sensor.effects import (
+from emulator.sensor.chip.readout import ArbiterReadOut
+from emulator.sensor.methods.other_simulators import Pangu
+from emulator.sensor.parameters import (
     DefectParameters,
     ImagerParameters,
     JitterParameters,
@@ -23,7 +24,6 @@ from emulator.sensor.effects import (
     RadiationParameters,
     TemperatureParameters,
 )
-from emulator.sensor.methods.other_simulators import Pangu
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import Field
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
@@ -75,7 +75,7 @@ def assert_balance(sensor):
 def test_with_everything_off_it_is_pixels_and_read_out():
     p = with_(leak_hz=5.0)
     found, sensor = run(p, scene=drifting, end_ns=100 * MS)
-    pixels, readout = PixelArray(p, 1), ReadOut(p)
+    pixels, readout = PixelArray(p, 1), ArbiterReadOut(p)
     pixels.reset(LightFrame(0, drifting(0)))
     parts = [readout.push(pixels.step(LightFrame(t, drifting(t))), t) for t in range(MS, 101 * MS, MS)]
     assert len(found) > 10_000

@@ -7,7 +7,7 @@ import pytest
 
 from emulator.light import LightFrame
 from emulator.sensor.aps.frames import FrameSource, frame_times
-from emulator.sensor.aps.parameters import FrameParameters
+from emulator.sensor.parameters import FrameParameters
 from firmware_protocol.frames import FrameSettings, LineKind
 
 SIZE = (346, 260)

@@ -8,8 +8,7 @@ from scipy.stats import ks_2samp, kstest
 
 from emulator.light import LightFrame
 from emulator.sensor.aps.frames import FrameSource, frame_times
-from emulator.sensor.aps.parameters import FrameParameters, KickParameters
-from emulator.sensor.effects import DefectParameters, JitterParameters
+from emulator.sensor.parameters import DefectParameters, FrameParameters, JitterParameters, KickParameters
 from emulator.sensor.presets import PRESETS, ReadoutParameters
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.frames import FrameSettings

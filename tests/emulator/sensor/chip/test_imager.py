@@ -11,7 +11,7 @@ from scipy import stats
 
 from emulator.light import LightFrame, Region
 from emulator.sensor.chip.imager import Imager, part_of_the_way
-from emulator.sensor.effects import ImagerParameters
+from emulator.sensor.parameters import ImagerParameters
 from emulator.sensor.pixels.state import Field
 from emulator.sensor.presets import ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from emulator.sensor.chip.readout import Jitter
-from emulator.sensor.effects import JitterParameters
+from emulator.sensor.parameters import JitterParameters
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
 
 ALPHA = 1e-4

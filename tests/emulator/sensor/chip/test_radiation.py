@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from emulator.sensor.chip.sources import Particles, _Track, hits_per_second, path
-from emulator.sensor.effects import RadiationParameters
+from emulator.sensor.parameters import RadiationParameters
 from emulator.sensor.pixels.crossings import joined
 from emulator.sensor.presets import SensorParameters
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from emulator.sensor.chip.readout import ReadOut
+from emulator.sensor.chip.readout import ArbiterReadOut
 from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import PRESETS, ReadoutParameters
 from firmware_protocol.events import EVENT
@@ -69,7 +69,7 @@ bursts = st.lists(
 def test_it_does_what_the_plain_arbiter_does(rows, event_ns, row_ns):
     parameters = sensor(event_ns=event_ns, row_ns=row_ns)
     expected, lost = plain_arbiter(rows, parameters)
-    readout = ReadOut(parameters)
+    readout = ArbiterReadOut(parameters)
     events = np.concatenate([readout.push(crossings(rows), 3000), readout.finish()])
     assert events.tolist() == [(t // 1000, x, y, on) for t, x, y, on in expected]
     assert (readout.raised, readout.lost_at_readout, readout.read_out, readout.pending) == (
@@ -80,7 +80,7 @@ def test_it_does_what_the_plain_arbiter_does(rows, event_ns, row_ns):
 @settings(max_examples=200, deadline=None)
 @given(rows=bursts, cuts=st.lists(st.integers(0, 4000), max_size=6).map(sorted))
 def test_how_crossings_are_cut_into_calls_does_not_matter(rows, cuts):
-    whole, cut = ReadOut(sensor()), ReadOut(sensor())
+    whole, cut = ArbiterReadOut(sensor()), ArbiterReadOut(sensor())
     c = crossings(rows)
     expected = np.concatenate([whole.push(c, 4000), whole.finish()])
     got, first = [], 0
@@ -96,7 +96,7 @@ def test_how_crossings_are_cut_into_calls_does_not_matter(rows, cuts):
 
 
 def test_a_lone_event_leaves_after_a_row_and_an_event_time():
-    readout = ReadOut(sensor(event_ns=900.0, row_ns=100))
+    readout = ArbiterReadOut(sensor(event_ns=900.0, row_ns=100))
     events = readout.push(crossings([(5000, 3, 4, True)]), 10_000)
     assert events.tolist() == [(6, 3, 4, True)]
 
@@ -109,7 +109,7 @@ def test_a_full_frame_leaves_at_the_rate_of_the_bus_and_loses_what_fires_again_m
         np.concatenate([pixels, pixels]),
         np.ones(2 * pixels.size, np.bool_),
     )
-    readout = ReadOut(parameters)
+    readout = ArbiterReadOut(parameters)
     events = np.concatenate([readout.push(both, 3_600_000), readout.finish()])
     frame_ns = 260 * (80 + 346 * 80)
     served = 3_600_000 // (80 + 346 * 80)  # rows latched when everything fires again: the rest is lost
@@ -123,14 +123,14 @@ def test_rows_take_turns():
     """A row that fires all the time does not keep another waiting for more than its own turn."""
     busy = [(t, t // 10 % 70, 5, True) for t in range(0, 20_000, 10)]
     rows = sorted([*busy, (1005, 1, 30, False)])
-    readout = ReadOut(sensor())
+    readout = ArbiterReadOut(sensor())
     events = readout.push(crossings(rows), 20_000)
     at = int(np.flatnonzero(events["y"] == 30)[0])
     assert events["t"][at] <= 1 + (2 * (100 + 70 * 80)) // 1000
 
 
 def test_time_does_not_go_back():
-    readout = ReadOut(sensor())
+    readout = ArbiterReadOut(sensor())
     readout.push(crossings([]), 1000)
     with pytest.raises(ValueError, match="time does not go back"):
         readout.push(crossings([]), 999)

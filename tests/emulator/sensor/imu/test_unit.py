@@ -10,8 +10,8 @@ import pytest
 
 from emulator.geometry.attitude import quaternion_of_vector
 from emulator.geometry.camera import Cycle
-from emulator.sensor.imu.parameters import ImuParameters
 from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuUnit
+from emulator.sensor.parameters import ImuParameters
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.live import LivePoses
 from emulator.trajectory.motion import Timescale

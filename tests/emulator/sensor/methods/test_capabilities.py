@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from emulator.light import LightFrame, Region
-from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.methods.base import ADJUSTABLE
 from emulator.sensor.methods.large_signal import LargeSignalPixels
+from emulator.sensor.methods.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.noise.grid import NoisyPixels
-from emulator.sensor.other_simulators import OTHER_SIMULATORS
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.parts import own_pixels
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import SensorParameters

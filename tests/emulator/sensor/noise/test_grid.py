@@ -9,7 +9,10 @@ import pytest
 
 from emulator.light import LightFrame
 from emulator.sensor.chip.defects import draw_defects
-from emulator.sensor.effects import (
+from emulator.sensor.methods.other_simulators import Pangu
+from emulator.sensor.noise.grid import NoisyPixels, grid_ns
+from emulator.sensor.noise.law import bandwidth_hz, corner_hz, noise_events, rms
+from emulator.sensor.parameters import (
     DefectParameters,
     ImagerParameters,
     JitterParameters,
@@ -17,9 +20,6 @@ from emulator.sensor.effects import (
     RadiationParameters,
     TemperatureParameters,
 )
-from emulator.sensor.methods.other_simulators import Pangu
-from emulator.sensor.noise.grid import NoisyPixels, grid_ns
-from emulator.sensor.noise.law import bandwidth_hz, corner_hz, noise_events, rms
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import joined
 from emulator.sensor.pixels.state import draw

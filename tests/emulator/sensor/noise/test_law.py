@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.noise.law import (
     DIFFERENCE,
     REFRACTORY,
@@ -23,6 +22,7 @@ from emulator.sensor.noise.law import (
     statistics,
 )
 from emulator.sensor.noise.points import NoiseEvents
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.crossings import joined
 from emulator.sensor.presets import SensorParameters
 from tests.emulator.sensor.noise.ornstein_uhlenbeck import passages

@@ -12,8 +12,8 @@ from scipy import stats
 
 from emulator.light import LightFrame
 from emulator.plan.costs import noise_shift
-from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.noise.grid import NoisyPixels
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from emulator.sensor.chip.sources import SLOT_NS, Pending, Window, release
-from emulator.sensor.effects import NoiseParameters
 from emulator.sensor.noise.draws import State
 from emulator.sensor.noise.law import bandwidth_hz, corner_hz, of_array, rate_over_bandwidth, rms
 from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.numerics import keyed as keyed_kernels
 from emulator.sensor.numerics.keyed import Purpose, normal, root_of, words
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.crossings import Crossings, joined
 from emulator.sensor.presets import SensorParameters
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emulator.sensor.numerics.cached import cached_entry
+from emulator.sensor.numerics.compiled import cached_entry
 from emulator.sensor.pixels import quiet_pass as kernels
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, StepConstants
 

@@ -1,7 +1,9 @@
-"""The parameters of each effect that a sensor can have; every one is off, or changes nothing, by default.
+"""Tables of a rig for the effects of a sensor, for its frames and for its inertial unit; plain values, without kernels.
+
+Every effect of a sensor is off, or changes nothing, by default:
 
     effect         off when                                   implemented in
-    temperature    it is the reference temperature            chip.defects
+    temperature    it is 20 degrees Celsius                   chip.defects
     defects        shares are 0 and lists empty               chip.defects
     noise          rms is 0                                   noise.points, noise.grid
     background     rates are 0                                chip.sources
@@ -9,25 +11,71 @@
     imager         gains are 1, spreads 0, shot noise false   chip.imager
     radiation      flux and dose are 0                        chip.sources, chip.defects
 
-A class here is a table of a rig, `[camera.sensor.noise]` for one, and holds plain values only.
+Sources of the defaults of `FrameParameters`, a DAVIS346; DN are units of the 10-bit converter:
+
+    line time, order of reads      one recording: rows read 35.25 us apart, 260 of them before and after the exposure
+    noise of pixels, total         the same: 1.7 of 255 at middle level, here 2 DN of reading and the rest of photons
+    noise of columns and rows      the same: 0.42 and 0.10 of 255
+    fixed pattern of columns       the same: 2.2 of 255, mostly of period 2
+    sensitivity, reset level, gain spread   estimate: a rig's own
+    row kicks                      the same: see `aps.row_kicks`
+
+Sources of the defaults of `ImuParameters`:
+
+    noise density     0.007 deg/s, 160 ug a root of Hz   one recording of a DAVIS346: 0.10 deg/s and 2 to 3 mg rms
+                                                         behind the filters that drivers select by default
+    bias              0.4 deg/s, 20 mg (spreads)         the same: up to 0.74 deg/s of the gyroscope; 20 mg: an estimate
+    walk of the bias  2e-4 deg/s, 1e-5 g a root of s     estimates: no source was found for this unit
+    clock             1500 ppm fast                      the same: periods of 998 and 999 us
+    temperature       28.5 C                             the same
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
-
-from emulator.sensor.checks import check, check_finite
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any, Literal
 
 __all__ = [
+    "REFERENCE_CELSIUS",
     "BackgroundParameters",
     "DefectParameters",
+    "FrameParameters",
     "ImagerParameters",
+    "ImuParameters",
     "JitterParameters",
+    "KickParameters",
     "NoiseParameters",
     "RadiationParameters",
     "TemperatureParameters",
+    "check",
+    "check_finite",
 ]
+
+
+def check(owner: Any, name: str, low: float, high: float = math.inf, *, above: bool = False) -> None:
+    """Raise ValueError unless low <= owner.name <= high (low < with `above`); NaN is always refused.
+
+    The message begins with `name = value`, so that the key of a rig is found.
+    """
+    value = getattr(owner, name)
+    good = low < value <= high if above else low <= value <= high
+    if not good:
+        least = "above" if above else "at least"
+        most = "" if math.isinf(high) else f" and at most {high:g}"
+        raise ValueError(f"{name} = {value!r}: must be {least} {low:g}{most}")
+
+
+def check_finite(owner: Any, unbounded: tuple[str, ...] = ()) -> None:
+    """Raise ValueError if a field other than those in `unbounded` is infinite."""
+    for one in fields(owner):
+        value = getattr(owner, one.name)
+        if isinstance(value, float) and math.isinf(value) and one.name not in unbounded:
+            raise ValueError(f"{one.name} = {value!r}: must be finite")
+
+
+REFERENCE_CELSIUS = 20.0
+"""Temperature at which the parameters of a sensor hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,23 +87,35 @@ class TemperatureParameters:
 
     Attributes
     ----------
-    celsius : temperature of the chip, degrees Celsius.
-    reference_celsius : temperature at which `leak_hz` and `dark_current_relative` hold.
+    celsius : temperature of the chip, degrees Celsius; `leak_hz` and `dark_current_relative` hold at 20.
     leak_doubles_every_k : rise in temperature that doubles the leak, K.
     dark_doubles_every_k : rise in temperature that doubles the dark current, K.
     """
 
-    celsius: float = 20.0
-    reference_celsius: float = 20.0
+    celsius: float = REFERENCE_CELSIUS
     leak_doubles_every_k: float = 9.0
     dark_doubles_every_k: float = 8.0
 
     def __post_init__(self) -> None:
-        for name in ("celsius", "reference_celsius"):
-            check(self, name, -200, 200)
+        check(self, "celsius", -200, 200)
         for name in ("leak_doubles_every_k", "dark_doubles_every_k"):
             check(self, name, 1)
         check_finite(self)
+
+    @property
+    def warmer_k(self) -> float:
+        """Difference to the reference temperature, K."""
+        return self.celsius - REFERENCE_CELSIUS
+
+    @property
+    def leak_factor(self) -> float:
+        """Leak over that at the reference temperature."""
+        return float(2 ** (self.warmer_k / self.leak_doubles_every_k))
+
+    @property
+    def dark_factor(self) -> float:
+        """Dark current over that at the reference temperature."""
+        return float(2 ** (self.warmer_k / self.dark_doubles_every_k))
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,3 +318,129 @@ class RadiationParameters:
         for name in ("dose_krad", "dose_krad_per_day"):
             check(self, name, 0, 1e4)
         check(self, "hot_share_per_krad", 0, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class KickParameters:
+    """Disturbance of the event pixels of a line by its read: a value is added to their signal for a moment.
+
+    Attributes
+    ----------
+    share : of the ON threshold that is added; 0: frames do not disturb events.
+    signal_excess : excess of the value of signal reads over that of reset reads, as a share of `share`.
+    spread : between pixels and reads, standard deviation, as a share of `share`.
+    delay_us : mean time from the read to the events, exponential.
+    """
+
+    share: float = 0.10
+    signal_excess: float = 0.024
+    spread: float = 0.02
+    delay_us: float = 26.0
+
+    def __post_init__(self) -> None:
+        check(self, "share", 0, 0.9)
+        check(self, "signal_excess", -1, 1)
+        check(self, "spread", 0, 0.3)
+        check(self, "delay_us", 0, 1000)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameParameters:
+    """The active pixels. The host's registers hold the times and lengths of exposures.
+
+    Attributes
+    ----------
+    sensitivity_dn_ms : brightness, DN, that light of 1.0 gives in an exposure of 1 ms.
+    reset_dn : level of the reset read, DN; a pixel whose brightness reaches it is saturated, and hosts show it white.
+    electrons_per_dn : sets the shot noise; 0: none.
+    read_noise_dn : noise of a pixel's brightness in the dark, rms, DN.
+    column_noise_dn, row_noise_dn : noise common to a column or a row, new in each frame, rms, DN.
+    column_pattern_dn : fixed difference of every second column, half of it, DN.
+    column_fixed_dn : fixed offset of each column beside that, rms, DN.
+    gain_spread : between pixels, rms, as a share.
+    line_us : time to read a line of 346 samples; shorter lines take less.
+    kicks : disturbance of events by reading.
+    """
+
+    sensitivity_dn_ms: float = 100.0
+    reset_dn: float = 900.0
+    electrons_per_dn: float = 9.5
+    read_noise_dn: float = 2.0
+    column_noise_dn: float = 1.7
+    row_noise_dn: float = 0.4
+    column_pattern_dn: float = 8.0
+    column_fixed_dn: float = 3.7
+    gain_spread: float = 0.01
+    line_us: float = 35.25
+    kicks: KickParameters = field(default_factory=KickParameters)
+
+    def __post_init__(self) -> None:
+        check(self, "sensitivity_dn_ms", 0, above=True)
+        check(self, "reset_dn", 384, 1023)  # hosts take lower reset reads for saturated pixels
+        check(self, "electrons_per_dn", 0, 1e6)
+        for name in ("read_noise_dn", "column_noise_dn", "row_noise_dn", "column_pattern_dn", "column_fixed_dn"):
+            check(self, name, 0, 200)
+        check(self, "gain_spread", 0, 0.3)
+        check(self, "line_us", 1, 1000)
+        check_finite(self)
+
+
+_Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class ImuParameters:
+    """An inertial measurement unit.
+
+    Attributes
+    ----------
+    unit
+        "mpu_9250", also for the MPU-6500 of a DAVIS346, or "mpu_6050": its filters and its thermometer.
+    q_camera_from_imu
+        Rotation against the camera (x right, y down, z along the boresight): unit quaternion, scalar first.
+    gravity_m_s2
+        Gravity in the world, the same everywhere. Without it, and without `gm_m3_s2`: that of the Moon above a terrain,
+        straight down in -z; that of the central body of a path of kind "orbit"; that of the Earth, straight down in the
+        image, where the camera has no path; else none.
+    gm_m3_s2
+        Above 0: gravity of a point mass at the world's origin instead.
+    gyroscope_noise_deg_s, accelerometer_noise_ug
+        Noise density, one-sided, a root of hertz.
+    gyroscope_walk_deg_s, accelerometer_walk_g
+        Random walk of the bias, a root of second.
+    gyroscope_bias_deg_s, accelerometer_bias_g
+        Bias at the start; without it one is drawn from the seed, with a standard deviation of 0.4 deg/s and of 20 mg.
+    temperature_c
+        Temperature of the unit.
+    clock_ppm
+        Rate error of its own clock, positive when it runs too fast.
+    """
+
+    unit: Literal["mpu_9250", "mpu_6050"] = "mpu_9250"
+    q_camera_from_imu: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    gravity_m_s2: _Triple | None = None
+    gm_m3_s2: float = 0.0
+    gyroscope_noise_deg_s: float = 0.007
+    accelerometer_noise_ug: float = 160.0
+    gyroscope_walk_deg_s: float = 2e-4
+    accelerometer_walk_g: float = 1e-5
+    gyroscope_bias_deg_s: _Triple | None = None
+    accelerometer_bias_g: _Triple | None = None
+    temperature_c: float = 28.5
+    clock_ppm: float = 1500.0
+
+    def __post_init__(self) -> None:
+        check_finite(self)
+        for name in ("gravity_m_s2", "gyroscope_bias_deg_s", "accelerometer_bias_g", "q_camera_from_imu"):
+            value = getattr(self, name)
+            if value is not None and not all(abs(part) < 1e9 for part in value):  # NaN compares false
+                raise ValueError(f"{name} = {value}: must be finite numbers")
+        if abs(math.hypot(*self.q_camera_from_imu) - 1) >= 1e-3:
+            raise ValueError(f"q_camera_from_imu = {self.q_camera_from_imu}: must be a unit quaternion (w, x, y, z)")
+        if self.gravity_m_s2 is not None and self.gm_m3_s2:
+            raise ValueError("gm_m3_s2: gravity is either gravity_m_s2 or that of a point mass, not both")
+        for name in ("gyroscope_noise_deg_s", "accelerometer_noise_ug", "gyroscope_walk_deg_s", "accelerometer_walk_g"):
+            check(self, name, 0.0, 1e6)
+        check(self, "gm_m3_s2", 0.0)
+        check(self, "temperature_c", -60, 125)
+        check(self, "clock_ppm", -50_000, 50_000)
