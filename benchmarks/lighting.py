@@ -16,7 +16,7 @@ from emulator.scene.bodies.mesh import find_shape, load_mesh
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.world import Arrangement, PlacedBody
 from emulator.trajectory.building import build_trajectory
-from emulator.trajectory.motion import Timescale
+from emulator.trajectory.pose import Timescale
 
 __all__ = ["main"]
 

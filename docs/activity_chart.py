@@ -17,7 +17,7 @@ import numpy as np
 
 from emulator.evaluation.bench.pixels import grating
 from emulator.light import Light, LightFrame, Region
-from emulator.report.charts import pyplot, save
+from emulator.report.page import pyplot, save
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS
 

@@ -16,7 +16,7 @@ from emulator.campaign.loading import load_source
 from emulator.campaign.report import numbers, quantiles, sensitivity, worst_runs
 from emulator.campaign.success import proportion
 from emulator.campaign.table import check_folder, read_rows, rows_folder
-from emulator.report.charts import pyplot
+from emulator.report.page import pyplot
 
 PAGE = Path(__file__).parent
 FILE = PAGE.parent / "examples" / "landing" / "campaign.toml"

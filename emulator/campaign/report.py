@@ -34,8 +34,7 @@ from scipy.stats import spearmanr
 from emulator.campaign.campaign import Campaign, Row
 from emulator.campaign.sampling import Law
 from emulator.campaign.success import SuccessRule, proportion
-from emulator.report.charts import BLUE, INK, RED, ChartsLacking, image, panels, svg
-from emulator.report.page import Page
+from emulator.report.page import BLUE, INK, RED, ChartsLacking, Page, image, panels, svg
 
 __all__ = [
     "Sensitivity",

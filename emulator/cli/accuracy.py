@@ -33,7 +33,7 @@ from emulator.evaluation.accuracy.sweeps import (
     settings,
     sweep,
 )
-from emulator.report.charts import ChartsLacking, check
+from emulator.report.page import ChartsLacking, check_charts
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 
 __all__ = ["accuracy"]
@@ -69,7 +69,7 @@ def accuracy(
         Print one JSON object as the last line on stdout.
     """
     try:
-        check()
+        check_charts()
         out.mkdir(parents=True, exist_ok=True)
     except ChartsLacking as error:
         raise Failure(str(error), LACKING) from error

@@ -14,7 +14,7 @@ from emulator.evaluation.characterise.measurements import figures, measurements
 from emulator.evaluation.characterise.recordings import compare, write_comparison
 from emulator.evaluation.characterise.report import reading, write
 from emulator.evaluation.characterise.stimuli import Point
-from emulator.report.charts import ChartsLacking, check
+from emulator.report.page import ChartsLacking, check_charts
 from emulator.rig.loading import RigError, load_rig
 from emulator.sensor.presets import PRESETS, SensorParameters
 
@@ -60,7 +60,7 @@ def characterise(
         parameters = _sensor(camera)
     try:
         if recording is None:
-            check()
+            check_charts()
         out.mkdir(parents=True, exist_ok=True)
     except ChartsLacking as error:
         raise Failure(str(error), LACKING) from error

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import App, Parameter
 
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json
-from emulator.rig.camera_models import CAMERA_MODELS, UsbSettings
+from emulator.rig.kinds import CAMERA_MODELS, UsbSettings
 from emulator.rig.tables import Camera
 from firmware_protocol.usb.descriptors import DescriptorSet
 from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of

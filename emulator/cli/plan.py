@@ -12,8 +12,7 @@ from emulator.cli.checks import failures
 from emulator.cli.output import GOOD, console, print_json
 from emulator.plan.plan import Decision, Plan, make_plan
 from emulator.plan.scene_probe import probe
-from emulator.rig.camera_models import CAMERA_MODELS
-from emulator.rig.kinds import SCENES
+from emulator.rig.kinds import CAMERA_MODELS, SCENES
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.assembly import build_scene
 

@@ -23,7 +23,7 @@ from emulator.cli.output import LACKING, WRONG_USE, Failure, console, status
 from emulator.cli.run_summary import quantile_text
 from emulator.light import MachineLacks
 from emulator.live_page.messages import Address, parse_address
-from emulator.report.charts import ChartsLacking, check
+from emulator.report.page import ChartsLacking, check_charts
 from emulator.rig.loading import Rig
 from emulator.run.changes import Operator
 from emulator.run.control import FaultInjection
@@ -144,7 +144,7 @@ def begin_report(rig: Rig, folder: Path | None) -> RunReporter:
     if folder is None:
         return RunReporter(rig, None)
     try:
-        check()
+        check_charts()
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / "report.html"
         probe.open("ab").close()

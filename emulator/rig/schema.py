@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 
-from emulator.rig.camera_models import CAMERA_MODELS
+from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.top_level import TOP_LEVEL, TopLevelKey
 from emulator.tables.typed_table import field_types, item_type, kinds_of, table_type
 

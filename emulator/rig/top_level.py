@@ -10,8 +10,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from emulator.rig.camera_models import CAMERA_MODELS, UsbSettings, gige_models, usb_sizes
-from emulator.rig.kinds import LINKS, SCENES, convert_fault, known_faults
+from emulator.rig.kinds import (
+    CAMERA_MODELS,
+    LINKS,
+    SCENES,
+    UsbSettings,
+    convert_fault,
+    gige_models,
+    known_faults,
+    usb_sizes,
+)
 from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.scene.kind import SceneParameters
 from emulator.sensor.presets import SensorParameters

@@ -34,8 +34,7 @@ from emulator.optics.through import Through
 from emulator.plan.plan import limits, make_plan
 from emulator.plan.scene_probe import probe
 from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
-from emulator.rig.camera_models import CAMERA_MODELS, IMU_UNITS, UsbSettings
-from emulator.rig.kinds import LINKS, SCENES
+from emulator.rig.kinds import CAMERA_MODELS, IMU_UNITS, LINKS, SCENES, UsbSettings
 from emulator.rig.loading import Rig, RigError, Run
 from emulator.rig.tables import Trigger
 from emulator.run.readings import ReadingSource, ReadingSources
@@ -53,9 +52,8 @@ from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import EventSource, Sensor
 from emulator.tables.registry import imported
 from emulator.trajectory.building import HasCameraPath
-from emulator.trajectory.motion import Timescale
 from emulator.trajectory.parameters import OrbitPath
-from emulator.trajectory.pose import Fixed
+from emulator.trajectory.pose import Fixed, Timescale
 from firmware_protocol.davis346.registers import driver_imu_settings
 from firmware_protocol.device.clock import ClockSettings
 from firmware_protocol.device.items import ReadingKind

@@ -29,8 +29,7 @@ from numba import config
 
 from emulator.gl.context import selected_painter
 from emulator.light import LightFrame
-from emulator.rig.camera_models import CAMERA_MODELS
-from emulator.rig.kinds import LINKS, SCENES
+from emulator.rig.kinds import CAMERA_MODELS, LINKS, SCENES
 from emulator.rig.loading import Rig
 from emulator.run.link_process import starting_a_process
 from emulator.sensor.presets import PRESETS, SensorParameters

@@ -25,8 +25,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from emulator.report.charts import BLUE, INK, RED, image, pyplot, svg
-from emulator.report.page import Page, write_json
+from emulator.report.page import BLUE, INK, RED, Page, image, pyplot, svg, write_json
 from emulator.rig.loading import Rig
 from emulator.run.outcome import Judgement, RunResult, RunStatus, good, undersampled_advice, undersampled_text
 from firmware_protocol.events import Events

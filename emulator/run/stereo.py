@@ -17,7 +17,7 @@ from emulator.run.outcome import Ledger, LinkLedger
 from emulator.run.readings import ReadingSources, StepOutput
 from emulator.scene.kind import SceneParameters
 from emulator.sensor.sensor import EventSource
-from emulator.trajectory.building import OffsetPath
+from emulator.trajectory.building import MountedPath
 from emulator.trajectory.parameters import BasiliskPath, LivePath
 from firmware_protocol.events import Events
 from transports.link.changes import CameraSettings
@@ -55,7 +55,7 @@ def _moved(rig: Rig, second: SecondCamera) -> SceneParameters:
             f"{rig.name}: second_camera: this scene's camera has no path of its own on which another can be mounted; "
             "take one of bodies, terrain or stars with a path that the rig gives"
         )
-    moved = OffsetPath(path, second.offset_m, second.q_first_from_second)
+    moved = MountedPath(path, second.offset_m, second.q_first_from_second)
     return dataclasses.replace(rig.scene, camera=moved)
 
 

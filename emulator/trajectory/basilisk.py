@@ -27,9 +27,8 @@ import numpy as np
 
 from emulator.geometry.attitude import Matrix, Quaternion, Vector, multiply
 from emulator.trajectory.live import between, known_motion
-from emulator.trajectory.motion import AT_REST, Motion
 from emulator.trajectory.parameters import BasiliskPath
-from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError, from_basilisk
+from emulator.trajectory.pose import AT_REST, Motion, Pose, Trajectory, TrajectoryError, from_basilisk
 from firmware_protocol.vizard.messages import Update, UpdateError
 
 __all__ = ["ConnectedPath", "SimulatedPath", "pose_of", "simulated_path"]

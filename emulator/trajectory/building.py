@@ -6,7 +6,7 @@ A trajectory from files has one file for the places and perhaps one for the atti
 the first place. Attitudes are taken at the epochs of their own file (CCSDS AEM); beside a table or a flight
 file, which have no epochs, they begin at time 0.
 
-An `Offset` is mounted at a fixed place beside a path. An inertial unit uses the path of the scene's camera.
+An inertial unit uses the path of the scene's camera.
 """
 
 from __future__ import annotations
@@ -19,9 +19,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-import numpy.typing as npt
 
-from emulator.geometry.attitude import cross
 from emulator.geometry.camera import Cycle
 from emulator.tables.toml_text import TextFileError, read_text, shortened
 from emulator.trajectory.basilisk import simulated_path
@@ -29,8 +27,7 @@ from emulator.trajectory.ccsds_file import CcsdsPath, parse_aem, parse_oem
 from emulator.trajectory.descent import Descent
 from emulator.trajectory.flight_file import Samples, parse_flight, parse_table
 from emulator.trajectory.keyframes import Keyframes
-from emulator.trajectory.live import LivePoses
-from emulator.trajectory.motion import Motion, Timescale
+from emulator.trajectory.live import LivePoses, PoseReceiver, ReceivedPath, close_receivers
 from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt
 from emulator.trajectory.orbit import Orbit
 from emulator.trajectory.parameters import (
@@ -44,10 +41,9 @@ from emulator.trajectory.parameters import (
     SpinPath,
     TrajectoryParameters,
 )
-from emulator.trajectory.pose import OPENGL_FROM_CAMERA, Fixed, Pose, Trajectory, TrajectoryError
-from emulator.trajectory.pose_receiver import PoseReceiver, ReceivedPath, close_receivers
+from emulator.trajectory.pose import OPENGL_FROM_CAMERA, Fixed, Pose, Timescale, Trajectory, TrajectoryError
 
-__all__ = ["HasCameraPath", "Offset", "OffsetPath", "build_trajectories", "build_trajectory", "read_path"]
+__all__ = ["HasCameraPath", "MountedPath", "build_trajectories", "build_trajectory", "read_path"]
 
 
 _MOST_BYTES = 1 << 28
@@ -71,7 +67,8 @@ def read_path(p: FilePath) -> tuple[Trajectory, _Span]:
     except TrajectoryError as error:
         raise TrajectoryError(f"{p.attitude_path}: {shortened(error)}") from error
     both: Trajectory = PlaceAndAttitude(places, attitudes, zero_ns, attitudes_zero_ns)
-    return Mounted(both, OPENGL_FROM_CAMERA) if p.axes == "opengl" else both, (start_ns - zero_ns, stop_ns - zero_ns)
+    camera = Mounted(both, Pose(np.zeros(3), OPENGL_FROM_CAMERA)) if p.axes == "opengl" else both
+    return camera, (start_ns - zero_ns, stop_ns - zero_ns)
 
 
 def _keyframes(path: Path, period_s: float) -> Keyframes:
@@ -129,42 +126,12 @@ def _text(path: Path) -> str:
 
 
 @dataclass(frozen=True)
-class OffsetPath:
-    """Parameters of a path beside another one; no rig writes it. See `Offset`."""
+class MountedPath:
+    """Parameters of a body that is mounted on a path; no rig writes it."""
 
     path: TrajectoryParameters
     offset_m: tuple[float, float, float]
     q_path_from_body: tuple[float, float, float, float]
-
-
-class Offset(Trajectory):
-    """A body at `offset_m`, (3,) along the axes of `path`, turned against them by the fixed `q_path_from_body`."""
-
-    def __init__(self, path: Trajectory, offset_m: npt.ArrayLike, q_path_from_body: npt.ArrayLike) -> None:
-        self._path = path
-        self._mounted = Pose(np.asarray(offset_m, np.float64), np.asarray(q_path_from_body, np.float64))
-
-    def pose(self, t_ns: int) -> Pose:
-        """Return the pose at `t_ns`."""
-        return self._path.pose(t_ns).after(self._mounted)
-
-    def motion(self, t_ns: int) -> Motion:
-        """Return its motion: velocity and turning of a rigid body, the acceleration from differences of places."""
-        path, world_from_path = self._path.motion(t_ns), self._path.pose(t_ns).world_from_body
-        carried = world_from_path @ cross(path.turn_rad_s, self._mounted.position_m)
-        acceleration = super().motion(t_ns).acceleration_m_s2
-        return Motion(path.velocity_m_s + carried, acceleration, self._mounted.world_from_body.T @ path.turn_rad_s)
-
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Bound of the path, and of turning about it."""
-        arm_m = float(np.linalg.norm(self._mounted.position_m))
-        return self._path.speed_bound_m_s + arm_m * self._path.turn_bound_rad_s
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Bound of the path."""
-        return self._path.turn_bound_rad_s
 
 
 _Triple = tuple[float, float, float]
@@ -184,7 +151,7 @@ def build_trajectories(paths: Sequence[TrajectoryParameters]) -> list[Trajectory
     return built
 
 
-def build_trajectory(p: TrajectoryParameters | OffsetPath) -> Trajectory:
+def build_trajectory(p: TrajectoryParameters | MountedPath) -> Trajectory:
     """Return the trajectory of a rig's table; raises TrajectoryError, and OSError where a port is not available."""
     match p:
         case FixedPath():
@@ -205,14 +172,15 @@ def build_trajectory(p: TrajectoryParameters | OffsetPath) -> Trajectory:
             return _looking(recorded, p.look_at_m, p.up, _spread(*span_ns))
         case LivePath():
             return _received(p, 0, {})
-        case OffsetPath() | BasiliskPath():
+        case MountedPath() | BasiliskPath():
             return _derived(p)
 
 
-def _derived(p: OffsetPath | BasiliskPath) -> Trajectory:
+def _derived(p: MountedPath | BasiliskPath) -> Trajectory:
     if isinstance(p, BasiliskPath):
         return simulated_path(p)
-    return Offset(build_trajectory(p.path), p.offset_m, p.q_path_from_body)
+    mounting = Pose(np.array(p.offset_m), np.array(p.q_path_from_body))
+    return Mounted(build_trajectory(p.path), mounting)
 
 
 def _received(p: LivePath, number: int, receivers: dict[tuple[str, int], PoseReceiver]) -> ReceivedPath:

@@ -56,9 +56,18 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.trajectory.keyframes import Keyframes
-from emulator.trajectory.motion import AT_REST, Motion
-from emulator.trajectory.pose import FARTHEST_M, STILL, Pose, Trajectory, TrajectoryError
-from emulator.trajectory.sampling import instants_between, measured_bounds, require_increasing
+from emulator.trajectory.pose import (
+    AT_REST,
+    FARTHEST_M,
+    STILL,
+    Motion,
+    Pose,
+    Trajectory,
+    TrajectoryError,
+    instants_between,
+    measured_bounds,
+    require_increasing,
+)
 
 if TYPE_CHECKING:
     from scipy.interpolate import KroghInterpolator

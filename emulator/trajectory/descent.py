@@ -31,10 +31,8 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import Quaternion, Vector, quaternion_of
 from emulator.trajectory.keyframes import Keyframes
-from emulator.trajectory.motion import Motion
 from emulator.trajectory.mounting import looking_along
-from emulator.trajectory.pose import STILL, Pose, Trajectory, TrajectoryError
-from emulator.trajectory.sampling import instants_between, measured_bounds
+from emulator.trajectory.pose import STILL, Motion, Pose, Trajectory, TrajectoryError, instants_between, measured_bounds
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly

@@ -22,9 +22,17 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.attitude import multiply, quaternion_of_vector
-from emulator.trajectory.motion import AT_REST, Motion, rate_of_vector
-from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
-from emulator.trajectory.sampling import instants_between, measured_bounds, require_increasing
+from emulator.trajectory.pose import (
+    AT_REST,
+    Motion,
+    Pose,
+    Trajectory,
+    TrajectoryError,
+    instants_between,
+    measured_bounds,
+    rate_of_vector,
+    require_increasing,
+)
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly

@@ -14,7 +14,7 @@ matrices, with `spin` from `attitude`:
 
 Without a tilt it spins about the momentum. Phases are exact for as long as the stream lasts (see `cycle`).
 
-`PlaceAndAttitude` has the places of one trajectory and the attitudes of another; `Mounted` is turned against a path.
+`PlaceAndAttitude` has the places of one trajectory and the attitudes of another; `Mounted` is fixed to a path.
 """
 
 from __future__ import annotations
@@ -26,11 +26,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.attitude import Matrix, Quaternion, Vector, cross, matrix_of, multiply, quaternion_of, spin, unit
+from emulator.geometry.attitude import Matrix, Vector, cross, quaternion_of, spin, unit
 from emulator.geometry.camera import Cycle
-from emulator.trajectory.motion import Motion, rate_of_frame
-from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
-from emulator.trajectory.sampling import measured_bounds
+from emulator.trajectory.pose import Motion, Pose, Trajectory, TrajectoryError, measured_bounds, rate_of_frame
 
 __all__ = ["Looking", "Mounted", "PlaceAndAttitude", "Spinning", "Tilt", "looking_along"]
 
@@ -196,25 +194,29 @@ class PlaceAndAttitude(Trajectory):
 
 
 class Mounted(Trajectory):
-    """A body at the place of `path`, turned against its axes by the fixed `q_path_from_body`."""
+    """A body fixed to a path at `mounting`, its pose along the axes of the path."""
 
-    def __init__(self, path: Trajectory, q_path_from_body: Quaternion) -> None:
-        self._path, self._q = path, q_path_from_body
+    def __init__(self, path: Trajectory, mounting: Pose) -> None:
+        self._path, self._mounting = path, mounting
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at `t_ns`."""
-        pose = self._path.pose(t_ns)
-        return Pose(pose.position_m, multiply(pose.q_world_from_body, self._q))
+        return self._path.pose(t_ns).after(self._mounting)
 
     def motion(self, t_ns: int) -> Motion:
-        """Return the path's motion, its turning along the axes of the mounted body."""
-        path = self._path.motion(t_ns)
-        return Motion(path.velocity_m_s, path.acceleration_m_s2, matrix_of(self._q).T @ path.turn_rad_s)
+        """Return the motion of a rigid body; the acceleration beside the path is from differences of places."""
+        path, arm_m = self._path.motion(t_ns), self._mounting.position_m
+        turn_rad_s = self._mounting.world_from_body.T @ path.turn_rad_s
+        if not arm_m.any():
+            return Motion(path.velocity_m_s, path.acceleration_m_s2, turn_rad_s)
+        carried = self._path.pose(t_ns).world_from_body @ cross(path.turn_rad_s, arm_m)
+        return Motion(path.velocity_m_s + carried, super().motion(t_ns).acceleration_m_s2, turn_rad_s)
 
     @property
     def speed_bound_m_s(self) -> float:
-        """Bound of the path."""
-        return self._path.speed_bound_m_s
+        """Bound of the path, and of turning about it."""
+        arm_m = float(np.linalg.norm(self._mounting.position_m))
+        return self._path.speed_bound_m_s + (arm_m * self._path.turn_bound_rad_s if arm_m else 0.0)
 
     @property
     def turn_bound_rad_s(self) -> float:

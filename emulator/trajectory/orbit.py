@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from emulator.geometry.attitude import Matrix, Vector
-from emulator.trajectory.motion import Motion
-from emulator.trajectory.pose import STILL, Pose, Trajectory
+from emulator.trajectory.pose import STILL, Motion, Pose, Trajectory
 
 __all__ = ["Elements", "Orbit", "eccentric_anomaly"]
 

@@ -28,8 +28,7 @@ import numpy.typing as npt
 from emulator.geometry.camera import Pinhole, Rays, Seen
 from emulator.raster import Renderer, Screen, View, join, prepare
 from emulator.raster.layout import W, WHighest, WLowest
-from emulator.trajectory.motion import Timescale
-from emulator.trajectory.pose import STILL, Pose, Trajectory
+from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory
 from emulator.truth.compiled import entry
 
 __all__ = ["Instants", "NearestSurface", "Surface", "instants", "motion_of", "nearest_along", "write_depth_and_flow"]

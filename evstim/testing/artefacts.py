@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 from emulator.cli.run import summary
-from emulator.report.charts import ChartsLacking
+from emulator.report.page import ChartsLacking
 from emulator.run.outcome import judge
 from emulator.run.report import ReportContent, write_report
 from evstim.testing.running_rig import RunningRig

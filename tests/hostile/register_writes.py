@@ -23,8 +23,7 @@ from emulator.light import LightFrame
 from emulator.sensor.aps.frames import FrameSource
 from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, Carried, ImuSource, ImuUnit
 from emulator.sensor.parameters import FrameParameters, ImuParameters
-from emulator.trajectory.motion import Timescale
-from emulator.trajectory.pose import Fixed
+from emulator.trajectory.pose import Fixed, Timescale
 from firmware_protocol.davis346 import Access, Davis346, Davis346Settings, Decoder, Layout, SystemInfo, registers
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import EDGE, EdgeKind

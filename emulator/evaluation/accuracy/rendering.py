@@ -31,12 +31,11 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.evaluation.accuracy.sampled_scenes import SampledBodies, SampledTerrain
-from emulator.evaluation.accuracy.scores import Stream, compare
-from emulator.evaluation.accuracy.sequences import PixelEvents as Sequences
-from emulator.evaluation.accuracy.sequences import common_subsequences
+from emulator.evaluation.accuracy.scores import PixelEvents as Sequences
+from emulator.evaluation.accuracy.scores import Stream, common_subsequences, compare
 from emulator.light import LightFrame, Scene, SceneFrames
 from emulator.optics.through import Through
-from emulator.rig.camera_models import CAMERA_MODELS
+from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.loading import Rig
 from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.raster_bodies import RasterBodies

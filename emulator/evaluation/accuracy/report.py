@@ -22,8 +22,7 @@ from emulator.evaluation.accuracy.sweeps import (
     frames_needed,
     reading_against_line,
 )
-from emulator.report.charts import figure_legend, panels, save
-from emulator.report.page import Page, write_csv, write_json
+from emulator.report.page import Page, figure_legend, panels, save, write_csv, write_json
 
 __all__ = [
     "draw_rendering",

@@ -34,8 +34,7 @@ from emulator.scene.bodies.world import Arrangement, BodyWorld, PlacedBody
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import TerrainWorld
 from emulator.trajectory.building import build_trajectory
-from emulator.trajectory.motion import Timescale
-from emulator.trajectory.pose import Pose
+from emulator.trajectory.pose import Pose, Timescale
 from firmware_protocol.compiled import entry_of
 
 __all__ = ["PointSampler", "SampledBodies", "SampledTerrain", "clipped"]

@@ -17,8 +17,7 @@ import numpy as np
 
 from emulator.evaluation.characterise.published import PUBLISHED, Published
 from emulator.evaluation.characterise.stimuli import CURVES, FIGURE, Curve, Point
-from emulator.report.charts import panels, save
-from emulator.report.page import Page, write_csv, write_json
+from emulator.report.page import Page, panels, save, write_csv, write_json
 
 __all__ = ["Comparison", "comparisons", "draw", "reading", "write"]
 

@@ -34,8 +34,7 @@ from emulator.scene.bodies.raster_bodies import BodiesGeometry
 from emulator.scene.bodies.regolith import coarser, facet_size_m, flat
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.world import BodyWorld, middle
-from emulator.trajectory.motion import Timescale
-from emulator.trajectory.pose import Pose, Trajectory
+from emulator.trajectory.pose import Pose, Timescale, Trajectory
 
 if TYPE_CHECKING:
     import moderngl

@@ -42,8 +42,7 @@ from emulator.scene.bodies.shadow_polygons import Polygons, SharpShadows, receiv
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.world import RigidGroup, rigid_groups
 from emulator.threads import ThreadPool
-from emulator.trajectory.motion import Timescale
-from emulator.trajectory.pose import Pose, Trajectory
+from emulator.trajectory.pose import Pose, Timescale, Trajectory
 
 __all__ = [
     "LOST_AT_MOST",

@@ -35,8 +35,7 @@ from emulator.scene.bodies.shadow_polygons import with_narrow_penumbras
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.bodies.world import BodyWorld, rigid_groups
 from emulator.threads import available_threads
-from emulator.trajectory.motion import Timescale
-from emulator.trajectory.pose import Pose, Trajectory
+from emulator.trajectory.pose import Pose, Timescale, Trajectory
 from emulator.truth.surfaces import NearestSurface, motion_of, write_depth_and_flow
 
 __all__ = ["LINEAR_WITHIN", "LONGEST_PX", "BodiesGeometry", "RasterBodies", "build_bodies", "move"]

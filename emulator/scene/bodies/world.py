@@ -24,10 +24,9 @@ from emulator.scene.bodies.mesh import Mesh, find_shape, load_mesh
 from emulator.scene.bodies.regolith import coarser, detailed, facet_size_m
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.building import build_trajectories, build_trajectory
-from emulator.trajectory.motion import Timescale
+from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.parameters import FixedPath
-from emulator.trajectory.pose import STILL, Pose, Trajectory, TrajectoryError
-from emulator.trajectory.pose_receiver import close_receivers, live_counts
+from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory, TrajectoryError
 
 __all__ = ["Arrangement", "BodyWorld", "PlacedBody", "RigidGroup", "middle", "rigid_groups"]
 

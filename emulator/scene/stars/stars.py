@@ -30,10 +30,9 @@ from emulator.optics.lens import Chip, Distortion, LensParameters, bent_rays, st
 from emulator.scene.stars.catalogue import Boxes, boxes_of, clear, irradiance_w_m2, load_stars, splat
 from emulator.scene.stars.table import StarsParameters
 from emulator.trajectory.building import build_trajectories
-from emulator.trajectory.motion import Timescale
+from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.parameters import BasiliskPath, LivePath
-from emulator.trajectory.pose import Pose, Trajectory, TrajectoryError
-from emulator.trajectory.pose_receiver import close_receivers, live_counts
+from emulator.trajectory.pose import Pose, Timescale, Trajectory, TrajectoryError
 from emulator.truth.surfaces import Instants, instants, motion_of, write_depth_and_flow
 
 __all__ = ["Sky", "StarField", "StarsGeometry"]

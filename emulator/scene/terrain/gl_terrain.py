@@ -43,9 +43,8 @@ from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets
 from emulator.scene.terrain.raster_terrain import RasterTerrain, TerrainGeometry
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import TerrainWorld
-from emulator.trajectory.motion import Timescale
 from emulator.trajectory.parameters import BasiliskPath, LivePath
-from emulator.trajectory.pose import Pose, Trajectory
+from emulator.trajectory.pose import Pose, Timescale, Trajectory
 
 if TYPE_CHECKING:
     import moderngl

@@ -37,8 +37,7 @@ from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import TerrainWorld
 from emulator.threads import available_threads
-from emulator.trajectory.motion import Timescale
-from emulator.trajectory.pose import STILL, Pose, Trajectory
+from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory
 from emulator.truth.surfaces import instants, motion_of, nearest_along, write_depth_and_flow
 
 __all__ = ["CameraMotion", "RasterTerrain", "TerrainGeometry", "build_terrain", "camera_motion"]

@@ -34,10 +34,8 @@ from emulator.scene.terrain.heightmap import load_heightmap
 from emulator.scene.terrain.relief import make_albedo, make_ridge
 from emulator.scene.terrain.table import Ridge, TerrainParameters
 from emulator.trajectory.building import build_trajectory
-from emulator.trajectory.motion import Timescale
-from emulator.trajectory.pose import Pose, TrajectoryError
-from emulator.trajectory.pose_receiver import close_receivers, live_counts
-from emulator.trajectory.sampling import measured_bounds
+from emulator.trajectory.live import close_receivers, live_counts
+from emulator.trajectory.pose import Pose, Timescale, TrajectoryError, measured_bounds
 
 __all__ = ["TerrainWorld", "build_ground", "horizon_slopes", "sunlit_share"]
 

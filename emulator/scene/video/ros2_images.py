@@ -31,7 +31,7 @@ from emulator.light import Light, MachineLacks, Scene, SceneError
 from emulator.scene.kind import SceneKind
 from emulator.scene.video.frames import linear_light
 from emulator.scene.video.video import resampled
-from emulator.trajectory.pose_receiver import SceneClock
+from emulator.trajectory.live import SceneClock
 from firmware_protocol.ros2.messages import IMAGE, CdrError, ImageError, levels_of, parse_image
 from transports.needs import Need, install_command, package
 from transports.ros2.kind import DdsNetwork, check_topic

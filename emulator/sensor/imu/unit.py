@@ -47,8 +47,7 @@ from emulator.geometry.attitude import Vector, matrix_of
 from emulator.light import LightFrame
 from emulator.sensor.numerics.keyed import Purpose, normal
 from emulator.sensor.parameters import ImuParameters
-from emulator.trajectory.motion import Timescale
-from emulator.trajectory.pose import Trajectory
+from emulator.trajectory.pose import Timescale, Trajectory
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.imu_samples import IMU_SAMPLE, THERMOMETERS, ImuSamples, ImuScale, ImuSettings, no_samples
 

@@ -12,7 +12,7 @@ from emulator.campaign import report as module
 from emulator.campaign.report import pawn, quantiles, sensitivity, slices_of, worst_runs, write_report
 from emulator.campaign.sampling import OneOf, Uniform, unit_points
 from emulator.campaign.success import proportion
-from emulator.report.charts import ChartsLacking
+from emulator.report.page import ChartsLacking
 
 
 def wilson(successes, runs, z=1.959963984540054):
@@ -167,7 +167,7 @@ def test_a_page_without_matplotlib_has_its_tables(campaign, rows, tmp_path, monk
     def lacking():
         raise ChartsLacking("charts need matplotlib")
 
-    monkeypatch.setattr("emulator.report.charts.pyplot", lacking)
+    monkeypatch.setattr("emulator.report.page.pyplot", lacking)
     page = write_report(campaign(count=48), rows, tmp_path).read_text()
     assert "No charts: charts need matplotlib" in page
     assert "Worst runs" in page

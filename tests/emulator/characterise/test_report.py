@@ -14,7 +14,7 @@ from emulator.evaluation.characterise.measurements import burst, figures, latenc
 from emulator.evaluation.characterise.published import PUBLISHED
 from emulator.evaluation.characterise.report import comparisons, reading
 from emulator.evaluation.characterise.stimuli import CURVES, FIGURE, Point, on_the_bench
-from emulator.report import charts as drawing
+from emulator.report import page as drawing
 from emulator.sensor.parameters import DefectParameters
 from emulator.sensor.presets import PRESETS
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from emulator.rig.camera_models import CAMERA_MODELS, UsbSettings
+from emulator.rig.kinds import CAMERA_MODELS, UsbSettings
 from emulator.rig.tables import Camera
 from transports.usb.davis_host import DavisHost
 from transports.usb.loopback import DirectHost

@@ -11,9 +11,9 @@ from emulator.rig.loading import RigError, load_rig, parse_rig
 from emulator.rig.tables import SecondCamera
 from emulator.run.readings import ReadingSources
 from emulator.run.stereo import SecondView, second_rig
-from emulator.trajectory.building import OffsetPath, build_trajectory
-from emulator.trajectory.motion import differences
+from emulator.trajectory.building import MountedPath, build_trajectory
 from emulator.trajectory.parameters import SpinPath
+from emulator.trajectory.pose import differences
 from transports.link.changes import CameraSettings
 from transports.recording.record import load_record
 
@@ -84,7 +84,7 @@ def test_a_scene_without_a_path_has_no_place_for_a_second_camera():
 
 
 def test_what_is_mounted_beside_a_turning_thing_moves_as_a_rigid_body_does():
-    path = build_trajectory(OffsetPath(SpinPath(spin_deg_s=90.0), (2.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
+    path = build_trajectory(MountedPath(SpinPath(spin_deg_s=90.0), (2.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
     motion = path.motion(300_000_000)
     assert np.linalg.norm(motion.velocity_m_s) == pytest.approx(math.pi)
     np.testing.assert_allclose(motion.velocity_m_s, differences(path.pose, 300_000_000).velocity_m_s, atol=1e-4)

@@ -13,10 +13,9 @@ from emulator.trajectory.ccsds_file import PolynomialPath, Segment, Segmented
 from emulator.trajectory.descent import Descent
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.live import LivePoses, known_motion
-from emulator.trajectory.motion import differences
 from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt
 from emulator.trajectory.orbit import Elements, Orbit
-from emulator.trajectory.pose import STILL, Fixed, Pose, Trajectory
+from emulator.trajectory.pose import STILL, Fixed, Pose, Trajectory, differences
 
 SECOND = 1_000_000_000
 TURNED = quaternion_of_vector([0.3, -0.2, 0.5])
@@ -51,7 +50,8 @@ PATHS = {
     "looking": Looking(_keyframes(), (9, -4, 7), (0.1, 0.2, 1), [0, SECOND]),
     "descent": Descent(),
     "places and attitudes": PlaceAndAttitude(_polynomial(), _spinning(), SECOND, 2 * SECOND),
-    "mounted": Mounted(_keyframes(), TURNED),
+    "mounted": Mounted(_keyframes(), Pose(np.zeros(3), TURNED)),
+    "beside": Mounted(_keyframes(), Pose(np.array([0.3, -0.2, 1.0]), TURNED)),
     "segmented": Segmented([Segment(_keyframes(), SECOND, SECOND, 5 * SECOND)]),
 }
 

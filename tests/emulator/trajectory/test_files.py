@@ -12,8 +12,7 @@ from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.ccsds_file import parse_aem, parse_oem
 from emulator.trajectory.flight_file import parse_flight, parse_table
 from emulator.trajectory.parameters import FilePath, FixedPath, Keyframe, KeyframePath, LivePath, OrbitPath, SpinPath
-from emulator.trajectory.pose import Pose, TrajectoryError
-from emulator.trajectory.sampling import turn_rad
+from emulator.trajectory.pose import Pose, TrajectoryError, turn_rad
 
 S = 1_000_000_000
 HALF = 2**-0.5

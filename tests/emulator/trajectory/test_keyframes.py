@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from emulator.trajectory.keyframes import Keyframes
-from emulator.trajectory.pose import STILL, Pose, TrajectoryError
-from emulator.trajectory.sampling import turn_rad
+from emulator.trajectory.pose import STILL, Pose, TrajectoryError, turn_rad
 
 S = 1_000_000_000
 

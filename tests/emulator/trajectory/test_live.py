@@ -11,11 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from emulator.trajectory.building import build_trajectories
-from emulator.trajectory.live import LivePoses
+from emulator.trajectory.live import LivePoses, PoseReceiver, ReceivedPath, SceneClock, close_receivers, live_counts
 from emulator.trajectory.parameters import FixedPath, LivePath
-from emulator.trajectory.pose import Fixed, Pose, TrajectoryError
-from emulator.trajectory.pose_receiver import PoseReceiver, ReceivedPath, SceneClock, close_receivers, live_counts
-from emulator.trajectory.sampling import turn_rad
+from emulator.trajectory.pose import Fixed, Pose, TrajectoryError, turn_rad
 from firmware_protocol.pose_message import NOW, POSE_BYTES, PoseMessage, PoseMessageError
 
 MS = 1_000_000

@@ -12,11 +12,9 @@ from scipy.spatial.transform import Rotation
 from emulator.geometry.attitude import matrix_of, quaternion_of
 from emulator.geometry.camera import Cycle
 from emulator.trajectory.descent import LANDING, Descent, Gate
-from emulator.trajectory.motion import Timescale
 from emulator.trajectory.mounting import Looking, Spinning, Tilt
 from emulator.trajectory.orbit import Elements, Orbit, eccentric_anomaly
-from emulator.trajectory.pose import Fixed, TrajectoryError
-from emulator.trajectory.sampling import measured_bounds
+from emulator.trajectory.pose import Fixed, Timescale, TrajectoryError, measured_bounds
 
 S = 1_000_000_000
 EROS = Elements(4.4628e5, 50_000.0, 0.4, 35.0, 20.0, 70.0, 15.0)

@@ -13,9 +13,8 @@ from emulator.scene.bodies.mesh import Mesh, build_mesh
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.bodies.world import rigid_groups
 from emulator.trajectory.building import build_trajectory
-from emulator.trajectory.motion import Timescale
 from emulator.trajectory.parameters import FixedPath, Keyframe, KeyframePath, SpinPath
-from emulator.trajectory.pose import Pose
+from emulator.trajectory.pose import Pose, Timescale
 
 RADIUS = Sun().radius_rad
 

@@ -12,7 +12,7 @@ from emulator.geometry.camera import Pinhole
 from emulator.optics.lens import LensParameters
 from emulator.optics.through import Through
 from emulator.photometry.reflectance import Glossy, Lambert, LommelSeeliger, Sun
-from emulator.rig.camera_models import CAMERA_MODELS
+from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.loading import load_rig
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters, BodyTable

@@ -14,10 +14,9 @@ from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLES
 from emulator.sensor.parameters import ImuParameters
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.live import LivePoses
-from emulator.trajectory.motion import Timescale
 from emulator.trajectory.mounting import Looking, Spinning
 from emulator.trajectory.orbit import Elements, Orbit
-from emulator.trajectory.pose import STILL, Fixed, Pose
+from emulator.trajectory.pose import STILL, Fixed, Pose, Timescale
 from firmware_protocol.pose_message import PoseMessage
 
 SECOND = 1_000_000_000
