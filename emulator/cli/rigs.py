@@ -19,7 +19,7 @@ from emulator.cli.output import GOOD, console, print_json
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from emulator.rig.remarks import OpenedFile, open_files, remarks
-from emulator.rig.schema import rig_schema
+from emulator.rig.top_level import rig_schema
 from emulator.run.assembly import build_scene, build_sensor
 from emulator.run.machine import needs_of
 from transports.needs import By, Finding

@@ -1,38 +1,30 @@
 """Recordings of events that a rig plays, and their readers.
 
     .npz       written by `--record` and the listeners; the part after the last restart of the camera's clock
-    .aedat4    recordings of iniVation's cameras; read by faery (`pip install '.[files]'`)
-    .es .dat .raw .csv   likewise, as far as faery reads them; in a child process, see `guarded_reader`
-    others     every format that `evstim convert` reads, see docs/recordings.md
+    others     every format that `evstim convert` reads, in a child process, see docs/recordings.md
 
-A recording is read whole into memory, 13 bytes an event. faery reads in a child process, see `guarded_reader`.
+A recording is read whole into memory, 13 bytes an event.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.light import MachineLacks, SceneError
-from emulator.scene.foreign_file import read_in_child
 from emulator.scene.kind import SceneKind
 from emulator.tables.typed_table import NO_FILE, RigFile
-from firmware_protocol.events import EVENT, Events, join_events
+from firmware_protocol.events import Events, join_events
 from transports.needs import Need, package
-from transports.recording.format import format_to_read
+from transports.recording.format import format_to_read, format_to_write
 from transports.recording.guarded import LibraryMissing, OpenRecording
 from transports.recording.part import RecordingError
 from transports.recording.record import ArrayFileError, load_record
 
-__all__ = ["RECORDING", "RecordingParameters", "load_recording", "read_events", "read_recording"]
-
-
-_BY_FAERY = (".aedat4", ".es", ".dat", ".raw", ".csv")
-_FAERY = "emulator.playback.recording:read_recording"
+__all__ = ["RECORDING", "RecordingParameters", "load_recording", "read_events"]
 
 
 @dataclass(frozen=True)
@@ -70,7 +62,7 @@ def _needs(parameters: RecordingParameters) -> tuple[Need, ...]:
     if path.suffix == ".npz":
         return ()
     try:
-        needed = "faery" if path.suffix in _BY_FAERY else format_to_read(path).needs
+        needed = (format_to_read(path) if path.exists() else format_to_write(path)).needs
     except (OSError, RecordingError):  # reported when it is opened
         return ()
     return (package(needed),) if needed else ()
@@ -122,9 +114,6 @@ def load_recording(path: Path, size: tuple[int, int]) -> Events:
 def _read(path: Path, known: tuple[int, int] | None) -> tuple[Events, tuple[int, int] | None]:
     if path.suffix == ".npz":
         return _read_npz(path), known
-    if path.suffix in _BY_FAERY:
-        found = read_in_child(_FAERY, path)
-        return found["events"], (int(found["size"][0]), int(found["size"][1]))
     try:
         with OpenRecording(path, known) as recording:
             events = join_events([part.events for part in recording.parts()])
@@ -145,16 +134,3 @@ def _read_npz(path: Path) -> Events:
     except ArrayFileError as error:
         raise SceneError(str(error)) from error
     return events[restarts[-1] :].copy() if restarts else events
-
-
-def read_recording(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """Return `events`, (n,) EVENT, and `size`, (2,): width and height.
-
-    A damaged file may end the process: faery panics, which is no Exception.
-    """
-    import faery
-
-    stream = faery.events_stream_from_file(path)
-    packets = [packet.astype(EVENT) for packet in stream]
-    events = np.concatenate(packets) if packets else np.empty(0, EVENT)
-    return {"events": events, "size": np.array(stream.dimensions(), np.int64)}

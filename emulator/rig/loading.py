@@ -78,6 +78,8 @@ REMOVED: Mapping[tuple[str, ...], RemovedKey] = {
     ("camera", "sensor", "temperature", "reference_celsius"): RemovedKey(
         20.0, "leak_hz and dark_current_relative hold at 20 degrees Celsius"
     ),
+    ("camera", "sensor", "temperature", "leak_doubles_every_k"): RemovedKey(9.0, "the leak doubles every 9 K"),
+    ("camera", "sensor", "temperature", "dark_doubles_every_k"): RemovedKey(8.0, "the dark current doubles every 8 K"),
     ("camera", "imu", "gyroscope_bias_spread_deg_s"): RemovedKey(
         0.4, "a bias that is not given in gyroscope_bias_deg_s is drawn with a deviation of 0.4 deg/s"
     ),

@@ -47,9 +47,8 @@ from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLES
 from emulator.sensor.methods.base import MakePixels
 from emulator.sensor.methods.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.parameters import ImuParameters
-from emulator.sensor.parts import own_pixels
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.sensor import EventSource, Sensor
+from emulator.sensor.sensor import EventSource, Sensor, own_pixels
 from emulator.tables.registry import imported
 from emulator.trajectory.building import HasCameraPath
 from emulator.trajectory.parameters import OrbitPath

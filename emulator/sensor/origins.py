@@ -27,11 +27,10 @@ from emulator.sensor.chip.sources import BackgroundEvents, Particles
 from emulator.sensor.methods.base import MakePixels
 from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.numerics.compiled import cached_entry
-from emulator.sensor.parts import finished, make_jitter, make_readout, own_pixels
 from emulator.sensor.pixels.crossings import Crossings, joined, merged
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.sensor import Sensor
+from emulator.sensor.sensor import Sensor, finished, make_jitter, make_readout, own_pixels
 from firmware_protocol.events import Events
 
 __all__ = ["LeakShare", "Origin", "TracedSensor"]

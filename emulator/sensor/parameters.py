@@ -37,6 +37,8 @@ from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 __all__ = [
+    "DARK_DOUBLES_EVERY_K",
+    "LEAK_DOUBLES_EVERY_K",
     "REFERENCE_CELSIUS",
     "BackgroundParameters",
     "DefectParameters",
@@ -77,30 +79,26 @@ def check_finite(owner: Any, unbounded: tuple[str, ...] = ()) -> None:
 REFERENCE_CELSIUS = 20.0
 """Temperature at which the parameters of a sensor hold."""
 
+LEAK_DOUBLES_EVERY_K, DARK_DOUBLES_EVERY_K = 9.0, 8.0
+"""Rise in temperature that doubles the leak of a junction, and the dark current."""
+
 
 @dataclass(frozen=True, slots=True)
 class TemperatureParameters:
     """The chip's temperature, and its effect on leak and dark current.
 
-    The junction's leak doubles every 8 to 10 K (Nozaki and Delbruck 2017), a photodiode's dark current about every 8 K
+    The junction's leak doubles every 9 K (8 to 10 in Nozaki and Delbruck 2017), a photodiode's dark current every 8 K
     (Janesick, Photon Transfer, 2007; both from memory). Parasitic photocurrent does not depend on temperature.
 
     Attributes
     ----------
     celsius : temperature of the chip, degrees Celsius; `leak_hz` and `dark_current_relative` hold at 20.
-    leak_doubles_every_k : rise in temperature that doubles the leak, K.
-    dark_doubles_every_k : rise in temperature that doubles the dark current, K.
     """
 
     celsius: float = REFERENCE_CELSIUS
-    leak_doubles_every_k: float = 9.0
-    dark_doubles_every_k: float = 8.0
 
     def __post_init__(self) -> None:
         check(self, "celsius", -200, 200)
-        for name in ("leak_doubles_every_k", "dark_doubles_every_k"):
-            check(self, name, 1)
-        check_finite(self)
 
     @property
     def warmer_k(self) -> float:
@@ -110,12 +108,12 @@ class TemperatureParameters:
     @property
     def leak_factor(self) -> float:
         """Leak over that at the reference temperature."""
-        return float(2 ** (self.warmer_k / self.leak_doubles_every_k))
+        return float(2 ** (self.warmer_k / LEAK_DOUBLES_EVERY_K))
 
     @property
     def dark_factor(self) -> float:
         """Dark current over that at the reference temperature."""
-        return float(2 ** (self.warmer_k / self.dark_doubles_every_k))
+        return float(2 ** (self.warmer_k / DARK_DOUBLES_EVERY_K))
 
 
 @dataclass(frozen=True, slots=True)

@@ -226,7 +226,7 @@ class Trajectory(ABC):
         """Return the pose at time `t_ns`, which depends on nothing else unless poses come from outside."""
 
     def motion(self, t_ns: int) -> Motion:
-        """Return the motion at `t_ns`; from differences of poses where no closed form is known, see `motion`."""
+        """Return the motion at `t_ns`; from differences of poses where no closed form is known."""
         return differences(self.pose, t_ns)
 
     def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:

@@ -31,9 +31,8 @@ from emulator.run.truth.file import About, TruthRecorder
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.origins import TracedSensor
 from emulator.sensor.parameters import KickParameters
-from emulator.sensor.parts import own_pixels
 from emulator.sensor.presets import PRESETS, SensorParameters
-from emulator.sensor.sensor import EventSource, Sensor
+from emulator.sensor.sensor import EventSource, Sensor, own_pixels
 from firmware_protocol.events import Events, join_events
 from transports.needs import install_command
 

@@ -25,9 +25,9 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.array_cache import Progress, cached_array
 from emulator.scene.bodies.cast_shadow import Arrays, Frame, TriangleTree, after, axes_around, covered, seen_above
 from emulator.scene.bodies.compiled import entry
+from emulator.scene.files import Progress, cached_array
 
 __all__ = ["AZIMUTHS", "Horizons", "dim_below", "horizon_table", "lost_light"]
 

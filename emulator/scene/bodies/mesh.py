@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from emulator.light import SceneError
 from emulator.scene.bodies.mesh_files import PlateTableError, parse_plates, parse_wavefront
-from emulator.scene.foreign_file import read_in_child
+from emulator.scene.files import read_in_child
 from emulator.tables.toml_text import TextFileError, read_text, shortened
 
 __all__ = ["SHAPES", "Mesh", "build_mesh", "facet_vectors", "find_shape", "load_mesh", "read_surface", "vertex_normals"]

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import SceneError
-from emulator.scene.foreign_file import read_array, read_in_child
+from emulator.scene.files import read_array, read_in_child
 from emulator.scene.terrain.ground import Ground, nested
 from emulator.scene.terrain.table import Heightmap
 from emulator.tables.toml_text import shortened

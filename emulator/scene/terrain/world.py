@@ -27,7 +27,7 @@ import numpy.typing as npt
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Sun
-from emulator.scene.array_cache import Progress, cached_array
+from emulator.scene.files import Progress, cached_array
 from emulator.scene.terrain.compiled import map_entry
 from emulator.scene.terrain.ground import Ground
 from emulator.scene.terrain.heightmap import load_heightmap

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import SceneError
-from emulator.scene.foreign_file import read_array, read_in_child
+from emulator.scene.files import read_array, read_in_child
 from emulator.tables.toml_text import shortened
 from transports.guarded_reader import Limits
 

@@ -17,7 +17,6 @@ more than a second, starts again at the arrival, and is counted.
 
 from __future__ import annotations
 
-import math
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
@@ -27,10 +26,10 @@ from typing import TYPE_CHECKING, ClassVar, Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import Light, MachineLacks, Scene, SceneError
+from emulator.light import MachineLacks, SceneError
 from emulator.scene.kind import SceneKind
 from emulator.scene.video.frames import linear_light
-from emulator.scene.video.video import resampled
+from emulator.scene.video.video import Around, JoinedFrames, resampled
 from emulator.trajectory.live import SceneClock
 from firmware_protocol.ros2.messages import IMAGE, CdrError, ImageError, levels_of, parse_image
 from transports.needs import Need, install_command, package
@@ -41,7 +40,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ROS2_IMAGES",
-    "Around",
     "ImageCounters",
     "ImageSource",
     "LiveImages",
@@ -56,16 +54,6 @@ _Float32s = npt.NDArray[np.float32]
 _KNOWN = 16
 _LEAST_APART_NS = 1000
 _MOST_ASTRAY_NS = 1_000_000_000
-
-
-@dataclass(frozen=True, eq=False)
-class Around:
-    """Log light (height, width) of the images around a time, the share of the later one, and their gap in s."""
-
-    before: _Float32s
-    after: _Float32s
-    share: np.float32
-    apart_s: float
 
 
 @dataclass
@@ -123,10 +111,10 @@ class LiveImages:
         """Return the images around `t_ns`."""
         shown_ns, known = t_ns - self._delay_ns, self._known
         if not known or shown_ns <= known[0][0]:
-            return _still(known[0][1] if known else self._grey)
+            return Around.still(known[0][1] if known else self._grey)
         if shown_ns >= known[-1][0]:
             self.counters.late_pictures += shown_ns > known[-1][0]
-            return _still(known[-1][1])
+            return Around.still(known[-1][1])
         after = next(k for k, (time_ns, _) in enumerate(known) if time_ns > shown_ns)
         (start_ns, before), (end_ns, end) = known[after - 1], known[after]
         share = np.float32((shown_ns - start_ns) / (end_ns - start_ns))
@@ -142,10 +130,6 @@ class LiveImages:
             self.counters.clock_jumps += 1
         self._ahead_ns = stamp_ns - arrival_ns
         return arrival_ns
-
-
-def _still(log_light: _Float32s) -> Around:
-    return Around(log_light, log_light, np.float32(0), 0.0)
 
 
 _DEPTH = 16
@@ -241,33 +225,19 @@ class ImageSource(Protocol):
         ...
 
 
-class Ros2Images(Scene):
+class Ros2Images(JoinedFrames):
     """The images of `source` on a sensor of `size` = (width, height); `clock` is the wall's, ns."""
 
     def __init__(
         self, parameters: Ros2ImageParameters, size: tuple[int, int], source: ImageSource,
         clock: Callable[[], int] = time.time_ns,
     ) -> None:  # fmt: skip
-        self._p, self._size, self._source, self._clock = parameters, size, source, clock
+        super().__init__(size)
+        self._p, self._source, self._clock = parameters, source, clock
         self._scene_clock = SceneClock()
         grey = np.full(size[::-1], self._log_light(np.float32(_GREY)), np.float32)
         self._images = LiveImages(grey, round(parameters.delay_ms * 1e6), by_stamp=parameters.stamps == "header")
         self._refused: Counter[str] = Counter()
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._size
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """Infinite: images carry no motion bound."""
-        return math.inf
-
-    @property
-    def has_rate(self) -> bool:
-        """True: the light between two images is in closed form."""
-        return True
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -282,21 +252,10 @@ class Ros2Images(Scene):
         refused = {f"images refused: {reason}": count for reason, count in self._refused.items()}
         return {name: count for name, count in (used | refused).items() if count}
 
-    def light(self, t_ns: int, out: Light) -> None:
-        """Read the received images, and write the light at `t_ns`."""
+    def _around(self, t_ns: int) -> Around:
+        """Read the received images, and return those around `t_ns`."""
         self._receive(t_ns)
-        around = self._images.around(t_ns)
-        np.exp((1 - around.share) * around.before + around.share * around.after, out=out)
-
-    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
-        """Write the light and its time derivative, both exact for a straight line in log."""
-        self._receive(t_ns)
-        around = self._images.around(t_ns)
-        np.exp((1 - around.share) * around.before + around.share * around.after, out=light)
-        if around.apart_s:
-            np.multiply(light, (around.after - around.before) / np.float32(around.apart_s), out=rate)
-        else:
-            rate.fill(0)
+        return self._images.around(t_ns)
 
     def wait(self, seconds: float) -> bool:
         """Wait for the first image; False where none has come."""

@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import bisect
 import math
+from abc import abstractmethod
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +28,7 @@ from emulator.scene.video.frames import VIDEO_SUFFIXES, Frames, linear_light, re
 from emulator.tables.typed_table import NO_FILE, RigFile
 from transports.needs import Need, package
 
-__all__ = ["VIDEO", "Video", "VideoParameters", "coarsest_level", "resampled"]
+__all__ = ["VIDEO", "Around", "JoinedFrames", "Video", "VideoParameters", "coarsest_level", "resampled"]
 
 _Float32s = npt.NDArray[np.float32]
 
@@ -92,19 +93,34 @@ def _needs(parameters: VideoParameters) -> tuple[Need, ...]:
     return () if suffix == ".npy" else (package("av" if suffix in VIDEO_SUFFIXES else "pillow"),)
 
 
-VIDEO = SceneKind(VideoParameters, "emulator.scene.video.video:Video", needs=_needs)
+@dataclass(frozen=True, eq=False)
+class Around:
+    """Log light (height, width) of the frames around a time, the share of the later one, and their gap in s."""
+
+    before: _Float32s
+    after: _Float32s
+    share: np.float32
+    apart_s: float
+
+    @classmethod
+    def still(cls, log_light: _Float32s) -> Self:
+        """Return one frame that does not change."""
+        return cls(log_light, log_light, np.float32(0), 0.0)
+
+    def light(self, out: Light) -> None:
+        """Write the light."""
+        np.exp((1 - self.share) * self.before + self.share * self.after, out=out)
 
 
-class Video(Scene):
-    """The video of `parameters` on a sensor of `size` = (width, height); raises SceneError."""
+class JoinedFrames(Scene):
+    """Frames with times on a sensor of `size` = (width, height), joined by straight lines in log light."""
 
-    def __init__(self, parameters: VideoParameters, size: tuple[int, int]) -> None:
-        self._p, self._size = parameters, size
-        self._frames = read_frames(Path(parameters.path))
-        self._times_ns = _times_ns(self._frames, parameters)
-        self._round_ns = _round_ns(self._times_ns)
-        self._is_linear = parameters.levels == "linear" or self._frames.levels.dtype.kind == "f"
-        self._kept: dict[int, _Float32s] = {}
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._size = size
+
+    @abstractmethod
+    def _around(self, t_ns: int) -> Around:
+        """Return the frames around `t_ns`."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -113,8 +129,42 @@ class Video(Scene):
 
     @property
     def motion_bound_px_s(self) -> float:
-        """Infinite: a video carries no motion bound."""
+        """Infinite: frames carry no motion bound."""
         return math.inf
+
+    def light(self, t_ns: int, out: Light) -> None:
+        """Write the light at `t_ns`."""
+        self._around(t_ns).light(out)
+
+    @property
+    def has_rate(self) -> bool:
+        """True: the light between two frames is in closed form."""
+        return True
+
+    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
+        """Write the light and its time derivative, both exact for a straight line in log."""
+        around = self._around(t_ns)
+        around.light(light)
+        if around.apart_s:
+            np.multiply(light, (around.after - around.before) / np.float32(around.apart_s), out=rate)
+        else:
+            rate.fill(0)
+
+
+VIDEO = SceneKind(VideoParameters, "emulator.scene.video.video:Video", needs=_needs)
+
+
+class Video(JoinedFrames):
+    """The video of `parameters` on a sensor of `size` = (width, height); raises SceneError."""
+
+    def __init__(self, parameters: VideoParameters, size: tuple[int, int]) -> None:
+        super().__init__(size)
+        self._p = parameters
+        self._frames = read_frames(Path(parameters.path))
+        self._times_ns = _times_ns(self._frames, parameters)
+        self._round_ns = _round_ns(self._times_ns)
+        self._is_linear = parameters.levels == "linear" or self._frames.levels.dtype.kind == "f"
+        self._kept: dict[int, _Float32s] = {}
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -133,39 +183,19 @@ class Video(Scene):
             "that are not in the scene",
         )
 
-    def light(self, t_ns: int, out: Light) -> None:
-        """Write the light at `t_ns`."""
-        before, after, share, _ = self._around(t_ns)
-        np.exp((1 - share) * before + share * after, out=out)
-
-    @property
-    def has_rate(self) -> bool:
-        """True: the light between two frames is in closed form."""
-        return True
-
-    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
-        """Write the light and its time derivative, both exact for a straight line in log."""
-        before, after, share, apart_s = self._around(t_ns)
-        np.exp((1 - share) * before + share * after, out=light)
-        if apart_s:
-            np.multiply(light, (after - before) / np.float32(apart_s), out=rate)
-        else:
-            rate.fill(0)
-
     def close(self) -> None:
         """Let go of the frames that are decoded."""
         self._kept.clear()
 
-    def _around(self, t_ns: int) -> tuple[_Float32s, _Float32s, np.float32, float]:
-        """Return log light of the frames around `t_ns`, the share of the way to the later one, and their gap in s."""
+    def _around(self, t_ns: int) -> Around:
         t_ns = int(t_ns) % self._round_ns if self._p.loop else int(t_ns)
         times = self._times_ns
         k = bisect.bisect_right(times, t_ns) - 1
         if k < 0 or k >= len(times) - 1:
-            still = self._log_light(max(k, 0))
-            return still, still, np.float32(0), 0.0
+            return Around.still(self._log_light(max(k, 0)))
         apart_ns = times[k + 1] - times[k]
-        return self._log_light(k), self._log_light(k + 1), np.float32((t_ns - times[k]) / apart_ns), apart_ns * 1e-9
+        share = np.float32((t_ns - times[k]) / apart_ns)
+        return Around(self._log_light(k), self._log_light(k + 1), share, apart_ns * 1e-9)
 
     def _log_light(self, k: int) -> _Float32s:
         """Return frame k in log light; the last few stay decoded."""

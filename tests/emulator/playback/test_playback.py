@@ -101,8 +101,8 @@ def test_what_cannot_be_played_is_told(tmp_path):
         ("none.npz", (346, 260), "holds no events"),
         ("wide.npz", (2, 2), "outside a sensor of 2 x 2"),
         ("junk.npz", (346, 260), "cannot be read as a recording"),
-        ("junk.aedat4", (346, 260), "cannot be read: bad magic"),
-        ("gone.aedat4", (346, 260), "no such file"),
+        ("junk.aedat4", (346, 260), "it is none of the recordings that are read"),
+        ("gone.aedat4", (346, 260), "No such file"),
     ):
         with pytest.raises(SceneError, match=message):
             load_recording(tmp_path / name, size)

@@ -15,7 +15,7 @@ from emulator.rig.loading import (
     parse_rig,
     shipped_rigs,
 )
-from emulator.rig.schema import rig_schema
+from emulator.rig.top_level import rig_schema
 from emulator.sensor.presets import PRESETS
 
 GOOD = """\

@@ -10,8 +10,7 @@ import jsonschema
 import pytest
 
 from emulator.rig.loading import Rig, RigError, parse_rig, shipped_rigs
-from emulator.rig.schema import rig_schema
-from emulator.rig.top_level import TOP_LEVEL
+from emulator.rig.top_level import TOP_LEVEL, rig_schema
 
 ROOT = Path(__file__).parents[3]
 SCHEMA = json.loads(json.dumps(rig_schema()))

@@ -59,7 +59,7 @@ def test_the_needs_of_each_shipped_rig(name):
         ('[scene]\nkind = "terrain"\n[scene.ground]\nkind = "heightmap"\npath = "a.tif"\n', ["extra report (pillow)"]),
         ('[scene]\nkind = "recording"\npath = "a.npz"\n', []),
         ('[scene]\nkind = "recording"\npath = "a.aedat4"\n', ["extra files (faery)"]),
-        ('[scene]\nkind = "recording"\npath = "not_there.bag"\n', []),
+        ('[scene]\nkind = "recording"\npath = "not_there.bag"\n', ["extra files (rosbags)"]),
         (BOARD + '[[links]]\nkind = "usb_gadget"\n', ["kernel module libcomposite and a USB device controller"]),
         (BOARD + '[[links]]\nkind = "can"\n', []),
         (

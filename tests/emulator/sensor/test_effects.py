@@ -33,8 +33,8 @@ dead_share = 0.01
 @pytest.mark.parametrize(
     ("cls", "field", "value"),
     [
-        (TemperatureParameters, "celsius", -300.0), (TemperatureParameters, "leak_doubles_every_k", 0.0),
-        (TemperatureParameters, "dark_doubles_every_k", math.inf), (TemperatureParameters, "celsius", math.nan),
+        (TemperatureParameters, "celsius", -300.0), (TemperatureParameters, "celsius", math.inf),
+        (TemperatureParameters, "celsius", math.nan),
         (DefectParameters, "hot_share", 1.1), (DefectParameters, "dead_share", -0.1),
         (DefectParameters, "hot_hz", -1.0),
         (DefectParameters, "hot_spread", 4.0), (NoiseParameters, "rms", -0.1), (NoiseParameters, "rms", math.nan),

@@ -178,8 +178,8 @@ def test_a_temperature_at_which_nothing_works_is_refused():
         with_(temperature=hot, defects=DefectParameters(hot_share=0.1)),
         with_(temperature=hot, radiation=RadiationParameters(dose_krad=1.0)),
         with_(leak_hz=20.0, temperature=hot),
-        with_(temperature=TemperatureParameters(celsius=200.0, dark_doubles_every_k=1.0)),
-        with_(temperature=TemperatureParameters(celsius=-200.0, dark_doubles_every_k=1.0)),
+        with_(leak_hz=0.0, dark_current_relative=1.0, temperature=TemperatureParameters(celsius=200.0)),
+        with_(leak_hz=0.0, dark_current_relative=1e-25, temperature=TemperatureParameters(celsius=-200.0)),
     ):
         with pytest.raises(ValueError, match=r"^temperature\.celsius = "):
             Sensor(too_much, 1)

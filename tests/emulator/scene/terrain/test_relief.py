@@ -9,8 +9,8 @@ import pytest
 from scipy import integrate, special
 
 from emulator.geometry.camera import Pinhole
-from emulator.scene import array_cache
-from emulator.scene.array_cache import Progress, cached_array
+from emulator.scene import files
+from emulator.scene.files import Progress, cached_array
 from emulator.scene.terrain.ground import nested
 from emulator.scene.terrain.relief import (
     DEPTH,
@@ -237,7 +237,7 @@ def test_what_was_made_is_kept(tmp_path, monkeypatch):
 
 def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("in the way")
-    monkeypatch.setattr(array_cache, "cache_folder", lambda: tmp_path / "file" / "evstim")
+    monkeypatch.setattr(files, "cache_folder", lambda: tmp_path / "file" / "evstim")
     assert cached_array("thing", SMALL, lambda: np.ones((1, 2, 2), np.float32)).all()
     assert "cannot be written" in capsys.readouterr().err
 

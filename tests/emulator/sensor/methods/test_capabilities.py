@@ -12,10 +12,9 @@ from emulator.sensor.methods.large_signal import LargeSignalPixels
 from emulator.sensor.methods.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.noise.grid import NoisyPixels
 from emulator.sensor.parameters import NoiseParameters
-from emulator.sensor.parts import own_pixels
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.sensor import Sensor
+from emulator.sensor.sensor import Sensor, own_pixels
 
 MS = 1_000_000
 WIDTH, HEIGHT = 24, 16

@@ -1,8 +1,9 @@
-"""Disk cache of arrays that take long to compute: $XDG_CACHE_HOME/evstim, or ~/.cache/evstim.
+"""Files of scenes: arrays, files that third-party libraries read, and a cache of arrays that take long to compute.
 
-A file's name is a digest of all inputs of the array, so a changed input makes a new file and an old one is never wrong.
-Files are written beside their place and then renamed: a reader finds a complete file or none. A cache that cannot be
-written or read costs time, nothing else.
+Libraries read in a child process (see `guarded_reader`). The cache is $XDG_CACHE_HOME/evstim, or ~/.cache/evstim. A
+file's name there is a digest of all inputs of the array, so a changed input makes a new file and an old one is never
+wrong. Files are written beside their place and then renamed: a reader finds a complete file or none. A cache that
+cannot be written or read costs time, nothing else.
 """
 
 from __future__ import annotations
@@ -18,9 +19,36 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from emulator.light import MachineLacks, SceneError
+from transports.guarded_reader import ForeignFileError, Limits, read_guarded
 from transports.recording.record import ArrayFileError, load_array
 
-__all__ = ["Progress", "cache_folder", "cached_array"]
+__all__ = ["Progress", "cache_folder", "cached_array", "read_array", "read_in_child"]
+
+
+def read_array(path: Path) -> npt.NDArray[Any]:
+    """Return the array of a `.npy` file; raises SceneError with the file's name."""
+    try:
+        return load_array(path)
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ArrayFileError as error:
+        raise SceneError(f"{path}: cannot be read as an array: {error}") from error
+
+
+def read_in_child(reader: str, path: Path, limits: Limits | None = None) -> dict[str, npt.NDArray[Any]]:
+    """Return the arrays that the function `reader`, "module:name", reads from `path`, a regular file or a folder.
+
+    Raises
+    ------
+    SceneError
+        With the file's name: the reader's error, or the end of its process. MachineLacks if its library is missing.
+    """
+    try:
+        return {name: np.asarray(values) for name, values in read_guarded(reader, path, limits=limits).items()}
+    except ForeignFileError as error:
+        raise (MachineLacks if error.lacks else SceneError)(f"{path}: {error}") from None
+
 
 T = TypeVar("T", bound=np.generic)
 
