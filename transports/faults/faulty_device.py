@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import replace
-from functools import partial
 
 from firmware_protocol.davis346.device import REGISTER
 from firmware_protocol.davis346.registers import Module
@@ -31,7 +30,7 @@ from firmware_protocol.usb.device import (
 )
 from transports.faults.kinds import Fault, Stage
 from transports.faults.script import FaultPlan, Faulty
-from transports.faults.usb import ControlStage, RegisterFlip, UsbStage, UsbUnplugged, WrongVersion, usb_stage
+from transports.faults.usb import USB_FAULTS, ControlStage, RegisterFlip, UsbStage, UsbUnplugged, WrongVersion
 from transports.faults.word_path import WordPath
 from transports.faults.words import WordStage
 
@@ -120,9 +119,11 @@ def flip_register(device: UsbDevice, false: FalseAnswers, flip: RegisterFlip) ->
 class FaultyDevice(Faulty[Stage], UsbDevice):
     """USB device that passes all calls to a device, through the faults."""
 
+    carrier = "a USB link"
+
     def __init__(self, device: UsbDevice, plan: FaultPlan) -> None:
         self._device = device
-        super().__init__(plan, partial(usb_stage, dropped=self._dropped))
+        super().__init__(plan, USB_FAULTS, self._dropped)
         self._seen: set[int] = set()
         self._halted: set[int] = set()
         self._words = WordPath(device.identity)
