@@ -19,7 +19,7 @@ from transports.faults.kinds import Fault
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable, Wiring, check_region
 from transports.needs import Need, network_interface
-from transports.network.datagrams import check_allow
+from transports.network import check_allow
 
 __all__ = ["CAN", "CanLink", "Option"]
 

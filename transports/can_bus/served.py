@@ -27,8 +27,7 @@ from firmware_protocol.can_frames.socketcand import GREETING, Carried, Socketcan
 from transports.can_bus.bus import BusDown, CanBus, TimedFrame
 from transports.can_bus.kind import CanLink
 from transports.link.pacing import Clock
-from transports.network.datagrams import Admission, AllowList, Places, Seat
-from transports.network.listener import Listener
+from transports.network import Admission, AllowList, Listener, Places, Seat
 
 __all__ = ["BusClient", "ClientHost", "ServedBus"]
 

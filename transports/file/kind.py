@@ -21,8 +21,7 @@ from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
 from transports.needs import Need, package
 from transports.recording.format import Format, format_to_write, with_addition
 from transports.recording.live import LiveRecorder
-from transports.recording.part import Facts, RecordingError, counts_of
-from transports.recording.summary import RecordingSummary
+from transports.recording.part import Facts, RecordingError, RecordingSummary, counts_of
 
 __all__ = ["FILE", "FileEndpoint", "FileFactory", "FileLink"]
 

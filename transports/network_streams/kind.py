@@ -24,7 +24,7 @@ from firmware_protocol.network_streams.pictures import DisplayCoder, EventImageC
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
 from transports.needs import package
-from transports.network.datagrams import check_allow, is_loopback
+from transports.network import check_allow, is_loopback
 
 __all__ = ["TCP", "UDP", "TcpLink", "UdpLink"]
 

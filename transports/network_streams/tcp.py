@@ -27,8 +27,7 @@ from transports.link.deliveries import Deliveries
 from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
 from transports.link.pacing import Clock
 from transports.needs import install_command
-from transports.network.datagrams import Admission, AllowList, Seat
-from transports.network.listener import Listener
+from transports.network import Admission, AllowList, Listener, Seat
 from transports.network_streams.kind import TcpLink
 from transports.network_streams.udp import Batch, Fates
 

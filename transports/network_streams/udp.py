@@ -19,7 +19,7 @@ from firmware_protocol.device.plain_device import PlainDevice, own_time
 from firmware_protocol.network_streams.coders import Datagram, DatagramCoder
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointFactory
-from transports.network.datagrams import ByteBudget, DatagramOutlet
+from transports.network import ByteBudget, DatagramOutlet
 from transports.network_streams.kind import UdpLink
 
 __all__ = ["Batch", "Fates", "UdpEndpoint", "UdpFactory"]

@@ -9,7 +9,7 @@ from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.faults.datagrams import DATAGRAM_FAULTS
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import LinkKind, Listener, Wiring, check_region
-from transports.network.datagrams import check_allow, is_loopback
+from transports.network import check_allow, is_loopback
 
 __all__ = ["UDP_PACKETS", "UdpPacketsLink"]
 
