@@ -45,6 +45,8 @@ __all__ = [
     "Places",
     "Seat",
     "check_allow",
+    "check_destination",
+    "check_port",
     "is_loopback",
 ]
 
@@ -92,6 +94,20 @@ def check_allow(host: str, allow: Sequence[str], key: str = "host") -> None:
             f'{key} {where} can be reached from other machines: set allow, for example allow = ["10.0.0.5", '
             f'"192.168.1.0/24"], or use {key} = "127.0.0.1"'
         )
+
+
+def check_destination(host: str, *, elsewhere: bool) -> None:
+    """Check the `host` of a rig that gets data unrequested; raises ValueError for another machine not marked so."""
+    if not host:
+        raise ValueError("host is empty: give the receiver's address, for example 127.0.0.1")
+    if not (elsewhere or is_loopback(host)):
+        raise ValueError(f"host {host!r} is another machine: set elsewhere = true if that is intended")
+
+
+def check_port(port: int, key: str = "port", *, least: int = 0) -> None:
+    """Check a port of a rig; raises ValueError."""
+    if not least <= port <= 65535:
+        raise ValueError(f"{key} must be {least or '0 (any free one)'} to 65535, got {port}")
 
 
 def _network(entry: str) -> ipaddress.IPv4Network | ipaddress.IPv6Network:

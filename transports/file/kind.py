@@ -60,8 +60,6 @@ class FileLink:
 
 
 def _endpoint(link: FileLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.file.kind import FileFactory
-
     form = format_to_write(Path(link.path), link.format)
     camera = link.camera or wiring.camera.model or "evstim"
     facts = Facts(wiring.camera.size, camera, streams=wiring.camera.streams, imu_unit=wiring.camera.imu_unit)
