@@ -9,19 +9,17 @@ from __future__ import annotations
 import atexit
 import importlib
 import threading
-from collections.abc import Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any
 
 from emulator.campaign.campaign import Campaign, Row
 from emulator.campaign.loading import Source
 from emulator.campaign.one_run import CampaignStopped
-from emulator.campaign.workers import WarmWorker, lost_row
+from emulator.campaign.workers import WarmWorker, Workers, lost_row
 from transports.needs import install_command
 
 __all__ = ["DaskWorkers"]
@@ -31,7 +29,7 @@ _FIRST_WORKER_S = 120
 _AHEAD = 2  # tasks for each thread of the cluster: no worker waits for its next run
 
 
-class DaskWorkers:
+class DaskWorkers(Workers):
     """Workers on a cluster; raises CampaignStopped where no scheduler answers.
 
     Parameters
@@ -40,50 +38,26 @@ class DaskWorkers:
     """
 
     def __init__(self, campaign: Campaign, folder: Path, address: str) -> None:
+        super().__init__()
         self._campaign = campaign
         self._folder = folder
         self._address = address
-        self._news: SimpleQueue[Any] = SimpleQueue()
         self._futures: dict[str, Any] = {}
         self._client = _connected(address)
 
-    def rows(self, indices: Iterable[int]) -> Iterator[Row]:
-        """Do the runs and yield their rows; end before the last run after `stop`. Raises CampaignStopped."""
-        waiting, free = iter(indices), list(range(self._threads() * _AHEAD))
-        working: dict[Any, tuple[int, int]] = {}
-        try:
-            self._submit(waiting, free, working)
-            while working and (future := self._news.get()) is not None:
-                index, number = working.pop(future.key)
-                free.append(number)
-                row = self._row(future, index)
-                self._submit(waiting, free, working)
-                yield row
-        finally:
-            self._close()
-
-    def stop(self) -> None:
-        """Take no further row; for a signal handler."""
-        self._news.put(None)
-
-    def _threads(self) -> int:
+    def _size(self) -> int:
         try:
             self._client.wait_for_workers(1, timeout=_FIRST_WORKER_S)
         except TimeoutError as error:
             message = f"--scheduler: {self._address} has had no worker for {_FIRST_WORKER_S} s"
             raise CampaignStopped(message) from error
-        return sum(self._client.nthreads().values()) or 1
+        return _AHEAD * (sum(self._client.nthreads().values()) or 1)
 
-    def _submit(self, waiting: Iterator[int], free: list[int], working: dict[Any, tuple[int, int]]) -> None:
-        """Submit runs while there are free numbers; {worker} of a rig is such a number, so no two runs share one."""
-        while free and (index := next(waiting, None)) is not None:
-            number = free.pop()
-            arguments = (asdict(self._campaign.source), str(self._folder), index, number, version("evstim"))
-            key = f"evstim-{self._campaign.id}-{index}"
-            future = self._client.submit(_task, *arguments, key=key, pure=False, retries=0)
-            working[key] = (index, number)
-            future.add_done_callback(self._news.put)
-            self._futures[key] = future
+    def _submit(self, index: int, number: int) -> Any:
+        arguments = (asdict(self._campaign.source), str(self._folder), index, number, version("evstim"))
+        key = f"evstim-{self._campaign.id}-{index}"
+        self._futures[key] = self._client.submit(_task, *arguments, key=key, pure=False, retries=0)
+        return self._futures[key]
 
     def _row(self, future: Any, index: int) -> Row:
         del self._futures[future.key]

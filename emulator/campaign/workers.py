@@ -1,6 +1,7 @@
 """Runs of a campaign in worker processes on this machine, each of which does many runs.
 
-A thread for each worker waits for its runs. `run_campaign` does the runs, and writes each row as it comes.
+`Workers` is any pool of workers, here or on a cluster (`on_dask`). `run_campaign` does the runs, and writes each row as
+it comes.
 """
 
 from __future__ import annotations
@@ -13,13 +14,16 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Protocol
+from typing import Any
 
 from emulator.campaign.campaign import Campaign, Row, judged, parameter_columns
 from emulator.campaign.one_run import CampaignStopped, end_leftover, run_folder
@@ -189,67 +193,88 @@ def lost_row(campaign: Campaign, index: int, outcome: str, error: str) -> Row:
 _PATIENCE_S = 10.0
 
 
-class LocalWorkers:
+class Workers(ABC):
+    """Pool that does runs, each under a number that no other run has at the same time: {worker} of a rig."""
+
+    def __init__(self) -> None:
+        self._news: SimpleQueue[tuple[int, Any] | None] = SimpleQueue()
+
+    def rows(self, indices: Iterable[int]) -> Generator[Row]:
+        """Do the runs and yield their rows as they come, in any order; end after `stop`. Raises CampaignStopped."""
+        waiting, working = iter(indices), dict[int, int]()  # index of the run by its number
+        try:
+            free = [*reversed(range(self._size()))]
+            self._begin(waiting, free, working)
+            while working and (news := self._news.get()) is not None:
+                number, future = news
+                index = working.pop(number)
+                free.append(number)
+                row = self._row(future, index)
+                self._begin(waiting, free, working)
+                yield row
+        finally:
+            self._close()
+
+    def stop(self) -> None:
+        """Begin no further run, and take no further row; for a signal handler."""
+        self._news.put(None)
+
+    def _begin(self, waiting: Iterator[int], free: list[int], working: dict[int, int]) -> None:
+        """Begin runs while there are free numbers."""
+        while free and (index := next(waiting, None)) is not None:
+            number = free.pop()
+            working[number] = index
+            self._submit(index, number).add_done_callback(partial(self._done, number))
+
+    def _done(self, number: int, future: Any) -> None:
+        self._news.put((number, future))
+
+    @abstractmethod
+    def _size(self) -> int:
+        """Return the number of runs that may be in progress at once."""
+
+    @abstractmethod
+    def _submit(self, index: int, number: int) -> Any:
+        """Begin a run, and return its future."""
+
+    @abstractmethod
+    def _row(self, future: Any, index: int) -> Row:
+        """Return the row of a run that is done; raises CampaignStopped."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """End the workers, and the runs in progress without a row."""
+
+
+class LocalWorkers(Workers):
     """Workers on this machine, each in a process of its own."""
 
     def __init__(self, workers: list[WarmWorker]) -> None:
+        super().__init__()
         self._workers = workers
-        self._done: SimpleQueue[Row | BaseException | None] = SimpleQueue()
-        self._stopping = False
-        self._lock = threading.Lock()
-
-    def rows(self, indices: Iterable[int]) -> Iterator[Row]:
-        """Do the runs and yield their rows; end before the last run after `stop`. Raises CampaignStopped."""
-        waiting = iter(indices)
-        threads = [threading.Thread(target=self._work, args=(k, waiting)) for k in range(len(self._workers))]
-        for thread in threads:
-            thread.start()
-        try:
-            yield from self._taken(len(threads))
-        finally:
-            self._end(threads)
+        self._threads = ThreadPoolExecutor(len(workers))
 
     def stop(self) -> None:
-        """Begin no further run and abandon the present ones; for a signal handler."""
-        self._stopping = True
+        """See `Workers.stop`; the runs in progress are abandoned."""
+        super().stop()  # first: no row of an abandoned run is taken
         for worker in self._workers:
             worker.abandon()
 
-    def _taken(self, working: int) -> Iterator[Row]:
-        while working:
-            done = self._done.get()
-            if isinstance(done, BaseException):
-                raise done
-            if done is None:
-                working -= 1
-            else:
-                yield done
+    def _size(self) -> int:
+        return len(self._workers)
 
-    def _work(self, number: int, waiting: Iterator[int]) -> None:
-        try:
-            while (index := self._next(waiting)) is not None:
-                self._done.put(self._workers[number].run(index, number))
-        except Abandoned:
-            pass
-        except CampaignStopped as error:
-            self._done.put(error)
-        except BaseException as error:  # noqa: BLE001 - the thread that takes the rows raises it
-            self._done.put(error)
-        finally:
-            self._done.put(None)
+    def _submit(self, index: int, number: int) -> Future[Row]:
+        return self._threads.submit(self._workers[number].run, index, number)
 
-    def _next(self, waiting: Iterator[int]) -> int | None:
-        with self._lock:
-            return None if self._stopping else next(waiting, None)
+    def _row(self, future: Future[Row], index: int) -> Row:
+        return future.result()
 
-    def _end(self, threads: list[threading.Thread]) -> None:
+    def _close(self) -> None:
         """Return when no worker is left; those that do not end their run in time are killed."""
-        if any(thread.is_alive() for thread in threads):
-            self.stop()
+        self.stop()
         timer = threading.Timer(_PATIENCE_S, self._kill)
         timer.start()
-        for thread in threads:
-            thread.join()
+        self._threads.shutdown()
         for worker in self._workers:
             worker.close()
         timer.cancel()
@@ -262,16 +287,6 @@ class LocalWorkers:
 def cores() -> int:
     """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0))
-
-
-class Workers(Protocol):
-    """Workers that do runs: processes here, or a cluster."""
-
-    def rows(self, indices: Iterable[int]) -> Iterator[Row]:
-        """Do the runs and yield their rows as they come, in any order; raises CampaignStopped."""
-
-    def stop(self) -> None:
-        """Begin no further run and abandon the present ones; for a signal handler."""
 
 
 @dataclass(frozen=True)
@@ -308,16 +323,11 @@ def run_campaign(
     Rows that were written always stay.
     """
     count = 0
-    rows = workers.rows(indices)
-    try:
+    with closing(workers.rows(indices)) as rows:
         for row in rows:
             _write(folder, row, campaign)
             count += 1
             on_row(row)
-    finally:
-        close = getattr(rows, "close", None)  # a generator stops its workers then
-        if close is not None:
-            close()
     return count
 
 

@@ -16,9 +16,19 @@ from typing import IO, cast
 
 from cyclopts import App, CycloptsError
 
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, print_json, status
+from emulator.cli.output import (
+    BAD_VERDICT,
+    GOOD,
+    WRONG_USE,
+    Failure,
+    break_lines,
+    guard_stdout,
+    help_console,
+    log_handler,
+    print_json,
+    status,
+)
 from emulator.cli.signals import ignore_stop_signals
-from emulator.cli.streams import break_lines, guard_stdout, help_console, log_handler
 from transports.link.background_log import BackgroundWriter
 
 __all__ = ["app", "main"]
@@ -59,7 +69,7 @@ for verb, module, summary in (
     app.command(f"emulator.cli.{module}:{verb}", name=verb, help=summary)
 app.register_install_completion_command()
 app.command(
-    "emulator.cli.listen.verbs:verbs",
+    "emulator.cli.listen.cameras:verbs",
     name="listen",
     help="Read a camera, real or emulated: on USB (the default), a serial line or a CAN bus.",
 )

@@ -18,8 +18,7 @@ from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, 
 from transports.recording.aedat4 import RawEvents, recover_aedat4
 from transports.recording.format import Format
 from transports.recording.guarded import OpenRecording
-from transports.recording.part import Facts, Reader, RecordingError, counts_of
-from transports.recording.summary import named
+from transports.recording.part import Facts, Reader, RecordingError, counts_of, named
 from transports.recording.writing import RecordingFile
 
 __all__ = ["convert", "recover"]

@@ -1,15 +1,48 @@
-"""Consoles, JSON output and exit codes, the same for every command."""
+"""Consoles, JSON output and exit codes, the same for every command.
+
+Standard streams of a command: line breaks at a terminal, whole lines in files and pipes.
+
+A write that standard output cannot take is a failure of the command, with its exit code:
+
+    print, rich, json -> TextIOWrapper -> BufferedWriter -> ResultFile -> descriptor 1
+
+A full disk or a closed pipe appears at some flush, in code that has no handler for it. `ResultFile` raises Failure
+there, once; the rest of the output is then discarded, so that neither the message nor the interpreter's last flush
+fails again.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
+import logging
+import os
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 from rich.console import Console
 
-__all__ = ["BAD_VERDICT", "GOOD", "LACKING", "WRONG_USE", "Failure", "console", "print_json", "status"]
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+    from cyclopts import App
+
+__all__ = [
+    "BAD_VERDICT",
+    "GOOD",
+    "LACKING",
+    "WRONG_USE",
+    "Failure",
+    "ResultFile",
+    "break_lines",
+    "console",
+    "guard_stdout",
+    "help_console",
+    "log_handler",
+    "print_json",
+    "status",
+]
 
 
 GOOD, BAD_VERDICT, WRONG_USE, LACKING = range(4)
@@ -43,3 +76,82 @@ def _plain(value: object) -> object:
     if isinstance(value, Path):
         return str(value)
     raise TypeError(f"cannot write {type(value).__name__} as JSON")
+
+
+_UNBROKEN = 100_000  # columns
+
+
+class _WholeLines(logging.Handler):
+    """Handler that prints each record of the log as one line on `status`."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        status.print(self.format(record), markup=False)
+
+
+def break_lines() -> bool:
+    """Let `status` break lines only at a terminal; return whether it does."""
+    status.soft_wrap = not status.is_terminal
+    return status.is_terminal
+
+
+def log_handler() -> logging.Handler:
+    """Return the handler that prints the log on `status`."""
+    if status.is_terminal:
+        from rich.logging import RichHandler  # a tenth of the command line's imports
+
+        return RichHandler(console=status, show_path=False, show_time=False)
+    handler = _WholeLines()
+    handler.setFormatter(logging.Formatter("%(levelname)-8s %(message)s"))
+    return handler
+
+
+def help_console(app: App) -> Console | None:
+    """Set the format of the help of `app`, and return its console; None for its own."""
+    if console.is_terminal:
+        app.help_formatter = "default"
+        return None
+    app.help_formatter = "plain"  # no boxes
+    return Console(width=_UNBROKEN)
+
+
+class ResultFile(io.RawIOBase):
+    """Raw file that writes to a descriptor and raises Failure when the descriptor takes no more."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._has_failed = False
+
+    def writable(self) -> bool:
+        """Return True."""
+        return True
+
+    def fileno(self) -> int:
+        """Return the descriptor."""
+        return self._descriptor
+
+    def isatty(self) -> bool:
+        """Return whether the descriptor is a terminal."""
+        return os.isatty(self._descriptor)
+
+    def write(self, data: ReadableBuffer) -> int:
+        """Write the bytes that the descriptor takes, and return their number; raises Failure once, then discards."""
+        if self._has_failed:
+            return memoryview(data).nbytes
+        try:
+            return os.write(self._descriptor, data)
+        except OSError as error:
+            self._has_failed = True
+            raise Failure(f"stdout: {error.strerror}: the result was not written in full", LACKING) from error
+
+
+def guard_stdout() -> None:
+    """Let `sys.stdout` raise Failure when it takes no more; one that was closed before the start stays None."""
+    if sys.stdout is None:
+        return
+    plain = cast(io.TextIOWrapper, sys.stdout)
+    sys.stdout = io.TextIOWrapper(
+        io.BufferedWriter(ResultFile(plain.fileno())),
+        encoding=plain.encoding,
+        errors=plain.errors,
+        line_buffering=plain.line_buffering,
+    )

@@ -24,7 +24,7 @@ from emulator.trajectory.basilisk import ConnectedPath
 from firmware_protocol.vizard.messages import Update
 from transports.link.pacing import MonotonicClock
 from transports.needs import install_command
-from transports.network.datagrams import check_allow
+from transports.network import check_allow
 from transports.vizard.server import ForwardingServer, Other, VizardServer
 
 __all__ = ["vizard"]

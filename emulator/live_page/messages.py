@@ -47,7 +47,7 @@ import numpy.typing as npt
 
 from emulator.run.outcome import RunStatus
 from transports.faults.kinds import Fault
-from transports.network.datagrams import is_loopback
+from transports.network import is_loopback
 
 __all__ = [
     "MOST_COMMAND_BYTES",

@@ -7,7 +7,7 @@ The sensor follows the biases that hosts write to their cameras while the run go
 
     host --bias word--> device --CameraSettings, with their stream time--> BiasFollowing --> sensor.adjust
 
-`transports.link.changes` has the first half of this way.
+`transports.link.report` has the first half of this way.
 
 A factor is one at the default words. A change of the factors multiplies the present parameter by new product / old
 product, so that an earlier change by a slider stays. The product is that over all links, limited to the bounds of one
@@ -26,7 +26,7 @@ from emulator.sensor.sensor import AdjustableSource
 from firmware_protocol.davis346.biases import LEAST_FACTOR, MOST_FACTOR
 from firmware_protocol.events import EdgeKind
 from transports.faults.kinds import Fault
-from transports.link.changes import CameraSettings
+from transports.link.report import CameraSettings
 
 __all__ = ["BiasFollowing", "Change", "Changes", "Operator"]
 

@@ -29,14 +29,13 @@ from typing import Any
 from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EdgeKind, Events
 from transports.faults.kinds import Fault
-from transports.link.changes import CameraSettings, Occurrence
 from transports.link.deliveries import DeliveryTally
 from transports.link.loop import Happen, InjectFault, Stop
 from transports.link.pacing import Clock
 from transports.link.process import STOP_SIGNALS, LinkSetup, run_link
-from transports.link.report import LinkReport
+from transports.link.report import CameraSettings, LinkReport, Occurrence
 from transports.recording.format import with_addition
-from transports.recording.summary import RecordingSummary
+from transports.recording.part import RecordingSummary
 
 __all__ = ["LinkFailed", "LinkProcess", "starting_a_link", "starting_a_process", "traced"]
 

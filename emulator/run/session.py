@@ -38,10 +38,9 @@ from emulator.sensor.sensor import AdjustableSource, EventSource
 from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EdgeKind, Events
 from transports.faults.kinds import Fault
-from transports.link.changes import CameraSettings, Occurrence
 from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
-from transports.link.report import LinkReport
+from transports.link.report import CameraSettings, LinkReport, Occurrence
 from transports.link.rings import FREE_RUNNING
 
 __all__ = ["Schedule", "Session", "log_if_slow"]

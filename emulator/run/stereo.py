@@ -20,10 +20,9 @@ from emulator.sensor.sensor import EventSource
 from emulator.trajectory.building import MountedPath
 from emulator.trajectory.parameters import BasiliskPath, LivePath
 from firmware_protocol.events import Events
-from transports.link.changes import CameraSettings
 from transports.link.edges import EdgeRing
 from transports.link.process import LinkSetup
-from transports.link.report import LinkReport
+from transports.link.report import CameraSettings, LinkReport
 
 __all__ = ["SecondView", "carries_second", "ledger_of", "second_rig", "wired"]
 

@@ -19,7 +19,7 @@ from transports.faults.kinds import Fault
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable, Wiring, check_region
 from transports.needs import Need, network_interface
-from transports.network.datagrams import check_allow
+from transports.network import check_allow, check_port
 
 __all__ = ["CAN", "CanLink", "Option"]
 
@@ -151,8 +151,7 @@ class CanLink:
             raise ValueError('fd: socketcand\'s protocol has classic frames only; use "udp_multicast" or "socketcan"')
         if self.fd and self.carriage == "cfp":
             raise ValueError("fd: CSP's fragmentation protocol has classic frames only")
-        if not 0 <= self.port <= 65535:
-            raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
+        check_port(self.port)
         if self.interface == "served":
             check_allow(self.host, self.allow)
 

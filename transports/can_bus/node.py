@@ -7,9 +7,9 @@ that the protocol requires.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from firmware_protocol.can_frames.canopen import (
     EMCY_NO_ERROR,
@@ -32,9 +32,9 @@ from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.receiver.can import CanReceiver
 from transports.can_bus.bus import BusDown, PythonCanBus
 from transports.can_bus.kind import CanLink
-from transports.link.deliveries import Deliveries, LatencySummary
+from transports.link.deliveries import Deliveries
 from transports.link.pacing import Clock
-from transports.link.reception import Arrivals, Reception
+from transports.link.reception import Arrivals, CountedReception
 from transports.recording.record import Recorder
 
 __all__ = ["CanReception", "EdgeSink", "Node", "listen_can", "peer_of"]
@@ -207,30 +207,16 @@ _LOOK_PERIOD_S = 0.1
 
 
 @dataclass(frozen=True)
-class CanReception(Reception):
-    """Events and counts received so far from a bus.
+class CanReception(CountedReception):
+    """Events and counts received so far from a bus; `jitter_us` is by the bus's time stamps.
 
     Attributes
     ----------
-    faults
-        Number of faults that never occur on an intact link.
-    counts
-        All other counts by name.
-    jitter_us
-        Delay of each frame relative to the fastest one, by the bus's time stamps: the camera's clock is not known.
     ended
         True if the newest heartbeat reported a stopped camera, as it does at the end of its run.
     """
 
-    faults: int = 0
-    counts: Mapping[str, int] = field(default_factory=dict)
-    jitter_us: LatencySummary = field(default_factory=LatencySummary)
     ended: bool = False
-
-    @property
-    def fault_count(self) -> int:
-        """Number of faults."""
-        return self.faults
 
     @property
     def is_early(self) -> bool:

@@ -20,38 +20,20 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.socketcand import GREETING, Carried, SocketcandSession, Wire, frame_line
 from transports.can_bus.bus import BusDown, CanBus, TimedFrame
 from transports.can_bus.kind import CanLink
 from transports.link.pacing import Clock
-from transports.network.datagrams import Admission, AllowList, Places, Seat
-from transports.network.listener import Listener
+from transports.network import Admission, AllowList, Listener, Places, Seat
 
-__all__ = ["BusClient", "ClientHost", "ServedBus"]
+__all__ = ["BusClient", "ServedBus"]
 
 
 _READ_BYTES = 4096
 _MOST_UNSENT_BYTES = 1 << 20
 _MOST_FRAMES = 48  # of one client that may wait for the bus before its reading pauses
-
-
-class ClientHost(Protocol):
-    """Bus interface that a client connection uses."""
-
-    def offer(self, client: BusClient, frames: list[Frame]) -> int:
-        """Queue frames of a client; return the number of its waiting frames."""
-
-    def joined(self, client: BusClient) -> None:
-        """Register a client that uses the bus."""
-
-    def slow(self, client: BusClient) -> None:
-        """Register that a client sends requests, does not read the answers, and is disconnected."""
-
-    def left(self, client: BusClient) -> None:
-        """Remove a client, because its connection has ended."""
 
 
 class BusClient(asyncio.BufferedProtocol):
@@ -65,7 +47,7 @@ class BusClient(asyncio.BufferedProtocol):
 
     _transport: asyncio.Transport
 
-    def __init__(self, node: int, channel: str, host: ClientHost) -> None:
+    def __init__(self, node: int, channel: str, host: ServedBus) -> None:
         self.node = node
         self._host = host
         self._session = SocketcandSession(channel)
@@ -284,7 +266,7 @@ class ServedBus(CanBus):
             member.client.abort()
         await self._until(lambda: not self._members)
 
-    # Methods of `ClientHost`.
+    # Calls of the connections of clients.
 
     def joined(self, client: BusClient) -> None:
         """Store a client, and begin to send it frames if it has requested them."""
@@ -294,7 +276,7 @@ class ServedBus(CanBus):
             self._members[client.node] = _Member(client, member.seat, self._clock.now_ns() + _SETTLE_NS)
 
     def offer(self, client: BusClient, frames: list[Frame]) -> int:
-        """Put a client's frames on the wire."""
+        """Put a client's frames on the wire; return the number of its waiting frames."""
         self._attend()
         now_ns = self._clock.now_ns()
         self._carry(now_ns)

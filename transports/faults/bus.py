@@ -5,7 +5,6 @@ See `kinds` for the attributes that all faults have.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, Protocol
@@ -15,13 +14,12 @@ import numpy as np
 from firmware_protocol.can_frames.bus_time import BitRates, frame_bits
 from firmware_protocol.can_frames.frame import Frame
 from transports.faults.items import Delay, HitStage, ItemStage, Repetition
-from transports.faults.kinds import Fault, HitFault, LastingFault
+from transports.faults.kinds import Fault, HitFault, LastingFault, Stage
 
 __all__ = [
     "CAN_FAULTS",
     "Babbler",
     "BabblingIdiot",
-    "BusFault",
     "BusOff",
     "BusStage",
     "ChangedFrames",
@@ -32,7 +30,6 @@ __all__ = [
     "QueuedMessage",
     "ReorderedFrames",
     "RepeatedFrames",
-    "frame_stage",
 ]
 
 
@@ -63,26 +60,14 @@ class QueuedFrame:
     exempt: bool = False
 
 
-class BusFault(ABC):
-    """Fault of a CAN bus."""
+class _HitFrames(HitStage[QueuedFrame]):
+    """Fault of single frames; the generator of the places is separate, so that further draws do not move them."""
 
-    @abstractmethod
-    def stage(self, random: np.random.Generator, rates: BitRates) -> ItemStage[QueuedFrame]:
-        """Return its effect on a bus of these bit rates, with hits drawn by `random`."""
-
-
-@dataclass(frozen=True)
-class LostFrames(HitFault, BusFault):
-    """Frames that no node receives: a bus repeats damaged frames, but a gateway or a full receiver loses frames."""
-
-    kind: ClassVar[str] = "lost_frames"
-
-    def stage(self, random: np.random.Generator, rates: BitRates) -> ItemStage[QueuedFrame]:
-        """See `BusFault.stage`."""
-        return _Lost(self, random.spawn(1)[0])
+    def __init__(self, fault: HitFault, random: np.random.Generator, carrier: BitRates) -> None:
+        super().__init__(fault, random.spawn(1)[0], carrier)
 
 
-class _Lost(HitStage[QueuedFrame]):
+class _Lost(_HitFrames):
     def change(self, item: QueuedFrame) -> list[QueuedFrame]:
         if not self.is_hit():
             return [item]
@@ -92,18 +77,37 @@ class _Lost(HitStage[QueuedFrame]):
 
 
 @dataclass(frozen=True)
-class RepeatedFrames(HitFault, BusFault):
-    """Frames that arrive twice, as when the last bit of a good frame is disturbed and the sender repeats it."""
+class LostFrames(HitFault):
+    """Frames that no node receives: a bus repeats damaged frames, but a gateway or a full receiver loses frames."""
 
-    kind: ClassVar[str] = "repeated_frames"
+    kind: ClassVar[str] = "lost_frames"
+    effect: ClassVar[type[Stage]] = _Lost
 
-    def stage(self, random: np.random.Generator, rates: BitRates) -> ItemStage[QueuedFrame]:
-        """See `BusFault.stage`."""
-        return Repetition(self, random.spawn(1)[0])
+
+class _Repeated(_HitFrames, Repetition[QueuedFrame]):
+    pass
 
 
 @dataclass(frozen=True)
-class ReorderedFrames(HitFault, BusFault):
+class RepeatedFrames(HitFault):
+    """Frames that arrive twice, as when the last bit of a good frame is disturbed and the sender repeats it."""
+
+    kind: ClassVar[str] = "repeated_frames"
+    effect: ClassVar[type[Stage]] = _Repeated
+
+
+class _Overtaken(Delay[QueuedFrame]):
+    def change(self, item: QueuedFrame) -> list[QueuedFrame]:
+        if item.urgent:
+            return [item]  # urgent frames are sent separately
+        overtakes = bool(self._held)
+        passed = super().change(item)
+        self.touched += overtakes and bool(passed)
+        return passed
+
+
+@dataclass(frozen=True)
+class ReorderedFrames(HitFault):
     """Frames that later frames overtake, as in a controller with several transmit buffers, or a gateway.
 
     Attributes
@@ -120,36 +124,15 @@ class ReorderedFrames(HitFault, BusFault):
         if not 1 <= self.behind <= 1000:
             raise ValueError(f"behind must be 1 to 1000 frames, got {self.behind}")
 
-    def stage(self, random: np.random.Generator, rates: BitRates) -> ItemStage[QueuedFrame]:
-        """See `BusFault.stage`."""
+    def stage(self, random: np.random.Generator, carrier: BitRates) -> Stage:
+        """See `Fault.stage`."""
         return _Overtaken(self, random, self.behind)
 
 
-class _Overtaken(Delay[QueuedFrame]):
-    def change(self, item: QueuedFrame) -> list[QueuedFrame]:
-        if item.urgent:
-            return [item]  # urgent frames are sent separately
-        overtakes = bool(self._held)
-        passed = super().change(item)
-        self.touched += overtakes and bool(passed)
-        return passed
-
-
-@dataclass(frozen=True)
-class ChangedFrames(HitFault, BusFault):
-    """One inverted bit in a frame's data. The CRC of a real bus would detect it; the memory of a gateway does not."""
-
-    kind: ClassVar[str] = "changed_frames"
-
-    def stage(self, random: np.random.Generator, rates: BitRates) -> ItemStage[QueuedFrame]:
-        """See `BusFault.stage`."""
-        return _Changed(self, *random.spawn(2))
-
-
-class _Changed(HitStage[QueuedFrame]):
-    def __init__(self, fault: HitFault, where: np.random.Generator, bits: np.random.Generator) -> None:
-        super().__init__(fault, where)
-        self._bits = bits
+class _Changed(_HitFrames):
+    def __init__(self, fault: HitFault, random: np.random.Generator, carrier: BitRates) -> None:
+        super().__init__(fault, random, carrier)
+        self._bits = random.spawn(1)[0]
 
     def change(self, item: QueuedFrame) -> list[QueuedFrame]:
         if not self.is_hit() or not item.frame.data:
@@ -162,24 +145,29 @@ class _Changed(HitStage[QueuedFrame]):
 
 
 @dataclass(frozen=True)
-class ErrorFrames(HitFault, BusFault):
-    """Frames that are destroyed on the bus: an error frame, then the frame again. Only time is lost."""
+class ChangedFrames(HitFault):
+    """One inverted bit in a frame's data. The CRC of a real bus would detect it; the memory of a gateway does not."""
 
-    kind: ClassVar[str] = "error_frames"
-
-    def stage(self, random: np.random.Generator, rates: BitRates) -> ItemStage[QueuedFrame]:
-        """See `BusFault.stage`."""
-        return _Destroyed(self, random.spawn(1)[0])
+    kind: ClassVar[str] = "changed_frames"
+    effect: ClassVar[type[Stage]] = _Changed
 
 
-class _Destroyed(HitStage[QueuedFrame]):
+class _Destroyed(_HitFrames):
     def change(self, item: QueuedFrame) -> list[QueuedFrame]:
         error = QueuedFrame(Frame(_PROTOCOL_ERROR, bytes(8), error=True), item.urgent)
         return [error, item] if self.is_hit() else [item]
 
 
 @dataclass(frozen=True)
-class _OfBus(LastingFault, BusFault):
+class ErrorFrames(HitFault):
+    """Frames that are destroyed on the bus: an error frame, then the frame again. Only time is lost."""
+
+    kind: ClassVar[str] = "error_frames"
+    effect: ClassVar[type[Stage]] = _Destroyed
+
+
+@dataclass(frozen=True)
+class _OfBus(LastingFault):
     """Fault of one bus of a link.
 
     Attributes
@@ -189,11 +177,6 @@ class _OfBus(LastingFault, BusFault):
     """
 
     bus: Literal["A", "B"] = "A"
-
-    @property
-    def index(self) -> int:
-        """Number of the bus: 0 is A, 1 is B."""
-        return _BUSES[self.bus]
 
 
 class BusStage(ItemStage[QueuedFrame]):
@@ -207,10 +190,20 @@ class BusStage(ItemStage[QueuedFrame]):
         State of that bus.
     """
 
-    def __init__(self, bus: int, *, off: bool = False, dead: bool = False) -> None:
-        super().__init__()
-        self.bus, self.off, self.dead = bus, off, dead
-        self.hits = int(off or dead)
+    off = dead = False
+
+    def __init__(self, fault: _OfBus, random: np.random.Generator, carrier: BitRates) -> None:
+        super().__init__(fault, random, carrier)
+        self.bus = _BUSES[fault.bus]
+        self.hits = int(self.off or self.dead)
+
+
+class _Off(BusStage):
+    off = True
+
+
+class _Dead(BusStage):
+    dead = True
 
 
 @dataclass(frozen=True)
@@ -218,10 +211,7 @@ class BusOff(_OfBus):
     """The camera's controller has counted too many errors and left the bus; it returns at the end of the fault."""
 
     kind: ClassVar[str] = "bus_off"
-
-    def stage(self, random: np.random.Generator, rates: BitRates) -> ItemStage[QueuedFrame]:
-        """See `BusFault.stage`."""
-        return BusStage(self.index, off=True)
+    effect: ClassVar[type[Stage]] = _Off
 
 
 @dataclass(frozen=True)
@@ -229,10 +219,27 @@ class DeadBus(_OfBus):
     """The bus is cut at the camera: it receives no frames, and no node receives its frames."""
 
     kind: ClassVar[str] = "dead_bus"
+    effect: ClassVar[type[Stage]] = _Dead
 
-    def stage(self, random: np.random.Generator, rates: BitRates) -> ItemStage[QueuedFrame]:
-        """See `BusFault.stage`."""
-        return BusStage(self.index, dead=True)
+
+class Babbler(BusStage):
+    """Node that floods the bus; `due` returns the times of its frames."""
+
+    def __init__(self, fault: BabblingIdiot, random: np.random.Generator, carrier: BitRates) -> None:
+        super().__init__(fault, random, carrier)
+        self.frame = Frame(fault.identifier, bytes(8))
+        self._period_ns = round(carrier.duration_ns(frame_bits(self.frame)) / fault.load)
+        self._next_ns: int | None = None
+
+    def due(self, until_ns: int) -> list[int]:
+        """Return the times of its frames since the last call and until `until_ns`, ns."""
+        if self._next_ns is None:
+            self._next_ns = until_ns
+        times = list(range(self._next_ns, until_ns, self._period_ns))
+        self._next_ns += len(times) * self._period_ns
+        self.hits = 1
+        self.touched += len(times)
+        return times
 
 
 @dataclass(frozen=True)
@@ -248,6 +255,7 @@ class BabblingIdiot(_OfBus):
     """
 
     kind: ClassVar[str] = "babbling_idiot"
+    effect: ClassVar[type[Stage]] = Babbler
     identifier: int = 0
     load: float = 1.0
 
@@ -258,30 +266,6 @@ class BabblingIdiot(_OfBus):
         if not 0 < self.load <= 1:
             raise ValueError(f"load must be above 0 and at most 1, got {self.load}")
 
-    def stage(self, random: np.random.Generator, rates: BitRates) -> ItemStage[QueuedFrame]:
-        """See `BusFault.stage`."""
-        return Babbler(self, rates)
-
-
-class Babbler(BusStage):
-    """Node that floods the bus; `due` returns the times of its frames."""
-
-    def __init__(self, fault: BabblingIdiot, rates: BitRates) -> None:
-        super().__init__(fault.index)
-        self.frame = Frame(fault.identifier, bytes(8))
-        self._period_ns = round(rates.duration_ns(frame_bits(self.frame)) / fault.load)
-        self._next_ns: int | None = None
-
-    def due(self, until_ns: int) -> list[int]:
-        """Return the times of its frames since the last call and until `until_ns`, ns."""
-        if self._next_ns is None:
-            self._next_ns = until_ns
-        times = list(range(self._next_ns, until_ns, self._period_ns))
-        self._next_ns += len(times) * self._period_ns
-        self.hits = 1
-        self.touched += len(times)
-        return times
-
 
 _FAULTS: tuple[type[Fault], ...] = (
     *(LostFrames, RepeatedFrames, ReorderedFrames, ChangedFrames, ErrorFrames),
@@ -289,10 +273,3 @@ _FAULTS: tuple[type[Fault], ...] = (
 )
 CAN_FAULTS: Mapping[str, type[Fault]] = {each.kind: each for each in _FAULTS}
 """Faults of a CAN bus, by kind."""
-
-
-def frame_stage(fault: Fault, random: np.random.Generator, rates: BitRates) -> ItemStage[QueuedFrame]:
-    """Return the effect of a fault on a bus of these bit rates; raises ValueError for a fault of another carrier."""
-    if not isinstance(fault, BusFault):
-        raise ValueError(f"{fault.kind!r} is no fault of a CAN bus")
-    return fault.stage(random, rates)

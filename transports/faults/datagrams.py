@@ -8,24 +8,22 @@ it was sent, and is lost when no copy is left that could arrive.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, TypeVar
+from typing import ClassVar
 
 import numpy as np
 
 from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.profile import Profile
 from transports.faults.items import Delay, ItemStage, Loss, Repetition, pass_through
-from transports.faults.kinds import Fault, HitFault
-from transports.faults.line import BitFlips
+from transports.faults.kinds import Fault, HitFault, Stage
+from transports.faults.line import BitFlips, ByteStage
 from transports.faults.script import FaultPlan, Faulty
 
 __all__ = [
     "DATAGRAM_FAULTS",
-    "DatagramFault",
     "FaultyDatagrams",
     "LateDatagrams",
     "LostDatagrams",
@@ -33,41 +31,24 @@ __all__ = [
 ]
 
 
-T = TypeVar("T")
-
-
-class DatagramFault(ABC):
-    """Fault of datagrams that does not depend on their contents."""
-
-    @abstractmethod
-    def stage(self, random: np.random.Generator) -> ItemStage[T]:
-        """Return its effect, with hits drawn by `random`."""
-
-
 @dataclass(frozen=True)
-class LostDatagrams(HitFault, DatagramFault):
+class LostDatagrams(HitFault):
     """Datagrams that never arrive, as when a queue on the path is full."""
 
     kind: ClassVar[str] = "lost_datagrams"
-
-    def stage(self, random: np.random.Generator) -> ItemStage[T]:
-        """See `DatagramFault.stage`."""
-        return Loss(self, random)
+    effect: ClassVar[type[Stage]] = Loss
 
 
 @dataclass(frozen=True)
-class RepeatedDatagrams(HitFault, DatagramFault):
+class RepeatedDatagrams(HitFault):
     """Datagrams that arrive twice."""
 
     kind: ClassVar[str] = "repeated_datagrams"
-
-    def stage(self, random: np.random.Generator) -> ItemStage[T]:
-        """See `DatagramFault.stage`."""
-        return Repetition(self, random)
+    effect: ClassVar[type[Stage]] = Repetition
 
 
 @dataclass(frozen=True)
-class LateDatagrams(HitFault, DatagramFault):
+class LateDatagrams(HitFault):
     """Datagrams that later datagrams overtake.
 
     Attributes
@@ -84,8 +65,8 @@ class LateDatagrams(HitFault, DatagramFault):
         if not 1 <= self.overtaken_by <= 1000:
             raise ValueError(f"overtaken_by must be 1 to 1000 datagrams, got {self.overtaken_by}")
 
-    def stage(self, random: np.random.Generator) -> ItemStage[T]:
-        """See `DatagramFault.stage`."""
+    def stage(self, random: np.random.Generator, carrier: None) -> Stage:
+        """See `Fault.stage`."""
         return Delay(self, random, self.overtaken_by)
 
 
@@ -114,23 +95,16 @@ class _Copy:
 
 
 class _Flips(ItemStage[_Copy]):
-    def __init__(self, fault: BitFlips, random: np.random.Generator) -> None:
-        super().__init__()
-        self._bits = fault.stage(random, 1.0)
+    """Bit flips in the bytes of datagrams."""
+
+    def __init__(self, bits: ByteStage) -> None:
+        self._bits = bits
+        self.hits, self.touched, self.over = bits.hits, bits.touched, bits.over
 
     def change(self, copy: _Copy) -> list[_Copy]:
         data = self._bits.change(copy.data)
         self.hits, self.touched, self.over = self._bits.hits, self._bits.touched, self._bits.over
         return [_Copy(data, copy.of)]
-
-
-def _stage(fault: Fault, random: np.random.Generator) -> ItemStage[_Copy]:
-    """Return the effect of a fault on datagrams; raises ValueError for a fault of another carrier."""
-    if isinstance(fault, BitFlips):
-        return _Flips(fault, random)
-    if not isinstance(fault, DatagramFault):
-        raise ValueError(f"{fault.kind!r} is no fault of packets in datagrams")
-    return fault.stage(random)
 
 
 class FaultyDatagrams(Faulty[ItemStage[_Copy]]):
@@ -142,12 +116,18 @@ class FaultyDatagrams(Faulty[ItemStage[_Copy]]):
         Number of datagrams that a receiver accepts although they were not sent in this form, or were repeated.
     """
 
+    carrier = "packets in datagrams"
+
     def __init__(self, plan: FaultPlan, arrived: Callable[[Outgoing], None]) -> None:
-        super().__init__(plan, _stage)
+        super().__init__(plan, DATAGRAM_FAULTS)
         self._arrived = arrived
         self._waiting: deque[_Copy] = deque()
         self._number = 0
         self.false = 0
+
+    def _effect(self, fault: Fault, random: np.random.Generator) -> ItemStage[_Copy]:
+        stage = super()._effect(fault, random)
+        return _Flips(stage) if isinstance(stage, ByteStage) else stage
 
     def advance(self, now_us: int) -> None:
         """Advance stream time."""

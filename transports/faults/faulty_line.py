@@ -15,12 +15,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable
-from functools import partial
 
 from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.addresses import Message, Received
 from firmware_protocol.packets.profile import Profile, Unwrapper
-from transports.faults.line import ByteStage, byte_stage
+from transports.faults.line import SERIAL_FAULTS, ByteStage
 from transports.faults.script import FaultPlan, Faulty
 
 __all__ = ["FaultyLine", "ReferenceReceiver"]
@@ -103,8 +102,10 @@ class FaultyLine(Faulty[ByteStage]):
         Called with each message that an intact receiver gets.
     """
 
+    carrier = "a serial line"
+
     def __init__(self, plan: FaultPlan, profile: str, bytes_per_s: float, arrived: Callable[[Outgoing], None]) -> None:
-        super().__init__(plan, partial(byte_stage, bytes_per_s=bytes_per_s))
+        super().__init__(plan, SERIAL_FAULTS, bytes_per_s)
         self._profile = profile
         self._arrived = arrived
         self._reference: ReferenceReceiver | None = None

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -34,8 +34,8 @@ class ItemStage(Stage, Generic[T]):
 class HitStage(ItemStage[T]):
     """Fault that is applied to each item that is hit."""
 
-    def __init__(self, fault: HitFault, random: np.random.Generator) -> None:
-        super().__init__()
+    def __init__(self, fault: HitFault, random: np.random.Generator, carrier: Any = None) -> None:
+        super().__init__(fault, random, carrier)
         self._where = Places(fault, random)
 
     def is_hit(self) -> bool:

@@ -1,8 +1,8 @@
 """Base classes of faults, which a rig writes as tables with a `kind`.
 
-A fault of a carrier is one frozen dataclass: its attributes are the keys of the table, and its method `stage` returns
-its effect on that carrier, a `Stage`. The modules `line`, `bus`, `datagrams`, `words` and `usb` contain the faults of
-each carrier, `transports.gige.packet_faults` those of GigE Vision.
+A fault is one frozen dataclass: its attributes are the keys of the table, and `effect` is the class of its effect on
+its carrier, a `Stage`. A fault whose effect needs other parameters overrides `stage`. The modules `line`, `bus`,
+`datagrams`, `words` and `usb` contain the faults of each carrier, `transports.gige.packet_faults` those of GigE Vision.
 
 A fault begins at `at_s` of stream time and lasts `for_s`. Faults of single bits, bytes or frames hit each one with
 probability `rate` and end after `count` hits.
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,6 +22,38 @@ __all__ = ["Fault", "HitFault", "LastingFault", "Places", "Stage"]
 
 
 _LONGEST_S = 3.2e7  # a year, the longest run
+
+
+class Stage:
+    """Effect of one active fault; each carrier has its kinds of stages.
+
+    Parameters
+    ----------
+    fault
+        The fault, whose attributes are the parameters of the effect.
+    random
+        Generator that draws the hits.
+    carrier
+        Property of the carrier on which the effect depends, if there is one.
+
+    Attributes
+    ----------
+    hits
+        Number of times that it was applied.
+    touched
+        Number of bytes, words, frames or datagrams that it changed, removed, inserted or held.
+    over
+        True when it has no further effect.
+    """
+
+    def __init__(self, fault: Any, random: np.random.Generator, carrier: Any = None) -> None:
+        self.hits = self.touched = 0
+        self.over = False
+
+    def count(self, hits: int, touched: int) -> None:
+        """Count hits, and what they touched."""
+        self.hits += hits
+        self.touched += touched
 
 
 @dataclass(frozen=True)
@@ -39,6 +71,7 @@ class Fault:
     """
 
     kind: ClassVar[str] = ""
+    effect: ClassVar[type[Stage]] = Stage
     link: str = ""
     at_s: float = 0.0
     for_s: float = 0.0
@@ -48,6 +81,10 @@ class Fault:
             value = getattr(self, name)
             if not (math.isfinite(value) and 0 <= value <= _LONGEST_S):
                 raise ValueError(f"{name} must be 0 to 3.2e7 (a year), got {value}")
+
+    def stage(self, random: np.random.Generator, carrier: Any) -> Stage:
+        """Return its effect on a carrier, with hits drawn by `random`; see `Stage`."""
+        return self.effect(self, random, carrier)
 
 
 @dataclass(frozen=True)
@@ -85,29 +122,6 @@ class LastingFault(Fault):
         super().__post_init__()
         if not self.for_s:
             raise ValueError("for_s must be above 0: this fault lasts for a while")
-
-
-class Stage:
-    """One active fault; each carrier has its kinds of stages.
-
-    Attributes
-    ----------
-    hits
-        Number of times that it was applied.
-    touched
-        Number of bytes, words, frames or datagrams that it changed, removed, inserted or held.
-    over
-        True when it has no further effect.
-    """
-
-    def __init__(self) -> None:
-        self.hits = self.touched = 0
-        self.over = False
-
-    def count(self, hits: int, touched: int) -> None:
-        """Count hits, and what they touched."""
-        self.hits += hits
-        self.touched += touched
 
 
 _GAPS_AT_ONCE = 256

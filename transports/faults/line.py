@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import itemgetter, mul
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -21,14 +21,12 @@ __all__ = [
     "Burst",
     "ByteStage",
     "InsertedBytes",
-    "LineFault",
     "LostBytes",
     "Overrun",
     "Stall",
     "StuckLine",
     "Unplugged",
     "WrongBaud",
-    "byte_stage",
 ]
 
 
@@ -51,8 +49,8 @@ class ByteStage(Stage, ABC):
 
     holds = gone = False
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, fault: Any, random: np.random.Generator, carrier: Any = None) -> None:
+        super().__init__(fault, random, carrier)
         self.places: list[int] = []
 
     @abstractmethod
@@ -68,28 +66,9 @@ class ByteStage(Stage, ABC):
         self.count(len(places), touched)
 
 
-class LineFault(ABC):
-    """Fault of a serial line."""
-
-    @abstractmethod
-    def stage(self, random: np.random.Generator, bytes_per_s: float) -> ByteStage:
-        """Return its effect on a line of `bytes_per_s`, with hits drawn by `random`."""
-
-
-@dataclass(frozen=True)
-class BitFlips(HitFault, LineFault):
-    """Single inverted bits: noise on the line. `rate` is the bit error rate."""
-
-    kind: ClassVar[str] = "bit_flips"
-
-    def stage(self, random: np.random.Generator, bytes_per_s: float) -> ByteStage:
-        """See `LineFault.stage`."""
-        return _Flips(self, random)
-
-
 class _Flips(ByteStage):
-    def __init__(self, fault: HitFault, random: np.random.Generator) -> None:
-        super().__init__()
+    def __init__(self, fault: HitFault, random: np.random.Generator, carrier: Any = None) -> None:
+        super().__init__(fault, random, carrier)
         self._where = Places(fault, random)
 
     def change(self, data: bytes) -> bytes:
@@ -105,19 +84,16 @@ class _Flips(ByteStage):
 
 
 @dataclass(frozen=True)
-class InsertedBytes(HitFault, LineFault):
-    """Random bytes that the camera did not send, inserted before the bytes that are hit."""
+class BitFlips(HitFault):
+    """Single inverted bits: noise on the line. `rate` is the bit error rate."""
 
-    kind: ClassVar[str] = "inserted_bytes"
-
-    def stage(self, random: np.random.Generator, bytes_per_s: float) -> ByteStage:
-        """See `LineFault.stage`."""
-        return _Insertions(self, random)
+    kind: ClassVar[str] = "bit_flips"
+    effect: ClassVar[type[Stage]] = _Flips
 
 
 class _Insertions(ByteStage):
-    def __init__(self, fault: HitFault, random: np.random.Generator) -> None:
-        super().__init__()
+    def __init__(self, fault: HitFault, random: np.random.Generator, carrier: Any = None) -> None:
+        super().__init__(fault, random, carrier)
         where, self._bytes = random.spawn(2)
         self._where = Places(fault, where)
 
@@ -133,21 +109,18 @@ class _Insertions(ByteStage):
 
 
 @dataclass(frozen=True)
-class LostBytes(HitFault, LineFault):
-    """Single bytes that never arrive."""
+class InsertedBytes(HitFault):
+    """Random bytes that the camera did not send, inserted before the bytes that are hit."""
 
-    kind: ClassVar[str] = "lost_bytes"
-
-    def stage(self, random: np.random.Generator, bytes_per_s: float) -> ByteStage:
-        """See `LineFault.stage`."""
-        return _Runs(self, random, 0, 1)
+    kind: ClassVar[str] = "inserted_bytes"
+    effect: ClassVar[type[Stage]] = _Insertions
 
 
 class _Runs(ByteStage):
     """Runs of bytes, each begun at a place that is hit: `_instead` returns the replacement of a run."""
 
     def __init__(self, fault: HitFault, random: np.random.Generator, skip: int, length: int) -> None:
-        super().__init__()
+        super().__init__(fault, random)
         where, self._random = random.spawn(2)
         self._where = Places(fault, where)
         self._skip, self._length = skip, length
@@ -185,7 +158,18 @@ class _Runs(ByteStage):
 
 
 @dataclass(frozen=True)
-class Overrun(HitFault, LineFault):
+class LostBytes(HitFault):
+    """Single bytes that never arrive."""
+
+    kind: ClassVar[str] = "lost_bytes"
+
+    def stage(self, random: np.random.Generator, carrier: float) -> Stage:
+        """Return its effect on a line of `carrier` bytes a second."""
+        return _Runs(self, random, 0, 1)
+
+
+@dataclass(frozen=True)
+class Overrun(HitFault):
     """The receiver empties its FIFO too late: it keeps the bytes that fit, and loses the others until then.
 
     Attributes
@@ -207,14 +191,24 @@ class Overrun(HitFault, LineFault):
         if not 1 <= self.fifo_bytes <= 65_536:
             raise ValueError(f"fifo_bytes must be 1 to 65536, got {self.fifo_bytes}")
 
-    def stage(self, random: np.random.Generator, bytes_per_s: float) -> ByteStage:
-        """See `LineFault.stage`."""
-        missed = round(self.late_us * 1e-6 * bytes_per_s) - self.fifo_bytes
+    def stage(self, random: np.random.Generator, carrier: float) -> Stage:
+        """Return its effect on a line of `carrier` bytes a second."""
+        missed = round(self.late_us * 1e-6 * carrier) - self.fifo_bytes
         return _Runs(self, random, self.fifo_bytes, max(0, missed))
 
 
+class _Noise(_Runs):
+    _drawn = b""
+
+    def _instead(self, count: int) -> bytes:
+        while len(self._drawn) < count:  # in portions of one size: a generator's bytes depend on the number requested
+            self._drawn += self._random.bytes(_NOISE_BYTES)
+        noise, self._drawn = self._drawn[:count], self._drawn[count:]
+        return noise
+
+
 @dataclass(frozen=True)
-class Burst(HitFault, LineFault):
+class Burst(HitFault):
     """A burst of noise: a run of bytes replaced by random ones.
 
     Attributes
@@ -231,23 +225,24 @@ class Burst(HitFault, LineFault):
         if not 1 <= self.length <= 1_000_000:
             raise ValueError(f"length must be 1 to 1000000 bytes, got {self.length}")
 
-    def stage(self, random: np.random.Generator, bytes_per_s: float) -> ByteStage:
-        """See `LineFault.stage`."""
+    def stage(self, random: np.random.Generator, carrier: float) -> Stage:
+        """Return its effect on a line of `carrier` bytes a second."""
         return _Noise(self, random, 0, self.length)
 
 
-class _Noise(_Runs):
-    _drawn = b""
+class _Stuck(ByteStage):
+    def __init__(self, fault: StuckLine, random: np.random.Generator, carrier: Any) -> None:
+        super().__init__(fault, random, carrier)
+        self._low = fault.level == "low"
 
-    def _instead(self, count: int) -> bytes:
-        while len(self._drawn) < count:  # in portions of one size: a generator's bytes depend on the number requested
-            self._drawn += self._random.bytes(_NOISE_BYTES)
-        noise, self._drawn = self._drawn[:count], self._drawn[count:]
-        return noise
+    def change(self, data: bytes) -> bytes:
+        first = self._low and not self.hits and bool(data)
+        self._hit([0] if data and not self.hits else [], len(data))
+        return b"\0" if first else b""
 
 
 @dataclass(frozen=True)
-class StuckLine(LastingFault, LineFault):
+class StuckLine(LastingFault):
     """The line stays at one level: bytes sent in this time are lost.
 
     Attributes
@@ -257,44 +252,8 @@ class StuckLine(LastingFault, LineFault):
     """
 
     kind: ClassVar[str] = "stuck_line"
+    effect: ClassVar[type[Stage]] = _Stuck
     level: Literal["low", "high"] = "low"
-
-    def stage(self, random: np.random.Generator, bytes_per_s: float) -> ByteStage:
-        """See `LineFault.stage`."""
-        return _Stuck(is_low=self.level == "low")
-
-
-class _Stuck(ByteStage):
-    def __init__(self, *, is_low: bool) -> None:
-        super().__init__()
-        self._low = is_low
-
-    def change(self, data: bytes) -> bytes:
-        first = self._low and not self.hits and bool(data)
-        self._hit([0] if data and not self.hits else [], len(data))
-        return b"\0" if first else b""
-
-
-@dataclass(frozen=True)
-class Stall(LastingFault, LineFault):
-    """The receiver stops the sender (XOFF, RTS, a full buffer): no byte leaves, and the camera's queue fills."""
-
-    kind: ClassVar[str] = "stall"
-
-    def stage(self, random: np.random.Generator, bytes_per_s: float) -> ByteStage:
-        """See `LineFault.stage`."""
-        return _Hold()
-
-
-@dataclass(frozen=True)
-class Unplugged(LastingFault, LineFault):
-    """The port disappears and returns, like an adapter that is unplugged; it is found again within half a second."""
-
-    kind: ClassVar[str] = "unplugged"
-
-    def stage(self, random: np.random.Generator, bytes_per_s: float) -> ByteStage:
-        """See `LineFault.stage`."""
-        return _Absence()
 
 
 class _Hold(ByteStage):
@@ -305,45 +264,38 @@ class _Hold(ByteStage):
         return data
 
 
+@dataclass(frozen=True)
+class Stall(LastingFault):
+    """The receiver stops the sender (XOFF, RTS, a full buffer): no byte leaves, and the camera's queue fills."""
+
+    kind: ClassVar[str] = "stall"
+    effect: ClassVar[type[Stage]] = _Hold
+
+
 class _Absence(_Hold):
     gone = True
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, fault: Fault, random: np.random.Generator, carrier: Any) -> None:
+        super().__init__(fault, random, carrier)
         self.hits = 1
 
 
 @dataclass(frozen=True)
-class WrongBaud(LastingFault, LineFault):
-    """The receiver samples the line at another baud rate: garbage, computed from the bits.
+class Unplugged(LastingFault):
+    """The port disappears and returns, like an adapter that is unplugged; it is found again within half a second."""
 
-    Attributes
-    ----------
-    ratio
-        Baud rate of the receiver over that of the sender.
-    """
-
-    kind: ClassVar[str] = "wrong_baud"
-    ratio: float = 2.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0.1 <= self.ratio <= 10:
-            raise ValueError(f"ratio must be 0.1 to 10, got {self.ratio}")
-
-    def stage(self, random: np.random.Generator, bytes_per_s: float) -> ByteStage:
-        """See `LineFault.stage`."""
-        return _Resampled(self.ratio)
+    kind: ClassVar[str] = "unplugged"
+    effect: ClassVar[type[Stage]] = _Absence
 
 
 class _Resampled(ByteStage):
     """UART that samples the bits of another at its own rate: start bit, 8 data bits, stop bit."""
 
-    def __init__(self, ratio: float) -> None:
-        super().__init__()
+    def __init__(self, fault: WrongBaud, random: np.random.Generator, carrier: Any) -> None:
+        super().__init__(fault, random, carrier)
         self._bits = b""
         # Middle of its n-th bit, in bits of the sender from the falling edge of the start bit.
-        self._middles = [int((n + 0.5) / ratio) for n in range(10)]
+        self._middles = [int((n + 0.5) / fault.ratio) for n in range(10)]
         self._data_bits = itemgetter(*self._middles[1:9])
 
     def change(self, data: bytes) -> bytes:
@@ -372,16 +324,29 @@ class _Resampled(ByteStage):
         return bytes(out)
 
 
+@dataclass(frozen=True)
+class WrongBaud(LastingFault):
+    """The receiver samples the line at another baud rate: garbage, computed from the bits.
+
+    Attributes
+    ----------
+    ratio
+        Baud rate of the receiver over that of the sender.
+    """
+
+    kind: ClassVar[str] = "wrong_baud"
+    effect: ClassVar[type[Stage]] = _Resampled
+    ratio: float = 2.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.1 <= self.ratio <= 10:
+            raise ValueError(f"ratio must be 0.1 to 10, got {self.ratio}")
+
+
 _FAULTS: tuple[type[Fault], ...] = (
     *(BitFlips, InsertedBytes, LostBytes, Burst, Overrun),
     *(StuckLine, WrongBaud, Stall, Unplugged),
 )
 SERIAL_FAULTS: Mapping[str, type[Fault]] = {each.kind: each for each in _FAULTS}
 """Faults of a serial line, by kind."""
-
-
-def byte_stage(fault: Fault, random: np.random.Generator, bytes_per_s: float) -> ByteStage:
-    """Return the effect of a fault on a line of `bytes_per_s`; raises ValueError for a fault of another carrier."""
-    if not isinstance(fault, LineFault):
-        raise ValueError(f"{fault.kind!r} is no fault of a serial line")
-    return fault.stage(random, bytes_per_s)

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar, cast
 
 import numpy as np
 
@@ -197,10 +197,33 @@ class Faults(Generic[S]):
 
 
 class Faulty(Generic[S]):
-    """Base of the path of a carrier's data through the faults of one link; for the parameters see `Faults`."""
+    """Base of the path of a carrier's data through the faults of one link.
 
-    def __init__(self, plan: FaultPlan, build: Callable[[Fault, np.random.Generator], S]) -> None:
-        self._faults: Faults[S] = Faults(plan, build)
+    Parameters
+    ----------
+    kinds
+        Faults that it can have, by kind.
+    of_carrier
+        Property of the carrier for the effects, see `Stage`.
+
+    Attributes
+    ----------
+    carrier
+        Name of the carrier in errors.
+    """
+
+    carrier: ClassVar[str]
+
+    def __init__(self, plan: FaultPlan, kinds: Mapping[str, type[Fault]], of_carrier: Any = None) -> None:
+        self._kinds = tuple(kinds.values())
+        self._of_carrier = of_carrier
+        self._faults: Faults[S] = Faults(plan, self._effect)
+
+    def _effect(self, fault: Fault, random: np.random.Generator) -> S:
+        """Return the effect of a fault; raises ValueError for a fault of another carrier."""
+        if not isinstance(fault, self._kinds):
+            raise ValueError(f"{fault.kind!r} is no fault of {self.carrier}")
+        return cast(S, fault.stage(random, self._of_carrier))
 
     @property
     def records(self) -> tuple[FaultRecord, ...]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -27,8 +27,6 @@ from transports.faults.words import (
     TimeAhead,
     TimeBack,
     TimeFrozen,
-    WordFault,
-    WordStage,
 )
 
 __all__ = [
@@ -41,13 +39,11 @@ __all__ = [
     "RegisterFlip",
     "ShortTransfers",
     "SlowControl",
-    "UsbFault",
     "UsbSilence",
     "UsbStage",
     "UsbStall",
     "UsbUnplugged",
     "WrongVersion",
-    "usb_stage",
 ]
 
 
@@ -92,19 +88,8 @@ class ControlStage(Stage, ABC):
         """Raise Stall for a vendor request that is to be refused, NotReady for one that is answered later."""
 
 
-class UsbFault(ABC):
-    """Fault of a camera on USB that does not depend on its data."""
-
-    @abstractmethod
-    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
-        """Return its effect, with hits drawn by `random`.
-
-        `dropped` returns the number of events that the camera has dropped because its FIFO was full.
-        """
-
-
 @dataclass(frozen=True)
-class UsbSilence(LastingFault, UsbFault):
+class UsbSilence(LastingFault):
     """The endpoint sends no data (NAK): the host's transfers wait, and the camera's FIFO fills.
 
     Attributes
@@ -116,13 +101,13 @@ class UsbSilence(LastingFault, UsbFault):
     kind: ClassVar[str] = "usb_silence"
     endpoint: int = 2
 
-    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
-        """See `UsbFault.stage`."""
+    def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
+        """See `Fault.stage`."""
         return UsbStage(self, self.endpoint, silent=True)
 
 
 @dataclass(frozen=True)
-class UsbStall(Fault, UsbFault):
+class UsbStall(Fault):
     """The endpoint halts (STALL) until the host clears the halt: libcaer treats this as an unplugged camera.
 
     Attributes
@@ -142,13 +127,13 @@ class UsbStall(Fault, UsbFault):
         if self.count < 1:
             raise ValueError(f"count must be 1 or more, got {self.count}")
 
-    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
-        """See `UsbFault.stage`."""
+    def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
+        """See `Fault.stage`."""
         return UsbStage(self, self.endpoint, stalls=self.count)
 
 
 @dataclass(frozen=True)
-class ShortTransfers(LastingFault, UsbFault):
+class ShortTransfers(LastingFault):
     """Transfers end early, with a short packet: a host must not rely on full buffers.
 
     Attributes
@@ -168,13 +153,13 @@ class ShortTransfers(LastingFault, UsbFault):
         if self.most_bytes < 2 or self.most_bytes % 2:
             raise ValueError(f"most_bytes must be even, a DAVIS346 sends words of two bytes, got {self.most_bytes}")
 
-    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
-        """See `UsbFault.stage`."""
+    def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
+        """See `Fault.stage`."""
         return UsbStage(self, self.endpoint, most_bytes=self.most_bytes)
 
 
 @dataclass(frozen=True)
-class EmptyTransfers(HitFault, UsbFault):
+class EmptyTransfers(HitFault):
     """Transfers without data, in place of data or silence: a host must request again.
 
     `rate` is the probability of each transfer that the host requests.
@@ -188,13 +173,13 @@ class EmptyTransfers(HitFault, UsbFault):
     kind: ClassVar[str] = "empty_transfers"
     endpoint: int = 2
 
-    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
-        """See `UsbFault.stage`."""
+    def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
+        """See `Fault.stage`."""
         return UsbStage(self, self.endpoint, empty=Places(self, random))
 
 
 @dataclass(frozen=True)
-class FifoOverflow(LastingFault, UsbFault):
+class FifoOverflow(LastingFault):
     """The endpoint is silent until the camera's FIFO was full and has dropped events, for `for_s` at most.
 
     Attributes
@@ -212,13 +197,13 @@ class FifoOverflow(LastingFault, UsbFault):
         if self.events < 1:
             raise ValueError(f"events must be 1 or more, got {self.events}")
 
-    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
-        """See `UsbFault.stage`."""
-        return UsbStage(self, silent=True, overflow=dropped() + self.events)
+    def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
+        """Return its effect; `carrier` returns the number of events that the camera has dropped from a full FIFO."""
+        return UsbStage(self, silent=True, overflow=carrier() + self.events)
 
 
 @dataclass(frozen=True)
-class UsbUnplugged(LastingFault, UsbFault):
+class UsbUnplugged(LastingFault):
     """The camera is unplugged and plugged in again: its host loses it, and finds it without power until then.
 
     Attributes
@@ -235,13 +220,13 @@ class UsbUnplugged(LastingFault, UsbFault):
         if len(self.serial) > _UNICODE_MOST or not (self.serial + "0").isprintable() or not self.serial.isascii():
             raise ValueError(f"serial must be at most {_UNICODE_MOST} printable ASCII characters, got {self.serial!r}")
 
-    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
-        """See `UsbFault.stage`."""
+    def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
+        """See `Fault.stage`."""
         return UsbStage(self, gone=True, hits=1)
 
 
 @dataclass(frozen=True)
-class WrongVersion(Fault, UsbFault):
+class WrongVersion(Fault):
     """The camera reports versions that its host may not support; -1 leaves a version unchanged.
 
     Attributes
@@ -268,13 +253,13 @@ class WrongVersion(Fault, UsbFault):
             if not _SAME <= getattr(self, name) <= 0xFFFFFFFF:
                 raise ValueError(f"{name} must be -1 (the same) or 32 bits, got {getattr(self, name)}")
 
-    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
-        """See `UsbFault.stage`."""
+    def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
+        """See `Fault.stage`."""
         return UsbStage(self, hits=1)
 
 
 @dataclass(frozen=True)
-class RegisterFlip(Fault, UsbFault):
+class RegisterFlip(Fault):
     """One inverted bit of a register, as by radiation; until the host writes the register, or until power-on.
 
     Attributes
@@ -298,43 +283,15 @@ class RegisterFlip(Fault, UsbFault):
             if not 0 <= getattr(self, name) <= 0xFFFF:
                 raise ValueError(f"{name} must be 0 to 65535, got {getattr(self, name)}")
 
-    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
-        """See `UsbFault.stage`."""
+    def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
+        """See `Fault.stage`."""
         return UsbStage(self)
 
 
-@dataclass(frozen=True)
-class ControlStall(Fault, UsbFault):
-    """Vendor requests are refused (STALL).
-
-    Attributes
-    ----------
-    request
-        bRequest of the refused requests; -1: any vendor request. A DAVIS346 has 191 (0xBF) for registers.
-    count
-        Number of refused requests.
-    """
-
-    kind: ClassVar[str] = "control_stall"
-    request: int = -1
-    count: int = 1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not -1 <= self.request <= 0xFF:
-            raise ValueError(f"request must be -1 (any) to 255, got {self.request}")
-        if self.count < 1:
-            raise ValueError(f"count must be 1 or more, got {self.count}")
-
-    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
-        """See `UsbFault.stage`."""
-        return _Refusal(self.request, self.count)
-
-
 class _Refusal(ControlStage):
-    def __init__(self, request: int, count: int) -> None:
-        super().__init__()
-        self._request, self._left = request, count
+    def __init__(self, fault: ControlStall, random: np.random.Generator, carrier: Any) -> None:
+        super().__init__(fault, random, carrier)
+        self._request, self._left = fault.request, fault.count
 
     def check(self, setup: SetupPacket, now_us: int) -> None:
         if self.over or self._request not in (-1, setup.request):
@@ -346,33 +303,34 @@ class _Refusal(ControlStage):
 
 
 @dataclass(frozen=True)
-class SlowControl(LastingFault, UsbFault):
-    """Vendor requests are answered late: neuromorphic_drivers gives up after a second, libcaer never.
+class ControlStall(Fault):
+    """Vendor requests are refused (STALL).
 
     Attributes
     ----------
-    delay_ms
-        Time from each request to its answer, in stream time.
+    request
+        bRequest of the refused requests; -1: any vendor request. A DAVIS346 has 191 (0xBF) for registers.
+    count
+        Number of refused requests.
     """
 
-    kind: ClassVar[str] = "slow_control"
-    for_s: float = 5.0
-    delay_ms: float = 200.0
+    kind: ClassVar[str] = "control_stall"
+    effect: ClassVar[type[Stage]] = _Refusal
+    request: int = -1
+    count: int = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 < self.delay_ms <= 1e6:
-            raise ValueError(f"delay_ms must be above 0 and at most 1e6, got {self.delay_ms}")
-
-    def stage(self, random: np.random.Generator, dropped: Callable[[], int]) -> UsbStage | ControlStage:
-        """See `UsbFault.stage`."""
-        return _Slowness(round(self.delay_ms * 1000))
+        if not -1 <= self.request <= 0xFF:
+            raise ValueError(f"request must be -1 (any) to 255, got {self.request}")
+        if self.count < 1:
+            raise ValueError(f"count must be 1 or more, got {self.count}")
 
 
 class _Slowness(ControlStage):
-    def __init__(self, delay_us: int) -> None:
-        super().__init__()
-        self._delay_us = delay_us
+    def __init__(self, fault: SlowControl, random: np.random.Generator, carrier: Any) -> None:
+        super().__init__(fault, random, carrier)
+        self._delay_us = round(fault.delay_ms * 1000)
         self._pending: SetupPacket | None = None
         self._due_us = 0
 
@@ -383,6 +341,27 @@ class _Slowness(ControlStage):
         if now_us < self._due_us:
             raise NotReady
         self._pending = None
+
+
+@dataclass(frozen=True)
+class SlowControl(LastingFault):
+    """Vendor requests are answered late: neuromorphic_drivers gives up after a second, libcaer never.
+
+    Attributes
+    ----------
+    delay_ms
+        Time from each request to its answer, in stream time.
+    """
+
+    kind: ClassVar[str] = "slow_control"
+    effect: ClassVar[type[Stage]] = _Slowness
+    for_s: float = 5.0
+    delay_ms: float = 200.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.delay_ms <= 1e6:
+            raise ValueError(f"delay_ms must be above 0 and at most 1e6, got {self.delay_ms}")
 
 
 _DAVIS_FAULTS: tuple[type[Fault], ...] = (
@@ -398,17 +377,3 @@ _FAULTS: tuple[type[Fault], ...] = (
 )
 USB_FAULTS: Mapping[str, type[Fault]] = {**{each.kind: each for each in _FAULTS}, **DAVIS_FAULTS}
 """Faults of a camera on USB/IP, by kind."""
-
-
-def usb_stage(
-    fault: Fault, random: np.random.Generator, dropped: Callable[[], int] = lambda: 0
-) -> UsbStage | WordStage | ControlStage:
-    """Return the effect of a fault of a camera on USB; raises ValueError for a fault of another carrier.
-
-    `dropped` returns the number of events that the camera has dropped because its FIFO was full.
-    """
-    if isinstance(fault, WordFault):
-        return fault.stage(random)
-    if not isinstance(fault, UsbFault):
-        raise ValueError(f"{fault.kind!r} is no fault of a USB link")
-    return fault.stage(random, dropped)

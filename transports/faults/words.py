@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,6 @@ __all__ = [
     "TimeAhead",
     "TimeBack",
     "TimeFrozen",
-    "WordFault",
     "WordStage",
     "inserted",
 ]
@@ -107,38 +106,9 @@ class WordStage(Stage, ABC):
         return []
 
 
-class WordFault(ABC):
-    """Fault of the words of a transfer."""
-
-    @abstractmethod
-    def stage(self, random: np.random.Generator) -> WordStage:
-        """Return its effect, with hits drawn by `random`."""
-
-
-@dataclass(frozen=True)
-class OddBytes(HitFault, WordFault):
-    """Transfers of an odd length, while the camera sends words of two bytes.
-
-    `rate` is the probability of each transfer.
-
-    Attributes
-    ----------
-    change
-        "missing": the last byte never arrives, and its word is lost; "extra": a byte that the camera did not
-        send follows.
-    """
-
-    kind: ClassVar[str] = "odd_bytes"
-    change: Literal["missing", "extra"] = "missing"
-
-    def stage(self, random: np.random.Generator) -> WordStage:
-        """See `WordFault.stage`."""
-        return _OddEnds(self, random)
-
-
 class _OddEnds(WordStage):
-    def __init__(self, fault: OddBytes, random: np.random.Generator) -> None:
-        super().__init__()
+    def __init__(self, fault: OddBytes, random: np.random.Generator, carrier: Any) -> None:
+        super().__init__(fault, random, carrier)
         self._where, self._random = Places(fault, random), random
         self._extra = fault.change == "extra"
 
@@ -156,19 +126,26 @@ class _OddEnds(WordStage):
 
 
 @dataclass(frozen=True)
-class RepeatedEvents(HitFault, WordFault):
-    """Events that arrive twice, one after the other. `rate` is the probability of each event."""
+class OddBytes(HitFault):
+    """Transfers of an odd length, while the camera sends words of two bytes.
 
-    kind: ClassVar[str] = "repeated_events"
+    `rate` is the probability of each transfer.
 
-    def stage(self, random: np.random.Generator) -> WordStage:
-        """See `WordFault.stage`."""
-        return _Repetition(self, random)
+    Attributes
+    ----------
+    change
+        "missing": the last byte never arrives, and its word is lost; "extra": a byte that the camera did not
+        send follows.
+    """
+
+    kind: ClassVar[str] = "odd_bytes"
+    effect: ClassVar[type[Stage]] = _OddEnds
+    change: Literal["missing", "extra"] = "missing"
 
 
 class _Repetition(WordStage):
-    def __init__(self, fault: RepeatedEvents, random: np.random.Generator) -> None:
-        super().__init__()
+    def __init__(self, fault: RepeatedEvents, random: np.random.Generator, carrier: Any) -> None:
+        super().__init__(fault, random, carrier)
         self._where = Places(fault, random)
 
     def room(self, max_bytes: int) -> int:
@@ -184,22 +161,16 @@ class _Repetition(WordStage):
 
 
 @dataclass(frozen=True)
-class MissedWraps(HitFault, WordFault):
-    """Wraps that never arrive: the host's clock is behind from then on, 32.768 ms each, until a timestamp reset.
+class RepeatedEvents(HitFault):
+    """Events that arrive twice, one after the other. `rate` is the probability of each event."""
 
-    `rate` is the probability of each wrap.
-    """
-
-    kind: ClassVar[str] = "missed_wraps"
-
-    def stage(self, random: np.random.Generator) -> WordStage:
-        """See `WordFault.stage`."""
-        return _MissedWraps(self, random)
+    kind: ClassVar[str] = "repeated_events"
+    effect: ClassVar[type[Stage]] = _Repetition
 
 
 class _MissedWraps(WordStage):
-    def __init__(self, fault: MissedWraps, random: np.random.Generator) -> None:
-        super().__init__()
+    def __init__(self, fault: MissedWraps, random: np.random.Generator, carrier: Any) -> None:
+        super().__init__(fault, random, carrier)
         self._where = Places(fault, random)
 
     def change(self, sent: SentWords) -> SentWords:
@@ -212,38 +183,26 @@ class _MissedWraps(WordStage):
         return sent.only(good)
 
 
+@dataclass(frozen=True)
+class MissedWraps(HitFault):
+    """Wraps that never arrive: the host's clock is behind from then on, 32.768 ms each, until a timestamp reset.
+
+    `rate` is the probability of each wrap.
+    """
+
+    kind: ClassVar[str] = "missed_wraps"
+    effect: ClassVar[type[Stage]] = _MissedWraps
+
+
 def _is_wrap(words: Words) -> npt.NDArray[np.bool_]:
     wraps: npt.NDArray[np.bool_] = words & _KIND == _WRAP
     return wraps
 
 
-@dataclass(frozen=True)
-class TimeAhead(Fault, WordFault):
-    """Additional wraps: the host's clock is ahead from then on, until a timestamp reset.
-
-    Attributes
-    ----------
-    wraps
-        Number of wraps, of 32.768 ms each.
-    """
-
-    kind: ClassVar[str] = "time_ahead"
-    wraps: int = 1
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 1 <= self.wraps <= 100:
-            raise ValueError(f"wraps must be 1 to 100, got {self.wraps}")
-
-    def stage(self, random: np.random.Generator) -> WordStage:
-        """See `WordFault.stage`."""
-        return _Ahead(self.wraps)
-
-
 class _Ahead(WordStage):
-    def __init__(self, wraps: int) -> None:
-        super().__init__()
-        self._wraps = wraps
+    def __init__(self, fault: TimeAhead, random: np.random.Generator, carrier: Any) -> None:
+        super().__init__(fault, random, carrier)
+        self._wraps = fault.wraps
 
     def room(self, max_bytes: int) -> int:
         return max(0, max_bytes - 2 * self._wraps)
@@ -258,32 +217,29 @@ class _Ahead(WordStage):
 
 
 @dataclass(frozen=True)
-class TimeBack(LastingFault, WordFault):
-    """Timestamps that are too low for a time, but never below the last wrap.
+class TimeAhead(Fault):
+    """Additional wraps: the host's clock is ahead from then on, until a timestamp reset.
 
     Attributes
     ----------
-    by_us
-        Error of the timestamps.
+    wraps
+        Number of wraps, of 32.768 ms each.
     """
 
-    kind: ClassVar[str] = "time_back"
-    by_us: int = 1000
+    kind: ClassVar[str] = "time_ahead"
+    effect: ClassVar[type[Stage]] = _Ahead
+    wraps: int = 1
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 1 <= self.by_us < _WRAP_US:
-            raise ValueError(f"by_us must be 1 to {_WRAP_US - 1}, got {self.by_us}")
-
-    def stage(self, random: np.random.Generator) -> WordStage:
-        """See `WordFault.stage`."""
-        return _Back(self.by_us)
+        if not 1 <= self.wraps <= 100:
+            raise ValueError(f"wraps must be 1 to 100, got {self.wraps}")
 
 
 class _Back(WordStage):
-    def __init__(self, by_us: int) -> None:
-        super().__init__()
-        self._by = by_us
+    def __init__(self, fault: TimeBack, random: np.random.Generator, carrier: Any) -> None:
+        super().__init__(fault, random, carrier)
+        self._by = fault.by_us
 
     def change(self, sent: SentWords) -> SentWords:
         stamps = sent.words >= _TIMESTAMP
@@ -296,19 +252,28 @@ class _Back(WordStage):
 
 
 @dataclass(frozen=True)
-class TimeFrozen(LastingFault, WordFault):
-    """No timestamps and no wraps for a time: all events have the last time; then all wraps arrive at once."""
+class TimeBack(LastingFault):
+    """Timestamps that are too low for a time, but never below the last wrap.
 
-    kind: ClassVar[str] = "time_frozen"
+    Attributes
+    ----------
+    by_us
+        Error of the timestamps.
+    """
 
-    def stage(self, random: np.random.Generator) -> WordStage:
-        """See `WordFault.stage`."""
-        return _Frozen()
+    kind: ClassVar[str] = "time_back"
+    effect: ClassVar[type[Stage]] = _Back
+    by_us: int = 1000
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 1 <= self.by_us < _WRAP_US:
+            raise ValueError(f"by_us must be 1 to {_WRAP_US - 1}, got {self.by_us}")
 
 
 class _Frozen(WordStage):
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, fault: TimeFrozen, random: np.random.Generator, carrier: Any) -> None:
+        super().__init__(fault, random, carrier)
         self._held: list[int] = []
 
     def change(self, sent: SentWords) -> SentWords:
@@ -327,32 +292,17 @@ class _Frozen(WordStage):
 
 
 @dataclass(frozen=True)
-class StaleData(Fault, WordFault):
-    """Words of an earlier session arrive first when the host starts the data endpoint the next time.
+class TimeFrozen(LastingFault):
+    """No timestamps and no wraps for a time: all events have the last time; then all wraps arrive at once."""
 
-    Attributes
-    ----------
-    events
-        Number of events in them, each with its own time and row.
-    """
-
-    kind: ClassVar[str] = "stale_data"
-    events: int = 100
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 1 <= self.events <= 1000:
-            raise ValueError(f"events must be 1 to 1000, got {self.events}")
-
-    def stage(self, random: np.random.Generator) -> WordStage:
-        """See `WordFault.stage`."""
-        return _Stale(self.events, random)
+    kind: ClassVar[str] = "time_frozen"
+    effect: ClassVar[type[Stage]] = _Frozen
 
 
 class _Stale(WordStage):
-    def __init__(self, events: int, random: np.random.Generator) -> None:
-        super().__init__()
-        self._events, self._random = events, random
+    def __init__(self, fault: StaleData, random: np.random.Generator, carrier: Any) -> None:
+        super().__init__(fault, random, carrier)
+        self._events, self._random = fault.events, random
         self._due = False
 
     def started(self) -> None:
@@ -375,3 +325,23 @@ class _Stale(WordStage):
         triples = np.stack([times | _TIMESTAMP, addresses[0] | _ROW, addresses[1] | _COLUMN_OFF], axis=1)
         words: list[int] = triples.ravel().tolist()
         return words
+
+
+@dataclass(frozen=True)
+class StaleData(Fault):
+    """Words of an earlier session arrive first when the host starts the data endpoint the next time.
+
+    Attributes
+    ----------
+    events
+        Number of events in them, each with its own time and row.
+    """
+
+    kind: ClassVar[str] = "stale_data"
+    effect: ClassVar[type[Stage]] = _Stale
+    events: int = 100
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 1 <= self.events <= 1000:
+            raise ValueError(f"events must be 1 to 1000, got {self.events}")

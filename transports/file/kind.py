@@ -21,8 +21,7 @@ from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
 from transports.needs import Need, package
 from transports.recording.format import Format, format_to_write, with_addition
 from transports.recording.live import LiveRecorder
-from transports.recording.part import Facts, RecordingError, counts_of
-from transports.recording.summary import RecordingSummary
+from transports.recording.part import Facts, RecordingError, RecordingSummary, counts_of
 
 __all__ = ["FILE", "FileEndpoint", "FileFactory", "FileLink"]
 
@@ -61,8 +60,6 @@ class FileLink:
 
 
 def _endpoint(link: FileLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.file.kind import FileFactory
-
     form = format_to_write(Path(link.path), link.format)
     camera = link.camera or wiring.camera.model or "evstim"
     facts = Facts(wiring.camera.size, camera, streams=wiring.camera.streams, imu_unit=wiring.camera.imu_unit)

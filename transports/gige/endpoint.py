@@ -34,7 +34,7 @@ from transports.gige.packet_faults import FaultyPackets, Packet
 from transports.gige.sockets import StreamSocket
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory
-from transports.network.datagrams import AllowList, ByteBudget
+from transports.network import AllowList, ByteBudget
 
 __all__ = ["BlockFates", "GigeEndpoint", "GigeFactory"]
 

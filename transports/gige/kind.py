@@ -10,7 +10,7 @@ from firmware_protocol.gige.gvcp import GVCP_PORT
 from transports.gige.packet_faults import PACKET_FAULTS
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable, Wiring
-from transports.network.datagrams import check_allow
+from transports.network import check_allow
 
 __all__ = ["GIGE", "GigeLink"]
 
@@ -85,7 +85,7 @@ GIGE = LinkKind(
     serves="gige",
     endpoint=_endpoint,
     faults=PACKET_FAULTS,
-    listener=Listener("gige", "Read a GigE Vision event camera.", "emulator.cli.listen.gige:gige"),
+    listener=Listener("gige", "Read a GigE Vision event camera.", "emulator.cli.listen.cameras:gige"),
     check=_check,
     has_evt=lambda link: True,
     listens_on=lambda link: (link.host, link.port) if link.port else None,

@@ -7,7 +7,6 @@ They act on the packets of its stream, between the camera and the network, and o
 from __future__ import annotations
 
 import ipaddress
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -15,9 +14,9 @@ from typing import ClassVar
 import numpy as np
 
 from firmware_protocol.gige.gvsp import removed
-from transports.faults.datagrams import DatagramFault, LateDatagrams, LostDatagrams, RepeatedDatagrams
+from transports.faults.datagrams import LateDatagrams, LostDatagrams, RepeatedDatagrams
 from transports.faults.items import HitStage, ItemStage, Loss, pass_through
-from transports.faults.kinds import Fault, HitFault, LastingFault
+from transports.faults.kinds import Fault, HitFault, LastingFault, Stage
 from transports.faults.script import FaultPlan, Faulty
 
 __all__ = [
@@ -27,7 +26,6 @@ __all__ = [
     "LinkDown",
     "LostHeartbeat",
     "Packet",
-    "PacketFault",
     "RefusedResends",
 ]
 
@@ -42,25 +40,6 @@ class Packet:
     again: bool = False
 
 
-class PacketFault(ABC):
-    """Fault of a GigE Vision camera that other datagrams do not have."""
-
-    @abstractmethod
-    def stage(self, random: np.random.Generator) -> ItemStage[Packet]:
-        """Return its effect, with hits drawn by `random`."""
-
-
-@dataclass(frozen=True)
-class RefusedResends(HitFault, PacketFault):
-    """Packets that a host requests again and that the camera no longer holds, like one with a small memory."""
-
-    kind: ClassVar[str] = "refused_resends"
-
-    def stage(self, random: np.random.Generator) -> ItemStage[Packet]:
-        """See `PacketFault.stage`."""
-        return _Refusal(self, random)
-
-
 class _Refusal(HitStage[Packet]):
     """Refusal of single packets that a host requested again: they are reported as no longer stored."""
 
@@ -70,14 +49,11 @@ class _Refusal(HitStage[Packet]):
 
 
 @dataclass(frozen=True)
-class LostHeartbeat(Fault, PacketFault):
-    """The camera takes control away from its host, as when the host's heartbeat did not arrive in time."""
+class RefusedResends(HitFault):
+    """Packets that a host requests again and that the camera no longer holds, like one with a small memory."""
 
-    kind: ClassVar[str] = "lost_heartbeat"
-
-    def stage(self, random: np.random.Generator) -> ItemStage[Packet]:
-        """See `PacketFault.stage`."""
-        return _Taking()
+    kind: ClassVar[str] = "refused_resends"
+    effect: ClassVar[type[Stage]] = _Refusal
 
 
 class _Taking(ItemStage[Packet]):
@@ -91,14 +67,11 @@ class _Taking(ItemStage[Packet]):
 
 
 @dataclass(frozen=True)
-class LinkDown(LastingFault, PacketFault):
-    """The cable is unplugged and plugged in again: no data pass in either direction in between."""
+class LostHeartbeat(Fault):
+    """The camera takes control away from its host, as when the host's heartbeat did not arrive in time."""
 
-    kind: ClassVar[str] = "link_down"
-
-    def stage(self, random: np.random.Generator) -> ItemStage[Packet]:
-        """See `PacketFault.stage`."""
-        return _Down()
+    kind: ClassVar[str] = "lost_heartbeat"
+    effect: ClassVar[type[Stage]] = _Taking
 
 
 class _Down(ItemStage[Packet]):
@@ -112,7 +85,28 @@ class _Down(ItemStage[Packet]):
 
 
 @dataclass(frozen=True)
-class IpChange(LastingFault, PacketFault):
+class LinkDown(LastingFault):
+    """The cable is unplugged and plugged in again: no data pass in either direction in between."""
+
+    kind: ClassVar[str] = "link_down"
+    effect: ClassVar[type[Stage]] = _Down
+
+
+class _Moving(_Down):
+    """Change of address: control is to be taken away, and no packet passes until the camera has its new address."""
+
+    def __init__(self, fault: IpChange, random: np.random.Generator, carrier: None) -> None:
+        super().__init__(fault, random, carrier)
+        self.address = fault.address
+        self.taken = False
+
+    def take(self) -> None:
+        """Record that control has been taken away."""
+        self.hits, self.taken = 1, True
+
+
+@dataclass(frozen=True)
+class IpChange(LastingFault):
     """The camera leaves its IP address and returns with another one, as after a new DHCP lease or a FORCEIP.
 
     Attributes
@@ -124,6 +118,7 @@ class IpChange(LastingFault, PacketFault):
     """
 
     kind: ClassVar[str] = "ip_change"
+    effect: ClassVar[type[Stage]] = _Moving
     for_s: float = 0.5
     address: str = "127.0.0.254"
 
@@ -136,23 +131,6 @@ class IpChange(LastingFault, PacketFault):
         if not good:
             raise ValueError(f"address must be an IPv4 address that the camera has afterwards, got {self.address!r}")
 
-    def stage(self, random: np.random.Generator) -> ItemStage[Packet]:
-        """See `PacketFault.stage`."""
-        return _Moving(self.address)
-
-
-class _Moving(_Down):
-    """Change of address: control is to be taken away, and no packet passes until the camera has its new address."""
-
-    def __init__(self, address: str) -> None:
-        super().__init__()
-        self.address = address
-        self.taken = False
-
-    def take(self) -> None:
-        """Record that control has been taken away."""
-        self.hits, self.taken = 1, True
-
 
 _FAULTS: tuple[type[Fault], ...] = (
     *(LostDatagrams, RepeatedDatagrams, LateDatagrams),
@@ -162,18 +140,13 @@ PACKET_FAULTS: Mapping[str, type[Fault]] = {one.kind: one for one in _FAULTS}
 """Faults of a camera, by kind."""
 
 
-def _stage(fault: Fault, random: np.random.Generator) -> ItemStage[Packet]:
-    """Return the effect of a fault on a stream; raises ValueError for a fault of another carrier."""
-    if not isinstance(fault, DatagramFault | PacketFault):
-        raise ValueError(f"{fault.kind!r} is no fault of packets in datagrams")
-    return fault.stage(random)
-
-
 class FaultyPackets(Faulty[ItemStage[Packet]]):
     """Faults of one stream."""
 
+    carrier = "packets in datagrams"
+
     def __init__(self, plan: FaultPlan) -> None:
-        super().__init__(plan, _stage)
+        super().__init__(plan, PACKET_FAULTS)
         self._gone: list[Packet] = []
         self._address: str | None = None
 

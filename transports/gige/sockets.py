@@ -9,7 +9,7 @@ from contextlib import suppress
 
 from firmware_protocol.gige.control import Datagram, Peer
 from firmware_protocol.gige.gvsp import HEADER_OCTETS, Block
-from transports.network.datagrams import AllowList
+from transports.network import AllowList
 
 __all__ = ["ControlSockets", "StreamSocket"]
 

@@ -30,12 +30,10 @@ from firmware_protocol.device.plain_device import own_time
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events
 from firmware_protocol.frames import FrameAssembler, WholeFrame
 from firmware_protocol.imu_samples import ImuSamples, no_samples, physical
-from transports.link.forwarded import ForwardingRecorder
 from transports.link.pacing import Clock
 from transports.link.rings import FREE_RUNNING, EventRing
-from transports.recording.live import AnyRecorder
-from transports.recording.part import IMU, Frame, Part, counts_of
-from transports.recording.summary import RecordingSummary
+from transports.recording.live import AnyRecorder, ForwardingRecorder
+from transports.recording.part import IMU, Frame, Part, RecordingSummary, counts_of
 
 __all__ = [
     "Delivered",

@@ -76,39 +76,16 @@ class EdgeTiming:
         return edge
 
 
-class EdgeRing:
-    """Short queue of edges in shared memory; pass it as an argument to a process started by the spawn method."""
+class EdgeRing(SharedRing):
+    """Short queue of edges in shared memory, (n,) EDGE."""
 
     def __init__(self, capacity: int = 4096) -> None:
-        self._ring = SharedRing(EDGE, capacity)
-
-    @property
-    def written(self) -> int:
-        """Number of edges written since the start."""
-        return self._ring.written
-
-    @property
-    def waiting(self) -> int:
-        """Number of edges written and not yet taken."""
-        return self._ring.waiting
-
-    @property
-    def refused(self) -> int:
-        """Number of edges for which there was no room, counted by the writer."""
-        return self._ring.refused
+        super().__init__(EDGE, capacity)
 
     @property
     def next_us(self) -> int | None:
         """See `EdgeSource.next_us`."""
-        return self._ring.time_of(0)
-
-    def push(self, edge: Edges) -> None:
-        """Write one edge, (1,) EDGE, or count it as refused."""
-        self._ring.push(edge)
-
-    def take(self, until_us: int) -> Edges:
-        """Return the edges up to `until_us` that have not been taken, (n,) EDGE in time order; a copy."""
-        return self._ring.take(until_us)
+        return self.time_of(0)
 
 
 class EdgeSink:

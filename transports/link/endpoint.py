@@ -18,7 +18,7 @@ from transports.faults.script import FaultRecord, Faulty
 from transports.link.deliveries import Deliveries
 from transports.link.pacing import Clock
 from transports.link.rings import FOREVER_US
-from transports.recording.summary import RecordingSummary
+from transports.recording.part import RecordingSummary
 
 __all__ = [
     "BUSY_NS",

@@ -125,26 +125,6 @@ class Listener:
     path: str
 
 
-def _unchanged(table: dict[str, Any]) -> dict[str, Any]:
-    return table
-
-
-def _suits(parameters: LinkParameters, camera: CameraFacts) -> None:
-    return
-
-
-def _nowhere(parameters: LinkParameters) -> tuple[str, int] | None:
-    return None
-
-
-def _nothing(parameters: LinkParameters) -> tuple[Need, ...]:
-    return ()
-
-
-def _never(parameters: LinkParameters) -> bool:
-    return False
-
-
 @dataclass(frozen=True)
 class LinkKind(Generic[P]):
     """One kind of link.
@@ -195,13 +175,13 @@ class LinkKind(Generic[P]):
     faults: Mapping[str, type[Fault]] = field(default_factory=dict)
     faults_of: Callable[[P], Mapping[str, type[Fault]]] | None = None
     listener: Listener | None = None
-    complete: Callable[[dict[str, Any]], dict[str, Any]] = _unchanged
-    check: Callable[[P, CameraFacts], None] = _suits
-    listens_on: Callable[[P], tuple[str, int] | None] = _nowhere
+    complete: Callable[[dict[str, Any]], dict[str, Any]] = lambda table: table
+    check: Callable[[P, CameraFacts], None] = lambda parameters, camera: None
+    listens_on: Callable[[P], tuple[str, int] | None] = lambda parameters: None
     usb_model: str | None = None
     start_delay: bool = True
-    has_evt: Callable[[P], bool] = _never
-    needs: Callable[[P], tuple[Need, ...]] = _nothing
+    has_evt: Callable[[P], bool] = lambda parameters: False
+    needs: Callable[[P], tuple[Need, ...]] = lambda parameters: ()
     has_readings: bool = False
 
     def __post_init__(self) -> None:

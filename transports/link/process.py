@@ -32,16 +32,14 @@ from firmware_protocol.events import EdgeKind
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultRecord
 from transports.link.background_log import log_in_background
-from transports.link.changes import CameraSettings, ChangeWatch, Occurrence
 from transports.link.deliveries import Deliveries, DeliveryTally
 from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory, LinkBroken
 from transports.link.feed import ClockReport, ClockTruth, Feed, Timing
-from transports.link.forwarded import ForwardingRecorder
 from transports.link.loop import LinkLoop
 from transports.link.pacing import Clock, FineSelector, MonotonicClock
-from transports.link.report import LinkReport
+from transports.link.report import CameraSettings, ChangeWatch, LinkReport, Occurrence
 from transports.link.rings import FOREVER_US, FREE_RUNNING, EventRing, ReadingRing
-from transports.recording.live import AnyRecorder, open_recorder
+from transports.recording.live import AnyRecorder, ForwardingRecorder, open_recorder
 from transports.recording.part import Facts
 
 __all__ = ["STOP_SIGNALS", "Link", "LinkSetup", "run_link"]

@@ -21,7 +21,7 @@ from transports.link.pacing import Clock
 from transports.recording.part import Part
 from transports.recording.record import Recorder
 
-__all__ = ["Arrivals", "InstrumentReception", "Receiving", "Reception", "receive"]
+__all__ = ["Arrivals", "CountedReception", "InstrumentReception", "Receiving", "Reception", "receive"]
 
 
 @dataclass(frozen=True)
@@ -141,17 +141,37 @@ _MOST_ANSWER_TEXTS = 1024
 
 
 @dataclass(frozen=True)
-class InstrumentReception(Reception):
-    """Events, counts and answers received so far from an instrument.
+class CountedReception(Reception):
+    """Events and counts received so far over a link of telemetry.
 
     Attributes
     ----------
     faults
         Number of faults that never occur on an intact link: damaged frames, gaps in the counts, wrong blocks.
     counts
-        All counts by name; `events_dropped` is the camera's own number of dropped events.
+        All other counts by name.
     jitter_us
-        Delay of each block relative to the fastest one: the camera's clock is not known.
+        Delay of each block or frame relative to the fastest one: the camera's clock is not known.
+    """
+
+    faults: int = 0
+    counts: Mapping[str, int] = field(default_factory=dict)
+    jitter_us: LatencySummary = field(default_factory=LatencySummary)
+
+    @property
+    def fault_count(self) -> int:
+        """Number of faults."""
+        return self.faults
+
+
+@dataclass(frozen=True)
+class InstrumentReception(CountedReception):
+    """Events, counts and answers received so far from an instrument.
+
+    `events_dropped` in `counts` is the camera's own number of dropped events.
+
+    Attributes
+    ----------
     housekeeping
         The newest report.
     answers
@@ -160,17 +180,9 @@ class InstrumentReception(Reception):
         Texts of the newest answers, at most 1024.
     """
 
-    faults: int = 0
-    counts: Mapping[str, int] = field(default_factory=dict)
-    jitter_us: LatencySummary = field(default_factory=LatencySummary)
     housekeeping: Housekeeping | None = None
     answers: int = 0
     answer_texts: tuple[str, ...] = ()
-
-    @property
-    def fault_count(self) -> int:
-        """Number of faults."""
-        return self.faults
 
 
 class Receiving:

@@ -1,18 +1,149 @@
-"""Report of a link: its state, the fates of its events and edges, and the effects of its faults."""
+"""Messages of a link to its session: its report, and the changes of its camera by hosts and users.
+
+    host --bias, telecommand--> device --> ChangeWatch --CameraSettings, Occurrence--> session
+    user --fault, edge by hand-----------> ChangeWatch -----------------Occurrence---> session
+
+The stream time of a change is the time that the camera had reached when it accepted the change: it had processed all
+events up to that time and none after it. The camera stores its stream time after it has sent its changes
+(`EventRing.settle`). So when a camera has reached a stream time, a waiting session has all changes before that time.
+
+A bias on its way: the register (`Davis346._write`), its factor (`sensor_factors`), `ChangeWatch.look`,
+`LinkProcess.take_changes`, `Session._follow_cameras`, `BiasFollowing.follow` (`emulator.run.changes`), `Sensor.adjust`.
+"""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Fates
 from transports.faults.script import FaultRecord
 from transports.link.deliveries import LatencySummary
 from transports.link.endpoint import LineUse
 from transports.link.feed import ClockReport, EdgeReport, ReadingReport
-from transports.recording.summary import RecordingSummary
+from transports.recording.part import RecordingSummary
 
-__all__ = ["LinkReport"]
+__all__ = ["CameraSettings", "ChangeWatch", "LinkReport", "Occurrence"]
+
+
+_MOST_WAITING = 1000  # changes that a busy session has not read
+_FOREVER_US = 1 << 62
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """Settings of a camera that act on its sensor, valid from a stream time on.
+
+    Attributes
+    ----------
+    t_us
+        Stream time that the camera had reached.
+    by
+        Origin: "register" or "telecommand"; or "restart", when the camera has its power-on settings again.
+    sensor_factors, without_effect
+        See `EventDevice`.
+    """
+
+    t_us: int
+    by: str
+    sensor_factors: Mapping[str, float] = field(default_factory=dict)
+    without_effect: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Occurrence:
+    """Any other external action on a camera: a telecommand, a fault, an edge by hand.
+
+    Attributes
+    ----------
+    t_us
+        Stream time that the camera had reached.
+    by
+        Origin: "telecommand", or the user's name for the session's request, such as "evstim".
+    what
+        Description, such as "SetRegion(x=0, y=0, width=8, height=8)", "fault stall", "trigger pulse".
+    """
+
+    t_us: int
+    by: str
+    what: str
+
+
+class ChangeWatch:
+    """Detector of the changes of one device; it holds them until the session takes them.
+
+    Attributes
+    ----------
+    waiting
+        Changes that have not been sent, the oldest first.
+    """
+
+    def __init__(self, device: EventDevice) -> None:
+        self._device = device
+        self._acts = type(device).sensor_factors is not EventDevice.sensor_factors
+        self._factors: dict[str, float] = {}
+        self._without_effect: dict[str, str] = {}
+        self._not_listed = 0
+        self._version: int | None = None
+        self.waiting: deque[CameraSettings | Occurrence] = deque()
+
+    @property
+    def is_behind(self) -> bool:
+        """True if the device has counted a change since the last `look`."""
+        return self._device.settings_version != self._version
+
+    @property
+    def acts(self) -> bool:
+        """True if hosts of this kind of device can change the sensor."""
+        return self._acts
+
+    def look(self, t_us: int) -> None:
+        """Record the changes since the last call, at stream time `t_us` of the camera."""
+        version = self._device.settings_version
+        if version is None or version != self._version:
+            self._version = version
+            self._compare(t_us)
+
+    def _compare(self, t_us: int) -> None:
+        by = self._device.set_by
+        for command in self._device.take_commands():
+            self.add(Occurrence(t_us, by, command))
+        factors, without_effect = dict(self._device.sensor_factors), dict(self._device.without_effect)
+        if (factors, without_effect) != (self._factors, self._without_effect):
+            self._factors, self._without_effect = factors, without_effect
+            self.add(CameraSettings(t_us, by, factors, without_effect))
+
+    def add(self, change: CameraSettings | Occurrence) -> None:
+        """Record a change; if 1000 wait, occurrences are only counted, and settings replace the last ones.
+
+        So the sensor follows the settings whatever else a host sends.
+        """
+        if len(self.waiting) < _MOST_WAITING:
+            self._add_count(change.t_us)
+            self.waiting.append(change)
+        elif isinstance(change, Occurrence):
+            self._not_listed += 1
+        else:
+            self._replace_settings(change)
+
+    def _add_count(self, t_us: int) -> None:
+        if self._not_listed:
+            self.waiting.append(Occurrence(t_us, self._device.set_by, f"{self._not_listed} more, not listed"))
+            self._not_listed = 0
+
+    def _replace_settings(self, settings: CameraSettings) -> None:
+        if isinstance(self.waiting[-1], CameraSettings):
+            self.waiting.pop()
+        self.waiting.append(settings)
+
+    def settled_us(self, reached_us: int) -> int:
+        """Return the stream time before which no further change of the sensor can come, for a camera at `reached_us`.
+
+        Without limit if no action of the hosts can change the sensor.
+        """
+        return reached_us if self._acts else _FOREVER_US
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,6 @@ import bisect
 import multiprocessing
 import os
 from contextlib import suppress
-from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
@@ -47,6 +46,7 @@ __all__ = ["FOREVER_US", "FREE_RUNNING", "MOST_NUMBERS", "EventRing", "ReadingRi
 
 
 _WRITTEN, _TAKEN, _REFUSED, _CELLS = range(4)
+_VIEWS = ("_head", "_body", "_times", "cells")  # of the memory, in each process
 
 
 class SharedRing:
@@ -88,11 +88,11 @@ class SharedRing:
         self._times = self._body.view(record)["t"]
         self.cells = self._head[_CELLS:]
 
-    def __getstate__(self) -> tuple[Any, ...]:
-        return self._memory
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name not in _VIEWS}
 
-    def __setstate__(self, memory: tuple[Any, Any, np.dtype[Any]]) -> None:
-        self._memory = memory
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
         self._map()
 
     @property
@@ -181,42 +181,20 @@ _NOW_US, _ORIGIN_NS, _CLOSED, _SETTLED_US, _ASLEEP_US, _CELLS_RING = range(6)
 _MOST_WAKES = 64  # bytes that one read of the pipe removes; the writer writes one for each sleep
 
 
-class EventRing:
-    """Events from the sensor to one link; pass it to a process started by the spawn method."""
+class EventRing(SharedRing):
+    """Events from the sensor to one link, the stream time of both ends, and a pipe that wakes the reader."""
 
     def __init__(self, capacity: int = 1 << 20) -> None:
-        self._ring = SharedRing(EVENT, capacity, _CELLS_RING)
+        super().__init__(EVENT, capacity, _CELLS_RING)
         self._wakes_in, self._wakes_out = multiprocessing.get_context("spawn").Pipe(duplex=False)
         self._first_us = FOREVER_US
         for end in (self._wakes_in, self._wakes_out):
             os.set_blocking(end.fileno(), False)
 
-    def __getstate__(self) -> tuple[SharedRing, Connection, Connection]:
-        return self._ring, self._wakes_in, self._wakes_out
-
-    def __setstate__(self, parts: tuple[SharedRing, Connection, Connection]) -> None:
-        self._ring, self._wakes_in, self._wakes_out = parts
-        self._first_us = FOREVER_US
-
-    @property
-    def capacity(self) -> int:
-        """Capacity, events."""
-        return self._ring.capacity
-
-    @property
-    def waiting(self) -> int:
-        """Number of events written and not yet taken."""
-        return self._ring.waiting
-
-    @property
-    def room(self) -> int:
-        """Number of events that can be written now."""
-        return self._ring.room
-
     @property
     def now_us(self) -> int:
         """Stream time that the writer has reached, us."""
-        return int(self._ring.cells[_NOW_US])
+        return int(self.cells[_NOW_US])
 
     @property
     def settled_us(self) -> int:
@@ -224,48 +202,43 @@ class EventRing:
 
         Written by the reader.
         """
-        return int(self._ring.cells[_SETTLED_US])
+        return int(self.cells[_SETTLED_US])
 
     @property
     def origin_ns(self) -> int | None:
         """Monotonic time at which stream time is zero, ns; FREE_RUNNING; None before the run starts."""
-        return int(self._ring.cells[_ORIGIN_NS]) or None
+        return int(self.cells[_ORIGIN_NS]) or None
 
     @property
     def closed(self) -> bool:
         """True when the writer has finished."""
-        return bool(self._ring.cells[_CLOSED])
-
-    @property
-    def refused(self) -> int:
-        """Number of events for which there was no room, counted by the writer."""
-        return self._ring.refused
+        return bool(self.cells[_CLOSED])
 
     def start(self, origin_ns: int) -> None:
         """Start the run: stream time zero is at monotonic time `origin_ns`, or FREE_RUNNING."""
-        self._ring.cells[_ORIGIN_NS] = origin_ns
+        self.cells[_ORIGIN_NS] = origin_ns
         self._wake(0)
 
     def close(self) -> None:
         """Mark the ring as finished: no further events are written."""
-        self._ring.cells[_CLOSED] = 1
+        self.cells[_CLOSED] = 1
 
     def push(self, events: Events) -> int:
-        """Write the events that fit, in order, and return their number; the others are counted as refused."""
+        """See `SharedRing.push`."""
         if not len(events):
             return 0
         self._first_us = min(self._first_us, int(events["t"][0]))
-        return self._ring.push(events)
+        return super().push(events)
 
     def publish(self, now_us: int) -> None:
         """Publish the stream time `now_us`: every earlier event has been pushed. Wake a reader that sleeps too long."""
-        self._ring.cells[_NOW_US] = now_us
+        self.cells[_NOW_US] = now_us
         first_us, self._first_us = self._first_us, FOREVER_US
         self._wake(min(first_us, now_us))
 
     def _wake(self, t_us: int) -> None:
         """Wake a reader that sleeps beyond `t_us`, once for each sleep."""
-        cells = self._ring.cells
+        cells = self.cells
         if cells[_ASLEEP_US] > t_us:
             cells[_ASLEEP_US] = 0
             with suppress(BlockingIOError, BrokenPipeError):  # many wake-ups wait; the reader has ended
@@ -278,7 +251,7 @@ class EventRing:
 
     def sleep(self, until_us: int) -> None:
         """Announce that the reader sleeps until the stream time `until_us`; 0: it is awake, and is not woken."""
-        self._ring.cells[_ASLEEP_US] = until_us
+        self.cells[_ASLEEP_US] = until_us
 
     def woken(self) -> None:
         """Remove the wake-ups that the writer has written."""
@@ -287,16 +260,12 @@ class EventRing:
 
     def settle(self, until_us: int) -> None:
         """Store the stream time that the camera has reached, after the earlier changes of its hosts have been sent."""
-        self._ring.cells[_SETTLED_US] = until_us
-
-    def take(self, until_us: int, limit: int | None = None) -> Events:
-        """Take at most `limit` events with t <= `until_us`; returns a copy, shape (n,)."""
-        return self._ring.take(until_us, limit)
+        self.cells[_SETTLED_US] = until_us
 
     @property
     def first_us(self) -> int | None:
         """Time of the first waiting event, us; None if none waits."""
-        return self._ring.time_of(0)
+        return self.time_of(0)
 
 
 MOST_NUMBERS = 16
@@ -306,8 +275,8 @@ _VERSION, _COUNT, _NUMBERS = range(3)
 _MOMENTS = 4  # records of a frame, beside the two reads of each line
 
 
-class ReadingRing:
-    """Readings in shared memory; pass it to a process started by the spawn method.
+class ReadingRing(SharedRing):
+    """Readings from the session to one link, and the settings of its host the other way.
 
     Parameters
     ----------
@@ -317,32 +286,12 @@ class ReadingRing:
 
     def __init__(self, kind: ReadingKind, record: np.dtype[Any], capacity: int) -> None:
         self.kind = kind
-        self._ring = SharedRing(record, capacity, _NUMBERS + MOST_NUMBERS)
+        super().__init__(record, capacity, _NUMBERS + MOST_NUMBERS)
         self._settings: tuple[int, ...] = ()
         self._longest = 2 * record["samples"].shape[0] + _MOMENTS if kind is ReadingKind.FRAMES else 0
         if capacity < self._longest:
             raise ValueError(f"a ring of frames holds at least one, {self._longest} records, got capacity {capacity}")
         self._refusing = False
-
-    @property
-    def waiting(self) -> int:
-        """Number of records written and not yet taken."""
-        return self._ring.waiting
-
-    @property
-    def room(self) -> int:
-        """Number of records that can be written now."""
-        return self._ring.room
-
-    @property
-    def written(self) -> int:
-        """Number of records written since the start."""
-        return self._ring.written
-
-    @property
-    def refused(self) -> int:
-        """Number of records for which there was no room, counted by the writer."""
-        return self._ring.refused
 
     def fits(self, records: Readings) -> bool:
         """Return True if all of `records` can be written now."""
@@ -350,7 +299,7 @@ class ReadingRing:
         return max(len(records), starts[-1] + self._longest if starts else 0) <= self.room
 
     def push(self, records: Readings) -> int:
-        """Write the records that fit, in order, and return their number; the others are counted as refused."""
+        """See `SharedRing.push`; a frame is written whole or refused whole."""
         return sum(self._push_part(part) for part in np.split(records, self._starts(records)) if len(part))
 
     def _push_part(self, part: Readings) -> int:
@@ -358,26 +307,18 @@ class ReadingRing:
         if self._starts(part):
             self._refusing = self.room < self._longest
         if self._refusing:
-            self._ring.refuse(len(part))
+            self.refuse(len(part))
             return 0
-        return self._ring.push(part)
+        return super().push(part)
 
     def _starts(self, records: Readings) -> list[int]:
         """Return the indices at which frames start."""
         return np.flatnonzero(records["kind"] == LineKind.START).tolist() if self._longest else []
 
-    def take(self, until_us: int) -> Readings:
-        """Return the waiting records up to `until_us` as a copy, (n,), and remove them."""
-        return self._ring.take(until_us)
-
-    def time_of(self, index: int) -> int | None:
-        """Return the time of the waiting record at `index`, us; None if there is none."""
-        return self._ring.time_of(index)
-
     @property
     def settings(self) -> tuple[int, ...]:
         """Newest settings that the link process wrote, as `EventDevice.reading_settings` returns them; empty before."""
-        cells = self._ring.cells
+        cells = self.cells
         for _ in range(100):
             version = int(cells[_VERSION])
             numbers = tuple(int(n) for n in cells[_NUMBERS : _NUMBERS + int(cells[_COUNT])])
@@ -390,7 +331,7 @@ class ReadingRing:
         """Write the settings of the device's host; for the link process, and the process that makes the ring."""
         if settings == self._settings:
             return
-        cells = self._ring.cells
+        cells = self.cells
         cells[_VERSION] += 1
         cells[_COUNT] = len(settings)
         cells[_NUMBERS : _NUMBERS + len(settings)] = settings

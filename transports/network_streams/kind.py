@@ -24,7 +24,7 @@ from firmware_protocol.network_streams.pictures import DisplayCoder, EventImageC
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
 from transports.needs import package
-from transports.network.datagrams import check_allow, is_loopback
+from transports.network import check_allow, check_destination, check_port
 
 __all__ = ["TCP", "UDP", "TcpLink", "UdpLink"]
 
@@ -74,8 +74,7 @@ class TcpLink:
     name: str = "tcp"
 
     def __post_init__(self) -> None:
-        if not 0 <= self.port <= 65535:
-            raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
+        check_port(self.port)
         if not 0.0625 <= self.buffer_mib <= 1024:
             raise ValueError(f"buffer_mib must be 0.0625 to 1024, got {self.buffer_mib}")
         if not 0.1 <= self.frame_ms <= 60_000:
@@ -83,8 +82,7 @@ class TcpLink:
         if self.format != "dv" and (self.compression != "none" or self.trigger_port is not None):
             key = "compression" if self.compression != "none" else "trigger_port"
             raise ValueError(f'{key} is of the format "dv"; {self.format} has none')
-        if self.trigger_port is not None and not 0 <= self.trigger_port <= 65535:
-            raise ValueError(f"trigger_port must be 0 (any free one) to 65535, got {self.trigger_port}")
+        check_port(self.trigger_port or 0, "trigger_port")
         if self.port and self.trigger_port == self.port:
             raise ValueError("trigger_port is that of the events: give it another one")
         if self.pictures != PictureSettings() and self.format not in ("event_image", "display"):
@@ -120,14 +118,10 @@ class UdpLink:
     name: str = "udp"
 
     def __post_init__(self) -> None:
-        if not 1 <= self.port <= 65535:
-            raise ValueError(f"port must be 1 to 65535, got {self.port}")
+        check_port(self.port, least=1)
         if not 0.1 <= self.mbit_s <= 100_000:
             raise ValueError(f"mbit_s must be 0.1 to 100000, got {self.mbit_s}")
-        if not self.host:
-            raise ValueError("host is empty: give the receiver's address, for example 127.0.0.1")
-        if not (self.elsewhere or is_loopback(self.host)):
-            raise ValueError(f"host {self.host!r} is another machine: set elsewhere = true if that is intended")
+        check_destination(self.host, elsewhere=self.elsewhere)
 
 
 _CONNECTION_CODERS: Mapping[str, type[ConnectionCoder]] = {

@@ -8,6 +8,9 @@ taken when all clients have room, except those that have stopped reading, so tha
 
 `Client` is one client: its waiting data, within a limit, and its missed events. `ClientGroup` has all clients of one
 port, which get the same bytes from the moment they connect.
+
+`BatchFates` follows batches that several clients are to get. A batch is delivered when the first client's socket has
+taken all of it, and lost when no client is left that could. Events that single clients miss are counted by the clients.
 """
 
 from __future__ import annotations
@@ -27,12 +30,74 @@ from transports.link.deliveries import Deliveries
 from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
 from transports.link.pacing import Clock
 from transports.needs import install_command
-from transports.network.datagrams import Admission, AllowList, Seat
-from transports.network.listener import Listener
+from transports.network import Admission, AllowList, Listener, Seat
 from transports.network_streams.kind import TcpLink
-from transports.network_streams.udp import Batch, Fates
 
 __all__ = ["Client", "ClientGroup", "ClientTerms", "TcpEndpoint", "TcpFactory"]
+
+
+_MOST_OPEN = 1 << 22  # events whose fate, or that of earlier events, is open
+
+
+@dataclass(eq=False)
+class Batch:
+    """Events and their bytes; `holders` is the number of clients that have it and have not sent it yet."""
+
+    taken: Items
+    data: bytes | bytearray
+    holders: int = 0
+    delivered: bool = False
+
+    @property
+    def settled(self) -> bool:
+        """True if its fate is known."""
+        return self.delivered or not self.holders
+
+
+class BatchFates:
+    """Fates of batches, reported to the device and, in the order in which they were taken, to `deliveries`."""
+
+    def __init__(self, device: PlainDevice, deliveries: Deliveries) -> None:
+        self._device = device
+        self._deliveries = deliveries
+        self._open: deque[Batch] = deque()
+        self._open_events = 0
+
+    def begin(self, batch: Batch) -> None:
+        """Follow a batch whose holders are known."""
+        self._open.append(batch)
+        self._open_events += len(batch.taken.events)
+        if batch.settled:  # no client had room
+            self._device.failed(len(batch.taken.events), len(batch.taken.edges))
+            self._report()
+
+    def written(self, batch: Batch) -> None:
+        """Record that a client's socket has taken it."""
+        batch.holders -= 1
+        if not batch.delivered:
+            batch.delivered = True
+            self._device.arrived(len(batch.taken.events), len(batch.taken.edges))
+            self._report()
+
+    def dropped(self, batch: Batch) -> None:
+        """Record that a client that had it was lost."""
+        batch.holders -= 1
+        if batch.settled and not batch.delivered:
+            self._device.failed(len(batch.taken.events), len(batch.taken.edges))
+            self._report()
+
+    @property
+    def overdue(self) -> Batch | None:
+        """First batch, when so much has been taken after it that its holders must be closed."""
+        return self._open[0] if self._open_events > _MOST_OPEN else None
+
+    def _report(self) -> None:
+        while self._open and self._open[0].settled:
+            batch = self._open.popleft()
+            taken = batch.taken
+            self._open_events -= len(taken.events)
+            if batch.delivered:
+                self._deliveries.add(taken.events, taken.epoch_us, taken.edges)
 
 
 _MOST_RECEIVED = 1 << 16  # bytes that a client may send: these protocols have no requests
@@ -67,7 +132,7 @@ class Client(asyncio.Protocol):
     """
 
     def __init__(
-        self, terms: ClientTerms, fates: Fates, clock: Clock, joined: Callable[[Client], None],
+        self, terms: ClientTerms, fates: BatchFates, clock: Clock, joined: Callable[[Client], None],
         left: Callable[[Client], None],
     ) -> None:  # fmt: skip
         self._terms = terms
@@ -193,7 +258,7 @@ class ClientGroup:
     """
 
     def __init__(
-        self, link: TcpLink, coder: ConnectionCoder, fates: Fates, clock: Clock, changed: Callable[[bool], None]
+        self, link: TcpLink, coder: ConnectionCoder, fates: BatchFates, clock: Clock, changed: Callable[[bool], None]
     ) -> None:
         self._host, self._coder, self._fates, self._clock = link.host, coder, fates, clock
         self._changed = changed
@@ -319,7 +384,7 @@ class TcpEndpoint(Endpoint):
         self._link, self._device, self._deliveries = factory.link, device, deliveries
         self._coder = factory.coder()
         self._triggers = None if factory.triggers is None else factory.triggers()
-        self._fates = Fates(device, deliveries)
+        self._fates = BatchFates(device, deliveries)
         clock = deliveries.clock
         self._clients = ClientGroup(factory.link, self._coder, self._fates, clock, device.run)
         self._trigger_clients: ClientGroup | None = None

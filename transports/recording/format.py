@@ -153,7 +153,7 @@ _FORMATS = (
         f"{_HERE}.rosbag:BagReader", _PICTURED, (), "dvs_msgs", "rosbags", is_folder=True, live=False,
     ),
     Format(
-        "npz", "NumPy", (".npz",), f"{_HERE}.npz:NpzWriter", f"{_HERE}.npz:NpzReader", _ALL, (), "numpy, evstim", "",
+        "npz", "NumPy", (".npz",), f"{_HERE}.record:NpzWriter", f"{_HERE}.record:NpzReader", _ALL, (), "numpy, evstim",
         live=False,
     ),
 )  # fmt: skip

@@ -3,13 +3,18 @@
 In a run without pacing `append` waits for room; in a paced run, events that find no room are omitted from the file and
 counted. `open_recorder` returns a recorder for a file of any format: `.npz` in the calling process, all others in a
 separate process, whose main function is `main`. Its messages are those of `part`.
+
+`ForwardingRecorder` copies what a link delivers to the session's process, for a Python program that reads it during the
+run.
 """
 
 from __future__ import annotations
 
 import os
+import threading
 from collections import Counter
 from collections.abc import Mapping
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -21,19 +26,22 @@ from transports.recording.part import (
     PipeReader,
     Reached,
     RecordingError,
+    RecordingSummary,
     Restart,
     counts_of,
+    encoded_end,
     encoded_part,
     encoded_reached,
     encoded_restart,
     facts_of,
+    named,
 )
 from transports.recording.record import Recorder
-from transports.recording.summary import RecordingSummary, named
-from transports.recording.writer_process import WriterProcess, serve_writer
+from transports.recording.writer_process import PipeQueue, WriterProcess, serve_writer
 from transports.recording.writing import RecordingFile
 
-__all__ = ["AnyRecorder", "LiveRecorder", "main", "open_recorder"]
+__all__ = ["AnyRecorder", "ForwardingRecorder", "LiveRecorder", "main", "open_recorder"]
+
 
 _CAPACITY_BYTES = 1 << 27
 _READ_BYTES = 1 << 20
@@ -158,3 +166,67 @@ def open_recorder(path: Path, facts: Facts) -> AnyRecorder:
     except RecordingError as error:
         raise OSError(0, str(error), str(path)) from error
     return Recorder(path, facts.size) if form.name == "npz" else LiveRecorder(path, form, facts)
+
+
+_FORWARDED_BYTES = 1 << 26
+
+
+class ForwardingRecorder:
+    """Sends parts through a pipe, and to the recorder of the link's own file where there is one.
+
+    In a run that is not paced `append` waits for room in the queue; in one that is, a part that finds none is left out,
+    and counted in the message that ends the stream.
+
+    Parameters
+    ----------
+    connection : writing end of the pipe; closed at the end.
+    recorder : of the link's file; None: there is no file.
+    """
+
+    def __init__(self, connection: Connection, recorder: AnyRecorder | None) -> None:
+        self._connection = connection
+        self._recorder = recorder
+        self._messages = PipeQueue(_FORWARDED_BYTES)
+        self._restarted = False
+        self._missing: Counter[str] = Counter()
+        self._thread = threading.Thread(target=self._send_all, name="deliveries", daemon=True)
+        self._thread.start()
+
+    def append(self, part: Part, *, restarted: bool = False, unix_us: int | None = None) -> None:
+        """Add a part in device time; see `LiveRecorder.append`."""
+        if self._recorder is not None:
+            self._recorder.append(part, restarted=restarted, unix_us=unix_us)
+        self._restarted |= restarted
+        start = encoded_restart(unix_us or 0) if self._restarted else []
+        if self._messages.put([*start, *encoded_part(part)], wait=unix_us is None):
+            self._restarted = False
+        else:
+            self._missing.update(counts_of(part))
+
+    def reach(self, t_us: int) -> None:
+        """Take note that no event earlier than `t_us` will come, for the file."""
+        if self._recorder is not None:
+            self._recorder.reach(t_us)
+
+    @property
+    def trouble(self) -> str:
+        """Why the file is not whole, for people; empty where it is, or where there is none."""
+        return "" if self._recorder is None else self._recorder.trouble
+
+    @property
+    def summary(self) -> RecordingSummary | None:
+        """Contents of the file, once it is closed; None where there is none."""
+        return None if self._recorder is None else self._recorder.summary
+
+    def close(self) -> None:
+        """Send what waits and the end of the stream, and close the file."""
+        self._messages.put(encoded_end(missing=self._missing), wait=True)
+        self._messages.end()
+        if self._recorder is not None:
+            self._recorder.close()
+        self._thread.join(_CLOSE_S)
+
+    def _send_all(self) -> None:
+        self._messages.send_all(self._connection.fileno())
+        self._messages.stop()
+        self._connection.close()

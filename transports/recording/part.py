@@ -1,4 +1,4 @@
-"""Interfaces of recordings, facts of a whole recording, and messages for its parts on a pipe between two processes.
+"""Interfaces of recordings, facts and summary of a whole one, and messages for its parts on a pipe to another process.
 
 A message is a letter, a length, and bytes.
 
@@ -12,8 +12,8 @@ import dataclasses
 import json
 import struct
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -31,6 +31,7 @@ __all__ = [
     "Reached",
     "Reader",
     "RecordingError",
+    "RecordingSummary",
     "Restart",
     "Writer",
     "counts_of",
@@ -40,6 +41,7 @@ __all__ = [
     "encoded_reached",
     "encoded_restart",
     "facts_of",
+    "named",
 ]
 
 
@@ -227,3 +229,47 @@ def _frame(data: bytes) -> Frame:
     head, _, pixels = data.partition(b"\n")
     t_us, begin_us, end_us, dtype, shape, (column, row) = json.loads(head)
     return Frame(t_us, begin_us, end_us, np.frombuffer(pixels, dtype).reshape(shape), (column, row))
+
+
+_NAMES = {"events": "events", "edges": "triggers", "imu": "IMU samples", "frames": "frames"}
+
+
+@dataclass(frozen=True)
+class RecordingSummary:
+    """Summary of a file that a run wrote.
+
+    Attributes
+    ----------
+    title
+        Its format, for people.
+    paths
+        The file, and those that began at restarts of the camera's clock.
+    written, left_out
+        Number of records of each stream in it, and of those that its format cannot hold: "events", "edges", "imu",
+        "frames". Both are empty until it is closed.
+    trouble
+        Reason for an incomplete file, for people; empty if it is complete.
+    closed
+        True if it was finished; False if the process of its link died.
+    """
+
+    title: str
+    paths: tuple[str, ...]
+    written: Mapping[str, int] = field(default_factory=dict)
+    left_out: Mapping[str, int] = field(default_factory=dict)
+    trouble: str = ""
+    closed: bool = False
+
+    @property
+    def lines(self) -> list[str]:
+        """Sentences for people."""
+        content = (named(self.written) or "nothing") if self.closed else "not closed, as its link died"
+        lines = [f"{', '.join(self.paths)}: {self.title}, {content}"]
+        if self.left_out:
+            lines.append(f"left out, as {self.title} cannot hold them: {named(self.left_out)}")
+        return lines
+
+
+def named(counts: Mapping[str, int]) -> str:
+    """Return "3 events, 2 triggers" of counts by stream."""
+    return ", ".join(f"{counts[name]} {text}" for name, text in _NAMES.items() if counts.get(name))

@@ -19,7 +19,7 @@ from firmware_protocol.network_streams.coders import PictureSettings
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
 from transports.needs import Need, package
-from transports.network.datagrams import is_loopback
+from transports.network import is_loopback
 
 __all__ = ["ROS2", "DdsNetwork", "Ros2Link", "check_topic"]
 

@@ -26,7 +26,7 @@ from transports.link.deliveries import Deliveries
 from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointFactory
 from transports.link.pacing import Clock
 from transports.link.reception import InstrumentReception, Receiving, receive
-from transports.network.datagrams import ByteBudget, DatagramInlet, DatagramOutlet
+from transports.network import ByteBudget, DatagramInlet, DatagramOutlet
 from transports.recording.record import Recorder
 from transports.udp_packets.kind import UdpPacketsLink
 

@@ -9,7 +9,7 @@ from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.faults.datagrams import DATAGRAM_FAULTS
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import LinkKind, Listener, Wiring, check_region
-from transports.network.datagrams import check_allow, is_loopback
+from transports.network import check_allow, check_destination, check_port
 
 __all__ = ["UDP_PACKETS", "UdpPacketsLink"]
 
@@ -47,16 +47,11 @@ class UdpPacketsLink:
     instrument: InstrumentSettings = field(default_factory=InstrumentSettings)
 
     def __post_init__(self) -> None:
-        if not 1 <= self.port <= 65535:
-            raise ValueError(f"port must be 1 to 65535, got {self.port}")
-        if not 0 <= self.command_port <= 65535:
-            raise ValueError(f"command_port must be 0 (any free one) to 65535, got {self.command_port}")
+        check_port(self.port, least=1)
+        check_port(self.command_port, "command_port")
         if not 0.1 <= self.mbit_s <= 100_000:
             raise ValueError(f"mbit_s must be 0.1 to 100000, got {self.mbit_s}")
-        if not self.host:
-            raise ValueError("host is empty: give the receiver's address, for example 127.0.0.1")
-        if not (self.elsewhere or is_loopback(self.host)):
-            raise ValueError(f"host {self.host!r} is another machine: set elsewhere = true if that is intended")
+        check_destination(self.host, elsewhere=self.elsewhere)
         if not self.command_host:
             raise ValueError("command_host is empty: give the address for telecommands, for example 127.0.0.1")
         if (self.host, self.port) == (self.command_host, self.command_port):

@@ -24,7 +24,7 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 from firmware_protocol.vizard.messages import merged, refusal
-from transports.network.datagrams import AllowList
+from transports.network import AllowList
 
 __all__ = ["MOST_BYTES", "ForwardingServer", "Other", "VizardServer"]
 

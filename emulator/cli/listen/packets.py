@@ -28,7 +28,7 @@ from firmware_protocol.packets.telecommands import (
 )
 from transports.link.pacing import MonotonicClock
 from transports.link.reception import InstrumentReception
-from transports.network.datagrams import check_allow
+from transports.network import check_allow
 from transports.recording.record import Recorder
 from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import listen_serial

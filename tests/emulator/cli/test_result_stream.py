@@ -7,8 +7,7 @@ import sys
 
 import pytest
 
-from emulator.cli.output import LACKING, Failure
-from emulator.cli.streams import ResultFile
+from emulator.cli.output import LACKING, Failure, ResultFile
 
 EVSTIM = [sys.executable, "-c", "from emulator.cli import main; main()"]
 REASONS = {"full": "No space left on device", "broken": "Broken pipe", "closed": "stdout is closed"}

@@ -14,7 +14,7 @@ from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346.biases import BIASES, CoarseFine, sensor_factors
 from firmware_protocol.imx636.biases import BiasModel
-from transports.link.changes import CameraSettings
+from transports.link.report import CameraSettings
 
 ADDRESSES = {bias.name: bias.address for bias in BIASES}
 DEFAULTS = {bias.address: int(bias.default) for bias in BIASES}

@@ -14,7 +14,7 @@ from emulator.run.stereo import SecondView, second_rig
 from emulator.trajectory.building import MountedPath, build_trajectory
 from emulator.trajectory.parameters import SpinPath
 from emulator.trajectory.pose import differences
-from transports.link.changes import CameraSettings
+from transports.link.report import CameraSettings
 from transports.recording.record import load_record
 
 SCENE = """

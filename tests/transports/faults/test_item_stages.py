@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from firmware_protocol.can_frames.bus_time import BitRates
-from transports.faults.bus import CAN_FAULTS, LostFrames, frame_stage
+from transports.can_bus.faulty_bus import BusFaults
+from transports.faults.bus import CAN_FAULTS, LostFrames
 from transports.faults.datagrams import DATAGRAM_FAULTS, FaultyDatagrams, LateDatagrams, LostDatagrams
 from transports.faults.items import Delay, Loss, Repetition, pass_through
 from transports.faults.line import LostBytes
@@ -60,7 +61,7 @@ def test_an_item_passes_the_stages_in_order_and_each_hit_is_recorded_before_its_
 
 @pytest.mark.parametrize("kind", CAN_FAULTS)
 def test_every_fault_of_a_bus_has_an_effect(kind):
-    assert frame_stage(CAN_FAULTS[kind](), random(), RATES).hits in (0, 1)
+    assert CAN_FAULTS[kind]().stage(random(), RATES).hits in (0, 1)
 
 
 @pytest.mark.parametrize("kind", DATAGRAM_FAULTS)
@@ -79,7 +80,7 @@ def test_every_fault_of_a_gige_camera_begins(kind):
 
 def test_a_carrier_refuses_the_faults_of_another():
     with pytest.raises(ValueError, match="'lost_bytes' is no fault of a CAN bus"):
-        frame_stage(LostBytes(), random(), RATES)
+        BusFaults(FaultPlan(), RATES, None).inject(LostBytes())
     with pytest.raises(ValueError, match="'lost_frames' is no fault of packets in datagrams"):
         FaultyDatagrams(FaultPlan(), lambda _: None).inject(LostFrames())
     with pytest.raises(ValueError, match="'lost_frames' is no fault of packets in datagrams"):

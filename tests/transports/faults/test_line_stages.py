@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from transports.faults.bus import LostFrames
+from transports.faults.faulty_line import FaultyLine
 from transports.faults.line import (
     SERIAL_FAULTS,
     BitFlips,
@@ -18,8 +19,8 @@ from transports.faults.line import (
     Stall,
     StuckLine,
     WrongBaud,
-    byte_stage,
 )
+from transports.faults.script import FaultPlan
 
 BYTES_PER_S = 300_000.0
 FAULTS = [
@@ -37,7 +38,7 @@ DATA = np.random.default_rng(5).bytes(2000)
 
 
 def stage(fault, seed=1):
-    return byte_stage(fault, np.random.default_rng(seed), BYTES_PER_S)
+    return fault.stage(np.random.default_rng(seed), BYTES_PER_S)
 
 
 def through(fault, pieces, seed=1):
@@ -126,7 +127,7 @@ def test_every_ratio_comes_to_an_end_with_a_plausible_number_of_bytes(ratio):
 
 def test_what_a_line_cannot_have_is_refused():
     with pytest.raises(ValueError, match="no fault of a serial line"):
-        stage(LostFrames())
+        FaultyLine(FaultPlan(), "ccsds-cobs", BYTES_PER_S, None).inject(LostFrames())
 
 
 @pytest.mark.parametrize("kind", SERIAL_FAULTS)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 from firmware_protocol.davis346 import Davis346
 from firmware_protocol.device.event_device import EventDevice
-from transports.link.changes import CameraSettings, ChangeWatch, Occurrence
+from transports.link.report import CameraSettings, ChangeWatch, Occurrence
 from transports.usb.davis_host import DavisHost
 from transports.usb.loopback import DirectHost
 

@@ -71,8 +71,8 @@ def test_settings_come_back_whole():
     assert ring.settings == (1, 2, 3)
     ring.write_settings((-5,))
     assert ring.settings == (-5,)
-    ring._ring.cells[0] += 1  # as in the middle of a writing
-    ring._ring.cells[2] = 9
+    ring.cells[0] += 1  # as in the middle of a writing
+    ring.cells[2] = 9
     assert ring.settings == (-5,)
 
 

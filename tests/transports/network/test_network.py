@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from transports.can_bus.kind import CanLink
-from transports.network.datagrams import Admission, AllowList, Places, check_allow, is_loopback
+from transports.network import Admission, AllowList, Places, check_allow, is_loopback
 from transports.usb.usbip.kind import UsbipLink
 
 

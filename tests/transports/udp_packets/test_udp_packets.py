@@ -22,7 +22,7 @@ from transports.faults.script import FaultPlan
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
-from transports.network.datagrams import AllowList, DatagramInlet
+from transports.network import AllowList, DatagramInlet
 from transports.udp_packets.endpoint import Ports, UdpPacketFactory, listen_udp
 from transports.udp_packets.kind import UdpPacketsLink
 

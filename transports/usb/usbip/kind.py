@@ -10,7 +10,7 @@ from transports.faults.usb import USB_FAULTS
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import LinkKind, Listener, Wiring
 from transports.needs import VHCI
-from transports.network.datagrams import check_allow
+from transports.network import check_allow
 from transports.usb.loopback import check_model
 
 __all__ = ["USBIP", "UsbipLink"]
@@ -58,7 +58,7 @@ USBIP = LinkKind(
     serves="usb",
     endpoint=_endpoint,
     faults=USB_FAULTS,
-    listener=Listener("usb", "Read a DAVIS346 or an EVK4 on USB.", "emulator.cli.listen.usb:listen"),
+    listener=Listener("usb", "Read a DAVIS346 or an EVK4 on USB.", "emulator.cli.listen.cameras:listen"),
     check=check_model,
     listens_on=lambda link: (link.host, link.port) if link.port else None,
     needs=lambda link: (VHCI,),

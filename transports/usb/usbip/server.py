@@ -29,8 +29,7 @@ from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory
-from transports.network.datagrams import Admission, AllowList, Places, Seat, is_loopback
-from transports.network.listener import Listener
+from transports.network import Admission, AllowList, Listener, Places, Seat, is_loopback
 from transports.usb.loopback import Observed
 from transports.usb.usbip.connection import Connection, ConnectionSettings, UrbObserver
 from transports.usb.usbip.trace import UrbTrace

@@ -1,1 +1,0 @@
-"""Access control and limits for the connections that evstim serves."""
