@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Fates
-from firmware_protocol.device.items import Items
+from firmware_protocol.device.items import Items, Numbers
 from firmware_protocol.events import Edges, Events
 from firmware_protocol.imx636.biases import BiasModel
 from firmware_protocol.imx636.outflow import Outflow, before
@@ -22,7 +22,7 @@ from firmware_protocol.imx636.selection import Selected
 
 __all__ = ["Imx636Camera"]
 
-_Out = TypeVar("_Out", bound=Outflow)
+_Out = TypeVar("_Out", bound=Outflow[Items])
 
 
 class Imx636Camera(EventDevice, Generic[_Out]):
@@ -75,19 +75,8 @@ class Imx636Camera(EventDevice, Generic[_Out]):
         return self._bias_model.without_effect(self._bias_steps)
 
     @property
-    def counters(self) -> Fates:
-        """Fates of all events and edges offered so far."""
-        return self._fates.waiting(self._outflow.queued, self._outflow.edges_queued)
-
-    @property
-    def delivered(self) -> int:
-        """See `EventDevice.delivered`."""
-        return self._fates.delivered
-
-    @property
-    def waiting_items(self) -> int:
-        """See `EventDevice.waiting_items`."""
-        return self._fates.all_queued + self._outflow.queued + self._outflow.edges_queued
+    def _waiting(self) -> Numbers:
+        return self._outflow.waiting
 
     @property
     def settings_version(self) -> int:
@@ -121,14 +110,6 @@ class Imx636Camera(EventDevice, Generic[_Out]):
         """Set stream time to `now_us`; the clock never goes back."""
         self._now_us = max(self._now_us, now_us)
 
-    def sent(self, items: Items) -> None:
-        """Count items that were taken as delivered."""
-        self._fates.leave(items, "delivered")
-
-    def lost(self, items: Items) -> None:
-        """Count items that were taken as lost on the link."""
-        self._fates.leave(items, "lost_on_link")
-
     @property
     @abstractmethod
     def _running(self) -> bool:
@@ -151,12 +132,6 @@ class Imx636Camera(EventDevice, Generic[_Out]):
     def _put_edges(self, edges: Edges) -> None:
         """Queue edges, (n,) EDGE, that the input has detected."""
         self._fates.edges.dropped_fifo += len(edges) - self._outflow.put_edges(edges)
-
-    def _flush(self) -> None:
-        """Drop what waits."""
-        self._fates.flushed += self._outflow.queued
-        self._fates.edges.flushed += self._outflow.edges_queued
-        self._outflow.clear()
 
     def _check(self, events: Events) -> None:
         if int(events["t"][0]) < self._now_us or bool((events["t"][1:] < events["t"][:-1]).any()):

@@ -27,6 +27,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from firmware_protocol.device.items import Numbers
 from firmware_protocol.events import Events
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.imx636.biases import BiasModel
@@ -55,7 +56,7 @@ _MOST_EDGES = 1024
 _FIFO_BYTES_PER_EVENT = 6
 
 
-class UsbOutflow(Outflow):
+class UsbOutflow(Outflow[Transfer]):
     """Outflow to a bulk endpoint: one stream of words, cut into transfers of any length."""
 
     def __init__(self, epoch_us: int, fifo_bytes: int) -> None:
@@ -64,26 +65,26 @@ class UsbOutflow(Outflow):
         self._cut: Transfer | None = None  # the rest of words beyond the length that the host requested
 
     @property
-    def queued(self) -> int:
-        """Events that wait."""
-        return self._queued + (0 if self._cut is None else len(self._cut.events))
+    def waiting(self) -> Numbers:
+        """See `ItemEncoder.waiting`."""
+        return super().waiting + (self._cut or Transfer()).numbers
 
-    @property
-    def edges_queued(self) -> int:
-        """Edges that wait."""
-        return len(self._edges) + (0 if self._cut is None else len(self._cut.edges))
-
-    def take(self, now_us: int, max_bytes: int) -> Transfer | None:
-        """Remove up to `max_bytes` of words; None if there is nothing to send yet."""
-        if max_bytes < 2:
+    def take(self, now_us: int, room: int) -> Transfer | None:
+        """Remove up to `room` octets of words; None if there is nothing to send yet."""
+        if room < 2:
             return None
-        whole = self._cut or self._next(now_us, max_bytes)
-        if whole is None or len(whole.data) <= max_bytes:
+        whole = self._cut or self._next(now_us, room)
+        if whole is None or len(whole.data) <= room:
             self._cut = None
             return whole
-        end = max_bytes & ~1
+        end = room & ~1
         self._cut = replace(whole, data=whole.data[end:])
         return Transfer(epoch_us=whole.epoch_us, data=whole.data[:end])
+
+    def clear(self) -> None:
+        """See `ItemEncoder.clear`."""
+        super().clear()
+        self._cut = None
 
     def _next(self, now_us: int, max_bytes: int) -> Transfer | None:
         first_us = self._due_us(now_us)
@@ -268,10 +269,7 @@ class Evk4(Imx636Camera[UsbOutflow], UsbCamera):
         assert endpoint | _IN == DATA_ENDPOINT
         if not self.streaming:
             return None
-        transfer = self._outflow.take(self._now_us, max_bytes)
-        if transfer is not None:
-            self._fates.take(transfer)
-        return transfer
+        return self._taken(self._outflow.take(self._now_us, max_bytes))
 
     def read_register(self, address: int) -> int:
         """Return the value that a host reads from the sensor; raises LookupError if there is no register."""
@@ -305,7 +303,7 @@ class Evk4(Imx636Camera[UsbOutflow], UsbCamera):
         self._drop_waiting()
 
     def _drop_waiting(self) -> None:
-        self._flush()
+        self._flush(self._outflow)
         self._outflow = UsbOutflow(self._epoch_us, self.settings.fifo_bytes)
         self._flushes += 1
 

@@ -9,12 +9,15 @@ time. Decoders lose the time after 8.4 s without words, so words carry it during
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
+from firmware_protocol.device.items import Items, Numbers
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events, join_events
 from firmware_protocol.evt.evt3 import Evt3Encoder
 
@@ -47,8 +50,11 @@ def before(events: Events, until_us: int) -> int:
     return bisect_left(range(len(times)), until_us, key=lambda place: int(times[place]))
 
 
-class Outflow:
-    """Outgoing events and edges of one run of the sensor, in the order of time.
+_Taken = TypeVar("_Taken", bound=Items, covariant=True)
+
+
+class Outflow(ABC, Generic[_Taken]):
+    """Outgoing events and edges of one run of the sensor, in the order of time: an `ItemEncoder`.
 
     Attributes
     ----------
@@ -65,19 +71,18 @@ class Outflow:
         self._queued = 0
 
     @property
-    def queued(self) -> int:
-        """Events that wait."""
-        return self._queued
-
-    @property
-    def edges_queued(self) -> int:
-        """Edges that wait."""
-        return len(self._edges)
+    def waiting(self) -> Numbers:
+        """See `ItemEncoder.waiting`."""
+        return Numbers(self._queued, len(self._edges))
 
     @property
     def room(self) -> int:
         """Events that fit now."""
-        return max(0, self._limits.events - self.queued)
+        return max(0, self._limits.events - self.waiting.events)
+
+    @abstractmethod
+    def take(self, now_us: int, room: int) -> _Taken | None:
+        """See `ItemEncoder.take`."""
 
     def put(self, events: Events) -> int:
         """Queue as many of events (n,) EVENT, sorted, as fit; return their number; they are copied."""
@@ -94,7 +99,7 @@ class Outflow:
         return len(fitting)
 
     def clear(self) -> None:
-        """Empty the queues."""
+        """See `ItemEncoder.clear`."""
         self._waiting.clear()
         self._edges, self._queued = empty_edges(), 0
 

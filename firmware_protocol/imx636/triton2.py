@@ -73,7 +73,7 @@ class Extra:
     number: int = 0
 
 
-class BlockOutflow(Outflow):
+class BlockOutflow(Outflow[Outgoing]):
     """Outflow to numbered blocks, each with its time and row, so that the loss of one does not affect others.
 
     Sent blocks are stored for a while, so that they can be sent again. During a silence, blocks without events carry
@@ -98,16 +98,19 @@ class BlockOutflow(Outflow):
         self._edges = self._edges[np.argsort(self._edges["t"], kind="stable")]
         return count
 
-    def next(self, now_us: int, packet_size: int, *, at_once: bool = False) -> Outgoing | None:
-        """Return the next block; None while it is empty, or may still grow and `at_once` is false."""
+    def take(self, now_us: int, room: int, *, at_once: bool = False) -> Outgoing | None:
+        """Return the next block; None while it is empty, or may still grow and `at_once` is false.
+
+        `room` is the size of its packets, octets.
+        """
         first_us = self._due_us(now_us)
         if first_us is not None:
-            grows = not at_once and self.queued < _MOST_EVENTS and now_us - first_us < self._block_us
-            return None if grows else self._block(first_us, now_us, packet_size)
+            grows = not at_once and self._queued < _MOST_EVENTS and now_us - first_us < self._block_us
+            return None if grows else self._block(first_us, now_us, room)
         words = self._silence_words(now_us)
         if not words:
             return None
-        return Outgoing(epoch_us=self.epoch_us, block=self._numbered(words, self._reported_us, packet_size))
+        return Outgoing(epoch_us=self.epoch_us, block=self._numbered(words, self._reported_us, room))
 
     def sent_block(self, number: int) -> Block | None:
         """Return a block that was sent; None if it is no longer stored, or never was."""
@@ -225,10 +228,8 @@ class Triton2(Imx636Camera[BlockOutflow]):
         """Return the next block for the stream, `at_once` even a recent one; report `sent` or `lost` for it later."""
         if not self.streaming or self._now_us < self._silence_end_us:
             return None
-        outgoing = self._outflow.next(self._now_us, self._memory.get(Register.PACKET_SIZE) & 0xFFFF, at_once=at_once)
-        if outgoing is not None:
-            self._fates.take(outgoing)
-        return outgoing
+        size = self._memory.get(Register.PACKET_SIZE) & 0xFFFF
+        return self._taken(self._outflow.take(self._now_us, size, at_once=at_once))
 
     def next_extra(self) -> Extra | None:
         """Return the next datagram that a host requested beside the blocks: a test packet, or a repeated one."""
@@ -320,7 +321,7 @@ class Triton2(Imx636Camera[BlockOutflow]):
         self._acquiring = False
         self._scheduled_us.clear()
         self.messages.clear()
-        self._flush()
+        self._flush(self._outflow)
 
     def _on_packet_size(self, value: int) -> int:
         remembered = packet_size(value)

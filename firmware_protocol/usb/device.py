@@ -184,7 +184,7 @@ class UsbDevice(ABC):
         """Note that `transfer` was taken from the device and lost on the link: its events count as dropped there."""
 
 
-class UsbCamera(UsbDevice, EventDevice):
+class UsbCamera(EventDevice, UsbDevice):
     """An event camera on USB: an event device with a USB side.
 
     Attributes

@@ -1,6 +1,6 @@
 """TCP server as a link's endpoint: every client gets the stream from the moment it connects.
 
-    device.carry -> coder.encode -> Batch -> each client that has room -> its socket
+    device.take -> coder.encode -> Batch -> each client that has room -> its socket
             edges -> a coder of triggers -> the clients of a second port, where the rig has one
 
 In a paced run a batch is taken when any client has room; clients without room miss it. In a run without pacing it is
@@ -343,7 +343,7 @@ class TcpEndpoint(Endpoint):
         for clients in self._groups:
             if overdue is not None:
                 clients.give_up(overdue)
-        while self._has_room and (taken := self._device.carry(_MOST_EVENTS)) is not None:
+        while self._has_room and (taken := self._device.take(_MOST_EVENTS)) is not None:
             self._send(taken)
         if len(self._clients) and not self._device.waiting:
             nothing = Items(empty_events(), empty_edges(), self._epoch_us)

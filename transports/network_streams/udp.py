@@ -99,7 +99,7 @@ class UdpEndpoint(Endpoint):
             if self._next is not None:
                 return True
             self._batch.finish()
-            taken = self._device.carry(_MOST_EVENTS)
+            taken = self._device.take(_MOST_EVENTS)
             if taken is None:
                 return False
             self._begin(taken)
@@ -141,7 +141,8 @@ class _Batch:
         """Record that the datagrams with events up to `end` have left, or that the last of them could not be sent."""
         if not left:
             self.report()
-            self._device.failed(end - self._reported)
+            assert self._taken is not None
+            self._device.lost(Items(self._taken.events[self._reported : end]))
             self._reported = end
         self._reached = end
 
@@ -149,7 +150,7 @@ class _Batch:
         """Report the events that have left since the last call."""
         if self._taken is not None and self._reached > self._reported:
             events = self._taken.events[self._reported : self._reached]
-            self._device.arrived(len(events))
+            self._device.sent(Items(events))
             self._deliveries.add(events, self._taken.epoch_us)
             self._reported = self._reached
 
@@ -159,7 +160,7 @@ class _Batch:
             return
         self.report()
         if len(self._taken.edges):
-            self._device.arrived(0, len(self._taken.edges))
+            self._device.sent(Items(edges=self._taken.edges))
             self._deliveries.add(self._taken.events[:0], self._taken.epoch_us, self._taken.edges)
         self._taken = None
 
@@ -167,7 +168,7 @@ class _Batch:
         """Record that the rest is lost."""
         if self._taken is not None:
             self.report()
-            self._device.failed(len(self._taken.events) - self._reported, len(self._taken.edges))
+            self._device.lost(Items(self._taken.events[self._reported :], self._taken.edges))
             self._taken = None
 
 
@@ -203,7 +204,7 @@ class Fates:
         self._open.append(batch)
         self._open_events += len(batch.taken.events)
         if batch.settled:  # no client had room
-            self._device.failed(len(batch.taken.events), len(batch.taken.edges))
+            self._device.lost(batch.taken)
             self._report()
 
     def written(self, batch: Batch) -> None:
@@ -211,14 +212,14 @@ class Fates:
         batch.holders -= 1
         if not batch.delivered:
             batch.delivered = True
-            self._device.arrived(len(batch.taken.events), len(batch.taken.edges))
+            self._device.sent(batch.taken)
             self._report()
 
     def dropped(self, batch: Batch) -> None:
         """Record that a client that had it was lost."""
         batch.holders -= 1
         if batch.settled and not batch.delivered:
-            self._device.failed(len(batch.taken.events), len(batch.taken.edges))
+            self._device.lost(batch.taken)
             self._report()
 
     @property
