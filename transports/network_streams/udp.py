@@ -1,15 +1,11 @@
-"""Datagrams to one address as a link's endpoint, at a limited rate, and the fates of batches for several clients.
+"""Datagrams to one address as a link's endpoint, at a limited rate.
 
 UDP has no back-pressure: data that a receiver does not read in time are lost without a report. An event counts as
 delivered when the kernel has taken its datagram.
-
-`Fates` follows batches that several clients are to get. A batch is delivered when the first client's socket has taken
-all of it, and lost when no client is left that could. Events that single clients miss are counted by the clients.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
@@ -22,7 +18,7 @@ from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointFacto
 from transports.network.datagrams import ByteBudget, DatagramOutlet
 from transports.network_streams.kind import UdpLink
 
-__all__ = ["Batch", "Fates", "UdpEndpoint", "UdpFactory"]
+__all__ = ["UdpEndpoint", "UdpFactory"]
 
 
 _MOST_EVENTS = 1 << 14  # encoded at once
@@ -48,7 +44,7 @@ class UdpEndpoint(Endpoint):
         self._clock = deliveries.clock
         self._coder = factory.coder()
         self._budget = ByteBudget(factory.link.mbit_s, self._clock.now_ns())
-        self._batch = _Batch(device, deliveries)
+        self._batch = _OpenItems(device, deliveries)
         self._datagrams: Iterator[Datagram] = iter(())
         self._next: Datagram | None = None
         self._outlet = DatagramOutlet(factory.link.host, factory.link.port)
@@ -125,7 +121,7 @@ class UdpEndpoint(Endpoint):
         return True
 
 
-class _Batch:
+class _OpenItems:
     """Events that were taken together, with the numbers that have left and that were reported."""
 
     def __init__(self, device: PlainDevice, deliveries: Deliveries) -> None:
@@ -170,67 +166,3 @@ class _Batch:
             self.report()
             self._device.lost(Items(self._taken.events[self._reported :], self._taken.edges))
             self._taken = None
-
-
-_MOST_OPEN = 1 << 22  # events whose fate, or that of earlier events, is open
-
-
-@dataclass(eq=False)
-class Batch:
-    """Events and their bytes; `holders` is the number of clients that have it and have not sent it yet."""
-
-    taken: Items
-    data: bytes | bytearray
-    holders: int = 0
-    delivered: bool = False
-
-    @property
-    def settled(self) -> bool:
-        """True if its fate is known."""
-        return self.delivered or not self.holders
-
-
-class Fates:
-    """Fates of batches, reported to the device and, in the order in which they were taken, to `deliveries`."""
-
-    def __init__(self, device: PlainDevice, deliveries: Deliveries) -> None:
-        self._device = device
-        self._deliveries = deliveries
-        self._open: deque[Batch] = deque()
-        self._open_events = 0
-
-    def begin(self, batch: Batch) -> None:
-        """Follow a batch whose holders are known."""
-        self._open.append(batch)
-        self._open_events += len(batch.taken.events)
-        if batch.settled:  # no client had room
-            self._device.lost(batch.taken)
-            self._report()
-
-    def written(self, batch: Batch) -> None:
-        """Record that a client's socket has taken it."""
-        batch.holders -= 1
-        if not batch.delivered:
-            batch.delivered = True
-            self._device.sent(batch.taken)
-            self._report()
-
-    def dropped(self, batch: Batch) -> None:
-        """Record that a client that had it was lost."""
-        batch.holders -= 1
-        if batch.settled and not batch.delivered:
-            self._device.lost(batch.taken)
-            self._report()
-
-    @property
-    def overdue(self) -> Batch | None:
-        """First batch, when so much has been taken after it that its holders must be closed."""
-        return self._open[0] if self._open_events > _MOST_OPEN else None
-
-    def _report(self) -> None:
-        while self._open and self._open[0].settled:
-            batch = self._open.popleft()
-            taken = batch.taken
-            self._open_events -= len(taken.events)
-            if batch.delivered:
-                self._deliveries.add(taken.events, taken.epoch_us, taken.edges)
