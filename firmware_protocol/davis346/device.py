@@ -29,7 +29,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -46,8 +45,7 @@ from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import Numbers, ReadingKind, Readings
 from firmware_protocol.events import Edges, Events, copy_events, empty_events
 from firmware_protocol.usb.control import Recipient, StandardControl, name_request
-from firmware_protocol.usb.descriptors import DescriptorSet
-from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Speed, Stall, Transfer, UsbCamera
+from firmware_protocol.usb.device import RequestKind, SetupPacket, Stall, Transfer, UsbCamera
 
 __all__ = ["Davis346", "name_answer", "name_davis_request"]
 
@@ -81,17 +79,11 @@ class Davis346(UsbCamera):
         self._statistics = Statistics(self, self._stream, self._filters)
         self._resets_us: list[int] = []
         self._now_us = 0
-        self._flushes = 0
         self._has_sent = False
         self._settings_version = 0
         self._input_settings_of: tuple[int, int | None] | None = None
         self._input_now = InputSettings()
         self._power_on()
-
-    @property
-    def identity(self) -> Identity:
-        """Vendor, product, speed and interfaces."""
-        return self.settings.identity
 
     @property
     def now_us(self) -> int:
@@ -267,22 +259,6 @@ class Davis346(UsbCamera):
         else:
             self._start_time()
         return True
-
-    def descriptors(self, speed: Speed) -> DescriptorSet:
-        """Return the answers to GET_DESCRIPTOR at a speed."""
-        return replace(self.settings, speed=speed).descriptors()
-
-    def flushes(self, endpoint: int) -> int:
-        """Number of times that the run gate was closed or the power was cut."""
-        return self._flushes if endpoint | _IN == DATA_ENDPOINT else 0
-
-    def attached(self) -> None:
-        """Set the power-on state: a host has attached the camera."""
-        self._power_on()
-
-    def detached(self) -> None:
-        """Stop the camera: the host is gone. The FIFO is emptied and its content counted."""
-        self._power_on()
 
     def control(self, setup: SetupPacket, data: bytes) -> bytes:
         """Execute one control transfer; see `UsbDevice.control` and the table above."""

@@ -14,7 +14,7 @@ from firmware_protocol.imx636.triton2 import Triton2
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.telecommands import SetBias
-from transports.usb.evk4_host import Evk4Host
+from transports.usb.cameras import Evk4Host
 from transports.usb.loopback import DirectHost
 
 

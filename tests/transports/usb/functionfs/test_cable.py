@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from transports.usb.evk4_host import Evk4Host
 
 from evstim.testing.link_contract import event_stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
@@ -14,7 +15,6 @@ from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import UsbStall
 from transports.usb.davis_host import DavisHost, StreamSettings
-from transports.usb.evk4_host import Evk4Host
 from transports.usb.host import StallError, TransferTimeout
 
 DESCRIPTORS = Davis346Settings().descriptors()
