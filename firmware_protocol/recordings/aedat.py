@@ -250,7 +250,6 @@ def _edges(address: np.ndarray, t: np.ndarray, which: np.ndarray) -> Edges:
     return edges
 
 
-LIMIT_PX_AEDAT31 = 1 << 15
 _HEAD = np.dtype(
     [("kind", "<i2"), ("source", "<i2")]
     + [(name, "<i4") for name in ("event_bytes", "time_at", "wraps", "capacity", "number", "valid")]
