@@ -1,4 +1,4 @@
-"""Event cameras that can be read on USB: the common interface of their drivers, and the driver of each device.
+"""Event cameras that can be read on USB: the driver of each device.
 
 `receive` counts, digests and records the events of a camera until it is stopped or unplugged.
 
@@ -13,12 +13,10 @@ import contextlib
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
-
-import numpy as np
+from typing import Any
 
 from firmware_protocol.davis346.decoder import WordFaults
-from firmware_protocol.events import Edges, Events, empty_edges, empty_events
+from firmware_protocol.events import Events, empty_events
 from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.imx636.evk4 import ANSWER_ENDPOINT, DATA_ENDPOINT, PRODUCT_ID, REQUEST_ENDPOINT, VENDOR_ID
 from firmware_protocol.imx636.registers import SIZE, Address
@@ -27,15 +25,22 @@ from transports.link import reception
 from transports.link.pacing import Clock
 from transports.link.reception import Arrivals, Reception
 from transports.recording.record import Recorder
-from transports.usb.davis_host import DAVIS_PRODUCT, DAVIS_VENDOR, DavisHost, DavisInfo, StreamSettings
-from transports.usb.host import BulkReader, DeviceAbsent, PeerBroken, PeerGone, UnsuitableDevice, UsbHost, UsbHostError
+from transports.usb.davis_host import DAVIS_PRODUCT, DAVIS_VENDOR, DavisHost
+from transports.usb.host import (
+    CameraHost,
+    DeviceAbsent,
+    PeerBroken,
+    PeerGone,
+    StreamSettings,
+    UnsuitableDevice,
+    UsbHost,
+)
 from transports.usb.pyusb_host import PyusbHost
 
 __all__ = [
     "CAMERAS",
     "EVK4_PRODUCT",
     "EVK4_VENDOR",
-    "CameraHost",
     "CameraReception",
     "Evk4Host",
     "Evk4Info",
@@ -66,7 +71,7 @@ class Evk4Info:
     size: tuple[int, int] = SIZE
 
 
-class Evk4Host:
+class Evk4Host(CameraHost[Evk4Info]):
     """Driver of one EVK4.
 
     Parameters
@@ -85,16 +90,8 @@ class Evk4Host:
     model = "EVK4"
 
     def __init__(self, host: UsbHost) -> None:
-        self._host = host
-        self._reader: BulkReader | None = None
-        self._edges: list[Edges] = []
+        super().__init__(host)
         self._decoder = Evt3Decoder()
-        try:
-            host.configure()
-            self.info = self._identify()
-        except UsbHostError:
-            host.close()
-            raise
 
     @property
     def faults(self) -> WordFaults:
@@ -112,34 +109,9 @@ class Evk4Host:
         for address, value in _START:
             self.write_register(address, value)
 
-    def read(self, timeout_s: float) -> Events | None:
-        """Return the events of the next transfer, in device time; None when none arrived in time.
-
-        An idle camera sends times, so a transfer may contain no event.
-        """
-        if self._reader is None:
-            raise RuntimeError("the camera is not started")
-        data = self._reader.read(timeout_s)
-        return None if data is None else self._decode(data)
-
-    def take_edges(self) -> Edges:
-        """Return the edges read since the last call, (n,) EDGE in device time, if the start enabled them."""
-        edges, self._edges = self._edges, []
-        return np.concatenate([empty_edges(), *edges])
-
-    def stop(self) -> Events:
-        """Stop the camera and the stream; return the events that were still in transit."""
+    def _end_stream(self) -> None:
         for address, value in _STOP:
             self.write_register(address, value)
-        reader, self._reader = self._reader, None
-        rest = [self._decode(data) for data in reader.close()] if reader else []
-        return np.concatenate([empty_events(), *rest])
-
-    def close(self) -> None:
-        """Stop the camera, if it is still there, and close it."""
-        with contextlib.suppress(UsbHostError):
-            self.stop()
-        self._host.close()
 
     def read_register(self, address: int) -> int:
         """Return one 32-bit register of the sensor."""
@@ -189,45 +161,14 @@ class Evk4Host:
         return events
 
 
-class CameraHost(Protocol):
-    """Driver of one camera; see `DavisHost` and `Evk4Host`."""
-
-    @property
-    def model(self) -> str:
-        """Name of the camera's model."""
-
-    @property
-    def info(self) -> DavisInfo | Evk4Info:
-        """Identity that the camera reports."""
-
-    @property
-    def faults(self) -> WordFaults:
-        """Counts of words that an intact stream never contains."""
-
-    def start(self, settings: StreamSettings | None = None) -> None:
-        """Start the stream of events."""
-
-    def read(self, timeout_s: float) -> Events | None:
-        """Return the events of the next transfer; None when none arrived in time."""
-
-    def take_edges(self) -> Edges:
-        """Return the edges read since the last call."""
-
-    def stop(self) -> Events:
-        """Stop the camera; return the events that were still in transit."""
-
-    def close(self) -> None:
-        """Stop the camera and close it."""
-
-
-CAMERAS: Mapping[tuple[int, int], Callable[[UsbHost], CameraHost]] = {
+CAMERAS: Mapping[tuple[int, int], Callable[[UsbHost], CameraHost[Any]]] = {
     (DAVIS_VENDOR, DAVIS_PRODUCT): DavisHost,
     (EVK4_VENDOR, EVK4_PRODUCT): Evk4Host,
 }
 """Drivers by (vendor, product)."""
 
 
-def driver_of(host: UsbHost) -> CameraHost:
+def driver_of(host: UsbHost) -> CameraHost[Any]:
     """Return the driver of a device; if there is none, close the device and raise UnsuitableDevice."""
     identity = host.identity
     driver = CAMERAS.get((identity.vendor_id, identity.product_id))
@@ -269,7 +210,7 @@ class CameraReception(Reception):
 
 
 def receive(
-    camera: CameraHost, goes_on: Callable[[CameraReception], bool], clock: Clock, recorder: Recorder | None = None
+    camera: CameraHost[Any], goes_on: Callable[[CameraReception], bool], clock: Clock, recorder: Recorder | None = None
 ) -> CameraReception:
     """Start the camera and read it while `goes_on`, called after each transfer, returns True; then stop it.
 

@@ -22,8 +22,8 @@ from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, LinkBroken
-from transports.usb.davis_host import DavisHost, StreamSettings
-from transports.usb.host import StallError, TransferTimeout
+from transports.usb.davis_host import DavisHost
+from transports.usb.host import StallError, StreamSettings, TransferTimeout
 
 __all__ = ["DirectHost", "DirectReader", "LoopbackEndpoint", "LoopbackFactory"]
 
