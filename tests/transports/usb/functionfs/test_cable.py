@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from transports.usb.evk4_host import Evk4Host
 
 from evstim.testing.link_contract import event_stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
@@ -14,6 +13,7 @@ from tests.transports.usb.gadget_port import PACKET_BYTES, PATIENCE_S, GadgetBen
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import UsbStall
+from transports.usb.cameras import Evk4Host
 from transports.usb.davis_host import DavisHost
 from transports.usb.host import StallError, StreamSettings, TransferTimeout
 
