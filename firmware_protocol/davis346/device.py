@@ -143,8 +143,8 @@ class Davis346(UsbCamera):
 
     @property
     def _waiting(self) -> Numbers:
-        held = Numbers(edges=self._input.pending + len(self._stalled), readings=self._readings.waiting)
-        return self._stream.waiting + held
+        marks = Numbers(edges=self._input.pending + len(self._stalled))
+        return self._stream.waiting.plus(marks).plus(self._readings.waiting)
 
     def offer(self, events: Events) -> None:
         """Take the events of the array, (n,) EVENT in stream time, sorted, none before the time advanced to.

@@ -9,7 +9,7 @@ enters.
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -29,7 +29,7 @@ from firmware_protocol.davis346.words import (
     is_mark,
     is_row,
 )
-from firmware_protocol.device.items import Numbers, Reading, ReadingKind
+from firmware_protocol.device.items import Numbers, Reading, count_kinds
 from firmware_protocol.events import Events, empty_events, join_events
 from firmware_protocol.usb.device import Transfer
 
@@ -61,6 +61,11 @@ class Batch:
     marks: Marks = field(default_factory=no_marks)
     blocks: Sequence[Block] = ()
     words_taken: int = 0
+
+    @property
+    def numbers(self) -> Numbers:
+        """Numbers of its items that have not left."""
+        return Numbers(len(self.events), len(self.marks), count_kinds([block.reading for block in self.blocks]))
 
     @property
     def is_reset(self) -> bool:
@@ -122,6 +127,11 @@ class Fifo:
     ----------
     capacity_bytes
         Size; at least 1024.
+
+    Attributes
+    ----------
+    waiting
+        Numbers of events, marks and blocks whose last word has not left.
     """
 
     def __init__(self, capacity_bytes: int) -> None:
@@ -129,8 +139,7 @@ class Fifo:
             raise ValueError(f"a FIFO of {capacity_bytes} bytes is too small; give it at least {_MIN_BYTES}")
         self._capacity = capacity_bytes // 2
         self._used = 0
-        self._events = self._marks = 0
-        self._blocks: Counter[ReadingKind] = Counter()
+        self.waiting = Numbers()
         self._batches: deque[Batch] = deque()
 
     @property
@@ -142,11 +151,6 @@ class Fifo:
     def free_wrap_words(self) -> int:
         """Free room for wrap words."""
         return max(0, self._capacity - self._used)
-
-    @property
-    def waiting(self) -> Numbers:
-        """Numbers of events, marks and blocks whose last word has not left."""
-        return Numbers(self._events, self._marks, self._blocks)
 
     def put(self, batch: Batch) -> Batch:
         """Append as many complete items from the front of `batch` as fit; return them."""
@@ -188,26 +192,19 @@ class Fifo:
         edges = edges_of(all_marks["t"], all_marks["code"])
         transfer = Transfer(join_events(events), edges, epoch_us, tuple(readings), data)
         self._used -= len(data) // 2
-        self._events -= len(transfer.events)
-        self._marks -= len(edges)
-        if readings:
-            self._blocks.subtract(reading.kind for reading in readings)
+        self.waiting = self.waiting.less(transfer.numbers)
         return transfer
 
     def flush(self) -> Flushed:
         """Drop the whole content."""
         batches, self._batches = self._batches, deque()
-        self._events = self._marks = self._used = 0
-        self._blocks = Counter()
+        self._used, self.waiting = 0, Numbers()
         return Flushed(any(batch.is_reset for batch in batches), batches[0].reader_state if batches else None)
 
     def _append(self, batch: Batch) -> Batch:
         if len(batch.encoded.words):
             self._used += len(batch.encoded.words)
-            self._events += len(batch.events)
-            self._marks += len(batch.marks)
-            if batch.blocks:
-                self._blocks.update(block.reading.kind for block in batch.blocks)
+            self.waiting = self.waiting.plus(batch.numbers)
             self._batches.append(batch)
         return batch
 

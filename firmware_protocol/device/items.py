@@ -23,15 +23,16 @@ that items dropped before leave no trace in the bytes.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Protocol, TypeVar
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy.typing as npt
 
 from firmware_protocol.events import Edges, Events, empty_edges, empty_events
 
-__all__ = ["ItemEncoder", "Items", "Numbers", "Reading", "ReadingKind", "Readings"]
+__all__ = ["ItemEncoder", "Items", "Numbers", "Reading", "ReadingKind", "Readings", "count_kinds"]
 
 
 Readings = npt.NDArray[Any]
@@ -53,24 +54,35 @@ class Reading:
     record: Readings
 
 
-@dataclass(frozen=True)
-class Numbers:
-    """Numbers of items of each kind; those of readings by their kind."""
+_NO_READINGS: Counter[ReadingKind] = Counter()
+
+
+class Numbers(NamedTuple):
+    """Numbers of items of each kind; those of readings by their kind. A link compares them at every tick."""
 
     events: int = 0
     edges: int = 0
-    readings: Counter[ReadingKind] = field(default_factory=Counter)
+    readings: Counter[ReadingKind] = _NO_READINGS
 
-    def __add__(self, other: Numbers) -> Numbers:
-        return Numbers(self.events + other.events, self.edges + other.edges, self.readings + other.readings)
+    def plus(self, other: Numbers) -> Numbers:
+        """Return the sums of both."""
+        readings = self.readings + other.readings if other.readings else self.readings
+        return Numbers(self.events + other.events, self.edges + other.edges, readings)
 
-    def __sub__(self, other: Numbers) -> Numbers:
-        return Numbers(self.events - other.events, self.edges - other.edges, self.readings - other.readings)
+    def less(self, other: Numbers) -> Numbers:
+        """Return what is left without `other`."""
+        readings = self.readings - other.readings if other.readings else self.readings
+        return Numbers(self.events - other.events, self.edges - other.edges, readings)
 
     @property
     def total(self) -> int:
         """Number of items of all kinds."""
-        return self.events + self.edges + self.readings.total()
+        return self.events + self.edges + (self.readings.total() if self.readings else 0)
+
+
+def count_kinds(readings: Sequence[Reading]) -> Counter[ReadingKind]:
+    """Return the number of readings of each kind."""
+    return Counter(reading.kind for reading in readings) if readings else _NO_READINGS
 
 
 @dataclass(frozen=True)
@@ -94,7 +106,7 @@ class Items:
     @property
     def numbers(self) -> Numbers:
         """Numbers of its items."""
-        return Numbers(len(self.events), len(self.edges), Counter(reading.kind for reading in self.readings))
+        return Numbers(len(self.events), len(self.edges), count_kinds(self.readings))
 
 
 _Taken = TypeVar("_Taken", bound=Items, covariant=True)

@@ -9,14 +9,14 @@ together with the events of their time, so that no receiver sees time go back.
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Mapping
 
 import numpy as np
 
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Counts, Fates
-from firmware_protocol.device.items import Items, Numbers, Reading, ReadingKind, Readings
+from firmware_protocol.device.items import Items, Numbers, Reading, ReadingKind, Readings, count_kinds
 from firmware_protocol.events import EVENT, Edges, Events, copy_events, empty_edges, empty_events
 
 __all__ = ["ItemQueue", "PlainDevice", "own_time"]
@@ -122,7 +122,7 @@ class ItemQueue:
         if len(edges):
             clock.add_edges(edges)
         clock.add_readings(readings)
-        self.waiting += Numbers(len(events), len(edges), Counter(reading.kind for reading in readings))
+        self.waiting = self.waiting.plus(Numbers(len(events), len(edges), count_kinds(readings)))
 
     def restart_clock(self, now_us: int) -> None:
         """Set the device's clock to zero at `now_us`."""
@@ -136,7 +136,7 @@ class ItemQueue:
             self._clocks.popleft()
         taken = self._clocks[0].take(room, now_us if len(self._clocks) == 1 else _FOREVER_US)
         if taken is not None:
-            self.waiting -= taken.numbers
+            self.waiting = self.waiting.less(taken.numbers)
         return taken
 
     def clear(self) -> None:

@@ -77,7 +77,8 @@ class UsbOutflow(Outflow[Transfer]):
     @property
     def waiting(self) -> Numbers:
         """See `ItemEncoder.waiting`."""
-        return super().waiting + (self._cut or Transfer()).numbers
+        waiting = super().waiting
+        return waiting if self._cut is None else waiting.plus(self._cut.numbers)
 
     def take(self, now_us: int, room: int) -> Transfer | None:
         """Remove up to `room` octets of words; None if there is nothing to send yet."""

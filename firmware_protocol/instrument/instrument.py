@@ -138,7 +138,7 @@ class Instrument(EventDevice):
 
     @property
     def _waiting(self) -> Numbers:
-        return self._path.waiting + self._edges.waiting
+        return self._path.waiting.plus(self._edges.waiting)
 
     def offer(self, events: Events) -> None:
         """See `EventDevice.offer`."""
