@@ -141,9 +141,7 @@ if TYPE_CHECKING:
     from transports.ros2.kind import Ros2Link
     from transports.serial_line.kind import SerialLink
     from transports.udp_packets.kind import UdpPacketsLink
-    from transports.usb.functionfs.kind import UsbGadgetLink
-    from transports.usb.loopback import LoopbackLink
-    from transports.usb.usbip.kind import UsbipLink
+    from transports.usb.kind import LoopbackLink, UsbGadgetLink, UsbipLink
 
 __all__ = [
     "EDGE",
@@ -404,9 +402,7 @@ _NAMES = {
     "transports.ros2.kind": ("Ros2Link",),
     "transports.serial_line.kind": ("SerialLink",),
     "transports.udp_packets.kind": ("UdpPacketsLink",),
-    "transports.usb.functionfs.kind": ("UsbGadgetLink",),
-    "transports.usb.loopback": ("LoopbackLink",),
-    "transports.usb.usbip.kind": ("UsbipLink",),
+    "transports.usb.kind": ("LoopbackLink", "UsbGadgetLink", "UsbipLink"),
 }
 """Public names by the module that they come from."""
 

@@ -47,9 +47,9 @@ LINKS: Registry[LinkKind[Any]] = Registry(
     "evstim.links",
     LinkKind,
     {
-        "usbip": "transports.usb.usbip.kind:USBIP",
-        "usb_gadget": "transports.usb.functionfs.kind:USB_GADGET",
-        "loopback": "transports.usb.loopback:LOOPBACK",
+        "usbip": "transports.usb.kind:USBIP",
+        "usb_gadget": "transports.usb.kind:USB_GADGET",
+        "loopback": "transports.usb.kind:LOOPBACK",
         "serial": "transports.serial_line.kind:SERIAL",
         "gige": "transports.gige.kind:GIGE",
         "file": "transports.file.kind:FILE",

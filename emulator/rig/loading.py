@@ -31,8 +31,7 @@ from emulator.tables.toml_text import TextFileError, TomlError, dotted, line_of,
 from emulator.tables.typed_table import TableError, beside, field_types, unknown
 from transports.faults.kinds import Fault
 from transports.link.kind import LinkParameters
-from transports.usb.loopback import LoopbackLink
-from transports.usb.usbip.kind import UsbipLink
+from transports.usb.kind import LoopbackLink, UsbipLink
 
 __all__ = [
     "REMOVED",

@@ -26,8 +26,8 @@ from firmware_protocol.usb.device import SetupPacket, UsbDevice
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import ControlStall, ShortTransfers, SlowControl, UsbStall
-from transports.usb.davis_host import DavisHost, StreamSettings
-from transports.usb.host import StallError, TransferTimeout, UsbHost
+from transports.usb.davis_host import DavisHost
+from transports.usb.host import StallError, StreamSettings, TransferTimeout, UsbHost
 
 __all__ = ["Plugged", "UsbContract"]
 

@@ -27,7 +27,7 @@ from functools import lru_cache
 
 from firmware_protocol.can_frames.frame import FD_LENGTHS, Frame
 
-__all__ = ["BitRates", "BusShare", "FrameBits", "crc15", "frame_bits", "worst_bits"]
+__all__ = ["BitRates", "BusShare", "FrameBits", "crc15", "frame_bits"]
 
 _TAIL_BITS = 13
 _ERROR_BITS = 12 + 8 + 3
@@ -74,22 +74,6 @@ def frame_bits(frame: Frame) -> FrameBits:
     stuffed = (body << 15) | crc15(body, bits)
     bits += 15
     return FrameBits(bits + _stuff_bits(stuffed, bits, _START)[0] + _TAIL_BITS)
-
-
-def worst_bits(frame: Frame) -> FrameBits:
-    """Return the most bits that a frame of this form and length can take."""
-    n = 8 * len(frame.data)
-    if not frame.fd:
-        stuffed = (54 if frame.extended else 34) + n
-        return FrameBits(stuffed + (stuffed - 1) // 4 + _TAIL_BITS)
-    head = 36 if frame.extended else 17
-    body = 5 + n
-    at_all = (head + body - 1) // 4
-    in_head = (head - 1) // 4
-    fixed = _fd_tail(len(frame.data))
-    if frame.brs:
-        return FrameBits(head + in_head + _TAIL_BITS, body + at_all - in_head + fixed)
-    return FrameBits(head + body + at_all + fixed + _TAIL_BITS)
 
 
 def crc15(value: int, bits: int) -> int:

@@ -329,11 +329,6 @@ class Decoder:
         """Frames that began and did not become complete."""
         return self._frames.incomplete
 
-    @property
-    def imu_broken(self) -> int:
-        """IMU samples that were not complete."""
-        return self._imu.broken
-
     def feed(self, data: bytes) -> Decoded:
         """Decode the next bytes of the stream; any bytes give a result."""
         data = self._odd + data if self._odd else data

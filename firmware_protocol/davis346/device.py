@@ -29,7 +29,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -43,11 +42,10 @@ from firmware_protocol.davis346.settings import DATA_ENDPOINT, Davis346Settings
 from firmware_protocol.davis346.stream import EventStream, Fifo
 from firmware_protocol.davis346.words import WordEncoder
 from firmware_protocol.device.fates import Fates
-from firmware_protocol.device.items import ReadingKind, Readings
+from firmware_protocol.device.items import Numbers, ReadingKind, Readings
 from firmware_protocol.events import Edges, Events, copy_events, empty_events
 from firmware_protocol.usb.control import Recipient, StandardControl, name_request
-from firmware_protocol.usb.descriptors import DescriptorSet
-from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Speed, Stall, Transfer, UsbCamera
+from firmware_protocol.usb.device import RequestKind, SetupPacket, Stall, Transfer, UsbCamera
 
 __all__ = ["Davis346", "name_answer", "name_davis_request"]
 
@@ -73,9 +71,7 @@ class Davis346(UsbCamera):
         self._standard = StandardControl(settings.descriptors())
         self._registers = RegisterFile(settings.registers())
         self._fates = Fates()
-        self._stream = EventStream(
-            WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes), self._fates
-        )
+        self._stream = EventStream(WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes))
         self._filters = DvsFilters(settings.size, self._fates, has_activity=settings.activity_filter)
         self._input = ExternalInput(settings.pulse_us, self._fates.edges)
         self._stalled = no_marks()
@@ -83,17 +79,11 @@ class Davis346(UsbCamera):
         self._statistics = Statistics(self, self._stream, self._filters)
         self._resets_us: list[int] = []
         self._now_us = 0
-        self._flushes = 0
         self._has_sent = False
         self._settings_version = 0
         self._input_settings_of: tuple[int, int | None] | None = None
         self._input_now = InputSettings()
         self._power_on()
-
-    @property
-    def identity(self) -> Identity:
-        """Vendor, product, speed and interfaces."""
-        return self.settings.identity
 
     @property
     def now_us(self) -> int:
@@ -152,23 +142,9 @@ class Davis346(UsbCamera):
         return self._stream.epoch_us
 
     @property
-    def counters(self) -> Fates:
-        """Fates of all items so far."""
-        readings = self._readings.waiting + self._stream.queued_readings
-        waits = self._input.pending + len(self._stalled) + self._stream.queued_edges
-        return self._fates.waiting(self._stream.queued_events, waits, readings)
-
-    @property
-    def delivered(self) -> int:
-        """See `EventDevice.delivered`."""
-        return self._fates.delivered
-
-    @property
-    def waiting_items(self) -> int:
-        """See `EventDevice.waiting_items`."""
-        marks = self._input.pending + len(self._stalled) + self._stream.queued_edges
-        readings = self._readings.count + self._stream.queued_readings.total()
-        return self._fates.all_queued + self._stream.queued_events + marks + readings
+    def _waiting(self) -> Numbers:
+        marks = Numbers(edges=self._input.pending + len(self._stalled))
+        return self._stream.waiting.plus(marks).plus(self._readings.waiting)
 
     def offer(self, events: Events) -> None:
         """Take the events of the array, (n,) EVENT in stream time, sorted, none before the time advanced to.
@@ -238,13 +214,14 @@ class Davis346(UsbCamera):
         if not len(events) and not len(marks) and not blocks:
             return
         try:
-            late_marks, late_blocks = self._stream.put(events, marks, blocks)
+            late = self._stream.put(events, marks, blocks)
         except ValueError:
             self._stalled = marks
             self._readings.put_back(blocks)
             raise
-        self._hold(late_marks)
-        self._readings.hold(late_blocks)
+        self._fates.dropped_fifo += late.events
+        self._hold(late.marks)
+        self._readings.hold(late.blocks)
 
     @property
     def _input_settings(self) -> InputSettings:
@@ -280,24 +257,8 @@ class Davis346(UsbCamera):
         if self._gate.words:
             self._stream.reset_time(self._now_us)
         else:
-            self._stream.start_time(self._now_us)
+            self._start_time()
         return True
-
-    def descriptors(self, speed: Speed) -> DescriptorSet:
-        """Return the answers to GET_DESCRIPTOR at a speed."""
-        return replace(self.settings, speed=speed).descriptors()
-
-    def flushes(self, endpoint: int) -> int:
-        """Number of times that the run gate was closed or the power was cut."""
-        return self._flushes if endpoint | _IN == DATA_ENDPOINT else 0
-
-    def attached(self) -> None:
-        """Set the power-on state: a host has attached the camera."""
-        self._power_on()
-
-    def detached(self) -> None:
-        """Stop the camera: the host is gone. The FIFO is emptied and its content counted."""
-        self._power_on()
 
     def control(self, setup: SetupPacket, data: bytes) -> bytes:
         """Execute one control transfer; see `UsbDevice.control` and the table above."""
@@ -315,17 +276,9 @@ class Davis346(UsbCamera):
         self._standard.require(endpoint | _IN)
         if endpoint | _IN != DATA_ENDPOINT or self._now_us < self._silent_until_us:
             return None
-        transfer = self._stream.take(max_bytes)
+        transfer = self._taken(self._stream.take(self._now_us, max_bytes))
         self._has_sent = self._has_sent or transfer is not None
         return transfer
-
-    def sent(self, transfer: Transfer) -> None:
-        """Count the transfer's events as delivered."""
-        self._stream.sent(transfer)
-
-    def lost(self, transfer: Transfer) -> None:
-        """Count the transfer's events as lost on the link."""
-        self._stream.lost(transfer)
 
     def _power_on(self) -> None:
         self._registers.power_on()
@@ -336,7 +289,7 @@ class Davis346(UsbCamera):
         self._factors: Mapping[str, float] = {}
         self._silent_until_us = self._now_us
         self._drop_stalled()
-        self._stream.start_time(self._now_us)
+        self._start_time()
         self._flushes += 1
         self._filters.power_on()
         self._statistics.power_on()
@@ -355,7 +308,7 @@ class Davis346(UsbCamera):
             for module, address, value in ENTRY.iter_unpack(data):
                 self._write(module, address, value)
         elif setup.request == FLUSH:
-            self._stream.flush()
+            self._flush(self._stream)
 
     def _read_register(self, setup: SetupPacket) -> bytes:
         if setup.request != REGISTER or setup.length < 4:
@@ -382,10 +335,10 @@ class Davis346(UsbCamera):
         """Apply a change of the run bits."""
         if before.words and not after.words:
             self._drop_stalled()
-            self._stream.flush()
+            self._flush(self._stream)
             self._flushes += 1
         if after.timestamps and not before.timestamps:
-            self._stream.start_time(self._now_us)
+            self._start_time()
             self._starting = True
         if after.words or not after.timestamps:
             self._starting = False
@@ -397,6 +350,11 @@ class Davis346(UsbCamera):
             self._stream.reset_time(self._now_us)
             self._silent_until_us = self._now_us
             self._resets_us = [*self._resets_us[-_MOST_RESETS:], self._now_us]
+
+    def _start_time(self) -> None:
+        """Begin device time at zero; what waits is flushed."""
+        self._flush(self._stream)
+        self._stream.start_time(self._now_us)
 
     def _factors_of_biases(self) -> Mapping[str, float]:
         return sensor_factors({bias.address: self._registers.read(Module.BIAS, bias.address) for bias in BIASES})

@@ -42,7 +42,7 @@ from firmware_protocol.davis346.registers import Module, RegisterFile, aps_waits
 from firmware_protocol.davis346.settings import Davis346Settings
 from firmware_protocol.davis346.words import Special
 from firmware_protocol.device.fates import Counts, Fates
-from firmware_protocol.device.items import ReadingKind, Readings
+from firmware_protocol.device.items import Numbers, ReadingKind, Readings, count_kinds
 from firmware_protocol.events import EdgeKind, Edges
 from firmware_protocol.frames import FrameSettings, LineKind
 from firmware_protocol.imu_samples import ImuSettings
@@ -379,20 +379,16 @@ class ReadingInput:
 
     def flush(self) -> None:
         """Drop the blocks that wait."""
-        for kind, count in self.waiting.items():
-            self._fates.of(kind).flushed += count
+        self._fates.drop(self.waiting)
         self._held, self._waiting = deque(), []
         self._in_frame = False
 
     @property
-    def count(self) -> int:
-        """Number of readings that were offered and are not in the stream."""
-        return len(self._held) + len(self._waiting)
-
-    @property
-    def waiting(self) -> Counter[ReadingKind]:
-        """Readings that were offered and are not in the stream, by kind."""
-        return Counter(block.reading.kind for block in (*self._held, *self._waiting))
+    def waiting(self) -> Numbers:
+        """Numbers of readings that were offered and are not in the stream."""
+        if not self._held and not self._waiting:
+            return Numbers()
+        return Numbers(readings=count_kinds([block.reading for block in (*self._held, *self._waiting)]))
 
 
 def _time_of(block: Block) -> int:

@@ -27,6 +27,8 @@ from dataclasses import dataclass, field
 
 from firmware_protocol.davis346.registers import Layout, Register, SystemInfo, registers
 from firmware_protocol.usb.descriptors import (
+    BULK_PACKET,
+    OTHER_SPEED,
     Configuration,
     DescriptorSet,
     DeviceDescriptor,
@@ -34,12 +36,9 @@ from firmware_protocol.usb.descriptors import (
     Interface,
     TransferType,
 )
-from firmware_protocol.usb.device import Identity, Speed
+from firmware_protocol.usb.device import Identity, Speed, UsbCameraSettings
 
-__all__ = ["DATA_ENDPOINT", "DEBUG_ENDPOINT", "START_DELAY_US", "Davis346Settings"]
-
-
-START_DELAY_US = 300_000
+__all__ = ["DATA_ENDPOINT", "DEBUG_ENDPOINT", "Davis346Settings"]
 
 
 VENDOR_ID = 0x152A
@@ -47,13 +46,11 @@ PRODUCT_ID = 0x841A
 DEBUG_ENDPOINT = 0x81
 DATA_ENDPOINT = 0x82
 
-_BULK_PACKET = {Speed.SUPER: 1024, Speed.HIGH: 512, Speed.FULL: 64}
 _DEBUG_INTERVAL = {Speed.SUPER: 4, Speed.HIGH: 4, Speed.FULL: 1}
-_OTHER_SPEED = {Speed.HIGH: Speed.FULL, Speed.FULL: Speed.HIGH}
 
 
 @dataclass(frozen=True)
-class Davis346Settings:
+class Davis346Settings(UsbCameraSettings):
     """Settings of a camera.
 
     Attributes
@@ -78,17 +75,11 @@ class Davis346Settings:
         True if it takes frames; if not, its host may request them and gets none.
     activity_filter
         True if it has the filters of background activity and refractory period.
-    start_delay_us
-        Silence after the run gate opens, stream time; see the module's description.
     """
 
-    serial: str = "00000346"
     bcd_device: int = 0x0206
     size: tuple[int, int] = (346, 260)
     layout: Layout = Layout.UPRIGHT
-    speed: Speed = Speed.SUPER
-    fifo_bytes: int = 256 * 1024
-    start_delay_us: int = START_DELAY_US
     pulse_us: int = 100
     imu_unit: int = 0
     frames: bool = False
@@ -98,12 +89,9 @@ class Davis346Settings:
     product: str = "DAViS FX3"
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (1 <= len(self.serial) <= 8 and self.serial.isascii() and self.serial.isprintable()):
             raise ValueError(f"serial {self.serial!r} must be 1 to 8 printable ASCII characters")
-        if not 0 <= self.bcd_device <= 0xFFFF:
-            raise ValueError(f"bcd_device {self.bcd_device:#x} does not fit 16 bits")
-        if self.start_delay_us < 0:
-            raise ValueError(f"start_delay_us {self.start_delay_us} must not be negative")
         if self.imu_unit not in (0, 1, 2):
             raise ValueError(f"imu_unit {self.imu_unit} must be 0, 1 or 2")
         if self.pulse_us < 1:
@@ -120,7 +108,7 @@ class Davis346Settings:
 
     def descriptors(self) -> DescriptorSet:
         """Return all descriptors at the camera's speed."""
-        other = _OTHER_SPEED.get(self.speed)
+        other = OTHER_SPEED.get(self.speed)
         return DescriptorSet(
             device=DeviceDescriptor(self.speed, VENDOR_ID, PRODUCT_ID, self.bcd_device),
             configuration=_configuration(self.speed),
@@ -133,5 +121,5 @@ def _configuration(speed: Speed) -> Configuration:
     debug = Endpoint(
         DEBUG_ENDPOINT, TransferType.INTERRUPT, max_packet=64, interval=_DEBUG_INTERVAL[speed], bytes_per_interval=64
     )
-    data = Endpoint(DATA_ENDPOINT, TransferType.BULK, max_packet=_BULK_PACKET[speed], burst=7)
+    data = Endpoint(DATA_ENDPOINT, TransferType.BULK, max_packet=BULK_PACKET[speed], burst=7)
     return Configuration(speed, (Interface((debug, data)),))

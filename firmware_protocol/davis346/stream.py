@@ -1,4 +1,4 @@
-"""The camera's data path after the gate: encoder, FIFO, device time, and the fate of every event, mark and block.
+"""The camera's data path after the gate: encoder, FIFO and device time.
 
 The FIFO holds words that wait for the host, with the events that they will complete. Its size is given in bytes of
 words. When it is full, the newest events, marks and blocks are dropped, always complete ones, so that its content is a
@@ -9,7 +9,7 @@ enters.
 
 from __future__ import annotations
 
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -29,12 +29,11 @@ from firmware_protocol.davis346.words import (
     is_mark,
     is_row,
 )
-from firmware_protocol.device.fates import Fates
-from firmware_protocol.device.items import Reading, ReadingKind
+from firmware_protocol.device.items import Numbers, Reading, count_kinds
 from firmware_protocol.events import Events, empty_events, join_events
 from firmware_protocol.usb.device import Transfer
 
-__all__ = ["Batch", "EventStream", "Fifo", "Flushed"]
+__all__ = ["Batch", "EventStream", "Fifo", "Flushed", "Late"]
 
 
 _MIN_BYTES = 1024
@@ -62,6 +61,11 @@ class Batch:
     marks: Marks = field(default_factory=no_marks)
     blocks: Sequence[Block] = ()
     words_taken: int = 0
+
+    @property
+    def numbers(self) -> Numbers:
+        """Numbers of its items that have not left."""
+        return Numbers(len(self.events), len(self.marks), count_kinds([block.reading for block in self.blocks]))
 
     @property
     def is_reset(self) -> bool:
@@ -123,6 +127,11 @@ class Fifo:
     ----------
     capacity_bytes
         Size; at least 1024.
+
+    Attributes
+    ----------
+    waiting
+        Numbers of events, marks and blocks whose last word has not left.
     """
 
     def __init__(self, capacity_bytes: int) -> None:
@@ -130,8 +139,7 @@ class Fifo:
             raise ValueError(f"a FIFO of {capacity_bytes} bytes is too small; give it at least {_MIN_BYTES}")
         self._capacity = capacity_bytes // 2
         self._used = 0
-        self._events = self._marks = 0
-        self._blocks: Counter[ReadingKind] = Counter()
+        self.waiting = Numbers()
         self._batches: deque[Batch] = deque()
 
     @property
@@ -143,21 +151,6 @@ class Fifo:
     def free_wrap_words(self) -> int:
         """Free room for wrap words."""
         return max(0, self._capacity - self._used)
-
-    @property
-    def queued_events(self) -> int:
-        """Events whose last word has not left."""
-        return self._events
-
-    @property
-    def queued_marks(self) -> int:
-        """Marks whose last word has not left."""
-        return self._marks
-
-    @property
-    def queued_blocks(self) -> Counter[ReadingKind]:
-        """Blocks whose last word has not left, by kind."""
-        return self._blocks
 
     def put(self, batch: Batch) -> Batch:
         """Append as many complete items from the front of `batch` as fit; return them."""
@@ -199,26 +192,19 @@ class Fifo:
         edges = edges_of(all_marks["t"], all_marks["code"])
         transfer = Transfer(join_events(events), edges, epoch_us, tuple(readings), data)
         self._used -= len(data) // 2
-        self._events -= len(transfer.events)
-        self._marks -= len(edges)
-        if readings:
-            self._blocks.subtract(reading.kind for reading in readings)
+        self.waiting = self.waiting.less(transfer.numbers)
         return transfer
 
     def flush(self) -> Flushed:
         """Drop the whole content."""
         batches, self._batches = self._batches, deque()
-        self._events = self._marks = self._used = 0
-        self._blocks = Counter()
+        self._used, self.waiting = 0, Numbers()
         return Flushed(any(batch.is_reset for batch in batches), batches[0].reader_state if batches else None)
 
     def _append(self, batch: Batch) -> Batch:
         if len(batch.encoded.words):
             self._used += len(batch.encoded.words)
-            self._events += len(batch.events)
-            self._marks += len(batch.marks)
-            if batch.blocks:
-                self._blocks.update(block.reading.kind for block in batch.blocks)
+            self.waiting = self.waiting.plus(batch.numbers)
             self._batches.append(batch)
         return batch
 
@@ -229,46 +215,40 @@ _WRAP_SHARE = 8
 _WORDS_PER_EVENT = 3
 
 
+class Late(NamedTuple):
+    """Items that found no room: a number of events, which are dropped, and the marks and blocks, which may wait."""
+
+    events: int
+    marks: Marks
+    blocks: Sequence[Block]
+
+
 class EventStream:
-    """Stream of the camera: encodes items into the FIFO, and makes transfers of the FIFO's content.
+    """Stream of the camera, an `ItemEncoder`: it encodes items into the FIFO, and makes transfers of its content.
 
     Attributes
     ----------
     rows
         Number of row words queued so far.
+    epoch_us
+        Stream time at which device time is zero.
     """
 
-    def __init__(self, encoder: WordEncoder, fifo: Fifo, fates: Fates) -> None:
+    def __init__(self, encoder: WordEncoder, fifo: Fifo) -> None:
         self._encoder = encoder
         self._fifo = fifo
-        self._epoch_us = 0
-        self._fates = fates
+        self.epoch_us = 0
         self.rows = 0
 
     @property
-    def queued_events(self) -> int:
-        """Events in the FIFO."""
-        return self._fifo.queued_events
-
-    @property
-    def queued_edges(self) -> int:
-        """Marks in the FIFO."""
-        return self._fifo.queued_marks
-
-    @property
-    def queued_readings(self) -> Counter[ReadingKind]:
-        """Blocks in the FIFO, by kind."""
-        return self._fifo.queued_blocks
+    def waiting(self) -> Numbers:
+        """See `ItemEncoder.waiting`."""
+        return self._fifo.waiting
 
     @property
     def free_words(self) -> int:
         """Free room for words of events."""
         return self._fifo.free_words
-
-    @property
-    def epoch_us(self) -> int:
-        """Stream time at which device time is zero."""
-        return self._epoch_us
 
     @property
     def room_events(self) -> int:
@@ -282,7 +262,7 @@ class EventStream:
     @property
     def room_until_us(self) -> int:
         """Stream time up to which single wraps fit now beside `room_events` events."""
-        return self._epoch_us + ((self._encoder.state.time_us >> WRAP_BITS) + self._wraps_that_fit << WRAP_BITS)
+        return self.epoch_us + ((self._encoder.state.time_us >> WRAP_BITS) + self._wraps_that_fit << WRAP_BITS)
 
     @property
     def _wraps_that_fit(self) -> int:
@@ -290,84 +270,59 @@ class EventStream:
 
     def start_time(self, now_us: int) -> None:
         """Begin device time at zero for a reader in its initial state; drop the queue."""
-        self._empty()
-        self._epoch_us = now_us
+        self._fifo.flush()
+        self.epoch_us = now_us
         self._encoder.reset()
 
     def reset_time(self, now_us: int) -> None:
         """Begin device time at zero, with a reset word in the stream."""
         before = self._encoder.state
         words = self._encoder.reset()
-        self._epoch_us = now_us
+        self.epoch_us = now_us
         self._fifo.put_reset(self._batch(words, before))
 
-    def put(
-        self, events: Events, marks: Marks | None = None, blocks: Sequence[Block] = ()
-    ) -> tuple[Marks, Sequence[Block]]:
-        """Queue `events`, (n,) EVENT, `marks`, (m,) MARK, and `blocks`, in stream time and at least one in all.
-
-        Events that find no room are dropped and counted. Marks and blocks that find none are returned: the caller may
-        offer them again, or drop and count them.
-        """
+    def put(self, events: Events, marks: Marks | None = None, blocks: Sequence[Block] = ()) -> Late:
+        """Queue `events`, (n,) EVENT, `marks`, (m,) MARK, and `blocks`, in stream time and at least one in all."""
         marks = no_marks() if marks is None else marks
         at_start = self._encoder.state
         first_us = min([int(some["t"][0]) for some in (events, marks) if len(some)] + [b.t_us for b in blocks[:1]])
-        wraps = self._encoder.advance(first_us - self._epoch_us, self._fifo.free_wrap_words)
+        wraps = self._encoder.advance(first_us - self.epoch_us, self._fifo.free_wrap_words)
         before = self._encoder.state
         try:
-            encoded = self._encoder.encode(events, self._epoch_us, marks, blocks)
+            encoded = self._encoder.encode(events, self.epoch_us, marks, blocks)
         except ValueError:
             self._encoder.state = at_start
             raise
         if len(wraps):
             self._fifo.put_wraps(self._batch(wraps, at_start))
-        queued = self._fifo.put(Batch(encoded, before, self._epoch_us, events, marks, blocks))
+        queued = self._fifo.put(Batch(encoded, before, self.epoch_us, events, marks, blocks))
         words = queued.encoded.words
         if len(words) < len(encoded.words):
             self._encoder.state = before.after(words)
-            self._fates.dropped_fifo += len(events) - len(queued.events)
         self.rows += int(np.count_nonzero(is_row(words)))
-        return marks[len(queued.marks) :], blocks[len(queued.blocks) :]
+        return Late(len(events) - len(queued.events), marks[len(queued.marks) :], blocks[len(queued.blocks) :])
 
     def advance(self, now_us: int) -> None:
         """Queue the wraps due at stream time `now_us` that fit; a later call makes up for the rest."""
         before = self._encoder.state
-        words = self._encoder.advance(now_us - self._epoch_us, self._fifo.free_wrap_words)
+        words = self._encoder.advance(now_us - self.epoch_us, self._fifo.free_wrap_words)
         if len(words):
             self._fifo.put_wraps(self._batch(words, before))
 
-    def flush(self) -> None:
+    def clear(self) -> None:
         """Drop the queue, except a timestamp reset: without it the host would misread all later times.
 
         The encoder goes back to what the host has read, so that the stream stays valid.
         """
-        flushed = self._empty()
+        flushed = self._fifo.flush()
         if flushed.reset:
-            self.reset_time(self._epoch_us)
+            self.reset_time(self.epoch_us)
         elif flushed.reader_state is not None:
             self._encoder.state = flushed.reader_state
 
-    def _empty(self) -> Flushed:
-        self._fates.flushed += self.queued_events
-        self._fates.edges.flushed += self.queued_edges
-        for kind, count in self.queued_readings.items():
-            self._fates.of(kind).flushed += count
-        return self._fifo.flush()
-
-    def take(self, max_bytes: int) -> Transfer | None:
-        """Remove up to `max_bytes`; the transfer's events count as queued until `sent` or `lost`."""
-        transfer = self._fifo.take(max_bytes)
-        if transfer is not None:
-            self._fates.take(transfer)
-        return transfer
-
-    def sent(self, transfer: Transfer) -> None:
-        """Count a transfer's events as delivered."""
-        self._fates.leave(transfer, "delivered")
-
-    def lost(self, transfer: Transfer) -> None:
-        """Count a transfer's events as lost on the link."""
-        self._fates.leave(transfer, "lost_on_link")
+    def take(self, now_us: int, room: int) -> Transfer | None:
+        """Remove up to `room` octets, whatever the time: words enter the FIFO when they are due."""
+        return self._fifo.take(room)
 
     def _batch(self, words: Words, before: WordState) -> Batch:
-        return Batch(Encoded(words), before, self._epoch_us)
+        return Batch(Encoded(words), before, self.epoch_us)

@@ -14,16 +14,18 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 from firmware_protocol.device.fates import Fates
-from firmware_protocol.device.items import ReadingKind, Readings
+from firmware_protocol.device.items import ItemEncoder, Items, Numbers, ReadingKind, Readings
 from firmware_protocol.events import Edges, Events
 
 __all__ = ["EventDevice", "ReadingKind", "Readings"]
 
 _FOREVER_US = 1 << 62
 _NO_BOUND = 1 << 30
+
+_Taken = TypeVar("_Taken", bound=Items)
 
 
 class EventDevice(ABC):
@@ -35,6 +37,7 @@ class EventDevice(ABC):
     """
 
     set_by: ClassVar[str] = "register"
+    _fates: Fates
 
     @property
     @abstractmethod
@@ -95,18 +98,42 @@ class EventDevice(ABC):
 
     @property
     @abstractmethod
+    def _waiting(self) -> Numbers:
+        """Numbers of items that wait in it, beside those that `_fates` counts as queued."""
+
+    @property
     def counters(self) -> Fates:
         """Fates of all items so far."""
+        return self._fates.waiting(self._waiting)
 
     @property
     def delivered(self) -> int:
-        """Number of events that left it, as `counters` has it; devices count it without the other fates."""
-        return self.counters.delivered
+        """Number of events that left it, as `counters` has it, without a count of the other fates."""
+        return self._fates.delivered
 
     @property
     def waiting_items(self) -> int:
         """Number of events, edges and readings that wait in it, as `counters` has them."""
-        return self.counters.all_queued
+        return self._fates.all_queued + self._waiting.total
+
+    def sent(self, items: Items) -> None:
+        """Count items that were taken as delivered."""
+        self._fates.leave(items, "delivered")
+
+    def lost(self, items: Items) -> None:
+        """Count items that were taken as lost on the link."""
+        self._fates.leave(items, "lost_on_link")
+
+    def _taken(self, items: _Taken | None) -> _Taken | None:
+        """Count items that have left their encoder, and return them; `sent` or `lost` must follow for them."""
+        if items is not None:
+            self._fates.take(items)
+        return items
+
+    def _flush(self, encoder: ItemEncoder[Items]) -> None:
+        """Drop and count what waits in an encoder."""
+        self._fates.drop(encoder.waiting)
+        encoder.clear()
 
     @abstractmethod
     def offer(self, events: Events) -> None:

@@ -11,12 +11,11 @@ are `queued`: their number is measured, so an item that a queue loses shows as a
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal, Self
 
-from firmware_protocol.device.items import Items, Reading, ReadingKind
+from firmware_protocol.device.items import Items, Numbers, ReadingKind
 
 __all__ = ["Counts", "Fate", "Fates"]
 
@@ -127,29 +126,38 @@ class Fates(Counts):
         return self.readings.setdefault(str(kind), Counts())
 
     def take(self, items: Items) -> None:
-        """Count items that leave the queues; they count as queued until `leave`."""
-        self.queued += len(items.events)
-        self.edges.queued += len(items.edges)
-        for kind, count in _kinds(items.readings).items():
-            self.of(kind).queued += count
+        """Count items that leave their encoder; they count as queued until `leave`."""
+        for counts, number in self._by_kind(items.numbers):
+            counts.queued += number
 
     def leave(self, items: Items, fate: Fate) -> None:
         """Give items that were taken their last fate."""
-        self.settle(len(items.events), fate)
-        self.edges.settle(len(items.edges), fate)
-        for kind, count in _kinds(items.readings).items():
-            self.of(kind).settle(count, fate)
+        for counts, number in self._by_kind(items.numbers):
+            counts.settle(number, fate)
 
-    def waiting(self, events: int = 0, edges: int = 0, readings: Mapping[ReadingKind, int] | None = None) -> Fates:
-        """Return a copy with the numbers of items that wait in the device's queues added to those that are queued."""
+    def drop(self, numbers: Numbers, fate: Fate = "flushed") -> None:
+        """Give items that waited in an encoder, and are not taken any more, their last fate."""
+        for counts, number in self._by_kind(numbers):
+            counts.queued += number
+            counts.settle(number, fate)
+
+    def retract(self, numbers: Numbers) -> None:
+        """Change the fate of delivered items to lost on the link."""
+        for counts, number in self._by_kind(numbers):
+            counts.delivered -= number
+            counts.lost_on_link += number
+
+    def waiting(self, numbers: Numbers) -> Fates:
+        """Return a copy in which the items that wait in the device's queues are queued as well."""
         now = self.copy()
         now.edges, now.readings = self.edges.copy(), {kind: one.copy() for kind, one in self.readings.items()}
-        now.queued += events
-        now.edges.queued += edges
-        for kind, count in (readings or {}).items():
-            now.of(kind).queued += count
+        for counts, number in now._by_kind(numbers):
+            counts.queued += number
         return now
 
-
-def _kinds(readings: Sequence[Reading]) -> Counter[ReadingKind]:
-    return Counter(reading.kind for reading in readings) if readings else Counter()
+    def _by_kind(self, numbers: Numbers) -> Iterator[tuple[Counts, int]]:
+        """Yield the counts of each kind of items, and its number."""
+        yield self, numbers.events
+        yield self.edges, numbers.edges
+        for kind, number in numbers.readings.items():
+            yield self.of(kind), number

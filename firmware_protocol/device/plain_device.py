@@ -1,6 +1,6 @@
 """An event camera without electronics: its input waits, unchanged, for a receiver.
 
-    offer, offer_edges, offer_readings --> one queue for each clock --> take, carry: in the order of time
+    offer, offer_edges, offer_readings --> ItemQueue: one for each clock --> take, in the order of time
 
 A run offers the edges and readings of a stretch of time before its events, and a stretch may be long. They leave
 together with the events of their time, so that no receiver sees time go back.
@@ -15,11 +15,11 @@ from collections.abc import Mapping
 import numpy as np
 
 from firmware_protocol.device.event_device import EventDevice
-from firmware_protocol.device.fates import Counts, Fate, Fates
-from firmware_protocol.device.items import Items, Reading, ReadingKind, Readings
+from firmware_protocol.device.fates import Counts, Fates
+from firmware_protocol.device.items import Items, Numbers, Reading, ReadingKind, Readings, count_kinds
 from firmware_protocol.events import EVENT, Edges, Events, copy_events, empty_edges, empty_events
 
-__all__ = ["PlainDevice", "own_time"]
+__all__ = ["ItemQueue", "PlainDevice", "own_time"]
 
 _CAPACITY = 1 << 21  # events; edges likewise
 _MOST_READINGS = 1 << 14  # of each kind: 30 frames of a DAVIS346, 16 s of an inertial unit
@@ -36,7 +36,7 @@ def own_time(records: Events | Edges, epoch_us: int) -> Events | Edges:
     return own
 
 
-class _Waiting:
+class _Clock:
     """Events, edges and readings of one clock, which was zero at `epoch_us`; those up to `taken_us` have left."""
 
     def __init__(self, epoch_us: int, taken_us: int) -> None:
@@ -96,15 +96,62 @@ def _time_of(reading: Reading) -> int:
     return int(reading.record["t"][0])
 
 
+class ItemQueue:
+    """Items of a device in the order of time, an `ItemEncoder` that makes no bytes.
+
+    Attributes
+    ----------
+    waiting
+        See `ItemEncoder.waiting`.
+    """
+
+    def __init__(self) -> None:
+        self._clocks: deque[_Clock] = deque([_Clock(0, 0)])
+        self.waiting = Numbers()
+
+    @property
+    def epoch_us(self) -> int:
+        """Time at which the device's clock was last zero."""
+        return self._clocks[-1].epoch_us
+
+    def put(self, events: Events, edges: Edges, readings: list[Reading]) -> None:
+        """Queue events (n,) EVENT, edges (m,) EDGE and readings of one kind."""
+        clock = self._clocks[-1]
+        if len(events):
+            clock.events.append(events)
+        if len(edges):
+            clock.add_edges(edges)
+        clock.add_readings(readings)
+        self.waiting = self.waiting.plus(Numbers(len(events), len(edges), count_kinds(readings)))
+
+    def restart_clock(self, now_us: int) -> None:
+        """Set the device's clock to zero at `now_us`."""
+        if not self._clocks[-1]:
+            self._clocks.pop()
+        self._clocks.append(_Clock(now_us, now_us))
+
+    def take(self, now_us: int, room: int) -> Items | None:
+        """Remove the first items, at most `room` events of them; None if nothing waits."""
+        while len(self._clocks) > 1 and not self._clocks[0]:
+            self._clocks.popleft()
+        taken = self._clocks[0].take(room, now_us if len(self._clocks) == 1 else _FOREVER_US)
+        if taken is not None:
+            self.waiting = self.waiting.less(taken.numbers)
+        return taken
+
+    def clear(self) -> None:
+        """See `ItemEncoder.clear`."""
+        self._clocks = deque([_Clock(self.epoch_us, self._clocks[-1].taken_us)])
+        self.waiting = Numbers()
+
+
 class PlainDevice(EventDevice):
     """Holds events, edges and readings until `take`; those that find it full are dropped and counted.
-
-    A link that learns their fate later uses `carry`, and then `arrived` or `failed`.
 
     Parameters
     ----------
     capacity
-        Most events that it holds; edges likewise.
+        Most events that it holds, with those whose fate is open; edges likewise.
     readings
         Settings of each kind of readings that it takes, as `EventDevice.reading_settings`; others are refused.
 
@@ -121,7 +168,7 @@ class PlainDevice(EventDevice):
         self._settings = dict(readings)
         self.takes_edges = True
         self._running = True
-        self._waiting: deque[_Waiting] = deque([_Waiting(0, 0)])
+        self._queue = ItemQueue()
         self._now_us = 0
         self._fates = Fates(readings={str(kind): Counts() for kind in readings})
 
@@ -138,60 +185,40 @@ class PlainDevice(EventDevice):
     @property
     def room_events(self) -> int:
         """Events that fit now."""
-        return self._capacity - self._fates.queued
+        return self._capacity - self._waiting.events - self._fates.queued
 
     @property
     def epoch_us(self) -> int:
         """Time at which its own clock was last zero."""
-        return self._waiting[-1].epoch_us
+        return self._queue.epoch_us
 
     @property
-    def counters(self) -> Fates:
-        """Fates of all items so far."""
-        return self._fates.waiting()
+    def _waiting(self) -> Numbers:
+        return self._queue.waiting
 
     @property
     def settings_version(self) -> int:
         """A constant: its settings never change."""
         return 0
 
-    @property
-    def delivered(self) -> int:
-        """See `EventDevice.delivered`."""
-        return self._fates.delivered
-
-    @property
-    def waiting_items(self) -> int:
-        """See `EventDevice.waiting_items`."""
-        return self._fates.all_queued
-
     def offer(self, events: Events) -> None:
         """Queue events (n,) EVENT, as many as fit; raises ValueError if they go back in time."""
         if len(events) and (int(events["t"][0]) < self._now_us or bool((events["t"][1:] < events["t"][:-1]).any())):
             raise ValueError("events go back in time")
-        self._fates.offered += len(events)
-        if not self._running:
-            self._fates.not_running += len(events)
-            return
-        fitting = min(len(events), self.room_events)
-        self._fates.dropped_fifo += len(events) - fitting
-        self._fates.queued += fitting
+        fitting = self._fitting(self._fates, len(events), self.room_events)
         if fitting:
-            self._waiting[-1].events.append(copy_events(events[:fitting]))
+            self._queue.put(copy_events(events[:fitting]), empty_edges(), [])
             self._now_us = int(events["t"][fitting - 1])
 
     def offer_edges(self, edges: Edges) -> None:
         """Queue edges (n,) EDGE, as many as fit."""
         counts = self._fates.edges
-        counts.offered += len(edges)
-        if not (self._running and self.takes_edges):
+        if self._running and self.takes_edges:
+            room = self._capacity - self._waiting.edges - counts.queued
+            self._queue.put(empty_events(), edges[: self._fitting(counts, len(edges), room)], [])
+        else:
+            counts.offered += len(edges)
             counts.ignored += len(edges)
-            return
-        fitting = min(len(edges), self._capacity - counts.queued)
-        counts.dropped_fifo += len(edges) - fitting
-        counts.queued += fitting
-        if fitting:
-            self._waiting[-1].add_edges(edges[:fitting])
 
     def reading_settings(self, kind: ReadingKind) -> tuple[int, ...]:
         """Settings of a kind of readings."""
@@ -199,23 +226,28 @@ class PlainDevice(EventDevice):
 
     def room_readings(self, kind: ReadingKind) -> int:
         """Readings of a kind that fit now."""
-        return _MOST_READINGS - (self._fates.of(kind).queued if kind in self._settings else 0)
+        if kind not in self._settings:
+            return _MOST_READINGS
+        return _MOST_READINGS - self._waiting.readings[kind] - self._fates.of(kind).queued
 
     def offer_readings(self, kind: ReadingKind, readings: Readings) -> bool:
         """Queue readings of a kind in its settings, as many as fit; False for others."""
         if kind not in self._settings:
             return False
-        counts, fitting = self._fates.of(kind), 0
-        counts.offered += len(readings)
-        if self._running:
-            fitting = min(len(readings), self.room_readings(kind))
-            counts.dropped_fifo += len(readings) - fitting
-        else:
-            counts.not_running += len(readings)
-        counts.queued += fitting
+        fitting = self._fitting(self._fates.of(kind), len(readings), self.room_readings(kind))
         taken = readings[:fitting].copy()
-        self._waiting[-1].add_readings([Reading(kind, taken[k : k + 1]) for k in range(fitting)])
+        self._queue.put(empty_events(), empty_edges(), [Reading(kind, taken[k : k + 1]) for k in range(fitting)])
         return True
+
+    def _fitting(self, counts: Counts, offered: int, room: int) -> int:
+        """Count items that were offered; return the number of those that are queued."""
+        counts.offered += offered
+        if not self._running:
+            counts.not_running += offered
+            return 0
+        fitting = min(offered, room)
+        counts.dropped_fifo += offered - fitting
+        return fitting
 
     def advance(self, now_us: int) -> None:
         """Set stream time to `now_us`."""
@@ -223,69 +255,29 @@ class PlainDevice(EventDevice):
 
     def restart_clock(self) -> bool:
         """Restart its own clock at zero, now."""
-        if not self._waiting[-1]:
-            self._waiting.pop()
-        self._waiting.append(_Waiting(self._now_us, self._now_us))
+        self._queue.restart_clock(self._now_us)
         return True
 
     def take(self, limit: int) -> Items | None:
-        """Return the first content, at most `limit` events of it, as delivered; None if nothing waits."""
-        taken = self.carry(limit)
-        if taken is not None:
-            self._fates.leave(taken, "delivered")
-        return taken
-
-    def carry(self, limit: int) -> Items | None:
-        """Return the first content, at most `limit` events of it; it counts as queued until it arrived or failed."""
-        while len(self._waiting) > 1 and not self._waiting[0]:
-            self._waiting.popleft()
-        return self._waiting[0].take(limit, self._now_us if len(self._waiting) == 1 else _FOREVER_US)
+        """Return the first content, at most `limit` events of it; `sent` or `lost` must follow. None if none waits."""
+        return self._taken(self._queue.take(self._now_us, limit))
 
     @property
     def waiting(self) -> bool:
-        """True if there is content to take or to carry."""
-        return any(self._waiting)
-
-    def arrived(self, events: int, edges: int = 0) -> None:
-        """Count events and edges returned by `carry` as delivered."""
-        self._settle(events, edges, "delivered")
-
-    def failed(self, events: int, edges: int = 0) -> None:
-        """Count events and edges returned by `carry` as lost on the link."""
-        self._settle(events, edges, "lost_on_link")
-
-    def _settle(self, events: int, edges: int, fate: Fate) -> None:
-        self._fates.settle(events, fate)
-        self._fates.edges.settle(edges, fate)
+        """True if there is content to take."""
+        return self._waiting.total > 0
 
     def run(self, running: bool) -> None:
         """Set the presence of a receiver; the content that waits when the last one leaves is flushed."""
         self._running = running
         if not running:
-            self._empty("flushed")
-
-    def lost(self, count: int, edges: int = 0) -> None:
-        """Count further events and edges that were taken as lost on the link."""
-        for counts, number in ((self._fates, count), (self._fates.edges, edges)):
-            counts.delivered -= number
-            counts.lost_on_link += number
-
-    def lost_readings(self, kind: ReadingKind, count: int) -> None:
-        """Count `count` further readings of a kind that were taken as lost on the link."""
-        if count:
-            counts = self._fates.of(kind)
-            counts.delivered -= count
-            counts.lost_on_link += count
+            self._flush(self._queue)
 
     def drop_waiting(self) -> None:
-        """Drop everything that waits: no receiver will take it."""
-        self._empty("dropped_fifo")
+        """Drop everything that waits, as if it had found the queue full: no receiver will take it."""
+        self._fates.drop(self._waiting, "dropped_fifo")
+        self._queue.clear()
 
-    def _empty(self, fate: Fate) -> None:
-        """Empty the queues, and count their events under `fate`. Carried content stays."""
-        for one in self._waiting:
-            self._fates.settle(sum(len(piece) for piece in one.events), fate)
-            self._fates.edges.settle(len(one.edges), fate)
-            for reading in one.readings:
-                self._fates.of(reading.kind).settle(1, "flushed")
-        self._waiting = deque([_Waiting(self.epoch_us, self._waiting[-1].taken_us)])
+    def retract(self, numbers: Numbers) -> None:
+        """Count further items that were reported as sent as lost on the link."""
+        self._fates.retract(numbers)

@@ -29,7 +29,6 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import EdgeKind, Edges, Events, empty_edges, empty_events
-from firmware_protocol.evt import evt2 as evt2_words
 from firmware_protocol.evt.evt3 import full_high, put_edge, put_event
 from firmware_protocol.evt.words import (
     AT_EDGE,
@@ -98,8 +97,8 @@ _State = npt.NDArray[np.int64]
 NO_MASK, MASK_FIRST, MASK_LAST = range(3)
 """Second half of a word: none (EVT2), or a bit for each of 32 columns, before it (EVT2.1) or after it (legacy)."""
 
-_ON, _HIGH, _TRIGGER = evt2_words.ON << 28, evt2_words.HIGH << 28, evt2_words.TRIGGER << 28
-_LOW_BITS, _HIGH_BITS = evt2_words.LOW_BITS, evt2_words.HIGH_BITS
+_ON, _HIGH, _TRIGGER = ON << 28, HIGH << 28, TRIGGER << 28
+_LOW_BITS, _HIGH_BITS = LOW_BITS, HIGH_BITS
 _LIMIT_PX, _WINDOW_PX = LIMIT_PX, WINDOW_PX
 _RISING, _PULSE = int(EdgeKind.RISING), int(EdgeKind.PULSE)
 _MOST_WORDS = 6  # of one iteration of the loop
@@ -173,8 +172,7 @@ def _put_event(events: _Bytes, mask: int, low: int, state: _State, out: _Words, 
     return _put(out, written, mask, (_ON if on else 0) | low | column << 11 | y, bits)
 
 
-_ON_EVT2_READING, _HIGH_EVT2_READING, _TRIGGER_EVT2_READING = evt2_words.ON, evt2_words.HIGH, evt2_words.TRIGGER
-_HIGH_BITS_EVT2_READING = evt2_words.HIGH_BITS
+_ON_KIND, _HIGH_KIND, _TRIGGER_KIND = ON, HIGH, TRIGGER
 
 
 @kernel
@@ -193,12 +191,12 @@ def count_evt2(words: _Words, mask: int, is_started: bool) -> tuple[int, int]:
     for i in range(len(words) if mask == NO_MASK else len(words) // 2):
         word, columns = _pair(words, i, mask)
         kind = word >> 28
-        is_started = is_started or kind == _HIGH_EVT2_READING
-        if is_started and kind <= _ON_EVT2_READING:
+        is_started = is_started or kind == _HIGH_KIND
+        if is_started and kind <= _ON_KIND:
             while columns:
                 columns &= columns - 1
                 events += 1
-        edges += is_started and kind == _TRIGGER_EVT2_READING
+        edges += is_started and kind == _TRIGGER_KIND
     return events, edges
 
 
@@ -209,26 +207,26 @@ def read_evt2(words: _Words, mask: int, state: _State, events: _Bytes, edges: _B
     for i in range(len(words) if mask == NO_MASK else len(words) // 2):
         word, columns = _pair(words, i, mask)
         kind, t = word >> 28, state[0] << 6 | (word >> 22 & 0x3F)
-        if kind == _HIGH_EVT2_READING:
-            state[0] = full_high(state[0], word & 0xFFFFFFF, _HIGH_BITS_EVT2_READING)
+        if kind == _HIGH_KIND:
+            state[0] = full_high(state[0], word & 0xFFFFFFF, _HIGH_BITS)
         elif state[0] < 0:
             continue
-        elif kind <= _ON_EVT2_READING:
+        elif kind <= _ON_KIND:
             x = word >> 11 & 0x7FF
             while columns:
                 if columns & 1:
                     at = put_event(events, at, t, x, word & 0x7FF, kind)
                 columns >>= 1
                 x += 1
-        elif kind == _TRIGGER_EVT2_READING:
+        elif kind == _TRIGGER_KIND:
             at_edge = put_edge(edges, at_edge, t, word >> 8 & 0x1F, word & 1)
 
 
 _MASKS = {"evt2": NO_MASK, "evt21": MASK_FIRST, "evt21-legacy": MASK_LAST}
 
 
-class Evt2Encoder:
-    """Encoder of events and edges into words; each call continues where the last one ended.
+class Evt2Encoder(Coder):
+    """Encoder of events and edges into words; each call continues where the last one ended. A high part is 64 us.
 
     Parameters
     ----------
@@ -249,23 +247,7 @@ class Evt2Encoder:
             np.uint32, LOW_BITS, HIGH_BITS,
             lambda events, edges, state, out: write_evt2(events, edges, mask, state, out), high_words,
         )  # fmt: skip
-        self._coder = Coder(words, standalone=standalone)
-
-    def encode(self, events: Events, edges: Edges | None = None) -> bytes:
-        """Return the words of events (n,) EVENT and edges (m,) EDGE, each sorted and not before the time already sent.
-
-        Edges come before events of the same time. Raises ValueError for a time that goes back, a gap of more than
-        38 hours, or a place beyond 2047; the encoder then is as it was before.
-        """
-        return self._coder.encode(events, edges)
-
-    def advance(self, t_us: int) -> bytes:
-        """Return the words that advance readers to `t_us` during a silence; no later event may be before `t_us`.
-
-        Empty if no high part is due (64 us each), or if a later time has been sent already. Raises ValueError for
-        a gap of more than 38 hours.
-        """
-        return self._coder.advance(t_us)
+        super().__init__(words, standalone=standalone)
 
 
 class Evt2Decoder:

@@ -21,7 +21,6 @@ import numpy.typing as npt
 
 from firmware_protocol.events import EdgeKind, Edges, Events, empty_edges, empty_events
 from firmware_protocol.evt import words
-from firmware_protocol.evt import words as kinds
 from firmware_protocol.evt.words import (
     AT_EDGE,
     AT_EVENT,
@@ -37,7 +36,6 @@ from firmware_protocol.evt.words import (
     ROW_SENT,
     TIME_SENT,
     Coder,
-    Filled,
     Words,
     edge_is_next,
     entry,
@@ -179,8 +177,10 @@ _WORDS_AN_EVENT = 4  # high part, low part, row, column
 _WORDS_AT_MOST_BESIDE = 4  # high part 0 of the start; both sides of a wrap and a step of the high part
 
 
-class Evt3Encoder:
+class Evt3Encoder(Coder):
     """Encoder of events and edges into words; each call continues where the last one ended.
+
+    A high part is 4096 us; call `advance` at least every 4 s of silence.
 
     Parameters
     ----------
@@ -190,12 +190,12 @@ class Evt3Encoder:
     """
 
     def __init__(self, *, standalone: bool = False, width: int = LIMIT_PX, origin_us: int = 0) -> None:
-        words = Words(
+        form = Words(
             np.uint16, HIGH_BITS, HIGH_BITS,
             lambda events, edges, state, out: write_words(events, edges, width, state, out),
             lambda high: [HIGH << 12 | high & 0xFFF],
         )  # fmt: skip
-        self._coder = Coder(words, standalone=standalone, origin_us=origin_us)
+        super().__init__(form, standalone=standalone, origin_us=origin_us)
 
     @staticmethod
     def max_bytes(n_events: int) -> int:
@@ -205,37 +205,16 @@ class Evt3Encoder:
         """
         return 2 * (_WORDS_AN_EVENT * n_events + _WORDS_AT_MOST_BESIDE)
 
-    def encode(self, events: Events, edges: Edges | None = None) -> bytes:
-        """Return the words of events (n,) EVENT and edges (m,) EDGE, each sorted and not before the time already sent.
-
-        Edges come before events of the same time. Raises ValueError for a time that goes back, a gap of more than
-        38 hours, or a place beyond 2047; the encoder then is as it was before.
-        """
-        return self._coder.encode(events, edges)
-
-    def fill(self, events: Events, edges: Edges, octets: int) -> Filled:
-        """Return the words of as many of the first events and edges as fit `octets` (64 to 65536); see `encode`."""
-        return self._coder.fill(events, edges, octets)
-
-    def advance(self, t_us: int) -> bytes:
-        """Return the words that advance readers to `t_us` during a silence; no later event may be before `t_us`.
-
-        Empty if no high part is due (4096 us each), or if a later time has been sent already. Call it at least
-        every 4 s of silence. Raises ValueError for a gap of more than 38 hours.
-        """
-        return self._coder.advance(t_us)
-
 
 # Content of a state: full high part (-1: none yet), low part, row, column and polarity of the next vector.
 HIGH_READ, _LOW_READ, _ROW_READ, _COLUMN, _POLARITY = range(5)
 
-# Compiled code holds plain numbers.
-_ROW_READING, _SINGLE_READING, _BASE_READING, _LOW_READING, _HIGH_READING, _TRIGGER_READING = (
-    kinds.ROW, kinds.SINGLE, kinds.BASE, kinds.LOW, kinds.HIGH, kinds.TRIGGER,
+# Kinds of words. Compiled code holds plain numbers.
+_ROW_KIND, _SINGLE_KIND, _BASE_KIND, _LOW_KIND, _HIGH_KIND, _TRIGGER_KIND = (
+    words.ROW, words.SINGLE, words.BASE, words.LOW, words.HIGH, words.TRIGGER,
 )  # fmt: skip
-_VECTOR_12_READING, _VECTOR_8_READING = kinds.VECTOR_12, kinds.VECTOR_8
-_RISING_READING, _FALLING = int(EdgeKind.RISING), int(EdgeKind.FALLING)
-_BITS_READING = kinds.HIGH_BITS
+_VECTOR_12_KIND, _VECTOR_8_KIND = words.VECTOR_12, words.VECTOR_8
+_FALLING = int(EdgeKind.FALLING)
 
 
 def new_state() -> _State:
@@ -250,11 +229,11 @@ def count_words(words: _Words) -> tuple[int, int]:
     for word in words:
         kind = word >> 12
         # The column bits of a vector, none for other words; then their number.
-        bits = np.int64(word & (0xFFF if kind == _VECTOR_12_READING else 0xFF if kind == _VECTOR_8_READING else 0))
+        bits = np.int64(word & (0xFFF if kind == _VECTOR_12_KIND else 0xFF if kind == _VECTOR_8_KIND else 0))
         bits -= bits >> 1 & 0x555
         bits = (bits & 0x333) + (bits >> 2 & 0x333)
-        events += (bits & 0xF) + (bits >> 4 & 0xF) + (bits >> 8) + (kind == _SINGLE_READING)
-        edges += kind == _TRIGGER_READING
+        events += (bits & 0xF) + (bits >> 4 & 0xF) + (bits >> 8) + (kind == _SINGLE_KIND)
+        edges += kind == _TRIGGER_KIND
     return events, edges
 
 
@@ -265,21 +244,21 @@ def read_words(words: _Words, state: _State, events: _Bytes, edges: _Bytes) -> N
     column, on, at, at_edge = state[_COLUMN], state[_POLARITY], 0, 0
     for word in words:
         kind, value = word >> 12, int(word & 0xFFF)
-        if kind == _SINGLE_READING:
+        if kind == _SINGLE_KIND:
             at = put_event(events, at, high << 12 | low, value & 0x7FF, row, value >> 11)
-        elif kind == _ROW_READING:
+        elif kind == _ROW_KIND:
             row = value & 0x7FF
-        elif kind == _LOW_READING:
+        elif kind == _LOW_KIND:
             low = value
-        elif kind == _HIGH_READING:
-            high, low = full_high(high, value, _BITS_READING), 0  # a new high part begins at low part 0
-        elif kind == _BASE_READING:
+        elif kind == _HIGH_KIND:
+            high, low = full_high(high, value, _BITS), 0  # a new high part begins at low part 0
+        elif kind == _BASE_KIND:
             column, on = value & 0x7FF, value >> 11
-        elif kind in (_VECTOR_12_READING, _VECTOR_8_READING):
-            length = 12 if kind == _VECTOR_12_READING else 8
+        elif kind in (_VECTOR_12_KIND, _VECTOR_8_KIND):
+            length = 12 if kind == _VECTOR_12_KIND else 8
             at = _put_columns(events, at, high << 12 | low, value & (1 << length) - 1, (column, row, on))
             column = column + length & 0xFFFF
-        elif kind == _TRIGGER_READING:
+        elif kind == _TRIGGER_KIND:
             at_edge = put_edge(edges, at_edge, high << 12 | low, value >> 8, value & 1)
     state[HIGH_READ], state[_LOW_READ], state[_ROW_READ] = high, low, row
     state[_COLUMN], state[_POLARITY] = column, on
@@ -321,7 +300,7 @@ def _put_columns(events: _Bytes, at: int, t: int, bits: int, place: tuple[int, i
 def put_edge(edges: _Bytes, at: int, t: int, channel: int, is_rising: int) -> int:
     """Write an EDGE record; return the index of the next one."""
     put_time(edges, at, t)
-    edges[np.uint64(at + 8)] = _RISING_READING if is_rising else _FALLING
+    edges[np.uint64(at + 8)] = _RISING if is_rising else _FALLING
     edges[np.uint64(at + 9)] = channel
     put_short(edges, at + 10, 0)
     return at + EDGE_BYTES

@@ -277,7 +277,11 @@ class Coder:
         self.encode(empty_events())
 
     def encode(self, events: Events, edges: Edges | None = None) -> bytes:
-        """Return the words of events (n,) EVENT and edges (m,) EDGE; see the encoders. Raises ValueError."""
+        """Return the words of events (n,) EVENT and edges (m,) EDGE, each sorted and not before the time already sent.
+
+        Edges come before events of the same time. Raises ValueError for a time that goes back, a gap of more than
+        38 hours, or a place beyond 2047; the encoder then is as it was before.
+        """
         edges = empty_edges() if edges is None else edges
         state = self._begun()
         event_bytes, edge_bytes = bytes_of(events), bytes_of(edges)
@@ -291,7 +295,7 @@ class Coder:
         return b"".join(parts)
 
     def fill(self, events: Events, edges: Edges, octets: int) -> Filled:
-        """Return the words of as many of the first events and edges as fit `octets`; see the encoders."""
+        """Return the words of as many of the first events and edges as fit `octets` (64 to 65536); see `encode`."""
         state = self._begun()
         room = self._out[: octets // self._out.itemsize]
         words = self._written(bytes_of(events), bytes_of(edges), state, room)
@@ -300,7 +304,11 @@ class Coder:
         return Filled(words, int(state[AT_EVENT]), int(state[AT_EDGE]))
 
     def advance(self, t_us: int) -> bytes:
-        """Return the words of a silence until `t_us`; see the encoders. Raises ValueError."""
+        """Return the words that advance readers to `t_us` during a silence; no later event may be before `t_us`.
+
+        Empty if no high part is due, or if a later time has been sent already. Raises ValueError for a gap of more than
+        38 hours.
+        """
         state, format_ = self._state, self._words
         if t_us - state[LAST] > LONGEST_GAP_US:
             raise ValueError(_COMPLAINTS[TOO_LATE])

@@ -95,7 +95,6 @@ def _header(status: Status, kind: int, block: int, packet: int) -> bytes:
     return _HEADER.pack(status, 0, (_EXTENDED | kind) << 24, block, packet)
 
 
-_LEADER, _TRAILER, _PAYLOAD = 1, 2, 3
 _REQUEST_PERIOD_NS = 20_000_000
 _FIRST_REQUEST_NS = 1_000_000
 _MOST_REQUESTS = 5

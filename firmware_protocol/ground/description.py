@@ -15,9 +15,9 @@ from typing import Literal
 from firmware_protocol.framing.deframer import DEFAULT_MAX_PAYLOAD
 from firmware_protocol.packets.addresses import DEFAULT_ADDRESSES, Addresses, MessageKind
 from firmware_protocol.packets.ccsds import PRIMARY_HEADER, PacketType
+from firmware_protocol.packets.codec import MESSAGE_TYPES, SCIENCE, VERIFICATION_SERVICE
 from firmware_protocol.packets.housekeeping import HOUSEKEEPING_LAYOUT, TIME_LAYOUT
 from firmware_protocol.packets.pus import ERROR_CONTROL, TC_HEADER, TM_HEADER, Acknowledge
-from firmware_protocol.packets.pus_messages import MESSAGE_TYPES, SCIENCE, VERIFICATION_SERVICE
 from firmware_protocol.packets.telecommands import FAILURE_LAYOUT, LONGEST_TEXT, REQUEST_LAYOUT, TELECOMMANDS, Stage
 from firmware_protocol.telemetry.layout import EDGE_LAYOUT, HEADER_LAYOUT
 from firmware_protocol.wire_layout import Field, Layout

@@ -4,25 +4,180 @@
     input --offer_edges-> gate -------------->
 
 A camera adds its protocol: the registers, which set the gate, the selection and the biases, and its way out.
+
+`Outflow` holds events and edges on their way from the selection to the words of a link:
+
+    put, put_edges --> [events] [edges] --> due, taken --> EVT3 words --> transfers, or blocks of packets
+
+Words are made when the host reads, so that items dropped while they wait leave no trace in the stream. Edges come
+before events of the same time; one that is older than the time already sent, or than the edge before it, gets that
+time. Decoders lose the time after 8.4 s without words, so words carry it during a silence.
 """
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
+from bisect import bisect_left
+from collections import deque
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Generic, TypeVar
+
+import numpy as np
 
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Fates
-from firmware_protocol.device.items import Items
-from firmware_protocol.events import Edges, Events
+from firmware_protocol.device.items import Items, Numbers
+from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events, join_events
+from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.imx636.biases import BiasModel
-from firmware_protocol.imx636.outflow import Outflow, before
 from firmware_protocol.imx636.selection import Selected
 
-__all__ = ["Imx636Camera"]
+__all__ = ["LONGEST_GAP_US", "Imx636Camera", "Outflow", "OutflowLimits", "before"]
 
-_Out = TypeVar("_Out", bound=Outflow)
+
+LONGEST_GAP_US = 1_000_000  # between words, without time words of a silence in between
+_LONGEST_SILENCE_US = 3_600_000_000  # made up for at once
+
+
+@dataclass(frozen=True)
+class OutflowLimits:
+    """Limits of an outflow.
+
+    Attributes
+    ----------
+    events, edges
+        Most that wait.
+    silence_us
+        Time without words after which words carry the time alone.
+    """
+
+    events: int
+    edges: int
+    silence_us: int
+
+
+def before(events: Events, until_us: int) -> int:
+    """Return the number of events (n,) EVENT, sorted, that are older; numpy's own search copies all times first."""
+    times = events["t"]
+    return bisect_left(range(len(times)), until_us, key=lambda place: int(times[place]))
+
+
+_Taken = TypeVar("_Taken", bound=Items, covariant=True)
+
+
+class Outflow(ABC, Generic[_Taken]):
+    """Outgoing events and edges of one run of the sensor, in the order of time: an `ItemEncoder`.
+
+    Attributes
+    ----------
+    epoch_us
+        Stream time at which the sensor's clock was zero.
+    """
+
+    def __init__(self, encoder: Evt3Encoder, epoch_us: int, limits: OutflowLimits) -> None:
+        self.epoch_us = self._reported_us = epoch_us
+        self._encoder = encoder
+        self._limits = limits
+        self._waiting: deque[Events] = deque()
+        self._edges = empty_edges()
+        self._queued = 0
+
+    @property
+    def waiting(self) -> Numbers:
+        """See `ItemEncoder.waiting`."""
+        return Numbers(self._queued, len(self._edges))
+
+    @property
+    def room(self) -> int:
+        """Events that fit now."""
+        return max(0, self._limits.events - self.waiting.events)
+
+    @abstractmethod
+    def take(self, now_us: int, room: int) -> _Taken | None:
+        """See `ItemEncoder.take`."""
+
+    def put(self, events: Events) -> int:
+        """Queue as many of events (n,) EVENT, sorted, as fit; return their number; they are copied."""
+        fitting = events[: self.room]
+        if len(fitting):
+            self._waiting.append(copy_events(fitting))
+            self._queued += len(fitting)
+        return len(fitting)
+
+    def put_edges(self, edges: Edges) -> int:
+        """Queue as many of edges (n,) EDGE as fit; return their number."""
+        fitting = edges[: max(0, self._limits.edges - len(self._edges))]
+        self._edges = np.concatenate([self._edges, fitting])
+        return len(fitting)
+
+    def clear(self) -> None:
+        """See `ItemEncoder.clear`."""
+        self._waiting.clear()
+        self._edges, self._queued = empty_edges(), 0
+
+    def _first_us(self) -> int | None:
+        """Return the time of the first item that waits; None if none waits."""
+        firsts = [int(self._waiting[0]["t"][0])] if self._waiting else []
+        if len(self._edges):
+            firsts.append(max(int(self._edges["t"][0].astype(np.int64)), self._reported_us))
+        return min(firsts, default=None)
+
+    def _due_us(self, now_us: int) -> int | None:
+        """Return the time of the first item; None if it is not due, or is so late that time words must come first."""
+        first_us = self._first_us()
+        if first_us is None or first_us > now_us or first_us - self._reported_us > LONGEST_GAP_US:
+            return None
+        return first_us
+
+    def _silence_words(self, now_us: int) -> bytes:
+        """Return the words that carry only the time, up to the first item; none while the last words are recent."""
+        first_us = self._first_us()
+        until_us = now_us if first_us is None else min(first_us, now_us)
+        if until_us - self._reported_us < self._limits.silence_us:
+            return b""
+        self._reported_us = min(until_us, self._reported_us + _LONGEST_SILENCE_US)
+        return self._encoder.advance(self._reported_us - self.epoch_us)
+
+    def _taken(self, until_us: int, room: int) -> Events:
+        """Remove and return up to `room` events that are older than `until_us`."""
+        taken: list[Events] = []
+        while self._waiting and room:
+            first = self._waiting[0]
+            count = min(room, before(first, until_us))
+            if not count:
+                break
+            taken.append(first[:count])
+            room -= count
+            self._queued -= count
+            self._waiting[0] = first[count:]
+            if count < len(first):
+                break
+            self._waiting.popleft()
+        return join_events(taken) if taken else empty_events()
+
+    def _put_back(self, events: Events) -> None:
+        """Put the last events taken back into the queue."""
+        if len(events):
+            self._waiting.appendleft(events)
+            self._queued += len(events)
+
+    def _due_edges(self, until_us: int) -> Edges:
+        """Return the edges that are not later than `until_us`, with the time that they are sent with; they stay."""
+        times = np.maximum.accumulate(np.maximum(self._edges["t"].astype(np.int64), self._reported_us))
+        count = int(np.count_nonzero(times <= until_us))
+        edges = self._edges[:count].copy()
+        edges["t"] = times[:count]
+        return edges
+
+    def _reach(self, events: Events, edges: Edges) -> None:
+        """Remove edges that were made into words, and note the time of the last item in words."""
+        self._edges = self._edges[len(edges) :]
+        last_us = max(int(each["t"][-1]) for each in (events, edges) if len(each))
+        self._reported_us = max(self._reported_us, last_us)
+
+
+_Out = TypeVar("_Out", bound=Outflow[Items])
 
 
 class Imx636Camera(EventDevice, Generic[_Out]):
@@ -75,19 +230,8 @@ class Imx636Camera(EventDevice, Generic[_Out]):
         return self._bias_model.without_effect(self._bias_steps)
 
     @property
-    def counters(self) -> Fates:
-        """Fates of all events and edges offered so far."""
-        return self._fates.waiting(self._outflow.queued, self._outflow.edges_queued)
-
-    @property
-    def delivered(self) -> int:
-        """See `EventDevice.delivered`."""
-        return self._fates.delivered
-
-    @property
-    def waiting_items(self) -> int:
-        """See `EventDevice.waiting_items`."""
-        return self._fates.all_queued + self._outflow.queued + self._outflow.edges_queued
+    def _waiting(self) -> Numbers:
+        return self._outflow.waiting
 
     @property
     def settings_version(self) -> int:
@@ -121,14 +265,6 @@ class Imx636Camera(EventDevice, Generic[_Out]):
         """Set stream time to `now_us`; the clock never goes back."""
         self._now_us = max(self._now_us, now_us)
 
-    def sent(self, items: Items) -> None:
-        """Count items that were taken as delivered."""
-        self._fates.leave(items, "delivered")
-
-    def lost(self, items: Items) -> None:
-        """Count items that were taken as lost on the link."""
-        self._fates.leave(items, "lost_on_link")
-
     @property
     @abstractmethod
     def _running(self) -> bool:
@@ -151,12 +287,6 @@ class Imx636Camera(EventDevice, Generic[_Out]):
     def _put_edges(self, edges: Edges) -> None:
         """Queue edges, (n,) EDGE, that the input has detected."""
         self._fates.edges.dropped_fifo += len(edges) - self._outflow.put_edges(edges)
-
-    def _flush(self) -> None:
-        """Drop what waits."""
-        self._fates.flushed += self._outflow.queued
-        self._fates.edges.flushed += self._outflow.edges_queued
-        self._outflow.clear()
 
     def _check(self, events: Events) -> None:
         if int(events["t"][0]) < self._now_us or bool((events["t"][1:] < events["t"][:-1]).any()):

@@ -27,16 +27,18 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from firmware_protocol.device.items import Numbers
 from firmware_protocol.events import Events
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.imx636.biases import BiasModel
-from firmware_protocol.imx636.camera import Imx636Camera
-from firmware_protocol.imx636.outflow import LONGEST_GAP_US, Outflow, OutflowLimits
+from firmware_protocol.imx636.camera import LONGEST_GAP_US, Imx636Camera, Outflow, OutflowLimits
 from firmware_protocol.imx636.registers import BIASES, SIZE, Registers, Surroundings
 from firmware_protocol.imx636.selection import Selected, Selection
 from firmware_protocol.imx636.treuzell import Board, BoardFacts
 from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.descriptors import (
+    BULK_PACKET,
+    OTHER_SPEED,
     Configuration,
     DescriptorSet,
     DeviceDescriptor,
@@ -44,7 +46,16 @@ from firmware_protocol.usb.descriptors import (
     Interface,
     TransferType,
 )
-from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Speed, Stall, Transfer, UsbCamera
+from firmware_protocol.usb.device import (
+    Identity,
+    RequestKind,
+    SetupPacket,
+    Speed,
+    Stall,
+    Transfer,
+    UsbCamera,
+    UsbCameraSettings,
+)
 
 __all__ = ["ANSWER_ENDPOINT", "DATA_ENDPOINT", "REQUEST_ENDPOINT", "Evk4", "Evk4Settings", "UsbOutflow"]
 
@@ -55,7 +66,7 @@ _MOST_EDGES = 1024
 _FIFO_BYTES_PER_EVENT = 6
 
 
-class UsbOutflow(Outflow):
+class UsbOutflow(Outflow[Transfer]):
     """Outflow to a bulk endpoint: one stream of words, cut into transfers of any length."""
 
     def __init__(self, epoch_us: int, fifo_bytes: int) -> None:
@@ -64,26 +75,27 @@ class UsbOutflow(Outflow):
         self._cut: Transfer | None = None  # the rest of words beyond the length that the host requested
 
     @property
-    def queued(self) -> int:
-        """Events that wait."""
-        return self._queued + (0 if self._cut is None else len(self._cut.events))
+    def waiting(self) -> Numbers:
+        """See `ItemEncoder.waiting`."""
+        waiting = super().waiting
+        return waiting if self._cut is None else waiting.plus(self._cut.numbers)
 
-    @property
-    def edges_queued(self) -> int:
-        """Edges that wait."""
-        return len(self._edges) + (0 if self._cut is None else len(self._cut.edges))
-
-    def take(self, now_us: int, max_bytes: int) -> Transfer | None:
-        """Remove up to `max_bytes` of words; None if there is nothing to send yet."""
-        if max_bytes < 2:
+    def take(self, now_us: int, room: int) -> Transfer | None:
+        """Remove up to `room` octets of words; None if there is nothing to send yet."""
+        if room < 2:
             return None
-        whole = self._cut or self._next(now_us, max_bytes)
-        if whole is None or len(whole.data) <= max_bytes:
+        whole = self._cut or self._next(now_us, room)
+        if whole is None or len(whole.data) <= room:
             self._cut = None
             return whole
-        end = max_bytes & ~1
+        end = room & ~1
         self._cut = replace(whole, data=whole.data[end:])
         return Transfer(epoch_us=whole.epoch_us, data=whole.data[:end])
+
+    def clear(self) -> None:
+        """See `ItemEncoder.clear`."""
+        super().clear()
+        self._cut = None
 
     def _next(self, now_us: int, max_bytes: int) -> Transfer | None:
         first_us = self._due_us(now_us)
@@ -109,12 +121,10 @@ REQUEST_ENDPOINT = 0x02
 DATA_ENDPOINT = 0x81
 
 _INTERFACE_CLASS = (0xFF, 0x19, 0)
-_BULK_PACKET = {Speed.SUPER: 1024, Speed.HIGH: 512, Speed.FULL: 64}
-_OTHER_SPEED = {Speed.HIGH: Speed.FULL, Speed.FULL: Speed.HIGH}
 
 
 @dataclass(frozen=True)
-class Evk4Settings:
+class Evk4Settings(UsbCameraSettings):
     """Settings of a camera.
 
     Attributes
@@ -123,8 +133,6 @@ class Evk4Settings:
         1 to 8 hexadecimal digits.
     fifo_bytes
         Room for events that wait for the host, at 6 bytes each: time, row and column.
-    start_delay_us
-        Silence after the sensor starts, stream time; see `davis346.settings`, the fault of the driver is the same.
     release
         Firmware version, 0x00MMmmpp; OpenEB refuses below 0x030800.
     build_unix_s
@@ -133,10 +141,6 @@ class Evk4Settings:
         Effect of the biases on the sensor.
     """
 
-    serial: str = "00000346"
-    speed: Speed = Speed.SUPER
-    fifo_bytes: int = 256 * 1024
-    start_delay_us: int = 300_000
     bcd_device: int = 0x0309
     release: int = 0x03_0900
     build_unix_s: int = 1_700_000_000
@@ -144,12 +148,11 @@ class Evk4Settings:
     biases: BiasModel = field(default_factory=BiasModel)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not 1 <= len(self.serial) <= 8 or set(self.serial) - set("0123456789abcdefABCDEF"):
             raise ValueError(f"the serial of an EVK4 has 1 to 8 hexadecimal digits, got {self.serial!r}")
         if self.fifo_bytes < 1024:
             raise ValueError(f"fifo_bytes must be at least 1024, got {self.fifo_bytes}")
-        if self.start_delay_us < 0:
-            raise ValueError(f"start_delay_us {self.start_delay_us} must not be negative")
 
     @property
     def size(self) -> tuple[int, int]:
@@ -163,7 +166,7 @@ class Evk4Settings:
 
     def descriptors(self) -> DescriptorSet:
         """Return all descriptors at the camera's speed."""
-        other = _OTHER_SPEED.get(self.speed)
+        other = OTHER_SPEED.get(self.speed)
         return DescriptorSet(
             device=DeviceDescriptor(self.speed, VENDOR_ID, PRODUCT_ID, self.bcd_device, strings=(1, 2, 0)),
             configuration=_configuration(self.speed),
@@ -175,7 +178,7 @@ class Evk4Settings:
 def _configuration(speed: Speed) -> Configuration:
     """Return the configuration; OpenEB requires these three endpoints in this order."""
     addresses = (ANSWER_ENDPOINT, REQUEST_ENDPOINT, DATA_ENDPOINT)
-    endpoints = tuple(Endpoint(each, TransferType.BULK, _BULK_PACKET[speed], burst=15) for each in addresses)
+    endpoints = tuple(Endpoint(each, TransferType.BULK, BULK_PACKET[speed], burst=15) for each in addresses)
     return Configuration(speed, (Interface(endpoints, interface_class=_INTERFACE_CLASS),))
 
 
@@ -199,13 +202,7 @@ class Evk4(Imx636Camera[UsbOutflow], UsbCamera):
         facts = BoardFacts(int(settings.serial, 16), settings.release, settings.build_unix_s)
         self._board = Board(facts, self)
         self._answers: deque[bytes] = deque()
-        self._flushes = 0
         self._was_running = False
-
-    @property
-    def identity(self) -> Identity:
-        """Vendor, product, speed and interfaces."""
-        return self.settings.identity
 
     @property
     def streaming(self) -> bool:
@@ -227,22 +224,6 @@ class Evk4(Imx636Camera[UsbOutflow], UsbCamera):
     def biases(self) -> dict[str, int]:
         """Currents of the biases, 0 to 255, by Prophesee's names, as the host set them."""
         return {name: self._registers[address] & 0xFF for name, (address, _) in BIASES.items()}
-
-    def descriptors(self, speed: Speed) -> DescriptorSet:
-        """Return the answers to GET_DESCRIPTOR at a speed."""
-        return replace(self.settings, speed=speed).descriptors()
-
-    def flushes(self, endpoint: int) -> int:
-        """Number of times that the sensor was started, stopped, or lost power."""
-        return self._flushes if endpoint | _IN == DATA_ENDPOINT else 0
-
-    def attached(self) -> None:
-        """Set the power-on state: a host has attached the camera."""
-        self._power_on()
-
-    def detached(self) -> None:
-        """Stop the camera: the host is gone. Waiting events are dropped and counted."""
-        self._power_on()
 
     def control(self, setup: SetupPacket, data: bytes) -> bytes:
         """Execute one control transfer; see `UsbDevice.control` and the module's description."""
@@ -268,10 +249,7 @@ class Evk4(Imx636Camera[UsbOutflow], UsbCamera):
         assert endpoint | _IN == DATA_ENDPOINT
         if not self.streaming:
             return None
-        transfer = self._outflow.take(self._now_us, max_bytes)
-        if transfer is not None:
-            self._fates.take(transfer)
-        return transfer
+        return self._taken(self._outflow.take(self._now_us, max_bytes))
 
     def read_register(self, address: int) -> int:
         """Return the value that a host reads from the sensor; raises LookupError if there is no register."""
@@ -305,7 +283,7 @@ class Evk4(Imx636Camera[UsbOutflow], UsbCamera):
         self._drop_waiting()
 
     def _drop_waiting(self) -> None:
-        self._flush()
+        self._flush(self._outflow)
         self._outflow = UsbOutflow(self._epoch_us, self.settings.fifo_bytes)
         self._flushes += 1
 

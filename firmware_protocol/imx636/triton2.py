@@ -5,16 +5,19 @@
 
 The device's time is zero at AcquisitionStart: neuromorphic_drivers begins at zero and ignores a first time that is
 8.4 s or more ahead.
+
+`RangeSelection` holds the ranges of rows and columns and the rate control that a host writes, and applies them.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 
 import numpy as np
+import numpy.typing as npt
 
 from firmware_protocol.device.items import Items
 from firmware_protocol.events import EdgeKind, Edges, Events, empty_edges
@@ -33,21 +36,29 @@ from firmware_protocol.gige.control import (
 from firmware_protocol.gige.gvcp import Resend, Status
 from firmware_protocol.gige.gvsp import BLOCK_OCTETS, Block, removed, test_packet
 from firmware_protocol.gige.registers import DO_NOT_FRAGMENT, TEST_PACKET, Memory, Register, Rule, packet_size
-from firmware_protocol.imx636.camera import Imx636Camera
-from firmware_protocol.imx636.outflow import LONGEST_GAP_US, Outflow, OutflowLimits
-from firmware_protocol.imx636.ranges import RangeSelection
-from firmware_protocol.imx636.selection import Selected
-from firmware_protocol.imx636.triton2_memory import triton2_areas, triton2_rules
+from firmware_protocol.imx636.camera import LONGEST_GAP_US, Imx636Camera, Outflow, OutflowLimits
+from firmware_protocol.imx636.selection import RateControl, Selected
 from firmware_protocol.imx636.triton2_registers import (
     ACQUISITION_START,
     ACQUISITION_STOP,
     BIASES,
+    COLUMNS,
+    INVERTED,
+    MOST_RANGES,
     NOTIFY_WITH_DATA,
+    PERIOD_US,
+    ROWS,
+    Erc,
     Evs,
+    RangeRegisters,
     Triton2Settings,
+    evs_rules,
+    triton2_areas,
+    triton2_rules,
 )
 
-__all__ = ["Extra", "Outgoing", "Triton2"]
+__all__ = ["Extra", "Outgoing", "RangeSelection", "Triton2"]
+
 
 _MOST_EXTRA = 4096  # requested datagrams that wait
 _MOST_SCHEDULED = 256
@@ -73,7 +84,7 @@ class Extra:
     number: int = 0
 
 
-class BlockOutflow(Outflow):
+class BlockOutflow(Outflow[Outgoing]):
     """Outflow to numbered blocks, each with its time and row, so that the loss of one does not affect others.
 
     Sent blocks are stored for a while, so that they can be sent again. During a silence, blocks without events carry
@@ -98,16 +109,19 @@ class BlockOutflow(Outflow):
         self._edges = self._edges[np.argsort(self._edges["t"], kind="stable")]
         return count
 
-    def next(self, now_us: int, packet_size: int, *, at_once: bool = False) -> Outgoing | None:
-        """Return the next block; None while it is empty, or may still grow and `at_once` is false."""
+    def take(self, now_us: int, room: int, *, at_once: bool = False) -> Outgoing | None:
+        """Return the next block; None while it is empty, or may still grow and `at_once` is false.
+
+        `room` is the size of its packets, octets.
+        """
         first_us = self._due_us(now_us)
         if first_us is not None:
-            grows = not at_once and self.queued < _MOST_EVENTS and now_us - first_us < self._block_us
-            return None if grows else self._block(first_us, now_us, packet_size)
+            grows = not at_once and self._queued < _MOST_EVENTS and now_us - first_us < self._block_us
+            return None if grows else self._block(first_us, now_us, room)
         words = self._silence_words(now_us)
         if not words:
             return None
-        return Outgoing(epoch_us=self.epoch_us, block=self._numbered(words, self._reported_us, packet_size))
+        return Outgoing(epoch_us=self.epoch_us, block=self._numbered(words, self._reported_us, room))
 
     def sent_block(self, number: int) -> Block | None:
         """Return a block that was sent; None if it is no longer stored, or never was."""
@@ -225,10 +239,8 @@ class Triton2(Imx636Camera[BlockOutflow]):
         """Return the next block for the stream, `at_once` even a recent one; report `sent` or `lost` for it later."""
         if not self.streaming or self._now_us < self._silence_end_us:
             return None
-        outgoing = self._outflow.next(self._now_us, self._memory.get(Register.PACKET_SIZE) & 0xFFFF, at_once=at_once)
-        if outgoing is not None:
-            self._fates.take(outgoing)
-        return outgoing
+        size = self._memory.get(Register.PACKET_SIZE) & 0xFFFF
+        return self._taken(self._outflow.take(self._now_us, size, at_once=at_once))
 
     def next_extra(self) -> Extra | None:
         """Return the next datagram that a host requested beside the blocks: a test packet, or a repeated one."""
@@ -320,10 +332,112 @@ class Triton2(Imx636Camera[BlockOutflow]):
         self._acquiring = False
         self._scheduled_us.clear()
         self.messages.clear()
-        self._flush()
+        self._flush(self._outflow)
 
     def _on_packet_size(self, value: int) -> int:
         remembered = packet_size(value)
         if value & TEST_PACKET and len(self._extra) < _MOST_EXTRA:
             self._extra.append(Extra(test_packet(value & 0xFFFF)))
         return remembered
+
+
+_Mask = npt.NDArray[np.bool_]
+
+
+class RangeSelection:
+    """Registers of ranges and of the rate control, applied to events."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self._bounds = evs_rules(size)
+        self._rows, self._columns = _Ranges(size[1]), _Ranges(size[0])
+        self._inverted = False
+        self._rate = RateControl(PERIOD_US)
+
+    def rules(self) -> dict[int, Rule]:
+        """Return the rules for writes to these registers, by address."""
+        doing = self._doing(ROWS, self._rows) | self._doing(COLUMNS, self._columns)
+        doing |= {
+            INVERTED: self._invert,
+            Erc.ON: self._rate.turn,
+            Erc.PERIOD_US: self._rate.set_period_us,
+            Erc.EVENTS: self._rate.set_most,
+        }
+        return {address: _followed(self._bounds[address], do) for address, do in doing.items()}
+
+    def apply(self, events: Events, epoch_us: int) -> Selected:
+        """Return the part that passes of events (n,) EVENT, sorted; the camera's clock was zero at `epoch_us`."""
+        wanted = events
+        if self._rows.on or self._columns.on:
+            crossing = self._rows.mask[events["y"]] & self._columns.mask[events["x"]]
+            wanted = events[~crossing if self._inverted else crossing]
+        return self._rate.selected(events, wanted, epoch_us)
+
+    def _invert(self, value: int) -> None:
+        self._inverted = bool(value)
+
+    @staticmethod
+    def _doing(registers: RangeRegisters, ranges: _Ranges) -> dict[int, Callable[[int], None]]:
+        return {
+            registers.on: ranges.turn,
+            registers.selector: ranges.select,
+            registers.size: ranges.resize,
+            registers.offset: ranges.move,
+            registers.count: ranges.use,
+        }
+
+
+class _Ranges:
+    """Ranges of rows, or of columns, that a host writes one by one: selector, then size and offset.
+
+    Attributes
+    ----------
+    mask
+        Mask of the rows or columns in a range, (pixels,) bool; true for all while the ranges are off.
+    """
+
+    def __init__(self, pixels: int) -> None:
+        self._sizes = np.zeros(MOST_RANGES, np.int64)
+        self._offsets = np.zeros(MOST_RANGES, np.int64)
+        self._selected = self._used = 0
+        self.on = False
+        self.mask: _Mask = np.ones(pixels, np.bool_)
+
+    def turn(self, on: int) -> None:
+        """Switch the ranges on or off."""
+        self.on = bool(on)
+        self._draw()
+
+    def select(self, number: int) -> None:
+        """Select the range that is written next."""
+        self._selected = number
+
+    def resize(self, size: int) -> None:
+        """Set the size of the selected range."""
+        self._sizes[self._selected] = size
+        self._draw()
+
+    def move(self, offset: int) -> None:
+        """Set the start of the selected range."""
+        self._offsets[self._selected] = offset
+        self._draw()
+
+    def use(self, count: int) -> None:
+        """Set the number of ranges, from the first on, that are used."""
+        self._used = count
+        self._draw()
+
+    def _draw(self) -> None:
+        self.mask[:] = not self.on
+        for size, offset in zip(self._sizes[: self._used], self._offsets[: self._used], strict=True):
+            self.mask[offset : offset + size] = True
+
+
+def _followed(bounds: Rule, do: Callable[[int], None]) -> Rule:
+    """Return a rule that calls `do` with a value that is within bounds."""
+
+    def rule(value: int) -> int:
+        done = bounds(value)
+        do(done)
+        return done
+
+    return rule

@@ -16,8 +16,14 @@ from collections.abc import Sequence
 from firmware_protocol.gige.control import Control, Datagram, DeviceTime, Order, Owner, Peer, Pulse, TimeSource, Write
 from firmware_protocol.gige.gvcp import Action, Refused, Resend, Status
 from firmware_protocol.gige.registers import Memory, Register
-from firmware_protocol.imx636.triton2_memory import triton2_areas, triton2_rules
-from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, ACQUISITION_STOP, Evs, Triton2Settings
+from firmware_protocol.imx636.triton2_registers import (
+    ACQUISITION_START,
+    ACQUISITION_STOP,
+    Evs,
+    Triton2Settings,
+    triton2_areas,
+    triton2_rules,
+)
 
 __all__ = ["Triton2Control"]
 

@@ -6,18 +6,20 @@ Events: selection of pixels, queue, rate limit, block. Edges of the external inp
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from firmware_protocol.device.fates import Counts
+from firmware_protocol.device.fates import Fates
+from firmware_protocol.device.items import Items, Numbers
 from firmware_protocol.events import EDGE, Edges, Events, copy_events, empty_events
-from firmware_protocol.instrument.queue import Dropped, EventQueue, Selection, TokenBucket
+from firmware_protocol.instrument.queue import Dropped, EventQueue, OwnTime, Selection, TokenBucket
 from firmware_protocol.instrument.settings import InstrumentSettings
+from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.telemetry import BlockEncoder, BlockSettings, as_received
 from firmware_protocol.telemetry.layout import LONGEST_US
 
-__all__ = ["EdgePath", "EventPath", "Piece", "block_settings"]
+__all__ = ["EdgePath", "EventPath", "Outgoing", "block_settings"]
 
 
 _MOST_REPORTED = 0xFFFF  # dropped events in one block's header; the next block reports the rest
@@ -30,41 +32,40 @@ def block_settings(settings: InstrumentSettings) -> BlockSettings:
 
 
 @dataclass(frozen=True)
-class Piece:
-    """Events that leave together: block, (n,) EVENT as a receiver decodes them, number of missing ones before them.
-
-    The events are in stream time; the block is empty if the link packs them itself.
-    """
-
-    block: bytes
-    events: Events
-    dropped: int
-
-
-class EventPath:
-    """Path of the events of an array of `size` = (width, height) to blocks.
+class Outgoing(Items):
+    """A message, and the items in it as a receiver decodes them: rounded to the tick and in the order of the block.
 
     Attributes
     ----------
-    fates
-        The instrument's record; events that were handed out and are neither sent nor lost yet are queued in it.
+    message
+        Message to send, with the instrument's own time. Its payload is empty if the link packs the events itself.
+    dropped
+        Events dropped between these and those sent before.
     """
 
-    def __init__(self, size: tuple[int, int], settings: InstrumentSettings, fates: Counts) -> None:
+    message: Message = field(kw_only=True)
+    dropped: int = 0
+
+
+class EventPath:
+    """Path of the events of an array of `size` = (width, height) to messages with blocks: an `ItemEncoder`."""
+
+    def __init__(self, size: tuple[int, int], settings: InstrumentSettings, fates: Fates, time: OwnTime) -> None:
         self.size = size
-        self.fates = fates
+        self._fates = fates
+        self._time = time
         self._held_by_rate = False
         self._last_us = 0
         self._queue = EventQueue(settings.bounds)
         self._encoder = BlockEncoder(size, block_settings(settings))
         self.select(settings.selection(size))
-        self.limit(settings.rate_limit, 0)
+        self.limit(settings.rate_limit)
         self._encoder.encode(empty_events(2))  # loads the compiled code now, which takes a good part of a second
 
     @property
-    def waiting(self) -> int:
-        """Events that wait to be handed out."""
-        return self._queue.waiting
+    def waiting(self) -> Numbers:
+        """See `ItemEncoder.waiting`."""
+        return Numbers(self._queue.waiting)
 
     @property
     def room(self) -> int:
@@ -96,10 +97,10 @@ class EventPath:
         self.selection = selection.within(self.size)
         self._all = (selection.width, selection.height, selection.keep_every) == (*self.size, 1)
 
-    def limit(self, per_second: int, now_us: int) -> None:
+    def limit(self, per_second: int) -> None:
         """Limit the rate from now on; 0 for no limit."""
         burst = max(self._encoder.settings.max_events, round(per_second * _BURST_S))
-        self._bucket = TokenBucket(per_second, burst, now_us)
+        self._bucket = TokenBucket(per_second, burst, self._time.now_us)
 
     def set_tick(self, tick_us: int) -> None:
         """Set the unit of time from the next block on."""
@@ -112,55 +113,50 @@ class EventPath:
         if (events["t"][1:] < events["t"][:-1]).any():
             raise ValueError("events are not sorted by time")
 
-    def put(self, events: Events, now_us: int, offset_us: int = 0) -> None:
-        """Queue events (n,), which are copied; the instrument's own time is `offset_us` ahead of stream time."""
+    def put(self, events: Events) -> None:
+        """Queue events (n,), which are copied."""
         chosen = copy_events(events) if self._all else self.selection.of(events)
-        self.fates.not_selected += len(events) - len(chosen)
+        self._fates.not_selected += len(events) - len(chosen)
         if self.tick_us > 1:
-            chosen = self._in_block_order(chosen, offset_us)
+            chosen = self._in_block_order(chosen)
         self._last_us = int(chosen["t"][-1]) if len(chosen) else self._last_us
-        self._count(self._queue.put(chosen, now_us))
+        self._count(self._queue.put(chosen, self._time.now_us))
 
-    def advance(self, now_us: int) -> None:
-        """Advance stream time: the bucket fills, waiting events age."""
-        self._bucket.advance(now_us)
-        self._count(self._queue.trim(now_us))
+    def advance(self) -> None:
+        """Follow stream time: the bucket fills, waiting events age."""
+        self._bucket.advance(self._time.now_us)
+        self._count(self._queue.trim(self._time.now_us))
 
-    def next_block(self, offset_us: int) -> Piece | None:
-        """Make a block of the events at the head, in the time that is `offset_us` ahead of stream time.
-
-        None if nothing waits or nothing may leave.
-        """
-        events = self._next(self._encoder.settings.max_events)
+    def take(self, now_us: int, room: int) -> Outgoing | None:
+        """Return a message with a block of at most `room` events; None if nothing waits or nothing may leave."""
+        events = self._next(min(room, self._encoder.settings.max_events))
         if events is None:
             return None
-        shift = np.uint64(offset_us % (1 << 64))
+        shift = np.uint64(self._time.offset_us % (1 << 64))
         own = copy_events(events)
         own["t"] += shift
         dropped = min(self._queue.dropped_before, _MOST_REPORTED)
         block, taken = self._encoder.encode(own, dropped)
         seen = as_received(own[:taken], self.tick_us)
         seen["t"] -= shift
-        return self._hand_out(Piece(block, seen, dropped))
+        return self._outgoing(block, seen, dropped)
 
-    def next_events(self, limit: int) -> Piece | None:
-        """Hand out up to `limit` events from the head, for a link that packs them itself."""
-        events = self._next(limit)
-        if events is None:
-            return None
-        return self._hand_out(Piece(b"", copy_events(events), self._queue.dropped_before))
+    def take_unpacked(self, room: int) -> Outgoing | None:
+        """Return a message without a block, for a link that packs the events itself; otherwise as `take`."""
+        events = self._next(room)
+        return None if events is None else self._outgoing(b"", copy_events(events), self._queue.dropped_before)
 
     def clear(self) -> None:
-        """Drop the events that wait."""
-        self.fates.flushed += self._queue.clear()
+        """See `ItemEncoder.clear`."""
+        self._queue.clear()
 
-    def _in_block_order(self, events: Events, offset_us: int) -> Events:
+    def _in_block_order(self, events: Events) -> Events:
         """Round times down to the tick and sort each tick in raster order, which makes blocks smaller.
 
         Rounding never goes back before events queued earlier: a tick may span two batches, may just have become
         coarser, and may have begun before the stream did.
         """
-        shift = np.uint64(offset_us % (1 << 64))
+        shift = np.uint64(self._time.offset_us % (1 << 64))
         own = copy_events(events)
         own["t"] += shift
         ordered = as_received(own, self.tick_us)
@@ -174,37 +170,39 @@ class EventPath:
         self._held_by_rate = count > 0 and not self._bucket.holds(count)
         return None if self._held_by_rate or not count else self._queue.head(limit)
 
-    def _hand_out(self, piece: Piece) -> Piece:
-        self._queue.remove(len(piece.events), piece.dropped)
-        self._bucket.spend(len(piece.events))
-        self.fates.queued += len(piece.events)
-        return piece
+    def _outgoing(self, block: bytes, events: Events, dropped: int) -> Outgoing:
+        """Remove events from the head of the queue, and return the message that carries them."""
+        self._queue.remove(len(events), dropped)
+        self._bucket.spend(len(events))
+        message = Message(MessageKind.EVENTS, block, self._time.of(int(events["t"][0])))
+        return Outgoing(events, epoch_us=self._time.epoch_us, message=message, dropped=dropped)
 
     def _count(self, dropped: Dropped) -> None:
         """Count drops under their cause: the rate limit while it holds the queue back, else the bound."""
         if self._held_by_rate:
-            self.fates.dropped_rate += dropped.total
+            self._fates.dropped_rate += dropped.total
         else:
-            self.fates.dropped_fifo += dropped.full
-            self.fates.dropped_late += dropped.late
+            self._fates.dropped_fifo += dropped.full
+            self._fates.dropped_late += dropped.late
 
 
 _MOST_WAITING = 4096
 
 
 class EdgePath:
-    """Path of edges to blocks; `counts` are those of the instrument's edges."""
+    """Path of edges to messages with blocks: an `ItemEncoder`."""
 
-    def __init__(self, encoder: BlockEncoder, counts: Counts) -> None:
+    def __init__(self, encoder: BlockEncoder, fates: Fates, time: OwnTime) -> None:
         self._encoder = encoder
+        self._time = time
         self._waiting = np.empty(0, EDGE)
         self._unreported = 0  # dropped since the last block
-        self._counts = counts
+        self._counts = fates.edges
 
     @property
-    def waiting(self) -> int:
-        """Edges that wait to be handed out."""
-        return len(self._waiting)
+    def waiting(self) -> Numbers:
+        """See `ItemEncoder.waiting`."""
+        return Numbers(edges=len(self._waiting))
 
     @property
     def oldest_us(self) -> int | None:
@@ -225,23 +223,23 @@ class EdgePath:
         self._unreported += dropped
         self._waiting = np.concatenate((self._waiting, fitting))
 
-    def next_block(self, offset_us: int) -> tuple[bytes, Edges] | None:
-        """Make a block of the waiting edges, in the time `offset_us` ahead of stream time; return it and its edges."""
+    def take(self, now_us: int, room: int) -> Outgoing | None:
+        """Return a message with a block of at most `room` edges; None if none waits."""
         if not len(self._waiting):
             return None
         ordered = self._waiting[np.argsort(self._waiting["t"], kind="stable")]
         in_reach = int(np.searchsorted(ordered["t"], ordered["t"][0] + np.uint64(LONGEST_US), side="right"))
-        count = min(in_reach, self._encoder.max_edges)
+        count = min(in_reach, room, self._encoder.max_edges)
         edges, self._waiting = ordered[:count], ordered[count:]
         own = edges.copy()
-        own["t"] += np.uint64(offset_us % (1 << 64))
+        own["t"] += np.uint64(self._time.offset_us % (1 << 64))
         reported = min(self._unreported, _MOST_REPORTED)
         self._unreported -= reported
-        self._counts.queued += len(edges)
-        return self._encoder.encode_edges(own, reported), edges
+        block = self._encoder.encode_edges(own, reported)
+        message = Message(MessageKind.EDGES, block, self._time.of(int(edges["t"][0])))
+        return Outgoing(edges=edges, epoch_us=self._time.epoch_us, message=message)
 
     def clear(self) -> None:
-        """Drop the edges that wait."""
-        self._counts.flushed += len(self._waiting)
+        """See `ItemEncoder.clear`; the next block reports the edges that are missing."""
         self._unreported += len(self._waiting)
         self._waiting = self._waiting[:0]

@@ -3,7 +3,7 @@
     offer -------> selection -> queue --+
     offer_edges -> edges ---------------+--> next_message --> Outgoing -+-> sent
     advance -----> housekeeping due ----+         ^                     +-> lost
-    command -----> verification, pong, time report
+    command -----> execute; verification, pong, time report
 
 A message is formed when the link requests it, as late as possible: a link with spare capacity takes small recent
 blocks, a busy one takes full blocks. Answers are sent first, then edges, housekeeping, events.
@@ -13,114 +13,44 @@ The camera's own time is stream time plus an offset that SetTime changes; all ou
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Fates
-from firmware_protocol.device.items import Items
+from firmware_protocol.device.items import Numbers
 from firmware_protocol.events import Edges, Events
-from firmware_protocol.instrument.event_path import EdgePath, EventPath, Piece, block_settings
+from firmware_protocol.instrument.answers import Answers, Reporter, State
+from firmware_protocol.instrument.event_path import EdgePath, EventPath, Outgoing, block_settings
 from firmware_protocol.instrument.queue import OwnTime, Selection
 from firmware_protocol.instrument.settings import DavisBiases, InstrumentSettings, SensorBiases
-from firmware_protocol.instrument.telecommand_handler import Answers, TelecommandHandler
 from firmware_protocol.packets.addresses import Message, MessageKind
-from firmware_protocol.packets.housekeeping import EdgeCounts, EventCounts, Housekeeping, LinkCounts, Mode, TimeStatus
+from firmware_protocol.packets.housekeeping import Housekeeping, LinkCounts, TimeReport
 from firmware_protocol.packets.profile import ReceivedCommand
+from firmware_protocol.packets.telecommands import (
+    CommandRefused,
+    FailureCode,
+    Ping,
+    RequestHousekeeping,
+    SetBias,
+    SetRateLimit,
+    SetRegion,
+    SetTick,
+    SetTime,
+    Stage,
+    Start,
+    Stop,
+    Telecommand,
+)
 from firmware_protocol.telemetry import BlockEncoder
 
-__all__ = ["Instrument", "Outgoing", "Reporter", "State"]
+__all__ = ["Instrument", "Outgoing"]
 
 
-_MOST_HZ = 0xFFFF_FFFF
-
-
-@dataclass(frozen=True)
-class State:
-    """State of an instrument for housekeeping; `now_us` is stream time, `own_us` the camera's."""
-
-    now_us: int
-    own_us: int
-    streaming: bool
-    time_status: TimeStatus
-    tick_us: int
-    rate_limit: int
-    selection: Selection
-    temperature_c: float
-    counters: Fates
-    link: LinkCounts
-
-
-class Reporter:
-    """Source of housekeeping reports, one every `period_us` of stream time; with 0 only on request."""
-
-    def __init__(self, period_us: int) -> None:
-        self._period_us = period_us
-        self._next_us = 0
-        self._last_us = self._offered = self._sent = 0
-
-    def due(self, now_us: int) -> bool:
-        """Return true if the next report is due."""
-        return self._period_us > 0 and now_us >= self._next_us
-
-    def report(self, state: State) -> Housekeeping:
-        """Return the report; rates are since the last one."""
-        c, selection = state.counters, state.selection
-        seconds = (state.now_us - self._last_us) * 1e-6
-        offered_hz, sent_hz = (
-            min(_MOST_HZ, round(count / seconds)) if seconds > 0 else 0
-            for count in (c.offered - self._offered, c.delivered - self._sent)
-        )
-        self._last_us, self._offered, self._sent = state.now_us, c.offered, c.delivered
-        if self._period_us:
-            self._next_us = (state.now_us // self._period_us + 1) * self._period_us
-        return Housekeeping(
-            t_us=state.own_us,
-            region=(selection.x, selection.y, selection.width, selection.height),
-            mode=Mode.STREAMING if state.streaming else Mode.STOPPED,
-            time_status=state.time_status,
-            offered_hz=offered_hz,
-            sent_hz=sent_hz,
-            temperature_centi_c=round(100 * state.temperature_c),
-            tick_us=state.tick_us,
-            rate_limit_hz=state.rate_limit,
-            events=_events(c),
-            edges=EdgeCounts(c.edges.offered, c.edges.delivered, c.edges.ignored, c.edges.dropped_for_room),
-            link=state.link,
-        )
-
-
-def _events(c: Fates) -> EventCounts:
-    return EventCounts(
-        offered=c.offered,
-        sent=c.delivered,
-        waiting=c.queued,
-        not_running=c.not_running,
-        not_selected=c.not_selected,
-        over_rate=c.dropped_rate,
-        too_late=c.dropped_late,
-        buffer_full=c.dropped_fifo,
-        flushed=c.flushed,
-        lost_on_link=c.lost_on_link,
-    )
-
-
-@dataclass(frozen=True)
-class Outgoing(Items):
-    """A message, and the items in it as a receiver decodes them: rounded to the tick and in the order of the block.
-
-    Attributes
-    ----------
-    message
-        Message to send, with the instrument's own time. Its payload is empty if the link packs the events itself.
-    dropped
-        Events dropped between these and those sent before.
-    """
-
-    message: Message = field(kw_only=True)
-    dropped: int = 0
+_MOST_EXECUTED = 256  # between two calls of take_commands, a millisecond apart at most
+_NO_LIMIT = 1 << 30
 
 
 class Instrument(EventDevice):
@@ -151,11 +81,11 @@ class Instrument(EventDevice):
     ) -> None:
         self.settings = settings = settings or InstrumentSettings()
         self._fates = Fates()
-        self._path = EventPath(size, settings, self._fates)
-        self._edges = EdgePath(BlockEncoder(size, block_settings(settings)), self._fates.edges)
         self._time = OwnTime()
+        self._path = EventPath(size, settings, self._fates, self._time)
+        self._edges = EdgePath(BlockEncoder(size, block_settings(settings)), self._fates, self._time)
         self._answers = Answers(self._time)
-        self._telecommands = TelecommandHandler(self, self._answers, self._time)
+        self._executed: deque[str] = deque(maxlen=_MOST_EXECUTED)
         self._reporter = Reporter(round(settings.housekeeping_s * 1e6))
         self._started, self._connected = settings.autostart, True
         self._biases: SensorBiases = biases or DavisBiases()
@@ -207,19 +137,8 @@ class Instrument(EventDevice):
         return patience_us + (self._time.now_us if oldest_us is None else oldest_us)
 
     @property
-    def counters(self) -> Fates:
-        """Fates of all events and edges offered so far."""
-        return self._fates.waiting(self._path.waiting, self._edges.waiting)
-
-    @property
-    def delivered(self) -> int:
-        """See `EventDevice.delivered`."""
-        return self._fates.delivered
-
-    @property
-    def waiting_items(self) -> int:
-        """See `EventDevice.waiting_items`."""
-        return self._fates.all_queued + self._path.waiting + self._edges.waiting
+    def _waiting(self) -> Numbers:
+        return self._path.waiting.plus(self._edges.waiting)
 
     def offer(self, events: Events) -> None:
         """See `EventDevice.offer`."""
@@ -233,7 +152,7 @@ class Instrument(EventDevice):
         self._time.reach(int(events["t"][-1]))
         self._fates.offered += len(events)
         if self.streaming:
-            self._path.put(events, self._time.now_us, self._time.offset_us)
+            self._path.put(events)
         else:
             self._fates.not_running += len(events)
 
@@ -245,7 +164,7 @@ class Instrument(EventDevice):
     def advance(self, now_us: int) -> None:
         """See `EventDevice.advance`."""
         self._time.reach(now_us)
-        self._path.advance(self._time.now_us)
+        self._path.advance()
 
     @property
     def sensor_factors(self) -> Mapping[str, float]:
@@ -297,23 +216,6 @@ class Instrument(EventDevice):
         self._drop_before_zero()
         return True
 
-    def set_tick(self, tick_us: int) -> None:
-        """Set the unit of time from the next block on."""
-        self._path.set_tick(tick_us)
-
-    def set_region(self, x: int, y: int, width: int, height: int) -> None:
-        """Send events of these pixels only from now on; raises ValueError if they lie outside the array."""
-        self._path.select(Selection(x, y, width, height, self._path.selection.keep_every))
-
-    def set_rate_limit(self, events_per_s: int) -> None:
-        """Limit the rate from now on; 0 for no limit."""
-        self._path.limit(events_per_s, self._time.now_us)
-
-    def set_bias(self, bias: int, value: int) -> None:
-        """Set a bias by its number; raises ValueError for a number or a value that the sensor does not have."""
-        self._settings_version += 1
-        self._biases.set(bias, value)
-
     def next_message(self, *, events: bool = True, edges: bool = True) -> Outgoing | None:
         """Return the next message to send, None if there is none; without content that the link packs itself.
 
@@ -325,41 +227,72 @@ class Instrument(EventDevice):
             return outgoing
         if self._reporter.due(self._time.now_us):
             return Outgoing(message=Message(MessageKind.HOUSEKEEPING, self.report().encode(), self.own_us))
-        return self._outgoing(self._path.next_block(self._time.offset_us)) if events else None
+        return self._taken(self._path.take(self._time.now_us, _NO_LIMIT)) if events else None
 
     def next_edges(self) -> Outgoing | None:
         """Hand out the waiting edges; otherwise as `next_message`."""
-        found = self._edges.next_block(self._time.offset_us)
-        if found is None:
-            return None
-        block, carried = found
-        message = Message(MessageKind.EDGES, block, self._time.of(int(carried["t"][0])))
-        return Outgoing(edges=carried, epoch_us=self.epoch_us, message=message)
+        return self._taken(self._edges.take(self._time.now_us, _NO_LIMIT))
 
     def next_events(self, limit: int) -> Outgoing | None:
         """Hand out up to `limit` events for a link that packs them itself; otherwise as `next_message`."""
-        return self._outgoing(self._path.next_events(limit))
-
-    def sent(self, outgoing: Outgoing) -> None:
-        """Count an outgoing message as sent: its events are delivered."""
-        self._fates.leave(outgoing, "delivered")
-
-    def lost(self, outgoing: Outgoing) -> None:
-        """Count an outgoing message as lost by the link."""
-        self._fates.leave(outgoing, "lost_on_link")
+        return self._taken(self._path.take_unpacked(limit))
 
     def command(self, received: ReceivedCommand) -> None:
         """Execute a telecommand, and answer as PUS service 1 does."""
+        self._answers.missing += received.missing
+        if received.command is None:
+            self._answers.refuse(received, Stage.ACCEPTANCE, received.failure)
+            return
+        self._answers.accept(received)
+        try:
+            self.execute(received.command)
+        except ValueError as error:
+            failure = CommandRefused(FailureCode.ILLEGAL_DATA, str(error)).failure
+            self._answers.refuse(received, Stage.COMPLETION, failure)
+        else:
+            self._answers.complete(received)
+
+    def execute(self, command: Telecommand) -> None:
+        """Execute a telecommand; raises ValueError if its values do not fit the camera."""
+        match command:
+            case Start():
+                self.start()
+            case Stop():
+                self.stop()
+            case SetTick(tick_us):
+                self._path.set_tick(tick_us)
+            case SetRegion(x, y, width, height):
+                self._path.select(Selection(x, y, width, height, self._path.selection.keep_every))
+            case SetRateLimit(events_per_s):
+                self._path.limit(events_per_s)
+            case SetTime(t_us):
+                self.set_time(t_us)
+                self._answers.put(MessageKind.TIME, TimeReport(t_us, self._time.status).encode())
+            case SetBias(bias, value):
+                self._biases.set(bias, value)
+            case _:
+                self._answer(command)
+                return
         self._settings_version += 1
-        self._telecommands.handle(received)
+        self._executed.append(repr(command))
+
+    def _answer(self, request: Telecommand) -> None:
+        """Answer a request that changes nothing."""
+        match request:
+            case Ping():
+                self._answers.put(MessageKind.PONG, b"")
+            case RequestHousekeeping():
+                self._answers.put(MessageKind.HOUSEKEEPING, self.report().encode())
 
     def take_commands(self) -> tuple[str, ...]:
-        """See `EventDevice.take_commands`."""
-        return self._telecommands.take_executed()
+        """See `EventDevice.take_commands`; of too many, the last."""
+        executed = tuple(self._executed)
+        self._executed.clear()
+        return executed
 
     def report(self) -> Housekeeping:
         """Return the housekeeping report; its rates are since the last one."""
-        did = self._telecommands
+        did = self._answers
         state = State(
             now_us=self._time.now_us,
             own_us=self.own_us,
@@ -374,12 +307,6 @@ class Instrument(EventDevice):
         )
         return self._reporter.report(state)
 
-    def _outgoing(self, piece: Piece | None) -> Outgoing | None:
-        if piece is None:
-            return None
-        message = Message(MessageKind.EVENTS, piece.block, self._time.of(int(piece.events["t"][0])))
-        return Outgoing(piece.events, epoch_us=self.epoch_us, message=message, dropped=piece.dropped)
-
     def _drop_before_zero(self) -> None:
         """Drop everything that waits if a part of it would have a negative time."""
         waiting_us = [us for us in (self._path.oldest_us, self._edges.oldest_us) if us is not None]
@@ -387,5 +314,5 @@ class Instrument(EventDevice):
             self._clear()
 
     def _clear(self) -> None:
-        self._path.clear()
-        self._edges.clear()
+        self._flush(self._path)
+        self._flush(self._edges)

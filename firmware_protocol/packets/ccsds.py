@@ -43,7 +43,6 @@ __all__ = [
     "OWN_EPOCH_4_3",
     "PRIMARY_HEADER",
     "SEQUENCE_MODULUS",
-    "TAI_4_3",
     "CucFormat",
     "Epoch",
     "PacketType",
@@ -176,7 +175,6 @@ def whole_packets(octets: bytes) -> list[bytes]:
 
 
 _US = 1_000_000
-_NS = 1_000_000_000
 
 
 class Epoch(IntEnum):
@@ -212,13 +210,6 @@ class CucFormat:
         _check("octets of seconds", self.seconds_octets, 1, 4)
         _check("octets of fraction", self.fraction_octets, 0, 3)
 
-    @classmethod
-    def parse_p_field(cls, octet: int) -> CucFormat:
-        """Read a P-field of one octet. Raises PacketError for another time code or a longer P-field."""
-        if octet >> 7 or octet >> 4 & 7 not in (Epoch.TAI_1958, Epoch.OWN):
-            raise PacketError("time code")
-        return cls(Epoch(octet >> 4 & 7), (octet >> 2 & 3) + 1, octet & 3, p_field=True)
-
     @property
     def p_field_octet(self) -> int:
         """The P-field."""
@@ -239,40 +230,23 @@ class CucFormat:
 
     def encode_us(self, t_us: int) -> bytes:
         """Return the octets of a time in microseconds since the epoch. Raises ValueError if it does not fit."""
-        return self._encode(t_us, _US)
-
-    def encode_ns(self, t_ns: int) -> bytes:
-        """Return the octets of a time in nanoseconds since the epoch. Raises ValueError if it does not fit."""
-        return self._encode(t_ns, _NS)
-
-    def parse_us(self, octets: bytes) -> int:
-        """Read a time, in microseconds since the epoch. Raises PacketError for a wrong length or P-field."""
-        return self._parse(octets, _US)
-
-    def parse_ns(self, octets: bytes) -> int:
-        """Read a time, in nanoseconds since the epoch. Raises PacketError for a wrong length or P-field."""
-        return self._parse(octets, _NS)
-
-    def _encode(self, time: int, per_second: int) -> bytes:
         fraction_bits = 8 * self.fraction_octets
-        steps = ((time << fraction_bits) + per_second // 2) // per_second
+        steps = ((t_us << fraction_bits) + _US // 2) // _US
         if steps < 0 or steps >> fraction_bits >> 8 * self.seconds_octets:
-            raise ValueError(f"{time / per_second} s does not fit {self.seconds_octets} octets of seconds")
+            raise ValueError(f"{t_us / _US} s does not fit {self.seconds_octets} octets of seconds")
         t_field = steps.to_bytes(self.seconds_octets + self.fraction_octets, "big")
         return bytes([self.p_field_octet]) + t_field if self.p_field else t_field
 
-    def _parse(self, octets: bytes, per_second: int) -> int:
+    def parse_us(self, octets: bytes) -> int:
+        """Read a time, in microseconds since the epoch. Raises PacketError for a wrong length or P-field."""
         if len(octets) != self.octets:
             raise PacketError("time length")
         if self.p_field and octets[0] != self.p_field_octet:
             raise PacketError("time code")
         fraction_bits = 8 * self.fraction_octets
         steps = int.from_bytes(octets[self.p_field :], "big")
-        return (steps * per_second + (1 << fraction_bits >> 1)) >> fraction_bits
+        return (steps * _US + (1 << fraction_bits >> 1)) >> fraction_bits
 
 
 OWN_EPOCH_4_3 = CucFormat()
 """Seven octets, P-field 0x2F implicit: the time of the instrument's packets, since the start of the stream."""
-
-TAI_4_3 = CucFormat(Epoch.TAI_1958)
-"""Seven octets, P-field 0x1F implicit."""

@@ -34,10 +34,9 @@ from firmware_protocol.packets.addresses import (
     SequenceFollower,
 )
 from firmware_protocol.packets.ccsds import SEQUENCE_MODULUS
-from firmware_protocol.packets.codec import PacketCodec, Request
+from firmware_protocol.packets.codec import PacketCodec, PusCodec, Request
 from firmware_protocol.packets.csp import HEADER_OCTETS, CspCodec
 from firmware_protocol.packets.pus import Acknowledge
-from firmware_protocol.packets.pus_messages import PusCodec
 from firmware_protocol.packets.telecommands import CommandRefused, Failure, RequestId, Telecommand, parse_telecommand
 
 __all__ = ["PROFILES", "CommandUnwrapper", "Profile", "ReceivedCommand", "Unwrapper", "UnwrapperCounters"]

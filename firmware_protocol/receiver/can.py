@@ -19,11 +19,10 @@ from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.raw_events import unpack_mark
 from firmware_protocol.can_frames.raw_stream import RawReceiver
 from firmware_protocol.can_frames.transport import CfpReceiver, IsoTpReceiver, IsoTpSettings
-from firmware_protocol.events import Edges, Events
 from firmware_protocol.packets.addresses import Addresses
 from firmware_protocol.packets.housekeeping import Housekeeping
 from firmware_protocol.packets.profile import Profile, Unwrapper
-from firmware_protocol.receiver.instrument import Inbox, MessageReader
+from firmware_protocol.receiver.instrument import MessageReader, Receiver
 
 __all__ = ["CanReceiver", "CanReceiverSettings"]
 
@@ -69,10 +68,11 @@ class CanReceiverSettings:
         return Addresses(csp_node=self.csp_address, csp_peer=self.csp_peer)
 
 
-class CanReceiver:
+class CanReceiver(Receiver):
     """Decodes the frames of a camera: raw frames, ISO-TP and CFP, also mixed."""
 
     def __init__(self, settings: CanReceiverSettings | None = None) -> None:
+        super().__init__()
         settings = settings or CanReceiverSettings()
         ids = settings.identifiers
         self._names = {value: name for name, value in ids.by_name.items()}
@@ -82,7 +82,6 @@ class CanReceiver:
         self._cfp = CfpReceiver(settings.csp_peer)
         self._from_isotp = Profile("ccsds").unwrapper()
         self._from_cfp = Profile("csp", settings.addresses).unwrapper()
-        self._inbox = Inbox()
         self._messages = MessageReader(self._inbox)
         self._replies: deque[Frame] = deque(maxlen=_MOST_REPLIES)
         self._frames: Counter[str] = Counter()
@@ -104,18 +103,6 @@ class CanReceiver:
         replies = list(self._replies)
         self._replies.clear()
         return replies
-
-    def take_events(self) -> Events:
-        """See `Inbox.take_events`."""
-        return self._inbox.take_events()
-
-    def take_edges(self) -> Edges:
-        """See `Inbox.take_edges`; the camera's own marks are among them."""
-        return self._inbox.take_edges()
-
-    def take_reports(self) -> tuple[str, ...]:
-        """Return the camera's answers since the last call, in words for people."""
-        return self._inbox.take_reports()
 
     @property
     def housekeeping(self) -> Housekeeping | None:

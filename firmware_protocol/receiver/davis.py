@@ -13,13 +13,12 @@ from collections.abc import Mapping
 from dataclasses import asdict
 
 from firmware_protocol.davis346.decoder import Decoder
-from firmware_protocol.events import Edges, Events
-from firmware_protocol.receiver.instrument import Inbox
+from firmware_protocol.receiver.instrument import Receiver
 
 __all__ = ["DavisReceiver"]
 
 
-class DavisReceiver:
+class DavisReceiver(Receiver):
     """Decodes the word stream of endpoint 0x82; times are device time, which a timestamp reset sets to zero.
 
     Parameters
@@ -31,8 +30,8 @@ class DavisReceiver:
     """
 
     def __init__(self, size: tuple[int, int] = (346, 260), turned: bool = False) -> None:
+        super().__init__()
         self._decoder = Decoder(size, turned)
-        self._inbox = Inbox()
         self._bytes = self._events = self._edges = self._resets = 0
 
     def push(self, data: bytes) -> None:
@@ -45,18 +44,6 @@ class DavisReceiver:
         self._resets += len(decoded.resets)
         self._inbox.put_events(decoded.events)
         self._inbox.put_edges(edges)
-
-    def take_events(self) -> Events:
-        """See `Inbox.take_events`."""
-        return self._inbox.take_events()
-
-    def take_edges(self) -> Edges:
-        """See `Inbox.take_edges`."""
-        return self._inbox.take_edges()
-
-    def take_reports(self) -> tuple[str, ...]:
-        """Return an empty tuple: the stream of a DAVIS346 holds no answers."""
-        return self._inbox.take_reports()
 
     @property
     def counts(self) -> Mapping[str, int]:

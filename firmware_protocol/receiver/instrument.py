@@ -24,7 +24,7 @@ from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import RequestId, Telecommand, Verification
 from firmware_protocol.telemetry import BlockEncoder, BlockError, BlockSettings, decode_block
 
-__all__ = ["Inbox", "MessageReader", "SerialReceiver"]
+__all__ = ["Inbox", "MessageReader", "Receiver", "SerialReceiver"]
 
 
 _MOST_EVENTS = 1 << 22
@@ -122,6 +122,25 @@ def _drop_oldest(parts: deque[Events], excess: int) -> int:
     return excess
 
 
+class Receiver:
+    """Common part of all receivers: the data that they have decoded wait in an inbox."""
+
+    def __init__(self) -> None:
+        self._inbox = Inbox()
+
+    def take_events(self) -> Events:
+        """See `Inbox.take_events`."""
+        return self._inbox.take_events()
+
+    def take_edges(self) -> Edges:
+        """See `Inbox.take_edges`; a camera's own marks are among them."""
+        return self._inbox.take_edges()
+
+    def take_reports(self) -> tuple[str, ...]:
+        """Return the camera's answers since the last call, in words for people; a DAVIS346 sends none."""
+        return self._inbox.take_reports()
+
+
 _MOST_REQUESTS = 1024
 
 
@@ -198,7 +217,7 @@ def _load_kernels() -> None:
         decode_block(block)
 
 
-class SerialReceiver:
+class SerialReceiver(Receiver):
     """Decodes an instrument's bytes; wraps telecommands and follows their answers.
 
     Parameters
@@ -208,9 +227,9 @@ class SerialReceiver:
     """
 
     def __init__(self, profile: Profile | str = "ccsds-cobs") -> None:
+        super().__init__()
         self._profile = Profile(profile) if isinstance(profile, str) else profile
         self._unwrapper = self._profile.unwrapper()
-        self._inbox = Inbox()
         self._messages = MessageReader(self._inbox)
         self._telecommands = self._resynchronised = 0
         self._began = self._lost = False
@@ -231,18 +250,6 @@ class SerialReceiver:
         self._follow(bool(received))
         for each in received:
             self._messages.read(each.message)
-
-    def take_events(self) -> Events:
-        """See `Inbox.take_events`."""
-        return self._inbox.take_events()
-
-    def take_edges(self) -> Edges:
-        """See `Inbox.take_edges`."""
-        return self._inbox.take_edges()
-
-    def take_reports(self) -> tuple[str, ...]:
-        """Return the instrument's answers since the last call, in words for people."""
-        return self._inbox.take_reports()
 
     @property
     def housekeeping(self) -> Housekeeping | None:

@@ -1,7 +1,7 @@
 """Event telemetry for small computers: self-contained blocks of events or edges, described in docs/telemetry.md."""
 
-from firmware_protocol.telemetry.blocks import Block, as_received, decode_block
 from firmware_protocol.telemetry.layout import BlockError, Header, Mode, Polarity
+from firmware_protocol.telemetry.reading import Block, as_received, decode_block
 from firmware_protocol.telemetry.writing import BlockEncoder, BlockSettings
 
 __all__ = [

@@ -28,6 +28,8 @@ from enum import IntEnum
 from firmware_protocol.usb.device import Speed
 
 __all__ = [
+    "BULK_PACKET",
+    "OTHER_SPEED",
     "Bos",
     "Configuration",
     "DescriptorSet",
@@ -42,6 +44,8 @@ __all__ = [
 
 ENGLISH_US = 0x0409
 MAX_STRING_CHARACTERS = 126
+BULK_PACKET = {Speed.SUPER: 1024, Speed.HIGH: 512, Speed.FULL: 64}
+OTHER_SPEED = {Speed.HIGH: Speed.FULL, Speed.FULL: Speed.HIGH}
 
 
 class DescriptorType(IntEnum):

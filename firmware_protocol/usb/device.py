@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import struct
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING, ClassVar
 
@@ -24,7 +24,18 @@ from firmware_protocol.device.items import Items
 if TYPE_CHECKING:
     from firmware_protocol.usb.descriptors import DescriptorSet  # it imports Speed from here
 
-__all__ = ["Identity", "NotReady", "RequestKind", "SetupPacket", "Speed", "Stall", "Transfer", "UsbCamera", "UsbDevice"]
+__all__ = [
+    "Identity",
+    "NotReady",
+    "RequestKind",
+    "SetupPacket",
+    "Speed",
+    "Stall",
+    "Transfer",
+    "UsbCamera",
+    "UsbCameraSettings",
+    "UsbDevice",
+]
 
 
 class Stall(Exception):
@@ -184,7 +195,45 @@ class UsbDevice(ABC):
         """Note that `transfer` was taken from the device and lost on the link: its events count as dropped there."""
 
 
-class UsbCamera(UsbDevice, EventDevice):
+@dataclass(frozen=True)
+class UsbCameraSettings(ABC):
+    """Settings that all cameras on USB share.
+
+    Attributes
+    ----------
+    serial
+        Its serial number.
+    bcd_device
+        Version of the device, in its descriptor.
+    fifo_bytes
+        Room for data that wait for the host.
+    start_delay_us
+        Silence after the stream starts, stream time: the fault of drivers in `davis346.settings`.
+    """
+
+    serial: str = "00000346"
+    bcd_device: int = 0
+    speed: Speed = Speed.SUPER
+    fifo_bytes: int = 256 * 1024
+    start_delay_us: int = 300_000
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.bcd_device <= 0xFFFF:
+            raise ValueError(f"bcd_device {self.bcd_device:#x} does not fit 16 bits")
+        if self.start_delay_us < 0:
+            raise ValueError(f"start_delay_us {self.start_delay_us} must not be negative")
+
+    @property
+    @abstractmethod
+    def identity(self) -> Identity:
+        """The camera as a host's bus lists it."""
+
+    @abstractmethod
+    def descriptors(self) -> DescriptorSet:
+        """Return all descriptors at the camera's speed."""
+
+
+class UsbCamera(EventDevice, UsbDevice):
     """An event camera on USB: an event device with a USB side.
 
     Attributes
@@ -194,7 +243,30 @@ class UsbCamera(UsbDevice, EventDevice):
     """
 
     data_endpoint: ClassVar[int]
+    settings: UsbCameraSettings
+    _flushes = 0
 
-    @abstractmethod
+    @property
+    def identity(self) -> Identity:
+        """Vendor, product, speed and interfaces."""
+        return self.settings.identity
+
     def descriptors(self, speed: Speed) -> DescriptorSet:
         """Return the answers to GET_DESCRIPTOR at a speed, FULL, HIGH or SUPER."""
+        return replace(self.settings, speed=speed).descriptors()
+
+    def flushes(self, endpoint: int) -> int:
+        """Number of times that the stream of events was stopped, or started anew, or lost power."""
+        return self._flushes if endpoint & 0x0F == self.data_endpoint else 0
+
+    def attached(self) -> None:
+        """Set the power-on state: a host has attached the camera."""
+        self._power_on()
+
+    def detached(self) -> None:
+        """Stop the camera: the host is gone. Waiting items are dropped and counted."""
+        self._power_on()
+
+    @abstractmethod
+    def _power_on(self) -> None:
+        """Set the power-on state; what waits is dropped and counted."""

@@ -21,9 +21,8 @@ from transports.can_bus.kind import CanLink
 from transports.can_bus.node import peer_of
 from transports.serial_line.kind import SerialLink
 from transports.usb.davis_host import DavisHost
-from transports.usb.loopback import LoopbackLink
+from transports.usb.kind import LoopbackLink, UsbipLink
 from transports.usb.usbip.client import UsbipHost
-from transports.usb.usbip.kind import UsbipLink
 
 pytestmark = pytest.mark.socket
 

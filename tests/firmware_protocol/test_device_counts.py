@@ -7,7 +7,6 @@ from gige_host import Host as GigeHost
 from instrument_ground import Ground, stream
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.events import EdgeKind, empty_edges
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
@@ -15,7 +14,7 @@ from firmware_protocol.imx636.triton2 import Triton2
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.telecommands import SetBias
-from transports.usb.evk4_host import Evk4Host
+from transports.usb.cameras import Evk4Host
 from transports.usb.loopback import DirectHost
 
 
@@ -51,8 +50,7 @@ def instrument():
 
 def plain():
     camera = PlainDevice()
-    camera.sent = lambda taken: camera.arrived(len(taken.events), len(taken.edges))
-    return camera, lambda: camera.carry(100)
+    return camera, lambda: camera.take(100)
 
 
 @pytest.mark.parametrize("make", [davis, evk4, triton2, instrument, plain])
@@ -69,8 +67,8 @@ def test_counts_are_those_of_the_counters(make):
         take,
     ):
         step()
-        assert camera.delivered == EventDevice.delivered.fget(camera)
-        assert camera.waiting_items == EventDevice.waiting_items.fget(camera)
+        assert camera.delivered == camera.counters.delivered
+        assert camera.waiting_items == camera.counters.all_queued
     assert camera.delivered > 0
     assert camera.waiting_items > 0
 

@@ -21,7 +21,7 @@ its times are wrong. An additional byte at the end of a transfer is discarded, a
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,6 +32,8 @@ from firmware_protocol.davis346.device import REGISTER
 from firmware_protocol.davis346.registers import Module
 from firmware_protocol.davis346.settings import PRODUCT_ID, VENDOR_ID
 from firmware_protocol.davis346.words import MAX_ADDRESS, Special, Words, is_column
+from firmware_protocol.device.items import Reading
+from firmware_protocol.events import Edges, Events
 from firmware_protocol.usb.control import Feature, Recipient, StandardRequest
 from firmware_protocol.usb.device import (
     Identity,
@@ -242,13 +244,27 @@ def flip_register(device: UsbDevice, false: FalseAnswers, flip: RegisterFlip) ->
     return True
 
 
+Report = Callable[[Events, int, Edges, Sequence[Reading]], None]
+
+
+def _no_report(events: Events, epoch_us: int, edges: Edges, readings: Sequence[Reading]) -> None:
+    """Report nothing: for a device without a link."""
+
+
 class FaultyDevice(Faulty[Stage], UsbDevice):
-    """USB device that passes all calls to a device, through the faults."""
+    """USB device that passes all calls to a device, through the faults.
+
+    Parameters
+    ----------
+    report
+        Called with the events, epoch, edges and readings that have reached the host with a transfer.
+    """
 
     carrier = "a USB link"
 
-    def __init__(self, device: UsbDevice, plan: FaultPlan) -> None:
+    def __init__(self, device: UsbDevice, plan: FaultPlan, report: Report = _no_report) -> None:
         self._device = device
+        self._report = report
         super().__init__(plan, USB_FAULTS, self._dropped)
         self._seen: set[int] = set()
         self._halted: set[int] = set()
@@ -345,6 +361,7 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
 
     def sent(self, transfer: Transfer) -> None:
         """Pass on the transfer of the device; data that did not arrive are counted for the fault."""
+        self._report(transfer.events, transfer.epoch_us, transfer.edges, transfer.readings)
         given = self._given.popleft()
         if given is None:
             return

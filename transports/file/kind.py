@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
-from firmware_protocol.device.items import Items, ReadingKind
+from firmware_protocol.device.items import Items, Numbers, ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from transports.link.deliveries import Delivered, DeliveredParts, Deliveries
 from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
@@ -154,6 +154,7 @@ class FileEndpoint(Endpoint):
         if restarted or counts_of(part):
             recorder.append(part, restarted=restarted, unix_us=self._deliveries.unix_us(taken.epoch_us))
         self._deliveries.add(taken.events, taken.epoch_us, taken.edges, taken.readings)
+        self._device.sent(taken)
         self._handed.update(counts_of(part))
 
     async def close(self) -> None:
@@ -164,10 +165,12 @@ class FileEndpoint(Endpoint):
         self._device.drop_waiting()
         summary = self._recorder.summary
         lost = self._handed - Counter(summary.written) - Counter(summary.left_out)
-        self._device.lost(lost["events"], lost["edges"])
-        self._device.lost_readings(ReadingKind.IMU, lost["imu"])
         records = self._parts.frame_records
-        self._device.lost_readings(ReadingKind.FRAMES, sum(records[len(records) - lost["frames"] :]))
+        readings = {
+            ReadingKind.IMU: lost["imu"],
+            ReadingKind.FRAMES: sum(records[len(records) - lost["frames"] :]),
+        }
+        self._device.retract(Numbers(lost["events"], lost["edges"], +Counter(readings)))
 
     @property
     def state(self) -> str:

@@ -12,6 +12,8 @@ from firmware_protocol.network_streams.coders import (
     CaerDatagramCoder,
     ConnectionCoder,
     DatagramCoder,
+    DvCoder,
+    DvTriggerCoder,
     FaeryLongCoder,
     FaeryShortCoder,
     JaerCoder,
@@ -19,7 +21,6 @@ from firmware_protocol.network_streams.coders import (
     SpifCoder,
     StreamFacts,
 )
-from firmware_protocol.network_streams.dv import DvCoder, DvTriggerCoder
 from firmware_protocol.network_streams.pictures import DisplayCoder, EventImageCoder
 from transports.link.endpoint import EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring

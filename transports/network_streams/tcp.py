@@ -1,6 +1,6 @@
 """TCP server as a link's endpoint: every client gets the stream from the moment it connects.
 
-    device.carry -> coder.encode -> Batch -> each client that has room -> its socket
+    device.take -> coder.encode -> ClientBatch -> each client that has room -> its socket
             edges -> a coder of triggers -> the clients of a second port, where the rig has one
 
 In a paced run a batch is taken when any client has room; clients without room miss it. In a run without pacing it is
@@ -8,9 +8,6 @@ taken when all clients have room, except those that have stopped reading, so tha
 
 `Client` is one client: its waiting data, within a limit, and its missed events. `ClientGroup` has all clients of one
 port, which get the same bytes from the moment they connect.
-
-`BatchFates` follows batches that several clients are to get. A batch is delivered when the first client's socket has
-taken all of it, and lost when no client is left that could. Events that single clients miss are counted by the clients.
 """
 
 from __future__ import annotations
@@ -37,10 +34,12 @@ __all__ = ["Client", "ClientGroup", "ClientTerms", "TcpEndpoint", "TcpFactory"]
 
 
 _MOST_OPEN = 1 << 22  # events whose fate, or that of earlier events, is open
+_MOST_RECEIVED = 1 << 16  # bytes that a client may send: these protocols have no requests
+_STALLED_NS = 2_000_000_000
 
 
 @dataclass(eq=False)
-class Batch:
+class ClientBatch:
     """Events and their bytes; `holders` is the number of clients that have it and have not sent it yet."""
 
     taken: Items
@@ -54,40 +53,45 @@ class Batch:
         return self.delivered or not self.holders
 
 
-class BatchFates:
-    """Fates of batches, reported to the device and, in the order in which they were taken, to `deliveries`."""
+class ClientBatches:
+    """Batches for several clients whose fate is open.
+
+    Fates are reported to the device and, in the order in which the batches were taken, to `deliveries`. A batch is
+    delivered when the first client's socket has taken all of it, and lost when no client is left that could. Events
+    that single clients miss are counted by the clients.
+    """
 
     def __init__(self, device: PlainDevice, deliveries: Deliveries) -> None:
         self._device = device
         self._deliveries = deliveries
-        self._open: deque[Batch] = deque()
+        self._open: deque[ClientBatch] = deque()
         self._open_events = 0
 
-    def begin(self, batch: Batch) -> None:
+    def begin(self, batch: ClientBatch) -> None:
         """Follow a batch whose holders are known."""
         self._open.append(batch)
         self._open_events += len(batch.taken.events)
         if batch.settled:  # no client had room
-            self._device.failed(len(batch.taken.events), len(batch.taken.edges))
+            self._device.lost(batch.taken)
             self._report()
 
-    def written(self, batch: Batch) -> None:
+    def written(self, batch: ClientBatch) -> None:
         """Record that a client's socket has taken it."""
         batch.holders -= 1
         if not batch.delivered:
             batch.delivered = True
-            self._device.arrived(len(batch.taken.events), len(batch.taken.edges))
+            self._device.sent(batch.taken)
             self._report()
 
-    def dropped(self, batch: Batch) -> None:
+    def dropped(self, batch: ClientBatch) -> None:
         """Record that a client that had it was lost."""
         batch.holders -= 1
         if batch.settled and not batch.delivered:
-            self._device.failed(len(batch.taken.events), len(batch.taken.edges))
+            self._device.lost(batch.taken)
             self._report()
 
     @property
-    def overdue(self) -> Batch | None:
+    def overdue(self) -> ClientBatch | None:
         """First batch, when so much has been taken after it that its holders must be closed."""
         return self._open[0] if self._open_events > _MOST_OPEN else None
 
@@ -98,10 +102,6 @@ class BatchFates:
             self._open_events -= len(taken.events)
             if batch.delivered:
                 self._deliveries.add(taken.events, taken.epoch_us, taken.edges)
-
-
-_MOST_RECEIVED = 1 << 16  # bytes that a client may send: these protocols have no requests
-_STALLED_NS = 2_000_000_000
 
 
 @dataclass(frozen=True)
@@ -132,17 +132,17 @@ class Client(asyncio.Protocol):
     """
 
     def __init__(
-        self, terms: ClientTerms, fates: BatchFates, clock: Clock, joined: Callable[[Client], None],
+        self, terms: ClientTerms, batches: ClientBatches, clock: Clock, joined: Callable[[Client], None],
         left: Callable[[Client], None],
     ) -> None:  # fmt: skip
         self._terms = terms
-        self._fates = fates
+        self._batches = batches
         self._clock = clock
         self._joined = joined
         self._left = left
         self._transport: asyncio.Transport | None = None
-        self._queue: deque[Batch] = deque()
-        self._sending: Batch | None = None
+        self._queue: deque[ClientBatch] = deque()
+        self._sending: ClientBatch | None = None
         self._paused = False
         self._waiting_bytes = self._received = 0
         self._progress_ns = clock.now_ns()
@@ -159,11 +159,11 @@ class Client(asyncio.Protocol):
         """True if data wait for it, and it has read nothing for two seconds."""
         return self._waiting_bytes > 0 and self._clock.now_ns() - self._progress_ns > _STALLED_NS
 
-    def holds(self, batch: Batch) -> bool:
+    def holds(self, batch: ClientBatch) -> bool:
         """Return True if a batch is the first that waits for it."""
         return batch is self._sending or (bool(self._queue) and batch is self._queue[0])
 
-    def offer(self, batch: Batch) -> None:
+    def offer(self, batch: ClientBatch) -> None:
         """Queue a batch for it, as one of the batch's holders; `send_on` sends it."""
         if not self._waiting_bytes:
             self._progress_ns = self._clock.now_ns()
@@ -224,7 +224,7 @@ class Client(asyncio.Protocol):
         self._sending = None
         self._transport = None
         for batch in waiting:
-            self._fates.dropped(batch)
+            self._batches.dropped(batch)
         self._left(self)
 
     def _written(self) -> None:
@@ -232,7 +232,7 @@ class Client(asyncio.Protocol):
         assert batch is not None
         self._waiting_bytes -= len(batch.data)
         self._progress_ns = self._clock.now_ns()
-        self._fates.written(batch)
+        self._batches.written(batch)
 
 
 def _keep_alive(sock: socket.socket) -> None:
@@ -258,9 +258,14 @@ class ClientGroup:
     """
 
     def __init__(
-        self, link: TcpLink, coder: ConnectionCoder, fates: BatchFates, clock: Clock, changed: Callable[[bool], None]
+        self,
+        link: TcpLink,
+        coder: ConnectionCoder,
+        batches: ClientBatches,
+        clock: Clock,
+        changed: Callable[[bool], None],
     ) -> None:
-        self._host, self._coder, self._fates, self._clock = link.host, coder, fates, clock
+        self._host, self._coder, self._batches, self._clock = link.host, coder, batches, clock
         self._changed = changed
         self._terms = ClientTerms(coder.greeting, round(link.buffer_mib * (1 << 20)))
         self._admission = Admission(AllowList(link.allow))
@@ -313,13 +318,13 @@ class ClientGroup:
         having_room = [client for client in self._clients if client.has_room]
         for client in self._clients.keys() - having_room:
             client.missed += len(taken.events)
-        batch = Batch(taken, data, len(having_room))
-        self._fates.begin(batch)
+        batch = ClientBatch(taken, data, len(having_room))
+        self._batches.begin(batch)
         for client in having_room:
             client.offer(batch)
             client.send_on()
 
-    def give_up(self, batch: Batch) -> None:
+    def give_up(self, batch: ClientBatch) -> None:
         """Close the clients for which a batch waits."""
         for client in tuple(self._clients):
             if client.holds(batch):
@@ -349,7 +354,7 @@ class ClientGroup:
             self._empty.clear()
             self._changed(True)
 
-        return Client(self._terms, self._fates, self._clock, joined, self._forget)
+        return Client(self._terms, self._batches, self._clock, joined, self._forget)
 
     def _forget(self, client: Client) -> None:
         self._admission.leave(self._clients.pop(client))
@@ -384,12 +389,12 @@ class TcpEndpoint(Endpoint):
         self._link, self._device, self._deliveries = factory.link, device, deliveries
         self._coder = factory.coder()
         self._triggers = None if factory.triggers is None else factory.triggers()
-        self._fates = BatchFates(device, deliveries)
+        self._batches = ClientBatches(device, deliveries)
         clock = deliveries.clock
-        self._clients = ClientGroup(factory.link, self._coder, self._fates, clock, device.run)
+        self._clients = ClientGroup(factory.link, self._coder, self._batches, clock, device.run)
         self._trigger_clients: ClientGroup | None = None
         if self._triggers is not None:
-            self._trigger_clients = ClientGroup(factory.link, self._triggers, self._fates, clock, self._take_edges)
+            self._trigger_clients = ClientGroup(factory.link, self._triggers, self._batches, clock, self._take_edges)
         self._epoch_us = 0
         device.takes_edges = self._coder.has_edges
 
@@ -404,11 +409,11 @@ class TcpEndpoint(Endpoint):
 
     def pump(self) -> None:
         """Send the camera's data to the clients."""
-        overdue = self._fates.overdue
+        overdue = self._batches.overdue
         for clients in self._groups:
             if overdue is not None:
                 clients.give_up(overdue)
-        while self._has_room and (taken := self._device.carry(_MOST_EVENTS)) is not None:
+        while self._has_room and (taken := self._device.take(_MOST_EVENTS)) is not None:
             self._send(taken)
         if len(self._clients) and not self._device.waiting:
             nothing = Items(empty_events(), empty_edges(), self._epoch_us)

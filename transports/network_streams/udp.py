@@ -44,7 +44,7 @@ class UdpEndpoint(Endpoint):
         self._clock = deliveries.clock
         self._coder = factory.coder()
         self._budget = ByteBudget(factory.link.mbit_s, self._clock.now_ns())
-        self._batch = _Batch(device, deliveries)
+        self._batch = _OpenItems(device, deliveries)
         self._datagrams: Iterator[Datagram] = iter(())
         self._next: Datagram | None = None
         self._outlet = DatagramOutlet(factory.link.host, factory.link.port)
@@ -95,7 +95,7 @@ class UdpEndpoint(Endpoint):
             if self._next is not None:
                 return True
             self._batch.finish()
-            taken = self._device.carry(_MOST_EVENTS)
+            taken = self._device.take(_MOST_EVENTS)
             if taken is None:
                 return False
             self._begin(taken)
@@ -121,7 +121,7 @@ class UdpEndpoint(Endpoint):
         return True
 
 
-class _Batch:
+class _OpenItems:
     """Events that were taken together, with the numbers that have left and that were reported."""
 
     def __init__(self, device: PlainDevice, deliveries: Deliveries) -> None:
@@ -137,7 +137,8 @@ class _Batch:
         """Record that the datagrams with events up to `end` have left, or that the last of them could not be sent."""
         if not left:
             self.report()
-            self._device.failed(end - self._reported)
+            assert self._taken is not None
+            self._device.lost(Items(self._taken.events[self._reported : end]))
             self._reported = end
         self._reached = end
 
@@ -145,7 +146,7 @@ class _Batch:
         """Report the events that have left since the last call."""
         if self._taken is not None and self._reached > self._reported:
             events = self._taken.events[self._reported : self._reached]
-            self._device.arrived(len(events))
+            self._device.sent(Items(events))
             self._deliveries.add(events, self._taken.epoch_us)
             self._reported = self._reached
 
@@ -155,7 +156,7 @@ class _Batch:
             return
         self.report()
         if len(self._taken.edges):
-            self._device.arrived(0, len(self._taken.edges))
+            self._device.sent(Items(edges=self._taken.edges))
             self._deliveries.add(self._taken.events[:0], self._taken.epoch_us, self._taken.edges)
         self._taken = None
 
@@ -163,5 +164,5 @@ class _Batch:
         """Record that the rest is lost."""
         if self._taken is not None:
             self.report()
-            self._device.failed(len(self._taken.events) - self._reported, len(self._taken.edges))
+            self._device.lost(Items(self._taken.events[self._reported :], self._taken.edges))
             self._taken = None

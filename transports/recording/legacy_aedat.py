@@ -10,6 +10,7 @@ from typing import TypeVar
 from firmware_protocol.recordings.aedat import (
     Aedat2Decoder,
     Aedat31Decoder,
+    Words,
     aedat2_header,
     aedat31_header,
     edge_words,
@@ -17,12 +18,13 @@ from firmware_protocol.recordings.aedat import (
     encode_frame,
     encode_imu,
     event_words,
+    frame_words,
     guarded_start,
+    imu_words,
     packed,
     parse_aedat2_header,
     parse_aedat31_header,
 )
-from firmware_protocol.recordings.aedat2_readings import Words, frame_words, imu_words
 from transports.recording.part import Facts, Part, RecordingError
 
 __all__ = ["Aedat2Reader", "Aedat2Writer", "Aedat31Reader", "Aedat31Writer"]

@@ -301,7 +301,7 @@ class Ros2Endpoint(Endpoint):
         """Discard the waiting data: there are no subscribers."""
         gone = self._gathering.taken()
         if gone is not None:
-            self._device.failed(len(gone.events), len(gone.edges))
+            self._device.lost(gone)
         if self._pictures is not None:
             self._pictures.restart()
 
@@ -313,7 +313,7 @@ class Ros2Endpoint(Endpoint):
         return self._window.open(now_ns, lambda: self._acknowledged)
 
     def _gather(self, now_ns: int) -> None:
-        while self._gathering.room > 0 and (taken := self._device.carry(self._gathering.room)) is not None:
+        while self._gathering.room > 0 and (taken := self._device.take(self._gathering.room)) is not None:
             if not self._gathering.fits(taken.epoch_us):
                 self._publish()
             self._gathering.add(taken, now_ns)
@@ -341,10 +341,10 @@ class Ros2Endpoint(Endpoint):
         self._window.written()
         self._counts["messages of events" if written else "messages that DDS refused"] += 1
         if written:
-            self._device.arrived(len(taken.events), len(taken.edges))
+            self._device.sent(taken)
             self._deliveries.add(taken.events, taken.epoch_us, taken.edges)
         else:
-            self._device.failed(len(taken.events), len(taken.edges))
+            self._device.lost(taken)
 
     def _show(self, messages: Iterator[bytes]) -> None:
         for message in messages:

@@ -23,14 +23,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_protocol.davis346.decoder import Decoded, Decoder, FrameRead, WordFaults
+from firmware_protocol.davis346.decoder import Decoder, FrameRead, WordFaults
 from firmware_protocol.davis346.registers import Layout, Module, SystemInfo, registers
-from firmware_protocol.events import Edges, Events, empty_edges, empty_events
+from firmware_protocol.events import Events, empty_events
 from firmware_protocol.imu_samples import ImuSamples, no_samples
 from firmware_protocol.usb.device import SetupPacket
-from transports.usb.host import BulkReader, StallError, TransferTimeout, UnsuitableDevice, UsbHost, UsbHostError
+from transports.usb.host import (
+    BulkReader,
+    CameraHost,
+    StallError,
+    StreamSettings,
+    TransferTimeout,
+    UnsuitableDevice,
+    UsbHost,
+)
 
-__all__ = ["DAVIS_PRODUCT", "DAVIS_VENDOR", "DavisHost", "DavisInfo", "StreamSettings"]
+__all__ = ["DAVIS_PRODUCT", "DAVIS_VENDOR", "DavisHost", "DavisInfo"]
 
 DAVIS_VENDOR = 0x152A
 DAVIS_PRODUCT = 0x841A
@@ -86,37 +94,7 @@ class DavisInfo:
     timestamp_master: bool
 
 
-@dataclass(frozen=True)
-class StreamSettings:
-    """Settings of a stream.
-
-    Attributes
-    ----------
-    transfer_bytes, transfers
-        Size and number of the bulk transfers in flight: neuromorphic_drivers has 32 of 131072, libcaer 8 of 8192.
-    reset_timestamps
-        Set the camera's clock to zero after the start and wait for it, as dv-processing does; without it events have
-        the time since the start of the camera's clock.
-    early_packet_us
-        Time after which a buffer that is not full leaves the camera; libcaer's default is 1 ms.
-    edges
-        Enable rising edges, falling edges and pulses of the external input; see `DavisHost.take_edges`.
-    imu
-        Enable the inertial unit, if there is one; see `DavisHost.take_imu`.
-    frames
-        Enable the APS, with its current registers; see `DavisHost.take_frames`.
-    """
-
-    transfer_bytes: int = 131_072
-    transfers: int = 32
-    reset_timestamps: bool = True
-    early_packet_us: int = 1000
-    edges: bool = False
-    imu: bool = False
-    frames: bool = False
-
-
-class DavisHost:
+class DavisHost(CameraHost[DavisInfo]):
     """Driver of one DAVIS346.
 
     Parameters
@@ -135,20 +113,12 @@ class DavisHost:
     model = "DAVIS346"
 
     def __init__(self, host: UsbHost) -> None:
-        self._host = host
-        self._reader: BulkReader | None = None
+        super().__init__(host)
         self._held = empty_events()
-        self._edges: list[Edges] = []
         self._frames: list[FrameRead] = []
         self._keeps_edges = False
         self._imu: list[ImuSamples] = []
         self._keeps_imu = False
-        try:
-            host.configure()
-            self.info = self._identify()
-        except UsbHostError:
-            host.close()
-            raise
         self._decoder = Decoder(self.info.size, self.info.turned)
 
     @property
@@ -182,22 +152,11 @@ class DavisHost:
             self._held = self._after_reset(self._reader)
 
     def read(self, timeout_s: float) -> Events | None:
-        """Return the events of the next transfer, in device time; None when none arrived in time.
-
-        An idle camera sends timestamps, so a transfer may contain no event.
-        """
-        if self._reader is None:
-            raise RuntimeError("the camera is not started")
+        """See `CameraHost.read`; the first events are those after the timestamp reset."""
         if len(self._held):
             held, self._held = self._held, empty_events()
             return held
-        data = self._reader.read(timeout_s)
-        return None if data is None else self._decode(data).events
-
-    def take_edges(self) -> Edges:
-        """Return the edges read since the last call, (n,) EDGE in device time, if the start enabled them."""
-        edges, self._edges = self._edges, []
-        return np.concatenate([empty_edges(), *edges])
+        return super().read(timeout_s)
 
     def take_frames(self) -> list[FrameRead]:
         """Return the frames read since the last call, if the start enabled them."""
@@ -209,28 +168,23 @@ class DavisHost:
         samples, self._imu = self._imu, []
         return np.concatenate([no_samples(), *samples])
 
-    def _decode(self, data: bytes) -> Decoded:
+    def _decode(self, data: bytes) -> Events:
         decoded = self._decoder.feed(_whole_words(data))
         self._frames += decoded.frames
         if self._keeps_imu:
             self._imu.append(decoded.imu)
         if self._keeps_edges:
             self._edges.append(decoded.edges)
-        return decoded
+        return decoded.events
 
     def stop(self) -> Events:
-        """Stop the camera and the stream; return the events that were still in transit."""
-        self._write_each(_STOP)
-        reader, self._reader = self._reader, None
-        rest = [self._decode(data).events for data in reader.close()] if reader else []
+        """See `CameraHost.stop`."""
+        rest = super().stop()
         held, self._held = self._held, empty_events()
-        return np.concatenate([held, *rest])
+        return np.concatenate([held, rest])
 
-    def close(self) -> None:
-        """Stop the camera, if it is still there, and close it."""
-        with contextlib.suppress(UsbHostError):
-            self.stop()
-        self._host.close()
+    def _end_stream(self) -> None:
+        self._write_each(_STOP)
 
     # Registers.
 

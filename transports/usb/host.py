@@ -1,4 +1,4 @@
-"""Host side of a USB cable, as a driver uses it, and its errors.
+"""Host side of a USB cable, as a driver uses it, its errors, and the common part of all drivers of cameras.
 
 UsbHostError
 StallError        the device refused a request
@@ -13,19 +13,30 @@ PeerBroken        the device or its server sends invalid answers
 
 from __future__ import annotations
 
-from typing import Protocol
+from abc import ABC, abstractmethod
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Generic, Protocol, TypeVar
 
+import numpy as np
+
+from firmware_protocol.events import Edges, Events, empty_edges, empty_events
 from firmware_protocol.usb.device import Identity, SetupPacket
+
+if TYPE_CHECKING:
+    from firmware_protocol.davis346.decoder import WordFaults  # it loads numba
 
 __all__ = [
     "AccessDenied",
     "BulkReader",
+    "CameraHost",
     "DeviceAbsent",
     "DeviceBusy",
     "LibraryMissing",
     "PeerBroken",
     "PeerGone",
     "StallError",
+    "StreamSettings",
     "TransferTimeout",
     "UnsuitableDevice",
     "UsbHost",
@@ -119,3 +130,110 @@ class UsbHost(Protocol):
 
     def close(self) -> None:
         """Close the device; a second call does nothing."""
+
+
+@dataclass(frozen=True)
+class StreamSettings:
+    """Settings of a stream.
+
+    Attributes
+    ----------
+    transfer_bytes, transfers
+        Size and number of the bulk transfers in flight: neuromorphic_drivers has 32 of 131072, libcaer 8 of 8192.
+    reset_timestamps
+        Set the camera's clock to zero after the start and wait for it, as dv-processing does; without it events have
+        the time since the start of the camera's clock.
+    early_packet_us
+        Time after which a buffer that is not full leaves the camera; libcaer's default is 1 ms.
+    edges
+        Enable rising edges, falling edges and pulses of the external input; see `CameraHost.take_edges`.
+    imu
+        Enable the inertial unit, if there is one; see `DavisHost.take_imu`.
+    frames
+        Enable the APS, with its current registers; see `DavisHost.take_frames`.
+    """
+
+    transfer_bytes: int = 131_072
+    transfers: int = 32
+    reset_timestamps: bool = True
+    early_packet_us: int = 1000
+    edges: bool = False
+    imu: bool = False
+    frames: bool = False
+
+
+_Info = TypeVar("_Info")
+
+
+class CameraHost(ABC, Generic[_Info]):
+    """Driver of one event camera: identify it, start it, read its events, stop it.
+
+    Attributes
+    ----------
+    model
+        Name of the camera's model.
+    info
+        Identity that the camera reports.
+    """
+
+    model: ClassVar[str]
+
+    def __init__(self, host: UsbHost) -> None:
+        self._host = host
+        self._reader: BulkReader | None = None
+        self._edges: list[Edges] = []
+        try:
+            host.configure()
+            self.info = self._identify()
+        except UsbHostError:
+            host.close()
+            raise
+
+    @property
+    @abstractmethod
+    def faults(self) -> WordFaults:
+        """Counts of words that an intact stream never contains."""
+
+    @abstractmethod
+    def start(self, settings: StreamSettings | None = None) -> None:
+        """Start the stream of events."""
+
+    def read(self, timeout_s: float) -> Events | None:
+        """Return the events of the next transfer, in device time; None when none arrived in time.
+
+        An idle camera sends times, so a transfer may contain no event.
+        """
+        if self._reader is None:
+            raise RuntimeError("the camera is not started")
+        data = self._reader.read(timeout_s)
+        return None if data is None else self._decode(data)
+
+    def take_edges(self) -> Edges:
+        """Return the edges read since the last call, (n,) EDGE in device time, if the start enabled them."""
+        edges, self._edges = self._edges, []
+        return np.concatenate([empty_edges(), *edges])
+
+    def stop(self) -> Events:
+        """Stop the camera and the stream; return the events that were still in transit."""
+        self._end_stream()
+        reader, self._reader = self._reader, None
+        rest = [self._decode(data) for data in reader.close()] if reader else []
+        return np.concatenate([empty_events(), *rest])
+
+    def close(self) -> None:
+        """Stop the camera, if it is still there, and close it."""
+        with suppress(UsbHostError):
+            self.stop()
+        self._host.close()
+
+    @abstractmethod
+    def _identify(self) -> _Info:
+        """Return the camera's identity; raises UnsuitableDevice."""
+
+    @abstractmethod
+    def _decode(self, data: bytes) -> Events:
+        """Return the events in the data of a transfer, and store what else is in them."""
+
+    @abstractmethod
+    def _end_stream(self) -> None:
+        """Request the end of the stream."""

@@ -1,8 +1,7 @@
 """Loopback of a USB camera: a host and its camera in one process, with the real device model and real decoder.
 
 `DirectHost` is a `UsbHost` whose cable is a function call. `LoopbackEndpoint` drives a camera through it as a driver
-does, and compares every decoded event and frame with those that the camera sent. `Observed` reports the transfers of
-any USB device. `LOOPBACK` registers the loopback as a kind of link; `check_model` checks if a camera has a USB device.
+does, and compares every decoded event and frame with those that the camera sent.
 
 Not modelled: time on a wire, packets, other traffic, a slow or lost host. Transfers are never lost and have no latency.
 """
@@ -10,7 +9,6 @@ Not modelled: time on a wire, packets, other traffic, a slow or lost host. Trans
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,72 +18,14 @@ from firmware_protocol.events import Edges, Events
 from firmware_protocol.frames import FrameAssembler
 from firmware_protocol.imu_samples import ImuSamples, no_samples
 from firmware_protocol.usb.device import Identity, NotReady, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
+from transports.faults.faulty_device import FaultyDevice
+from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, LinkBroken
-from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Unsuitable, Wiring
-from transports.usb.davis_host import DavisHost, StreamSettings
-from transports.usb.host import StallError, TransferTimeout
+from transports.usb.davis_host import DavisHost
+from transports.usb.host import StallError, StreamSettings, TransferTimeout
 
-__all__ = [
-    "LOOPBACK",
-    "DirectHost",
-    "DirectReader",
-    "LoopbackEndpoint",
-    "LoopbackFactory",
-    "LoopbackLink",
-    "Observed",
-    "check_model",
-]
-
-
-class Observed(UsbDevice):
-    """Wrapper around a USB device that reports to `deliveries` every transfer that was sent."""
-
-    def __init__(self, device: UsbDevice, deliveries: Deliveries) -> None:
-        self._device = device
-        self._deliveries = deliveries
-
-    @property
-    def identity(self) -> Identity:
-        """Identity of the device."""
-        return self._device.identity
-
-    def attached(self) -> None:
-        """See `UsbDevice.attached`."""
-        self._device.attached()
-
-    def detached(self) -> None:
-        """See `UsbDevice.detached`."""
-        self._device.detached()
-
-    def control(self, setup: SetupPacket, data: bytes) -> bytes:
-        """See `UsbDevice.control`."""
-        return self._device.control(setup, data)
-
-    def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
-        """See `UsbDevice.read`."""
-        return self._device.read(endpoint, max_bytes)
-
-    def accepts(self, setup: SetupPacket) -> bool:
-        """See `UsbDevice.accepts`."""
-        return self._device.accepts(setup)
-
-    def flushes(self, endpoint: int) -> int:
-        """See `UsbDevice.flushes`."""
-        return self._device.flushes(endpoint)
-
-    def write(self, endpoint: int, data: bytes) -> None:
-        """See `UsbDevice.write`."""
-        self._device.write(endpoint, data)
-
-    def sent(self, transfer: Transfer) -> None:
-        """Record the transfer as delivered, and pass it on."""
-        self._deliveries.add(transfer.events, transfer.epoch_us, transfer.edges, transfer.readings)
-        self._device.sent(transfer)
-
-    def lost(self, transfer: Transfer) -> None:
-        """See `UsbDevice.lost`."""
-        self._device.lost(transfer)
+__all__ = ["DirectHost", "DirectReader", "LoopbackEndpoint", "LoopbackFactory"]
 
 
 class DirectReader:
@@ -188,7 +128,7 @@ class LoopbackFactory(EndpointFactory[UsbCamera]):
 
     def build(self, device: UsbCamera, deliveries: Deliveries) -> LoopbackEndpoint:
         """Return the host; it opens the camera when it is started."""
-        return LoopbackEndpoint(Observed(device, deliveries))
+        return LoopbackEndpoint(FaultyDevice(device, FaultPlan(), deliveries.add))
 
 
 class LoopbackEndpoint(Endpoint):
@@ -262,39 +202,3 @@ def _compare(received: Events, edges: Edges, imu: ImuSamples, transfer: Transfer
         sent["t"] -= np.uint64(transfer.epoch_us)
         if not np.array_equal(got, sent):
             raise LinkBroken(f"loopback: {len(sent)} {what} were sent and {len(got)} others received")
-
-
-@dataclass(frozen=True)
-class LoopbackLink:
-    """A host inside the link's own process that starts the camera, decodes every byte and compares; without USB.
-
-    Attributes
-    ----------
-    name
-        Name of the link in this rig: in reports, faults and triggers.
-    """
-
-    kind: ClassVar[str] = "loopback"
-    name: str = "loopback"
-
-
-def _endpoint(link: LoopbackLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.usb.loopback import LoopbackFactory
-
-    return LoopbackFactory()
-
-
-# Its host reads a DAVIS346 of any size and loses no data at the start, so the camera need not wait.
-LOOPBACK = LinkKind(LoopbackLink, serves="usb", endpoint=_endpoint, usb_model="davis346", start_delay=False)
-
-
-def check_model(link: LinkParameters, camera: CameraFacts) -> None:
-    """Raise Unsuitable for a camera without a USB device."""
-    if camera.usb_models.get(camera.model) == camera.size:
-        return
-    cures = " or ".join(f'model = "{name}" with its {w}x{h} pixels' for name, (w, h) in camera.usb_models.items())
-    raise Unsuitable(
-        f"there is no USB model for a {camera.model} of {camera.size[0]}x{camera.size[1]} pixels yet; use {cures}, "
-        'or kind = "loopback"',
-        "kind",
-    )

@@ -8,8 +8,7 @@ from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.rig.tables import Camera
 from emulator.run.assembly import link_setups
-from transports.usb.loopback import LoopbackLink
-from transports.usb.usbip.kind import UsbipLink
+from transports.usb.kind import LoopbackLink, UsbipLink
 
 
 def setups(*links):

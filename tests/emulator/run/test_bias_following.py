@@ -14,6 +14,7 @@ from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346.biases import BIASES, CoarseFine, sensor_factors
 from firmware_protocol.imx636.biases import BiasModel
+from firmware_protocol.packets.telecommands import SetBias
 from transports.link.report import CameraSettings
 
 ADDRESSES = {bias.name: bias.address for bias in BIASES}
@@ -203,5 +204,5 @@ kind = "serial"
 def test_telecommands_set_the_biases_of_the_camera_s_own_chip(model, number, value, factor):
     (setup,) = link_setups(parse_rig(SERIAL_RIG.format(model=model), "t.toml", "t"))
     instrument = setup.device()
-    instrument.set_bias(number, value)
+    instrument.execute(SetBias(number, value))
     assert instrument.sensor_factors["refractory_us"] == pytest.approx(factor)

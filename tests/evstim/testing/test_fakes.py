@@ -18,7 +18,8 @@ from firmware_protocol.receiver.can import CanReceiver
 from firmware_protocol.receiver.instrument import SerialReceiver
 from transports.can_bus.bus import from_message
 from transports.can_bus.kind import CanLink
-from transports.usb.davis_host import DavisHost, StreamSettings
+from transports.usb.davis_host import DavisHost
+from transports.usb.host import StreamSettings
 from transports.usb.pyusb_host import PyusbHost
 
 SIZE = (346, 260)

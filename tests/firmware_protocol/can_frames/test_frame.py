@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.can_frames.bus_time import BitRates, BusShare, crc15, frame_bits, worst_bits
+from firmware_protocol.can_frames.bus_time import BitRates, BusShare, crc15, frame_bits
 from firmware_protocol.can_frames.frame import FD_LENGTHS, Frame, FrameError, fd_length
 
 
@@ -102,16 +102,7 @@ def test_bits_of_a_classic_frame_are_those_counted_by_hand(frame):
     assert frame_bits(frame).nominal == bits_by_hand(frame)
 
 
-@given(frames())
-def test_no_frame_takes_more_bits_than_the_worst(frame):
-    bits, worst = frame_bits(frame), worst_bits(frame)
-    assert bits.nominal <= worst.nominal
-    assert bits.nominal + bits.fast <= worst.nominal + worst.fast
-
-
 def test_bits_of_the_longest_frames():
-    assert worst_bits(Frame(0, bytes(8))).nominal == 135
-    assert worst_bits(Frame(0, bytes(8), extended=True)).nominal == 160
     fd = frame_bits(Frame(0x555, b"\x55" * 64, fd=True, brs=True))
     assert (fd.nominal, fd.fast) == (30, 1 + 4 + 512 + 4 + 21 + 7)
 

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
 from firmware_protocol.events import EVENT
-from transports.usb.davis_host import DavisHost, StreamSettings
+from transports.usb.davis_host import DavisHost
+from transports.usb.host import StreamSettings
 from transports.usb.loopback import DirectHost
 
 HAS, BACKGROUND, BACKGROUND_TIME, REFRACTORY, REFRACTORY_TIME = 30, 31, 32, 33, 34

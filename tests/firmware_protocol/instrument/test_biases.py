@@ -6,6 +6,7 @@ from firmware_protocol.davis346.biases import BIASES as DAVIS_BIASES
 from firmware_protocol.imx636.biases import BiasModel
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import DavisBiases, Imx636Biases
+from firmware_protocol.packets.telecommands import SetBias
 
 FACTORY = {0: 0x7C, 1: 0x53, 3: 0, 4: 0x66, 5: 0x4D, 6: 0x49, 7: 0x5B, 8: 0x14, 16: 0x8C, 17: 0x7C, 18: 0x94}
 
@@ -37,7 +38,7 @@ def test_a_telecommand_moves_the_sensor(biases):
     instrument = Instrument((640, 480), biases=biases)
     number, value = (8, 40) if isinstance(biases, Imx636Biases) else (_address("RefrBp"), 0)
     assert instrument.sensor_factors == {}
-    instrument.set_bias(number, value)
+    instrument.execute(SetBias(number, value))
     assert instrument.sensor_factors["refractory_us"] == pytest.approx(0.5 if number == 8 else 1000.0)
     assert instrument.biases[number] == value
 

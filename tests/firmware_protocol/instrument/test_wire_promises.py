@@ -72,7 +72,7 @@ def test_the_tick_may_change_while_events_wait():
     instrument = ground.instrument
     for tick_us in (1000, 1):
         instrument.offer(stream(3, every_us=100, start_us=instrument.now_us + 100))
-        instrument.set_tick(tick_us)
+        instrument.execute(SetTick(tick_us))
     instrument.offer(stream(3, every_us=100, start_us=instrument.now_us + 100))
     ground.pull()
     (block,) = ground.blocks

@@ -11,13 +11,13 @@ from firmware_protocol.events import EDGE, EVENT, EdgeKind, empty_edges
 from firmware_protocol.network_streams.coders import (
     CaerConnectionCoder,
     CaerDatagramCoder,
+    DvCoder,
     FaeryLongCoder,
     FaeryShortCoder,
     JaerCoder,
     SpifCoder,
     StreamFacts,
 )
-from firmware_protocol.network_streams.dv import DvCoder
 from tests.transports.network_streams.stream_readers import (
     CaerDatagrams,
     JaerDecoder,

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.events import EDGE, EdgeKind, empty_events
-from firmware_protocol.network_streams.coders import StreamFacts
-from firmware_protocol.network_streams.dv import DvTriggerCoder
+from firmware_protocol.network_streams.coders import DvTriggerCoder, StreamFacts
 
 
 def field(data, table, number, form):

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.recordings.aedat import Aedat2Decoder, packed
-from firmware_protocol.recordings.aedat2_readings import frame_words, imu_words
+from firmware_protocol.recordings.aedat import Aedat2Decoder, frame_words, imu_words, packed
 from firmware_protocol.recordings.part import IMU, Frame
 
 SIZE = (5, 4)

@@ -10,7 +10,8 @@ from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import FifoOverflow, RegisterFlip, WrongVersion
 from transports.faults.words import MissedWraps, OddBytes, RepeatedEvents, StaleData, TimeAhead, TimeBack, TimeFrozen
-from transports.usb.davis_host import DavisHost, StreamSettings
+from transports.usb.davis_host import DavisHost
+from transports.usb.host import StreamSettings
 from transports.usb.loopback import DirectHost
 
 WRAP_US = 32_768

@@ -84,6 +84,7 @@ class InboxEndpoint(Endpoint):
         self.receive()
         while (taken := self.device.take(1000)) is not None:
             self.deliveries.add(taken.events)
+            self.device.sent(taken)
 
     def receive(self):
         try:

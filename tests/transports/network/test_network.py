@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from transports.can_bus.kind import CanLink
 from transports.network import Admission, AllowList, Places, check_allow, is_loopback
-from transports.usb.usbip.kind import UsbipLink
+from transports.usb.kind import UsbipLink
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import EDGE, EdgeKind
 from transports.link.pacing import FakeClock
 from transports.usb.cameras import receive
-from transports.usb.davis_host import DavisHost, StreamSettings
+from transports.usb.davis_host import DavisHost
+from transports.usb.host import StreamSettings
 from transports.usb.loopback import DirectHost
 
 

@@ -13,8 +13,8 @@ from tests.transports.usb.raw_host import attached, read_urb, submit
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import ControlStall
-from transports.usb.davis_host import DavisHost, StreamSettings
-from transports.usb.host import StallError
+from transports.usb.davis_host import DavisHost
+from transports.usb.host import StallError, StreamSettings
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.connection import Found
 from transports.usb.usbip.trace import UrbTrace, transfer_types

@@ -17,7 +17,6 @@ from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, LinkBro
 from transports.usb.functionfs.cable import Cable
 from transports.usb.functionfs.files import WAKE_SIGNAL, FunctionFiles, with_spares
 from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of
-from transports.usb.loopback import Observed
 
 __all__ = ["GadgetEndpoint", "GadgetFactory"]
 
@@ -46,8 +45,7 @@ class GadgetEndpoint(Endpoint):
 
     def __init__(self, factory: GadgetFactory, camera: UsbCamera, deliveries: Deliveries) -> None:
         self._camera = camera
-        self._faulty = FaultyDevice(camera, factory.faults)
-        self._observed = Observed(self._faulty, deliveries)
+        self._faulty = FaultyDevice(camera, factory.faults, deliveries.add)
         self._udc = factory.udc
         self._gadget = Gadget(factory.name)
         self._is_mine = self._is_gone = self._had_host = False
@@ -62,7 +60,7 @@ class GadgetEndpoint(Endpoint):
         self._prepare()
         try:
             self._files = self._open(controller)
-            self._cable = Cable(self._observed, self._files)
+            self._cable = Cable(self._faulty, self._files)
             self._cable.start()
             self._gadget.bind(controller)
         except OSError:

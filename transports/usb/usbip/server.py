@@ -30,7 +30,6 @@ from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory
 from transports.network import Admission, AllowList, Listener, Places, Seat, is_loopback
-from transports.usb.loopback import Observed
 from transports.usb.usbip.connection import Connection, ConnectionSettings, UrbObserver
 from transports.usb.usbip.trace import UrbTrace
 
@@ -216,9 +215,9 @@ class UsbipFactory(EndpointFactory[UsbCamera]):
 
     def build(self, device: UsbCamera, deliveries: Deliveries) -> UsbipEndpoint:
         """Return the server; it does not listen yet."""
-        faulty = FaultyDevice(device, self.faults)
+        faulty = FaultyDevice(device, self.faults, deliveries.add)
         trace = None if self.trace is None else UrbTrace(self.trace, faulty, time.time_ns)
-        return UsbipEndpoint(self, faulty, deliveries, trace)
+        return UsbipEndpoint(self, faulty, trace)
 
 
 class UsbipEndpoint(Endpoint):
@@ -226,15 +225,12 @@ class UsbipEndpoint(Endpoint):
 
     _faulty: FaultyDevice
 
-    def __init__(
-        self, factory: UsbipFactory, device: FaultyDevice, deliveries: Deliveries, trace: UrbTrace | None
-    ) -> None:
+    def __init__(self, factory: UsbipFactory, device: FaultyDevice, trace: UrbTrace | None) -> None:
         self._at = factory
         self._faulty = device
         self._is_gone = False
         self._trace = trace
-        observed = Observed(device, deliveries)
-        self._server = UsbipServer({factory.busid: observed}, allow=factory.allow, observer=trace)
+        self._server = UsbipServer({factory.busid: device}, allow=factory.allow, observer=trace)
 
     async def start(self) -> None:
         """Listen; raises OSError, with the remedy, when the port cannot be opened."""

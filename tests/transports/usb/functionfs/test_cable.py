@@ -13,9 +13,9 @@ from tests.transports.usb.gadget_port import PACKET_BYTES, PATIENCE_S, GadgetBen
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import UsbStall
-from transports.usb.davis_host import DavisHost, StreamSettings
-from transports.usb.evk4_host import Evk4Host
-from transports.usb.host import StallError, TransferTimeout
+from transports.usb.cameras import Evk4Host
+from transports.usb.davis_host import DavisHost
+from transports.usb.host import StallError, StreamSettings, TransferTimeout
 
 DESCRIPTORS = Davis346Settings().descriptors()
 SETTINGS = StreamSettings(transfer_bytes=8192, transfers=4, reset_timestamps=False)

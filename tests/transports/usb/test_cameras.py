@@ -13,10 +13,8 @@ from firmware_protocol.usb.device import Identity, Speed
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import UsbSilence
-from transports.usb.cameras import driver_of, first_on_the_bus
-from transports.usb.davis_host import StreamSettings
-from transports.usb.evk4_host import Evk4Host
-from transports.usb.host import DeviceAbsent, PeerBroken, StallError, TransferTimeout, UnsuitableDevice
+from transports.usb.cameras import Evk4Host, driver_of, first_on_the_bus
+from transports.usb.host import DeviceAbsent, PeerBroken, StallError, StreamSettings, TransferTimeout, UnsuitableDevice
 from transports.usb.loopback import DirectHost
 from transports.usb.pyusb_host import PyusbHost
 from transports.usb.usbip.client import UsbipHost

@@ -1,0 +1,141 @@
+"""Links of a USB camera: parameters of each, and its registration as a kind of link."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from transports.faults.usb import USB_FAULTS
+from transports.link.endpoint import EndpointFactory
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Unsuitable, Wiring
+from transports.needs import UDC, VHCI
+from transports.network import check_allow
+from transports.usb.functionfs.gadget import check_name
+
+__all__ = ["LOOPBACK", "USBIP", "USB_GADGET", "LoopbackLink", "UsbGadgetLink", "UsbipLink"]
+
+
+def _check_model(link: LinkParameters, camera: CameraFacts) -> None:
+    """Raise Unsuitable for a camera without a USB device."""
+    if camera.usb_models.get(camera.model) == camera.size:
+        return
+    cures = " or ".join(f'model = "{name}" with its {w}x{h} pixels' for name, (w, h) in camera.usb_models.items())
+    raise Unsuitable(
+        f"there is no USB model for a {camera.model} of {camera.size[0]}x{camera.size[1]} pixels yet; use {cures}, "
+        'or kind = "loopback"',
+        "kind",
+    )
+
+
+@dataclass(frozen=True)
+class UsbipLink:
+    """The camera as a USB device over USB/IP: `usbip attach -r HOST -b BUSID` on a Linux machine.
+
+    Attributes
+    ----------
+    host, port
+        Address to listen on. USB/IP has no authentication: use 127.0.0.1 or a private network.
+    allow
+        Addresses and networks that may connect; required if other machines can reach `host`.
+    busid
+        Bus id under which the camera is exported.
+    name
+        Name of the link in this rig: in reports, faults and triggers.
+    """
+
+    kind: ClassVar[str] = "usbip"
+    host: str = "127.0.0.1"
+    port: int = 3240
+    busid: str = "1-1"
+    name: str = "usbip"
+    allow: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port <= 65535:
+            raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
+        if not re.fullmatch(r"[1-9]\d{0,2}-[1-9]\d{0,2}", self.busid):
+            raise ValueError(f"busid must be a bus and a port such as '1-1', got {self.busid!r}")
+        check_allow(self.host, self.allow)
+
+
+def _usbip_endpoint(link: UsbipLink, wiring: Wiring) -> EndpointFactory[Any]:
+    from transports.usb.usbip.server import UsbipFactory
+
+    return UsbipFactory(link.host, link.port, link.busid, wiring.faults, link.allow)
+
+
+USBIP = LinkKind(
+    UsbipLink,
+    serves="usb",
+    endpoint=_usbip_endpoint,
+    faults=USB_FAULTS,
+    listener=Listener("usb", "Read a DAVIS346 or an EVK4 on USB.", "emulator.cli.listen.cameras:listen"),
+    check=_check_model,
+    listens_on=lambda link: (link.host, link.port) if link.port else None,
+    needs=lambda link: (VHCI,),
+)
+
+
+@dataclass(frozen=True)
+class UsbGadgetLink:
+    """The camera on a real USB cable, on a machine with a USB device port, such as a Raspberry Pi (docs/cable.md).
+
+    Attributes
+    ----------
+    udc
+        The USB device controller, as named in /sys/class/udc; may be omitted if there is only one.
+    gadget
+        Name of the gadget. It is made at the start of the run and removed at its end, unless `evstim gadget up` made
+        it.
+    name
+        Name of the link in this rig: in reports, faults and triggers.
+    """
+
+    kind: ClassVar[str] = "usb_gadget"
+    udc: str = ""
+    gadget: str = "evstim"
+    name: str = "usb_gadget"
+
+    def __post_init__(self) -> None:
+        check_name(self.gadget)
+
+
+def _gadget_endpoint(link: UsbGadgetLink, wiring: Wiring) -> EndpointFactory[Any]:
+    from transports.usb.functionfs.endpoint import GadgetFactory
+
+    return GadgetFactory(link.gadget, link.udc, wiring.faults)
+
+
+USB_GADGET = LinkKind(
+    UsbGadgetLink,
+    serves="usb",
+    endpoint=_gadget_endpoint,
+    faults=USB_FAULTS,
+    check=_check_model,
+    needs=lambda link: (UDC,),
+)
+
+
+@dataclass(frozen=True)
+class LoopbackLink:
+    """A host inside the link's own process that starts the camera, decodes every byte and compares; without USB.
+
+    Attributes
+    ----------
+    name
+        Name of the link in this rig: in reports, faults and triggers.
+    """
+
+    kind: ClassVar[str] = "loopback"
+    name: str = "loopback"
+
+
+def _loopback_endpoint(link: LoopbackLink, wiring: Wiring) -> EndpointFactory[Any]:
+    from transports.usb.loopback import LoopbackFactory
+
+    return LoopbackFactory()
+
+
+# Its host reads a DAVIS346 of any size and loses no data at the start, so the camera need not wait.
+LOOPBACK = LinkKind(LoopbackLink, serves="usb", endpoint=_loopback_endpoint, usb_model="davis346", start_delay=False)
