@@ -46,7 +46,7 @@ def campaign(evstim):
     """Run `evstim campaign`, which ends with a code; return what it printed."""
 
     def run(*arguments, code=0):
-        done = campaign("campaign", *arguments)
+        done = evstim("campaign", *arguments)
         assert done.code == code, done.err
         return done
 
