@@ -1,7 +1,7 @@
 """The wheel stands alone: rigs and shapes are in it, and it runs outside the checkout.
 
-Its fresh environment is the one place where kernels are compiled anew, once for all tests: at a first run. Each process
-in it notes the kernels that it compiles.
+Its fresh environment lacks all optional packages: no shipped rig needs one. It is the one place where kernels are
+compiled anew, once for all tests: at a first run. Each process in it notes the kernels that it compiles.
 """
 
 import json
