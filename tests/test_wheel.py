@@ -120,7 +120,7 @@ def run_installed(installed, tmp_path_factory):
         compilations.write_text("")
         done = subprocess.run(
             [installed, script, *arguments],
-            cwd=folder, env=os.environ | settings, capture_output=True, text=True, timeout=900,
+            cwd=folder, env=os.environ | settings, capture_output=True, text=True, timeout=1700,
         )  # fmt: skip
         return done, [json.loads(line) for line in compilations.read_text().splitlines()]
 
@@ -140,7 +140,7 @@ def runs(run_installed):
 
 
 @pytest.mark.anew
-@pytest.mark.timeout(1800)
+@pytest.mark.timeout(3600)
 def test_the_first_run_has_the_events_of_the_next(runs):
     first, again = runs
     assert "compiling" in first.progress
@@ -150,7 +150,7 @@ def test_the_first_run_has_the_events_of_the_next(runs):
 
 
 @pytest.mark.anew
-@pytest.mark.timeout(1800)
+@pytest.mark.timeout(3600)
 def test_after_the_preparation_a_run_compiles_nothing(runs):
     first, again = runs
     for one in runs:
@@ -160,7 +160,7 @@ def test_after_the_preparation_a_run_compiles_nothing(runs):
 
 
 @pytest.mark.anew
-@pytest.mark.timeout(1800)
+@pytest.mark.timeout(3600)
 def test_no_kernel_is_compiled_for_two_sets_of_types(runs):
     types = defaultdict(set)
     for _, kernel, arguments in runs[0].compiled:
@@ -180,7 +180,7 @@ def ends(run_installed, runs):
 
 
 @pytest.mark.anew
-@pytest.mark.timeout(1800)
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("rig", shipped_rigs())
 def test_a_shipped_rig_runs_from_an_installed_wheel(ends, rig):
     code, told, stderr = ends[rig]
