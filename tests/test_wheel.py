@@ -173,7 +173,7 @@ def test_no_kernel_is_compiled_for_two_sets_of_types(runs):
 @pytest.fixture(scope="module")
 def ends(run_installed, runs):
     """Exit code and JSON of each shipped rig, run after one another by one process."""
-    done, _ = run_installed(ALL_RIGS, json.dumps(shipped_rigs()))
+    done, _ = run_installed(ALL_RIGS, json.dumps(list(shipped_rigs())))
     lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith(("{", "["))]
     assert len(lines) == 2 * len(shipped_rigs()), done.stderr
     return {rig: (code, told, done.stderr) for told, (rig, code) in zip(lines[::2], lines[1::2], strict=True)}
