@@ -1,12 +1,14 @@
 """What holds for all tests: they judge the code, not how busy the machine is."""
 
+import os
 import signal
 
 import pytest
 from hypothesis import HealthCheck, settings
 
-settings.register_profile("unhurried", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("unhurried")
+settings.register_profile("quick", max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("deep", settings.get_profile("quick"), max_examples=1000)
+settings.load_profile(os.environ.get("EVSTIM_HYPOTHESIS", "quick"))
 
 
 @pytest.fixture(autouse=True)

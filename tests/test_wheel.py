@@ -1,12 +1,18 @@
-"""The wheel stands alone: rigs and shapes are in it, and it runs outside the checkout."""
+"""The wheel stands alone: rigs and shapes are in it, and it runs outside the checkout.
+
+Its fresh environment lacks all optional packages: no shipped rig needs one. It is the one place where kernels are
+compiled anew, once for all tests: at a first run. Each process in it notes the kernels that it compiles.
+"""
 
 import json
 import os
+import re
 import subprocess
 import sys
-import venv
 import zipfile
+from collections import defaultdict
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -15,10 +21,59 @@ from emulator.run.machine import needs_of
 
 ROOT = Path(__file__).parent.parent
 
+NOTES = """
+import json, os
+from numba.core import event
+
+class Notes(event.Listener):
+    def on_start(self, started):
+        function = started.data["dispatcher"].py_func
+        note = [os.getpid(), f"{function.__module__}.{function.__qualname__}", str(started.data["args"])]
+        with open(os.environ["COMPILATIONS"], "a") as file:
+            file.write(json.dumps(note) + "\\n")
+    def on_end(self, ended):
+        pass
+
+event.register("numba:compile", Notes())
+"""
+
+RUN = """
+import dataclasses, hashlib, json, os
+import evstim
+from emulator.rig.loading import load_rig
+from emulator.run.kernels import CODER, DECODER, EVT, parts_of, prepare, uncompiled
+
+if __name__ == "__main__":
+    rig, coders = dataclasses.replace(load_rig("eros"), links=()), [CODER, DECODER, EVT]
+    failed = prepare(uncompiled(coders))
+    digest, count = hashlib.sha256(), 0
+    with evstim.run(rig, seconds=0.2, pace="free") as run:
+        for events in run:
+            digest.update(events.tobytes())
+            count += len(events)
+    for part in coders:
+        part.compile()
+    cold = [part.name for part in uncompiled([*parts_of(rig), *coders])]
+    printed = {"digest": digest.hexdigest(), "events": count, "failed": failed, "cold": cold, "process": os.getpid()}
+    print(json.dumps(printed))
+"""
+
+ALL_RIGS = """
+import json, sys
+from emulator.cli import main
+
+for rig in json.loads(sys.argv[1]):
+    sys.argv[1:] = ["run", rig, "--seconds", "0.02", "--pace", "free", "--json"]
+    try:
+        main()
+    except SystemExit as ended:
+        print(json.dumps([rig, ended.code]), flush=True)
+"""
+
 
 def pip(*arguments):
     command = [sys.executable, "-m", "pip", *map(str, arguments), "--quiet", "--disable-pip-version-check"]
-    subprocess.run(command, check=True, timeout=300, stderr=subprocess.PIPE)
+    subprocess.run(command, check=True, timeout=600, stderr=subprocess.PIPE)
 
 
 @pytest.fixture(scope="module")
@@ -43,32 +98,101 @@ def test_what_is_in_the_wheel(wheel):
 
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory):
-    """The `evstim` of a fresh environment with the wheel and its base dependencies, and nothing else."""
+    """The Python of a fresh environment with the wheel and its base dependencies, and nothing else."""
     folder = tmp_path_factory.mktemp("fresh")
-    venv.create(folder, with_pip=True)
-    command = [folder / "bin" / "pip", "install", "--quiet", "--disable-pip-version-check", wheel]
-    subprocess.run(command, check=True, timeout=600)
-    return folder / "bin" / "evstim"
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
+    pip("--python", folder, "install", "--no-compile", wheel)
+    return folder / "bin" / "python"
+
+
+@pytest.fixture(scope="module")
+def run_installed(installed, tmp_path_factory):
+    """Run a program in the fresh environment; return its end and notes: process, kernel and types of compilations."""
+    folder = tmp_path_factory.mktemp("programs")
+    (folder / "notes").mkdir()
+    (folder / "notes" / "sitecustomize.py").write_text(NOTES)
+    settings = {"PYTHONPATH": str(folder / "notes"), "NUMBA_CACHE_DIR": str(folder / "kernels")}
+    settings["COMPILATIONS"] = str(folder / "compilations")
+
+    def run(program, *arguments):
+        script, compilations = folder / "program.py", folder / "compilations"
+        script.write_text(program)
+        compilations.write_text("")
+        done = subprocess.run(
+            [installed, script, *arguments],
+            cwd=folder, env=os.environ | settings, capture_output=True, text=True, timeout=1700,
+        )  # fmt: skip
+        return done, [json.loads(line) for line in compilations.read_text().splitlines()]
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def runs(run_installed):
+    """Two runs of one rig: all that they print, and what they compile."""
+    ends = []
+    for _ in range(2):
+        done, compiled = run_installed(RUN)
+        assert done.returncode == 0, done.stderr
+        printed = json.loads(done.stdout.splitlines()[-1])
+        ends.append(SimpleNamespace(printed=printed, progress=done.stderr, compiled=compiled))
+    return ends
 
 
 @pytest.mark.anew
+@pytest.mark.timeout(3600)
+def test_the_first_run_has_the_events_of_the_next(runs):
+    first, again = runs
+    assert "compiling" in first.progress
+    assert "compiling" not in again.progress
+    assert first.printed["events"] == again.printed["events"] > 1000
+    assert first.printed["digest"] == again.printed["digest"]
+
+
+@pytest.mark.anew
+@pytest.mark.timeout(3600)
+def test_after_the_preparation_a_run_compiles_nothing(runs):
+    first, again = runs
+    for one in runs:
+        assert (one.printed["failed"], one.printed["cold"]) == ([], [])
+    assert [note for note in first.compiled if note[0] == first.printed["process"]] == []
+    assert again.compiled == []
+
+
+@pytest.mark.anew
+@pytest.mark.timeout(3600)
+def test_no_kernel_is_compiled_for_two_sets_of_types(runs):
+    types = defaultdict(set)
+    for _, kernel, arguments in runs[0].compiled:
+        if kernel.startswith(("emulator.", "firmware_protocol.")):
+            types[kernel].add(re.sub(r"Literal\[int\]\(\d+\)", "int64", arguments))  # constants are on purpose
+    assert len(types) > 100
+    assert {kernel: found for kernel, found in types.items() if len(found) > 1} == {}
+
+
+@pytest.fixture(scope="module")
+def ends(run_installed, runs):
+    """Exit code and JSON of each shipped rig, run after one another by one process."""
+    done, _ = run_installed(ALL_RIGS, json.dumps(list(shipped_rigs())))
+    lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith(("{", "["))]
+    assert len(lines) == 2 * len(shipped_rigs()), done.stderr
+    return {rig: (code, told, done.stderr) for told, (rig, code) in zip(lines[::2], lines[1::2], strict=True)}
+
+
+@pytest.mark.anew
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("rig", shipped_rigs())
-def test_a_shipped_rig_runs_from_an_installed_wheel(installed, rig, tmp_path):
-    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
-    done = subprocess.run(
-        [installed, "run", rig, "--seconds", "0.02", "--pace", "free", "--json"],
-        cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=600,
-    )  # fmt: skip
+def test_a_shipped_rig_runs_from_an_installed_wheel(ends, rig):
+    code, told, stderr = ends[rig]
     if missing := [need.look().name for need in needs_of(load_rig(rig)) if need.by == "run"]:
-        error = json.loads(done.stdout.splitlines()[-1])["error"]
-        assert (done.returncode, missing[0] in error, "pip install '.[" in error) == (3, True, True), done.stderr
+        assert (code, missing[0] in told["error"], "pip install '.[" in told["error"]) == (3, True, True), stderr
         return
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout.splitlines()[-1])["balanced"] is True
+    assert code == 0, stderr
+    assert told["balanced"] is True
 
 
 @pytest.mark.anew
 def test_a_fresh_environment_has_no_optional_package(installed):
     code = "import importlib.util as u; print([n for n in ('PIL', 'matplotlib', 'faery', 'av') if u.find_spec(n)])"
-    done = subprocess.run([installed.parent / "python", "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run([installed, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

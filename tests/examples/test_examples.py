@@ -143,19 +143,15 @@ def test_a_short_landing_in_real_time(tmp_path):
 
 
 @pytest.mark.socket
-def test_a_flight_computer_that_crashes_is_told(tmp_path):
-    """The last command holds; whether that ends well is luck, but the words say what happened, and where."""
-    code, verdict, text = landing(tmp_path, "--fault", "crash@1")
+def test_a_flight_computer_that_crashes_and_poses_that_are_no_numbers_are_told(tmp_path):
+    """The last command holds; whether that ends well is luck, but the words say what happened, and where.
+
+    The poses without numbers, for a second, are refused, and the motion goes on from the last good ones.
+    """
+    code, verdict, text = landing(tmp_path, "--fault", "crash@1", "--fault", "nan@2+1")
     assert verdict["soft"] == (code == 0), text
     assert "the flight computer has ended with code 1, at 1." in verdict["why"][0]
     assert "crashes at 1 s, as requested" in text
-
-
-@pytest.mark.socket
-def test_poses_that_are_no_numbers_are_told(tmp_path):
-    """For a second; they are refused, and the motion goes on from the last good ones."""
-    code, verdict, text = landing(tmp_path, "--fault", "nan@2+1")
-    assert verdict["soft"] == (code == 0), text
     assert "25 poses were refused: no numbers, or damaged" in verdict["why"]
 
 

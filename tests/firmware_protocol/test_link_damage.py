@@ -1,7 +1,7 @@
 """One damaged bit or byte costs at most two messages, is always counted, and never makes a message up."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from link_damage import survey
 from packet_strategies import MESSAGES, pieces
@@ -25,7 +25,6 @@ EDITS = st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 300), st.binar
 
 
 @pytest.mark.parametrize("name", STREAMS)
-@settings(max_examples=30)
 @given(
     messages=st.lists(MESSAGES, min_size=1, max_size=5), edits=EDITS, cuts=st.lists(st.integers(0, 10_000), max_size=6)
 )

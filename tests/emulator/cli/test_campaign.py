@@ -1,4 +1,4 @@
-"""`evstim campaign` as a user has it: resume, signals, job arrays, one run again."""
+"""`evstim campaign` in the process of the tests where no signal ends it: resume, signals, job arrays, one run again."""
 
 import json
 import signal
@@ -41,39 +41,44 @@ def file(tmp_path):
     return write
 
 
-def evstim(*arguments, code=0):
-    done = subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=500, check=False)
-    assert done.returncode == code, done.stderr
-    assert "Traceback" not in done.stderr
-    return done
+@pytest.fixture
+def campaign(evstim):
+    """Run `evstim campaign`, which ends with a code; return what it printed."""
+
+    def run(*arguments, code=0):
+        done = evstim("campaign", *arguments)
+        assert done.code == code, done.err
+        return done
+
+    return run
 
 
 def summary(done):
-    return json.loads(done.stdout.splitlines()[-1])
+    return json.loads(done.out.splitlines()[-1])
 
 
-def test_a_campaign_its_parts_and_its_completion(file):
+def test_a_campaign_its_parts_and_its_completion(file, campaign):
     path = file(count=5)
     folder = path.with_suffix("")
-    assert summary(evstim(path, "--part", "2/2", "--workers", "1", "--json"))["came"] == 2
+    assert summary(campaign(path, "--part", "2/2", "--workers", "1", "--json"))["came"] == 2
     assert done_rows(folder / "rows") == {1, 3}
-    assert summary(evstim(path, "--only", "4", "--json"))["came"] == 1
+    assert summary(campaign(path, "--only", "4", "--json"))["came"] == 1
     assert not (folder / "report.html").exists()
-    told = summary(evstim(path, "--json", "--workers", "1"))
+    told = summary(campaign(path, "--json", "--workers", "1"))
     assert (told["came"], told["done"], told["outcomes"]) == (2, 5, {"ok": 5})
     assert told["success"]["successes"] == 5
     assert (folder / "report.html").exists()
     assert (folder / "rows.parquet").exists()
-    assert summary(evstim(path, "--json"))["came"] == 0
+    assert summary(campaign(path, "--json"))["came"] == 0
     path.write_text(path.read_text().replace("100", "101"))
-    done = evstim(path, "--json", code=2)
+    done = campaign(path, "--json", code=2)
     assert "campaign.parameters[0].high was 100, is 101" in summary(done)["error"]
 
 
-def test_too_few_successes_end_with_1(file, tmp_path):
+def test_too_few_successes_end_with_1(file, campaign, tmp_path):
     path = file(count=1, least=1.0)
     path.write_text(path.read_text().replace("read_out > 10", "read_out > 1000000"))
-    assert "success: 0 of 1" in evstim(path, "--folder", tmp_path / "here", code=1).stdout
+    assert "success: 0 of 1" in campaign(path, "--folder", tmp_path / "here", code=1).out
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -95,15 +100,15 @@ def test_a_signal_ends_it_with_a_summary_and_it_goes_on(file, number):
     assert "interrupted: the same command goes on" in out
 
 
-def test_a_run_again_is_equal_bit_for_bit(file, tmp_path):
+def test_a_run_again_is_equal_bit_for_bit(file, campaign, tmp_path):
     path = file(count=2, links='[{kind = "loopback"}]')
-    evstim(path, "--workers", "1")
+    campaign(path, "--workers", "1")
     record = tmp_path / "again.npz"
-    told = summary(evstim("again", path, "1", "--record", record, "--json"))
+    told = summary(campaign("again", path, "1", "--record", record, "--json"))
     assert told["different"] == []
     assert told["row"]["link.loopback.delivered"] == told["row"]["events.read_out"] > 0
     assert record.stat().st_size > 1000
-    assert "there is no run 2" in evstim("again", path, "2", code=2).stderr
+    assert "there is no run 2" in campaign("again", path, "2", code=2).err
 
 
 @pytest.mark.parametrize(
@@ -117,16 +122,16 @@ def test_a_run_again_is_equal_bit_for_bit(file, tmp_path):
         (["--folder", "/dev/null/x"], "--folder: "),
     ],
 )
-def test_wrong_use(file, arguments, message):
-    assert message in " ".join(evstim(file(), *arguments, code=2).stderr.split())
+def test_wrong_use(file, campaign, arguments, message):
+    assert message in " ".join(campaign(file(), *arguments, code=2).err.split())
 
 
-def test_a_report_of_the_runs_that_are_done(file, tmp_path):
+def test_a_report_of_the_runs_that_are_done(file, campaign, tmp_path):
     path = file(count=3)
-    assert "give its --folder" in evstim("report", path, code=2).stderr
-    evstim(path, "--part", "1/2", "--workers", "1")
-    told = summary(evstim("report", path, "--to", tmp_path / "there", "--json"))
+    assert "give its --folder" in campaign("report", path, code=2).err
+    campaign(path, "--part", "1/2", "--workers", "1")
+    told = summary(campaign("report", path, "--to", tmp_path / "there", "--json"))
     assert (told["done"], told["runs"], told["came"]) == (2, 3, 0)
     assert "1 of 3 runs are missing" in (tmp_path / "there" / "report.html").read_text()
     path.write_text(path.read_text().replace("100", "101"))
-    assert "was 100, is 101" in summary(evstim("report", path, "--json", code=2))["error"]
+    assert "was 100, is 101" in summary(campaign("report", path, "--json", code=2))["error"]

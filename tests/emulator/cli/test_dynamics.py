@@ -18,29 +18,24 @@ pytestmark = [pytest.mark.system, pytest.mark.socket]
 MAP = 'position_m = [0.0, 0.0, "height_m"]\nstep_s = 0.05\n[file]\npath = "in.csv"\n[start]\nspeed_m_s = -1.0\n'
 
 
-def dynamics(file, folder, *options, trouble=0):
-    (folder / "in.csv").write_text(f"time_s,trouble\n0,0\n0.1,{trouble}\n")
-    (folder / "map.toml").write_text(MAP)
-    start = [
-        sys.executable,
-        "-c",
-        "from emulator.cli import main; main()",
-        "dynamics",
-        file,
-        "--map",
-        folder / "map.toml",
-    ]
-    return subprocess.run([*start, "--seconds", "0.5", "--json", *options], capture_output=True, text=True, timeout=300)
+@pytest.fixture
+def dynamics(evstim, tmp_path):
+    def run(file, *options, trouble=0):
+        (tmp_path / "in.csv").write_text(f"time_s,trouble\n0,0\n0.1,{trouble}\n")
+        (tmp_path / "map.toml").write_text(MAP)
+        return evstim("dynamics", file, "--map", tmp_path / "map.toml", "--seconds", "0.5", "--json", *options)
+
+    return run
 
 
-def test_a_fall_arrives(falling, tmp_path):
+def test_a_fall_arrives(falling, dynamics):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as rig:
         rig.bind(("127.0.0.1", 0))
         rig.settimeout(120)
-        run = dynamics(falling(2), tmp_path, "--to", f"127.0.0.1:{rig.getsockname()[1]}", "--stamped")
+        run = dynamics(falling(2), "--to", f"127.0.0.1:{rig.getsockname()[1]}", "--stamped")
         poses = [PoseMessage.parse(rig.recv(100)) for _ in range(11)]
-    assert run.returncode == 0, run.stderr
-    assert json.loads(run.stdout.splitlines()[-1])["steps"] == 10
+    assert run.code == 0, run.err
+    assert json.loads(run.out.splitlines()[-1])["steps"] == 10
     for k, pose in enumerate(poses):
         t_s = k * 0.05
         assert (pose.t_ns, pose.counter) == (k * 50_000_000, k)
@@ -48,22 +43,22 @@ def test_a_fall_arrives(falling, tmp_path):
 
 
 @pytest.mark.parametrize(("trouble", "told"), [(1, "crashed in its step from 0.1 s"), (2, "height_m = nan")])
-def test_a_flight_that_fails(falling, tmp_path, trouble, told):
-    run = dynamics(falling(3), tmp_path, trouble=trouble)
-    assert (run.returncode, "Traceback" in run.stderr) == (1, False)
-    assert told in json.loads(run.stdout.splitlines()[-1])["error"]
+def test_a_flight_that_fails(falling, dynamics, trouble, told):
+    run = dynamics(falling(3), trouble=trouble)
+    assert run.code == 1
+    assert told in json.loads(run.out.splitlines()[-1])["error"]
 
 
 def _told(run):
     """What it said, in one line: long paths break the lines elsewhere."""
-    return " ".join(run.stderr.split())
+    return " ".join(run.err.split())
 
 
-def test_wrong_use(falling, tmp_path):
-    run = dynamics(tmp_path / "none.fmu", tmp_path)
-    assert (run.returncode, "no such file" in _told(run)) == (2, True)
-    run = dynamics(falling(2), tmp_path, "--to", "10364")
-    assert (run.returncode, "give HOST:PORT" in _told(run)) == (2, True)
+def test_wrong_use(falling, dynamics, tmp_path):
+    run = dynamics(tmp_path / "none.fmu")
+    assert (run.code, "no such file" in _told(run)) == (2, True)
+    run = dynamics(falling(2), "--to", "10364")
+    assert (run.code, "give HOST:PORT" in _told(run)) == (2, True)
 
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "fmu"

@@ -184,7 +184,7 @@ def camera(tmp_path):
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("step_us", [1000, 120_000, 250_000])
+@pytest.mark.parametrize("step_us", [1000, 270_000])
 def test_a_record_holds_what_its_format_can_whatever_the_step(step_us, camera, tmp_path, capsys):
     for name, left_out in (("a.npz", set()), ("a.raw", {"imu", "frames"}), ("a.aedat2", set())):
         code, run = told(capsys, "record", camera(step_us), tmp_path / name, "--seconds", "0.5")
@@ -202,7 +202,7 @@ def test_a_record_holds_what_its_format_can_whatever_the_step(step_us, camera, t
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("step_us", [1000, 120_000, 250_000])
+@pytest.mark.parametrize("step_us", [1000, 270_000])
 def test_truth_and_record_are_in_the_order_of_time_with_triggers(step_us, camera, tmp_path, capsys):
     rig, paths = camera(step_us), [tmp_path / "true.h5", tmp_path / "a.npz"]
     rig.write_text(rig.read_text() + '[[links]]\nkind = "loopback"\n')

@@ -2,15 +2,11 @@
 
 import json
 import re
-import subprocess
-import sys
 from xml.etree import ElementTree
 
 import pytest
 
 pytestmark = pytest.mark.system
-
-EVSTIM = [sys.executable, "-m", "evstim"]
 
 RIG = """
 [scene]
@@ -31,15 +27,14 @@ kind = "loopback"
 
 
 @pytest.fixture
-def run(tmp_path):
+def run(evstim, tmp_path):
     pytest.importorskip("matplotlib", reason="charts (extra report)")
 
     def run_rig(rules=""):
         rig = tmp_path / "small.toml"
         rig.write_text(RIG.format(rules=rules))
-        command = [*EVSTIM, "run", rig, "--json", "--report", tmp_path / "out"]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=300)
-        return done.returncode, json.loads(done.stdout.splitlines()[-1]), tmp_path / "out"
+        done = evstim("run", rig, "--json", "--report", tmp_path / "out")
+        return done.code, json.loads(done.out.splitlines()[-1]), tmp_path / "out"
 
     return run_rig
 
@@ -75,11 +70,10 @@ def test_a_folder_that_exists_is_used_again(run):
     assert {path.name for path in folder.iterdir()} == {"report.html", "report.json", "junit.xml"}
 
 
-def test_a_file_in_the_place_of_the_folder_is_wrong_use(tmp_path):
+def test_a_file_in_the_place_of_the_folder_is_wrong_use(evstim, tmp_path):
     pytest.importorskip("matplotlib", reason="charts (extra report)")
     (tmp_path / "out").write_text("not a folder")
-    command = [*EVSTIM, "run", "loopback", "--report", tmp_path / "out"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 2
-    assert "--report" in done.stderr
+    done = evstim("run", "loopback", "--report", tmp_path / "out")
+    assert done.code == 2
+    assert "--report" in done.err
     assert (tmp_path / "out").read_text() == "not a folder"

@@ -1,10 +1,7 @@
-"""Compilation ahead of a run: in processes of their own, once."""
+"""Compilation ahead of a run: in processes of their own, once; tests/test_wheel.py compiles all that a run needs."""
 
 import dataclasses
-import json
 import os
-import subprocess
-import sys
 from functools import partial
 
 import pytest
@@ -71,53 +68,6 @@ def test_a_part_waits_for_those_that_it_needs(notes):
     assert prepare([second, first], states.append) == []
     assert states[-1].ended == ("first", "second")
     assert prepare([second]) == ["second"]  # what it needs is done already: it does not wait
-
-
-IN_A_RUN = """
-import json, sys
-from numba.core import event
-from emulator.rig.loading import load_rig
-from emulator.run.kernels import CODER, DECODER, EVT, parts_of
-from emulator.run.kernels import uncompiled, prepare
-
-if __name__ == "__main__":
-    rig = load_rig(sys.argv[1])
-    parts = list({part.key: part for part in (*parts_of(rig), CODER, DECODER, EVT)}.values())
-    failed = prepare(parts)
-    compiled = []
-    class Listener(event.Listener):
-        def on_start(self, e):
-            compiled.append(e.data["dispatcher"].py_func.__qualname__)
-        def on_end(self, e):
-            pass
-    event.register("numba:compile", Listener())
-    from emulator.run.assembly import build_frames, build_sensor
-    from emulator.run.assembly import build_scene
-    with build_scene(rig) as scene:
-        frames, sensor = build_frames(rig, scene), build_sensor(rig, rig.camera.sensor)
-        sensor.warm_up()
-        sensor.reset(frames.draw(0))
-        for k in range(1, 30):
-            sensor.expose(frames.draw(1_000_000 * k))
-    DECODER.compile()
-    CODER.compile()
-    EVT.compile()
-    print(json.dumps({"failed": failed, "cold": [p.name for p in uncompiled(parts)], "compiled": compiled}))
-"""
-
-
-@pytest.mark.anew
-@pytest.mark.gl
-@pytest.mark.parametrize("rig", ["serial-demo", "eros"])
-def test_after_the_preparation_a_run_compiles_nothing(rig, tmp_path, gl):
-    script = tmp_path / "prepared.py"
-    script.write_text(IN_A_RUN)
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    done = subprocess.run(
-        [sys.executable, script, rig], env=environment, capture_output=True, text=True, timeout=600, check=True
-    )
-    told = json.loads(done.stdout.splitlines()[-1])
-    assert told == {"failed": [], "cold": [], "compiled": []}
 
 
 def test_nothing_is_prepared_where_numba_is_told_not_to_compile(notes, monkeypatch):

@@ -23,6 +23,7 @@ pace = "free"
 kind = "loopback"
 """
 CLOSED = ("<&-", ">&-", "2>&-")
+ONE_OR_ALL_CLOSED = [*CLOSED, " ".join(CLOSED)]
 SOME_CLOSED = [" ".join(some) for count in (1, 2, 3) for some in itertools.combinations(CLOSED, count)]
 COMMAND = """
 from emulator.cli import main
@@ -70,7 +71,7 @@ def check(told, record):
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("closed", SOME_CLOSED)
+@pytest.mark.parametrize("closed", ONE_OR_ALL_CLOSED)
 def test_a_command_counts_and_records_every_event(closed, rig, tmp_path):
     record, report = tmp_path / "a.npz", tmp_path / "report"
     assert run_closed(closed, COMMAND, "run", rig, "--record", record, "--report", report) == 0
@@ -78,7 +79,7 @@ def test_a_command_counts_and_records_every_event(closed, rig, tmp_path):
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("closed", SOME_CLOSED)
+@pytest.mark.parametrize("closed", ONE_OR_ALL_CLOSED)
 def test_a_program_counts_and_records_every_event(closed, rig, tmp_path):
     record, result = tmp_path / "a.npz", tmp_path / "result.json"
     assert run_closed(closed, PROGRAM, rig, record, result) == 0

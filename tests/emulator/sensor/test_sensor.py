@@ -277,7 +277,7 @@ def test_pixels_turn_hot_within_a_stretch_of_leak_jitter():
     assert leaks[0] == 0 < leaks[1]
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=settings.default.max_examples // 2)
 @given(steps=st.lists(st.integers(0, 40 * MS), min_size=1, max_size=12), seed=st.integers(0, 2**32))
 def test_every_event_has_one_fate(steps, seed):
     sensor = Sensor(everything(), seed)

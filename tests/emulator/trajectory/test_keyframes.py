@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -81,7 +81,6 @@ def test_the_rate_of_a_turn_has_no_jump_at_a_keyframe():
         assert turn_rad(before, here) == pytest.approx(turn_rad(here, after), rel=1e-3)
 
 
-@settings(max_examples=40)
 @given(st.lists(st.tuples(st.floats(-50, 50), st.floats(-1, 1)), min_size=2, max_size=8), st.floats(0, 1))
 def test_it_passes_through_its_keyframes_and_keeps_its_bounds(steps, x):
     times = [k * S for k in range(len(steps))]

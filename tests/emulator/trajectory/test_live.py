@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from emulator.trajectory.building import build_trajectories
@@ -292,7 +292,6 @@ hostile = st.tuples(
 )
 
 
-@settings(max_examples=100)
 @given(st.lists(hostile, max_size=40))
 def test_hostile_poses_leave_a_good_one_its_effect(poses):
     receiver = PoseReceiver("127.0.0.1", 0, clock=lambda: 10**18)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from block_strategies import TICKS, blocks_of, stream, streams
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EDGE
@@ -85,7 +85,6 @@ def test_blocks_of_another_camera_are_counted_apart(library):
 
 
 @given(streams(), st.sampled_from(TICKS), st.sampled_from(MODES), st.sampled_from([64, 1024]))
-@settings(max_examples=120)
 def test_encoded_events_come_back(library, drawn, tick_us, mode, max_bytes):
     size, events = drawn
     encoder = BlockEncoder(size, BlockSettings(tick_us, mode, max_events=100, max_bytes=max_bytes))
@@ -110,7 +109,6 @@ def test_time_is_completed_alike(library, near_us, base):
 
 
 @given(st.sampled_from(GOOD), st.lists(st.tuples(st.integers(0, 2**16), st.integers(0, 7)), min_size=1, max_size=3))
-@settings(max_examples=300)
 def test_damaged_blocks_are_refused_alike(library, vector, flips):
     block = bytearray(bytes.fromhex(vector["hex"]))
     for at, bit in flips:

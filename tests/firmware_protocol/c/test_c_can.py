@@ -4,7 +4,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from raw_strategies import frames_of, jumping_streams
 
@@ -45,7 +45,6 @@ def same_as_python(library, frames):
 
 
 @given(streams(), st.sampled_from([1, 10, 100, 1000]), st.integers(1, 4), st.booleans())
-@settings(max_examples=80)
 def test_events_come_back(library, events, tick_us, parts, fd):
     sender = RawSender(RawSettings(EVENTS, EPOCH, tick_us, fd=fd))
     frames = [p.frame for i, part in enumerate(np.array_split(events, parts)) for p in sender.pack(part, dropped=3 * i)]
@@ -54,7 +53,6 @@ def test_events_come_back(library, events, tick_us, parts, fd):
 
 
 @given(jumping_streams(), st.booleans(), st.integers(0, 40))
-@settings(max_examples=150)
 def test_times_are_exact_far_from_zero_over_jumps_and_for_late_joiners(library, parts, fd, joins):
     frames, expected = frames_of(parts, fd=fd)
     reply = same_as_python(library, frames)
@@ -63,7 +61,6 @@ def test_times_are_exact_far_from_zero_over_jumps_and_for_late_joiners(library, 
 
 
 @given(streams(), st.booleans(), st.data())
-@settings(max_examples=80)
 def test_lost_repeated_and_late_frames_count_the_same(library, events, fd, data):
     sender = RawSender(RawSettings(EVENTS, EPOCH, fd=fd))
     frames = [p.frame for part in np.array_split(events, 5) for p in sender.pack(part)]
@@ -84,7 +81,6 @@ ANY = st.one_of(
 
 
 @given(st.lists(ANY, max_size=30), st.booleans())
-@settings(max_examples=150)
 def test_any_frames_count_the_same(library, frames, timed):
     same_as_python(library, [Frame(EPOCH, bytes(8))] * timed + frames)
 

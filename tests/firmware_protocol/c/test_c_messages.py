@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 from block_strategies import stream
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.can_frames.frame import FD_LENGTHS, Frame
@@ -108,7 +108,6 @@ def test_what_a_links_sources_send_is_read(library, carriage, fd):
 
 
 @given(st.data())
-@settings(max_examples=80)
 def test_isotp_frames_lost_repeated_and_swapped_count_the_same(library, data):
     fd = data.draw(st.booleans())
     frames = isotp_frames(map(Profile("ccsds").wrap, messages(4)), fd=fd)
@@ -128,7 +127,6 @@ ISOTP = st.builds(
 @given(
     st.lists(st.one_of(CLASSIC, FD, ISOTP), max_size=30), st.integers(0, 2), st.sampled_from([0, 1, 7, 20, CAPACITY])
 )
-@settings(max_examples=200)
 def test_any_isotp_frames_count_the_same(library, datas, block_size, capacity):
     frames = [Frame(TELEMETRY, data, fd=True) for data in datas]
     if capacity < 64:  # the Python receiver has room for any single frame
@@ -150,7 +148,6 @@ def test_messages_by_cfp_come_back(library):
 
 
 @given(st.lists(st.integers(0, 200), max_size=12))
-@settings(max_examples=80)
 def test_cfp_frames_lost_and_repeated_cost_their_packet_and_nothing_is_made_up(library, hit):
     profile = Profile("csp")
     frames = [f for i, m in enumerate(messages(4)) for f in cfp_frames(profile.wrap(m), 10, i)]
@@ -162,7 +159,6 @@ def test_cfp_frames_lost_and_repeated_cost_their_packet_and_nothing_is_made_up(l
 
 
 @given(st.lists(st.tuples(st.integers(0, 127), CLASSIC), max_size=60))
-@settings(max_examples=200)
 def test_any_cfp_frames_of_one_packet_at_a_time_count_the_same(library, numbers):
     frames = [Frame(TO_PEER | number & 31, data, extended=True) for number, data in numbers]  # one packet count
     reply, receiver = same_cfp(library, frames)

@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 from block_strategies import stream
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.events import empty_edges, empty_events
@@ -126,7 +126,6 @@ def test_the_packet_of_the_page(library):
 
 @pytest.mark.parametrize("name", MODES)
 @given(st.lists(MESSAGES, max_size=8), st.integers(1, 100))
-@settings(max_examples=60)
 def test_messages_come_back(library, name, messages, piece):
     profile = Profile(name)
     reply = same_as_python(library, name, b"".join(map(profile.wrap, messages)), piece)
@@ -137,7 +136,6 @@ def test_messages_come_back(library, name, messages, piece):
 
 @pytest.mark.parametrize("name", MODES)
 @given(st.data())
-@settings(max_examples=60)
 def test_damaged_streams_give_the_same_and_nothing_wrong(library, name, data):
     profile = Profile(name)
     messages = [events_message(seed, 1_000_000 * seed) for seed in range(1, 7)]

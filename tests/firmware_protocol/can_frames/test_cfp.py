@@ -1,7 +1,7 @@
 """CFP 2: frames as libcsp makes them, and the hole of eight frames that only a CRC can find."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.can_frames.frame import Frame
@@ -84,7 +84,6 @@ def test_packets_of_two_senders_may_mingle(one, two, random):
 
 
 @given(st.binary(min_size=100, max_size=200), st.data())
-@settings(max_examples=60)
 def test_any_hole_is_found_by_the_frame_count_or_by_the_crc(payload, data):
     whole = packet(payload + crc32c(payload).to_bytes(4, "big"))
     frames = cfp_frames(whole, 5, 0)

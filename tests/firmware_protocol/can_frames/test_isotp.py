@@ -2,7 +2,7 @@
 
 import isotp
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.can_frames.frame import Frame
@@ -41,7 +41,6 @@ def oracle(inbox, outbox, fd, block_size):
 
 
 @given(st.integers(1, 300) | st.sampled_from([4095, 4096, 10_000]), st.booleans(), st.sampled_from([0, 1, 7]))
-@settings(max_examples=30, deadline=None)
 def test_can_isotp_reads_what_we_send(length, fd, block_size):
     message = bytes(i * 7 & 0xFF for i in range(length))
     to_them, to_us = [], []
@@ -64,7 +63,6 @@ def test_can_isotp_reads_what_we_send(length, fd, block_size):
 
 
 @given(st.integers(1, 300) | st.sampled_from([4095, 4096, 10_000]), st.booleans(), st.sampled_from([0, 1, 7]))
-@settings(max_examples=30, deadline=None)
 def test_we_read_what_can_isotp_sends(length, fd, block_size):
     message = bytes(i * 11 & 0xFF for i in range(length))
     to_them, to_us = [], []
@@ -97,7 +95,6 @@ def test_golden_frames():
 
 
 @given(st.data())
-@settings(max_examples=60, deadline=None)
 def test_a_hole_costs_its_own_message_only(data):
     """All but lost blocks of sixteen frames, which ISO-TP itself cannot see, are found."""
     messages = [bytes([k]) * data.draw(st.integers(1, 90)) for k in range(4)]
@@ -109,7 +106,6 @@ def test_a_hole_costs_its_own_message_only(data):
 
 
 @given(st.lists(st.binary(min_size=0, max_size=8), max_size=40))
-@settings(max_examples=60, deadline=None)
 def test_foreign_frames_hurt_nobody(payloads):
     receiver = IsoTpReceiver(IsoTpSettings(OURS, THEIRS, longest_bytes=500))
     for data in payloads:

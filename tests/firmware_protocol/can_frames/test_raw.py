@@ -4,7 +4,7 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.can_frames.frame import Frame
@@ -96,7 +96,6 @@ def test_an_fd_frame_with_a_skip():
 
 
 @given(streams(), st.sampled_from([1, 10, 100, 1000]), st.integers(1, 5), st.booleans())
-@settings(max_examples=60, deadline=None)
 def test_every_event_comes_back_at_its_tick(events, tick_us, parts, fd):
     packed, sender = sent_in_parts(events, RawSettings(EVENTS, EPOCH, tick_us, fd=fd), parts)
     receiver = RawReceiver(EVENTS, EPOCH)
@@ -111,7 +110,6 @@ def test_every_event_comes_back_at_its_tick(events, tick_us, parts, fd):
 
 
 @given(streams(most=80), st.booleans(), st.data())
-@settings(max_examples=60, deadline=None)
 def test_lost_and_repeated_frames_are_counted_and_hurt_no_other(events, fd, data):
     packed, sender = sent_in_parts(events, RawSettings(EVENTS, EPOCH, fd=fd), 3)
     receiver = RawReceiver(EVENTS, EPOCH)
@@ -171,7 +169,6 @@ def test_events_without_an_epoch_have_no_time():
 
 
 @given(st.lists(st.tuples(st.sampled_from([EVENTS, EPOCH, 0x7FF]), st.binary(max_size=8))), st.binary(max_size=64))
-@settings(max_examples=60, deadline=None)
 def test_foreign_bytes_hurt_nobody(frames, fd_data):
     receiver = RawReceiver(EVENTS, EPOCH)
     for identifier, data in frames:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import raw_strategies as raw
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.can_frames.frame import Frame
@@ -23,7 +23,6 @@ def receiver_of():
 
 
 @given(raw.jumping_streams(), st.booleans())
-@settings(max_examples=200)
 def test_a_receiver_from_the_start_gets_every_time(parts, fd):
     frames, expected = raw.frames_of(parts, fd=fd)
     receiver = receiver_of()
@@ -33,7 +32,6 @@ def test_a_receiver_from_the_start_gets_every_time(parts, fd):
 
 @pytest.mark.system
 @given(raw.jumping_streams(), st.booleans(), st.integers(0, 40))
-@settings(max_examples=200)
 def test_a_late_joiner_gets_times_modulo_2_to_30_ticks_until_a_clock_frame_and_all_bits_after(parts, fd, joins):
     frames, expected = raw.frames_of([(events, parts[0][1]) for events, _ in parts], fd=fd)
     receiver, clocked, timed = receiver_of(), False, False

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from davis_host import RUN, Host, steady
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
@@ -66,7 +66,6 @@ def test_a_frame_among_events_is_read_back_exactly(layout, roi):
     assert counted(camera) == Counts(offered=len(lines), delivered=len(lines))
 
 
-@settings(max_examples=25, deadline=None)
 @given(
     pieces=st.lists(st.integers(1, 400), min_size=1, max_size=40),
     reads=st.lists(st.integers(1, 900), min_size=1, max_size=20),
@@ -145,7 +144,6 @@ def test_lines_without_room_are_dropped_and_counted_where_they_may_not_wait():
 
 
 @pytest.mark.system
-@settings(max_examples=12, deadline=None)
 @example(words=[0, 0, 121], events=0)
 @example(words=[400, 0, 0, 0, 0, 0, 0, 0], events=7)
 @given(

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from davis_host import RUN, Host, steady
 from hypothesis import given
-from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
@@ -47,7 +46,6 @@ def test_samples_among_events_come_back_exactly(layout):
     assert host.decoder.faults.total == 0
 
 
-@hypothesis_settings(deadline=None, max_examples=25)
 @given(cuts=st.lists(st.integers(0, 40_000), max_size=6).map(sorted), scale=st.sampled_from([0xE5, 0x20, 0x4F, 0x83]))
 def test_the_steps_do_not_matter(cuts, scale):
     camera, host = running()

@@ -162,5 +162,5 @@ class Life(stateful.RuleBasedStateMachine):
         assert self.host.decoder.faults.total == 0
 
 
-Life.TestCase.settings = settings(max_examples=150, stateful_step_count=40, deadline=None)
+Life.TestCase.settings = settings(stateful_step_count=40)
 test_any_life_of_a_camera_balances = Life.TestCase

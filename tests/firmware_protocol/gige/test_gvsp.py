@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.gige.gvcp import Resend
@@ -57,7 +57,6 @@ def test_blocks_that_wait_behind_a_gap_have_a_bound():
     assert (seen, assembly.lost, assembly.waiting) == (398, 1, 0)
 
 
-@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6), lost=st.floats(0, 0.3))
 def test_blocks_are_put_together_from_packets_in_any_order_with_losses(seed, lost):
     draw = np.random.default_rng(seed)

@@ -14,9 +14,10 @@ def python_with(package, variable, folder):
     """Return a Python that has `package`; skip, with the reason, where it can neither be found nor installed."""
     if named := os.environ.get(variable):
         return Path(named)
-    subprocess.run([sys.executable, "-m", "venv", folder], check=True)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
     python = folder / "bin" / "python"
-    done = subprocess.run([python, "-m", "pip", "install", "--quiet", package], capture_output=True, text=True)
+    install = [sys.executable, "-m", "pip", "--python", folder, "install", "--no-compile", "--quiet", package]
+    done = subprocess.run(install, capture_output=True, text=True)
     if done.returncode:
         pytest.skip(
             f"{package} cannot be installed here, and {variable} names no Python that has it: {done.stderr[-300:]}"

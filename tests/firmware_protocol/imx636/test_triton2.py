@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from gige_host import Host, steady
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EdgeKind, empty_edges
@@ -78,7 +78,6 @@ def test_a_silence_is_told_each_second_since_decoders_lose_the_time_after_eight(
         assert len(list(host.blocks())) == 1
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     gaps=st.lists(st.integers(0, 30_000_000), min_size=1, max_size=40),
     turns=st.integers(1, 7),

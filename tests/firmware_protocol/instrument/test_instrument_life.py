@@ -90,5 +90,5 @@ class Life(stateful.RuleBasedStateMachine):
         return [block for block in self.ground.blocks if len(block.events)]
 
 
-Life.TestCase.settings = settings(max_examples=40, stateful_step_count=25, deadline=None)
+Life.TestCase.settings = settings(stateful_step_count=25)
 test_any_life_of_an_instrument_balances = Life.TestCase

@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from packet_strategies import MESSAGES, TELECOMMANDS, pieces
 from spacepackets.ecss.tm import PusTm
@@ -40,7 +40,6 @@ def test_messages_come_out_as_they_went_in(name, kind):
 
 
 @pytest.mark.parametrize("name", STREAMS)
-@settings(max_examples=40)
 @given(messages=st.lists(MESSAGES, max_size=6), cuts=st.lists(st.integers(0, 10_000), max_size=8))
 def test_any_messages_in_any_cut(name, messages, cuts):
     profile = Profile(name)
@@ -52,7 +51,6 @@ def test_any_messages_in_any_cut(name, messages, cuts):
 
 
 @pytest.mark.parametrize("name", PROFILES)
-@settings(max_examples=30)
 @given(commands=st.lists(TELECOMMANDS, max_size=4), acknowledge=st.integers(0, 15).map(Acknowledge))
 def test_telecommands_come_out_as_they_went_in(name, commands, acknowledge):
     computer, instrument = Profile(name), Profile(name).command_unwrapper()

@@ -5,7 +5,7 @@ import functools
 import hypothesis.strategies as st
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 
 from firmware_protocol.events import EVENT
 from firmware_protocol.framing.deframer import DEFAULT_MAX_PAYLOAD
@@ -60,7 +60,6 @@ def test_any_cut_of_the_bytes_gives_the_same(profile):
     assert receiver.faults == 0
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.sampled_from(LINES), st.floats(0, 0.999), st.sampled_from(["flip", "lose", "insert"]), st.data())
 @example("fprime", 0.9059972525399106, "lose", None)  # the first byte of a length
 def test_one_damaged_byte_costs_two_blocks_at_most_and_is_counted(profile, where, what, data):
@@ -104,7 +103,6 @@ def test_being_lost_and_found_again_is_told():
     assert receiver.faults == 2, "a damaged frame, and a gap where it was"
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.sampled_from(LINES), st.binary(max_size=3000))
 def test_noise_is_no_event(profile, noise):
     receiver = SerialReceiver(profile)

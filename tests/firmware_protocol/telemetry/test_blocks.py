@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import slow_decoder
 from block_strategies import SIZES, TICKS, blocks_of, events_of, in_order, stream, streams
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EDGE, empty_edges, empty_events
@@ -34,14 +34,12 @@ def check(size, events, chosen):
 
 
 @given(streams(), st.sampled_from(TICKS), st.sampled_from(MODES), st.sampled_from([32, 200, 1024]))
-@settings(max_examples=200)
 def test_blocks_decode_to_what_they_were_made_of(drawn, tick_us, mode, max_bytes):
     size, events = drawn
     check(size, events, BlockSettings(tick_us, mode, max_events=100, max_bytes=max_bytes))
 
 
 @given(streams(), st.sampled_from(TICKS))
-@settings(max_examples=150)
 def test_the_chosen_mode_is_the_smallest(drawn, tick_us):
     size, events = drawn
     taken, sizes = {}, {}

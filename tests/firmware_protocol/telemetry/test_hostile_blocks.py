@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import slow_decoder
 from block_strategies import TICKS, stream, streams
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from make_vectors import FOLDER, changed
 
@@ -64,7 +64,6 @@ def test_any_bytes_are_refused_or_sound(data):
     st.binary(max_size=80),
     st.booleans(),
 )
-@settings(max_examples=600)
 def test_any_payload_under_a_good_header_is_refused_or_sound(mode, polarity, tick_us, count, size, payload, tame):
     """Tamed payloads begin with allowed Rice parameters, or few would get any further."""
     if tame:
@@ -100,7 +99,6 @@ def test_every_truncation_is_refused(good):
 
 
 @given(st.sampled_from(GOOD), st.lists(st.tuples(st.integers(14, 400), st.integers(0, 255)), min_size=1, max_size=3))
-@settings(max_examples=400)
 def test_damaged_payloads_are_refused_or_sound(good, damage):
     data = bytearray(good)
     for at, value in damage:
@@ -154,7 +152,6 @@ def test_with_a_crc_16_no_flipped_bit_and_no_lost_byte_is_accepted(tick_us, span
 
 
 @given(streams(most=60), st.data())
-@settings(max_examples=50)
 def test_with_a_crc_16_bursts_of_up_to_16_bits_are_found(drawn, data):
     size, events = drawn
     sent = bytearray(checked(BlockEncoder(size).encode(events)[0]))

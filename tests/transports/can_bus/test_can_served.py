@@ -10,7 +10,7 @@ from functools import partial
 import can
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.can_frames.frame import Frame
@@ -52,7 +52,6 @@ def test_what_a_client_should_not_say():
     assert said == (b"< error syntax >" * 3 + b"< echo >", [])
 
 
-@settings(deadline=None)
 @given(st.lists(st.binary(max_size=50) | st.sampled_from([b"< open can0 >", b"< send 123 1 5 >", b"<", b">"])))
 def test_foreign_bytes_hurt_nobody(pieces):
     session = SocketcandSession("can0")

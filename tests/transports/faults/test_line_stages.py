@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from transports.faults.bus import LostFrames
@@ -51,7 +51,6 @@ def flipped(a, b):
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f"{f.kind}")
-@settings(max_examples=20, deadline=None)
 @given(cuts=st.lists(st.integers(0, len(DATA)), max_size=12))
 def test_the_result_does_not_depend_on_how_the_bytes_are_cut(fault, cuts):
     bounds = [0, *sorted(cuts), len(DATA)]

@@ -76,10 +76,10 @@ def test_what_a_fault_destroyed_is_known_to_the_event(bench, fault):
 
 
 @pytest.mark.parametrize("fault", [BitFlips, LostBytes])
-@pytest.mark.parametrize("profile", PROFILES)
-def test_one_bad_bit_or_lost_byte_costs_at_most_two_messages(bench, fault, profile):
+def test_one_bad_bit_or_lost_byte_costs_at_most_two_messages(bench, fault):
+    """On a line as in the decoders, which tests/firmware_protocol/test_link_damage.py damages for every profile."""
     faults = [fault(at_s=0.01 * n + 0.0137, rate=0.003) for n in range(18)]
-    b, report = damaged(bench, faults, profile=profile)
+    b, report = damaged(bench, faults)
     assert_known(b, report)
     assert all(each.hits == 1 for each in report.faults)
     missing = b.receiver.counts["messages_missing"]

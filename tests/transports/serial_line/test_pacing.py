@@ -4,7 +4,7 @@ from collections import deque
 
 import hypothesis.strategies as st
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 from transports.serial_line.endpoint import BaudClock, Frame, Transmitter
 
@@ -40,7 +40,6 @@ def test_capacity_counts_every_bit_of_a_character(bits, bytes_per_s):
     assert BaudClock(96_000, bits).bytes_per_s == pytest.approx(bytes_per_s)
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.lists(st.integers(1, 8_000_000), min_size=20, max_size=60), st.sampled_from([9600, 115_200, 3_000_000]))
 def test_a_full_line_carries_its_capacity_however_the_ticks_fall(steps, baud):
     out, _, _ = transmitter(baud, [bytes(1000)] * 2000)

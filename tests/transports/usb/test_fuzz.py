@@ -58,7 +58,7 @@ async def play(device, pieces: list[bytes]) -> bytes:
 
 
 @pytest.mark.socket
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(imports=st.booleans(), pieces=st.lists(pieces, max_size=12), stock=st.lists(st.binary(max_size=30), max_size=5))
 def test_server_survives_any_bytes(new_device, imports, pieces, stock):
     device = new_device()

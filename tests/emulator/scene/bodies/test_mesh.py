@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from emulator.light import SceneError
@@ -92,7 +92,6 @@ def test_a_broken_plate_table_names_its_line(text, says):
     assert says in str(caught.value)
 
 
-@settings(max_examples=300, deadline=None)
 @given(st.text(alphabet="vf#0123456789.-+eEDn \n\x00é", max_size=200))
 def test_any_text_is_a_table_or_refused(text):
     try:
@@ -102,7 +101,6 @@ def test_any_text_is_a_table_or_refused(text):
     assert table.vertices.shape[1:] == table.facets.shape[1:] == (3,)
 
 
-@settings(max_examples=50, deadline=None)
 @given(st.lists(st.tuples(*[st.floats(-1e6, 1e6)] * 3), min_size=4, max_size=9), st.sampled_from([0, 1]))
 def test_tables_round_trip(points, base):
     table = parse_plates(tagged(points, FACES, base))

@@ -1,7 +1,7 @@
 """The part of a light frame that bodies can touch."""
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from emulator.geometry.camera import Pinhole
@@ -31,7 +31,6 @@ def test_what_is_behind_the_camera_is_not_seen_and_what_is_around_it_may_be_anyw
 
 
 @given(st.lists(st.tuples(number, number, st.floats(-5, 30)), min_size=1, max_size=4), st.integers(0, 2**32 - 1))
-@settings(max_examples=50, deadline=None)
 def test_every_point_that_is_seen_lies_within(places, seed):
     boxes = [CUBE + place for place in places]
     seen = touched_region(boxes, CAMERA)

@@ -5,7 +5,7 @@ from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from emulator.geometry.camera import Cycle
@@ -140,7 +140,6 @@ def test_a_tenth_of_a_second_is_exactly_that():
     assert Cycle(0.1, 0.75).turns(5 * NS) == 0.25
 
 
-@settings(max_examples=200, deadline=None)
 @given(
     st.floats(-1e6, 1e6),
     st.floats(0, 1),

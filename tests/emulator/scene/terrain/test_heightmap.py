@@ -139,7 +139,9 @@ def test_what_is_no_map_is_told(tmp_path, name, write, changes, message):
 
 
 @pytest.mark.system
-@settings(max_examples=10, deadline=None)  # a child process for each; tests/hostile/test_files.py has many more
+@settings(
+    max_examples=settings.default.max_examples // 5
+)  # a child process for each; tests/hostile/test_files.py has many more
 @given(st.binary(max_size=300))
 def test_hostile_bytes_are_a_scene_error(tmp_path_factory, data):
     whole = tmp_path_factory.mktemp("maps") / "map.tif"

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -66,7 +66,6 @@ def test_without_deviation_all_are_late_alike():
     assert jitter.waiting == 0
 
 
-@settings(max_examples=50, deadline=None)
 @given(
     ends=st.lists(st.integers(1, 20 * MS), max_size=10), n=st.integers(0, 400), start_ns=st.integers(0, 2**61),
     latency_us=st.sampled_from([50.0, 5000.0]), deviation_us=st.sampled_from([0.0, 10.0, 10_000.0]),

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -47,7 +47,6 @@ def path_of(x, y, along_x, along_y):
     return pixel[:n] % W, pixel[:n] // W
 
 
-@settings(max_examples=300, deadline=None)
 @given(
     x=st.floats(0, W, exclude_max=True), y=st.floats(0, H, exclude_max=True),
     length=st.one_of(st.just(0.0), st.floats(0, 500)), angle=st.floats(0, 2 * math.pi),

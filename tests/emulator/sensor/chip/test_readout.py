@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from emulator.sensor.chip.readout import ArbiterReadOut
@@ -64,7 +64,6 @@ bursts = st.lists(
 ).map(sorted)
 
 
-@settings(max_examples=200, deadline=None)
 @given(rows=bursts, event_ns=st.sampled_from([0.94, 2.2, 80.0]), row_ns=st.sampled_from([0, 30, 100]))
 def test_it_does_what_the_plain_arbiter_does(rows, event_ns, row_ns):
     parameters = sensor(event_ns=event_ns, row_ns=row_ns)
@@ -77,7 +76,6 @@ def test_it_does_what_the_plain_arbiter_does(rows, event_ns, row_ns):
     )  # fmt: skip
 
 
-@settings(max_examples=200, deadline=None)
 @given(rows=bursts, cuts=st.lists(st.integers(0, 4000), max_size=6).map(sorted))
 def test_how_crossings_are_cut_into_calls_does_not_matter(rows, cuts):
     whole, cut = ArbiterReadOut(sensor()), ArbiterReadOut(sensor())

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from emulator.light import LightFrame
@@ -48,7 +48,6 @@ def slow(found, event_ns):
 _CROSSING = st.tuples(st.integers(0, END_NS - 1), st.integers(0, WIDTH * HEIGHT - 1), st.booleans())
 
 
-@settings(max_examples=40, deadline=None)
 @given(st.lists(_CROSSING, max_size=200), st.lists(st.integers(0, END_NS), max_size=5), st.sampled_from([2.0, 500.0]))
 def test_it_does_what_the_rules_say_however_time_is_divided(drawn, cuts, event_ns):
     found = crossings(*([*zip(*drawn, strict=True)] or [[], [], []]))

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -54,7 +54,6 @@ def same(a, b):
     return np.array_equal(a.t_ns, b.t_ns) and np.array_equal(a.pixel, b.pixel) and np.array_equal(a.on, b.on)
 
 
-@settings(deadline=None)
 @given(seed=st.integers(-(2**70), 2**70), pixel=st.integers(0, 2**40), index=st.integers(0, 2**62))
 def test_loops_draw_the_same_numbers(seed, pixel, index):
     base = np.uint64(keyed_kernels.stream(root_of(seed, Purpose.NOISE_EVENTS), pixel))
@@ -142,7 +141,6 @@ def test_steps_do_not_matter(step_ns):
     assert same(run(step_ns=step_ns, end_ns=200 * MS), run(end_ns=200 * MS))
 
 
-@settings(max_examples=30, deadline=None)
 @given(steps=st.lists(st.integers(1, 30 * MS), min_size=1, max_size=20), start_ns=st.integers(0, 2**60))
 def test_no_division_of_time_matters(steps, start_ns):
     whole, parts = (NoiseEvents(PLAIN, 5, np.full(PIXELS, 0.2)) for _ in range(2))
@@ -199,7 +197,6 @@ def lasting(crossings):
     return list(zip(crossings.t_ns.tolist(), crossings.pixel.tolist(), crossings.on.tolist(), strict=True))
 
 
-@settings(max_examples=20, deadline=None)
 @given(steps=st.lists(st.integers(1, 40 * MS), min_size=1, max_size=6), n=st.integers(0, 300))
 @example(steps=[40 * MS, 5 * MS], n=200)
 def test_crossings_and_noise_become_one_list(steps, n):

@@ -1,0 +1,20 @@
+"""The command line in the process of the tests: for all but signals, pipes and what a process leaves behind."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from emulator.cli.app import _main
+
+
+@pytest.fixture
+def evstim(capsys):
+    """Run a command; return its exit code and what it printed."""
+
+    def run(*arguments):
+        capsys.readouterr()
+        code = _main([str(argument) for argument in arguments])
+        printed = capsys.readouterr()
+        return SimpleNamespace(code=code, out=printed.out, err=printed.err)
+
+    return run
