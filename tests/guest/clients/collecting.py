@@ -7,6 +7,8 @@ microseconds), x, y (uint16) and on (bool). At its first events it makes the emp
 
 With --on it reads on after N events, until the camera is gone, and makes the file FILE.started only then.
 
+With --until FILE it also stops when this file is there.
+
 With --triggers it asks the external input for rising and falling edges and pulses, and saves what the driver tells of
 them as trigger_t (int64, microseconds) and trigger_kind (uint8: 2 rising, 3 falling, 4 pulse).
 
@@ -37,6 +39,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--count", type=int, required=True, help="stop after this many events")
     parser.add_argument("--timeout", type=float, required=True, help="stop after this many seconds")
     parser.add_argument("--on", action="store_true", help="go on until the camera is gone")
+    parser.add_argument("--until", type=Path, help="stop when this file is there")
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--triggers", action="store_true", help="listen to the external input")
     parser.add_argument("--imu", action="store_true", help="take samples of the inertial unit")
@@ -55,7 +58,7 @@ class Collector:
 
     def __init__(self, options: argparse.Namespace) -> None:
         self._count = options.count
-        self._on = options.on
+        self._on, self._until = options.on, options.until
         self._output = options.output
         self._deadline = time.monotonic() + options.timeout
         self._columns: list[tuple[np.ndarray, ...]] = []
@@ -69,7 +72,8 @@ class Collector:
     @property
     def done(self) -> bool:
         enough = self._collected >= self._count and not self._on
-        return enough or time.monotonic() > self._deadline
+        stopped = self._until is not None and self._until.exists()
+        return enough or stopped or time.monotonic() > self._deadline
 
     @property
     def counts(self) -> dict[str, int]:
