@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from firmware_protocol.events import Events
@@ -14,6 +13,7 @@ from tests.guest.environments import DRIVERS, Driver
 from tests.guest.machine import Guest
 from tests.guest.running_rig import Delivered, RunningRig
 from tests.guest.streaming import Seen, Streaming
+from tests.guest.turns import parts_of
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
 
@@ -57,11 +57,9 @@ def test_drivers_take_turns_at_high_speed_on_a_turned_chip(
             with Attachment(guest, rig.port) as camera:
                 assert camera.device["speed"] == "480"
                 seen.append(Streaming(guest, driver, driver_pythons[driver.name], FEWER_EVENTS).wait())
-    delivered = rig.delivered
-    turns = np.split(delivered.events, delivered.resets[1:])
-    assert len(turns) == len(DRIVERS)
-    for driver, view, turn in zip(DRIVERS, seen, turns, strict=True):
+    parts = parts_of(seen, rig.delivered.turns)
+    for driver, view, part in zip(DRIVERS, seen, parts, strict=True):
         assert view.about["running"]
         assert len(view.events) >= FEWER_EVENTS
-        assert_sees(driver, view.events, turn)
+        assert_sees(driver, view.events, part.events)
     assert rig.summary["balanced"], rig.summary

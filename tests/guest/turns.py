@@ -15,7 +15,7 @@ import pytest
 from tests.guest.running_rig import Delivered, RunningRig
 from tests.guest.streaming import Seen
 
-__all__ = ["Turns", "selected"]
+__all__ = ["Turns", "parts_of", "selected"]
 
 Name = TypeVar("Name")
 Result = TypeVar("Result")
