@@ -31,14 +31,14 @@ from firmware_protocol.telemetry import as_received, decode_block
 from tests.guest.machine import Guest
 from transports.link.deliveries import digest_of
 
-pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(2400)]
 
 IDS = Identifiers()
 CLIENT = str(Path(__file__).with_name("clients") / "can_link.py")
 PYTHON = f"NUMBA_DISABLE_JIT=1 {sys.executable}"
 BUSES = RAW_BUS, ISOTP_BUS = "vcan0", "vcan1"
 LISTEN = f"{PYTHON} -c 'from emulator.cli import main; main()' listen can --interface socketcan --channel {RAW_BUS}"
-TIMEOUT_S = 300.0
+TIMEOUT_S = 600.0
 SECONDS = 20
 EARLY, LATE = 200, 50
 """Events before the order to stop, and after it."""
