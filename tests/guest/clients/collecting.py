@@ -9,6 +9,8 @@ With --on it reads on after N events, until the camera is gone, and makes the fi
 
 With --until FILE it also stops when this file is there.
 
+With --attempts the client of neuromorphic_drivers opens again where the driver finds no camera.
+
 With --triggers it asks the external input for rising and falling edges and pulses, and saves what the driver tells of
 them as trigger_t (int64, microseconds) and trigger_kind (uint8: 2 rising, 3 falling, 4 pulse).
 
@@ -39,6 +41,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--count", type=int, required=True, help="stop after this many events")
     parser.add_argument("--timeout", type=float, required=True, help="stop after this many seconds")
     parser.add_argument("--on", action="store_true", help="go on until the camera is gone")
+    parser.add_argument("--attempts", type=int, default=1, help="open the camera so often, a second apart")
     parser.add_argument("--until", type=Path, help="stop when this file is there")
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--triggers", action="store_true", help="listen to the external input")
