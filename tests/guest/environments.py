@@ -37,7 +37,7 @@ from pathlib import Path
 from tests.guest.cache import made_once
 from tests.guest.image import GuestUnavailable
 
-__all__ = ["DRIVERS", "EVENTCV", "Driver"]
+__all__ = ["DRIVERS", "EVENTCV", "ND_EVK4", "Driver"]
 
 CLIENTS = Path(__file__).with_name("clients")
 
@@ -55,6 +55,8 @@ class Driver:
     adds_host_time
         True for the drivers of iniVation: they open with a timestamp reset, throw away what came before it, and add the
         host's time of the reset to every event. neuromorphic_drivers shows device time as it is, from the first event.
+    imports
+        Packages that its program imports slowly, see `Guest.prepare`.
     abort_after_unplugging
         What the driver may say when closing a camera that is gone ends its process; empty: it closes cleanly.
     pythons
@@ -64,6 +66,7 @@ class Driver:
     name: str
     packages: tuple[str, ...]
     adds_host_time: bool
+    imports: tuple[str, ...] = ()
     abort_after_unplugging: str = ""
     pythons: tuple[str, ...] = ()
 
@@ -102,16 +105,25 @@ class Driver:
         raise GuestUnavailable(f"{self.packages[0]} has wheels only for Python {', '.join(self.pythons)}, not found")
 
 
+DV_IMPORTS = ("numpy", "dv_processing")
+ND_IMPORTS = ("numpy", "neuromorphic_drivers")
+
 DRIVERS = (
-    Driver("dv2", ("dv-processing==2.0.4", "numpy"), adds_host_time=True),
-    Driver("dv1", ("dv-processing==1.7.9", "numpy<2"), adds_host_time=True, pythons=("3.11",)),
+    Driver("dv2", ("dv-processing==2.0.4", "numpy"), adds_host_time=True, imports=DV_IMPORTS),
+    Driver("dv1", ("dv-processing==1.7.9", "numpy<2"), adds_host_time=True, imports=DV_IMPORTS, pythons=("3.11",)),
     Driver(
         "nd",
         ("neuromorphic_drivers==0.18.2", "numpy", "pyusb==1.3.1"),
         adds_host_time=False,
+        imports=ND_IMPORTS,
         abort_after_unplugging="callback called for a transfer marked as complete",
     ),
 )
 
-EVENTCV = Driver("ecv", ("eventcv==1.0.8", "numpy"), adds_host_time=False)
+ND_EVK4 = Driver(
+    "nd_evk4", (), adds_host_time=False, imports=ND_IMPORTS, abort_after_unplugging=DRIVERS[-1].abort_after_unplugging
+)
+"""The program for the EVK4 in the environment of neuromorphic_drivers."""
+
+EVENTCV = Driver("ecv", ("eventcv==1.0.8", "numpy"), adds_host_time=False, imports=("numpy", "eventcv"))
 """A library of computer vision with neuromorphic_drivers 0.17 inside; it reads the EVK4 alone of our cameras."""

@@ -33,4 +33,4 @@ ip addr add 10.0.2.15/24 dev eth0
 
 umount /proc
 exec switch_root /root /usr/bin/env -i PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin \
-    HOME=/root PYTHONDONTWRITEBYTECODE=1 "$PYTHON" "$AGENT" 10.0.2.2 "$PORT"
+    HOME=/root PYTHONDONTWRITEBYTECODE=1 "$PYTHON" "$AGENT" 10.0.2.2 "$PORT" pathlib

@@ -27,7 +27,9 @@ __all__ = ["CACHE", "HOST_ADDRESS", "Finished", "Guest", "Job"]
 CACHE = Path(__file__).parents[2] / ".cache" / "guest"
 HOST_ADDRESS = "10.0.2.2"
 RESULTS_IN_GUEST = Path("/evstim-results")
+AGENT = Path(__file__).with_name("agent.py")
 BOOT_TIMEOUT_S = 300.0
+GUEST_LIFE_S = 1e6
 LOOK_PERIOD_S = 0.5  # how often to see whether QEMU is still there
 CONSOLE_TAIL_LINES = 40
 
@@ -89,8 +91,8 @@ class Guest:
         self.console_file = results / "console.log"
         self._jobs: list[Job] = []
         self.kernel = fetch_kernel(CACHE)
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.settimeout(LOOK_PERIOD_S)
+        self._listener = _listener()
+        self._listeners: dict[str, socket.socket] = {}
         try:
             self._qemu = self._power_on()
         except BaseException:
@@ -108,15 +110,24 @@ class Guest:
         """End the guest."""
         for job in self._jobs:
             job.close()
-        self._listener.close()
+        for listener in (self._listener, *self._listeners.values()):
+            listener.close()
         self._qemu.kill()
         self._qemu.wait()
 
     def start(self, argv: Sequence[str], timeout_s: float) -> Job:
-        """Start a program in the guest as root."""
-        job = Job(argv, self._idle_connection(), timeout_s)
+        """Start a program in the guest as root; by fork where its interpreter was prepared."""
+        job = Job(argv, self._idle_connection(self._listeners.get(argv[0], self._listener)), timeout_s)
         self._jobs.append(job)
         return job
+
+    def prepare(self, python: Path, modules: Sequence[str]) -> None:
+        """Start an interpreter that has imported modules, for all programs that `python` runs from now on."""
+        if str(python) in self._listeners or not modules:
+            return
+        listener = _listener()
+        self.start([str(python), str(AGENT), HOST_ADDRESS, _port(listener), *modules], GUEST_LIFE_S)
+        self._listeners[str(python)] = listener
 
     def run(self, argv: Sequence[str], timeout_s: float = 120.0) -> Finished:
         """Run a program in the guest as root and wait for its end."""
@@ -151,12 +162,12 @@ class Guest:
         """The last lines of the guest's console."""
         return "\n".join(self.console_file.read_text(errors="replace").splitlines()[-CONSOLE_TAIL_LINES:])
 
-    def _idle_connection(self) -> socket.socket:
-        """Take the connection that the guest's agent keeps open; raises RuntimeError when there is none in time."""
+    def _idle_connection(self, listener: socket.socket) -> socket.socket:
+        """Take the connection that an agent of the guest keeps open; raises RuntimeError when there is none in time."""
         deadline = time.monotonic() + BOOT_TIMEOUT_S
         while time.monotonic() < deadline and self._qemu.poll() is None:
             try:
-                connection, _ = self._listener.accept()
+                connection, _ = listener.accept()
             except TimeoutError:
                 continue
             return connection
@@ -167,8 +178,8 @@ class Guest:
         initramfs = self.results / "initramfs.gz"
         settings = {
             "PYTHON": sys.executable,
-            "AGENT": str(Path(__file__).with_name("agent.py")),
-            "PORT": str(self._listener.getsockname()[1]),
+            "AGENT": str(AGENT),
+            "PORT": _port(self._listener),
         }
         build_initramfs(self.kernel, settings, initramfs)
         with self.console_file.open("wb") as console:
@@ -192,9 +203,21 @@ class Guest:
             *(qemu, "-M", "pc", "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", "2048"),
             *("-nographic", "-nodefaults", "-no-reboot", "-serial", "stdio"),
             *("-kernel", str(self.kernel.image), "-initrd", str(initramfs)),
+            # Lower levels tell of each transfer of a camera that is unplugged, and a serial console is slow.
             # On a busy machine the timer that the kernel checks at its start comes late, and the kernel gives up.
-            *("-append", "console=ttyS0 panic=-1 mitigations=off no_timer_check"),
+            *("-append", "console=ttyS0 loglevel=5 panic=-1 mitigations=off no_timer_check"),
             *("-virtfs", f"{share},path=/,mount_tag=host,readonly=on"),
             *("-virtfs", f"{share},path={self.results},mount_tag=results"),
             *("-netdev", "user,id=host", "-device", "virtio-net-pci,netdev=host,romfile="),
         ]
+
+
+def _listener() -> socket.socket:
+    """Return a socket for the connections of an agent."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    listener.settimeout(LOOK_PERIOD_S)
+    return listener
+
+
+def _port(listener: socket.socket) -> str:
+    return str(listener.getsockname()[1])

@@ -22,7 +22,6 @@ __all__ = ["Delivered", "RunningRig"]
 
 START_TIMEOUT_S = 240.0
 STOP_TIMEOUT_S = 120.0
-RUN_LIMIT = ("--seconds", "1200")  # should the tests be killed, the run ends by itself
 CHECKERBOARD = """
 title = "A moving checkerboard, served over USB/IP to a guest"
 
@@ -94,6 +93,9 @@ class RunningRig:
         The rig, with {port}, {speed} and {layout} in it.
     """
 
+    limit_s = 7200.0
+    """Stream time; should the tests be killed, the run ends by itself."""
+
     def __init__(
         self, folder: Path, speed: str = "super", layout: str = "upright", more: str = "", text: str = CHECKERBOARD
     ) -> None:
@@ -108,7 +110,8 @@ class RunningRig:
     def __enter__(self) -> RunningRig:
         self._rig.write_text(self._text.format(port=self.port, **self._camera))
         program = Path(sys.executable).with_name("evstim")
-        command = [str(program), "run", str(self._rig), "--record", str(self._record), "--json", *RUN_LIMIT]
+        command = [str(program), "run", str(self._rig), "--record", str(self._record), "--json"]
+        command += ["--seconds", str(self.limit_s)]
         with self._said.open("w") as said:
             self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT)
         try:

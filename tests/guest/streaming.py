@@ -30,6 +30,7 @@ class Seen:
     `said`: all that the client printed, its driver's log too.
     """
 
+    driver: Driver
     about: dict[str, Any]
     events: Events
     triggers: Edges
@@ -59,6 +60,7 @@ class Streaming:
         self._started.unlink(missing_ok=True)
         limits = ["--count", str(count), "--timeout", str(timeout_s)]
         output = ["--output", guest.path_in_guest(self._output.name)]
+        guest.prepare(python, driver.imports)
         self._job: Job = guest.start(
             [str(python), str(driver.program), *limits, *output, *options], timeout_s + STREAM_TIMEOUT_S
         )
@@ -78,7 +80,7 @@ class Streaming:
         if not (finished.ok or self._may_abort(finished, about)):
             raise RuntimeError(f"{finished}\nconsole of the guest:\n{self._guest.console}")
         streams = load_seen(self._output), load_triggers(self._output)
-        return Seen(about, *streams, *load_imu(self._output), *load_frames(self._output), str(finished))
+        return Seen(self._driver, about, *streams, *load_imu(self._output), *load_frames(self._output), str(finished))
 
     def _may_abort(self, finished: Finished, about: dict[str, Any]) -> bool:
         known = self._driver.abort_after_unplugging

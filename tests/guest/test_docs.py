@@ -16,8 +16,9 @@ from pathlib import Path
 import pytest
 
 from tests.guest.environments import DRIVERS, Driver
-from tests.guest.machine import HOST_ADDRESS, Guest
+from tests.guest.machine import HOST_ADDRESS, Finished, Guest
 from tests.guest.running_rig import RunningRig
+from tests.guest.turns import Turns, selected
 
 PAGE = Path(__file__).parents[2] / "docs" / "drivers.md"
 HEADINGS = {"dv2": "dv-processing 2", "dv1": "dv-processing 1.7 (libcaer)", "nd": "neuromorphic_drivers"}
@@ -25,7 +26,7 @@ PORT = "3240"
 TIMEOUT_S = 300.0
 FORWARD = str(Path(__file__).parent / "clients" / "forward.py")
 
-pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(3600)]
 
 
 def blocks(heading: str) -> list[tuple[str, str]]:
@@ -61,27 +62,35 @@ def forwarded(guest: Guest, port: int) -> Iterator[None]:
         job.wait()
 
 
-@pytest.fixture
-def attached(guest: Guest, tmp_path: Path) -> Iterator[RunningRig]:
-    """The rig of the page, running, and its camera attached by the commands of the page."""
-    (_, rig), _, (_, attach), (_, detach) = blocks("Attach it")
-    rig = re.sub(rf"^port = {PORT}$", "port = {port}", rig, flags=re.M)
+@pytest.fixture(scope="module")
+def ended(
+    request: pytest.FixtureRequest,
+    guest: Guest,
+    driver_pythons: dict[str, Path],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Turns[Driver, Finished]:
+    """The programs of the page, each with the camera attached by the commands of the page, on its rig."""
+    (_, text), _, (_, attach), (_, detach) = blocks("Attach it")
+    text = re.sub(rf"^port = {PORT}$", "port = {port}", text, flags=re.M)
     attach = attach.replace("modprobe", f"modprobe -d {guest.kernel.tree}")
-    with RunningRig(tmp_path, text=rig) as running, forwarded(guest, running.port):
-        shell(guest, attach)
-        yield running
-        shell(guest, detach)
+    rig = RunningRig(tmp_path_factory.mktemp("docs"), text=text)
+
+    def run(driver: Driver) -> Finished:
+        ((_, program),) = blocks(HEADINGS[driver.name])
+        with forwarded(guest, rig.port):
+            shell(guest, attach)
+            ended = guest.run([str(driver_pythons[driver.name]), "-u", "-c", program], TIMEOUT_S)
+            shell(guest, detach)
+            return ended
+
+    return Turns(rig, selected(request, "driver"), run)
 
 
 @pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
-def test_the_program_of_the_page_sees_all_streams(
-    guest: Guest, driver: Driver, driver_pythons: dict[str, Path], attached: RunningRig
-) -> None:
-    ((_, program),) = blocks(HEADINGS[driver.name])
-    ended = guest.run([str(driver_pythons[driver.name]), "-u", "-c", program], TIMEOUT_S)
-    assert ended.ok, ended
-    assert "ERROR" not in ended.stdout + ended.stderr, ended  # as libcaer logs a frame with gaps
-    seen = ast.literal_eval(ended.stdout.splitlines()[-1])
+def test_the_program_of_the_page_sees_all_streams(ended: Turns[Driver, Finished], driver: Driver) -> None:
+    finished = ended.result(driver)
+    assert finished.ok, finished
+    assert "ERROR" not in finished.stdout + finished.stderr, finished  # as libcaer logs a frame with gaps
+    seen = ast.literal_eval(finished.stdout.splitlines()[-1])
     assert min(seen[stream] for stream in ("events", "frames", "imu", "triggers")) >= 5
-    attached.stop()
-    assert attached.summary["balanced"], attached.summary
+    assert ended.rig.summary["balanced"], ended.rig.summary

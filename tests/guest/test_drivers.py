@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from firmware_protocol.events import Events
@@ -14,19 +13,13 @@ from tests.guest.environments import DRIVERS, Driver
 from tests.guest.machine import Guest
 from tests.guest.running_rig import Delivered, RunningRig
 from tests.guest.streaming import Seen, Streaming
+from tests.guest.turns import parts_of
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
 
 EVENTS = 1_000_000
 FEWER_EVENTS = 100_000
 SERIAL = "00000346"
-LONGER_THAN_THE_CABLE = 1 << 40
-
-
-@pytest.fixture(params=DRIVERS, ids=lambda driver: driver.name)
-def driver(request: pytest.FixtureRequest) -> Driver:
-    chosen: Driver = request.param
-    return chosen
 
 
 def assert_sees(driver: Driver, seen: Events, delivered: Events) -> None:
@@ -39,28 +32,18 @@ def since_last_reset(delivered: Delivered) -> Events:
     return delivered.events[delivered.resets[-1] :]
 
 
-def test_every_event_delivered_is_seen(
+@pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
+def test_every_event_is_seen_until_the_camera_is_unplugged_and_that_is_noticed(
     guest: Guest, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path
 ) -> None:
     with RunningRig(tmp_path) as rig, Attachment(guest, rig.port):
-        seen = Streaming(guest, driver, driver_pythons[driver.name], EVENTS).wait()
-    assert any(SERIAL in found for found in seen.about["discovered"])
-    assert seen.about["running"]
-    assert len(seen.events) >= EVENTS
-    assert_sees(driver, seen.events, since_last_reset(rig.delivered))
-    assert rig.summary["balanced"], rig.summary
-
-
-def test_an_unplugged_camera_is_noticed(
-    guest: Guest, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path
-) -> None:
-    with RunningRig(tmp_path) as rig, Attachment(guest, rig.port):
-        streaming = Streaming(guest, driver, driver_pythons[driver.name], LONGER_THAN_THE_CABLE)
+        streaming = Streaming(guest, driver, driver_pythons[driver.name], EVENTS, "--on")
         streaming.wait_until_started()
         rig.stop()
         seen = streaming.wait()
+    assert any(SERIAL in found for found in seen.about["discovered"])
     assert seen.about["running"] is False
-    assert len(seen.events) > 0
+    assert len(seen.events) >= EVENTS
     assert_sees(driver, seen.events, since_last_reset(rig.delivered))
     assert rig.summary["balanced"], rig.summary
 
@@ -74,10 +57,9 @@ def test_drivers_take_turns_at_high_speed_on_a_turned_chip(
             with Attachment(guest, rig.port) as camera:
                 assert camera.device["speed"] == "480"
                 seen.append(Streaming(guest, driver, driver_pythons[driver.name], FEWER_EVENTS).wait())
-    delivered = rig.delivered
-    turns = np.split(delivered.events, delivered.resets[1:])
-    assert len(turns) == len(DRIVERS)
-    for driver, view, turn in zip(DRIVERS, seen, turns, strict=True):
+    parts = parts_of(seen, rig.delivered.turns)
+    for driver, view, part in zip(DRIVERS, seen, parts, strict=True):
+        assert view.about["running"]
         assert len(view.events) >= FEWER_EVENTS
-        assert_sees(driver, view.events, turn)
+        assert_sees(driver, view.events, part.events)
     assert rig.summary["balanced"], rig.summary

@@ -17,12 +17,13 @@ import pytest
 from firmware_protocol.events import EVENT
 from tests.guest.attachment import EVK4, Attachment
 from tests.guest.comparison import assert_same
-from tests.guest.environments import EVENTCV, Driver
+from tests.guest.environments import EVENTCV, ND_EVK4
 from tests.guest.gige_run import looped_1280x720
 from tests.guest.known_ramp import apart_us, expected_us, save_frames
 from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
 from tests.guest.streaming import Seen, Streaming
+from tests.guest.turns import Turns, selected
 
 EVENTS = round(float(os.environ.get("EVSTIM_EVK4_EVENTS", "1e5")))
 GAP_US = 4  # 0.25 million events a second, which a processor that QEMU translates can take
@@ -88,7 +89,6 @@ max_late_ms = 0
 kind = "usbip"
 port = {port}
 """
-ND = Driver("nd_evk4", (), adds_host_time=False, abort_after_unplugging="callback called for a transfer marked as")
 
 
 def looped(folder: Path, count: int = 1_000_000) -> None:
@@ -101,21 +101,37 @@ def looped(folder: Path, count: int = 1_000_000) -> None:
 def streamed(guest: Guest, python: Path, rig: RunningRig, count: int, *options: str) -> Seen:
     with Attachment(guest, rig.port, model=EVK4) as camera:
         assert camera.device["manufacturer"] == "Prophesee"
-        return Streaming(guest, ND, python, count, *options, timeout_s=TIMEOUT_S).wait()
+        return Streaming(guest, ND_EVK4, python, count, *options, timeout_s=TIMEOUT_S).wait()
 
 
-def test_every_event_delivered_is_seen(guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path) -> None:
-    looped(tmp_path)
-    with RunningRig(tmp_path, text=RIG) as rig:
-        seen = streamed(guest, driver_pythons["nd"], rig, EVENTS)
+@pytest.fixture(scope="module")
+def turns(request: pytest.FixtureRequest, guest: Guest, tmp_path_factory: pytest.TempPathFactory) -> Turns[str, Seen]:
+    """What each program that reads the camera as it is saw."""
+    folder = tmp_path_factory.mktemp("evk4")
+    looped(folder)
+    rig = RunningRig(folder, text=RIG)
+    programs = {
+        "nd": lambda: streamed(guest, request.getfixturevalue("driver_pythons")["nd"], rig, EVENTS),
+        "eventcv": lambda: read_region(guest, request.getfixturevalue("eventcv_python"), rig),
+    }
+    return Turns(rig, selected(request, "program"), lambda program: programs[program]())
+
+
+def read_region(guest: Guest, python: Path, rig: RunningRig) -> Seen:
+    with Attachment(guest, rig.port, model=EVK4):
+        return Streaming(guest, EVENTCV, python, FEWER_EVENTS, "--roi", timeout_s=TIMEOUT_S).wait()
+
+
+@pytest.mark.parametrize("program", ["nd"])
+def test_every_event_delivered_is_seen(turns: Turns[str, Seen], program: str) -> None:
+    seen = turns.result(program)
     assert seen.about["serial"] == "0BADCAFE"
     assert seen.about["discovered"] == ["0BADCAFE"]
     assert seen.about["overflows"] == 0
     assert abs(seen.about["celsius"] - 20.0) < 0.19
     assert len(seen.events) >= EVENTS
-    delivered = rig.delivered
-    assert_same(seen.events, delivered.events[delivered.resets[-1] :], offset_us=0)
-    assert rig.summary["balanced"], rig.summary
+    assert_same(seen.events, turns.delivered(program).events, offset_us=0)
+    assert turns.rig.summary["balanced"], turns.rig.summary
 
 
 def test_masks_and_the_rate_control_hide_what_the_driver_names_at_high_speed(
@@ -151,18 +167,16 @@ def test_biases_that_the_driver_writes_move_thresholds_and_refractory_period(
     assert rig.summary["balanced"], rig.summary
 
 
+@pytest.mark.parametrize("program", ["eventcv"])
 def test_a_library_with_an_older_driver_inside_sees_every_event_of_its_region(
-    guest: Guest, eventcv_python: Path, tmp_path: Path
+    turns: Turns[str, Seen], program: str
 ) -> None:
-    looped(tmp_path)
-    with RunningRig(tmp_path, text=RIG) as rig, Attachment(guest, rig.port, model=EVK4):
-        seen = Streaming(guest, EVENTCV, eventcv_python, FEWER_EVENTS, "--roi", timeout_s=TIMEOUT_S).wait()
+    seen = turns.result(program)
     assert seen.about["discovered"] == [["prophesee_evk4", "0BADCAFE"]]
-    delivered = rig.delivered
-    assert_same(seen.events, delivered.events[delivered.resets[-1] :], offset_us=0)
+    assert_same(seen.events, turns.delivered(program).events, offset_us=0)
     x, y = seen.events["x"], seen.events["y"]
     assert (x.min(), x.max(), y.min(), y.max()) == (200, 999, 100, 599)
-    assert rig.summary["balanced"], rig.summary
+    assert turns.rig.summary["balanced"], turns.rig.summary
 
 
 @pytest.mark.skipif(not OPENEB, reason="EVSTIM_OPENEB_CLIENT names no program; tests/guest/openeb/Makefile builds it")

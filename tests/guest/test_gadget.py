@@ -21,7 +21,7 @@ import pytest
 from tests.guest.all_streams import ASKED, assert_same_frames, assert_same_streams
 from tests.guest.attachment import EVK4
 from tests.guest.comparison import assert_same
-from tests.guest.environments import DRIVERS, Driver
+from tests.guest.environments import DRIVERS, ND_EVK4, Driver
 from tests.guest.gadget_rig import SLOWEST_LOOP_S, GadgetCamera, GadgetRig, load_port, loop_s
 from tests.guest.gige_run import looped_1280x720
 from tests.guest.machine import Guest
@@ -35,7 +35,6 @@ LONGER_THAN_THE_CABLE = 1 << 40
 TIMEOUT_S = 300.0 + EVENTS * 1e-4
 NEVER_READS = str(Path(__file__).parent / "clients" / "never_reads.py")
 DV2, DV1, ND = DRIVERS
-ND_EVK4 = Driver("nd_evk4", (), adds_host_time=False)
 
 pytestmark = [
     pytest.mark.guest,

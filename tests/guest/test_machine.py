@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import signal
+import sys
 from pathlib import Path
 
 import pytest
 
 from tests.guest import image
 from tests.guest.image import GuestUnavailable
-from tests.guest.machine import Guest
+from tests.guest.machine import Finished, Guest
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
 
@@ -21,6 +23,35 @@ def test_reports_how_a_program_ended(guest: Guest) -> None:
     finished = guest.run(["sh", "-c", "echo out; echo err >&2; exit 3"])
     assert (finished.code, finished.stdout, finished.stderr) == (3, "out\n", "err\n")
     assert guest.run(["no-such-program"]).code == 127
+
+
+PROGRAM = """
+import os, sys, time
+print(__name__, sys.argv[1:], "colorsys" in sys.modules, sys.path[0], end="")
+print("err", file=sys.stderr, end="", flush=True)
+{"code": lambda: sys.exit(3), "late": lambda: time.sleep(60), "abort": os.abort}[sys.argv[1]]()
+"""
+
+
+def run_program(guest: Guest, python: Path, end: str, timeout_s: float = 120.0) -> Finished:
+    (guest.results / "program.py").write_text(PROGRAM)
+    return guest.run([str(python), guest.path_in_guest("program.py"), end], timeout_s)
+
+
+def test_a_program_that_is_forked_is_a_process_as_others(guest: Guest) -> None:
+    python = Path(sys.executable)
+    finished = run_program(guest, python, "code")
+    assert (finished.code, finished.stderr) == (3, "err")
+    assert finished.stdout == f"__main__ ['code'] False {guest.path_in_guest('')}"
+    assert run_program(guest, python, "abort").code == -signal.SIGABRT
+    late = run_program(guest, python, "late", timeout_s=2.0)
+    assert (late.code, late.stderr) == (None, "err")
+
+
+def test_an_interpreter_that_is_prepared_has_imported_modules(guest: Guest) -> None:
+    python = Path(sys.executable).resolve()  # no other test prepares it
+    guest.prepare(python, ("colorsys",))
+    assert "['code'] True" in run_program(guest, python, "code").stdout
 
 
 def test_ends_a_program_that_takes_too_long(guest: Guest) -> None:

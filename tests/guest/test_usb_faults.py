@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +23,9 @@ from tests.guest.environments import DRIVERS, Driver
 from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
 from tests.guest.streaming import Seen, Streaming
+from tests.guest.turns import Turns, selected
 
-pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
+pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(3600)]  # the first test waits for all turns
 
 EVENTS = 300_000  # a second of device time, longer than each fault
 SECONDS = 120.0
@@ -72,54 +73,87 @@ def inject(name: str) -> None:
     assert answer.get("link") == "usbip", answer
 
 
+NAMED = {driver.name: driver for driver in DRIVERS}
 ALL = [(driver.name, name) for name in FAULTS for driver in DRIVERS]
 TELLING = [
     ("dv2", "time_back"), ("dv2", "missed_wraps"), ("nd", "odd_bytes_extra"), ("dv1", "odd_bytes_missing"),
     ("dv1", "time_ahead"), ("nd", "time_frozen"), ("nd", "usb_stall"), ("nd", "stale_data"),
 ]  # fmt: skip
-BY_NAME = {driver.name: driver for driver in DRIVERS}
+Exposure = tuple[str, tuple[str, ...]]
+"""A driver, and the faults that begin while it streams."""
+TOGETHER = [(driver.name, EXACT) for driver in DRIVERS]
+ALONE = [(who, (name,)) for who, name in (ALL if os.environ.get("EVSTIM_EVERY_FAULT") else TELLING)]
 
 
-class Meeting:
-    """A driver that streams while faults begin: what it saw, and what the run tells of each fault."""
+class Exposed:
+    """Drivers that stream on one run while faults begin, one driver after another."""
 
-    def __init__(self, guest: Guest, driver: Driver, python: Path, folder: Path, names: Sequence[str]) -> None:
-        with RunningRig(folder) as rig:
-            for name in AT_NEXT_START.intersection(names):
-                inject(name)
-            with Attachment(guest, rig.port):
-                streaming = Streaming(guest, driver, python, EVENTS, timeout_s=SECONDS)
-                streaming.wait_until_started()
-                for name in [name for name in names if name not in AT_NEXT_START]:
-                    inject(name)
-                seen = streaming.wait()
-        assert rig.summary["balanced"], rig.summary
-        self.faults = {fault["kind"]: fault for fault in rig.summary["links"]["usbip"]["faults"]}
-        assert len(self.faults) == len(names)
-        assert min(fault["hits"] for fault in self.faults.values()) > 0, self.faults
-        delivered = rig.delivered
-        self.found = outcome(
-            driver, seen, delivered.events[delivered.resets[-1] :], self.faults[FAULTS[names[0]]["kind"]]
-        )
+    def __init__(self, guest: Guest, pythons: dict[str, Path], rig: RunningRig, exposures: Sequence[Exposure]) -> None:
+        self._guest, self._pythons, self._rig = guest, pythons, rig
+        self._injected = 0
+        self._faults: dict[Exposure, slice] = {}
+        self._turns = Turns(rig, exposures, self._expose)
+
+    def faults(self, exposure: Exposure) -> dict[str, dict[str, object]]:
+        """Return what the run reports of each fault, by kind."""
+        reported = self._rig.summary["links"]["usbip"]["faults"][self._faults[exposure]]
+        faults = {fault["kind"]: fault for fault in reported}
+        assert [fault["kind"] for fault in reported] == [FAULTS[name]["kind"] for name in exposure[1]]
+        assert min(fault["hits"] for fault in reported) > 0, faults
+        return faults
+
+    def outcome(self, exposure: Exposure) -> dict[str, object]:
+        """Return what the driver saw beside what it must have seen; see `outcome`."""
+        assert self._rig.summary["balanced"], self._rig.summary
+        who, names = exposure
+        seen, fault = self._turns.result(exposure), self.faults(exposure)[FAULTS[names[0]]["kind"]]
+        return outcome(NAMED[who], seen, self._turns.delivered(exposure).events, fault)
+
+    def _expose(self, exposure: Exposure) -> Seen:
+        who, names = exposure
+        self._faults[exposure] = slice(self._injected, self._injected + len(names))
+        self._inject(name for name in names if name in AT_NEXT_START)
+        with Attachment(self._guest, self._rig.port):
+            streaming = Streaming(self._guest, NAMED[who], self._pythons[who], EVENTS, timeout_s=SECONDS)
+            streaming.wait_until_started()
+            self._inject(name for name in names if name not in AT_NEXT_START)
+            return streaming.wait()
+
+    def _inject(self, names: Iterable[str]) -> None:
+        for name in names:
+            inject(name)
+            self._injected += 1
 
 
-@pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
-def test_a_driver_sees_all_that_left_the_camera_in_spite_of_faults(
-    guest: Guest, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    meeting = Meeting(guest, driver, driver_pythons[driver.name], tmp_path, EXACT)
-    found = meeting.found
+@pytest.fixture(scope="module")
+def exposed(
+    request: pytest.FixtureRequest,
+    guest: Guest,
+    driver_pythons: dict[str, Path],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Exposed:
+    folder = tmp_path_factory.mktemp("faults")
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("XDG_RUNTIME_DIR", str(folder))
+        return Exposed(guest, driver_pythons, RunningRig(folder), selected(request, "exposure"))
+
+
+def name_of(exposure: Exposure) -> str:
+    who, names = exposure
+    return who if len(names) > 1 else f"{who}-{names[0]}"
+
+
+@pytest.mark.parametrize("exposure", TOGETHER, ids=name_of)
+def test_a_driver_sees_all_that_left_the_camera_in_spite_of_faults(exposed: Exposed, exposure: Exposure) -> None:
+    found = exposed.outcome(exposure)
     assert (found["missing"], found["others"], found["running"]) == (0, 0, True), found
-    assert found["seen"] - found["delivered"] == meeting.faults["repeated_events"]["hits"], found
+    assert found["seen"] - found["delivered"] == exposed.faults(exposure)["repeated_events"]["hits"], found
 
 
-@pytest.mark.parametrize(("who", "name"), ALL if os.environ.get("EVSTIM_EVERY_FAULT") else TELLING)
-def test_a_driver_meets_a_fault(
-    guest: Guest, who: str, name: str, driver_pythons: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    found = Meeting(guest, BY_NAME[who], driver_pythons[who], tmp_path, [name]).found
+@pytest.mark.parametrize("exposure", ALONE, ids=name_of)
+def test_a_driver_meets_a_fault(exposed: Exposed, exposure: Exposure) -> None:
+    who, (name,) = exposure
+    found = exposed.outcome(exposure)
     if log := os.environ.get("EVSTIM_FAULT_OUTCOMES"):
         with Path(log).open("a") as lines:
             lines.write(json.dumps({"driver": who, "fault": name, **found}) + "\n")

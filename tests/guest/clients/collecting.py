@@ -5,6 +5,12 @@
 Each client prints what it saw as one JSON object on its last line, and saves the events as the arrays t (int64,
 microseconds), x, y (uint16) and on (bool). At its first events it makes the empty file FILE.started.
 
+With --on it reads on after N events, until the camera is gone, and makes the file FILE.started only then.
+
+With --until FILE it also stops when this file is there.
+
+With --attempts the client of neuromorphic_drivers opens again where the driver finds no camera.
+
 With --triggers it asks the external input for rising and falling edges and pulses, and saves what the driver tells of
 them as trigger_t (int64, microseconds) and trigger_kind (uint8: 2 rising, 3 falling, 4 pulse).
 
@@ -34,6 +40,9 @@ def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser()
     parser.add_argument("--count", type=int, required=True, help="stop after this many events")
     parser.add_argument("--timeout", type=float, required=True, help="stop after this many seconds")
+    parser.add_argument("--on", action="store_true", help="go on until the camera is gone")
+    parser.add_argument("--attempts", type=int, default=1, help="open the camera so often, a second apart")
+    parser.add_argument("--until", type=Path, help="stop when this file is there")
     parser.add_argument("--output", type=Path, required=True)
     parser.add_argument("--triggers", action="store_true", help="listen to the external input")
     parser.add_argument("--imu", action="store_true", help="take samples of the inertial unit")
@@ -52,6 +61,7 @@ class Collector:
 
     def __init__(self, options: argparse.Namespace) -> None:
         self._count = options.count
+        self._on, self._until = options.on, options.until
         self._output = options.output
         self._deadline = time.monotonic() + options.timeout
         self._columns: list[tuple[np.ndarray, ...]] = []
@@ -60,10 +70,13 @@ class Collector:
         self._frames: list[tuple[int, np.ndarray]] = []
         self._collected = 0
         self._started: float | None = None
+        self._announced = False
 
     @property
     def done(self) -> bool:
-        return self._collected >= self._count or time.monotonic() > self._deadline
+        enough = self._collected >= self._count and not self._on
+        stopped = self._until is not None and self._until.exists()
+        return enough or stopped or time.monotonic() > self._deadline
 
     @property
     def counts(self) -> dict[str, int]:
@@ -86,9 +99,11 @@ class Collector:
     def add(self, t: np.ndarray, x: np.ndarray, y: np.ndarray, on: np.ndarray) -> None:
         if self._started is None:
             self._started = time.monotonic()
-            self._output.with_suffix(".started").touch()
         self._columns.append((t.astype(np.int64), x.astype(np.uint16), y.astype(np.uint16), on.astype(bool)))
         self._collected += len(t)
+        if not self._announced and self._collected >= (self._count if self._on else 1):
+            self._output.with_suffix(".started").touch()
+            self._announced = True
 
     def add_trigger(self, t: int, kind: int) -> None:
         self._triggers.append((t, kind))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import time
 from importlib.metadata import version
 from typing import Any
 
@@ -26,10 +27,21 @@ def collect_imu(samples: Any, collector: Collector) -> None:
 
 def open_camera(options: argparse.Namespace) -> Any:
     """Open the first camera, with the detector of its external input on if triggers are asked for."""
-    camera = nd.open(nd.inivation_davis346.Configuration(), iterator_timeout=0.1)
+    camera = open_driver(options.attempts)
     if options.triggers:
         write_registers(EXTERNAL_INPUT, DETECT, 1)
     return camera
+
+
+def open_driver(attempts: int) -> Any:
+    """Open the first camera; where the driver finds none, a second later again."""
+    try:
+        return nd.open(nd.inivation_davis346.Configuration(), iterator_timeout=0.1)
+    except RuntimeError:
+        if attempts == 1:
+            raise
+    time.sleep(1.0)
+    return open_driver(attempts - 1)
 
 
 def take(camera: Any, collector: Collector, options: argparse.Namespace) -> int:

@@ -1,0 +1,89 @@
+"""Several programs that use one run, one after another: what each returned, and what left the camera in its turn.
+
+A run takes seconds to start, and its record is there at its end. So the tests of a module share a run, and each judges
+the turn of its own; a turn that fails is raised by the test that judges it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any, Generic, TypeVar
+
+import pytest
+
+from tests.guest.running_rig import Delivered, RunningRig
+from tests.guest.streaming import Seen
+
+__all__ = ["Turns", "parts_of", "selected"]
+
+Name = TypeVar("Name")
+Result = TypeVar("Result")
+
+LEAST_START_DELAY_US = 500_000
+"""No rig of these tests starts its camera's events sooner; after a timestamp reset they go on at once."""
+
+
+def selected(request: pytest.FixtureRequest, parameter: str) -> list[Any]:
+    """Return the values that a parameter has in those tests of the module that were selected, each once."""
+    tests = [item for item in request.session.items if item.path == request.path and hasattr(item, "callspec")]
+    values = [test.callspec.params[parameter] for test in tests if parameter in test.callspec.params]
+    return [value for k, value in enumerate(values) if value not in values[:k]]
+
+
+class Turns(Generic[Name, Result]):
+    """The turns of a run, which has ended.
+
+    Parameters
+    ----------
+    rig
+        Not started.
+    names
+        Of the turns, in their order.
+    take
+        Does one turn, and returns what its test judges.
+    """
+
+    def __init__(self, rig: RunningRig, names: Sequence[Name], take: Callable[[Name], Result]) -> None:
+        self.rig = rig
+        self._names = list(names)
+        self._results: list[Result | Exception] = []
+        with rig:
+            for name in names:
+                try:
+                    self._results.append(take(name))
+                except (AssertionError, OSError, RuntimeError) as failure:
+                    self._results.append(failure)
+
+    def result(self, name: Name) -> Result:
+        """Return what the turn returned, or raise what it raised."""
+        result = self._results[self._names.index(name)]
+        if isinstance(result, Exception):
+            raise result
+        return result
+
+    def delivered(self, name: Name) -> Delivered:
+        """Return what left the camera for the client of a turn."""
+        failed = [result for result in self._results if isinstance(result, Exception)]
+        if failed:
+            raise AssertionError("which part of the record is whose is not known where a turn failed") from failed[0]
+        return self._parts[self._names.index(name)]
+
+    @cached_property
+    def _parts(self) -> list[Delivered]:
+        return parts_of([result for result in self._results if isinstance(result, Seen)], self.rig.delivered.turns)
+
+
+def parts_of(seen: Sequence[Seen], parts: Sequence[Delivered]) -> list[Delivered]:
+    """Return the part of a record that each client must have seen, of all parts in which device time began anew.
+
+    A driver that resets the timestamps as it opens may be late, and throws away what came since the camera's start.
+    """
+    left, found = list(parts), []
+    for view in seen:
+        part = left.pop(0)
+        if view.driver.adds_host_time and part.events["t"][0] >= LEAST_START_DELAY_US:
+            part = left.pop(0)
+        found.append(part)
+    assert not left, f"device time began anew {len(parts)} times for {len(seen)} clients"
+    return found
