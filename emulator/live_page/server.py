@@ -25,7 +25,8 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from emulator.live_page.messages import MOST_COMMAND_BYTES, Access, BadMessage, parse_command
-from transports.network import Admission, AllowList, Places, Seat
+from transports.connections import Admission, Places, Seat
+from transports.network import AllowList
 
 __all__ = ["BAD_MESSAGE", "FULL", "MOST_VIEWERS", "REFUSED", "Connections", "PageServer", "Viewer", "Viewers"]
 

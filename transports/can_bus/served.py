@@ -25,8 +25,9 @@ from firmware_protocol.can_frames.frame import Frame
 from firmware_protocol.can_frames.socketcand import GREETING, Carried, SocketcandSession, Wire, frame_line
 from transports.can_bus.bus import BusDown, CanBus, TimedFrame
 from transports.can_bus.kind import CanLink
+from transports.connections import Admission, Listener, Places, Seat
 from transports.link.pacing import Clock
-from transports.network import Admission, AllowList, Listener, Places, Seat
+from transports.network import AllowList
 
 __all__ = ["BusClient", "ServedBus"]
 

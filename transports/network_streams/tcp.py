@@ -23,11 +23,12 @@ from firmware_protocol.device.items import Items
 from firmware_protocol.device.plain_device import PlainDevice, own_time
 from firmware_protocol.events import empty_edges, empty_events
 from firmware_protocol.network_streams.coders import ConnectionCoder
+from transports.connections import Admission, Listener, Seat
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
 from transports.link.pacing import Clock
 from transports.needs import install_command
-from transports.network import Admission, AllowList, Listener, Seat
+from transports.network import AllowList
 from transports.network_streams.kind import TcpLink
 
 __all__ = ["Client", "ClientGroup", "ClientTerms", "TcpEndpoint", "TcpFactory"]

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from transports.can_bus.kind import CanLink
-from transports.network import Admission, AllowList, Places, check_allow, is_loopback
+from transports.connections import Admission, Places
+from transports.network import AllowList, check_allow, is_loopback
 from transports.usb.kind import UsbipLink
 
 

@@ -20,7 +20,7 @@ from tests.transports.usb.raw_host import (
     read_urb,
     submit,
 )
-from transports.network import Listener, Places
+from transports.connections import Listener, Places
 from transports.usb.host import PeerGone
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.connection import ConnectionSettings

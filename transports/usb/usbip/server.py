@@ -25,11 +25,12 @@ from pathlib import Path
 
 from firmware_protocol.usb.device import UsbCamera, UsbDevice
 from firmware_protocol.usb.usbip import DeviceListReply, DeviceRecord, ImportReply, OpStatus
+from transports.connections import Admission, Listener, Places, Seat
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory
-from transports.network import Admission, AllowList, Listener, Places, Seat, is_loopback
+from transports.network import AllowList, is_loopback
 from transports.usb.usbip.connection import Connection, ConnectionSettings, UrbObserver
 from transports.usb.usbip.trace import UrbTrace
 
