@@ -14,7 +14,7 @@ Paced in real time, a step is computed `lead` ahead of the moment its first even
 go at its own time. Not paced, steps follow each other as fast as they can be computed and links hold the run back when
 they are full, so that nothing is lost. In lockstep they go on as far as the SYNCs of a bus let them.
 
-A step of the start that takes long is reported in the log.
+A part of the start that takes long is reported in the log.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Schedule:
 
     A `simulation` takes the place of such a bus, and the run is then not paced.
     A paced run whose worst step was later than `max_late_us`, or with a larger share of late steps than
-    `max_late_share`, is not good; `max_late_us` of 0: any lateness is.
+    `max_late_share`, is not good; a `max_late_us` of 0 sets no limit.
     """
 
     lead_ns: int = 5_000_000
@@ -101,6 +101,8 @@ class Session:
         Length of each step.
     setups
         One for each link.
+    clock
+        Clock that paces the run.
     readings
         Readings of the camera beside events.
     """

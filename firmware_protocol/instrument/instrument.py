@@ -283,6 +283,8 @@ class Instrument(EventDevice):
                 self._answers.put(MessageKind.PONG, b"")
             case RequestHousekeeping():
                 self._answers.put(MessageKind.HOUSEKEEPING, self.report().encode())
+            case _:
+                raise ValueError(f"{request!r} has no effect here")
 
     def take_commands(self) -> tuple[str, ...]:
         """See `EventDevice.take_commands`; of too many, the last."""

@@ -21,7 +21,7 @@ from transports.can_bus.bus import BusDown, CanBus, PythonCanBus
 from transports.can_bus.carriage import FrameSource, sources
 from transports.can_bus.faulty_bus import BusFaults, FaultyBus
 from transports.can_bus.kind import CanLink
-from transports.can_bus.node import EdgeSink, Node
+from transports.can_bus.node import Node, TriggerCallback
 from transports.can_bus.served import ServedBus
 from transports.faults.bus import QueuedFrame
 from transports.faults.script import FaultPlan
@@ -53,7 +53,7 @@ class CanFactory(EndpointFactory[Instrument]):
     """Factory of the endpoint of an instrument on a CAN bus; `sink` receives the bus's SYNCs as triggers."""
 
     parameters: CanLink
-    sink: EdgeSink | None = None
+    sink: TriggerCallback | None = None
     faults: FaultPlan = field(default_factory=FaultPlan)
 
     def build(self, device: Instrument, deliveries: Deliveries) -> CanEndpoint:

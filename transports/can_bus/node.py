@@ -37,10 +37,10 @@ from transports.link.pacing import Clock
 from transports.link.reception import Arrivals, CountedReception
 from transports.recording.record import Recorder
 
-__all__ = ["CanReception", "EdgeSink", "Node", "listen_can", "peer_of"]
+__all__ = ["CanReception", "Node", "TriggerCallback", "listen_can", "peer_of"]
 
 
-EdgeSink = Callable[[int, int], None]
+TriggerCallback = Callable[[int, int], None]
 """Callback with the time of a trigger (CLOCK_MONOTONIC, ns) and its number."""
 
 _MS = 1_000_000
@@ -51,7 +51,7 @@ class Node:
     """Node of the camera: frames sent by the clock, and reactions to received frames."""
 
     def __init__(
-        self, parameters: CanLink, instrument: Instrument, deliveries: Deliveries, sink: EdgeSink | None
+        self, parameters: CanLink, instrument: Instrument, deliveries: Deliveries, sink: TriggerCallback | None
     ) -> None:
         self.parameters = self._p = parameters
         self._ids = parameters.identifiers

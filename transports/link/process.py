@@ -6,7 +6,7 @@
     ReadingRing --- frames, samples -->        device.offer_readings
                <--- host settings -----        device.reading_settings
     Connection ---- Stop, InjectFault ->  endpoint: USB/IP server, serial line ...
-               <--- CameraSettings ----  changes by hosts, with their stream time (see `changes`)
+               <--- CameraSettings ----  changes by hosts, with their stream time (see `report`)
                <--- LinkReport --------  (ten a second, and a last one)
 
 Each link has its own process, because a busy Python thread delays pacing of microseconds to tens of milliseconds. The

@@ -8,7 +8,8 @@ events up to that time and none after it. The camera stores its stream time afte
 (`EventRing.settle`). So when a camera has reached a stream time, a waiting session has all changes before that time.
 
 A bias on its way: the register (`Davis346._write`), its factor (`sensor_factors`), `ChangeWatch.look`,
-`LinkProcess.take_changes`, `Session._follow_cameras`, `BiasFollowing.follow` (`emulator.run.changes`), `Sensor.adjust`.
+`LinkLoop._send_changes`, `LinkProcess.take_changes`, `Session._follow_cameras`, `BiasFollowing.follow`
+(`emulator.run.changes`), `Sensor.adjust`.
 """
 
 from __future__ import annotations

@@ -23,6 +23,7 @@ from firmware_protocol.packets.telecommands import (
     Stage,
     Start,
     Stop,
+    Telecommand,
 )
 from firmware_protocol.telemetry import as_received
 
@@ -335,3 +336,21 @@ def test_dense_events_leave_in_block_order_over_blocks_and_stay_the_same_events(
     first_tick = received[:1000]
     assert len(ground.blocks[0].events) < 1000
     assert (np.diff(first_tick["y"].astype(int) * SIZE[0] + first_tick["x"]) >= 0).all()
+
+
+class NoEffect(Telecommand):
+    """Telecommand that no case of `Instrument.execute` handles."""
+
+    def encode(self):
+        return b""
+
+    @classmethod
+    def parse(cls, data):
+        return cls()
+
+
+def test_a_telecommand_without_an_effect_is_refused_and_not_completed(make):
+    instrument, _ = make()
+    with pytest.raises(ValueError, match="has no effect here"):
+        instrument.execute(NoEffect())
+    assert instrument.take_commands() == ()
