@@ -1,0 +1,52 @@
+"""Processor time and memory of a process and of its children, as Linux counts them in /proc."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["ProcessUse", "children", "use_of"]
+
+_PROC = Path("/proc")
+_TICK_S = 1 / os.sysconf("SC_CLK_TCK")
+_HELPER = b"resource_tracker"  # of multiprocessing: a child that does none of the run's work
+
+
+@dataclass(frozen=True)
+class ProcessUse:
+    """Processor time of a process so far, s, and the most memory that it had at a time, MiB."""
+
+    cpu_s: float
+    peak_mib: float
+
+
+def use_of(pid: int) -> ProcessUse | None:
+    """Return the use of a process; None where it has ended."""
+    try:
+        fields = (_PROC / str(pid) / "stat").read_text().rpartition(")")[2].split()
+        status = (_PROC / str(pid) / "status").read_text()
+    except OSError:
+        return None
+    peak = [line for line in status.splitlines() if line.startswith("VmHWM:")]
+    if not peak:  # it has ended, and its parent has not taken note of it
+        return None
+    return ProcessUse((int(fields[11]) + int(fields[12])) * _TICK_S, int(peak[0].split()[1]) / 1024)
+
+
+def children(pid: int) -> Iterator[int]:
+    """Yield the children of a process, and theirs, without helpers of multiprocessing."""
+    for task in (_PROC / str(pid) / "task").glob("*/children"):
+        with suppress(OSError):
+            for child in map(int, task.read_text().split()):
+                if not _is_helper(child):
+                    yield child
+                    yield from children(child)
+
+
+def _is_helper(pid: int) -> bool:
+    with suppress(OSError):
+        return _HELPER in (_PROC / str(pid) / "cmdline").read_bytes()
+    return True

@@ -1,0 +1,102 @@
+"""A receiver of a camera on USB/IP, in a process of its own, that reads and decodes everything until the run ends."""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from contextlib import closing
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Self
+
+from emulator.evaluation.bench.streams import BenchFailed
+from transports.link.pacing import MonotonicClock
+from transports.usb.cameras import CameraHost, CameraReception, driver_of, receive
+from transports.usb.host import UsbHostError
+from transports.usb.usbip.client import UsbipHost
+
+__all__ = ["Received", "Receiver"]
+
+_RETRY_S = 0.01
+_CONNECT_S = 5.0
+_END_S = 10.0
+
+
+@dataclass(frozen=True)
+class Received:
+    """What arrived: events, malformed words, and `time.monotonic` of the first event (None: there was none)."""
+
+    events: int
+    faults: int
+    first_s: float | None
+
+
+class Receiver:
+    """The receiver of the camera at a port of this machine; it attaches as soon as the camera is there.
+
+    A context manager: at its end the process has ended.
+
+    Attributes
+    ----------
+    pid : of the process.
+    """
+
+    def __init__(self, port: int, patience_s: float) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._mine, theirs = context.Pipe(duplex=False)
+        self._process = context.Process(target=_serve, args=(port, patience_s, theirs), daemon=True)
+        self._process.start()
+        theirs.close()
+        self.pid: int = self._process.pid or 0
+
+    def received(self) -> Received:
+        """Return the reception, once the camera has gone; raises BenchFailed."""
+        if not self._mine.poll(_END_S):
+            raise BenchFailed("the receiver did not end with the run")
+        try:
+            found: Received | str = self._mine.recv()
+        except EOFError:
+            raise BenchFailed("the receiver has died") from None
+        if isinstance(found, str):
+            raise BenchFailed(f"the receiver: {found}")
+        return found
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.kill()
+        self._process.join()
+        self._mine.close()
+
+
+def _serve(port: int, patience_s: float, result: Connection) -> None:
+    try:
+        with closing(_attached(port, time.monotonic() + patience_s)) as camera:
+            result.send(_read(camera))
+    except (UsbHostError, KeyboardInterrupt) as error:
+        result.send(str(error) or "interrupted")
+
+
+def _attached(port: int, deadline_s: float) -> CameraHost:
+    """Return the driver of the camera, which opens its port when it is ready; raises UsbHostError."""
+    while True:
+        try:
+            return driver_of(UsbipHost.attach("127.0.0.1", port, "1-1", timeout_s=_CONNECT_S))
+        except UsbHostError:
+            if time.monotonic() > deadline_s:
+                raise
+            time.sleep(_RETRY_S)
+
+
+def _read(camera: CameraHost) -> Received:
+    first_s: float | None = None
+
+    def goes_on(now: CameraReception) -> bool:
+        nonlocal first_s
+        if first_s is None and now.events:
+            first_s = time.monotonic()
+        return True
+
+    reception = receive(camera, goes_on, MonotonicClock())
+    return Received(reception.events, reception.faults, first_s)
