@@ -79,7 +79,7 @@ def measure_speed(variant: Variant, span: Span) -> Speed:
 
 def _folder_of(variant: Variant, folder: Path) -> Path:
     """Return the folder with the files that lie beside the rig."""
-    for beside in variant.folder.iterdir():
+    for beside in variant.file.parent.iterdir():
         if beside.suffix != ".toml":
             (folder / beside.name).symlink_to(beside.resolve())
     return folder

@@ -24,7 +24,7 @@ _END_S = 10.0
 
 @dataclass(frozen=True)
 class Received:
-    """What arrived: events, malformed words, and `time.monotonic` of the first event (None: there was none)."""
+    """Counts of events and malformed words, and `time.monotonic` of the first event (None: there was none)."""
 
     events: int
     faults: int

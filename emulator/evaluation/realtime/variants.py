@@ -58,7 +58,7 @@ class Variant:
     rig: str
     size: Size
     setting: Setting
-    folder: Path
+    file: Path
     tables: Mapping[str, Any]
 
     @property
@@ -68,18 +68,21 @@ class Variant:
 
     def text(self, port: int) -> str:
         """Return the text of its rig file, with a camera on a port of USB/IP."""
-        return toml_of({**self.tables, "links": [{"kind": "usbip", "host": "127.0.0.1", "port": port}]})
+        return toml_of(self._with_link(port))
 
     def loaded(self) -> Rig:
-        """Return it as a rig without links."""
-        return rig_of_table(dict(self.tables), self.rig, self.folder)
+        """Return it as a rig, with a camera on any free port."""
+        return rig_of_table(self._with_link(0), self.rig, self.file.parent)
+
+    def _with_link(self, port: int) -> dict[str, Any]:
+        return {**self.tables, "links": [{"kind": "usbip", "host": "127.0.0.1", "port": port}]}
 
     def changed(self, setting: Setting) -> Variant:
         """Return the variant in another setting."""
         tables = copy.deepcopy(dict(self.tables))
         for (table, key), value in setting.changes.items():
             tables.setdefault(table, {})[key] = value
-        return Variant(self.rig, self.size, setting, self.folder, tables)
+        return Variant(self.rig, self.size, setting, self.file, tables)
 
 
 def variant_of(rig: str, size: Size) -> Variant:
@@ -96,7 +99,7 @@ def variant_of(rig: str, size: Size) -> Variant:
         "camera": {"model": size.model, "start_delay_ms": 0.0, **kept, "sensor": sensor},
         "run": {key: value for key, value in run.items() if key not in left_out},
     }
-    return Variant(path.stem, size, SHIPPED, path.parent, made)
+    return Variant(path.stem, size, SHIPPED, path, made)
 
 
 def distinct(rigs: Iterable[str]) -> dict[str, list[str]]:
