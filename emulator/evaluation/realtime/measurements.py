@@ -1,7 +1,8 @@
 """The measurements of `evstim bench realtime`: one after another, each stored, so that a later call goes on.
 
 A result is stored under the whole text of its variant, the extent of the measurement and the version of evstim: a
-changed rig is measured anew. What failed is not stored.
+changed rig is measured anew. What failed is not stored. Wrong events of a setting that is ten times slower than the rig
+as shipped are left out: it is no choice, and steps of microseconds would take hours.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ class Extent:
     span: Span
     stretch: Stretch | None
 
+
+_SLOW = 0.1  # of the speed as shipped
 
 WHOLE = Extent(Span(), None)
 QUICK = Extent(Span(stream_s=2.0, wall_s=2.0), Stretch(steps=4, samples=4, finer=4))
@@ -107,7 +110,7 @@ class Measurements:
         """Measure what the store lacks; yield each before it is measured."""
         for one in self.wanted:
             yield one
-            if self._result(one) is None:
+            if self._result(one) is None and not (one.kind == "wrong" and self._is_slow(one.variant)):
                 self._measure(one)
 
     def rows(self) -> list[dict[str, Any]]:
@@ -123,6 +126,14 @@ class Measurements:
             self.failures[one.name] = str(error)
         else:
             self.store.put(self._key(one), one.name, dataclasses.asdict(result))
+
+    def _is_slow(self, variant: Variant) -> bool:
+        factors = {one.variant.key: result["factor"] for one in self.wanted if (result := self._speed(one))}
+        own, shipped = (factors.get(one.key) for one in (variant, variant.changed(SHIPPED)))
+        return own is not None and shipped is not None and own < _SLOW * shipped
+
+    def _speed(self, one: Measurement) -> dict[str, Any] | None:
+        return self._result(one) if one.kind == "speed" else None
 
     def _wrong(self, variant: Variant) -> Any:
         """Measure wrong events; the truth of one rig and size is held at a time, for all its settings."""

@@ -67,9 +67,9 @@ class Speed:
 def measure_speed(variant: Variant, span: Span) -> Speed:
     """Run a variant and measure it; raises BenchFailed."""
     with tempfile.TemporaryDirectory(prefix="evstim-bench-") as name:
-        folder, port = _folder_of(variant, Path(name)), _free_port()
-        (folder / "rig.toml").write_text(variant.text(port))
-        with Receiver(port, span.start_s) as receiver, _program(folder, span.stream_s) as process:
+        folder, port = Path(name), _free_port()
+        rig = _written(variant, folder / "rig", port)
+        with Receiver(port, span.start_s) as receiver, _program(rig, folder, span.stream_s) as process:
             started_s = time.monotonic()
             meter = _Meter(process.pid, receiver.pid)
             _wait(process, meter, folder / "ready.json", span)
@@ -77,12 +77,15 @@ def measure_speed(variant: Variant, span: Span) -> Speed:
             return _speed(result, meter, receiver.received(), started_s)
 
 
-def _folder_of(variant: Variant, folder: Path) -> Path:
-    """Return the folder with the files that lie beside the rig."""
+def _written(variant: Variant, folder: Path, port: int) -> Path:
+    """Write the rig into a new folder, beside the files that lie beside the original; return its path."""
+    folder.mkdir()
     for beside in variant.file.parent.iterdir():
-        if beside.suffix != ".toml":
-            (folder / beside.name).symlink_to(beside.resolve())
-    return folder
+        (folder / beside.name).symlink_to(beside.resolve())
+    path = folder / variant.file.name
+    path.unlink()
+    path.write_text(variant.text(port))
+    return path
 
 
 def _free_port() -> int:
@@ -97,10 +100,10 @@ _END_S = 60.0  # from the signal to the summary: a full ring is still to be deli
 
 
 @contextmanager
-def _program(folder: Path, stream_s: float) -> Iterator[subprocess.Popen[bytes]]:
+def _program(rig: Path, folder: Path, stream_s: float) -> Iterator[subprocess.Popen[bytes]]:
     """Start `evstim run` in a process group of its own: a Ctrl-C at the terminal is for the bench."""
     options = ["--pace", "free", "--seconds", str(stream_s), "--ready-file", str(folder / "ready.json"), "--json"]
-    command = [sys.executable, "-P", "-c", _START, json.dumps(sys.path), "run", str(folder / "rig.toml"), *options]
+    command = [sys.executable, "-P", "-c", _START, json.dumps(sys.path), "run", str(rig), *options]
     with (folder / "out").open("wb") as out, (folder / "err").open("wb") as err:
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=err, start_new_session=True)
     try:

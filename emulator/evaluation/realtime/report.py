@@ -25,7 +25,7 @@ BEGIN, END = "<!-- measured by evstim bench realtime: begin -->", "<!-- measured
 
 _TITLE = "Real-time factor beside wrong events"
 _COLUMNS = 3
-_FLOOR_PERCENT = 0.01  # of the chart's logarithmic axis: no wrong event
+_FLOOR_PERCENT, _TOP_PERCENT = 0.01, 100  # of the chart's logarithmic axis; at its foot no event is wrong
 _MARKERS = "os^Dv<>pXP*h"
 
 
@@ -40,7 +40,7 @@ def machine() -> str:
 
 def line_of(row: Row) -> str:
     """Return a row as one line for people."""
-    wrong = "no truth" if row["wrong"] is None else f"{100 * row['wrong']:.2g} % wrong"
+    wrong = "wrong events not measured" if row["wrong"] is None else f"{100 * row['wrong']:.2g} % wrong"
     cores = ", ".join(_number(row[name]) for name in ("session_cores", "link_cores", "receiver_cores"))
     first = "-" if row["first_event_s"] is None else f"{row['first_event_s']:.1f} s"
     return (
@@ -88,6 +88,7 @@ def _name(axes: Any, rig: str) -> None:
     axes.set_title(rig, fontsize=10)
     axes.set_xscale("log")
     axes.set_yscale("log")
+    axes.set_ylim(0.8 * _FLOOR_PERCENT, _TOP_PERCENT)
     axes.axvline(1, color="black", linewidth=0.6, linestyle=":")
     axes.set_xlabel("times real time", fontsize=9)
     axes.set_ylabel("false + missed events, %", fontsize=9)
