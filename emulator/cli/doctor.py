@@ -93,7 +93,8 @@ def _sentence(rig: Rig, speed: RealTimeSpeed | None) -> str:
         return f"{rig.name} does NOT run on this machine: add the missing parts first"
     verdict = "runs in real time on this machine" if speed.good else "does NOT run in real time on this machine"
     load = "" if speed.planned_load is None else f"; its plan expects {speed.planned_load:.2f} of a core"
-    advice = "" if speed.good else ". Take a longer run.step_us or a smaller camera; `evstim plan` shows the costs"
+    advised = speed.good or (speed.expected is not None and speed.expected.remedies)
+    advice = "" if advised else ". Take a longer run.step_us or a smaller camera; `evstim plan` shows the costs"
     return (
         f"{rig.name} {verdict}: {speed.stream_s:.2g} s of stream at {speed.times_real_time:.2f} times real time, "
         f"without links{load}{advice}"
