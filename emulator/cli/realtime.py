@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -86,6 +87,8 @@ def realtime(
 
 def _measurements(rigs: Sequence[str], scope: Scope, out: Path, page: Path | None) -> Measurements:
     """Return what is to be measured, once the results can be written; raises Failure."""
+    if scope.quick and page is not None:
+        raise Failure("--page: quick values are not for the docs; leave out --quick", WRONG_USE)
     try:
         check()
         out.mkdir(parents=True, exist_ok=True)
@@ -125,6 +128,7 @@ def _about(measurements: Measurements, scope: Scope, is_whole: bool) -> dict[str
     quick = "quick: the wrong events mean nothing" if scope.quick else ""
     partial = "" if is_whole else "interrupted: not all was measured"
     return {
+        "evstim": version("evstim"),
         "machine": machine(),
         "date": date.today().isoformat(),
         "note": ", ".join(note for note in (quick, partial) if note),

@@ -150,7 +150,12 @@ def test_one_command_writes_the_section_of_the_docs(tmp_path, measured, monkeypa
 
 @pytest.mark.parametrize(
     "arguments",
-    [["nosuch"], ["checkerboard", "--size", "1x1"], ["checkerboard", "--page", "/no/such/page.md"]],
+    [
+        ["nosuch"],
+        ["checkerboard", "--size", "1x1"],
+        ["checkerboard", "--page", "/no/such/page.md"],
+        ["checkerboard", "--quick", "--page", "docs/realtime.md"],
+    ],
 )
 def test_wrong_use(tmp_path, arguments, capsys):
     assert _main(["bench", "realtime", *arguments, "--out", str(tmp_path), "--json"]) == 2

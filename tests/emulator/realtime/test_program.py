@@ -11,7 +11,8 @@ import pytest
 from emulator.cli.app import _main
 from emulator.evaluation.bench.streams import BenchFailed
 from emulator.evaluation.realtime.process_use import children, use_of
-from emulator.evaluation.realtime.program import Span, measure_speed
+from emulator.evaluation.realtime.program import Span, _speed, measure_speed
+from emulator.evaluation.realtime.receiver import Received
 from emulator.evaluation.realtime.variants import SIZES, variant_of
 
 BOARD = '[scene]\nkind = "checkerboard"\nspeed_px_s = 30.0\n[run]\nstep_us = 5000\n'
@@ -42,6 +43,29 @@ def test_children_of_children_are_found_and_gone_ones_have_no_use():
     assert set(below) < set(found)
     assert use_of(parent.pid) is None
     assert list(children(parent.pid)) == []
+
+
+class Meter:
+    session_cores, link_cores, receiver_cores, memory_mib = 0.9, 0.1, None, 300.0
+
+
+def run_json(delivered):
+    links = {"usbip": {"delivered": delivered, "dropped": 0, "dropped_in_device": 25}}
+    return {"sim_seconds": 3.0, "wall_seconds": 1.5, "events": {"read_out": delivered + 25, "links": links}}
+
+
+def test_a_speed_is_that_of_the_run_and_of_what_was_received():
+    speed = _speed(run_json(75), Meter, Received(75, 0, 12.5), 10.0)
+    assert (speed.factor, speed.stream_s, speed.events) == (2.0, 3.0, 75)
+    assert speed.delivered_share == 0.75
+    assert speed.first_event_s == 2.5
+    assert (speed.session_cores, speed.receiver_cores, speed.memory_mib) == (0.9, None, 300.0)
+
+
+@pytest.mark.parametrize("received", [Received(74, 0, 1.0), Received(75, 1, 1.0), Received(76, 0, 1.0)])
+def test_a_receiver_that_differs_is_a_failure(received):
+    with pytest.raises(BenchFailed, match="75 events delivered"):
+        _speed(run_json(75), Meter, received, 0.0)
 
 
 @pytest.mark.system
