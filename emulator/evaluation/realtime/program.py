@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from emulator.evaluation.bench.streams import BenchFailed
-from emulator.evaluation.realtime.process_use import ProcessUse, children, use_of
+from emulator.evaluation.realtime.process_use import Meter
 from emulator.evaluation.realtime.receiver import Received, Receiver
 from emulator.evaluation.realtime.variants import Variant
 
@@ -71,7 +71,7 @@ def measure_speed(variant: Variant, span: Span) -> Speed:
         rig = _written(variant, folder / "rig", port)
         with Receiver(port, span.start_s) as receiver, _program(rig, folder, span.stream_s) as process:
             started_s = time.monotonic()
-            meter = _Meter(process.pid, receiver.pid)
+            meter = Meter(process.pid, receiver.pid)
             _wait(process, meter, folder / "ready.json", span)
             result = _result(process, folder)
             return _speed(result, meter, receiver.received(), started_s)
@@ -114,53 +114,7 @@ def _program(rig: Path, folder: Path, stream_s: float) -> Iterator[subprocess.Po
         process.wait()
 
 
-class _Meter:
-    """Use of the processes of a run, from the first sample after its first step to the last."""
-
-    def __init__(self, session: int, receiver: int) -> None:
-        self._session, self._receiver = session, receiver
-        self._first: dict[int, ProcessUse] = {}
-        self._last: dict[int, ProcessUse] = {}
-        self._links: set[int] = set()
-        self.begun_s = self.last_s = 0.0
-
-    def sample(self) -> None:
-        """Take a sample of all processes."""
-        self._links.update(children(self._session))
-        found = {pid: use for pid in (self._session, self._receiver, *self._links) if (use := use_of(pid))}
-        self.last_s = time.monotonic()
-        self.begun_s = self.begun_s or self.last_s
-        self._first = {**found, **self._first}
-        self._last |= found
-
-    @property
-    def session_cores(self) -> float | None:
-        """Cores of the session."""
-        return self._cores({self._session})
-
-    @property
-    def link_cores(self) -> float | None:
-        """Cores of all links together."""
-        return self._cores(self._links)
-
-    @property
-    def receiver_cores(self) -> float | None:
-        """Cores of the receiver."""
-        return self._cores({self._receiver})
-
-    @property
-    def memory_mib(self) -> float:
-        """Memory of the session and its links, MiB."""
-        return sum(use.peak_mib for pid, use in self._last.items() if pid != self._receiver)
-
-    def _cores(self, pids: set[int]) -> float | None:
-        seconds = self.last_s - self.begun_s
-        if seconds <= 0:
-            return None
-        return sum(self._last[pid].cpu_s - self._first[pid].cpu_s for pid in pids if pid in self._last) / seconds
-
-
-def _wait(process: subprocess.Popen[bytes], meter: _Meter, ready: Path, span: Span) -> None:
+def _wait(process: subprocess.Popen[bytes], meter: Meter, ready: Path, span: Span) -> None:
     """Wait for the end of a run, sampling it from its first step on; raises BenchFailed."""
     deadline_s, is_ready = time.monotonic() + span.start_s, False
     while process.poll() is None:
@@ -195,7 +149,7 @@ def _result(process: subprocess.Popen[bytes], folder: Path) -> dict[str, Any]:
     return dict(result)
 
 
-def _speed(result: dict[str, Any], meter: _Meter, received: Received, started_s: float) -> Speed:
+def _speed(result: dict[str, Any], meter: Meter, received: Received, started_s: float) -> Speed:
     events = result["events"]
     delivered = sum(link["delivered"] for link in events["links"].values())
     if received.faults or received.events != delivered:
