@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import statistics
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -37,7 +38,7 @@ _LONGEST_STEP_US = 1_000_000
 
 @dataclass(frozen=True)
 class StepCost:
-    """Mean wall time of the light frame and of the pixels of a step of `step_s`, s."""
+    """Wall time of the light frame and of the pixels of a step of `step_s`, s."""
 
     step_s: float
     drawing_s: float
@@ -167,17 +168,19 @@ def _cost(made: Plan, scene: Scene, step_ns: int, duration_s: float) -> StepCost
 
 
 def _cost_at(frames: SceneFrames, sensor: EventSource, t_ns: int, step_ns: int) -> tuple[float, float]:
-    """Return seconds of drawing and of pixels of a step from an instant on; the first step settles and is left out."""
+    """Return seconds of drawing and of pixels of a step from an instant on.
+
+    These are medians, which a busy neighbour changes less than means; the first step settles and is left out.
+    """
     sensor.reset(frames.draw(t_ns))
-    drawing_s, pixels_s, steps = 0.0, 0.0, -1
+    drawing_s, pixels_s = list[float](), list[float]()
     end_s = time.perf_counter() + _PROBE_S / _INSTANTS
-    while steps < _LEAST_STEPS or time.perf_counter() < end_s:
+    while len(drawing_s) <= _LEAST_STEPS or time.perf_counter() < end_s:
         t_ns += step_ns
         begun_s = time.perf_counter()
         frame = frames.draw(t_ns)
         drawn_s = time.perf_counter()
         sensor.expose(frame)
-        steps += 1
-        if steps:
-            drawing_s, pixels_s = drawing_s + drawn_s - begun_s, pixels_s + time.perf_counter() - drawn_s
-    return drawing_s / steps, pixels_s / steps
+        drawing_s.append(drawn_s - begun_s)
+        pixels_s.append(time.perf_counter() - drawn_s)
+    return statistics.median(drawing_s[1:]), statistics.median(pixels_s[1:])
