@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 import time
 from contextlib import closing
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Self
 
@@ -34,7 +36,7 @@ class Received:
 class Receiver:
     """The receiver of the camera at a port of this machine; it attaches as soon as the camera is there.
 
-    A context manager: at its end the process has ended.
+    The constructor returns when the process is ready to attach. A context manager: at its end the process has ended.
 
     Attributes
     ----------
@@ -45,14 +47,23 @@ class Receiver:
         context = multiprocessing.get_context("spawn")
         self._mine, theirs = context.Pipe(duplex=False)
         self._process = context.Process(target=_serve, args=(port, patience_s, theirs), daemon=True)
-        self._process.start()
+        resource_tracker.ensure_running()  # its own start would let the signal through again
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # a Ctrl-C is for the bench
+        try:
+            self._process.start()  # which inherits the blocked signal
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
         self.pid: int = self._process.pid or 0
+        if not self._mine.poll(patience_s):  # its first message: its imports are done, and it can attach at once
+            self.__exit__()
+            raise BenchFailed("the receiver did not start")
+        self._mine.recv()
 
     def received(self) -> Received:
         """Return the reception, once the camera has gone; raises BenchFailed."""
         if not self._mine.poll(_END_S):
-            raise BenchFailed("the receiver did not end with the run")
+            raise BenchFailed("the receiver did not attach before the run ended, or did not end with it")
         try:
             found: Received | str = self._mine.recv()
         except EOFError:
@@ -71,11 +82,12 @@ class Receiver:
 
 
 def _serve(port: int, patience_s: float, result: Connection) -> None:
+    result.send(None)
     try:
         with closing(_attached(port, time.monotonic() + patience_s)) as camera:
             result.send(_read(camera))
-    except (UsbHostError, KeyboardInterrupt) as error:
-        result.send(str(error) or "interrupted")
+    except UsbHostError as error:
+        result.send(str(error))
 
 
 def _attached(port: int, deadline_s: float) -> CameraHost:

@@ -45,7 +45,7 @@ def line_of(row: Row) -> str:
     first = "-" if row["first_event_s"] is None else f"{row['first_event_s']:.1f} s"
     return (
         f"{row['rig']:14} {row['size']:9} {row['setting']:18} {row['factor']:7.2f} x real time   cores {cores:16} "
-        f"{row['memory_mib']:5.0f} MiB   first event {first:>7}   {wrong}"
+        f"{row['memory_mib']:5.0f} MiB   first event {first:>7}   {row['received_share']:.0%} received   {wrong}"
     )
 
 
@@ -97,8 +97,8 @@ def _name(axes: Any, rig: str) -> None:
 
 
 _HEAD = (
-    "| rig | size | times real time | cores: session, link, receiver | memory, MiB | first event, s | wrong events |\n"
-    "|---|---|---|---|---|---|---|\n"
+    "| rig | size | times real time | cores: session, link, receiver | memory, MiB | first event, s "
+    "| events received | wrong events |\n|---|---|---|---|---|---|---|---|\n"
 )
 
 
@@ -117,7 +117,7 @@ def _table_row(row: Row) -> str:
         false, missed = 100 * row["false"], 100 * row["missed"]
         wrong = f"{false:.2g} + {missed:.2g} = {false + missed:.2g} %"
     cells = (row["rig"], row["size"], f"{row['factor']:.2g}", cores, f"{row['memory_mib']:.0f}")
-    return f"| {' | '.join(cells)} | {_number(row['first_event_s'])} | {wrong} |\n"
+    return f"| {' | '.join(cells)} | {_number(row['first_event_s'])} | {row['received_share']:.0%} | {wrong} |\n"
 
 
 def _number(value: float | None) -> str:
