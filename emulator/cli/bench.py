@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 from typing import Annotated
 
-from cyclopts import Parameter
+from cyclopts import App, Parameter
 
 from emulator.cli.checks import failures
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
@@ -13,7 +13,7 @@ from emulator.evaluation.bench.measures import MEASURES, Measure
 from emulator.evaluation.bench.streams import BenchFailed
 from emulator.tables.typed_table import unknown
 
-__all__ = ["bench"]
+__all__ = ["bench", "verbs"]
 
 
 def bench(
@@ -64,3 +64,12 @@ def _chosen(only: list[str] | None) -> list[Measure]:
             raise Failure(f"--only: {unknown(pattern, list(by_name))}", WRONG_USE)
         chosen += names
     return [by_name[name] for name in chosen]
+
+
+verbs = App(name="bench")
+verbs.default(bench)
+verbs.command(
+    "emulator.cli.realtime:realtime",
+    name="realtime",
+    help="Measure the speed of whole runs, link and receiver included, beside their wrong events.",
+)

@@ -65,6 +65,8 @@ def _of_rig(rig: Rig, *, as_json: bool) -> int:
         print_json({"findings": [one.found for one in needed], **_as_json(rig, needed, speed)})
     else:
         console.print(_sentence(rig, speed), markup=False)
+        if speed is not None and speed.expected is not None:
+            console.print(f"over the whole run: {speed.expected.line}", markup=False)
     return LACKING if speed is None else GOOD if speed.good else BAD_VERDICT
 
 
@@ -82,6 +84,7 @@ def _as_json(rig: Rig, needed: Sequence[Needed], speed: RealTimeSpeed | None) ->
         "real_time": None if speed is None else speed.good,
         "times_real_time": None if speed is None else speed.times_real_time,
         "planned_load": None if speed is None else speed.planned_load,
+        "expected": None if speed is None or speed.expected is None else speed.expected.as_json(),
     }
 
 
@@ -90,7 +93,8 @@ def _sentence(rig: Rig, speed: RealTimeSpeed | None) -> str:
         return f"{rig.name} does NOT run on this machine: add the missing parts first"
     verdict = "runs in real time on this machine" if speed.good else "does NOT run in real time on this machine"
     load = "" if speed.planned_load is None else f"; its plan expects {speed.planned_load:.2f} of a core"
-    advice = "" if speed.good else ". Take a longer run.step_us or a smaller camera; `evstim plan` shows the costs"
+    advised = speed.good or (speed.expected is not None and speed.expected.remedies)
+    advice = "" if advised else ". Take a longer run.step_us or a smaller camera; `evstim plan` shows the costs"
     return (
         f"{rig.name} {verdict}: {speed.stream_s:.2g} s of stream at {speed.times_real_time:.2f} times real time, "
         f"without links{load}{advice}"

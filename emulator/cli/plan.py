@@ -8,13 +8,15 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from emulator.cli.checks import failures
+from emulator.cli.checks import failures, prepared
 from emulator.cli.output import GOOD, console, print_json
 from emulator.plan.plan import Decision, Plan, make_plan
 from emulator.plan.scene_probe import probe
 from emulator.rig.kinds import CAMERA_MODELS, SCENES
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.assembly import build_scene
+from emulator.run.expected_speed import ExpectedSpeed, expected_speed
+from emulator.run.kernels import parts_of
 
 __all__ = ["plan"]
 
@@ -25,7 +27,7 @@ _METHODS = {
 
 
 def plan(rig: str, /, *, json: Annotated[bool, Parameter(negative="")] = False) -> int:
-    """Show the plan of a run: steps, each effect with the bound that decided it, and the expected load.
+    """Show the plan of a run: steps, each effect with the bound that decided it, expected load and measured speed.
 
     Parameters
     ----------
@@ -38,11 +40,12 @@ def plan(rig: str, /, *, json: Annotated[bool, Parameter(negative="")] = False) 
         loaded = load_rig(rig)
         if SCENES[loaded.scene.kind].events:
             return _nothing_to_plan(loaded, json)
-        made = _plan(loaded)
+        prepared(parts_of(loaded))
+        made, speed = _plan(loaded)
     if json:
-        print_json(_as_json(made))
+        print_json({**_as_json(made), "speed": speed.as_json()})
     else:
-        _print(made)
+        _print(made, speed)
     return GOOD
 
 
@@ -55,11 +58,12 @@ def _nothing_to_plan(rig: Rig, json: bool) -> int:
     return GOOD
 
 
-def _plan(rig: Rig) -> Plan:
+def _plan(rig: Rig) -> tuple[Plan, ExpectedSpeed]:
     sensor = rig.camera.sensor
     with build_scene(rig) as scene:
         step_ns = rig.run.step_us * 1000
-        return make_plan(rig, probe(scene, sensor, step_ns, rig.run.seconds or 10.0))
+        made = make_plan(rig, probe(scene, sensor, step_ns, rig.run.seconds or 10.0))
+        return made, expected_speed(made, scene)
 
 
 def _as_json(made: Plan) -> dict[str, object]:
@@ -80,7 +84,7 @@ def _finite(table: dict[str, object]) -> dict[str, object]:
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in table.items()}
 
 
-def _print(made: Plan) -> None:
+def _print(made: Plan, speed: ExpectedSpeed) -> None:
     p, steps, load = made.probe, made.steps, made.load
     sensor = made.rig.camera.sensor
     console.print(f"{made.rig.name}: {made.rig.title}\n")
@@ -100,8 +104,9 @@ def _print(made: Plan) -> None:
     )
     console.print(
         f"load     {load.total:.2f} of a core: {load.pictures_per_s:.0f} frames per second {load.drawing:.2f}, pixels "
-        f"{load.pixels:.2f}, events {load.events:.2f}\n"
+        f"{load.pixels:.2f}, events {load.events:.2f}"
     )
+    console.print(f"speed    {speed.line}\n")
     for line in _effects(made):
         console.print(line)
     if made.pinned:

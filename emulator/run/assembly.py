@@ -83,11 +83,13 @@ __all__ = [
     "build_scene",
     "build_sensor",
     "build_session",
+    "build_steps",
     "carried",
     "imu_source",
     "initial_readings",
     "link_setups",
     "plain_camera",
+    "planned_sensor",
     "reading_sources",
     "record_paths",
     "schedule",
@@ -224,15 +226,8 @@ def build_session(
 
     `truth` records the truth beside the events; raises OSError where its file cannot be written.
     """
-    run, parameters = rig.run, rig.camera.sensor
-    frames = build_frames(rig, scene)
-    steps: StepSource = FixedSteps(run.step_us * 1000)
-    if run.tolerance_us:
-        parameters = make_plan(rig, probe(scene, parameters, run.step_us * 1000, run.seconds or 10.0)).sensor
-        dark = at_temperature(parameters).dark_current_relative
-        threshold = min(parameters.threshold_on, parameters.threshold_off)
-        refinement = None if frames.last.at is None else RefinementModel(threshold)
-        steps = ControlledSteps(limits(rig, scene.motion_bound_px_s), dark, run.step_us * 1000, refinement)
+    parameters, frames = planned_sensor(rig, scene), build_frames(rig, scene)
+    steps = build_steps(rig, frames, parameters)
     sensor = build_sensor(rig, parameters) if truth is None else _with_truth(rig, parameters, scene, truth)
     own = [setup for setup in setups if not carries_second(rig, setup.name)]
     readings = ReadingSources(reading_sources(rig, scene, sensor), own)
@@ -240,6 +235,25 @@ def build_session(
     if rig.second_camera is not None:
         session.join(_second_view(second_rig(rig), parameters, setups))
     return session
+
+
+def planned_sensor(rig: Rig, scene: Scene) -> SensorParameters:
+    """Return the rig's sensor; with a tolerance, without the effects that the plan of the run leaves out."""
+    run, sensor = rig.run, rig.camera.sensor
+    if not run.tolerance_us:
+        return sensor
+    return make_plan(rig, probe(scene, sensor, run.step_us * 1000, run.seconds or 10.0)).sensor
+
+
+def build_steps(rig: Rig, frames: SceneFrames, sensor: SensorParameters) -> StepSource:
+    """Return the steps of the rig on its frames: controlled with a tolerance, else of one length."""
+    first_ns = rig.run.step_us * 1000
+    if not rig.run.tolerance_us:
+        return FixedSteps(first_ns)
+    threshold = min(sensor.threshold_on, sensor.threshold_off)
+    refinement = None if frames.last.at is None else RefinementModel(threshold)
+    dark = at_temperature(sensor).dark_current_relative
+    return ControlledSteps(limits(rig, frames.scene.motion_bound_px_s), dark, first_ns, refinement)
 
 
 def _second_view(rig: Rig, parameters: SensorParameters, setups: Sequence[LinkSetup[Any]]) -> SecondView:

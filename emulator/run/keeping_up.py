@@ -10,6 +10,7 @@ from emulator.plan.scene_probe import probe
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.run.assembly import build_scene, build_session, schedule
+from emulator.run.expected_speed import ExpectedSpeed, expected_speed
 from emulator.run.outcome import RunStatus
 from transports.link.pacing import MonotonicClock
 
@@ -30,11 +31,14 @@ class RealTimeSpeed:
         Stream time that was computed for this.
     planned_load
         Cores that the plan expects the whole run to keep busy; None for a recording, which has no plan.
+    expected
+        Speed expected from a probe over the whole run; None for a recording.
     """
 
     times_real_time: float
     stream_s: float
     planned_load: float | None
+    expected: ExpectedSpeed | None = None
 
     @property
     def good(self) -> bool:
@@ -45,10 +49,11 @@ class RealTimeSpeed:
 def keeping_up(rig: Rig) -> RealTimeSpeed:
     """Compute up to two seconds of a rig's stream without pacing, for at most ten seconds."""
     with build_scene(rig) as scene:
-        load = None
+        load, expected = None, None
         if not SCENES[rig.scene.kind].events:
             step_ns = rig.run.step_us * 1000
-            load = make_plan(rig, probe(scene, rig.camera.sensor, step_ns, rig.run.seconds or 10.0)).load.total
+            made = make_plan(rig, probe(scene, rig.camera.sensor, step_ns, rig.run.seconds or 10.0))
+            load, expected = made.load.total, expected_speed(made, scene)
         session = build_session(rig, scene, [], MonotonicClock())
 
         def follow(now: RunStatus) -> None:
@@ -58,4 +63,4 @@ def keeping_up(rig: Rig) -> RealTimeSpeed:
         stream_s = min(_STREAM_S, rig.run.seconds or _STREAM_S)
         free = dataclasses.replace(schedule(rig), duration_ns=round(stream_s * 1e9), paced=False, lockstep_ns=0)
         result = session.run(free, follow)
-    return RealTimeSpeed(result.sim_seconds / result.wall_seconds, result.sim_seconds, load)
+    return RealTimeSpeed(result.sim_seconds / result.wall_seconds, result.sim_seconds, load, expected)

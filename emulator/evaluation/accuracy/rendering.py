@@ -44,6 +44,7 @@ from emulator.scene.terrain.gl_terrain import GlTerrain
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.sensor.parameters import NoiseParameters
+from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import empty_events
 
@@ -52,10 +53,13 @@ __all__ = [
     "TERRAIN_SETTINGS",
     "Comb",
     "Drawn",
+    "Look",
     "Setting",
     "Stretch",
     "comb_of",
     "fits",
+    "looks_of",
+    "quiet",
     "rendering_rows",
     "rows_of",
 ]
@@ -191,7 +195,7 @@ class Drawn:
 
 
 @dataclass(frozen=True)
-class _Look:
+class Look:
     """A rig's camera over a stretch of its stream."""
 
     rig: Rig
@@ -215,7 +219,7 @@ class _Look:
 
     def events(self, scene: Scene, step_ns: int, *, with_rate: bool) -> tuple[Stream, float]:
         """Return the events of the stretch in steps of `step_ns`, and the least CPU milliseconds a frame."""
-        sensor = Sensor(self._quiet(), self.rig.run.seed)
+        sensor = Sensor(self.quiet, self.rig.run.seed)
         frames, first_ns = SceneFrames(scene, with_rate=with_rate), round(self.stretch.start_s * 1e9)
         sensor.reset(LightFrame(0, frames.draw(first_ns).light))
         events, spent_s = [empty_events()], []
@@ -227,8 +231,15 @@ class _Look:
         events.append(sensor.finish())
         return Stream.from_events(np.concatenate(events), *self.rig.camera.size), 1e3 * min(spent_s)
 
-    def _quiet(self) -> Any:
-        return dataclasses.replace(self.rig.camera.sensor, leak_hz=0.0, noise=NoiseParameters())
+    @property
+    def quiet(self) -> SensorParameters:
+        """The rig's sensor without leak and noise."""
+        return quiet(self.rig.camera.sensor)
+
+
+def quiet(sensor: SensorParameters) -> SensorParameters:
+    """Return a sensor without leak and noise, whose events follow from the light alone."""
+    return dataclasses.replace(sensor, leak_hz=0.0, noise=NoiseParameters())
 
 
 def fits(rig: Rig) -> bool:
@@ -238,7 +249,7 @@ def fits(rig: Rig) -> bool:
 
 def rendering_rows(rigs: Sequence[Rig], stretch: Stretch | None = None) -> Iterator[Drawn]:
     """Yield a row for each rig, stretch and setting; of each rig `stretch` alone, where it is given."""
-    for look in _looks(rigs, stretch):
+    for look in looks_of(rigs, stretch):
         rig, start_s = look.rig, look.stretch.start_s
         name = f"{rig.name}, {start_s:g} s" if start_s else rig.name
         truth = look.truth()
@@ -251,13 +262,14 @@ def rendering_rows(rigs: Sequence[Rig], stretch: Stretch | None = None) -> Itera
 
 def rows_of(rigs: Sequence[Rig], stretch: Stretch | None = None) -> int:
     """Return how many rows there will be."""
-    return sum(len(_settings_of(look.rig)) for look in _looks(rigs, stretch))
+    return sum(len(_settings_of(look.rig)) for look in looks_of(rigs, stretch))
 
 
-def _looks(rigs: Sequence[Rig], stretch: Stretch | None) -> Iterator[_Look]:
+def looks_of(rigs: Sequence[Rig], stretch: Stretch | None) -> Iterator[Look]:
+    """Yield the stretches of each rig; `stretch` alone, where it is given."""
     for rig in rigs:
         for own in (stretch,) if stretch else _STRETCHES.get(rig.name, (Stretch(),)):
-            yield _Look(rig, own)
+            yield Look(rig, own)
 
 
 def _settings_of(rig: Rig) -> tuple[Setting, ...]:

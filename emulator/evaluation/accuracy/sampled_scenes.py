@@ -13,6 +13,8 @@ Ground (`SampledTerrain`) is drawn from every facet of its finest grids. Of the 
 visible share of the Sun at each post, paths, and the laws of reflection in float64. No block is coarser than the map,
 nothing is filtered or cached. Light is linear over a facet, from post to post; the normal of a post comes from the
 differences of heights over two posts. Facets that hold no sample are skipped in advance.
+
+A board (`SampledBoard`) along the rows of pixels is the product of two square waves, each sampled along its axis.
 """
 
 from __future__ import annotations
@@ -27,17 +29,18 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import unit
 from emulator.geometry.camera import Pinhole
-from emulator.light import Light, MachineLacks, Scene
+from emulator.light import Light, MachineLacks, Scene, SceneError
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.bodies.world import Arrangement, BodyWorld, PlacedBody
+from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import TerrainWorld
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.pose import Pose, Timescale
 from firmware_protocol.compiled import entry_of
 
-__all__ = ["PointSampler", "SampledBodies", "SampledTerrain", "clipped"]
+__all__ = ["PointSampler", "SampledBoard", "SampledBodies", "SampledTerrain", "clipped"]
 
 
 _Floats = npt.NDArray[np.float64]
@@ -298,6 +301,42 @@ def _disc(sun: _Floats, radius_rad: float) -> _Floats:
     up = np.cross(sun, across)
     around = np.outer(radius * np.cos(turn), across) + np.outer(radius * np.sin(turn), up)
     return np.asarray((sun + around) / np.linalg.norm(sun + around, axis=1, keepdims=True))
+
+
+class SampledBoard(Scene):
+    """A checkerboard along the rows of pixels by `samples` points a pixel on each axis; raises SceneError."""
+
+    def __init__(self, parameters: CheckerboardParameters, size: tuple[int, int], samples: int = 1024) -> None:
+        if parameters.rotation_deg:
+            raise SceneError("the sampled board lies along the rows of pixels: scene.rotation_deg must be 0")
+        self._p, self._size, self._samples = parameters, size, samples
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self._size
+
+    @property
+    def motion_bound_px_s(self) -> float:
+        """Infinite: the reference is drawn at given steps."""
+        return math.inf
+
+    def light(self, t_ns: int, out: Light) -> None:
+        """Write the light at `t_ns` into `out`, (height, width) float32."""
+        direction, moved_px = math.radians(self._p.direction_deg), self._p.speed_px_s * t_ns * 1e-9
+        right = self._wave(self._size[0], moved_px * math.cos(direction))
+        down = self._wave(self._size[1], moved_px * math.sin(direction))
+        middle, half = (self._p.bright + self._p.dark) / 2, (self._p.bright - self._p.dark) / 2
+        out[:] = middle + half * np.outer(down, right)
+
+    def close(self) -> None:
+        """Do nothing: it holds memory only."""
+
+    def _wave(self, pixels: int, moved_px: float) -> _Floats:
+        """Return the mean of a square wave over each pixel of an axis; at the start an edge lies in the middle."""
+        at_px = (np.arange(pixels * self._samples) + 0.5) / self._samples - pixels / 2 - moved_px
+        even = np.floor(at_px / self._p.square_px).astype(np.int64) % 2 == 0
+        return np.asarray(np.where(even, 1.0, -1.0).reshape(pixels, -1).mean(axis=1))
 
 
 _Ints = npt.NDArray[np.int64]

@@ -13,6 +13,10 @@ import pytest
 import trimesh
 
 from emulator.cli.app import _main
+from emulator.cli.doctor import _sentence
+from emulator.rig.loading import load_rig
+from emulator.run.expected_speed import ExpectedSpeed, StepCost
+from emulator.run.keeping_up import RealTimeSpeed
 from emulator.scene.bodies.mesh import load_mesh
 from firmware_protocol.events import EVENT
 from transports.link.deliveries import digest_of
@@ -104,6 +108,26 @@ def test_doctor_tells_whether_a_rig_runs_in_real_time(step_us, code, rig, capsys
     told = last_json(capsys.readouterr().out)
     assert told["real_time"] is (code == 0)
     assert (told["times_real_time"] > 1) is (code == 0)
+    assert told["expected"]["times_real_time"] > 0
+
+
+def test_a_plan_has_the_speed_to_expect_on_this_machine(rig, capsys):
+    assert _main(["plan", str(rig), "--json"]) == 0
+    speed = last_json(capsys.readouterr().out)["speed"]
+    assert speed["times_real_time"] == pytest.approx(speed["step_s"] / (speed["drawing_s"] + speed["pixels_s"]))
+    assert speed["step_s"] == pytest.approx(2e-3)
+    assert _main(["plan", str(rig)]) == 0
+    assert "times real time expected on this machine" in capsys.readouterr().out
+
+
+def test_advice_for_a_slow_rig_is_that_of_the_probe():
+    slow = StepCost(1e-3, 2e-3, 1e-3)
+    with_remedy, without = (
+        _sentence(load_rig("checkerboard"), RealTimeSpeed(0.3, 2.0, 3.0, ExpectedSpeed(slow, remedies)))
+        for remedies in (("run.step_us = 9000",), ())
+    )
+    assert "Take a longer" not in with_remedy
+    assert "Take a longer" in without
 
 
 @pytest.mark.parametrize(

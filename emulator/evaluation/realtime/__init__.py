@@ -1,0 +1,1 @@
+"""Real-time factor of whole runs beside their wrong events."""
