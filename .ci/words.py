@@ -28,7 +28,7 @@ __all__ = ["offences"]
 
 FOLDERS = ("evstim", "emulator", "transports", "firmware_protocol")
 
-OPENINGS = re.compile(r"(What|Where|Who|Whom|Whose|When|Whether|Nobody|Whoever|Whatever)\b")
+OPENINGS = re.compile(r"(What|Where|Who|Whom|Whose|When|Whether|Nobody|Whoever|Whatever|Why|How)\b")
 SPEECH = re.compile(
     r"\b(tell|tells|told|telling|say|says|said|saying|hear|hears|heard|hearing|ask|asks|asked|asking|speak|speaks|spoke"
     r"|knows|whoever|somebody|nobody)\b",

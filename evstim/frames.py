@@ -40,7 +40,7 @@ Levels = Literal["linear", "srgb"]
 
 @dataclass(frozen=True)
 class _Conversion:
-    """How frames become light and events; see `events_from_frames` for the fields."""
+    """Conversion of frames to light and events; see `events_from_frames` for the fields."""
 
     sensor: str | SensorParameters
     levels: Levels | None

@@ -86,7 +86,7 @@ REMOVED: Mapping[tuple[str, ...], RemovedKey] = {
         0.02, "a bias that is not given in accelerometer_bias_g is drawn with a deviation of 0.02 g"
     ),
 }
-"""Keys removed in version 0.2; the version after does not know them."""
+"""Keys removed in version 0.2; the version after refuses them."""
 
 
 def with_new_spellings(rig: dict[str, Any]) -> dict[str, Any]:

@@ -55,7 +55,7 @@ Floats = npt.NDArray[np.float64]
 
 
 class LeakShare:
-    """How much of each pixel's ON threshold its leak has moved since the reference was read.
+    """Share of each pixel's ON threshold by which its leak has moved since the reference was read.
 
     Parameters
     ----------

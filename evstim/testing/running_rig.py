@@ -30,7 +30,7 @@ _MOST_KEPT = 2_000_000  # events, 26 MB
 
 @dataclasses.dataclass(frozen=True)
 class RigOptions:
-    """How a test wants its rig to run.
+    """Options of a rig that runs for a test.
 
     Attributes
     ----------

@@ -58,7 +58,7 @@ _NO_READINGS: Counter[ReadingKind] = Counter()
 
 
 class Numbers(NamedTuple):
-    """Numbers of items of each kind; those of readings by their kind. A link compares them at every tick."""
+    """Numbers of items of each kind; those of readings by their kind."""
 
     events: int = 0
     edges: int = 0

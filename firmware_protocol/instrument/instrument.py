@@ -119,7 +119,7 @@ class Instrument(EventDevice):
 
     @property
     def settings_version(self) -> int:
-        """Number of telecommands and of biases that were set."""
+        """Number of telecommands that changed a setting."""
         return self._settings_version
 
     @property

@@ -182,7 +182,7 @@ class Datagram:
 
 
 class ConnectionCoder(ABC):
-    """Codes a stream for a connection.
+    """Coder of a stream for a connection.
 
     Attributes
     ----------
@@ -221,7 +221,7 @@ class ConnectionCoder(ABC):
 
 
 class DatagramCoder(ABC):
-    """Codes a stream for datagrams; see `ConnectionCoder` for the attributes."""
+    """Coder of a stream for datagrams; see `ConnectionCoder` for the attributes."""
 
     limit_px: ClassVar[tuple[int, int]]
     has_edges: ClassVar[bool] = False
@@ -255,7 +255,7 @@ def reset_packet() -> bytes:
 
 
 class CaerConnectionCoder(ConnectionCoder):
-    """Codes events and edges for a TCP client of cAER's kind."""
+    """Coder of events and edges for a TCP client of cAER's kind."""
 
     limit_px: ClassVar[tuple[int, int]] = (1 << 15, 1 << 15)
     has_edges: ClassVar[bool] = True
@@ -275,7 +275,7 @@ class CaerConnectionCoder(ConnectionCoder):
 
 
 class CaerDatagramCoder(DatagramCoder):
-    """Codes events and edges for a UDP receiver of cAER's kind: a packet in pieces, one for each datagram."""
+    """Coder of events and edges for a UDP receiver of cAER's kind: a packet in pieces, one for each datagram."""
 
     limit_px: ClassVar[tuple[int, int]] = (1 << 15, 1 << 15)
     has_edges: ClassVar[bool] = True
@@ -326,7 +326,7 @@ _LAST = (1 << 31) - 1
 
 
 class JaerCoder(DatagramCoder):
-    """Codes events and edges for jAER."""
+    """Coder of events and edges for jAER."""
 
     limit_px: ClassVar[tuple[int, int]] = (1 << 10, 1 << 9)
     has_edges: ClassVar[bool] = True
@@ -363,7 +363,7 @@ _FAERY_EVENTS = 100
 
 
 class SpifCoder(DatagramCoder):
-    """Codes events for AEStream, spiffer and SPIF boards; times are left out: an event has its time of arrival."""
+    """Coder of events for AEStream, spiffer and SPIF boards; times are left out: an event has its time of arrival."""
 
     limit_px: ClassVar[tuple[int, int]] = (1 << 15, 1 << 15)
 
@@ -374,7 +374,7 @@ class SpifCoder(DatagramCoder):
 
 
 class FaeryLongCoder(DatagramCoder):
-    """Codes events as faery's `t64_x16_y16_on8`, which is the event record of this project."""
+    """Coder of events as faery's `t64_x16_y16_on8`, which is the event record of this project."""
 
     limit_px: ClassVar[tuple[int, int]] = (1 << 16, 1 << 16)
 
@@ -384,7 +384,7 @@ class FaeryLongCoder(DatagramCoder):
 
 
 class FaeryShortCoder(DatagramCoder):
-    """Codes events as faery's `t32_x16_y15_on1`: times wrap after 71 minutes."""
+    """Coder of events as faery's `t32_x16_y15_on1`: times wrap after 71 minutes."""
 
     limit_px: ClassVar[tuple[int, int]] = (1 << 16, 1 << 15)
 
@@ -424,7 +424,7 @@ _HEAD = struct.Struct("<I4s6xHHHHHiiIq4xI")
 
 
 class _DvCoder(ConnectionCoder):
-    """Codes one stream."""
+    """Coder of one stream."""
 
     limit_px: ClassVar[tuple[int, int]] = (1 << 15, 1 << 15)
     stream: ClassVar[tuple[str, str]]
@@ -452,7 +452,7 @@ class _DvCoder(ConnectionCoder):
 
 
 class DvCoder(_DvCoder):
-    """Codes events for `dv_processing.io.NetworkReader` and the DV viewer."""
+    """Coder of events for `dv_processing.io.NetworkReader` and the DV viewer."""
 
     stream: ClassVar[tuple[str, str]] = ("EVTS", "events")
 
@@ -472,7 +472,7 @@ class DvCoder(_DvCoder):
 
 
 class DvTriggerCoder(_DvCoder):
-    """Codes edges on the camera's external input, and restarts of its clock, for the same clients."""
+    """Coder of edges on the camera's external input, and restarts of its clock, for the same clients."""
 
     stream: ClassVar[tuple[str, str]] = ("TRIG", "triggers")
     has_edges = True

@@ -128,7 +128,7 @@ _WHITE = 255
 
 
 class _PictureCoder(ConnectionCoder):
-    """Codes an image for each interval of stream time."""
+    """Coder of an image for each interval of stream time."""
 
     limit_px: ClassVar[tuple[int, int]] = (1 << 15, 1 << 15)
 
@@ -168,7 +168,7 @@ class _PictureCoder(ConnectionCoder):
 
 
 class EventImageCoder(_PictureCoder):
-    """Codes event images with the channels of `facts.pictures`."""
+    """Coder of event images with the channels of `facts.pictures`."""
 
     def __init__(self, facts: StreamFacts) -> None:
         super().__init__(facts)
@@ -182,7 +182,7 @@ class EventImageCoder(_PictureCoder):
 
 
 class DisplayCoder(_PictureCoder):
-    """Codes coloured images for people."""
+    """Coder of coloured images for people."""
 
     def __init__(self, facts: StreamFacts) -> None:
         super().__init__(facts)

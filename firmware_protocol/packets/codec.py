@@ -49,7 +49,7 @@ class Request:
 
 
 class PacketCodec(ABC):
-    """Encodes and decodes the packets of one instrument; holds the sequence counts of the packets it encoded."""
+    """Codec of the packets of one instrument; holds the sequence counts of the packets it encoded."""
 
     overhead_octets: ClassVar[int]
     """Most octets of a packet beside the payload."""
@@ -87,7 +87,7 @@ _TYPE_COUNTS = 1 << 16
 
 
 class PusCodec(PacketCodec):
-    """Encodes and decodes the packets of one instrument."""
+    """Codec of the packets of one instrument."""
 
     overhead_octets = max(TM_OVERHEAD, TC_OVERHEAD)
     sequence_modulus = SEQUENCE_MODULUS

@@ -131,7 +131,7 @@ HEADER_OCTETS = 6
 
 
 class CspCodec(PacketCodec):
-    """Encodes and decodes the packets of one instrument."""
+    """Codec of the packets of one instrument."""
 
     overhead_octets = HEADER_OCTETS + max(_MESSAGE.size, _REQUEST.size)
     sequence_modulus = 1 << 16

@@ -34,7 +34,6 @@ rate of turning x, y, z (65.5 a degree per second). A frame is the reset reads o
 pixel's brightness is their difference. Its exposure begins with the last reset read, or with the first one if reset and
 signal reads alternate (rolling shutter), and ends with the first signal read. Columns count from the left here, unlike
 those of events, rows from the bottom.
-of events, rows from the bottom.
 
 Sources: jAER, IMUSample.java, DavisBaseCamera.java (DavisEventExtractor); docs.inivation.com, "AEDAT 2.0".
 """

@@ -172,7 +172,7 @@ _FORWARDED_BYTES = 1 << 26
 
 
 class ForwardingRecorder:
-    """Sends parts through a pipe, and to the recorder of the link's own file where there is one.
+    """Sender of parts through a pipe, and to the recorder of the link's own file where there is one.
 
     In a run that is not paced `append` waits for room in the queue; in one that is, a part that finds none is left out,
     and counted in the message that ends the stream.
@@ -210,7 +210,7 @@ class ForwardingRecorder:
 
     @property
     def trouble(self) -> str:
-        """Why the file is not whole, for people; empty where it is, or where there is none."""
+        """Reason for an incomplete file, for people; empty if it is complete or if there is none."""
         return "" if self._recorder is None else self._recorder.trouble
 
     @property

@@ -1,6 +1,6 @@
 """Topics of ROS 2 as a link's endpoint.
 
-    device.carry -> MessageBuffer -> PacketCoder  -> a message a millisecond -> topic of events
+    device.take  -> MessageBuffer -> PacketCoder  -> a message a millisecond -> topic of events
                                   -> PictureCoder -> a message a picture     -> topic of pictures
 
 A writer never waits: DDS stores the last `depth` messages, to send them again to readers that missed some. In a run

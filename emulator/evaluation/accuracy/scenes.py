@@ -326,7 +326,7 @@ class _Profiled(ClosedLight):
     @property
     @abstractmethod
     def duration_s(self) -> float:
-        """How long it takes to pass all pixels."""
+        """Time to pass all pixels."""
 
     def _edge(self, x: Float64s) -> tuple[Float64s, Float64s]:
         """Return the edge from 0 to 1 at x, px, and its slope."""
@@ -353,7 +353,7 @@ class _Profiled(ClosedLight):
 class _Passing(_Profiled):
     @property
     def duration_s(self) -> float:
-        """How long it takes to pass all pixels."""
+        """Time to pass all pixels."""
         return 2 * self._way_px / self.speed_px_s
 
     @property

@@ -362,7 +362,7 @@ _MOST_CORNERS = 30  # corner frequencies: a faster flicker gives no events
 
 @dataclasses.dataclass(frozen=True)
 class _Sweep:
-    """How finely each thing is swept."""
+    """Resolutions of the sweeps."""
 
     deviations: int
     celsius: Sequence[float]

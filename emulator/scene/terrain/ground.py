@@ -65,7 +65,7 @@ class Ground:
 
     @property
     def grids(self) -> int:
-        """How many there are."""
+        """Their number."""
         return len(self.heights_m)
 
     def post_m(self, grid: int) -> float:

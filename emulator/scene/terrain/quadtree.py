@@ -52,7 +52,7 @@ class Quadtree:
 
     @property
     def levels(self) -> int:
-        """How many there are."""
+        """Their number."""
         return len(self._levels)
 
     def blocks(self, camera_m: Floats, planes: Floats) -> list[npt.NDArray[np.int32]]:

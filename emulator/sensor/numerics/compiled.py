@@ -70,10 +70,10 @@ kernel_that_allocates: _Decorator[Any] = njit(**_COMMON)
 _SOURCES = ("emulator.sensor", "firmware_protocol.device.clock")
 
 cached_entry: _Decorator[Any] = entry_of(*_SOURCES)
-"""Compiles a function as an entry."""
+"""Compile a function as an entry."""
 
 cached_kernel: _Decorator[Any] = entry_of(*_SOURCES, **_UNCOUNTED)
-"""Compiles a function for compiled callers, as `kernel` does, and caches it on disk for them.
+"""Compile a function for compiled callers, as `kernel` does, and caches it on disk for them.
 
 This is for the large parts of an entry: they can be compiled at the same time, in several processes, before it.
 """

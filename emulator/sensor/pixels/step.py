@@ -77,7 +77,7 @@ class Tally(NamedTuple):
 
 
 class _Progress(NamedTuple):
-    """How far a share is: its next block, parts in the pack, columns in the table; and the counts of `Tally` so far.
+    """Progress of a share: its next block, parts in the pack, columns in the table; and the counts of `Tally` so far.
 
     `moved` is in parts.
     """
