@@ -30,7 +30,7 @@ from emulator.photometry.reflectance import Glossy, Lambert
 from emulator.raster import Box, Patches, Renderer, Screen, View, join, prepare
 from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.lighting import Lighting, Motion, Poses, motion_at
-from emulator.scene.bodies.lit_surface import Surface, lit_surface, subdivide
+from emulator.scene.bodies.lit_surface import Surface, lit_surface, near_in_memory, subdivide
 from emulator.scene.bodies.shadow_polygons import with_narrow_penumbras
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.bodies.world import BodyWorld, rigid_groups
@@ -282,7 +282,7 @@ class RasterBodies(Scene):
         mesh, smooth = world.as_seen(k), world.parameters.bodies[k].smooth
         if len(mesh.faces) < _MOST_DIVIDED:
             mesh = subdivide(mesh, max(self._longest_m(k), math.sqrt(2 * mesh.area_m2 / _MOST_DIVIDED)))
-        return lit_surface(mesh, smooth=smooth)
+        return lit_surface(near_in_memory(mesh), smooth=smooth)
 
     def _longest_m(self, k: int) -> float:
         """Return the longest allowed side of body k's facets."""
