@@ -151,10 +151,15 @@ _THREADS_FROM_PX = 50_000  # smaller light frames are drawn before a second thre
 _Floats = npt.NDArray[np.float64]
 
 
-def build_bodies(parameters: BodiesParameters, pinhole: Pinhole) -> RasterBodies:
-    """Return the bodies of `parameters` before `pinhole`, with the machine's threads if large; raises SceneError."""
+def build_bodies(parameters: BodiesParameters, pinhole: Pinhole, threads: int = 0) -> RasterBodies:
+    """Return the bodies of `parameters` before `pinhole`; raises SceneError.
+
+    Parameters
+    ----------
+    threads : number of threads that draw; 0: those of the machine for a large light frame, else one.
+    """
     large = pinhole.width * pinhole.height >= _THREADS_FROM_PX
-    return RasterBodies(parameters, pinhole, threads=available_threads() if large else 1)
+    return RasterBodies(parameters, pinhole, threads=threads or (available_threads() if large else 1))
 
 
 class RasterBodies(Scene):
