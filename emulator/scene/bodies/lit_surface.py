@@ -110,7 +110,7 @@ _CELLS = 1023  # a side of the box around a mesh
 def near_in_memory(mesh: Mesh) -> Mesh:
     """Return the mesh with facets and vertices in the order of Morton's curve.
 
-    What is drawn together is then read together: drawing took 6 to 24 % less time for files and subdivided meshes.
+    What is drawn together is then read together: itokawa and eros took 5 to 24 % less time.
     """
     middles = mesh.vertices[mesh.faces].mean(axis=1)
     low = middles.min(axis=0)
