@@ -76,6 +76,10 @@ _LEAST_BLUR_PX = 0.1
 class Through(Scene):
     """The scene that `build` makes for a pinhole camera, seen through a lens on `chip`.
 
+    Parameters
+    ----------
+    threads : number of threads that blur, as in `BlurWorkers`.
+
     Raises
     ------
     SceneError
@@ -83,7 +87,12 @@ class Through(Scene):
     """
 
     def __init__(
-        self, lens: LensParameters, chip: Chip, size: tuple[int, int], build: Callable[[Pinhole], Scene]
+        self,
+        lens: LensParameters,
+        chip: Chip,
+        size: tuple[int, int],
+        build: Callable[[Pinhole], Scene],
+        threads: int = 0,
     ) -> None:
         self._size = size
         camera = lens.pinhole(size)
@@ -99,7 +108,7 @@ class Through(Scene):
         shape = inner.height, inner.width
         self._inner = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         straight = self._bent is None and self._taps is not None
-        self._workers = BlurWorkers(self._taps, self._factor) if self._taps is not None and straight else None
+        self._workers = BlurWorkers(self._taps, self._factor, threads) if self._taps is not None and straight else None
         room = shape if self._workers is None else (0, 0)
         self._blurred = np.zeros(room, np.float32)
         self._rows = np.zeros(room, np.float32)

@@ -20,7 +20,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from emulator.raster.compiled import entry, kernel, vector_kernel
+from emulator.raster.compiled import entry, kernel, lane
 from emulator.raster.depth import alone, fill_depth, mark_seen
 from emulator.raster.depth import shows as may_show
 from emulator.raster.layout import (
@@ -44,7 +44,7 @@ __all__ = ["draw_bands", "query_bands"]
 _EMPTY = 1e-9  # of a pixel: less is rounding of sums along a row
 
 
-@kernel
+@lane
 def _extent(facets: Floats, listed: Ints, width: int) -> tuple[int, int]:
     """Return the first column that facets touch and the one after the last."""
     low, high = width, 0
@@ -54,7 +54,7 @@ def _extent(facets: Floats, listed: Ints, width: int) -> tuple[int, int]:
     return low, high
 
 
-@vector_kernel
+@lane
 def _sum_up(
     acc: Floats,
     rows: tuple[int, int],
@@ -110,7 +110,7 @@ def _sum_up(
     return n
 
 
-@vector_kernel
+@lane
 def _pair_up(
     data: Data,
     listed: Ints,
@@ -153,7 +153,7 @@ def _pair_up(
     return n
 
 
-@vector_kernel
+@lane
 def _strip(vertices: Floats, faces: Ints, f: int, row: int) -> tuple[float, float]:
     """Return the least and the largest column of a facet within a row."""
     left, right = 1e300, -1e300
@@ -170,7 +170,7 @@ def _strip(vertices: Floats, faces: Ints, f: int, row: int) -> tuple[float, floa
     return left, right
 
 
-@kernel
+@lane
 def _group(pairs: Ints, n: int, ends: Ints, grouped: Ints) -> None:
     """Sort facets by slot, keeping their order: those of slot k end at ends[k]."""
     ends[:] = 0
@@ -213,7 +213,7 @@ def _one_by_one(
     return 0
 
 
-@kernel
+@lane
 def _mark_others(data: Data, here: Ints, marks: tuple[Ints, Ints], depth: Floats, rows: tuple[int, int, int]) -> None:
     """Mark the facets that may show although they hold no sample; patches show where their facets do.
 

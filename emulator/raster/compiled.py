@@ -1,4 +1,8 @@
-"""Decorators of the renderer's kernels and entries."""
+"""Decorators of the renderer's kernels and entries.
+
+`lane` is here for loops as well, where they are called at one place or two: a call that is left passes the seven arrays
+of `Data` as some sixty numbers, which took 8 to 20 % of the time of a light frame.
+"""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from emulator.raster.compiled import kernel, lane, vector_kernel
+from emulator.raster.compiled import kernel, lane
 from emulator.raster.layout import Data, Floats, Ints, W, WHighest, WLowest, XHigh, XLow, YHigh, YLow
 
 __all__ = ["alone", "fill_depth", "mark_seen", "shows"]
@@ -15,7 +15,7 @@ __all__ = ["alone", "fill_depth", "mark_seen", "shows"]
 _ON_A_SIDE = 1e-9  # pixels: a middle so near a facet's side lies on it
 
 
-@vector_kernel
+@lane
 def fill_depth(
     data: Data,
     listed: Ints,
@@ -90,7 +90,7 @@ def mark_seen(nearest: Ints, columns: tuple[int, int], shows: Ints, band: int) -
                 shows[f] = band
 
 
-@kernel
+@lane
 def shows(facets: Floats, f: int, depth: Floats, first: int, last: int) -> bool:
     """Return whether a sample in the facet's box, one pixel wider, is not nearer than the facet."""
     if facets[f, YHigh] <= first or facets[f, YLow] >= last:

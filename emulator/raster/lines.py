@@ -23,7 +23,7 @@ _Y_LOW, _Y_MIDDLE, _Y_HIGH, _X_LOW, _X_MIDDLE, _LONG, _LOWER, _UPPER, _LONG_SIDE
 _OF, _PLANES = 11, 12
 
 
-@vector_kernel
+@lane
 def resolve(
     data: Data,
     place: tuple[int, int],
@@ -96,7 +96,7 @@ def _set_planes(data: Data, place: tuple[int, int], f: int, o: int, out: Floats)
         out[_PLANES] = min(max(out[_PLANES], facets[f, WLowest]), facets[f, WHighest])
 
 
-@vector_kernel
+@lane
 def _cut(sides: Floats, count: int, y: float, lines: Floats) -> int:
     """Write the interval of each facet on a line, in the pixel's frame; return their number."""
     n = 0
@@ -142,7 +142,7 @@ def _nearest(lines: Floats, n: int, x: float) -> int:
     return best
 
 
-@vector_kernel
+@lane
 def _change(lines: Floats, n: int, w: int, x: float) -> tuple[float, int, bool]:
     """Return the end of interval `w`, nearest at x, its successor (-1: to be searched), and whether it is crossed."""
     end, heir, passed = lines[w, _TO], -1, False
@@ -164,7 +164,7 @@ def _change(lines: Floats, n: int, w: int, x: float) -> tuple[float, int, bool]:
     return end, heir, passed
 
 
-@vector_kernel
+@lane
 def _along(
     data: Data,
     lines: Floats,
@@ -223,7 +223,7 @@ def _speed(data: Data, lines: Floats, k: int, which: int, place: tuple[int, int]
     return speed
 
 
-@vector_kernel
+@lane
 def _equal_depth_speed(
     data: Data,
     lines: Floats,

@@ -19,7 +19,7 @@ The time derivative of an integral of L is that of G less the flux of L through 
 
 from __future__ import annotations
 
-from emulator.raster.compiled import lane, vector_kernel
+from emulator.raster.compiled import lane
 from emulator.raster.layout import (
     CULLED,
     SHOWABLE,
@@ -82,7 +82,7 @@ def depth_range(facets: Floats, f: int, column: int, row: int) -> tuple[float, f
     return min(max(middle - half, low), high), max(min(middle + half, high), low)
 
 
-@vector_kernel
+@lane
 def _sort(order: Ints, keys: Floats, n: int) -> None:
     """Sort by descending keys (Shell's method: needs no memory); equal keys by ascending entry."""
     gap = 1
@@ -114,7 +114,7 @@ def _contains(vertices: Floats, faces: Ints, facets: Floats, f: int, column: int
     return inside
 
 
-@vector_kernel
+@lane
 def integrals(data: Data, f: int, column: int, row: int) -> tuple[float, float, float]:
     """Return area, light and rate of a facet within a pixel, exact; of a patch no area, and the difference of light."""
     vertices, faces, facets, over = data[0], data[1], data[4], data[6][f]
@@ -184,7 +184,7 @@ def integrals(data: Data, f: int, column: int, row: int) -> tuple[float, float, 
     return k * whole * area, k * light, k * rate
 
 
-@vector_kernel
+@lane
 def _outline(data: Data, f: int, column: int, row: int) -> tuple[int, float]:
     """Return the crossings of the facet's part of an outline with the pixel's border, and its |dx| - |dy| within."""
     vertices, faces, across, kinds = data[0], data[1], data[2], data[5]
@@ -211,7 +211,7 @@ def _outline(data: Data, f: int, column: int, row: int) -> tuple[int, float]:
     return crossings, lean
 
 
-@vector_kernel
+@lane
 def pixel_light(
     data: Data,
     place: tuple[int, int],

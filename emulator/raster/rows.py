@@ -120,7 +120,7 @@ def _add_edge(
         row += 1
 
 
-@vector_kernel
+@lane
 def add_facet(
     acc: Floats,
     f: int,

@@ -130,7 +130,8 @@ class Run:
         "gl", points in each pixel by OpenGL 4.3, for a quick look. The environment variable EVSTIM_RENDERER replaces
         this key.
     threads
-        Threads of the pixel step; the events are the same for any number. 0: chosen by its work, at most 4.
+        Threads of drawing, blur and the pixel step, one after the other; the events are the same for any number. 0:
+        chosen by the work, at most 4.
     tolerance_us
         Tolerated timestamp error, 95th percentile. Above 0, steps are as long as it allows (`step_us` is the first one)
         and effects that change less than that are left out; see `evstim plan`. 0: steps of `step_us`, nothing left out.

@@ -100,10 +100,13 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
     """Return the rig's scene at `size` = (width, height) pixels, by default its camera's; raises SceneError."""
     size = size or rig.camera.size
     kind, lens, chip = SCENES[rig.scene.kind], rig.camera.lens, CAMERA_MODELS[rig.camera.model].chip
-    drawn_by_gl = kind.gl and selected_painter(rig.run.painter) == "gl"
-    build = partial(imported(kind.gl if drawn_by_gl else kind.build), rig.scene)
+    threads = rig.run.threads
+    if kind.gl and selected_painter(rig.run.painter) == "gl":
+        build = partial(imported(kind.gl), rig.scene)
+    else:
+        build = partial(imported(kind.build), rig.scene, **({"threads": threads} if kind.threads else {}))
     if kind.lens == "applied":
-        return Through(lens, chip, size, build)
+        return Through(lens, chip, size, build, threads)
     scene: Scene = build(size, lens, chip) if kind.lens == "own" else build(size)
     return scene
 

@@ -50,6 +50,8 @@ class SceneKind:
     gl
         Import path of the function that builds the scene for GL, with the arguments of `build`; "": only the CPU draws
         it.
+    threads
+        True: `build` takes the keyword `threads`, the number of threads that draw, 0 for its own choice.
     needs
         Function from the parameters to the needs of the scene beyond evstim and its base dependencies.
     """
@@ -60,6 +62,7 @@ class SceneKind:
     events: str = ""
     kernels: bool = True
     gl: str = ""
+    threads: bool = False
     needs: Callable[[Any], tuple[Need, ...]] = _nothing
 
     def __post_init__(self) -> None:

@@ -34,11 +34,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.compiled import entry
+from emulator.scene.bodies.compiled import entry, kernel
 
 __all__ = [
     "MIXED",
@@ -57,7 +56,7 @@ __all__ = [
 ]
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def seen_above(x: float) -> tuple[float, float]:
     """Return the share of the disc above the line y = -x, and the mean y of that part."""
     if x >= 1.0:
@@ -71,12 +70,12 @@ def seen_above(x: float) -> tuple[float, float]:
     return share, 2.0 / 3.0 * half * half * half / (math.pi * share)
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _sector(ax: float, ay: float, bx: float, by: float) -> float:
     return 0.5 * math.atan2(ax * by - ay * bx, ax * bx + ay * by)
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def edge_area(ax: float, ay: float, bx: float, by: float) -> float:
     """Return the signed area between the middle of the unit disc and the edge from a to b, inside the disc."""
     dx, dy = bx - ax, by - ay
@@ -179,7 +178,7 @@ def _planes(triangles: Floats) -> Floats:
     return np.column_stack([normals, (normals * triangles.mean(axis=1)).sum(axis=1)])
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def after(node: int) -> int:
     """Return the node that follows `node` and all nodes below it; 1 at the end of the traversal."""
     node += 1
@@ -199,7 +198,7 @@ _DUST = 1e-9  # shares below that are rounding
 _NEAREST = 1e-4  # of a triangle's distance: the parts nearer along the axis are cut off
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def axes_around(sx: float, sy: float, sz: float) -> Frame:
     """Return two axes across a unit direction and the direction itself.
 
@@ -211,7 +210,7 @@ def axes_around(sx: float, sy: float, sz: float) -> Frame:
     return 1.0 + sign * sx * sx * a, sign * b, -sign * sx, b, sign + sy * sy * a, -sy, sx, sy, sz
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _cut_area(corners: tuple[float, ...], nearest: float) -> float:
     """Return the area in the disc of a triangle, three times (x, y, depth), of which a part lies behind the point."""
     area, count = 0.0, 0
@@ -241,7 +240,7 @@ def _cut_area(corners: tuple[float, ...], nearest: float) -> float:
     return area
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _triangle_area(corners: Floats, k: int, px: float, py: float, pz: float, axes: Frame) -> float:
     """Return the area of the unit disc that triangle k covers; the axes across the Sun are longer by 1 / tan radius."""
     x0, y0, z0 = corners[k, 0] - px, corners[k, 1] - py, corners[k, 2] - pz
@@ -265,7 +264,7 @@ def _triangle_area(corners: Floats, k: int, px: float, py: float, pz: float, axe
     return abs(edge_area(a0, b0, a1, b1) + edge_area(a1, b1, a2, b2) + edge_area(a2, b2, a0, b0))
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _box_in_cone(
     boxes: Floats,
     node: int,
@@ -289,12 +288,12 @@ def _box_in_cone(
     return bool(enter <= min(tx + rx, ty + ry, tz + rz))
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _inverse(x: float) -> float:
     return 1.0 / x if abs(x) > 1e-30 else 1e30
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def covered(
     tree: Arrays,
     point: tuple[float, float, float],
@@ -333,7 +332,7 @@ def covered(
             return area / math.pi
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _place(moved: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
     return (
         moved[0, 0] * x + moved[0, 1] * y + moved[0, 2] * z + moved[0, 3],
@@ -342,14 +341,14 @@ def _place(moved: Floats, x: float, y: float, z: float) -> tuple[float, float, f
     )
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _hide(tree: Arrays, place: tuple[float, float, float], moved: Floats, reaches: tuple[float, float]) -> float:
     """Return the covered share of the Sun's disc, 0 to 1; `moved` is (3, 5)."""
     hidden = covered(tree, place, (moved[0, 4], moved[1, 4], moved[2, 4]), reaches[0], reaches[1], 1.0 - _DUST)
     return 0.0 if hidden < _DUST else hidden if hidden < 1.0 - _DUST else 1.0
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _dim_point(
     tree: Arrays, point: tuple[float, float, float], moved: Floats, reaches: tuple[float, float], shares: Floats, i: int
 ) -> None:
@@ -389,7 +388,7 @@ def dim(
             _dim_point(tree, (points[k, 0], points[k, 1], points[k, 2]), moved, reaches, shares, i)
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _layers(
     tree: Arrays, point: tuple[float, float, float], sun: tuple[float, float, float], tangent: float, near_m: float
 ) -> int:
@@ -399,7 +398,7 @@ def _layers(
     return int(whole) if abs(layers - whole) < _DUST else -1
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _remember(
     tree: Arrays,
     point: tuple[float, float, float],

@@ -21,12 +21,11 @@ import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.cast_shadow import Arrays, Frame, TriangleTree, after, axes_around, covered, seen_above
-from emulator.scene.bodies.compiled import entry
+from emulator.scene.bodies.compiled import allocating_entry, entry, kernel
 from emulator.scene.files import Progress, cached_array
 
 __all__ = ["AZIMUTHS", "Horizons", "dim_below", "horizon_table", "lost_light"]
@@ -74,7 +73,7 @@ def lost_light(tree: TriangleTree, points: Floats, normals: Floats, table: Horiz
     return float(_count_lost(tree.arrays, (points, normals), table, chosen, suns, tangent)) / _TRIALS
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _direction(j: int) -> tuple[float, float]:
     """Return the unit direction of azimuth number j in the tangent plane."""
     at = 4.0 * j / AZIMUTHS
@@ -92,7 +91,7 @@ def _direction(j: int) -> tuple[float, float]:
     return y, -x
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _azimuth(x: float, y: float) -> float:
     """Return the position of a direction of the tangent plane among the azimuths, 0 to AZIMUTHS; not for the normal."""
     at = y / (abs(x) + abs(y))
@@ -103,7 +102,7 @@ def _azimuth(x: float, y: float) -> float:
     return at * (AZIMUTHS / 4)
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _raise(ax, ay, az, bx, by, bz, directions, slopes) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
     """Raise the horizon to an edge from a to b, coordinates along the axes around the normal."""
     if az <= 0.0 and bz <= 0.0:
@@ -126,7 +125,7 @@ def _raise(ax, ay, az, bx, by, bz, directions, slopes) -> None:  # type: ignore[
             slopes[j % AZIMUTHS] = high / far
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _raise_all(tree: Arrays, point: Floats, axes: Frame, directions: Floats, slopes: Floats) -> None:
     """Write the tangents of the horizon around a point, (AZIMUTHS,), at least 0."""
     boxes, starts, corners, planes = tree
@@ -156,7 +155,7 @@ def _raise_all(tree: Arrays, point: Floats, axes: Frame, directions: Floats, slo
             return
 
 
-@entry
+@allocating_entry
 def _look_around(tree: Arrays, points: Floats, normals: Floats, out: Horizons) -> None:
     """Write the table; a point whose normal is 0 or not a number has a horizon of 0."""
     directions, slopes = np.empty((AZIMUTHS, 2)), np.empty(AZIMUTHS)
@@ -169,7 +168,7 @@ def _look_around(tree: Arrays, points: Floats, normals: Floats, out: Horizons) -
             out[i, j] = int(slopes[j] / math.sqrt(1.0 + slopes[j] * slopes[j]) * _FULL + 0.5)
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _near(table: Horizons, k: int, tx: float, ty: float) -> tuple[float, float]:
     """Return the sine of the horizon of point k at an azimuth, and how much it rises from one azimuth to the next."""
     at = _azimuth(tx, ty)
@@ -178,7 +177,7 @@ def _near(table: Horizons, k: int, tx: float, ty: float) -> tuple[float, float]:
     return low + (at - j) * (high - low), high - low
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _above(table: Horizons, k: int, sun: tuple[float, float, float], radius: float) -> tuple[float, float]:
     """Return the height of the Sun's centre above the horizon of point k in solar radii, and the cosine of its tilt.
 
@@ -234,7 +233,7 @@ def dim_below(
                 break
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _along(axes: Frame, x: float, y: float, z: float) -> tuple[float, float, float]:
     ux, uy, uz, vx, vy, vz, nx, ny, nz = axes
     return x * ux + y * uy + z * uz, x * vx + y * vy + z * vz, x * nx + y * ny + z * nz

@@ -9,17 +9,18 @@ near the Sun's.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.cast_shadow import Arrays, Frame, after
+from emulator.scene.bodies.compiled import kernel
 
 __all__ = [
     "MOST_PIECES",
     "ROOM",
     "Extent",
     "Pieces",
+    "copy_corners",
     "covers",
     "cut",
     "cut_around",
@@ -44,7 +45,7 @@ Pieces = tuple[Floats, Numbers, Numbers]
 """Twice (MOST_PIECES, ROOM, 6) corners and velocities, twice their numbers of corners, and rows of earlier polygons."""
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def cut(polygon: Floats, n: int, cutter: Cutter, out: Floats) -> int:
     """Write the part of a polygon where a.x >= d, with velocities; return its corners.
 
@@ -78,7 +79,15 @@ def cut(polygon: Floats, n: int, cutter: Cutter, out: Floats) -> int:
     return count
 
 
-@numba.njit(error_model="numpy")
+@kernel
+def copy_corners(polygon: Floats, n: int, out: Floats) -> None:
+    """Copy n corners."""
+    for k in range(n):
+        for j in range(6):
+            out[k, j] = polygon[k, j]
+
+
+@kernel
 def side_of(plane: Floats, ends: Six, moving: Six) -> Cutter:
     """Return the cutter through a side that keeps the part to its left, seen from outside.
 
@@ -96,7 +105,7 @@ def side_of(plane: Floats, ends: Six, moving: Six) -> Cutter:
     return ax, ay, az, d, bx, by, bz, bx * x + by * y + bz * z + ax * vx + ay * vy + az * vz
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def without_short_sides(polygon: Floats, n: int, shortest_m: float) -> int:
     """Remove corners that are within `shortest_m` of the one before; return the number left.
 
@@ -113,12 +122,13 @@ def without_short_sides(polygon: Floats, n: int, shortest_m: float) -> int:
                 near = near or abs(x) + abs(y) + abs(z) <= shortest_m
         if not near:
             if count < k:
-                polygon[count, :] = polygon[k, :]
+                for j in range(6):
+                    polygon[count, j] = polygon[k, j]
             count += 1
     return count
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def double_area(polygon: Floats, n: int, plane: Floats) -> float:
     """Return twice the area of a polygon, counter-clockwise as seen from outside."""
     area = 0.0
@@ -130,7 +140,7 @@ def double_area(polygon: Floats, n: int, plane: Floats) -> float:
     return area
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _side(polygon: Floats, first: int, n: int, k: int, plane: Floats) -> Cutter:
     """Return the cutter through side k of the polygon in rows first to first + n - 1, with places and velocities."""
     i, j = first + k, first + (k + 1 if k + 1 < n else 0)
@@ -139,7 +149,7 @@ def _side(polygon: Floats, first: int, n: int, k: int, plane: Floats) -> Cutter:
     return side_of(plane, way, (vx, vy, vz, polygon[j, 3] - vx, polygon[j, 4] - vy, polygon[j, 5] - vz))
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _beside(
     p: Floats, p_first: int, p_n: int, q: Floats, q_first: int, q_n: int, plane: Floats, slack_m: float
 ) -> bool:
@@ -157,7 +167,7 @@ def _beside(
     return False
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def cut_around(
     room: Pieces, earlier: int, places: Floats, plane: Floats, bounds: tuple[float, float]
 ) -> tuple[int, int]:
@@ -180,7 +190,7 @@ def cut_around(
             clear = _beside(piece, 0, m, places, first, n, plane, slack_m)
             clear = clear or _beside(places, first, n, piece, 0, m, plane, slack_m)
             if clear and count < MOST_PIECES - 1:
-                pieces[into, count, :m] = piece[:m]
+                copy_corners(piece, m, pieces[into, count])
                 counts[into, count] = m
                 count += 1
             for k in range(0 if clear else n):
@@ -194,7 +204,7 @@ def cut_around(
                 m = cut(piece, m, (ax, ay, az, d, bx, by, bz, rate), pieces[into, MOST_PIECES - 1])
                 if m < 3:
                     break
-                piece[:m] = pieces[into, MOST_PIECES - 1, :m]
+                copy_corners(pieces[into, MOST_PIECES - 1], m, piece)
         found, at = count, into
     return found, at
 
@@ -208,7 +218,7 @@ Wide = tuple[float, float]
 """Tangent and sine of an angle by which the Sun may turn."""
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def extent_of(corners: Floats, axes: Frame) -> Extent:
     """Return the box of a facet as seen from the Sun, and how far towards the Sun it begins."""
     low_u = low_v = low_w = _EMPTY
@@ -221,7 +231,7 @@ def extent_of(corners: Floats, axes: Frame) -> Extent:
     return low_u, high_u, low_v, high_v, low_w
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def may_cover(
     boxes: Floats, node: int, plane: Floats, above: float, seen: tuple[Frame, Extent], tangent: float
 ) -> bool:
@@ -245,7 +255,7 @@ def may_cover(
     return not (beside_u or v + half_v < extent[2] or v - half_v > extent[3])
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _nears(
     corners: Floats, outside: Floats, plane: Floats, near_m: float, seen: tuple[Frame, Extent], wide: Wide
 ) -> bool:
@@ -267,7 +277,7 @@ def _nears(
     return not (beside or high_v + wider < extent[2] or low_v - wider > extent[3])
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def list_near(
     tree: Arrays, plane: Floats, near_m: float, seen: tuple[Frame, Extent], wide: Wide, listed: Numbers
 ) -> int:
@@ -289,7 +299,7 @@ def list_near(
             return count
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def covers(triangle: Floats, outside: Floats, plane: Floats, above: float, seen: tuple[Frame, Extent]) -> bool:
     """Return whether a triangle that shows the Sun its inside may cover a part of a facet."""
     axes, extent = seen

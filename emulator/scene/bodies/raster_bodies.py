@@ -30,7 +30,7 @@ from emulator.photometry.reflectance import Glossy, Lambert
 from emulator.raster import Box, Patches, Renderer, Screen, View, join, prepare
 from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.lighting import Lighting, Motion, Poses, motion_at
-from emulator.scene.bodies.lit_surface import Surface, lit_surface, subdivide
+from emulator.scene.bodies.lit_surface import Surface, lit_surface, near_in_memory, subdivide
 from emulator.scene.bodies.shadow_polygons import with_narrow_penumbras
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.bodies.world import BodyWorld, rigid_groups
@@ -150,10 +150,15 @@ _THREADS_FROM_PX = 50_000  # smaller light frames are drawn before a second thre
 _Floats = npt.NDArray[np.float64]
 
 
-def build_bodies(parameters: BodiesParameters, pinhole: Pinhole) -> RasterBodies:
-    """Return the bodies of `parameters` before `pinhole`, with the machine's threads if large; raises SceneError."""
+def build_bodies(parameters: BodiesParameters, pinhole: Pinhole, threads: int = 0) -> RasterBodies:
+    """Return the bodies of `parameters` before `pinhole`; raises SceneError.
+
+    Parameters
+    ----------
+    threads : number of threads that draw; 0: those of the machine for a large light frame, else one.
+    """
     large = pinhole.width * pinhole.height >= _THREADS_FROM_PX
-    return RasterBodies(parameters, pinhole, threads=available_threads() if large else 1)
+    return RasterBodies(parameters, pinhole, threads=threads or (available_threads() if large else 1))
 
 
 class RasterBodies(Scene):
@@ -281,7 +286,7 @@ class RasterBodies(Scene):
         mesh, smooth = world.as_seen(k), world.parameters.bodies[k].smooth
         if len(mesh.faces) < _MOST_DIVIDED:
             mesh = subdivide(mesh, max(self._longest_m(k), math.sqrt(2 * mesh.area_m2 / _MOST_DIVIDED)))
-        return lit_surface(mesh, smooth=smooth)
+        return lit_surface(near_in_memory(mesh), smooth=smooth)
 
     def _longest_m(self, k: int) -> float:
         """Return the longest allowed side of body k's facets."""

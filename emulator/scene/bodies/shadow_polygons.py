@@ -24,12 +24,11 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.cast_shadow import Arrays, Frame, TriangleTree, after, axes_around
-from emulator.scene.bodies.compiled import entry
+from emulator.scene.bodies.compiled import entry, kernel
 from emulator.scene.bodies.lit_surface import Surface
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.polygons import (
@@ -37,6 +36,7 @@ from emulator.scene.bodies.polygons import (
     ROOM,
     Extent,
     Pieces,
+    copy_corners,
     covers,
     cut,
     cut_around,
@@ -83,7 +83,7 @@ Memory = tuple[Floats, Numbers]
 Room = tuple[Pieces, Floats, Numbers, Floats]
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _project(polygon: Floats, n: int, plane: Floats, sun: Floats, turning: Floats) -> None:
     """Move standing corners along the Sun's direction onto a plane, and write their velocities there."""
     across = plane[0] * sun[0] + plane[1] * sun[1] + plane[2] * sun[2]
@@ -97,7 +97,7 @@ def _project(polygon: Floats, n: int, plane: Floats, sun: Floats, turning: Float
             polygon[k, 3 + j] = -way_rate * sun[j] - way * turning[j]
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _shade(corners: Floats, plane: Floats, triangle: Floats, sun: Floats, turning: Floats, pieces: Floats) -> int:
     """Write the shadow of a triangle on a facet to pieces[0]; return its corners, counter-clockwise, 0 for none."""
     for k in range(3):  # the triangle shows the Sun its inside: turned round
@@ -118,7 +118,7 @@ def _shade(corners: Floats, plane: Floats, triangle: Floats, sun: Floats, turnin
     return n
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _slope(corners: Floats, plane: Floats, values: tuple[float, float, float]) -> tuple[float, float, float]:
     """Return the gradient along a facet of the linear function with the given values at its corners."""
     nx, ny, nz = plane[0], plane[1], plane[2]
@@ -133,7 +133,7 @@ def _slope(corners: Floats, plane: Floats, values: tuple[float, float, float]) -
     )
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _write(polygon: Floats, n: int, receivers: Receivers, f: int, dark: tuple[Floats, Floats], at: Out, k: int) -> None:
     """Write a polygon's corners from row k on, with the light of facet f there and its rate."""
     corners, plane = receivers[0][f], receivers[1][f]
@@ -151,7 +151,7 @@ def _write(polygon: Floats, n: int, receivers: Receivers, f: int, dark: tuple[Fl
         light[k + i, 1] += gx * polygon[i, 3] + gy * polygon[i, 4] + gz * polygon[i, 5]
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _fan(out: Out, row: int, n: int, first: int, facet: int) -> None:
     """Write the triangles of a polygon of n corners from `row` on."""
     for i in range(n - 2):
@@ -173,7 +173,7 @@ def blank_room(shadows: int) -> Room:
     return (pieces, counts, earlier), np.zeros((shadows, ROOM, 6)), np.zeros(shadows, np.int32), np.zeros(shadows)
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _add(
     tree: Arrays,
     k: int,
@@ -199,11 +199,12 @@ def _add(
     if area <= _LEAST_AREA * _double_facet(corners, plane):
         return count
     if count < len(shadows):
-        shadows[count, :n], sizes[count], areas[count] = pieces[0, 0, :n], n, area
+        copy_corners(pieces[0, 0], n, shadows[count])
+        sizes[count], areas[count] = n, area
     return count + 1
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _gather(
     tree: Arrays, corners: Floats, plane: Floats, seen: tuple[Frame, Extent], around: Around, near_m: float, room: Room
 ) -> int:
@@ -222,7 +223,17 @@ def _gather(
             return count
 
 
-@numba.njit(error_model="numpy")
+@kernel
+def _largest(values: Floats, n: int) -> int:
+    """Return the place of the largest of the first n values, the first of equal ones."""
+    best = 0
+    for k in range(1, n):
+        if values[k] > values[best]:
+            best = k
+    return best
+
+
+@kernel
 def _lay(
     receivers: Receivers,
     f: int,
@@ -244,10 +255,11 @@ def _lay(
     whole = _double_facet(corners, plane)
     least = _LEAST_AREA * whole
     for _ in range(shadows):
-        k = int(np.argmax(areas[:shadows]))
+        k = _largest(areas, shadows)
         areas[k] = 0.0
         n = sizes[k]
-        pieces[0, 0, :n], counts[0, 0] = polygons[k, :n], n
+        copy_corners(polygons[k], n, pieces[0, 0])
+        counts[0, 0] = n
         found, at = cut_around(parts, known_before, out[0], plane, (near_m, least))
         for i in range(found):
             n = counts[at, i]
@@ -263,9 +275,9 @@ def _lay(
             break
     if covered >= _WHOLE * whole and first[0] + 3 <= len(out[0]) and first[1] < len(out[2]):
         rows, count = first[0] + 3, first[1] + 1
-        pieces[0, 0, :3] = 0.0
         for k in range(3):
-            pieces[0, 0, k, :3] = corners[3 * k : 3 * k + 3]
+            for j in range(3):
+                pieces[0, 0, k, j], pieces[0, 0, k, 3 + j] = corners[3 * k + j], 0.0
         _write(pieces[0, 0], 3, receivers, f, dark, out, first[0])
         _fan(out, first[0], 3, first[1], receivers[3][f])
     return rows, count
@@ -333,7 +345,7 @@ def cast_polygons(
     return first[0], first[1], most
 
 
-@numba.njit(error_model="numpy")
+@kernel
 def _double_facet(corners: Floats, plane: Floats) -> float:
     ux, uy, uz = corners[3] - corners[0], corners[4] - corners[1], corners[5] - corners[2]
     vx, vy, vz = corners[6] - corners[0], corners[7] - corners[1], corners[8] - corners[2]

@@ -220,4 +220,5 @@ BODIES = SceneKind(
     "emulator.scene.bodies.raster_bodies:build_bodies",
     lens="applied",
     gl="emulator.scene.bodies.gl_bodies:GlBodies",
+    threads=True,
 )

@@ -121,9 +121,14 @@ _COARSER = 2.0
 _HEIGHTS = 4097  # of the eye's direction, in the table of the ambient light
 
 
-def build_terrain(parameters: TerrainParameters, pinhole: Pinhole) -> RasterTerrain:
-    """Return the ground of `parameters` before `pinhole`, with the machine's threads; raises SceneError."""
-    return RasterTerrain(parameters, pinhole, threads=available_threads())
+def build_terrain(parameters: TerrainParameters, pinhole: Pinhole, threads: int = 0) -> RasterTerrain:
+    """Return the ground of `parameters` before `pinhole`; raises SceneError.
+
+    Parameters
+    ----------
+    threads : number of threads that draw; 0: those of the machine.
+    """
+    return RasterTerrain(parameters, pinhole, threads=threads or available_threads())
 
 
 class RasterTerrain(Scene):

@@ -191,5 +191,6 @@ TERRAIN = SceneKind(
     "emulator.scene.terrain.raster_terrain:build_terrain",
     lens="applied",
     gl="emulator.scene.terrain.gl_terrain:GlTerrain",
+    threads=True,
     needs=_needs,
 )
