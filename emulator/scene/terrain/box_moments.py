@@ -21,7 +21,6 @@ from numba.extending import intrinsic
 from numba.np import arrayobj
 
 from emulator.scene.terrain.compiled_vectors import (
-    FUSED,
     INT,
     constant,
     lane,

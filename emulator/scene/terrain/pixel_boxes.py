@@ -5,8 +5,9 @@ from above its spread is m = A A' + B B', with the eigenvalues l1 >= l2, l2 rais
 Boxes lie along the axes of the map, so
 
     one box        where |m12| < 0.12 l2 and l1 < 2.56 l2: half sides sqrt(m11) / 2, sqrt(m22) / 2
-    n boxes        else, in a line along v, n = max(2, floor(sqrt(l1 / l2) + 0.65)): with the spread S = min(l1 (1 - 1 / n^2),
-                   l1 - l2) they are sqrt(S / (n^2 - 1)) apart, half sides sqrt(m11 - S vx^2) / 2, sqrt(m22 - S vy^2) / 2
+    n boxes        else, in a line along v, n = max(2, floor(sqrt(l1 / l2) + 0.65)): with the spread
+                   S = min(l1 (1 - 1 / n^2), l1 - l2) they are sqrt(S / (n^2 - 1)) apart, half sides
+                   sqrt(m11 - S vx^2) / 2 and sqrt(m22 - S vy^2) / 2, whose squares are l2 / 4 at least
 
 have the spread of the footprint. They are taken from the finest level on which they are at most 8 posts long, and mixed
 with those of the next one in the last tenth of the level's range.
@@ -24,7 +25,7 @@ import numpy as np
 from emulator.raster.layout import Floats
 from emulator.scene.terrain.box_moments import MOST_POSTS, add_box
 from emulator.scene.terrain.ground import MOMENTS, Halves
-from emulator.scene.terrain.pixel_hits import Screen, Table, write_levels
+from emulator.scene.terrain.pixel_hits import Screen, Table, clamp, write_levels
 from emulator.scene.terrain.tile import (
     ABOVE_W,
     ABOVE_X,
@@ -117,7 +118,7 @@ def _eyes(at: tuple[int, int], screen: Screen, turn: Floats, s: Floats32) -> Non
 
 @tile_kernel
 def _sides(s: Floats32) -> None:
-    """Write the footprints' middles and spreads, and whether pixels are seen edge-on or their footprints are twisted."""
+    """Write the footprints' middles and spreads, and doubt where they are seen edge-on or twisted."""
     for k in range(TILE):
         x00, y00, z00 = s[ABOVE_X * TILE + k], s[ABOVE_Y * TILE + k], s[ABOVE_Z * TILE + k]
         x01, y01, z01 = s[ABOVE_X * TILE + k + 1], s[ABOVE_Y * TILE + k + 1], s[ABOVE_Z * TILE + k + 1]
@@ -246,7 +247,7 @@ def _add_boxes(count: int, moments: Halves, s: Floats32, places: Ints32, sums: F
         u, v, weight = s[BOX_U * TILE + k], s[BOX_V * TILE + k], s[WEIGHT * TILE + k]
         level = first, columns, np.int64(places[LEVEL_ROWS * TILE + k])
         for _ in range(np.int32(s[TAPS * TILE + k])):
-            box = min(max(u, half_u), last_u), min(max(v, half_v), last_v), half_u, half_v, weight
+            box = clamp(u, half_u, last_u), clamp(v, half_v, last_v), half_u, half_v, weight
             add_box(moments, level, box, sums, k * MOMENTS)
             u, v = u + s[STEP_U * TILE + k], v + s[STEP_V * TILE + k]
 
@@ -275,7 +276,7 @@ def _add_next(
     u, v = u - 0.5 * (n - 1.0) * step_u, v - 0.5 * (n - 1.0) * step_v
     weight = part / (n * half_u * half_v)
     for _ in range(np.int32(n)):
-        at_u, at_v = _f(min(max(u, half_u), last_u)), _f(min(max(v, half_v), last_v))
+        at_u, at_v = _f(clamp(u, half_u, last_u)), _f(clamp(v, half_v, last_v))
         box = at_u, at_v, _f(half_u), _f(half_v), _f(weight)
         add_box(moments, (levels[level, 0], columns, rows), box, sums, k * MOMENTS)
         u, v = u + step_u, v + step_v

@@ -1,8 +1,8 @@
 """Places on the fine map behind the corners of pixels.
 
-The renderer gives the facet at the middle of each pixel. A corner belongs to the pixel right of it and below. With d the
-corner's direction, d = 1 along the boresight, and n . X = 1 the facet's plane from the camera, the corner's ray meets
-the plane at X = s d, s = 1 / (n . d). The map's height z above X moves it along d to the point on the plane lifted by
+The renderer gives the facet at the middle of each pixel. A corner belongs to the pixel right of it and below. With d
+the corner's direction, d = 1 along the boresight, and n . X = 1 the facet's plane from the camera, the corner's ray
+meets the plane at X = s d, s = 1 / (n . d). The map's height z above X moves it along d to the point on the plane lifted by
 z - X_z; a secant from there, as the ground under the moved point has another height.
 """
 
@@ -20,6 +20,8 @@ from emulator.scene.terrain.tile import (
     CORNER_W,
     FIRST_X,
     FIRST_Y,
+    GAP,
+    HIT,
     LAST_X,
     LAST_Y,
     LEVEL,
@@ -29,8 +31,8 @@ from emulator.scene.terrain.tile import (
     LIFT_X,
     LIFT_Y,
     LIFT_Z,
-    MIDDLE_W,
     LIFTED,
+    MIDDLE_W,
     NORMAL_Z,
     OWN_ACROSS,
     OWN_DOWN,
@@ -41,12 +43,13 @@ from emulator.scene.terrain.tile import (
     POST_01,
     POST_10,
     POST_11,
+    REACH,
     SIZE,
     TILE,
-    WITHIN_X,
-    WITHIN_Y,
     W_ACROSS,
     W_DOWN,
+    WITHIN_X,
+    WITHIN_Y,
     Floats32,
     Ints32,
     X,
@@ -56,7 +59,18 @@ from emulator.scene.terrain.tile import (
 )
 from emulator.sensor.numerics.compiled import Real, lane
 
-__all__ = ["Screen", "Table", "corner_hits", "keep_row", "level_for", "lowest_level", "meet_map", "write_levels"]
+__all__ = [
+    "Screen",
+    "Table",
+    "clamp",
+    "corner_hits",
+    "keep_row",
+    "level_for",
+    "lowest_level",
+    "meet_first",
+    "meet_map",
+    "write_levels",
+]
 
 Table = npt.NDArray[np.int64]
 Screen = tuple[float, float, float]
@@ -64,8 +78,18 @@ Screen = tuple[float, float, float]
 
 _TINY = np.float32(1e-12)
 _LEAST, _MOST = np.float32(0.5), np.float32(2.0)  # slope of a secant
-_ZERO = np.float32(0.0)
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+_NO_HIT = np.float32(-2.0)
+_STEPS = 16
+_STEP = np.float32(2.0 / _STEPS)
 MARGIN = 16.0  # posts between a level's border and the last place for which it is taken
+
+
+@lane
+def clamp(number: Real, low: Real, high: Real) -> Real:
+    """Return a number within bounds; `low` for NaN, so that the number may be a place in an array."""
+    raised = number if number > low else low
+    return raised if raised < high else high
 
 
 @lane
@@ -213,6 +237,60 @@ def meet_map(heights: Floats32, up: float, s: Floats32, places: Ints32) -> None:
 
 
 @tile_kernel
+def meet_first(heights: Floats32, up: float, s: Floats32, places: Ints32) -> None:
+    """Move places to where their rays first meet the map, from above their facets on; see `meet_map`."""
+    for k in range(TILE):
+        s[HIT * TILE + k], s[GAP * TILE + k] = _NO_HIT, _ONE
+        _move(s[REACH * TILE + k], k, s)
+    for step in range(_STEPS + 1):
+        _heights(heights, s, places)
+        _search(np.float32(step), up, s)
+    for k in range(TILE):
+        hit = s[HIT * TILE + k]
+        found = hit > _NO_HIT
+        s[LIFTED * TILE + k] = _ONE if found else _ZERO
+        _move(s[REACH * TILE + k] * (_STEP + _ONE + (hit if found else _ZERO)), k, s)
+    _heights(heights, s, places)
+    _first_guess_or_end(up, s)
+    _heights(heights, s, places)
+    _secant_or_end(up, s)
+
+
+@tile_kernel
+def _search(step: float, up: float, s: Floats32) -> None:
+    """Write the lift of each ray's first hit between this place and the one before, in units of its reach; move on."""
+    lift = _ONE - step * _STEP
+    for k in range(TILE):
+        gap, before = _above(up, k, s), s[GAP * TILE + k]
+        share = gap / min(before - gap, -_TINY)  # of the step, back from here
+        met = (gap >= _ZERO) & (before < _ZERO) & (s[HIT * TILE + k] <= _NO_HIT)
+        s[HIT * TILE + k] = lift - share * _STEP if met else s[HIT * TILE + k]
+        s[GAP * TILE + k] = gap
+        _move(-_STEP * s[REACH * TILE + k], k, s)
+
+
+@tile_kernel
+def _first_guess_or_end(up: float, s: Floats32) -> None:
+    for k in range(TILE):
+        found = s[LIFTED * TILE + k] > _ZERO
+        lifted = _above(up, k, s)
+        s[GAP * TILE + k] = lifted
+        _move(_ZERO if found else lifted, k, s)
+
+
+@tile_kernel
+def _secant_or_end(up: float, s: Floats32) -> None:
+    for k in range(TILE):
+        found = s[LIFTED * TILE + k] > _ZERO
+        lifted, more = s[GAP * TILE + k], _above(up, k, s)
+        apart = lifted - more
+        slope = lifted / (apart if apart != _ZERO else _TINY)
+        by = more * min(max(slope, _LEAST), _MOST)
+        bound = _STEP * s[REACH * TILE + k]
+        _move(min(max(more, -bound), bound) if found else by, k, s)
+
+
+@tile_kernel
 def _heights(heights: Floats32, s: Floats32, places: Ints32) -> None:
     """Write the heights of the four posts around each place."""
     _posts(s, places)
@@ -229,7 +307,7 @@ def _posts(s: Floats32, places: Ints32) -> None:
     for k in range(TILE):
         u = s[FIRST_X * TILE + k] + s[X * TILE + k] * s[PER_M * TILE + k]
         v = s[FIRST_Y * TILE + k] + s[Y * TILE + k] * s[PER_M * TILE + k]
-        u, v = min(max(u, _ZERO), s[LAST_X * TILE + k]), min(max(v, _ZERO), s[LAST_Y * TILE + k])
+        u, v = clamp(u, _ZERO, s[LAST_X * TILE + k]), clamp(v, _ZERO, s[LAST_Y * TILE + k])
         column, row = np.int32(u), np.int32(v)
         s[WITHIN_X * TILE + k], s[WITHIN_Y * TILE + k] = u - np.float32(column), v - np.float32(row)
         columns = places[LEVEL_COLUMNS * TILE + k]

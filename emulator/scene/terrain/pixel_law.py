@@ -1,19 +1,20 @@
 """Light of pixels from the means of the ground's moments.
 
-With b the cosine of incidence x visible share of the Sun x albedo, the slopes p and q weighted by b have the means p, q
-and the covariances V. With s and e the directions to the Sun and the eye and n = (-p, -q, 1),
+With b the cosine of incidence x visible share of the Sun x albedo, the slopes p and q weighted by b have the means p
+and q and the covariances V. With s and e the directions to the Sun and the eye and n = (-p, -q, 1),
 
     n = |n|    wl = max(e . n, 0.02 |n|)    S = max(s . n, 0)    G = S + wl
 
-Ground that faces the eye covers more of the pixel: b counts by wl / wb within 1/2 to 2, wb = e . (-P, -Q, 1) of the mean
-slopes P, Q. The mean of 1 / (mu0 + mu), weighted by b, is n w1 / (G wl) to the second order of the slopes' deviations,
+Ground that faces the eye covers more of the pixel: b counts by wl / wb within 1/2 to 2, wb = e . (-P, -Q, 1) of the
+mean slopes P, Q. The mean of 1 / (mu0 + mu), weighted by b, is n w1 / (G wl) to the second order of the slopes'
+deviations,
 
     w1 = wl - cov(wl, G) / G + wl var(G) / G^2
 
 within 0.3 to 3 wl. The law of reflection is evaluated once, at the mu0 of the mean slope and the mu at which
 1 / (mu0 + mu) has this mean. In laws of Lommel-Seeliger's kind it is this factor that changes most from slope to slope
-where the ground is seen at a slant: with the mu of the mean slope the light was 2 % too dark near the horizon. Lambert's
-law has no mu.
+where the ground is seen at a slant: with the mu of the mean slope the light was 2 % too dark near the horizon.
+Lambert's law has no mu.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.photometry.reflection_kernels import reflect
-from emulator.scene.terrain.block_vertices import around, grazing
+from emulator.scene.terrain.block_vertices import around
 from emulator.scene.terrain.ground import BP, BPP, BPQ, BQ, BQQ, MOMENTS, B, P, Q
 from emulator.scene.terrain.tile import (
     AROUND,

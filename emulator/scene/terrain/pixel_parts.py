@@ -24,7 +24,7 @@ from emulator.raster.layout import Floats, Ints, W, WHighest, WLowest
 from emulator.scene.terrain.block_vertices import GRAZING
 from emulator.scene.terrain.ground import BP, BQ, MOMENTS, B, Halves
 from emulator.scene.terrain.pixel_boxes import box_means
-from emulator.scene.terrain.pixel_hits import Screen, Table, meet_map, write_levels
+from emulator.scene.terrain.pixel_hits import Screen, Table, meet_first, write_levels
 from emulator.scene.terrain.tile import (
     BOX_SIZE,
     DOUBT,
@@ -40,6 +40,7 @@ from emulator.scene.terrain.tile import (
     MIDDLE_X,
     MIDDLE_Y,
     PIXEL,
+    REACH,
     SIZE,
     TAP_X,
     TAP_Y,
@@ -67,15 +68,16 @@ __all__ = [
 ]
 
 Triple = tuple[float, float, float]
-_Plane = tuple[Triple, Triple, Triple, Triple, Triple, float, float, float]
-"""A pixel's middle from the camera, unit vector to the eye, change of the middle for lifting the facet by a metre, for a
-pixel to the right and for one down, half the side of a part's square, and how many parts across and down."""
+_Plane = tuple[Triple, Triple, Triple, Triple, Triple, float, float, float, float]
+"""A pixel's middle from the camera, unit vector to the eye, change of the middle for lifting the facet by a metre, for
+a pixel to the right and for one down, half the side of a part's square, and how many parts across and down."""
 
 COLUMN, SHARE, MEAN_B, MEAN_BP, MEAN_BQ, MEAN_REFLECTED = range(6)
 LINE_FIELDS = 6
 
 _MOST_LONG = 12.0  # times the shorter side, the footprint's longer one
 _SPARED = 0.9  # of a part: a footprint that is longer by less has no more of them
+_REACH, _FARTHEST = 1.0, 24.0
 _SQUARE_POSTS = 4.0  # along the side of a part's square
 _TINY, _ZERO, _GRAZING = np.float32(1e-30), np.float32(0.0), np.float32(GRAZING)
 
@@ -123,7 +125,7 @@ def part_means(
     posts : of `write_levels`.
     room : of `new_tile`.
     """
-    s, places, sums, _ = room
+    s, places = room[:2]
     per_m = 2.0 / (_SQUARE_POSTS * posts[1][0])
     filled: int = NONE
     for k in range(count):
@@ -168,13 +170,14 @@ def _plane(row: int, column: int, facet: Floats, screen: Screen, turn: Floats, s
         0.5 * shorter * step / samples,
         max(math.ceil(parts * math.sqrt(a[0] * a[0] + a[1] * a[1]) - _SPARED), 1.0),
         max(math.ceil(parts * math.sqrt(b[0] * b[0] + b[1] * b[1]) - _SPARED), 1.0),
+        step * min(_REACH, _FARTHEST / max(abs(lift) * math.sqrt(dx * dx + dy * dy), 1e-9)),
     )
 
 
 @lane
 def _put(n: int, k: int, part: int, plane: _Plane, per_m: float, s: Floats32, places: Ints32) -> None:
     """Write part `part` of the listed pixel k as number n of the tile."""
-    middle, eye, lift, a, b, half, columns, rows = plane
+    middle, eye, lift, a, b, half, columns, rows, reach = plane
     line = part // int(columns)
     right, down = (part - line * columns + 0.5) / columns - 0.5, (line + 0.5) / rows - 0.5
     s[X * TILE + n] = middle[0] + right * a[0] + down * b[0]
@@ -184,6 +187,7 @@ def _put(n: int, k: int, part: int, plane: _Plane, per_m: float, s: Floats32, pl
     s[EYE_X * TILE + n], s[EYE_Y * TILE + n], s[EYE_Z * TILE + n] = eye
     s[HALF_X * TILE + n] = s[HALF_Y * TILE + n] = half
     s[SIZE * TILE + n] = half * per_m
+    s[REACH * TILE + n] = reach
     s[TAPS * TILE + n], s[TAP_X * TILE + n], s[TAP_Y * TILE + n], s[DOUBT * TILE + n] = 1.0, 0.0, 0.0, 0.0
     places[PIXEL * TILE + n] = k
 
@@ -202,7 +206,7 @@ def _finish(
     """Add the means over the squares around the first `count` parts of a tile to their pixels."""
     s, places, sums, _ = room
     write_levels(count, posts, place, (X, Y, SIZE), s, places)
-    meet_map(heights, np.float32(place[2]), s, places)
+    meet_first(heights, np.float32(place[2]), s, places)
     for k in range(TILE):
         s[MIDDLE_X * TILE + k], s[MIDDLE_Y * TILE + k] = s[X * TILE + k], s[Y * TILE + k]
         s[BOX_SIZE * TILE + k] = s[SIZE * TILE + k]

@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from emulator.photometry.reflection_kernels import reflect
 from emulator.raster.layout import Bytes, Float32s, Floats, Ints, L
