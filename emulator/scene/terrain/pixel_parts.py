@@ -24,7 +24,7 @@ from emulator.raster.layout import Floats, Ints, W, WHighest, WLowest
 from emulator.scene.terrain.block_vertices import GRAZING
 from emulator.scene.terrain.ground import BP, BQ, MOMENTS, B, Halves
 from emulator.scene.terrain.pixel_boxes import box_means
-from emulator.scene.terrain.pixel_hits import Screen, Table, meet_first, write_levels
+from emulator.scene.terrain.pixel_hits import Screen, Table, meet_first, meet_map, write_levels
 from emulator.scene.terrain.tile import (
     BOX_SIZE,
     DOUBT,
@@ -103,7 +103,8 @@ def shorter_side(ax: float, ay: float, bx: float, by: float, most: float) -> flo
 @kernel
 def part_means(
     row: int,
-    count: int,
+    listed: tuple[int, int],
+    edge_on: bool,
     samples: float,
     owner: Ints,
     facets: Floats,
@@ -120,7 +121,8 @@ def part_means(
 
     Parameters
     ----------
-    count : of the columns listed in `line`.
+    listed : first of the columns listed in `line`, and the one after the last.
+    edge_on : the first hits of rays are searched; else one near the facet is taken.
     samples : parts of a pixel along the shorter side of its footprint.
     posts : of `write_levels`.
     room : of `new_tile`.
@@ -128,7 +130,7 @@ def part_means(
     s, places = room[:2]
     per_m = 2.0 / (_SQUARE_POSTS * posts[1][0])
     filled: int = NONE
-    for k in range(count):
+    for k in range(listed[0], listed[1]):
         for field in (MEAN_B, MEAN_BP, MEAN_BQ, MEAN_REFLECTED):
             line[field, k] = 0.0
         column = int(line[COLUMN, k])
@@ -139,9 +141,9 @@ def part_means(
             _put(filled, k, part, plane, per_m, s, places)
             filled += 1
             if filled == TILE:
-                _finish(filled, heights, moments, posts, camera[0], towards, room, line)
+                _finish(filled, edge_on, heights, moments, posts, camera[0], towards, room, line)
                 filled = NONE
-    _finish(filled, heights, moments, posts, camera[0], towards, room, line)
+    _finish(filled, edge_on, heights, moments, posts, camera[0], towards, room, line)
 
 
 @lane
@@ -195,6 +197,7 @@ def _put(n: int, k: int, part: int, plane: _Plane, per_m: float, s: Floats32, pl
 @kernel
 def _finish(
     count: int,
+    edge_on: bool,
     heights: Floats32,
     moments: Halves,
     posts: tuple[Table, tuple[float, int, float], int],
@@ -206,7 +209,11 @@ def _finish(
     """Add the means over the squares around the first `count` parts of a tile to their pixels."""
     s, places, sums, _ = room
     write_levels(count, posts, place, (X, Y, SIZE), s, places)
-    meet_first(heights, np.float32(place[2]), s, places)
+    up = np.float32(place[2])
+    if edge_on:
+        meet_first(heights, up, s, places)
+    else:
+        meet_map(heights, up, s, places)
     for k in range(TILE):
         s[MIDDLE_X * TILE + k], s[MIDDLE_Y * TILE + k] = s[X * TILE + k], s[Y * TILE + k]
         s[BOX_SIZE * TILE + k] = s[SIZE * TILE + k]

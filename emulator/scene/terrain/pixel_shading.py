@@ -149,8 +149,25 @@ def shade_doubtful(
     table = levels, ground, top_level(levels)
     for row in range(rows[0], rows[1]):
         _changes(row, smooth[0], s)
-        count = _list(row, owners[0], smooth[1][row], least, s, line)
-        part_means(row, count, samples, owners[0], facets, screen, camera, heights, moments, table, sun[0], tile, line)
+        doubtful = _list_doubtful(row, owners[0], smooth[1][row], line)
+        count = _list_changing(row, doubtful, owners[0], smooth[1][row], least, s, line)
+        for listed in ((NONE, doubtful), (doubtful, count)):
+            part_means(
+                row,
+                listed,
+                listed[0] < doubtful,
+                samples,
+                owners[0],
+                facets,
+                screen,
+                camera,
+                heights,
+                moments,
+                table,
+                sun[0],
+                tile,
+                line,
+            )
         _angles(row, count, screen, camera[1], sun, line, s)
         reflect(sun[2], sun[3], s[_MU0], s[_MU], s[_CHORD2], count, s[_MU0])
         for k in range(count):
@@ -178,12 +195,21 @@ def _changes(row: int, values: Float32s, s: Floats) -> None:
 
 
 @lane
-def _list(row: int, owner: Ints, doubtful: Bytes, least: float, s: Floats, line: Floats) -> int:
+def _list_doubtful(row: int, owner: Ints, doubtful: Bytes, line: Floats) -> int:
     """List the columns of a row's doubtful pixels; return how many."""
     count: int = NONE
     for column in range(owner.shape[1]):
         line[COLUMN, count] = column
-        wanted = (doubtful[column] > 0) | (s[_RANGE, column] > max(s[_MEAN, column], least))
+        count += (doubtful[column] > 0) & (owner[row, column] >= 0)
+    return count
+
+
+@lane
+def _list_changing(row: int, count: int, owner: Ints, doubtful: Bytes, least: float, s: Floats, line: Floats) -> int:
+    """List the columns of a row's other pixels around which light changes much, after `count` ones."""
+    for column in range(owner.shape[1]):
+        line[COLUMN, count] = column
+        wanted = (doubtful[column] == 0) & (s[_RANGE, column] > max(s[_MEAN, column], least))
         count += wanted & (owner[row, column] >= 0)
     return count
 
