@@ -2,8 +2,12 @@
 
 The renderer gives the facet at the middle of each pixel. A corner belongs to the pixel right of it and below. With d
 the corner's direction, d = 1 along the boresight, and n . X = 1 the facet's plane from the camera, the corner's ray
-meets the plane at X = s d, s = 1 / (n . d). The map's height z above X moves it along d to the point on the plane lifted by
-z - X_z; a secant from there, as the ground under the moved point has another height.
+meets the plane at X = s d, s = 1 / (n . d). The map's height z above X moves it along d to the point on the plane lifted
+by z - X_z; a secant from there, as the ground under the moved point has another height.
+
+This finds an intersection near the facet, which need not be the first one. For rays near the ground `meet_first` looks
+at places along the ray, as many metres above the facet as below, in equal steps from the camera, and takes the first
+step that ends below ground.
 """
 
 from __future__ import annotations
@@ -13,15 +17,16 @@ import numpy.typing as npt
 
 from emulator.raster.layout import Floats, Ints, W, WHighest, WLowest
 from emulator.scene.terrain.tile import (
+    ABOVE,
     ABOVE_W,
     ABOVE_X,
     ABOVE_Y,
     ABOVE_Z,
+    BELOW,
     CORNER_W,
     FIRST_X,
     FIRST_Y,
-    GAP,
-    HIT,
+    LAST,
     LAST_X,
     LAST_Y,
     LEVEL,
@@ -37,6 +42,7 @@ from emulator.scene.terrain.tile import (
     OWN_ACROSS,
     OWN_DOWN,
     OWN_W,
+    PAST,
     PER_M,
     POST,
     POST_00,
@@ -238,56 +244,68 @@ def meet_map(heights: Floats32, up: float, s: Floats32, places: Ints32) -> None:
 
 @tile_kernel
 def meet_first(heights: Floats32, up: float, s: Floats32, places: Ints32) -> None:
-    """Move places to where their rays first meet the map, from above their facets on; see `meet_map`."""
+    """Move places to where their rays first meet the map, within REACH of their facets; else as `meet_map` does."""
     for k in range(TILE):
-        s[HIT * TILE + k], s[GAP * TILE + k] = _NO_HIT, _ONE
+        s[PAST * TILE + k], s[LAST * TILE + k] = _NO_HIT, _ONE
         _move(s[REACH * TILE + k], k, s)
     for step in range(_STEPS + 1):
         _heights(heights, s, places)
-        _search(np.float32(step), up, s)
+        _search(_ONE - np.float32(step) * _STEP, up, s)
     for k in range(TILE):
-        hit = s[HIT * TILE + k]
-        found = hit > _NO_HIT
-        s[LIFTED * TILE + k] = _ONE if found else _ZERO
-        _move(s[REACH * TILE + k] * (_STEP + _ONE + (hit if found else _ZERO)), k, s)
+        _move((_ONE + _STEP) * s[REACH * TILE + k], k, s)
+        s[LIFTED * TILE + k] = _ZERO
+        if s[PAST * TILE + k] > _NO_HIT:
+            s[LIFTED * TILE + k] = _within(k, s)
+        _move(s[LIFTED * TILE + k], k, s)
     _heights(heights, s, places)
-    _first_guess_or_end(up, s)
+    _narrow(up, s)
     _heights(heights, s, places)
-    _secant_or_end(up, s)
+    _finish(up, s)
 
 
 @tile_kernel
-def _search(step: float, up: float, s: Floats32) -> None:
-    """Write the lift of each ray's first hit between this place and the one before, in units of its reach; move on."""
-    lift = _ONE - step * _STEP
+def _search(lift: float, up: float, s: Floats32) -> None:
+    """Write the step in which each ray first meets the map, if it ends here at `lift`; move on."""
     for k in range(TILE):
-        gap, before = _above(up, k, s), s[GAP * TILE + k]
-        share = gap / min(before - gap, -_TINY)  # of the step, back from here
-        met = (gap >= _ZERO) & (before < _ZERO) & (s[HIT * TILE + k] <= _NO_HIT)
-        s[HIT * TILE + k] = lift - share * _STEP if met else s[HIT * TILE + k]
-        s[GAP * TILE + k] = gap
+        above, before = _above(up, k, s), s[LAST * TILE + k]
+        met = (above >= _ZERO) & (before < _ZERO) & (s[PAST * TILE + k] <= _NO_HIT)
+        s[PAST * TILE + k] = lift if met else s[PAST * TILE + k]
+        s[ABOVE * TILE + k] = above if met else s[ABOVE * TILE + k]
+        s[BELOW * TILE + k] = before if met else s[BELOW * TILE + k]
+        s[LAST * TILE + k] = above
         _move(-_STEP * s[REACH * TILE + k], k, s)
 
 
-@tile_kernel
-def _first_guess_or_end(up: float, s: Floats32) -> None:
-    for k in range(TILE):
-        found = s[LIFTED * TILE + k] > _ZERO
-        lifted = _above(up, k, s)
-        s[GAP * TILE + k] = lifted
-        _move(_ZERO if found else lifted, k, s)
+@lane
+def _within(k: int, s: Floats32) -> Real:
+    """Return the lift at which a ray meets ground that is linear over the step of its first hit."""
+    share = s[ABOVE * TILE + k] / (s[ABOVE * TILE + k] - s[BELOW * TILE + k])
+    return s[REACH * TILE + k] * (s[PAST * TILE + k] + share * _STEP)
 
 
 @tile_kernel
-def _secant_or_end(up: float, s: Floats32) -> None:
+def _narrow(up: float, s: Floats32) -> None:
+    """Move to the hit in the part of the step in which the ground is met; a first guess where there was no hit."""
     for k in range(TILE):
-        found = s[LIFTED * TILE + k] > _ZERO
-        lifted, more = s[GAP * TILE + k], _above(up, k, s)
+        above, high, low = _above(up, k, s), s[ABOVE * TILE + k], s[BELOW * TILE + k]
+        share = high / (high - low)  # of the step, from its end to the place
+        back = share * above / (above - high if above < _ZERO else _TINY)
+        ahead = (_ONE - share) * above / (above - low if above >= _ZERO else _ONE)
+        by = _STEP * s[REACH * TILE + k] * (ahead if above >= _ZERO else back)
+        found = s[PAST * TILE + k] > _NO_HIT
+        s[LIFTED * TILE + k] = above
+        _move(by if found else above, k, s)
+
+
+@tile_kernel
+def _finish(up: float, s: Floats32) -> None:
+    """Move by a secant where there was no hit."""
+    for k in range(TILE):
+        lifted, more = s[LIFTED * TILE + k], _above(up, k, s)
         apart = lifted - more
         slope = lifted / (apart if apart != _ZERO else _TINY)
         by = more * min(max(slope, _LEAST), _MOST)
-        bound = _STEP * s[REACH * TILE + k]
-        _move(min(max(more, -bound), bound) if found else by, k, s)
+        _move(_ZERO if s[PAST * TILE + k] > _NO_HIT else by, k, s)
 
 
 @tile_kernel

@@ -75,9 +75,9 @@ a pixel to the right and for one down, half the side of a part's square, and how
 COLUMN, SHARE, MEAN_B, MEAN_BP, MEAN_BQ, MEAN_REFLECTED = range(6)
 LINE_FIELDS = 6
 
-_MOST_LONG = 12.0  # times the shorter side, the footprint's longer one
+_MOST_LONG = 6.0  # times the shorter side, the footprint's longer one
 _SPARED = 0.9  # of a part: a footprint that is longer by less has no more of them
-_REACH, _FARTHEST = 1.0, 24.0
+_REACH, _FARTHEST = 1.0, 24.0  # pixels: lifts of a facet within which first hits are searched, along the ground
 _SQUARE_POSTS = 4.0  # along the side of a part's square
 _TINY, _ZERO, _GRAZING = np.float32(1e-30), np.float32(0.0), np.float32(GRAZING)
 
