@@ -2,8 +2,8 @@
 
 The renderer gives the facet at the middle of each pixel. A corner belongs to the pixel right of it and below. With d
 the corner's direction, d = 1 along the boresight, and n . X = 1 the facet's plane from the camera, the corner's ray
-meets the plane at X = s d, s = 1 / (n . d). The map's height z above X moves it along d to the point on the plane lifted
-by z - X_z; a secant from there, as the ground under the moved point has another height.
+meets the plane at X = s d, s = 1 / (n . d). The map's height z above X moves it along d to the point on the plane
+lifted by z - X_z; a secant from there, as the ground under the moved point has another height.
 
 This finds an intersection near the facet, which need not be the first one. For rays near the ground `meet_first` looks
 at places along the ray, as many metres above the facet as below, in equal steps from the camera, and takes the first
