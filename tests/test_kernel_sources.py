@@ -203,7 +203,7 @@ def test_the_walk_finds_what_kernels_call_and_freeze(cached):
     assert {
         "emulator.raster.layout",  # columns that are frozen
         "emulator.photometry.reflection_kernels",  # called
-        "emulator.scene.terrain.ground",  # FIELDS, by way of the footprint
+        "emulator.scene.terrain.ground",  # MOMENTS, by way of the boxes
         "emulator.sensor.numerics.compiled",  # options of what it calls
     } <= made_of
     assert "emulator.scene.terrain.raster_terrain" not in made_of  # calls it

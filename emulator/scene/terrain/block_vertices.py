@@ -26,7 +26,9 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.photometry.reflection_kernels import reflect
+from emulator.scene.terrain.box_moments import half_at
 from emulator.scene.terrain.compiled import entry
+from emulator.scene.terrain.ground import BP, BQ, MOMENTS, B, Halves
 from emulator.scene.terrain.quadtree import BLOCK
 
 __all__ = ["CORNERS", "GRAZING", "LATER_S", "around", "block_vertices", "grazing"]
@@ -72,12 +74,19 @@ def around(table: Floats, height: float) -> float:
     return float(table[low] + (table[low + 1] - table[low]) * (at - low))
 
 
+@numba.njit(inline="always", error_model="numpy")
+def _light_of(moments: Halves, post: int) -> tuple[float, float, float]:
+    """Return b, b p and b q of a post."""
+    at = post * MOMENTS
+    return half_at(moments, at + B), half_at(moments, at + BP), half_at(moments, at + BQ)
+
+
 @entry
 def block_vertices(
     blocks: Ints,
     begin: int,
     end: int,
-    posts: Posts,
+    posts: tuple[Posts, Halves],
     levels: Ints,
     scalars: tuple[float, float, float],
     camera: tuple[Floats, Floats, Floats, Floats],
@@ -90,13 +99,14 @@ def block_vertices(
     Parameters
     ----------
     blocks : (n, 3), level, first column, first row.
-    posts, levels : of a `Pyramid`.
+    posts, levels : heights and moments, and the table of a `Pyramid`.
     scalars : unit in metres, reach in metres, crowd: see `quadtree`.
     camera : place and velocity in the world (3,), camera_from_world (3, 3) and its rate, a second.
     sun : direction (3,), irradiance, law and its parameters, and radiance of the ambient light by the eye's height.
     scratch : (10, 81).
     out : positions (81 n, 3), velocities, radiance (81 n,), rate.
     """
+    heights, moments = posts
     unit, reach, crowd = scalars
     place, moving, turn, turning = camera
     towards, irradiance, kind, law, ambient = sun
@@ -119,7 +129,7 @@ def block_vertices(
                 own = offset + row * columns + column
                 nxt = next_offset + ((even_row + 1) // 2 + down) * next_columns + (even_column + 1) // 2 + right
                 x = (x0 + min(column << level, x_span)) * unit
-                fx, fy, fz = x - place[0], y - place[1], posts[own, 0] - place[2]
+                fx, fy, fz = x - place[0], y - place[1], heights[own] - place[2]
                 far = math.sqrt(fx * fx + fy * fy + fz * fz)
                 around_site = crowd * max(abs(x), abs(y))
                 slid = (max(far, around_site) - _FIRST * reach * (1 << level)) * per_range
@@ -131,7 +141,7 @@ def block_vertices(
                 elif far > around_site:
                     sliding = -(fx * moving[0] + fy * moving[1] + fz * moving[2]) / far * per_range
                 gx = (x0 + min(even_column << level, x_span)) * unit - x
-                gy, gz = next_y - y, posts[nxt, 0] - posts[own, 0]
+                gy, gz = next_y - y, heights[nxt] - heights[own]
                 rx, ry, rz = fx + slid * gx, fy + slid * gy, fz + slid * gz
                 vx, vy, vz = sliding * gx - moving[0], sliding * gy - moving[1], sliding * gz - moving[2]
                 at = k * CORNERS + i * SIDE + j
@@ -145,13 +155,14 @@ def block_vertices(
                         + turning[a, 1] * ry
                         + turning[a, 2] * rz
                     )
-                de, dn = posts[nxt, 1] - posts[own, 1], posts[nxt, 2] - posts[own, 2]
-                db = posts[nxt, 3] - posts[own, 3]
+                lit_own, east_own, north_own = _light_of(moments, own)
+                lit_next, east_next, north_next = _light_of(moments, nxt)
+                de, dn, db = east_next - east_own, north_next - north_own, lit_next - lit_own
                 n = i * SIDE + j
                 for when in range(2):
                     s = slid + when * sliding * LATER_S
                     t = when * LATER_S
-                    east, north, lit = posts[own, 1] + s * de, posts[own, 2] + s * dn, posts[own, 3] + s * db
+                    east, north, lit = east_own + s * de, north_own + s * dn, lit_own + s * db
                     per_b = 1.0 / max(lit, 1e-9)
                     p, q = min(max(east * per_b, -10.0), 10.0), min(max(north * per_b, -10.0), 10.0)
                     up = 1.0 / math.sqrt(1.0 + p * p + q * q)

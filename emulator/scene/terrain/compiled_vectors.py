@@ -1,4 +1,4 @@
-"""Arithmetic on the compiler's vectors: the few operations that `box_sums` uses.
+"""Arithmetic on the compiler's vectors: the few operations that `box_moments` uses.
 
 Each takes the builder of the code, and values in it. Vectors of any length are correct on any processor: the compiler
 splits them where the processor's are shorter.
@@ -15,16 +15,10 @@ from numba.core import cgutils
 __all__ = [
     "FUSED",
     "INT",
-    "at_least",
     "constant",
-    "integers",
     "lane",
-    "load",
     "magnitude",
-    "numbers",
-    "picked",
     "product_sum",
-    "root",
     "spread",
     "within",
 ]
@@ -66,20 +60,6 @@ def lane(builder: ir.IRBuilder, vector: Any, k: int) -> Any:
     return builder.extract_element(vector, ir.Constant(_INT32, k))
 
 
-def load(builder: ir.IRBuilder, data: Any, place: Any, lanes: int) -> Any:
-    """Return the numbers from a place of an array on."""
-    kind = ir.VectorType(_FLOAT, lanes).as_pointer()
-    return builder.load(builder.bitcast(builder.gep(data, [place]), kind), align=4)
-
-
-def picked(builder: ir.IRBuilder, data: Any, places: Sequence[Any]) -> Any:
-    """Return the numbers at several places of an array."""
-    vector = ir.Constant(ir.VectorType(_FLOAT, len(places)), ir.Undefined)
-    for k, place in enumerate(places):
-        vector = builder.insert_element(vector, builder.load(builder.gep(data, [place])), ir.Constant(_INT32, k))
-    return vector
-
-
 def product_sum(builder: ir.IRBuilder, a: Any, b: Any, c: Any) -> Any:
     """Return a b + c."""
     return builder.fadd(builder.fmul(a, b, flags=FUSED), c, flags=FUSED)
@@ -91,29 +71,9 @@ def within(builder: ir.IRBuilder, vector: Any, low: Any, high: Any) -> Any:
     return builder.select(builder.fcmp_ordered(">", less, low), less, low)
 
 
-def integers(builder: ir.IRBuilder, vector: Any) -> Any:
-    """Return the whole numbers nearest to zero, of 32 bits."""
-    return builder.fptosi(vector, ir.VectorType(_INT32, vector.type.count))
-
-
-def numbers(builder: ir.IRBuilder, whole: Any) -> Any:
-    """Return whole numbers as floats."""
-    return builder.sitofp(whole, ir.VectorType(_FLOAT, whole.type.count))
-
-
-def at_least(builder: ir.IRBuilder, vector: Any, low: Any) -> Any:
-    """Return the numbers, none below `low`; `low` where a number is NaN."""
-    return builder.select(builder.fcmp_ordered(">", vector, low), vector, low)
-
-
 def magnitude(builder: ir.IRBuilder, vector: Any) -> Any:
     """Return the numbers without their signs."""
     return _of_each(builder, "fabs", vector)
-
-
-def root(builder: ir.IRBuilder, vector: Any) -> Any:
-    """Return the square roots."""
-    return _of_each(builder, "sqrt", vector)
 
 
 def _of_each(builder: ir.IRBuilder, name: str, vector: Any) -> Any:

@@ -35,7 +35,22 @@ import numpy.typing as npt
 
 from emulator.scene.terrain.compiled import map_entry
 
-__all__ = ["FIELDS", "Ground", "Pyramid", "build_pyramid", "nested"]
+__all__ = [
+    "BP",
+    "BPP",
+    "BPQ",
+    "BQ",
+    "BQQ",
+    "MOMENTS",
+    "B",
+    "Ground",
+    "Halves",
+    "P",
+    "Pyramid",
+    "Q",
+    "build_pyramid",
+    "nested",
+]
 
 
 Heights = npt.NDArray[np.float32]
@@ -127,24 +142,29 @@ def nested(
     return Ground(unit_m, heights, notes)
 
 
-FIELDS = 4
+MOMENTS = 8
+B, BP, BQ, BPP, BPQ, BQQ, P, Q = range(MOMENTS)
+_BEYOND = 16  # rows of zeros after the last post: boxes of posts extend beyond a map of few posts
 
-Posts = npt.NDArray[np.float32]
+Halves = npt.NDArray[np.uint16]
 Ints = npt.NDArray[np.int64]
+_Moments = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class Pyramid:
-    """Posts of all levels.
+    """Posts of all levels, level by level, row by row.
 
     Attributes
     ----------
-    posts : (n, 4) float32: height in metres, b p, b q, b; level by level, row by row.
-    levels : (levels, 9): offset in `posts`, rows, columns; lattice place x, y of the first post, and of the last one
-        less that; rows and columns by which half a post's numbers differ from its numbers on the next level.
+    heights : (n,) float32, metres.
+    moments : (MOMENTS n,) 16-bit floats as uint16, which compiled loops read: b, b p, b q, b p p, b p q, b q q, p, q.
+    levels : (levels, 9): number of the first post, rows, columns; lattice place x, y of the first post, and of the last
+        one less that; rows and columns by which half a post's numbers differ from its numbers on the next level.
     """
 
-    posts: Posts
+    heights: Heights
+    moments: Halves
     levels: Ints
 
 
@@ -158,68 +178,87 @@ def build_pyramid(
     sunlit : (grids, rows, columns), visible share of the Sun's disc at each post.
     sun : (3,) unit, towards it.
     """
-    parts: list[Posts] = []
-    for level in range(levels):
+    table = _table(ground, levels)
+    posts = int(table[-1, 0] + table[-1, 1] * table[-1, 2])
+    heights = np.empty(posts, np.float32)
+    moments = np.zeros((posts + _BEYOND * (table[:, 2].max() + 1), MOMENTS), np.float16)
+    finer_z, finer = np.empty((0, 0), np.float32), np.empty((0, 0, MOMENTS), np.float32)
+    for level, (first, rows, columns) in enumerate(table[:, :3]):
         if level < ground.grids:
-            part = _own(ground.heights_m[level], sunlit[level], ground.post_m(level), sun)
-            if parts:
+            z = ground.heights_m[level]
+            own = _own(z, sunlit[level], ground.post_m(level), sun)
+            if level:
                 top, left = ((n - 1) // 4 for n in ground.shape)
-                _coarsen(parts[-1], part[top:, left:], (len(parts[-1]) + 1) // 2, (parts[-1].shape[1] + 1) // 2, 1)
+                inner = own[top:, left:][: (len(finer) + 1) // 2, : (finer.shape[1] + 1) // 2]
+                inner[1:-1, 1:-1] = _coarsened(finer)[1:-1, 1:-1]
         else:
-            rows, columns = (n // 2 + 1 for n in parts[-1].shape[:2])
-            part = np.empty((rows, columns, FIELDS), np.float32)
-            _coarsen(parts[-1], part, rows, columns, 0)
-        parts.append(part)
-    return Pyramid(np.concatenate([part.reshape(-1, FIELDS) for part in parts]), _table(ground, parts))
+            z, own = finer_z[_evens(len(finer_z))][:, _evens(finer_z.shape[1])], _coarsened(finer)
+        heights[first : first + rows * columns] = z.ravel()
+        moments[first : first + rows * columns] = own.reshape(-1, MOMENTS)
+        finer_z, finer = z, own
+    return Pyramid(heights, moments.reshape(-1).view(np.uint16), table)
 
 
-def _table(ground: Ground, parts: list[Posts]) -> Ints:
+def _evens(posts: int) -> Ints:
+    """Return the numbers of the posts of a line that the next level has too; the last one's again at an odd end."""
+    return np.minimum(2 * np.arange(posts // 2 + 1), posts - 1)
+
+
+def _table(ground: Ground, levels: int) -> Ints:
     rows, columns = ground.shape
-    table = np.zeros((len(parts), 9), np.int64)
+    spans = columns - 1, rows - 1
+    table = np.zeros((levels, 9), np.int64)
     offset = 0
-    for level, part in enumerate(parts):
+    for level in range(levels):
         grid = min(level, ground.grids - 1)
+        if level >= ground.grids:
+            rows, columns = rows // 2 + 1, columns // 2 + 1
         inner = level + 1 < ground.grids
         shift = ((rows - 1) // 4, (columns - 1) // 4) if inner else (0, 0)
-        spans = (columns - 1) << grid, (rows - 1) << grid
-        table[level] = offset, *part.shape[:2], *ground.first(grid), *spans, *shift
-        offset += part.shape[0] * part.shape[1]
+        table[level] = offset, rows, columns, *ground.first(grid), *(span << grid for span in spans), *shift
+        offset += rows * columns
     return table
 
 
 @map_entry
 def _own(
     heights: npt.NDArray[np.float32], sunlit: npt.NDArray[np.float32], post_m: float, sun: npt.NDArray[np.float64]
-) -> Posts:
-    """Return the posts of a grid, (rows, columns, 4)."""
+) -> _Moments:
+    """Return the moments of a grid's posts, (rows, columns, MOMENTS)."""
     rows, columns = heights.shape
-    out = np.empty((rows, columns, 4), np.float32)
+    out = np.empty((rows, columns, MOMENTS), np.float32)
     for i in range(rows):
         above, below = max(i - 1, 0), min(i + 1, rows - 1)
         for j in range(columns):
             left, right = max(j - 1, 0), min(j + 1, columns - 1)
-            east = (heights[i, left] - heights[i, right]) / (post_m * max(right - left, 1))
-            north = (heights[above, j] - heights[below, j]) / (post_m * max(below - above, 1))
-            length = math.sqrt(1.0 + east * east + north * north)
-            incidence = (east * sun[0] + north * sun[1] + sun[2]) / length
-            lit = max(incidence, 0.0) * sunlit[i, j]
-            out[i, j, 0] = heights[i, j]
-            out[i, j, 1], out[i, j, 2], out[i, j, 3] = -east * lit, -north * lit, lit
+            p = (heights[i, right] - heights[i, left]) / (post_m * max(right - left, 1))
+            q = (heights[below, j] - heights[above, j]) / (post_m * max(below - above, 1))
+            length = math.sqrt(1.0 + p * p + q * q)
+            b = max(sun[2] - p * sun[0] - q * sun[1], 0.0) / length * sunlit[i, j]
+            out[i, j, B], out[i, j, BP], out[i, j, BQ] = b, b * p, b * q
+            out[i, j, BPP], out[i, j, BPQ], out[i, j, BQQ] = b * p * p, b * p * q, b * q * q
+            out[i, j, P], out[i, j, Q] = p, q
     return out
 
 
 @map_entry
-def _coarsen(fine: Posts, coarse: Posts, rows: int, columns: int, border: int) -> None:
-    """Write the first `rows` x `columns` coarse posts, but for `border` ones at each side, from the fine ones."""
-    weights = np.array([-0.125, 0.25, 0.75, 0.25, -0.125])
-    last_row, last_column = fine.shape[0] - 1, fine.shape[1] - 1
-    for i in range(border, rows - border):
-        for j in range(border, columns - border):
-            coarse[i, j, 0] = fine[min(2 * i, last_row), min(2 * j, last_column), 0]
-            for k in range(1, 4):
-                total = 0.0
-                for a in range(5):
-                    row = min(max(2 * i + a - 2, 0), last_row)
-                    for b in range(5):
-                        total += weights[a] * weights[b] * fine[row, min(max(2 * j + b - 2, 0), last_column), k]
-                coarse[i, j, k] = total
+def _coarsened(fine: _Moments) -> _Moments:
+    """Return the moments of the posts of the next level, filtered along both axes."""
+    weights = np.array([-0.125, 0.25, 0.75, 0.25, -0.125], np.float32)
+    rows, columns, fields = fine.shape
+    line = np.empty((columns, fields), np.float32)
+    out = np.empty((rows // 2 + 1, columns // 2 + 1, fields), np.float32)
+    for i in range(out.shape[0]):
+        line[:] = 0.0
+        for a in range(5):
+            row = min(max(2 * i + a - 2, 0), rows - 1)
+            for j in range(columns):
+                for k in range(fields):
+                    line[j, k] += weights[a] * fine[row, j, k]
+        for j in range(out.shape[1]):
+            out[i, j] = 0.0
+            for a in range(5):
+                column = min(max(2 * j + a - 2, 0), columns - 1)
+                for k in range(fields):
+                    out[i, j, k] += weights[a] * line[column, k]
+    return out

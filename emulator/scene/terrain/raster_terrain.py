@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,13 +29,13 @@ from emulator.light import Light, Region, Scene
 from emulator.photometry.reflection_kernels import law_of
 from emulator.raster import Box, Owners, Renderer, Screen, Topology, View, join, prepare
 from emulator.scene.terrain.block_vertices import CORNERS, block_vertices
-from emulator.scene.terrain.footprint import padded
 from emulator.scene.terrain.ground import build_pyramid
-from emulator.scene.terrain.pixel_shading import ROW_FIELDS, shade_rows
+from emulator.scene.terrain.pixel_shading import LINE_FIELDS, ROW_FIELDS, shade_doubtful, shade_rows
 from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets
 from emulator.scene.terrain.table import TerrainParameters
+from emulator.scene.terrain.tile import new_tile
 from emulator.scene.terrain.world import TerrainWorld
-from emulator.threads import available_threads
+from emulator.threads import ThreadPool, available_threads
 from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory
 from emulator.truth.surfaces import instants, motion_of, nearest_along, write_depth_and_flow
 
@@ -118,6 +117,8 @@ _NEAREST_SHARE = 1e-3  # of the least height of the camera: facets are cut this 
 _FIRST_BLOCKS = 256
 _FINEST_PX = 1.0
 _COARSER = 2.0
+_BAND = 32  # rows that a thread shades at a time
+_FAINT = 0.1  # of the mean of the light frame: changes of less light are not refined
 _HEIGHTS = 4097  # of the eye's direction, in the table of the ambient light
 
 
@@ -153,11 +154,14 @@ class RasterTerrain(Scene):
         width, height = pinhole.size
         screen = Screen(width, height, pinhole.focal_px, (width / 2, height / 2), _NEAREST_SHARE * world.distance_m)
         self._renderer = Renderer(self._blocks.topology(0), screen, threads)
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._pool = ThreadPool(threads)
         self._threads = threads
         self._scratches = [np.zeros((10, CORNERS)) for _ in range(threads)]
-        self._rows = [np.zeros((ROW_FIELDS, width + 1)) for _ in range(threads)]
-        self._posts = padded(self._pyramid)
+        self._tiles = [new_tile() for _ in range(threads)]
+        self._lines = [(np.zeros((ROW_FIELDS, width + 2)), np.zeros((LINE_FIELDS, width + 2))) for _ in range(threads)]
+        pyramid = self._pyramid
+        self._posts = pyramid.heights, pyramid.moments, pyramid.levels
+        self._smooth = np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
         self._owners = Owners.of(width, height)
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = Box()
@@ -239,39 +243,33 @@ class RasterTerrain(Scene):
     def close(self) -> None:
         """End the threads and close the port; a second call does nothing."""
         self._renderer.close()
-        if self._pool is not None:
-            self._pool.shutdown()
+        self._pool.close()
         self._world.close()
 
     def _shade(self, motion: CameraMotion, light: Light) -> None:
         """Write the fine map's light into the light frame."""
         height, width = light.shape
-        ground = self._world.ground
+        ground, owners, facets = self._world.ground, self._owners, self._renderer.facets
         screen = self._world.pinhole.focal_px, width / 2, height / 2
         scalars = ground.unit_m, ground.grids, (min(ground.shape) - 1) / 2
-        owners = self._owners.facets, self._owners.whole
+        view = screen, (motion.arrays[0], motion.turn), self._posts, scalars
+        limits = float(self._world.parameters.samples), _FAINT * float(light.mean())
 
-        def shade(k: int) -> None:
-            shade_rows(
-                (k, height, self._threads),
-                owners,
-                self._renderer.facets,
-                screen,
-                (motion.arrays[0], motion.turn),
-                self._posts,
-                self._pyramid.levels,
-                scalars,
-                float(self._world.parameters.samples),
-                self._sun,
-                self._rows[k],
-                light,
-            )
+        def shade(band: int, thread: int) -> None:
+            rows, tile = _rows(band, height), self._tiles[thread]
+            shade_rows(rows, owners.facets, facets, *view, self._sun, tile, self._smooth)
 
-        self._together(shade)
+        def refine(band: int, thread: int) -> None:
+            rows, room = _rows(band, height), (self._tiles[thread], *self._lines[thread])
+            both = owners.facets, owners.whole
+            shade_doubtful(rows, both, facets, *view, limits, self._sun, room, self._smooth, light)
+
+        bands = -(-height // _BAND)
+        self._pool.each(shade, bands)
+        self._pool.each(refine, bands)
 
     def _together(self, work: Callable[[int], None]) -> None:
-        shares = range(self._threads)
-        list(map(work, shares) if self._pool is None else self._pool.map(work, shares))
+        self._pool.each(lambda share, _: work(share), self._threads)
 
     def _view(self, t_ns: int, motion: CameraMotion) -> View:
         """Return the vertices in view, and give the renderer their topology."""
@@ -292,7 +290,7 @@ class RasterTerrain(Scene):
             block_vertices(
                 chosen,
                 *ends,
-                self._pyramid.posts,
+                self._posts[:2],
                 self._pyramid.levels,
                 scalars,
                 motion.arrays,
@@ -335,6 +333,10 @@ def _facet_px(p: TerrainParameters, pinhole: Pinhole) -> float:
     """
     affordable = math.sqrt(2 * pinhole.width * pinhole.height / p.most_facets)
     return max(_COARSER * p.detail_px, affordable) if p.detail_px else _FINEST_PX
+
+
+def _rows(band: int, height: int) -> tuple[int, int]:
+    return band * _BAND, min((band + 1) * _BAND, height)
 
 
 def _region(box: Box) -> Region:

@@ -8,7 +8,7 @@ import pytest
 from emulator.evaluation.accuracy.sampled_scenes import SampledTerrain
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Hapke, Lambert
-from emulator.scene.terrain.ground import build_pyramid
+from emulator.scene.terrain.ground import MOMENTS, build_pyramid
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.relief import make_ridge
 from emulator.scene.terrain.table import Heightmap, Ridge, TerrainParameters
@@ -130,23 +130,52 @@ def test_light_goes_on_where_blocks_change():
 
 def test_threads_draw_the_same_to_the_last_bit():
     p = parameters()
-    np.testing.assert_array_equal(looked_at(p, 10**10), looked_at(p, 10**10, threads=3))
+    one = looked_at(p, 10**10)
+    for threads in (2, 3):
+        np.testing.assert_array_equal(one, looked_at(p, 10**10, threads=threads))
+
+
+def light_at_one_au(p):
+    with RasterTerrain(p, CAMERA) as scene:
+        return scene._world.irradiance_w_m2
 
 
 def test_levels_have_the_ground_s_heights_and_keep_means():
     ground = make_ridge(RIDGE)
     sun = np.array([0.6, 0.0, 0.8])
     pyramid = build_pyramid(ground, np.ones_like(ground.heights_m), sun, ground.grids + 3)
+    moments = pyramid.moments.view(np.float16).reshape(-1, MOMENTS).astype(np.float64)
     coarser = None
     for level in range(ground.grids + 3):
         offset, rows, columns = pyramid.levels[level, :3]
-        posts = pyramid.posts[offset : offset + rows * columns].reshape(rows, columns, 4)
+        heights = pyramid.heights[offset : offset + rows * columns].reshape(rows, columns)
+        posts = moments[offset : offset + rows * columns].reshape(rows, columns, MOMENTS)
         stride = 1 << max(level - ground.grids + 1, 0)
-        np.testing.assert_array_equal(posts[..., 0], ground.heights_m[min(level, ground.grids - 1), ::stride, ::stride])
-        inner = posts[rows // 4 : 3 * rows // 4, columns // 4 : 3 * columns // 4, 1:]
+        np.testing.assert_array_equal(heights, ground.heights_m[min(level, ground.grids - 1), ::stride, ::stride])
+        inner = posts[rows // 4 : 3 * rows // 4, columns // 4 : 3 * columns // 4]
         if level >= ground.grids:
             np.testing.assert_allclose(inner.mean(axis=(0, 1)), coarser, atol=0.02)
         coarser = inner.mean(axis=(0, 1))
+
+
+def test_light_of_a_plane_is_its_law_of_reflection(tmp_path):
+    """A slope of 0.2 to the east; the Sun in the east, the eye straight above its middle."""
+    x = np.arange(257) * 2.0
+    np.save(tmp_path / "plane.npy", np.broadcast_to(0.2 * x, (257, 257)).copy())
+    plane = Heightmap(path=str(tmp_path / "plane.npy"), post_m=2.0)
+    above = FixedPath((0.0, 0.0, 150.0), DOWN)
+    p = parameters(ground=plane, camera=above, body_radius_m=0.0, sun_azimuth_deg=90.0, ambient_w_m2=0.0)
+    law = Hapke()
+    light = looked_at(dataclasses.replace(p, reflectance=law), 0)
+    normal = np.array([-0.2, 0.0, 1.0]) / np.hypot(0.2, 1.0)
+    sun = np.array([np.cos(np.radians(20.0)), 0.0, np.sin(np.radians(20.0))])
+    rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width] + 0.5
+    right, down = (columns - CAMERA.width / 2) / CAMERA.focal_px, (rows - CAMERA.height / 2) / CAMERA.focal_px
+    eye = -np.stack([right, -down, -np.ones_like(right)], axis=-1)
+    eye /= np.linalg.norm(eye, axis=-1, keepdims=True)
+    irradiance = light_at_one_au(p)
+    wanted = irradiance * law.reflect(normal @ sun, eye @ normal, np.arccos(eye @ sun))
+    np.testing.assert_allclose(light, wanted, rtol=2e-3)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,148 @@
+"""Sums of the ground's moments over boxes of posts, in the processor's vectors.
+
+numba turns loops into vectors where it can prove that arrays do not overlap, tests this at run time otherwise, and puts
+results in memory between loops. A box has few posts: these tests and stores take longer than the sums. So this one
+function is written with the compiler's own vectors: the eight moments of a post are one vector.
+
+The mean over a box of a function that is linear between posts is exact: a post at t posts from the box's middle has the
+weight (I(r - t) - I(-r - t)) / 2 r along each axis, r half its side and I the integral of the hat function. Weights of
+half a side of at most MOST_POSTS / 2 - 1 posts are sums over at most MOST_POSTS posts. Code for each number of columns
+is unrolled.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+from llvmlite import ir
+from numba.core import cgutils
+from numba.extending import intrinsic
+from numba.np import arrayobj
+
+from emulator.scene.terrain.compiled_vectors import (
+    INT,
+    constant,
+    lane,
+    magnitude,
+    product_sum,
+    spread,
+    within,
+)
+from emulator.scene.terrain.ground import MOMENTS
+
+__all__ = ["MOST_POSTS", "add_box", "half_at"]
+
+_types: Any = numba.types  # numba's functions here have no types that mypy could read
+_code: Any = cgutils
+_make_array: Any = arrayobj.make_array
+_intrinsic: Any = intrinsic
+
+MOST_POSTS = 10
+"""Along each side of a box; its side is at most MOST_POSTS - 2 posts long."""
+
+_COLUMNS = 4, 6, 8, MOST_POSTS
+_ROWS = 2  # at a time
+_LANES = 16  # of weights
+_HALF, _FLOAT = ir.HalfType(), ir.FloatType()
+
+
+@_intrinsic
+def half_at(context: Any, moments: Any, place: Any) -> Any:
+    """Return a number of an array of 16-bit floats, given as uint16."""
+
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
+        data = _make_array(signature.args[0])(context, builder, arguments[0]).data
+        half = builder.load(builder.bitcast(builder.gep(data, [arguments[1]]), _HALF.as_pointer()), align=2)
+        return builder.fpext(half, _FLOAT)
+
+    return _types.float32(moments, _types.int64), generate
+
+
+@_intrinsic
+def add_box(context: Any, moments: Any, level: Any, box: Any, sums: Any, at: Any) -> Any:
+    """Add the mean of the moments over a box, times `weight` and both half sides, to MOMENTS `sums` from `at` on.
+
+    Parameters
+    ----------
+    moments : (MOMENTS n,) uint16, 16-bit floats; see `Pyramid`.
+    level : number of the level's first post, posts in a row, and rows: the last post's place follows.
+    box : middle x and y in posts of the level, half sides, weight; the box is within the level.
+    sums : (n,) float32.
+    """
+    return _types.void(
+        moments, _types.UniTuple(_types.int64, 3), _types.UniTuple(_types.float32, 5), sums, _types.int64
+    ), _generate
+
+
+def _generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
+    data = _make_array(signature.args[0])(context, builder, arguments[0]).data
+    first, columns, rows = _code.unpack_tuple(builder, arguments[1])
+    x, y, half_x, half_y, weight = _code.unpack_tuple(builder, arguments[2])
+    out = _make_array(signature.args[3])(context, builder, arguments[3]).data
+    out = builder.bitcast(builder.gep(out, [arguments[4]]), ir.VectorType(_FLOAT, MOMENTS).as_pointer())
+    left, across, wide = _side(builder, x, half_x, columns)
+    top, down, high = _side(builder, y, half_y, rows)
+    place = builder.add(first, builder.add(builder.mul(top, columns), left))
+    total = _code.alloca_once_value(builder, constant([0.0] * MOMENTS))
+    weights = builder.bitcast(_code.alloca_once_value(builder, down), _FLOAT.as_pointer())
+    end = builder.append_basic_block("end")
+    cases = [builder.append_basic_block(f"columns{n}") for n in _COLUMNS]
+    chosen = builder.switch(wide, cases[-1])
+    for n in range(1, MOST_POSTS):
+        case = next(k for k, least in enumerate(_COLUMNS) if n <= least)
+        chosen.add_case(ir.Constant(wide.type, n), cases[case])
+    for n, case in zip(_COLUMNS, cases, strict=True):
+        builder.position_at_end(case)
+        spreads = [spread(builder, lane(builder, across, k), MOMENTS) for k in range(n)]
+        with _code.for_range_slice(builder, INT(0), high, INT(_ROWS), INT.type) as (first_row, _):
+            sum_ = builder.load(total)
+            for more in range(_ROWS):
+                index = builder.add(first_row, INT(more))
+                row = _row(builder, data, builder.add(place, builder.mul(index, columns)), spreads)
+                number = builder.load(builder.gep(weights, [index]))
+                sum_ = product_sum(builder, row, spread(builder, number, MOMENTS), sum_)
+            builder.store(sum_, total)
+        builder.branch(end)
+    builder.position_at_end(end)
+    share = builder.fmul(weight, ir.Constant(_FLOAT, 0.25))
+    before = builder.load(out, align=4)
+    builder.store(product_sum(builder, builder.load(total), spread(builder, share, MOMENTS), before), out, align=4)
+    return context.get_dummy_value()
+
+
+def _side(builder: ir.IRBuilder, middle: Any, half: Any, posts: Any) -> tuple[Any, Any, Any]:
+    """Return the first post, weights of the posts from there, and how many have one."""
+    low, high = builder.fsub(middle, half), builder.fadd(middle, half)
+    last = builder.sub(posts, INT(MOST_POSTS))
+    begin = builder.fptosi(low, INT.type)
+    begin = builder.select(builder.icmp_signed("<", begin, last), begin, last)
+    begin = builder.select(builder.icmp_signed(">", begin, INT(0)), begin, INT(0))
+    count = builder.add(builder.sub(builder.fptosi(high, INT.type), begin), INT(2))
+    for bound, sign in ((INT(MOST_POSTS), "<"), (INT(_COLUMNS[0]), ">")):
+        count = builder.select(builder.icmp_signed(sign, count, bound), count, bound)
+    offset = builder.sitofp(begin, _FLOAT)
+    return begin, _weights(builder, builder.fsub(low, offset), builder.fsub(high, offset)), count
+
+
+def _weights(builder: ir.IRBuilder, low: Any, high: Any) -> Any:
+    """Return the integrals of the hat functions of posts 0, 1 ... from `low` to `high`, times 2."""
+    posts = constant([float(k) for k in range(_LANES)])
+    one, less = constant([1.0] * _LANES), constant([-1.0] * _LANES)
+    ends = []
+    for end in (low, high):
+        u = within(builder, builder.fsub(spread(builder, end, _LANES), posts), less, one)
+        ends.append(product_sum(builder, builder.fmul(u, constant([-0.5] * _LANES)), magnitude(builder, u), u))
+    return builder.fsub(ends[1], ends[0])
+
+
+def _row(builder: ir.IRBuilder, data: Any, start: Any, weights: list[Any]) -> Any:
+    """Return the weighted sum of the moments of posts from `start` on."""
+    total: Any = None
+    kind = ir.VectorType(_HALF, MOMENTS).as_pointer()
+    for k, weight in enumerate(weights):
+        place = builder.mul(builder.add(start, INT(k)), INT(MOMENTS))
+        some = builder.load(builder.bitcast(builder.gep(data, [place]), kind), align=2)
+        some = builder.fpext(some, ir.VectorType(_FLOAT, MOMENTS))
+        total = builder.fmul(some, weight) if total is None else product_sum(builder, some, weight, total)
+    return total

@@ -1,0 +1,167 @@
+"""Means of the map's moments over boxes and footprints, against scipy's interpolation and closed forms."""
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy.interpolate import RegularGridInterpolator
+
+from emulator.scene.terrain import tile
+from emulator.scene.terrain.box_moments import add_box, half_at
+from emulator.scene.terrain.ground import MOMENTS
+from emulator.scene.terrain.pixel_boxes import box_means, footprints
+from emulator.scene.terrain.pixel_hits import level_for
+from emulator.scene.terrain.pixel_parts import shorter_side
+from emulator.scene.terrain.tile import TILE, new_tile
+
+ROWS, COLUMNS, UNIT_M = 23, 31, 0.5
+POINTS = 400  # along each side of a box
+
+
+@njit
+def mean_over(moments, level, box):
+    sums = np.zeros(3 * MOMENTS, np.float32)
+    add_box(moments, level, box, sums, MOMENTS)
+    return sums
+
+
+@pytest.fixture(scope="module")
+def posts():
+    return np.random.default_rng(3).uniform(-1, 1, (ROWS, COLUMNS, MOMENTS)).astype(np.float16)
+
+
+def flat(posts):
+    padding = np.zeros((16 * (COLUMNS + 1), MOMENTS), np.float16)
+    return np.concatenate([posts.reshape(-1, MOMENTS), padding]).reshape(-1).view(np.uint16)
+
+
+def expected(posts, x, y, half_x, half_y):
+    ground = RegularGridInterpolator((np.arange(ROWS), np.arange(COLUMNS)), posts.astype(np.float64))
+    within = (np.arange(POINTS) + 0.5) / POINTS * 2 - 1
+    ys, xs = np.meshgrid(y + within * half_y, x + within * half_x, indexing="ij")
+    return ground((ys, xs)).mean(axis=(0, 1))
+
+
+@pytest.mark.parametrize("half_x", [0.01, 0.4, 1.37, 2.6, 4.0])
+@pytest.mark.parametrize(
+    ("x", "y", "half_y"), [(12.3, 9.1, 0.7), (26.0, 18.0, 4.0), (4.0, 4.0, 3.3), (15.5, 11.5, 0.02)]
+)
+def test_a_mean_is_that_of_ground_linear_between_posts(posts, x, y, half_x, half_y):
+    box = tuple(np.float32(v) for v in (x, y, half_x, half_y, 1 / (half_x * half_y)))
+    sums = mean_over(flat(posts), (0, COLUMNS, ROWS), box)
+    assert not sums[:MOMENTS].any()
+    assert not sums[2 * MOMENTS :].any()
+    np.testing.assert_allclose(sums[MOMENTS : 2 * MOMENTS], expected(posts, x, y, half_x, half_y), atol=2e-4)
+
+
+@njit
+def halves(values):
+    return [half_at(values, k) for k in range(len(values))]
+
+
+def test_numbers_of_16_bits_are_read_exactly():
+    values = np.array([0.0, 1.0, -2.5, 6e-8, 65504.0, 0.1], np.float16)
+    np.testing.assert_array_equal(halves(values.view(np.uint16)), values.astype(np.float32))
+
+
+def with_corners(corners):
+    """Return a tile whose first pixel has these four hits (2, 2, 3), the others a square."""
+    s = new_tile()[0]
+    square = np.array([[(0, 0, -9), (1, 0, -9)], [(0, -1, -9), (1, -1, -9)]], float)
+    for row, fields in ((0, (tile.ABOVE_X, tile.ABOVE_Y, tile.ABOVE_Z)), (1, (tile.X, tile.Y, tile.Z))):
+        for axis, field in enumerate(fields):
+            s[field * TILE : (field + 1) * TILE + 1] = np.arange(TILE + 1) * (axis == 0) + square[row, 0, axis]
+            s[field * TILE : field * TILE + 2] = corners[row, :, axis]
+    return s
+
+
+def boxes_of(corners):
+    s = with_corners(corners)
+    footprints((0, 0), (1.0, 0.5, 0.5), np.diag([1.0, -1.0, -1.0]), 1.0, s)
+    names = "MIDDLE_X", "MIDDLE_Y", "TAPS", "TAP_X", "TAP_Y", "HALF_X", "HALF_Y", "DOUBT"
+    return {name: float(s[getattr(tile, name) * TILE]) for name in names}
+
+
+def parallelogram(a, b):
+    a, b = (*a, 0.0), (*b, 0.0)
+    first = np.array((0.3, -0.2, -9.0))
+    return np.array([[first, first + a], [first + b, first + np.add(a, b)]])
+
+
+@pytest.mark.parametrize("a", [(1.0, 0.0), (0.9, 0.4), (3.0, -2.0), (0.2, 4.0)])
+@pytest.mark.parametrize("b", [(0.0, -1.0), (0.5, -1.2), (-2.0, -2.0)])
+def test_boxes_have_the_spread_of_a_footprint(a, b):
+    got = boxes_of(parallelogram(a, b))
+    n, tap = got["TAPS"], np.array([got["TAP_X"], got["TAP_Y"]])
+    line = (n * n - 1) * np.outer(tap, tap)
+    spread = np.diag([(2 * got["HALF_X"]) ** 2, (2 * got["HALF_Y"]) ** 2]) + line
+    wanted = np.outer(a, a) + np.outer(b, b)
+    thin, most = np.linalg.eigvalsh(wanted)
+    least = max(thin, most / 144)
+    # A box is no thinner than half the footprint; one box has no lean, and few boxes have less than the footprint's.
+    np.testing.assert_allclose(np.diag(spread), np.diag(wanted), atol=0.25 * least + 1e-4 * most)
+    lean = 0.12 * least if n == 1 else 0.5 * max(most / n**2 - least, 0.0)
+    assert abs(spread[0, 1] - wanted[0, 1]) <= lean + 0.5 * (least - thin) + 1e-4 * most
+    middle = np.array((0.3, -0.2)) + (np.array(a) + b) / 2
+    assert (got["MIDDLE_X"], got["MIDDLE_Y"]) == pytest.approx(tuple(middle), abs=1e-5)
+
+
+def test_a_square_is_one_box_and_not_doubtful():
+    got = boxes_of(parallelogram((1.0, 0.0), (0.0, -1.0)))
+    assert (got["TAPS"], got["HALF_X"], got["HALF_Y"], got["DOUBT"]) == pytest.approx((1.0, 0.5, 0.5, 0.0))
+
+
+def test_ground_edge_on_and_twisted_footprints_are_doubtful():
+    edge_on = parallelogram((1.0, 0.0), (0.0, -1.0))
+    edge_on[1, :, 2] -= 12.0
+    twisted = parallelogram((1.0, 0.0), (0.0, -1.0))
+    twisted[1, 1, 0] += 0.6
+    assert [boxes_of(corners)["DOUBT"] for corners in (edge_on, twisted)] == [1.0, 1.0]
+
+
+def test_the_next_level_counts_by_its_share(posts):
+    """Level 1 is made of numbers of its own; a box that fills 95 % of the range takes half of it."""
+    coarse = np.random.default_rng(4).uniform(-1, 1, (ROWS // 2 + 1, COLUMNS // 2 + 1, MOMENTS)).astype(np.float16)
+    moments = np.concatenate([posts.reshape(-1, MOMENTS).reshape(-1).view(np.uint16), flat(coarse)])
+    levels = np.zeros((2, 9), np.int64)
+    levels[:, 1:3] = posts.shape[:2], coarse.shape[:2]
+    levels[1, 0] = ROWS * COLUMNS
+    s, places, sums, _ = new_tile()
+    half_m = 0.95 * 4.0 * UNIT_M
+    for field, value in ((tile.MIDDLE_X, 7.1), (tile.MIDDLE_Y, 5.2), (tile.HALF_X, half_m), (tile.HALF_Y, half_m)):
+        s[field * TILE] = value
+    s[tile.TAPS * TILE : (tile.TAPS + 1) * TILE] = 1.0
+    s[tile.BOX_SIZE * TILE] = half_m * 2 / (8.0 * UNIT_M)
+    table = levels, (UNIT_M, 1, 11.0), 1
+    box_means(1, moments, table, np.zeros(3), 8.0, s, places, sums)
+    fine = expected(posts, 14.2, 10.4, 3.8, 3.8)
+    ground = RegularGridInterpolator((np.arange(ROWS // 2 + 1), np.arange(COLUMNS // 2 + 1)), coarse.astype(np.float64))
+    within = ((np.arange(POINTS) + 0.5) / POINTS * 2 - 1) * 1.9
+    both = 0.5 * fine + 0.5 * ground(tuple(np.meshgrid(5.2 + within, 7.1 + within, indexing="ij"))).mean(axis=(0, 1))
+    np.testing.assert_allclose(sums[:MOMENTS], both, atol=5e-4)
+
+
+@njit
+def side_of(ax, ay, bx, by, most):
+    return shorter_side(ax, ay, bx, by, most)
+
+
+@pytest.mark.parametrize("most", [1.5, 12.0])
+def test_the_shorter_side_is_the_least_singular_value(most):
+    for seed in range(20):
+        matrix = np.random.default_rng(seed).normal(size=(2, 2))
+        longer, shorter = np.linalg.svd(matrix, compute_uv=False)
+        got = side_of(matrix[0, 0], matrix[1, 0], matrix[0, 1], matrix[1, 1], most)
+        assert got == pytest.approx(max(shorter, longer / most), rel=1e-6)
+
+
+@njit
+def found(size, begin, lowest, top):
+    return level_for(size, begin, lowest, top)
+
+
+@pytest.mark.parametrize("begin", range(8))
+def test_the_level_does_not_depend_on_where_the_search_begins(begin):
+    for size, lowest, top, level in [(0.1, 0, 6, 0), (1.0, 0, 6, 0), (1.01, 0, 6, 1), (8.0, 1, 6, 3), (999.0, 0, 6, 6)]:
+        assert found(size, begin, lowest, top) == level
+    assert found(0.1, begin, 2, 6) == 2
+    assert found(9.0, begin, 3, 1) == 3
