@@ -30,6 +30,7 @@ class Sequences(NamedTuple):
 
 
 def main(rig: str, seconds: str, reference_us: str, *steps_us: str) -> None:
+    """Print a line for each step; the arguments are those of the command."""
     true, _ = events_at(load_rig(rig), float(seconds), int(reference_us))
     print(f"{rig}: {len(true.place)} events at steps of {reference_us} us")
     for step_us in steps_us:
