@@ -42,10 +42,10 @@ def test_all_is_measured_once_and_stored(tmp_path, measured):
     first = measurements(tmp_path, "checkerboard", "stars", sizes=SIZES)
     done(first)
     assert measured == [
-        "checkerboard 346x260 as shipped", "truth checkerboard 346x260 as shipped",
-        "wrong checkerboard 346x260 as shipped", "checkerboard 1280x720 as shipped",
-        "truth checkerboard 1280x720 as shipped", "wrong checkerboard 1280x720 as shipped",
+        "checkerboard 346x260 as shipped", "checkerboard 1280x720 as shipped",
         "stars 346x260 as shipped", "stars 1280x720 as shipped",
+        "truth checkerboard 346x260 as shipped", "wrong checkerboard 346x260 as shipped",
+        "truth checkerboard 1280x720 as shipped", "wrong checkerboard 1280x720 as shipped",
     ]  # fmt: skip
     measured.clear()
     again = measurements(tmp_path, "checkerboard", "stars", sizes=SIZES)
@@ -129,7 +129,8 @@ def test_ctrl_c_writes_the_report_of_what_there_is(tmp_path, measured, monkeypat
     monkeypatch.setattr(module, "measure_speed", lambda variant, span: SPEED)
     measured.clear()
     assert _main(command) == 0
-    assert measured == []  # the board was measured before
+    assert measured == ["truth checkerboard 346x260 as shipped", "wrong checkerboard 346x260 as shipped"]
+    assert len((tmp_path / "realtime.jsonl").read_text().splitlines()) == 3  # the speed of the board once
     assert len(json.loads(capsys.readouterr().out.strip().splitlines()[-1])["rows"]) == 2
 
 
