@@ -16,6 +16,7 @@ PIXELS = 346 * 260
 
 def plan_of(name="checkerboard", **run):
     rig = load_rig(name)
+    run = {"step_us": 1000, **run}
     return make_plan(dataclasses.replace(rig, run=dataclasses.replace(rig.run, **run)), SCENE)
 
 
