@@ -36,7 +36,7 @@ def own_time(records: Events | Edges, epoch_us: int) -> Events | Edges:
     return own
 
 
-class _Clock:
+class _ItemsOfClock:
     """Events, edges and readings of one clock, which was zero at `epoch_us`; those up to `taken_us` have left."""
 
     def __init__(self, epoch_us: int, taken_us: int) -> None:
@@ -106,7 +106,7 @@ class ItemQueue:
     """
 
     def __init__(self) -> None:
-        self._clocks: deque[_Clock] = deque([_Clock(0, 0)])
+        self._clocks: deque[_ItemsOfClock] = deque([_ItemsOfClock(0, 0)])
         self.waiting = Numbers()
 
     @property
@@ -128,7 +128,7 @@ class ItemQueue:
         """Set the device's clock to zero at `now_us`."""
         if not self._clocks[-1]:
             self._clocks.pop()
-        self._clocks.append(_Clock(now_us, now_us))
+        self._clocks.append(_ItemsOfClock(now_us, now_us))
 
     def take(self, now_us: int, room: int) -> Items | None:
         """Remove the first items, at most `room` events of them; None if nothing waits."""
@@ -141,7 +141,7 @@ class ItemQueue:
 
     def clear(self) -> None:
         """See `ItemEncoder.clear`."""
-        self._clocks = deque([_Clock(self.epoch_us, self._clocks[-1].taken_us)])
+        self._clocks = deque([_ItemsOfClock(self.epoch_us, self._clocks[-1].taken_us)])
         self.waiting = Numbers()
 
 
