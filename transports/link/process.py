@@ -130,9 +130,9 @@ class Link:
 
     def tick(self) -> None:
         """Feed the due data to the camera, and let the endpoint send the requested data."""
-        now_us = self._ring.now_us  # read first: data that entered the ring after a request are not fed before it
-        self.endpoint.listen()
-        self._advance(now_us)
+        origin_ns, now_us = self._ring.origin_ns, self._ring.now_us  # read first: no data of a run, or of a time,
+        self.endpoint.listen()  # that began after a request was made are fed before it
+        self._advance(origin_ns, now_us)
 
     def attend(self) -> None:
         """Feed the camera up to now, before a request that arrived between two ticks is processed.
@@ -142,13 +142,13 @@ class Link:
         """
         behind_ns = self._clock.now_ns() - self.ticked_ns
         if self.is_paced and behind_ns >= (_GATHER_US * 1000 if self._device.at_rest else self._period_ns):
-            self._advance(self._ring.now_us)
+            self._advance(self._ring.origin_ns, self._ring.now_us)
 
-    def _advance(self, now_us: int) -> None:
-        """Move all data that are due, of a stream that has reached `now_us`."""
+    def _advance(self, origin_ns: int | None, now_us: int) -> None:
+        """Move all data that are due, of a stream with the origin `origin_ns` that has reached `now_us`."""
         self.ticked_ns = self._clock.now_ns()
         self._watch.look(self._feed.reached_us)
-        self._fed = self._feed_due(now_us)
+        self._fed = 0 if origin_ns is None else self._feed_due(origin_ns, now_us)
         self.endpoint.advance_faults(self._feed.reached_us)
         marks = self._feed.own_marks()
         if len(marks):
@@ -158,17 +158,14 @@ class Link:
         if self._deliveries.recording is not None and not self._device.waiting_items:
             self._deliveries.reach(self._device.now_us, self._device.epoch_us)
 
-    def _feed_due(self, now_us: int) -> int:
+    def _feed_due(self, origin_ns: int, now_us: int) -> int:
         """Feed the due data; return the number of events."""
-        origin_ns = self._ring.origin_ns
-        if origin_ns is None:
-            return 0
         if origin_ns == FREE_RUNNING:
             bounded = self._device.streaming and not self.endpoint.withholds
             room = self._device.room_events if bounded else _TAKE_LIMIT
             return self._feed.feed(self._free_until_us(now_us), min(room, _TAKE_LIMIT))
-        due_us = max(0, (self._clock.now_ns() - origin_ns) // 1000 - self._holdback_us)
-        return self._feed.feed(min(due_us, now_us), _TAKE_LIMIT)
+        due_us = (self._clock.now_ns() - origin_ns) // 1000 - self._holdback_us
+        return 0 if due_us < 0 else self._feed.feed(min(due_us, now_us), _TAKE_LIMIT)
 
     @property
     def is_paced(self) -> bool:

@@ -10,6 +10,8 @@ from transports.link.pacing import MonotonicClock
 
 pytestmark = [pytest.mark.system, pytest.mark.socket]
 
+_MOST_SILENCES = 60  # reads of a second without an event
+
 
 class StreamReader:
     """Reads so many events and leaves."""
@@ -21,8 +23,11 @@ class StreamReader:
         self._held = []
 
     def read(self, count):
+        silences = 0
         while sum(map(len, self._held)) < count:
             self._held.append(self._host.read(1.0))
+            silences = 0 if len(self._held[-1]) else silences + 1
+            assert silences < _MOST_SILENCES, f"{sum(map(len, self._held))} of {count} events have come, then none"
         events = np.concatenate(self._held)
         self._held = [events[count:]]
         return events[:count]

@@ -94,6 +94,34 @@ def test_nothing_flows_before_the_run_starts():
     assert ring.waiting == 10
 
 
+def test_an_event_at_the_origin_waits_for_it():
+    clock = FakeClock(ORIGIN_NS - 20_000_000)
+    link, ring = loopback_link(clock=clock)
+    ring.start(ORIGIN_NS)
+    ring.push(stream(1))
+    ring.publish(1000)
+    link.tick()
+    link.ticked_ns = 0
+    link.attend()
+    assert ring.waiting == 1
+    clock.advance(20_000_000)
+    link.tick()
+    assert link.report().delivered == 1
+
+
+def test_a_command_sent_before_the_start_of_a_run_precedes_its_events(monkeypatch):
+    """The run may start while a tick reads the commands; its events are then fed by the next tick."""
+    link, ring = loopback_link()
+
+    def start():
+        ring.start(ORIGIN_NS)
+        ring.push(stream(1))
+
+    monkeypatch.setattr(link.endpoint, "listen", start)
+    link.tick()
+    assert ring.waiting == 1
+
+
 def test_a_free_link_takes_no_more_than_the_camera_has_room_for():
     ring = EventRing(200_000)
     link, _ = loopback_link(ring=ring)
