@@ -120,7 +120,6 @@ class Stretch:
 
 
 _STRETCHES = {
-    "eros": (Stretch(steps=48),),  # few events in a step
     "malapert": tuple(Stretch(start_s, samples=8, finer=8) for start_s in (20.0, 40.0, 120.0, 150.0)),
 }
 

@@ -18,9 +18,9 @@ from typing import Any, Literal
 
 from emulator.evaluation.accuracy.rendering import Stretch
 from emulator.evaluation.bench.streams import BenchFailed
-from emulator.evaluation.realtime.program import Span, measure_speed
+from emulator.evaluation.realtime.program import Span, Speed, measure_speed
 from emulator.evaluation.realtime.variants import SHIPPED, Size, Variant, settings_of, variant_of
-from emulator.evaluation.realtime.wrong_events import Truth, has_truth, truth_of, wrong_events
+from emulator.evaluation.realtime.wrong_events import Truth, Wrong, has_truth, truth_of, wrong_events
 from emulator.light import SceneError
 
 __all__ = ["QUICK", "WHOLE", "Extent", "Measurement", "Measurements", "Store", "measurements_of"]
@@ -28,16 +28,20 @@ __all__ = ["QUICK", "WHOLE", "Extent", "Measurement", "Measurements", "Store", "
 
 @dataclass(frozen=True)
 class Extent:
-    """Length of a measured run, and the stretch of its wrong events; None: those of `accuracy.rendering`."""
+    """Length of a measured run, as shipped and in other settings, and the stretch of its wrong events.
+
+    No stretch: those of `accuracy.rendering`.
+    """
 
     span: Span
+    other: Span
     stretch: Stretch | None
 
 
 _SLOW = 0.1  # of the speed as shipped
 
-WHOLE = Extent(Span(), None)
-QUICK = Extent(Span(stream_s=2.0, wall_s=2.0), Stretch(steps=4, samples=4, finer=4))
+WHOLE = Extent(Span(), Span(wall_s=5.0), None)
+QUICK = Extent(Span(stream_s=2.0, wall_s=2.0), Span(stream_s=2.0, wall_s=2.0), Stretch(steps=4, samples=4, finer=4))
 
 
 @dataclass(frozen=True)
@@ -56,15 +60,17 @@ class Measurement:
 def measurements_of(rigs: Sequence[str], sizes: Sequence[Size], *, sweep: bool) -> Iterator[Measurement]:
     """Yield what there is to measure of the rigs at the sizes, as shipped or in all settings; raises RigError.
 
-    All speeds come first: each takes half a minute, a truth up to hours.
+    All speeds come first, because a truth takes longer. A scene without truth has no place in the chart: it is measured
+    as shipped alone.
     """
     shipped = [variant_of(rig, size) for rig in rigs for size in sizes]
-    settings = [[each.changed(s) for s in settings_of(each)] if sweep else [each] for each in shipped]
-    for variants in settings:
-        yield from (Measurement("speed", variant) for variant in variants)
-    for each, variants in zip(shipped, settings, strict=True):
-        if has_truth(each.loaded()):
-            yield from (Measurement("wrong", variant) for variant in variants if not variant.setting.threads_only)
+    judged = [each for each in shipped if has_truth(each.loaded())]
+    settings = {each.key: [each.changed(s) for s in settings_of(each)] if sweep else [each] for each in judged}
+    for each in shipped:
+        yield from (Measurement("speed", variant) for variant in settings.get(each.key, [each]))
+    for each in judged:
+        choices = (variant for variant in settings[each.key] if not variant.setting.threads_only)
+        yield from (Measurement("wrong", variant) for variant in choices)
 
 
 class Store:
@@ -82,6 +88,11 @@ class Store:
             except ValueError:
                 continue
             self._results[entry["key"]] = entry["result"]
+
+    @property
+    def truths(self) -> Path:
+        """Folder of the truths."""
+        return self._path.parent / "truths"
 
     def get(self, key: str) -> dict[str, Any] | None:
         """Return a result; None where there is none yet."""
@@ -124,7 +135,7 @@ class Measurements:
 
     def _measure(self, one: Measurement) -> None:
         try:
-            result = measure_speed(one.variant, self.extent.span) if one.kind == "speed" else self._wrong(one.variant)
+            result = self._measured(one)
         except (BenchFailed, SceneError) as error:
             self.failures[one.name] = str(error)
         else:
@@ -138,18 +149,28 @@ class Measurements:
     def _speed(self, one: Measurement) -> dict[str, Any] | None:
         return self._result(one) if one.kind == "speed" else None
 
-    def _wrong(self, variant: Variant) -> Any:
+    def _measured(self, one: Measurement) -> Speed | Wrong:
+        is_speed = one.kind == "speed"
+        return measure_speed(one.variant, self._span(one.variant)) if is_speed else self._wrong(one.variant)
+
+    def _span(self, variant: Variant) -> Span:
+        return self.extent.span if variant.setting is SHIPPED else self.extent.other
+
+    def _wrong(self, variant: Variant) -> Wrong:
         """Measure wrong events; the truth of one rig and size is held at a time, for all its settings."""
         place = f"{variant.rig} {variant.size.name}"
         if self._truth is None or self._truth[0] != place:
-            self._truth = place, truth_of(variant_of(str(variant.file), variant.size), self.extent.stretch)
+            self._truth = place, self._truth_of(variant)
         return wrong_events(variant, self._truth[1])
+
+    def _truth_of(self, variant: Variant) -> Truth:
+        return truth_of(variant_of(str(variant.file), variant.size), self.extent.stretch, self.store.truths)
 
     def _result(self, one: Measurement) -> dict[str, Any] | None:
         return self.store.get(self._key(one))
 
     def _key(self, one: Measurement) -> str:
-        extent = self.extent.span if one.kind == "speed" else self.extent.stretch
+        extent = self._span(one.variant) if one.kind == "speed" else self.extent.stretch
         text = f"{version('evstim')} {one.kind} {extent} {one.variant.size.name}\n{one.variant.text(0)}"
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
@@ -157,11 +178,11 @@ class Measurements:
 def _wrong_of(variant: Variant, found: dict[str, dict[str, Any] | None]) -> dict[str, Any]:
     """Return the wrong events of a variant; those as shipped where the setting does not change events."""
     same = variant.changed(SHIPPED) if variant.setting.threads_only else variant
-    return found.get(same.key) or {"false": None, "missed": None, "events": None}
+    return found.get(same.key) or dict.fromkeys(field.name for field in dataclasses.fields(Wrong))
 
 
 def _row(variant: Variant, speed: dict[str, Any], wrong: dict[str, Any]) -> dict[str, Any]:
     total = None if wrong["false"] is None else wrong["false"] + wrong["missed"]
     names = {"rig": variant.rig, "size": variant.size.name, "setting": variant.setting.name}
-    judged = {"false": wrong["false"], "missed": wrong["missed"], "wrong": total, "true_events": wrong["events"]}
-    return {**names, **speed, **judged}
+    judged = {key: value for key, value in wrong.items() if key != "events"}
+    return {**names, **speed, **judged, "wrong": total, "true_events": wrong["events"]}

@@ -4,19 +4,23 @@ Bodies and terrain have the truth of `accuracy.rendering`, at the stretches of t
 its own square waves, sampled. Stars and videos have no truth that shares nothing with their renderer, and no result.
 
 The truth is drawn for at most 346 x 260 pixels: of a larger sensor the middle is judged, with pixels and focal length
-as they are. Leak and noise are off. Of several stretches the events are added up.
+as they are. Leak and noise are off. Several stretches are judged as one stream of all their pixels. A truth takes minutes:
+it can be stored.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 
-from emulator.evaluation.accuracy.rendering import Look, Stretch, fits, looks_of, quiet
+from emulator.evaluation.accuracy.rendering import Look, Stretch, comb_of, fits, looks_of, quiet
 from emulator.evaluation.accuracy.sampled_scenes import SampledBoard
 from emulator.evaluation.accuracy.scores import Stream, compare
 from emulator.evaluation.realtime.variants import Variant
@@ -34,11 +38,22 @@ _BOARD = Stretch(steps=40)
 
 @dataclass(frozen=True)
 class Wrong:
-    """False and missed events over those of the truth, and the number of these."""
+    """Errors of the events of a variant; `accuracy.rendering` defines each.
+
+    Attributes
+    ----------
+    false, missed : over the events of the truth.
+    events : of the truth.
+    t50_ms, t95_ms : quantiles of time errors; None where no pixel has the true sequence.
+    middle : share of the events in the middle twentieth of the rig's shipped step.
+    """
 
     false: float
     missed: float
     events: int
+    t50_ms: float | None
+    t95_ms: float | None
+    middle: float | None
 
 
 @dataclass(frozen=True)
@@ -55,15 +70,43 @@ def has_truth(rig: Rig) -> bool:
     return board or fits(rig)
 
 
-def truth_of(variant: Variant, stretch: Stretch | None = None) -> Truth:
+def truth_of(variant: Variant, stretch: Stretch | None = None, folder: Path | None = None) -> Truth:
     """Return the truth of a variant as shipped, in the middle of its image; over `stretch` alone, where it is given.
 
-    Raises SceneError, and MachineLacks without a ray caster.
+    It is stored in `folder`, and read from there the next time. Raises SceneError, MachineLacks without a ray caster,
+    and OSError.
     """
     rig = middle_of(variant.loaded())
-    is_board = isinstance(rig.scene, CheckerboardParameters)
-    looks = (Look(rig, stretch or _BOARD),) if is_board else tuple(looks_of([rig], stretch))
-    return Truth(looks, tuple(_board_truth(look) if is_board else look.truth() for look in looks))
+    looks = tuple(looks_of([rig], stretch)) if fits(rig) else (Look(rig, stretch or _BOARD),)
+    if folder is None:
+        return Truth(looks, tuple(map(_true_events, looks)))
+    folder.mkdir(parents=True, exist_ok=True)
+    stored = (folder / f"{variant.rig}-{variant.size.name}-{_digest(variant, look)}.npz" for look in looks)
+    return Truth(looks, tuple(map(_stored, looks, stored)))
+
+
+def _digest(variant: Variant, look: Look) -> str:
+    text = f"{version('evstim')} {_MOST_PX} {look.stretch}\n{variant.text(0)}"
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _stored(look: Look, path: Path) -> Stream:
+    """Return the true events of a stretch from a file, which is written where it is missing."""
+    if not path.exists():
+        stream = _true_events(look)
+        part = path.with_suffix(".part")
+        with part.open("wb") as file:
+            np.savez_compressed(file, t_us=stream.t_us, on=stream.on, first=stream.first)
+        part.replace(path)  # an interrupt leaves no half of a file
+    with np.load(path) as arrays:
+        return Stream(arrays["t_us"], arrays["on"], arrays["first"])
+
+
+def _true_events(look: Look) -> Stream:
+    if fits(look.rig):
+        return look.truth()
+    with SampledBoard(look.rig.scene, look.rig.camera.size) as scene:  # type: ignore[arg-type]
+        return look.events(scene, look.step_ns // look.stretch.finer, with_rate=False)[0]
 
 
 def wrong_events(variant: Variant, truth: Truth) -> Wrong:
@@ -71,7 +114,7 @@ def wrong_events(variant: Variant, truth: Truth) -> Wrong:
     rig = middle_of(variant.loaded())
     with build_scene(rig) as scene:
         streams = [_events(rig, scene, look) for look in truth.looks]
-    return _added(streams, truth.streams)
+    return _compared(_joined(streams), _joined(truth.streams), truth.looks[0].step_ns)
 
 
 def middle_of(rig: Rig) -> Rig:
@@ -82,11 +125,6 @@ def middle_of(rig: Rig) -> Rig:
     lens = dataclasses.replace(lens, field_of_view_deg=2 * math.degrees(math.atan(half)))
     sensor = dataclasses.replace(sensor, width=width, height=height)
     return dataclasses.replace(rig, camera=dataclasses.replace(rig.camera, sensor=sensor, lens=lens))
-
-
-def _board_truth(look: Look) -> Stream:
-    with SampledBoard(look.rig.scene, look.rig.camera.size) as scene:  # type: ignore[arg-type]
-        return look.events(scene, look.step_ns // look.stretch.finer, with_rate=False)[0]
 
 
 def _events(rig: Rig, scene: Scene, look: Look) -> Stream:
@@ -112,10 +150,22 @@ def _shifted(at: PixelLight | None, by_ns: int) -> PixelLight | None:
     return None if at is None else lambda t_ns, pixels: at(t_ns + by_ns, pixels)
 
 
-def _added(streams: Sequence[Stream], truths: Sequence[Stream]) -> Wrong:
-    pairs = list(zip(streams, truths, strict=True))
-    total, found = sum(len(truth) for _, truth in pairs), sum(len(stream) for stream, _ in pairs)
-    wrong = sum(compare(stream, truth).wrong_events * len(truth) for stream, truth in pairs if len(truth))
-    wrong += sum(len(stream) for stream, truth in pairs if not len(truth))
-    common = (total + found - wrong) / 2
-    return Wrong((found - common) / max(total, 1), (total - common) / max(total, 1), total)
+def _joined(streams: Sequence[Stream]) -> Stream:
+    """Return streams as one of all their pixels."""
+    starts = np.cumsum([0, *map(len, streams)])
+    firsts = [stream.first[:-1] + start for stream, start in zip(streams, starts[:-1], strict=True)]
+    times, signs = (np.concatenate([getattr(stream, name) for stream in streams]) for name in ("t_us", "on"))
+    return Stream(times, signs, np.concatenate([*firsts, starts[-1:]]).astype(np.int64))
+
+
+def _compared(stream: Stream, truth: Stream, step_ns: int) -> Wrong:
+    scores, total = compare(stream, truth), len(truth)
+    wrong = scores.wrong_events * total if total else len(stream)
+    common = (total + len(stream) - wrong) / 2
+    shares = (len(stream) - common) / max(total, 1), (total - common) / max(total, 1)
+    middle = comb_of(stream.t_us, step_ns / 1000).middle_share
+    return Wrong(*shares, total, *map(_finite, (scores.t50_us / 1000, scores.t95_us / 1000, middle)))
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -14,6 +14,7 @@ from emulator.evaluation.realtime.report import BEGIN, END
 from emulator.evaluation.realtime.variants import SIZES
 from emulator.evaluation.realtime.wrong_events import Wrong
 
+WRONG = Wrong(0.01, 0.02, 500, 0.1, 2.0, 0.05)
 SPEED = Speed(2.0, 20.0, 0.9, 0.1, 0.2, 250.0, 1.5, 1000, 1.0)
 
 
@@ -22,9 +23,9 @@ def measured(monkeypatch):
     """Names of what is measured, by stand-ins that take no time."""
     names = []
     monkeypatch.setattr(module, "measure_speed", lambda variant, span: (names.append(variant.key), SPEED)[1])
-    monkeypatch.setattr(module, "truth_of", lambda variant, stretch: names.append(f"truth {variant.key}"))
+    monkeypatch.setattr(module, "truth_of", lambda variant, stretch, folder: names.append(f"truth {variant.key}"))
     monkeypatch.setattr(
-        module, "wrong_events", lambda variant, truth: (names.append(f"wrong {variant.key}"), Wrong(0.01, 0.02, 500))[1]
+        module, "wrong_events", lambda variant, truth: (names.append(f"wrong {variant.key}"), WRONG)[1]
     )
     return names
 
@@ -64,6 +65,11 @@ def test_a_sweep_draws_the_truth_of_a_rig_once(tmp_path, measured):
     assert "wrong checkerboard 346x260 1 thread" not in measured
     if "1 thread" in rows:  # the events are the same
         assert rows["1 thread"]["wrong"] == rows["as shipped"]["wrong"]
+
+
+def test_a_scene_without_truth_is_swept_as_shipped_alone(tmp_path, measured):
+    done(measurements(tmp_path, "stars", sweep=True))
+    assert measured == ["stars 346x260 as shipped"]
 
 
 def test_wrong_events_of_settings_that_are_far_too_slow_are_left_out(tmp_path, measured, monkeypatch):

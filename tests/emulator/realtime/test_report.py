@@ -11,8 +11,9 @@ ROW = {
     "rig": "eros", "size": "346x260", "setting": "as shipped", "factor": 1.31, "stream_s": 20.0, "session_cores": 0.98,
     "link_cores": 0.05, "receiver_cores": None, "memory_mib": 281.4, "first_event_s": 1.9, "events": 10,
     "received_share": 0.997, "false": 0.004, "missed": 0.006, "wrong": 0.01, "true_events": 1604,
+    "t50_ms": 0.123, "t95_ms": 4.5, "middle": 0.0512,
 }  # fmt: skip
-NO_TRUTH = {**ROW, "rig": "stars", "false": None, "missed": None, "wrong": None, "true_events": None}
+NO_TRUTH = {**ROW, "rig": "stars", "false": None, "missed": None, "wrong": None, "true_events": None, "middle": None}
 ABOUT = {"machine": "two cores", "date": "2026-11-22", "note": "", "failures": {}}
 
 
@@ -36,8 +37,8 @@ def test_rigs_without_truth_have_no_panel(tmp_path, monkeypatch):
 
 def test_the_section_has_the_rigs_as_shipped_alone():
     text = markdown([ROW, {**ROW, "setting": "line"}, NO_TRUTH], ABOUT, "pictures/x.png")
-    assert "| eros | 346x260 | 1.3 | 0.98, 0.05, – | 281 | 1.90 | 100% | 0.4 + 0.6 = 1 % |" in text
-    assert "| stars | 346x260 | 1.3 | 0.98, 0.05, – | 281 | 1.90 | 100% | – |" in text
+    assert "| eros | 346x260 | 1.3 | 0.98, 0.05, – | 281 | 1.90 | 100% | 0.4 + 0.6 = 1 % | 0.12, 4.50 | 5.1 % |" in text
+    assert "| stars | 346x260 | 1.3 | 0.98, 0.05, – | 281 | 1.90 | 100% | – | – | – |" in text
     assert text.count("| eros") == 1
     assert "machine: two cores; date: 2026-11-22." in text
     assert "](pictures/x.png)" in text

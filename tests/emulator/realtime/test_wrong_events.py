@@ -10,7 +10,7 @@ from emulator.evaluation.accuracy.sampled_scenes import SampledBoard
 from emulator.evaluation.accuracy.scores import Stream
 from emulator.evaluation.realtime import wrong_events as module
 from emulator.evaluation.realtime.variants import SIZES, Setting, variant_of
-from emulator.evaluation.realtime.wrong_events import _added, has_truth, truth_of, wrong_events
+from emulator.evaluation.realtime.wrong_events import _compared, _joined, has_truth, truth_of, wrong_events
 from emulator.light import SceneError
 from emulator.rig.loading import load_rig
 from emulator.scene.checkerboard.checkerboard import Checkerboard
@@ -80,9 +80,26 @@ def test_light_of_single_pixels_follows_the_stretch(board):
     assert wrong_events(adaptive, other).false > 0.1
 
 
-def test_events_of_stretches_are_added_up():
+def test_several_stretches_are_one_stream():
     both = Stream.of([1.0, 2.0, 3.0], [0, 0, 1], [True, False, True], 2)
-    one = Stream.of([1.0], [0], [True], 2)
+    one = Stream.of([1.5], [0], [True], 2)
     none = Stream.of([], [], [], 2)
-    added = _added([both, one, one], [both, both, none])
-    assert (added.events, added.false, added.missed) == (6, pytest.approx(1 / 6), pytest.approx(2 / 6))
+    found = _compared(_joined([both, one, one]), _joined([both, both, none]), 4000)
+    assert (found.events, found.false, found.missed) == (6, pytest.approx(1 / 6), pytest.approx(2 / 6))
+    assert (found.t50_ms, found.middle) == (0.0, pytest.approx(1 / 5))
+    assert _compared(none, none, 4000).t50_ms is None
+
+
+def test_a_stored_truth_is_read_again(board, tmp_path, monkeypatch):
+    stretch, folder = Stretch(steps=4, samples=4, finer=2), tmp_path / "truths"
+    drawn = truth_of(board, stretch)
+    stored = truth_of(board, stretch, folder)
+    other = truth_of(board.changed(Setting("other", {("scene", "square_px"): 3.0})), stretch, folder)
+    monkeypatch.setattr(module, "_true_events", None)
+    again = truth_of(board, stretch, folder)
+    assert again.looks == drawn.looks
+    for name in ("t_us", "on", "first"):
+        values = [getattr(truth.streams[0], name) for truth in (drawn, stored, again)]
+        assert all(np.array_equal(value, values[0]) for value in values)
+    assert len(other.streams[0]) > len(drawn.streams[0])
+    assert len(list(folder.iterdir())) == 2
