@@ -4,8 +4,8 @@ Bodies and terrain have the truth of `accuracy.rendering`, at the stretches of t
 its own square waves, sampled. Stars and videos have no truth that shares nothing with their renderer, and no result.
 
 The truth is drawn for at most 346 x 260 pixels: of a larger sensor the middle is judged, with pixels and focal length
-as they are. Leak and noise are off. Several stretches are judged as one stream of all their pixels. A truth takes minutes:
-it can be stored.
+as they are. Leak and noise are off. Several stretches are judged as one stream of all their pixels.
+A truth takes minutes, so it can be stored.
 """
 
 from __future__ import annotations

@@ -24,9 +24,7 @@ def measured(monkeypatch):
     names = []
     monkeypatch.setattr(module, "measure_speed", lambda variant, span: (names.append(variant.key), SPEED)[1])
     monkeypatch.setattr(module, "truth_of", lambda variant, stretch, folder: names.append(f"truth {variant.key}"))
-    monkeypatch.setattr(
-        module, "wrong_events", lambda variant, truth: (names.append(f"wrong {variant.key}"), WRONG)[1]
-    )
+    monkeypatch.setattr(module, "wrong_events", lambda variant, truth: (names.append(f"wrong {variant.key}"), WRONG)[1])
     return names
 
 
