@@ -167,6 +167,11 @@ class Pyramid:
     moments: Halves
     levels: Ints
 
+    def shared(self, ground: Ground) -> Ground:
+        """Return `ground`, from which this was built, with the heights that are here: its own need no memory then."""
+        shape = ground.heights_m.shape
+        return dataclasses.replace(ground, heights_m=self.heights[: math.prod(shape)].reshape(shape))
+
 
 def build_pyramid(
     ground: Ground, sunlit: npt.NDArray[np.float32], sun: npt.NDArray[np.float64], levels: int

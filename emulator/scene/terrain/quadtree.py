@@ -20,7 +20,7 @@ import numpy.typing as npt
 from emulator.scene.terrain.compiled import map_entry
 from emulator.scene.terrain.ground import Ground
 
-__all__ = ["BLOCK", "LEAST_REACH", "Quadtree", "block_facets"]
+__all__ = ["BLOCK", "LEAST_REACH", "Quadtree", "block_facets", "level_count"]
 
 BLOCK = 8
 LEAST_REACH = 80.0
@@ -49,11 +49,6 @@ class Quadtree:
         self._low = np.concatenate([low.ravel() for low, _ in bounds])
         self._high = np.concatenate([high.ravel() for _, high in bounds])
         self._levels = self._table([low.shape for low, _ in bounds])
-
-    @property
-    def levels(self) -> int:
-        """Their number."""
-        return len(self._levels)
 
     def blocks(self, camera_m: Floats, planes: Floats) -> list[npt.NDArray[np.int32]]:
         """Return the blocks to draw of each grid: (n, 3) first column and row, posts from vertex to vertex; near first.
@@ -97,6 +92,12 @@ class Quadtree:
             table[level] = rows, columns, *self._ground.first(min(level, self._ground.grids - 1)), offset
             offset += rows * columns
         return table
+
+
+def level_count(ground: Ground) -> int:
+    """Return the number of levels of blocks: a level for each grid, and above the last one until a block holds all."""
+    blocks = -(-(max(ground.shape) - 1) // BLOCK)
+    return ground.grids + max(blocks - 1, 0).bit_length()
 
 
 def block_facets() -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:

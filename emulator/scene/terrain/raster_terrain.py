@@ -17,6 +17,7 @@ from poses shortly before and after.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -31,7 +32,7 @@ from emulator.raster import Box, Owners, Renderer, Screen, Topology, View, join,
 from emulator.scene.terrain.block_vertices import CORNERS, block_vertices
 from emulator.scene.terrain.ground import build_pyramid
 from emulator.scene.terrain.pixel_shading import LINE_FIELDS, ROW_FIELDS, shade_doubtful, shade_rows
-from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets
+from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets, level_count
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.tile import new_tile
 from emulator.scene.terrain.world import TerrainWorld
@@ -143,8 +144,12 @@ class RasterTerrain(Scene):
     def __init__(self, parameters: TerrainParameters, pinhole: Pinhole, threads: int = 1) -> None:
         world = self._world = TerrainWorld(parameters, pinhole)
         self._reach = max(pinhole.focal_px / _facet_px(parameters, pinhole), LEAST_REACH)
+        sunlit = world.sunlit()
+        world.ground = dataclasses.replace(world.ground, albedo=None)  # it is part of the light now; a map is large
+        self._pyramid = build_pyramid(world.ground, sunlit, world.sun, level_count(world.ground) + 1)
+        del sunlit
+        world.ground = self._pyramid.shared(world.ground)
         self._tree = Quadtree(world.ground, self._reach)
-        self._pyramid = build_pyramid(world.ground, world.sunlit(), world.sun, self._tree.levels + 1)
         heights = np.linspace(0, 1, _HEIGHTS)
         law = parameters.reflectance
         ambient = parameters.ambient_w_m2 * law.reflect(heights, heights, 0.0)

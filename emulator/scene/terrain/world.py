@@ -247,7 +247,7 @@ class TerrainWorld:
         Beyond the map the body continues at the height of the map's lowest ground, which gives the least horizon.
         """
         p, ground = self.parameters, self.ground
-        digest = hashlib.sha256(ground.heights_m.tobytes()).hexdigest()
+        digest = hashlib.sha256(np.ascontiguousarray(ground.heights_m).data).hexdigest()
         azimuth = p.sun_azimuth_deg
         slopes = cached_array("horizon", (digest, ground.unit_m, azimuth), lambda: horizon_slopes(ground, azimuth))
         relief_m = float(np.ptp(ground.heights_m))

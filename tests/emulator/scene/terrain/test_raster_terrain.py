@@ -223,6 +223,14 @@ def test_the_part_of_the_picture_that_changed_holds_the_ground():
     assert region.last_row > rows.max()
 
 
+def test_a_map_is_in_memory_once():
+    with RasterTerrain(parameters(), CAMERA) as scene:
+        ground = scene._world.ground
+        assert np.shares_memory(ground.heights_m, scene._pyramid.heights)
+        assert np.array_equal(ground.heights_m, make_ridge(RIDGE).curved(parameters().body_radius_m).heights_m)
+        assert ground.albedo is None
+
+
 @pytest.mark.parametrize("posts", [(4, 4), (5, 9), (13, 7)])
 def test_a_map_of_few_posts_has_finite_light(tmp_path, posts):
     np.save(tmp_path / "tiny.npy", np.zeros(posts))
