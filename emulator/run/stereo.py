@@ -112,10 +112,12 @@ class SecondView:
 def wired(slaves: Sequence[str], setups: Sequence[LinkSetup[Any]]) -> list[LinkSetup[Any]]:
     """Return the links with the cable between the cameras: the first link of the first camera is the master's end.
 
-    Each link of the second camera receives the master's resets.
+    Each link of the second camera receives the master's resets. Raises RigError where the first camera has no link.
     """
     cables = {name: EdgeRing() for name in slaves}
-    master = next(setup.name for setup in setups if setup.name not in cables)
+    master = next((setup.name for setup in setups if setup.name not in cables), None)
+    if master is None:
+        raise RigError("second_camera: the first camera needs a link too, which is the master of the second one's clock")
 
     def at_the_cable(setup: LinkSetup[Any]) -> LinkSetup[Any]:
         out = tuple(cables.values()) if setup.name == master else ()

@@ -1,5 +1,6 @@
 """Two cameras of one rig on one clock: tables, and the parallax of what both see."""
 
+import dataclasses
 import json
 import math
 
@@ -9,6 +10,7 @@ import pytest
 from emulator.cli.app import _main
 from emulator.rig.loading import RigError, load_rig, parse_rig
 from emulator.rig.tables import SecondCamera
+from emulator.run.assembly import link_setups
 from emulator.run.readings import ReadingSources
 from emulator.run.stereo import SecondView, second_rig
 from emulator.trajectory.building import MountedPath, build_trajectory
@@ -81,6 +83,12 @@ def test_mistakes_are_told(second, told):
 def test_a_scene_without_a_path_has_no_place_for_a_second_camera():
     with pytest.raises(RigError, match="second_camera"):
         second_rig(rig(scene='[scene]\nkind = "checkerboard"\n'))
+
+
+def test_a_rig_built_without_links_has_no_master():
+    rig = dataclasses.replace(load_rig("stars-stereo"), links=())
+    with pytest.raises(RigError, match="the first camera needs a link too"):
+        link_setups(rig)
 
 
 def test_what_is_mounted_beside_a_turning_thing_moves_as_a_rigid_body_does():
