@@ -117,7 +117,7 @@ def wired(slaves: Sequence[str], setups: Sequence[LinkSetup[Any]]) -> list[LinkS
     cables = {name: EdgeRing() for name in slaves}
     master = next((setup.name for setup in setups if setup.name not in cables), None)
     if master is None:
-        raise RigError("second_camera: the first camera needs a link too, which is the master of the second one's clock")
+        raise RigError("second_camera: the first camera needs a link too, as the master of the clocks")
 
     def at_the_cable(setup: LinkSetup[Any]) -> LinkSetup[Any]:
         out = tuple(cables.values()) if setup.name == master else ()
