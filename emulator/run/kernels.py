@@ -28,7 +28,7 @@ import numpy.typing as npt
 from numba import config
 
 from emulator.gl.context import selected_painter
-from emulator.light import LightFrame
+from emulator.light import LightFrame, Scene
 from emulator.rig.kinds import CAMERA_MODELS, LINKS, SCENES
 from emulator.rig.loading import Rig
 from emulator.run.link_process import starting_a_process
@@ -91,6 +91,8 @@ def parts_of(rig: Rig) -> list[Part]:
     kind = SCENES[rig.scene.kind]
     painter = f"by {selected_painter(rig.run.painter)}" if kind.gl else ""  # GL compiles other kernels
     parts = [Part(f"scene {rig.scene.kind}", 3.0, partial(_draw, rig), painter)] if kind.kernels else []
+    if parts and rig.run.tolerance_us:
+        parts.append(Part(f"pixels of {rig.scene.kind}", 2.0, partial(_draw_pixel, rig), painter, after=(parts[0],)))
     if not kind.events:
         parts += [*PIXELS.after, PIXELS, _effects(sensor)]
     if any(LINKS[link.kind].serves == "instrument" for link in rig.links):
@@ -165,18 +167,34 @@ def _read_out(sensor: SensorParameters) -> None:
 
 
 def _draw(rig: Rig) -> None:
-    """Draw three light frames of the rig's scene, at a small size; the run reports errors of the scene."""
+    """Draw three light frames of the rig's scene."""
+    light, rate = np.zeros((_HEIGHT, _WIDTH), np.float32), np.zeros((_HEIGHT, _WIDTH), np.float32)
+
+    def draw(scene: Scene) -> None:
+        scene.light(0, light)
+        for t_ns in (1_000_000, 2_000_000):  # at the second one some scenes clear the first
+            scene.light_and_rate(t_ns, light, rate)
+
+    _use_small_scene(rig, draw)
+
+
+def _draw_pixel(rig: Rig) -> None:
+    """Draw a single pixel of the rig's scene, where it can."""
+
+    def draw(scene: Scene) -> None:
+        if scene.pixel_light is not None:
+            scene.pixel_light(0, np.zeros(1, np.int64))
+
+    _use_small_scene(rig, draw)
+
+
+def _use_small_scene(rig: Rig, use: Callable[[Scene], None]) -> None:
+    """Build the rig's scene at a small size and use it; the run reports errors of the scene."""
     from emulator.light import MachineLacks, SceneError
     from emulator.run.assembly import build_scene
 
-    light, rate = np.zeros((_HEIGHT, _WIDTH), np.float32), np.zeros((_HEIGHT, _WIDTH), np.float32)
-    try:
-        with build_scene(rig, (_WIDTH, _HEIGHT)) as scene:
-            scene.light(0, light)
-            for t_ns in (1_000_000, 2_000_000):  # at the second one some scenes clear the first
-                scene.light_and_rate(t_ns, light, rate)
-    except (MachineLacks, SceneError):
-        return
+    with suppress(MachineLacks, SceneError), build_scene(rig, (_WIDTH, _HEIGHT)) as scene:
+        use(scene)
 
 
 def _find_truth() -> None:

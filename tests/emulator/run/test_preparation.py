@@ -6,6 +6,7 @@ from functools import partial
 
 import pytest
 
+from emulator.raster import Renderer
 from emulator.rig.loading import load_rig, shipped_rigs
 from emulator.run import kernels as preparation
 from emulator.run.kernels import ACTIVITY_FILTER, DECODER, EVT, Part, parts_of, prepare, uncompiled
@@ -45,6 +46,18 @@ def test_parts_whose_note_is_there_are_not_cold(notes):
 def test_a_rig_compiles_each_part_once(name):
     keys = [part.key for part in parts_of(load_rig(name))]
     assert len(set(keys)) == len(keys) >= 3
+
+
+def test_steps_under_control_need_the_light_of_single_pixels(monkeypatch):
+    rig, queried = load_rig("eros"), []
+    controlled = dataclasses.replace(rig, run=dataclasses.replace(rig.run, tolerance_us=100.0))
+    (key,) = {part.key for part in parts_of(controlled)} - {part.key for part in parts_of(rig)}
+    (part,) = (part for part in parts_of(controlled) if part.key == key)
+    drawn = Renderer.query
+    monkeypatch.setattr(Renderer, "query", lambda self, *inputs: (queried.append(inputs), drawn(self, *inputs))[1])
+    part.compile()
+    assert len(queried) == 1
+    assert [needed.name for needed in part.after] == ["scene bodies"]
 
 
 def test_a_camera_on_usb_that_sends_evt3_needs_its_coder():
