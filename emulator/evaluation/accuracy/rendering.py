@@ -120,6 +120,7 @@ class Stretch:
 
 
 _STRETCHES = {
+    "rendezvous": (Stretch(steps=4),),  # its truth has the most facets, and casts rays from each
     "malapert": tuple(Stretch(start_s, samples=8, finer=8) for start_s in (20.0, 40.0, 120.0, 150.0)),
 }
 

@@ -7,7 +7,7 @@ in 1/z, as perspective requires. Facets are visible from both sides.
 Bodies (`SampledBodies`) are drawn from every facet. Of the scene's own code this uses the shape models, the paths and
 the laws of reflection in float64. Shadows are rays of an independent library (embree through trimesh) from each corner
 to points of the Sun's disc. Light is linear over a facet, from corner to corner; flat facets are divided until they are
-small.
+small: at the closest range no longer than five pixels. Rays are cast from facets in the frame alone.
 
 Ground (`SampledTerrain`) is drawn from every facet of its finest grids. Of the scene's own code this uses heights, the
 visible share of the Sun at each post, paths, and the laws of reflection in float64. No block is coarser than the map,
@@ -151,7 +151,9 @@ def _average(samples: _Floats, side: int, out: npt.NDArray[np.float32]) -> None:
 
 _DISC_POINTS = 16
 _LIFT = 2e-6  # of the body's radius: height at which rays to the Sun start; 1e-4 is above low shadows
-_SMALLEST_SHARE = 32  # of a body's radius: flat facets are divided to this part of it
+_FACET_PX = 5.0  # at the closest range: flat facets are divided to this size
+_LARGEST_SHARE, _SMALLEST_SHARE = 32, 512  # of a body's radius, bounds of that size
+_BESIDE = 1.1  # of half the frame: facets with a corner within are drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,8 +182,9 @@ class SampledBodies(Scene):
             PlacedBody(build_trajectory(t.path), names.index(t.fixed_to) if t.fixed_to else None, mesh.radius_m)
             for t, mesh in zip(parameters.bodies, meshes, strict=True)
         ]
-        self._bodies = [_body(t, mesh) for t, mesh in zip(parameters.bodies, meshes, strict=True)]
         self._arrangement = Arrangement(self._camera, placed, self._time)
+        facet_m = _FACET_PX * self._arrangement.distance_m / pinhole.focal_px
+        self._bodies = [_body(t, mesh, facet_m) for t, mesh in zip(parameters.bodies, meshes, strict=True)]
         self._to_sun = _disc(unit(parameters.sun.direction), parameters.sun.radius_rad)
         self._sampler = PointSampler(pinhole.size, pinhole.focal_px, samples)
 
@@ -221,9 +224,23 @@ class SampledBodies(Scene):
         law = body.table.reflectance
         lit = np.where(mu0 > 0, law.reflect(np.maximum(mu0, 0), mu, phase), 0.0)
         around = np.abs(mu)
-        radiance = self._p.sun.irradiance_w_m2 * lit * self._sunlit(points + normals * body.lift_m, lit > 0, poses)
+        in_camera = from_eye @ camera.world_from_body
+        facets = body.facets[self._in_frame(in_camera)[body.facets].any(axis=1)]
+        wanted = np.zeros(len(points), bool)
+        wanted[facets] = True
+        sunlit = self._sunlit(points + normals * body.lift_m, wanted & (lit > 0), poses)
+        radiance = self._p.sun.irradiance_w_m2 * lit * sunlit
         radiance += self._p.ambient_w_m2 * law.reflect(around, around, 0.0)
-        return (from_eye @ camera.world_from_body)[body.facets], (body.albedo * radiance)[body.facets]
+        return in_camera[facets], (body.albedo * radiance)[facets]
+
+    def _in_frame(self, points_m: _Floats) -> npt.NDArray[np.bool_]:
+        """Return whether points in camera axes, (n, 3), are in the frame, or close beside it.
+
+        Of facets larger than the frame no corner may be.
+        """
+        x, y, z = points_m.T
+        half = [_BESIDE * side / 2 / self._pinhole.focal_px for side in self._pinhole.size]
+        return np.asarray((np.abs(x) <= half[0] * z) & (np.abs(y) <= half[1] * z))
 
     def _sunlit(self, starts_m: _Floats, wanted: npt.NDArray[np.bool_], poses: list[Pose]) -> _Floats:
         """Return the visible share of the Sun's disc at each point, (n,); 1 for points that are not wanted."""
@@ -248,13 +265,14 @@ def _meshes(parameters: BodiesParameters, pinhole: Pinhole) -> list[Mesh]:
     return world.meshes
 
 
-def _body(table: BodyTable, mesh: Mesh) -> _Body:
+def _body(table: BodyTable, mesh: Mesh, facet_m: float) -> _Body:
     lift_m, rays = _LIFT * mesh.radius_m, _rays(mesh)
     if table.smooth:
         return _Body(table, mesh.vertices, mesh.normals, mesh.vertex_albedo, mesh.faces.astype(np.int64), lift_m, rays)
     albedo = np.ones(mesh.faces.shape) if mesh.albedo is None else mesh.albedo
     both = np.concatenate([mesh.vertices[mesh.faces], albedo[:, :, None]], axis=2)
-    both = _divided(both, mesh.radius_m / _SMALLEST_SHARE)
+    facet_m = min(max(facet_m, mesh.radius_m / _SMALLEST_SHARE), mesh.radius_m / _LARGEST_SHARE)
+    both = _divided(both, facet_m)
     corners, albedo = both[:, :, :3], both[:, :, 3]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     across /= np.linalg.norm(across, axis=1, keepdims=True)
