@@ -155,10 +155,11 @@ SETTINGS = (
     Setting("GL, 4 x 4 samples, line", 4, with_rate=False),
 )
 TERRAIN_SETTINGS = (
-    Setting("CPU, as shipped", with_rate=False),
-    Setting("CPU, as shipped, steps x 2", with_rate=False, step_share=2.0),
-    Setting("CPU, 1 part", with_rate=False, parts=1),
-    Setting("CPU, 4 x 4 parts", with_rate=False, parts=4),
+    Setting("CPU, as shipped"),
+    Setting("CPU, as shipped, steps x 2", step_share=2.0),
+    Setting("CPU, line", with_rate=False),
+    Setting("CPU, 1 part", parts=1),
+    Setting("CPU, 4 x 4 parts", parts=4),
     Setting("GL, 2 x 2 samples, line", 2, with_rate=False),
     Setting("GL, 4 x 4 samples, line", 4, with_rate=False),
 )
@@ -221,7 +222,8 @@ class Look:
         """Return the events of the stretch in steps of `step_ns`, and the least CPU milliseconds a frame."""
         sensor = Sensor(self.quiet, self.rig.run.seed)
         frames, first_ns = SceneFrames(scene, with_rate=with_rate), round(self.stretch.start_s * 1e9)
-        sensor.reset(LightFrame(0, frames.draw(first_ns).light))
+        first = frames.draw(first_ns)
+        sensor.reset(LightFrame(0, first.light, first.rate))
         events, spent_s = [empty_events()], []
         for t_ns in range(step_ns, self.stretch.steps * self.step_ns + 1, step_ns):
             start_s = time.process_time()
