@@ -92,8 +92,8 @@ def footprint_moves(motion: tuple[Floats, Floats], s: Floats32) -> None:
         s[EYE_RATE_X * TILE + k] = txy * ey + txz * ez
         s[EYE_RATE_Y * TILE + k] = tyz * ez - txy * ex
         s[EYE_RATE_Z * TILE + k] = -txz * ex - tyz * ey
-        moved = math.sqrt(move_x * move_x + move_y * move_y)
-        s[MOMENT_S * TILE + k] = min(_SHARE * math.sqrt(s[SHORTER * TILE + k]) / max(moved, _TINY), _LONGEST_S)
+        moved = math.sqrt(move_x * move_x + move_y * move_y) + _TINY
+        s[MOMENT_S * TILE + k] = min(_SHARE * math.sqrt(s[SHORTER * TILE + k]) / moved, _LONGEST_S)
 
 
 @vector_kernel
@@ -153,6 +153,7 @@ def rate_of_doubtful(
 def _slope(light: Float32s, k: int) -> float:
     """Return the change of light a pixel at pixel k of a line; the light goes on evenly beyond its ends."""
     last = light.size - 1
-    change = _NEAR * (light[min(k + 1, last)] - light[max(k - 1, 0)])
+    change: float = _NEAR * (light[min(k + 1, last)] - light[max(k - 1, 0)])
     change += _NEXT * (light[min(k + 2, last)] - light[max(k - 2, 0)])
-    return change + _FAR * (light[min(k + 3, last)] - light[max(k - 3, 0)])
+    change += _FAR * (light[min(k + 3, last)] - light[max(k - 3, 0)])
+    return change
