@@ -3,8 +3,8 @@
     python benchmarks/terrain.py [--check] [SECONDS ...]
 
 Process time a pixel of one thread, the least of nine, without and with the rate of light; with --check, errors of light
-in % of the mean light against 8 x 8 point samples of every facet of the map (`SampledTerrain`), which takes seconds to a
-minute a light frame.
+in % of the mean light against 8 x 8 point samples of every facet of the map (`SampledTerrain`), which takes seconds to
+a minute a light frame.
 """
 
 from __future__ import annotations

@@ -222,8 +222,7 @@ class Look:
         """Return the events of the stretch in steps of `step_ns`, and the least CPU milliseconds a frame."""
         sensor = Sensor(self.quiet, self.rig.run.seed)
         frames, first_ns = SceneFrames(scene, with_rate=with_rate), round(self.stretch.start_s * 1e9)
-        first = frames.draw(first_ns)
-        sensor.reset(LightFrame(0, first.light, first.rate))
+        sensor.reset(LightFrame(0, frames.draw(first_ns).light))
         events, spent_s = [empty_events()], []
         for t_ns in range(step_ns, self.stretch.steps * self.step_ns + 1, step_ns):
             start_s = time.process_time()

@@ -56,7 +56,7 @@ from emulator.sensor.numerics.compiled import lane, vector_kernel
 __all__ = ["footprint_moves", "light_rate", "rate_of_doubtful"]
 
 _f = np.float32
-_TINY, _QUARTER, _HALF = _f(1e-20), _f(0.25), _f(0.5)
+_TINY, _ZERO, _QUARTER, _ONE = _f(1e-20), _f(0.0), _f(0.25), _f(1.0)
 _SHARE = _f(1.0 / 16.0)  # of the footprint's shorter side, moved in the moment
 _LONGEST_S = _f(0.01)
 _NEAR, _NEXT, _FAR = 3.0 / 4.0, -3.0 / 20.0, 1.0 / 60.0  # differences over 2, 4 and 6 pixels
@@ -86,7 +86,8 @@ def footprint_moves(motion: tuple[Floats, Floats], s: Floats32) -> None:
         uy = vy + _QUARTER * (tyz * mz - txy * mx)
         uz = vz - _QUARTER * (txz * mx + tyz * my)
         ex, ey, ez = s[EYE_X * TILE + k], s[EYE_Y * TILE + k], s[EYE_Z * TILE + k]
-        along = (nx * ux + ny * uy + nz * uz) / (nx * ex + ny * ey + nz * ez)
+        facing = nx * ex + ny * ey + nz * ez
+        along = (nx * ux + ny * uy + nz * uz) / (facing if facing != _ZERO else _ONE)
         move_x, move_y = ux - along * ex, uy - along * ey
         s[MOVE_X * TILE + k], s[MOVE_Y * TILE + k] = move_x, move_y
         s[EYE_RATE_X * TILE + k] = txy * ey + txz * ez
