@@ -2,8 +2,9 @@
 
     python benchmarks/terrain.py [--check] [SECONDS ...]
 
-Process time a pixel of one thread, the least of nine; with --check, errors of light in % of the mean light against
-8 x 8 point samples of every facet of the map (`SampledTerrain`), which takes seconds to a minute a light frame.
+Process time a pixel of one thread, the least of nine, without and with the rate of light; with --check, errors of light
+in % of the mean light against 8 x 8 point samples of every facet of the map (`SampledTerrain`), which takes seconds to
+a minute a light frame.
 """
 
 from __future__ import annotations
@@ -34,15 +35,16 @@ def main(arguments: list[str]) -> None:
             for t_s in times_s:
                 scene.light(t_s * 10**9, light)
                 error = errors(parameters, pinhole, t_s, light.copy()) if "--check" in arguments else ""
-                print(f"{size[0]} x {size[1]}, {t_s} s: {shading_ns(scene, t_s, light):.0f} ns a pixel{error}")
+                alone, both = (shading_ns(scene, t_s, light, with_rate=wanted) for wanted in (False, True))
+                print(f"{size[0]} x {size[1]}, {t_s} s: {alone:.0f} ns a pixel, with rate {both:.0f} ns{error}")
 
 
-def shading_ns(scene: RasterTerrain, t_s: int, light: np.ndarray) -> float:
-    motion = camera_motion(t_s * 10**9, scene.camera_path, scene.path_time)
+def shading_ns(scene: RasterTerrain, t_s: int, light: np.ndarray, *, with_rate: bool) -> float:
+    motion, rate = camera_motion(t_s * 10**9, scene.camera_path, scene.path_time), np.zeros_like(light)
     spent_s = []
     for _ in range(9):
         start_s = time.process_time()
-        scene._shade(motion, light)
+        scene._shade(motion, light, rate, with_rate=with_rate)
         spent_s.append(time.process_time() - start_s)
     return min(spent_s) / light.size * 1e9
 

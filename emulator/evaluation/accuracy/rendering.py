@@ -155,10 +155,11 @@ SETTINGS = (
     Setting("GL, 4 x 4 samples, line", 4, with_rate=False),
 )
 TERRAIN_SETTINGS = (
-    Setting("CPU, as shipped", with_rate=False),
-    Setting("CPU, as shipped, steps x 2", with_rate=False, step_share=2.0),
-    Setting("CPU, 1 part", with_rate=False, parts=1),
-    Setting("CPU, 4 x 4 parts", with_rate=False, parts=4),
+    Setting("CPU, as shipped"),
+    Setting("CPU, as shipped, steps x 2", step_share=2.0),
+    Setting("CPU, line", with_rate=False),
+    Setting("CPU, 1 part", parts=1),
+    Setting("CPU, 4 x 4 parts", parts=4),
     Setting("GL, 2 x 2 samples, line", 2, with_rate=False),
     Setting("GL, 4 x 4 samples, line", 4, with_rate=False),
 )

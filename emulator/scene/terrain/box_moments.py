@@ -8,6 +8,9 @@ The mean over a box of a function that is linear between posts is exact: a post 
 weight (I(r - t) - I(-r - t)) / 2 r along each axis, r half its side and I the integral of the hat function. Weights of
 half a side of at most MOST_POSTS / 2 - 1 posts are sums over at most MOST_POSTS posts. Code for each number of columns
 is unrolled.
+
+Where the box moves by v posts a second, these weights have the rates (hat(r - t) - hat(-r - t)) v / 2 r along each
+axis, hat(t) = I'(t). The rates of the means take one more product a post, of numbers that are at hand.
 """
 
 from __future__ import annotations
@@ -30,8 +33,9 @@ from emulator.scene.terrain.compiled_vectors import (
     within,
 )
 from emulator.scene.terrain.ground import MOMENTS
+from emulator.scene.terrain.tile import RATES
 
-__all__ = ["MOST_POSTS", "add_box", "half_at"]
+__all__ = ["MOST_POSTS", "add_box", "add_box_and_rate", "half_at"]
 
 _types: Any = numba.types  # numba's functions here have no types that mypy could read
 _code: Any = cgutils
@@ -70,22 +74,48 @@ def add_box(context: Any, moments: Any, level: Any, box: Any, sums: Any, at: Any
     box : middle x and y in posts of the level, half sides, weight; the box is within the level.
     sums : (n,) float32.
     """
-    return _types.void(
-        moments, _types.UniTuple(_types.int64, 3), _types.UniTuple(_types.float32, 5), sums, _types.int64
-    ), _generate
+
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
+        first, out = (_array(context, builder, signature, arguments, k) for k in (0, 3))
+        _add(builder, first, arguments[1:3], builder.gep(out, [arguments[4]]))
+        return context.get_dummy_value()
+
+    long, real = _types.int64, _types.float32
+    return _types.void(moments, _types.UniTuple(long, 3), _types.UniTuple(real, 5), sums, long), generate
 
 
-def _generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
-    data = _make_array(signature.args[0])(context, builder, arguments[0]).data
-    first, columns, rows = _code.unpack_tuple(builder, arguments[1])
-    x, y, half_x, half_y, weight = _code.unpack_tuple(builder, arguments[2])
-    out = _make_array(signature.args[3])(context, builder, arguments[3]).data
-    out = builder.bitcast(builder.gep(out, [arguments[4]]), ir.VectorType(_FLOAT, MOMENTS).as_pointer())
-    left, across, wide = _side(builder, x, half_x, columns)
-    top, down, high = _side(builder, y, half_y, rows)
+@_intrinsic
+def add_box_and_rate(context: Any, moments: Any, level: Any, box: Any, sums: Any, at: Any) -> Any:
+    """Do as `add_box`, and add the rate of what it adds to MOMENTS `sums` from `at` + RATES on.
+
+    Parameters
+    ----------
+    box : as in `add_box`, and behind it the posts of the level that the box moves a second, x and y.
+    """
+
+    def generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any) -> Any:
+        first, out = (_array(context, builder, signature, arguments, k) for k in (0, 3))
+        _add(builder, first, arguments[1:3], builder.gep(out, [arguments[4]]))
+        return context.get_dummy_value()
+
+    long, real = _types.int64, _types.float32
+    return _types.void(moments, _types.UniTuple(long, 3), _types.UniTuple(real, 7), sums, long), generate
+
+
+def _array(context: Any, builder: ir.IRBuilder, signature: Any, arguments: Any, k: int) -> Any:
+    """Return the pointer to the numbers of an array."""
+    return _make_array(signature.args[k])(context, builder, arguments[k]).data
+
+
+def _add(builder: ir.IRBuilder, data: Any, place_of: Any, out: Any) -> None:
+    """Add the mean over a box to numbers from `out` on, and its rate where the box moves."""
+    first, columns, rows = _code.unpack_tuple(builder, place_of[0])
+    x, y, half_x, half_y, weight, *moves = _code.unpack_tuple(builder, place_of[1])
+    left, across, wide = _side(builder, x, half_x, columns, moves[:1])
+    top, down, high = _side(builder, y, half_y, rows, moves[1:])
     place = builder.add(first, builder.add(builder.mul(top, columns), left))
-    total = _code.alloca_once_value(builder, constant([0.0] * MOMENTS))
-    weights = builder.bitcast(_code.alloca_once_value(builder, down), _FLOAT.as_pointer())
+    totals = [_code.alloca_once_value(builder, constant([0.0] * MOMENTS)) for _ in across]
+    weights = [builder.bitcast(_code.alloca_once_value(builder, some), _FLOAT.as_pointer()) for some in down]
     end = builder.append_basic_block("end")
     cases = [builder.append_basic_block(f"columns{n}") for n in _COLUMNS]
     chosen = builder.switch(wide, cases[-1])
@@ -94,25 +124,32 @@ def _generate(context: Any, builder: ir.IRBuilder, signature: Any, arguments: An
         chosen.add_case(ir.Constant(wide.type, n), cases[case])
     for n, case in zip(_COLUMNS, cases, strict=True):
         builder.position_at_end(case)
-        spreads = [spread(builder, lane(builder, across, k), MOMENTS) for k in range(n)]
+        spreads = [[spread(builder, lane(builder, some, k), MOMENTS) for k in range(n)] for some in across]
         with _code.for_range_slice(builder, INT(0), high, INT(_ROWS), INT.type) as (first_row, _):
-            sum_ = builder.load(total)
+            sums = [builder.load(total) for total in totals]
             for more in range(_ROWS):
                 index = builder.add(first_row, INT(more))
                 row = _row(builder, data, builder.add(place, builder.mul(index, columns)), spreads)
-                number = builder.load(builder.gep(weights, [index]))
-                sum_ = product_sum(builder, row, spread(builder, number, MOMENTS), sum_)
-            builder.store(sum_, total)
+                shares = [spread(builder, builder.load(builder.gep(some, [index])), MOMENTS) for some in weights]
+                sums = _with_row(builder, row, shares, sums)
+            for sum_, total in zip(sums, totals, strict=True):
+                builder.store(sum_, total)
         builder.branch(end)
     builder.position_at_end(end)
-    share = builder.fmul(weight, ir.Constant(_FLOAT, 0.25))
-    before = builder.load(out, align=4)
-    builder.store(product_sum(builder, builder.load(total), spread(builder, share, MOMENTS), before), out, align=4)
-    return context.get_dummy_value()
+    share = spread(builder, builder.fmul(weight, ir.Constant(_FLOAT, 0.25)), MOMENTS)
+    for k, total in enumerate(totals):
+        to = builder.bitcast(builder.gep(out, [INT(k * RATES)]), ir.VectorType(_FLOAT, MOMENTS).as_pointer())
+        builder.store(product_sum(builder, builder.load(total), share, builder.load(to, align=4)), to, align=4)
 
 
-def _side(builder: ir.IRBuilder, middle: Any, half: Any, posts: Any) -> tuple[Any, Any, Any]:
-    """Return the first post, weights of the posts from there, and how many have one."""
+def _with_row(builder: ir.IRBuilder, row: list[Any], shares: list[Any], sums: list[Any]) -> list[Any]:
+    """Return the sums with those of a row: of its moments, and of their rates where there are any."""
+    both = [product_sum(builder, some, shares[0], sum_) for some, sum_ in zip(row, sums, strict=True)]
+    return both if len(both) == 1 else [both[0], product_sum(builder, row[0], shares[1], both[1])]
+
+
+def _side(builder: ir.IRBuilder, middle: Any, half: Any, posts: Any, move: list[Any]) -> tuple[Any, list[Any], Any]:
+    """Return the first post, weights of the posts from there, and how many have one; the weights' rates too."""
     low, high = builder.fsub(middle, half), builder.fadd(middle, half)
     last = builder.sub(posts, INT(MOST_POSTS))
     begin = builder.fptosi(low, INT.type)
@@ -122,27 +159,33 @@ def _side(builder: ir.IRBuilder, middle: Any, half: Any, posts: Any) -> tuple[An
     for bound, sign in ((INT(MOST_POSTS), "<"), (INT(_COLUMNS[0]), ">")):
         count = builder.select(builder.icmp_signed(sign, count, bound), count, bound)
     offset = builder.sitofp(begin, _FLOAT)
-    return begin, _weights(builder, builder.fsub(low, offset), builder.fsub(high, offset)), count
+    return begin, _weights(builder, builder.fsub(low, offset), builder.fsub(high, offset), move), count
 
 
-def _weights(builder: ir.IRBuilder, low: Any, high: Any) -> Any:
-    """Return the integrals of the hat functions of posts 0, 1 ... from `low` to `high`, times 2."""
+def _weights(builder: ir.IRBuilder, low: Any, high: Any, move: list[Any]) -> list[Any]:
+    """Return the integrals of the hat functions of posts 0, 1 ... from `low` to `high`, times 2, and their rates."""
     posts = constant([float(k) for k in range(_LANES)])
     one, less = constant([1.0] * _LANES), constant([-1.0] * _LANES)
-    ends = []
+    ends, heights = [], []
     for end in (low, high):
         u = within(builder, builder.fsub(spread(builder, end, _LANES), posts), less, one)
-        ends.append(product_sum(builder, builder.fmul(u, constant([-0.5] * _LANES)), magnitude(builder, u), u))
-    return builder.fsub(ends[1], ends[0])
+        heights.append(magnitude(builder, u))
+        ends.append(product_sum(builder, builder.fmul(u, constant([-0.5] * _LANES)), heights[-1], u))
+    rates = [builder.fmul(builder.fsub(*heights), spread(builder, speed, _LANES)) for speed in move]
+    return [builder.fsub(ends[1], ends[0]), *rates]
 
 
-def _row(builder: ir.IRBuilder, data: Any, start: Any, weights: list[Any]) -> Any:
-    """Return the weighted sum of the moments of posts from `start` on."""
-    total: Any = None
+def _row(builder: ir.IRBuilder, data: Any, start: Any, weights: list[list[Any]]) -> list[Any]:
+    """Return the sums of the moments of posts from `start` on, by each list of weights."""
+    totals: list[Any] = []
     kind = ir.VectorType(_HALF, MOMENTS).as_pointer()
-    for k, weight in enumerate(weights):
+    for k in range(len(weights[0])):
         place = builder.mul(builder.add(start, INT(k)), INT(MOMENTS))
         some = builder.load(builder.bitcast(builder.gep(data, [place]), kind), align=2)
         some = builder.fpext(some, ir.VectorType(_FLOAT, MOMENTS))
-        total = builder.fmul(some, weight) if total is None else product_sum(builder, some, weight, total)
-    return total
+        if not k:
+            totals = [builder.fmul(some, shares[0]) for shares in weights]
+        else:
+            pairs = zip(weights, totals, strict=True)
+            totals = [product_sum(builder, some, shares[k], total) for shares, total in pairs]
+    return totals

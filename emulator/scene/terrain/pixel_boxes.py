@@ -23,7 +23,7 @@ import math
 import numpy as np
 
 from emulator.raster.layout import Floats
-from emulator.scene.terrain.box_moments import MOST_POSTS, add_box
+from emulator.scene.terrain.box_moments import MOST_POSTS, add_box, add_box_and_rate
 from emulator.scene.terrain.ground import MOMENTS, Halves
 from emulator.scene.terrain.pixel_hits import Screen, Table, clamp, write_levels
 from emulator.scene.terrain.tile import (
@@ -55,11 +55,14 @@ from emulator.scene.terrain.tile import (
     LONGER,
     MIDDLE_X,
     MIDDLE_Y,
+    MOVE_X,
+    MOVE_Y,
     NEXT,
     OWN_ACROSS,
     OWN_DOWN,
     OWN_W,
     PER_M,
+    RATES,
     SHORTER,
     SPREAD_X,
     SPREAD_XY,
@@ -192,6 +195,7 @@ def box_means(
     posts: tuple[Table, tuple[float, int, float], int],
     place: Floats,
     longest: float,
+    moving: bool,
     s: Floats32,
     places: Ints32,
     sums: Floats32,
@@ -202,14 +206,15 @@ def box_means(
     ----------
     posts, place : of `write_levels`.
     longest : side of a box, posts; BOX_SIZE is the side over it.
+    moving : the rates of the means are written too, from RATES on, for boxes that move by MOVE_X and MOVE_Y.
     """
     write_levels(count, posts, place, (MIDDLE_X, MIDDLE_Y, BOX_SIZE), s, places)
     _windows(_f(2.0 / (longest * (1.0 - _BLEND))), s)
-    _add_boxes(count, moments, s, places, sums)
+    _add_boxes(count, moving, moments, s, places, sums)
     for k in range(count):
         part = s[NEXT * TILE + k]
         if part > 0.0 and s[DOUBT * TILE + k] <= 0.0:
-            _add_next(k, part, moments, posts[0], posts[1][0], place, s, places, sums)
+            _add_next((k, part, moving), moments, posts[0], posts[1][0], place, s, places, sums)
 
 
 @vector_kernel
@@ -233,11 +238,11 @@ def _windows(per_blend: float, s: Floats32) -> None:
 
 
 @vector_kernel
-def _add_boxes(count: int, moments: Halves, s: Floats32, places: Ints32, sums: Floats32) -> None:
+def _add_boxes(count: int, moving: bool, moments: Halves, s: Floats32, places: Ints32, sums: Floats32) -> None:
     """Write the means over boxes, times their weights."""
     for k in range(count):
         for n in range(MOMENTS):
-            sums[k * MOMENTS + n] = 0.0
+            sums[k * MOMENTS + n] = sums[RATES + k * MOMENTS + n] = 0.0
         if s[DOUBT * TILE + k] > 0.0:
             continue
         first, columns = np.int64(places[LEVEL_FIRST * TILE + k]), np.int64(places[LEVEL_COLUMNS * TILE + k])
@@ -245,16 +250,19 @@ def _add_boxes(count: int, moments: Halves, s: Floats32, places: Ints32, sums: F
         last_u, last_v = s[LAST_X * TILE + k], s[LAST_Y * TILE + k]
         u, v, weight = s[BOX_U * TILE + k], s[BOX_V * TILE + k], s[WEIGHT * TILE + k]
         level = first, columns, np.int64(places[LEVEL_ROWS * TILE + k])
+        move = s[MOVE_X * TILE + k] * s[PER_M * TILE + k], s[MOVE_Y * TILE + k] * s[PER_M * TILE + k]
         for _ in range(np.int32(s[TAPS * TILE + k])):
             box = clamp(u, half_u, last_u), clamp(v, half_v, last_v), half_u, half_v, weight
-            add_box(moments, level, box, sums, k * MOMENTS)
+            if moving:
+                add_box_and_rate(moments, level, (*box, *move), sums, k * MOMENTS)
+            else:
+                add_box(moments, level, box, sums, k * MOMENTS)
             u, v = u + s[STEP_U * TILE + k], v + s[STEP_V * TILE + k]
 
 
 @lane
 def _add_next(
-    k: int,
-    part: float,
+    which: tuple[int, float, bool],
     moments: Halves,
     levels: Table,
     unit: float,
@@ -263,7 +271,8 @@ def _add_next(
     places: Ints32,
     sums: Floats32,
 ) -> None:
-    """Add the means over the boxes of a pixel on the next level, times `part`."""
+    """Add the means over the boxes of a pixel on the next level, times `part`; which: pixel, `part`, `moving`."""
+    k, part, moving = which
     level = places[LEVEL * TILE + k] + 1
     rows, columns = levels[level, 1], levels[level, 2]
     per_unit = 1.0 / (1 << level)
@@ -274,8 +283,12 @@ def _add_next(
     step_u, step_v = 0.5 * s[STEP_U * TILE + k], 0.5 * s[STEP_V * TILE + k]
     u, v = u - 0.5 * (n - 1.0) * step_u, v - 0.5 * (n - 1.0) * step_v
     weight = part / (n * half_u * half_v)
+    move = _f(s[MOVE_X * TILE + k] * per_unit / unit), _f(s[MOVE_Y * TILE + k] * per_unit / unit)
     for _ in range(np.int32(n)):
         at_u, at_v = _f(clamp(u, half_u, last_u)), _f(clamp(v, half_v, last_v))
         box = at_u, at_v, _f(half_u), _f(half_v), _f(weight)
-        add_box(moments, (levels[level, 0], columns, rows), box, sums, k * MOMENTS)
+        if moving:
+            add_box_and_rate(moments, (levels[level, 0], columns, rows), (*box, *move), sums, k * MOMENTS)
+        else:
+            add_box(moments, (levels[level, 0], columns, rows), box, sums, k * MOMENTS)
         u, v = u + step_u, v + step_v

@@ -217,7 +217,7 @@ def _finish(
     for k in range(TILE):
         s[MIDDLE_X * TILE + k], s[MIDDLE_Y * TILE + k] = s[X * TILE + k], s[Y * TILE + k]
         s[BOX_SIZE * TILE + k] = s[SIZE * TILE + k]
-    box_means(count, moments, posts, place, _SQUARE_POSTS, s, places, sums)
+    box_means(count, moments, posts, place, _SQUARE_POSTS, False, s, places, sums)
     _reflected(towards, s, sums)
     for n in range(count):
         k = places[PIXEL * TILE + n]

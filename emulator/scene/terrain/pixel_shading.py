@@ -4,13 +4,14 @@
     footprints              means of the ground's moments, from one box or more     `pixel_boxes`
     means                   light                                                   `pixel_law`
     doubtful pixels         light from parts of their own                           `pixel_parts`
+    means, as they move     time derivative of light                                `pixel_rate`
 
 Doubtful are pixels that `pixel_boxes` finds, and those around which light changes by more than its mean: at borders of
 shadows the heights within the pixel decide.
 
 Where an outline passes through the pixel, the exact light of the facets is used, and the difference between fine and
 facet's light at the middle is added in proportion to the distance of the outline from the middle (`Owners.whole`), so
-that light is continuous in time.
+that light is continuous in time. So is the difference of the derivatives.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import math
 import numpy as np
 
 from emulator.photometry.reflection_kernels import reflect
-from emulator.raster.layout import Bytes, Float32s, Floats, Ints, L
+from emulator.raster.layout import Bytes, Float32s, Floats, G, Ints, L
 from emulator.scene.terrain.block_vertices import around, grazing
 from emulator.scene.terrain.box_moments import MOST_POSTS
 from emulator.scene.terrain.compiled import entry
@@ -38,7 +39,8 @@ from emulator.scene.terrain.pixel_parts import (
     into_world,
     part_means,
 )
-from emulator.scene.terrain.tile import DOUBT, FAST, TILE, Floats32, Ints32
+from emulator.scene.terrain.pixel_rate import footprint_moves, light_rate
+from emulator.scene.terrain.tile import DOUBT, FAST, RATE, TILE, Floats32, Ints32
 from emulator.sensor.numerics.compiled import NONE, lane, vector_kernel
 
 __all__ = ["LINE_FIELDS", "ROW_FIELDS", "shade_doubtful", "shade_rows"]
@@ -69,13 +71,14 @@ def shade_rows(
     facets: Floats,
     screen: Screen,
     camera: tuple[Floats, Floats],
+    motion: tuple[Floats, Floats],
     posts: tuple[Floats32, Halves, Table],
     ground: tuple[float, int, float],
     sun: Sunlight,
     room: tuple[Floats32, Ints32, Floats32, Floats],
-    out: tuple[Float32s, Bytes],
+    out: tuple[Float32s, Bytes, Float32s],
 ) -> None:
-    """Write the light of rows first to last, and which pixels are doubtful.
+    """Write the light of rows first to last, which pixels are doubtful, and the rate of light.
 
     Parameters
     ----------
@@ -83,11 +86,13 @@ def shade_rows(
     facets : of `Renderer.facets`.
     screen : focal length in pixels, column and row of the boresight.
     camera : place in the world (3,), camera_from_world (3, 3).
+    motion : of `footprint_moves`.
     posts : heights, moments and table of a `Pyramid`.
     ground : unit in metres, how many grids, posts from their middle to their side.
     room : of `new_tile`.
-    out : light of the ground, 1 for doubtful pixels; (height, width) each.
+    out : light of the ground, 1 for doubtful pixels, (height, width) each; rate of light, the same or empty.
     """
+    moving = out[2].size > 0
     s, places, sums, inputs = room
     heights, moments, levels = posts
     top = top_level(levels)
@@ -99,14 +104,20 @@ def shade_rows(
             corner_hits((row + 1, first), owner, facets, screen, camera, heights, levels, ground, s, places)
             footprints((row, first), screen, camera[1], ground[0], s)
             mismatches(screen[0], s)
-            box_means(columns, moments, (levels, ground, top), camera[0], LONGEST, s, places, sums)
+            if moving:
+                footprint_moves(motion, s)
+            box_means(columns, moments, (levels, ground, top), camera[0], LONGEST, moving, s, places, sums)
             mean_light(sun, s, sums, inputs)
+            if moving:
+                light_rate(sun, s, sums, inputs)
             _keep((row, first, columns), owner, facets, s, out)
 
 
 @lane
-def _keep(at: tuple[int, int, int], owner: Ints, facets: Floats, s: Floats32, out: tuple[Float32s, Bytes]) -> None:
-    """Write a row's light; that of their facets for doubtful pixels."""
+def _keep(
+    at: tuple[int, int, int], owner: Ints, facets: Floats, s: Floats32, out: tuple[Float32s, Bytes, Float32s]
+) -> None:
+    """Write a row's light, for doubtful pixels that of their facets, and its rate, not for these."""
     row, first, columns = at
     for k in range(columns):
         column = first + k
@@ -118,6 +129,8 @@ def _keep(at: tuple[int, int, int], owner: Ints, facets: Floats, s: Floats32, ou
         elif doubtful:
             value = np.float32(facets[f, L] + facets[f, L + 1] * (column + 0.5) + facets[f, L + 2] * (row + 0.5))
         out[0][row, column], out[1][row, column] = value, doubtful
+        if out[2].size > 0:
+            out[2][row, column] = s[RATE * TILE + k] if f >= 0 and not doubtful else np.float32(0.0)
 
 
 @entry
@@ -132,16 +145,17 @@ def shade_doubtful(
     limits: tuple[float, float],
     sun: Sunlight,
     room: tuple[tuple[Floats32, Ints32, Floats32, Floats], Floats, Floats],
-    smooth: tuple[Float32s, Bytes],
-    light: Float32s,
+    smooth: tuple[Float32s, Bytes, Float32s],
+    out: tuple[Float32s, Float32s],
 ) -> None:
-    """Write the light frame's rows first to last, doubtful pixels from parts.
+    """Write the light frame's rows first to last, doubtful pixels from parts, and the others' rate of light.
 
     Parameters
     ----------
     limits : parts of a pixel along the shorter side of its footprint; mean of the light frame from which changes count.
     room : of `new_tile`; (ROW_FIELDS, width + 2), (LINE_FIELDS, width + 2).
     smooth : from `shade_rows`.
+    out : light of facets, and its rate.
     """
     tile, s, line = room
     samples, least = limits
@@ -172,7 +186,9 @@ def shade_doubtful(
         reflect(sun[2], sun[3], s[_MU0], s[_MU], s[_CHORD2], count, s[_MU0])
         for k in range(count):
             s[_VALUE, int(line[COLUMN, k])] = s[_MU0, k] * s[_SUNLIGHT, k] + s[_AROUND, k]
-        _write(row, owners, facets, s, light)
+        _write(row, owners, facets, s, out[0])
+        if smooth[2].size > 0:
+            _write_rate(row, owners, facets, smooth[2], out[1])
 
 
 @vector_kernel
@@ -253,3 +269,18 @@ def _write(row: int, owners: tuple[Ints, Float32s], facets: Floats, s: Floats, l
             value = here + share * (value - facets[f, L] - facets[f, L + 1] * x - facets[f, L + 2] * y)
             value = max(value, (1.0 - share) * here)  # a pixel with an outline contains the light behind it too
         light[row, column] = value
+
+
+@lane
+def _write_rate(row: int, owners: tuple[Ints, Float32s], facets: Floats, rates: Float32s, rate: Float32s) -> None:
+    """Write the rate of a row's light; wrong for doubtful pixels."""
+    owner, whole = owners
+    for column in range(owner.shape[1]):
+        f, share = owner[row, column], whole[row, column]
+        if f < 0 or share <= 0.0:
+            continue
+        value = np.float64(rates[row, column])
+        if share < 1.0:
+            x, y = column + 0.5, row + 0.5
+            value = rate[row, column] + share * (value - facets[f, G] - facets[f, G + 1] * x - facets[f, G + 2] * y)
+        rate[row, column] = value

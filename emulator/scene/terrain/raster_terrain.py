@@ -1,14 +1,13 @@
-"""Ground under a low Sun drawn by the CPU: light of each pixel by exact coverage and the fine map, no GL.
+"""Ground under a low Sun drawn by the CPU: light of each pixel by exact coverage and the fine map, and its rate; no GL.
 
     pose --> blocks in view (`quadtree`) --> their vertices (`block_vertices`) --> `raster` --> light of facets
                                              fine map --> `pixel_shading` --> light of pixels
 
 Light is radiance, W m-2 sr-1, 400 to 700 nm: sunlight by the ground's law of reflection, with the shadows that the
 ground casts on itself and their penumbra, and an even light from all around. The ground curves with the body. Not
-modelled: light from slope to slope, and ground beyond the map, where the light frame is black. There is no time
-derivative: that of the shading was measured, and made more wrong events than a straight line. There is no light of
-single pixels between light frames either: undersampled pixels are found by the derivative, and light frames at an
-eighth of the step made as many wrong events (docs/accuracy.md).
+modelled: light from slope to slope, and ground beyond the map, where the light frame is black. The time derivative is
+that of the shading, as footprints move over the map (`pixel_rate`); at outlines, that of facets. There is no light of
+single pixels between light frames: light frames at an eighth of the step made as many wrong events (docs/accuracy.md).
 
 Depth, optical flow and labels come from the facets of the light frame. Their corners are posts of the map, as fine as
 they are drawn; between them the ground is flat, as it is drawn. `camera_motion` gives the rates of the camera's pose
@@ -31,6 +30,7 @@ from emulator.photometry.reflection_kernels import law_of
 from emulator.raster import Box, Owners, Renderer, Screen, Topology, View, join, prepare
 from emulator.scene.terrain.block_vertices import CORNERS, block_vertices
 from emulator.scene.terrain.ground import build_pyramid
+from emulator.scene.terrain.pixel_rate import rate_of_doubtful
 from emulator.scene.terrain.pixel_shading import LINE_FIELDS, ROW_FIELDS, shade_doubtful, shade_rows
 from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets, level_count
 from emulator.scene.terrain.table import TerrainParameters
@@ -100,6 +100,16 @@ class CameraMotion:
         """Position, velocity, turn and turning, as kernels take them."""
         return np.asarray(self.pose.position_m, np.float64), self.velocity_m_s, self.turn, self.turning
 
+    @property
+    def of_directions(self) -> tuple[Floats, Floats]:
+        """Velocity, and the rate in the world of directions fixed in the camera, over the direction, (3, 3)."""
+        return self.velocity_m_s, self.turning.T @ self.turn
+
+    @property
+    def of_ground(self) -> tuple[Floats, Floats]:
+        """Rate in the camera's axes of the place of a point that stands still: over the place, (3, 3), and of all."""
+        return self.turning @ self.turn.T, -self.turn @ self.velocity_m_s
+
 
 def camera_motion(t_ns: int, camera: Trajectory, time: Timescale) -> CameraMotion:
     """Return the motion at stream time `t_ns`; at the start, where a path may begin, from poses after it only."""
@@ -167,11 +177,12 @@ class RasterTerrain(Scene):
         pyramid = self._pyramid
         self._posts = pyramid.heights, pyramid.moments, pyramid.levels
         self._smooth = np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
+        self._rates = np.zeros((height, width), np.float32), np.zeros((0, 0), np.float32)
         self._owners = Owners.of(width, height)
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = Box()
         self._changed: Region | None = None
-        self._frame: Light | None = None
+        self._frames: tuple[Light | None, Light | None] = (None, None)
         self._frame_ns: int | None = None
 
     @property
@@ -238,11 +249,25 @@ class RasterTerrain(Scene):
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32; raises SceneError below the ground."""
-        before = self._drawn if self._frame is out else None
+        self._draw(t_ns, out, self._spare, with_rate=False)
+
+    @property
+    def has_rate(self) -> bool:
+        """True: that of the light of the fine map, as footprints move over it."""
+        return True
+
+    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
+        """Write the radiance at `t_ns` and its rate, a second, both (height, width) float32."""
+        self._draw(t_ns, light, rate, with_rate=True)
+
+    def _draw(self, t_ns: int, light: Light, rate: Light, *, with_rate: bool) -> None:
+        """Write the light, and its rate if wanted; else that of facets."""
+        arrays = light, rate if with_rate else None
+        before = self._drawn if all(a is b for a, b in zip(self._frames, arrays, strict=True)) else None
         motion = camera_motion(t_ns, self._world.camera, self._world.time)
-        self._drawn = self._renderer.draw(self._view(t_ns, motion), out, self._spare, None, self._owners)
-        self._shade(motion, out)
-        self._frame, self._frame_ns = out, t_ns
+        self._drawn = self._renderer.draw(self._view(t_ns, motion), light, rate, None, self._owners)
+        self._shade(motion, light, rate, with_rate=with_rate)
+        self._frames, self._frame_ns = arrays, t_ns
         self._changed = None if before is None else _region(self._drawn.union(before))
 
     def close(self) -> None:
@@ -251,27 +276,33 @@ class RasterTerrain(Scene):
         self._pool.close()
         self._world.close()
 
-    def _shade(self, motion: CameraMotion, light: Light) -> None:
-        """Write the fine map's light into the light frame."""
+    def _shade(self, motion: CameraMotion, light: Light, rate: Light, *, with_rate: bool) -> None:
+        """Write the fine map's light into the light frame, and its rate if wanted."""
         height, width = light.shape
         ground, owners, facets = self._world.ground, self._owners, self._renderer.facets
         screen = self._world.pinhole.focal_px, width / 2, height / 2
         scalars = ground.unit_m, ground.grids, (min(ground.shape) - 1) / 2
-        view = screen, (motion.arrays[0], motion.turn), self._posts, scalars
+        camera = motion.arrays[0], motion.turn
+        smooth = *self._smooth, self._rates[0 if with_rate else 1]
+        moves = motion.of_directions
+        posts = self._posts, scalars
         limits = float(self._world.parameters.samples), _FAINT * float(light.mean())
 
         def shade(band: int, thread: int) -> None:
             rows, tile = _rows(band, height), self._tiles[thread]
-            shade_rows(rows, owners.facets, facets, *view, self._sun, tile, self._smooth)
+            shade_rows(rows, owners.facets, facets, screen, camera, moves, *posts, self._sun, tile, smooth)
 
         def refine(band: int, thread: int) -> None:
             rows, room = _rows(band, height), (self._tiles[thread], *self._lines[thread])
             both = owners.facets, owners.whole
-            shade_doubtful(rows, both, facets, *view, limits, self._sun, room, self._smooth, light)
+            shade_doubtful(rows, both, facets, screen, camera, *posts, limits, self._sun, room, smooth, (light, rate))
 
-        bands = -(-height // _BAND)
-        self._pool.each(shade, bands)
-        self._pool.each(refine, bands)
+        def follow(band: int, thread: int) -> None:
+            rows, moving = _rows(band, height), motion.of_ground
+            rate_of_doubtful(rows, (owners.facets, smooth[1]), facets, screen, moving, (light, rate))
+
+        for work in (shade, refine, follow) if with_rate else (shade, refine):
+            self._pool.each(work, -(-height // _BAND))
 
     def _together(self, work: Callable[[int], None]) -> None:
         self._pool.each(lambda share, _: work(share), self._threads)

@@ -9,10 +9,13 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["FIELDS", "MEANS", "PLACES", "TILE", "Floats32", "Ints32", "new_tile"]
+__all__ = ["FIELDS", "MEANS", "PLACES", "RATES", "TILE", "Floats32", "Ints32", "new_tile"]
 
 TILE = 64
 """Corners in a row of a tile; it has one pixel less."""
+
+RATES = 8 * TILE
+"""Place of the moments' rates behind the moments."""
 
 Floats32 = npt.NDArray[np.float32]
 Ints32 = npt.NDArray[np.int32]
@@ -38,7 +41,10 @@ BOX_U, BOX_V, HALF_U, HALF_V, STEP_U, STEP_V, WEIGHT, NEXT = range(50, 58)
 # Rays: half the range of lifts that is searched; in it the lift past the first hit, heights above the ray there and
 # before, and at the last place.
 REACH, PAST, ABOVE, BELOW, LAST = range(58, 63)
-FIELDS = 63
+# Pixels: rates of the footprint's middle on the ground and of the direction to the eye, a second; a short time; the
+# rate of light.
+MOVE_X, MOVE_Y, EYE_RATE_X, EYE_RATE_Y, EYE_RATE_Z, MOMENT_S, RATE = range(63, 70)
+FIELDS = 70
 
 # Whole numbers: a level, its first post, posts in its rows, rows; a post; a pixel.
 LEVEL, LEVEL_FIRST, LEVEL_COLUMNS, LEVEL_ROWS, POST, PIXEL = range(6)
@@ -50,10 +56,10 @@ MEANS = 5
 
 
 def new_tile() -> tuple[Floats32, Ints32, Floats32, npt.NDArray[np.float64]]:
-    """Return room for a tile: fields, places, moments of each pixel, inputs of the law."""
+    """Return room for a tile: fields, places, moments of each pixel and then their rates, inputs of the law."""
     return (
         np.zeros((FIELDS + 1) * TILE, np.float32),
         np.zeros(PLACES * TILE, np.int32),
-        np.zeros(8 * TILE, np.float32),
+        np.zeros(2 * RATES, np.float32),
         np.zeros((MEANS, TILE)),
     )

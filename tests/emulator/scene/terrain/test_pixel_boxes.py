@@ -6,12 +6,12 @@ from numba import njit
 from scipy.interpolate import RegularGridInterpolator
 
 from emulator.scene.terrain import tile
-from emulator.scene.terrain.box_moments import add_box, half_at
+from emulator.scene.terrain.box_moments import add_box, add_box_and_rate, half_at
 from emulator.scene.terrain.ground import MOMENTS
 from emulator.scene.terrain.pixel_boxes import box_means, footprints
 from emulator.scene.terrain.pixel_hits import level_for
 from emulator.scene.terrain.pixel_parts import shorter_side
-from emulator.scene.terrain.tile import TILE, new_tile
+from emulator.scene.terrain.tile import RATES, TILE, new_tile
 
 ROWS, COLUMNS, UNIT_M = 23, 31, 0.5
 POINTS = 400  # along each side of a box
@@ -51,6 +51,31 @@ def test_a_mean_is_that_of_ground_linear_between_posts(posts, x, y, half_x, half
     assert not sums[:MOMENTS].any()
     assert not sums[2 * MOMENTS :].any()
     np.testing.assert_allclose(sums[MOMENTS : 2 * MOMENTS], expected(posts, x, y, half_x, half_y), atol=2e-4)
+
+
+@njit
+def mean_and_rate(moments, level, box):
+    sums = np.zeros(RATES + 2 * MOMENTS, np.float32)
+    add_box_and_rate(moments, level, box, sums, MOMENTS)
+    return sums
+
+
+@pytest.mark.parametrize("half_x", [0.01, 1.37, 4.0])
+@pytest.mark.parametrize("move", [(1.0, 0.0), (0.0, 1.0), (-30.0, 20.0)])
+def test_the_rate_of_a_mean_is_its_change_as_the_box_moves(posts, half_x, move):
+    x, y, half_y, moment_s = 12.3, 9.1, 0.7, 1e-4
+    box = tuple(np.float32(v) for v in (x, y, half_x, half_y, 1 / (half_x * half_y), *move))
+    sums = mean_and_rate(flat(posts), (0, COLUMNS, ROWS), box)
+    np.testing.assert_array_equal(
+        sums[: 2 * MOMENTS], mean_over(flat(posts), (0, COLUMNS, ROWS), box[:5])[: 2 * MOMENTS]
+    )
+    later, before = (
+        expected(posts, x + sign * moment_s * move[0], y + sign * moment_s * move[1], half_x, half_y)
+        for sign in (1, -1)
+    )
+    rate = (later - before) / (2 * moment_s)
+    np.testing.assert_allclose(sums[RATES + MOMENTS :], rate, atol=2e-3 * np.abs(move).max())
+    assert not sums[2 * MOMENTS : RATES + MOMENTS].any()
 
 
 @njit
@@ -132,7 +157,7 @@ def test_the_next_level_counts_by_its_share(posts):
     s[tile.TAPS * TILE : (tile.TAPS + 1) * TILE] = 1.0
     s[tile.BOX_SIZE * TILE] = half_m * 2 / (8.0 * UNIT_M)
     table = levels, (UNIT_M, 1, 11.0), 1
-    box_means(1, moments, table, np.zeros(3), 8.0, s, places, sums)
+    box_means(1, moments, table, np.zeros(3), 8.0, False, s, places, sums)
     fine = expected(posts, 14.2, 10.4, 3.8, 3.8)
     ground = RegularGridInterpolator((np.arange(ROWS // 2 + 1), np.arange(COLUMNS // 2 + 1)), coarse.astype(np.float64))
     within = ((np.arange(POINTS) + 0.5) / POINTS * 2 - 1) * 1.9

@@ -8,7 +8,9 @@ import pytest
 from emulator.evaluation.accuracy.sampled_scenes import SampledTerrain
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Hapke, Lambert
+from emulator.raster.layout import FACET_FIELDS, W, WHighest, WLowest
 from emulator.scene.terrain.ground import MOMENTS, build_pyramid
+from emulator.scene.terrain.pixel_rate import rate_of_doubtful
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.relief import make_ridge
 from emulator.scene.terrain.table import Heightmap, Ridge, TerrainParameters
@@ -62,13 +64,111 @@ def test_light_is_that_of_every_facet_sampled(t_s, median, law):
     assert abs(light.mean() / truth.mean() - 1) < median
 
 
-def test_no_rate_is_given():
-    """That of the shading made more wrong events than a straight line."""
+def with_rate(p, t_ns, threads=1):
+    light, rate = (np.full(CAMERA.size[::-1], np.nan, np.float32) for _ in range(2))
+    with RasterTerrain(p, CAMERA, threads) as scene:
+        scene.light_and_rate(t_ns, light, rate)
+    return light, rate
+
+
+def difference(p, t_ns, side_ns=20_000_000):
+    """Return the rate over a time in which the change is far above rounding."""
+    return (looked_at(p, t_ns + side_ns) - looked_at(p, t_ns - side_ns)).astype(np.float64) / (2e-9 * side_ns)
+
+
+@pytest.mark.parametrize(("t_s", "median", "p90"), [(5, 0.02, 0.1), (40, 0.02, 0.1), (65, 0.08, 0.2)])
+@pytest.mark.parametrize("law", [Lambert(0.3), Hapke()])
+def test_the_rate_is_the_change_of_light(t_s, median, p90, law):
+    """Facets that give way to others make the light jump in some pixels, but not the rate; at 65 s little moves."""
+    p = parameters(reflectance=law)
+    _, rate = with_rate(p, t_s * 10**9)
+    change = difference(p, t_s * 10**9)
+    errors, middle = np.abs(rate - change), np.median(np.abs(change))
+    assert np.median(errors) < median * middle
+    assert np.percentile(errors, 90) < p90 * middle
+
+
+def test_the_rate_of_ground_seen_edge_on_follows_the_ground():
+    path = KeyframePath((Keyframe(0.0, (0.0, -300.0, 175.0)), Keyframe(10.0, (60.0, -250.0, 165.0))), (0.0, 0.0, 90.0))
+    p = parameters(camera=path, ground=dataclasses.replace(RIDGE, slope_deg=20.0))
     light, rate = (np.zeros(CAMERA.size[::-1], np.float32) for _ in range(2))
+    with RasterTerrain(p, CAMERA) as scene:
+        scene.light_and_rate(5 * 10**9, light, rate)
+        doubtful = scene._smooth[1] > 0
+    change = difference(p, 5 * 10**9)
+    assert doubtful.sum() > 100
+    errors = np.abs(rate - change)[doubtful]
+    assert np.median(errors) < 0.6 * np.median(np.abs(change[doubtful]))  # without a rate it is all of it
+    assert not rate[light == 0].any()
+
+
+def test_a_plane_s_rate_is_that_of_the_turning_view(tmp_path):
+    """The camera stands still and turns: light changes with the direction of view alone."""
+    np.save(tmp_path / "plane.npy", np.zeros((257, 257)))
+    flat = Heightmap(path=str(tmp_path / "plane.npy"), post_m=2.0)
+    half = np.radians(10.0) / 2
+    turned = (0.0, float(np.cos(half)), float(np.sin(half)), 0.0)
+    path = KeyframePath((Keyframe(0.0, (0.0, 0.0, 150.0), DOWN), Keyframe(1.0, (0.0, 0.0, 150.0), turned)))
+    p = parameters(ground=flat, camera=path, body_radius_m=0.0, reflectance=Hapke())
+    light, rate = with_rate(p, 500_000_000)
+    change = difference(p, 500_000_000)
+    assert np.abs(change).max() > 1e-2 * light.mean()
+    np.testing.assert_allclose(rate, change, atol=0.02 * np.abs(change).max())
+
+
+def test_light_is_the_same_with_its_rate():
+    p = parameters()
+    np.testing.assert_array_equal(with_rate(p, 10**10)[0], looked_at(p, 10**10))
+
+
+def test_what_changed_is_known_for_the_same_two_arrays_only():
+    light, rate, other = (np.zeros(CAMERA.size[::-1], np.float32) for _ in range(3))
     with RasterTerrain(parameters(), CAMERA) as scene:
-        assert not scene.has_rate
-        scene.light_and_rate(0, light, rate)
-    assert np.isnan(rate).all()
+        known = []
+        for second in (rate, rate, other, None, None):
+            if second is None:
+                scene.light(0, light)
+            else:
+                scene.light_and_rate(0, light, second)
+            known.append(scene.changed is not None)
+    assert known == [False, True, False, False, True]
+
+
+SCREEN = 40.0, 20.0, 10.0
+STANDING = np.zeros((3, 3)), np.zeros(3)
+
+
+def rate_by_gradient(light, motion, inverse_depth=0.1, doubtful=1):
+    facets = np.zeros((1, FACET_FIELDS))
+    facets[0, [W, WLowest, WHighest]] = inverse_depth
+    rate = np.full(light.shape, np.nan, np.float32)
+    pixels = np.zeros(light.shape, np.int32), np.full(light.shape, doubtful, np.uint8)
+    rate_of_doubtful((0, len(light)), pixels, facets, SCREEN, motion, (light.astype(np.float32), rate))
+    return rate
+
+
+@pytest.mark.parametrize(
+    ("motion", "flow"),
+    [
+        ((np.zeros((3, 3)), np.array([3.0, -2.0, 0.0])), lambda x, y: (12.0 + 0 * x, -8.0 + 0 * x)),
+        ((np.zeros((3, 3)), np.array([0.0, 0.0, -4.0])), lambda x, y: (0.4 * x, 0.4 * y)),
+        ((np.array([[0, -0.5, 0], [0.5, 0, 0], [0, 0, 0.0]]), np.zeros(3)), lambda x, y: (-0.5 * y, 0.5 * x)),
+    ],
+    ids=["aside", "ahead", "roll"],
+)
+def test_light_that_goes_with_the_ground_has_the_rate_of_its_gradient(motion, flow):
+    y, x = np.mgrid[:20, :40] + 0.5
+    light = 5 + np.sin(0.9 * x + 0.2) * np.cos(0.7 * y)
+    across, down = 0.9 * np.cos(0.9 * x + 0.2) * np.cos(0.7 * y), -0.7 * np.sin(0.9 * x + 0.2) * np.sin(0.7 * y)
+    u, v = flow(x - SCREEN[1], y - SCREEN[2])
+    inner = np.s_[3:-3, 3:-3]
+    rate = rate_by_gradient(light, motion)[inner]
+    np.testing.assert_allclose(rate, -(u * across + v * down)[inner], atol=0.06)
+
+
+def test_pixels_that_are_not_doubtful_keep_their_rate():
+    assert np.isnan(rate_by_gradient(np.ones((20, 40)), STANDING, doubtful=0)).all()
+    assert not rate_by_gradient(np.ones((20, 40)), STANDING).any()
 
 
 @pytest.mark.system
@@ -133,6 +233,8 @@ def test_threads_draw_the_same_to_the_last_bit():
     one = looked_at(p, 10**10)
     for threads in (2, 3):
         np.testing.assert_array_equal(one, looked_at(p, 10**10, threads=threads))
+    _, rate = with_rate(p, 10**10)
+    np.testing.assert_array_equal(rate, with_rate(p, 10**10, threads=3)[1])
 
 
 def light_at_one_au(p):
