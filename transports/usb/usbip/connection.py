@@ -257,13 +257,20 @@ class Connection(asyncio.Protocol):
     # Requests of the peer.
 
     def _advance(self) -> None:
-        """Process the received requests and send the possible answers."""
-        self._bus.attend()
+        """Process the received requests and send the possible answers.
+
+        The device is fed before a request that can change or report its state. A URB that only waits for data is
+        answered with what the device has, and gets newer data when they are due.
+        """
+        is_fed = False
         try:
             while self._writable:
                 message = self._parser.next_message()
                 if message is None:
                     break
+                if not is_fed and not _waits_for_data(message):
+                    self._bus.attend()
+                    is_fed = True
                 self._handle(message)
         except UsbipError as error:
             log.warning("%s: closed, the peer broke the protocol: %s", self.peer, error)
@@ -418,6 +425,11 @@ class Connection(asyncio.Protocol):
     def _operation_overdue(self) -> None:
         log.warning("%s: closed, no device requested within %g s", self.peer, self._settings.operation_timeout_s)
         self._transport.abort()
+
+
+def _waits_for_data(message: Request) -> bool:
+    """Return True for a URB that reads an endpoint of data."""
+    return isinstance(message, Submit) and message.is_in and message.endpoint != 0
 
 
 def _name(transport: asyncio.Transport) -> str:
