@@ -150,6 +150,7 @@ class Stream:
             self._reached_us += _STEP_US
             time.sleep(max(0.0, (self._begun_ns + self._reached_us * 1000 - MonotonicClock().now_ns()) * 1e-9))
             self._link.push(events, self._reached_us)
+            self._link.listen()  # a pipe full of old reports takes no new one
 
     def _next(self) -> Events:
         events = self._steps[self._reached_us % _BLOCK_US // _STEP_US].copy()
