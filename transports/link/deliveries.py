@@ -74,13 +74,19 @@ class LatencyHistogram:
     def __init__(self) -> None:
         self._counts = np.zeros(_BINS, np.int64)
         self._max_us: float | None = None
-        self._pending: list[npt.NDArray[np.floating[Any]]] = []
+        self._now_us: list[float] = []
+        self._pending: list[npt.NDArray[Any]] = []
         self._pending_count = 0
 
     def add(self, latency_us: npt.NDArray[np.floating[Any]]) -> None:
         """Count latencies, shape (n,), us, which stay unchanged; an event that leaves before its time counts as 0."""
-        self._pending.append(latency_us)
-        self._pending_count += len(latency_us)
+        self.add_times(-latency_us, 0.0)
+
+    def add_times(self, times_us: npt.NDArray[Any], now_us: float) -> None:
+        """Count the latencies at `now_us` of events of `times_us`, shape (n,), us, which stay unchanged."""
+        self._now_us.append(now_us)
+        self._pending.append(times_us)
+        self._pending_count += len(times_us)
         if self._pending_count >= _MOST_PENDING:
             self._count()
 
@@ -88,8 +94,9 @@ class LatencyHistogram:
         """Count the latencies that were added since the last call."""
         if not self._pending_count:
             return
-        latency_us = np.concatenate(self._pending)
-        self._pending, self._pending_count = [], 0
+        latency_us = np.repeat(self._now_us, [len(times) for times in self._pending])
+        latency_us -= np.concatenate(self._pending)
+        self._now_us, self._pending, self._pending_count = [], [], 0
         bins = _bins(latency_us)
         first = int(bins.min())
         counts = np.bincount(bins - first)
@@ -303,9 +310,9 @@ class Deliveries:
         now_us = (self.clock.now_ns() - origin_ns) / 1000
         device_us = events["t"].view(np.int64)
         if self._device_clock is None:
-            self.latency.add(now_us - device_us)
+            self.latency.add_times(device_us, now_us)
         else:
-            self.latency.add(now_us - self._device_clock.stream_us(device_us, max(0, int(now_us))))
+            self.latency.add_times(self._device_clock.stream_us(device_us, max(0, int(now_us))), now_us)
 
     def _follow(self, events: Events, epoch_us: int) -> bool:
         """Add events, (n,) EVENT in the time of the device's clock, to the digest; return True if it has restarted."""

@@ -37,7 +37,7 @@ from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol
+from typing import Protocol, TypeGuard
 
 from firmware_protocol.usb.device import NotReady, SetupPacket, Stall, Transfer, UsbDevice
 from firmware_protocol.usb.usbip import (
@@ -192,7 +192,8 @@ class Connection(asyncio.Protocol):
         """Process bytes from the peer."""
         if not self._leaving:
             self._parser.receive(data)
-            self._advance()
+            if self._handle_all():
+                self.answer()
 
     def pause_writing(self) -> None:
         """Stop reading, because the socket accepts no data and requests produce answers."""
@@ -203,7 +204,8 @@ class Connection(asyncio.Protocol):
         """Continue, because the kernel has accepted everything."""
         self._blocked = False
         self._settle()
-        self._advance()
+        self._handle_all()
+        self.answer()
         if not self._blocked:
             self._transport.resume_reading()
 
@@ -256,27 +258,30 @@ class Connection(asyncio.Protocol):
 
     # Requests of the peer.
 
-    def _advance(self) -> None:
-        """Process the received requests and send the possible answers.
+    def _handle_all(self) -> bool:
+        """Process the received requests; return True if the device may have an answer that it did not have before.
 
-        The device is fed before a request that can change or report its state. A URB that only waits for data is
-        answered with what the device has, and gets newer data when they are due.
+        The device is fed before a request that can change or report its state. A URB that only waits for data, behind
+        others of its endpoint, waits until new data are due.
         """
-        is_fed = False
+        is_fed = has_first = False
         try:
             while self._writable:
                 message = self._parser.next_message()
                 if message is None:
                     break
-                if not is_fed and not _waits_for_data(message):
-                    self._bus.attend()
+                if not _waits_for_data(message):
+                    if not is_fed:
+                        self._bus.attend()
                     is_fed = True
+                elif not self._pending.get(message.endpoint):
+                    has_first = True
                 self._handle(message)
         except UsbipError as error:
             log.warning("%s: closed, the peer broke the protocol: %s", self.peer, error)
             self._transport.abort()
-            return
-        self.answer()
+            return False
+        return is_fed or has_first
 
     def _handle(self, message: Request) -> None:
         match message:
@@ -427,7 +432,7 @@ class Connection(asyncio.Protocol):
         self._transport.abort()
 
 
-def _waits_for_data(message: Request) -> bool:
+def _waits_for_data(message: Request) -> TypeGuard[Submit]:
     """Return True for a URB that reads an endpoint of data."""
     return isinstance(message, Submit) and message.is_in and message.endpoint != 0
 
