@@ -94,6 +94,7 @@ class EarlyUnlinks:
 
 log = logging.getLogger(__name__)
 
+_RECEIVED_BYTES = 1 << 16  # asyncio by itself would map and unmap 256 kB of memory for each request of 48 bytes
 _DEVICE_GONE = -108  # ESHUTDOWN, as a host sees it
 
 
@@ -153,7 +154,7 @@ class UrbObserver(Protocol):
         """Register that the host cancels a URB, before that URB's end."""
 
 
-class Connection(asyncio.Protocol):
+class Connection(asyncio.BufferedProtocol):
     """Server's end of one connection."""
 
     _transport: asyncio.Transport
@@ -163,6 +164,7 @@ class Connection(asyncio.Protocol):
         self._settings = settings
         self._observer = observer
         self._parser = ServerParser(settings.limits)
+        self._received = bytearray(_RECEIVED_BYTES)
         self._device: UsbDevice | None = None
         # Endpoint number -> the URBs that wait there by sequence number, oldest first.
         self._pending: dict[int, OrderedDict[int, Submit]] = {}
@@ -188,10 +190,14 @@ class Connection(asyncio.Protocol):
         loop = asyncio.get_running_loop()
         self._timeout = loop.call_later(self._settings.operation_timeout_s, self._operation_overdue)
 
-    def data_received(self, data: bytes) -> None:
+    def get_buffer(self, sizehint: int) -> bytearray:
+        """Return the memory for the next bytes from the peer."""
+        return self._received
+
+    def buffer_updated(self, nbytes: int) -> None:
         """Process bytes from the peer."""
         if not self._leaving:
-            self._parser.receive(data)
+            self._parser.receive(memoryview(self._received)[:nbytes])
             if self._handle_all():
                 self.answer()
 
