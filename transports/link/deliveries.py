@@ -58,11 +58,15 @@ _BINS = _EVEN_BINS + math.ceil(math.log(_YEAR_US / _EVEN_US, _RATIO))
 
 @dataclass(frozen=True)
 class LatencySummary:
-    """Latency from an event's own time to the sending of its bytes, us; None where nothing was measured."""
+    """Latency from an event's own time to the sending of its bytes, us; None where nothing was measured.
+
+    `p999` is the 99.9th percentile.
+    """
 
     p50: float | None = None
     p99: float | None = None
     max: float | None = None
+    p999: float | None = None
 
 
 class LatencyHistogram:
@@ -102,11 +106,12 @@ class LatencyHistogram:
         self._counts[: len(counts)] += counts
 
     def summary(self) -> LatencySummary:
-        """Return median, 99th percentile (upper edge of the bin, never above the maximum) and maximum."""
+        """Return median, 99th and 99.9th percentile (upper edge of the bin, never above the maximum) and maximum."""
         self._count()
         if self._max_us is None:
             return LatencySummary()
-        return LatencySummary(self._quantile_us(0.5), self._quantile_us(0.99), self._max_us)
+        p50, p99, p999 = map(self._quantile_us, (0.5, 0.99, 0.999))
+        return LatencySummary(p50, p99, self._max_us, p999)
 
     def _quantile_us(self, share: float) -> float:
         cumulative = np.cumsum(self._counts)
