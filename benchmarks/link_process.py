@@ -40,6 +40,7 @@ __all__ = ["main"]
 
 EVENT_NS = 667  # 1.5 Mev/s
 _STEP_US = 1000
+_LEAD_NS = 5_000_000  # events are published so long before they are due, as in a run
 _BLOCK_US = 1_000_000
 _PATIENCE_S = 60.0
 _LEAST = 0.95  # of the events, by links that can carry all
@@ -140,7 +141,7 @@ class Stream:
         self._steps = np.split(block, np.searchsorted(block["t"], np.arange(_STEP_US, _BLOCK_US, _STEP_US)))
         self._reached_us = 0
         self._begun_ns = MonotonicClock().now_ns()
-        link.start(self._begun_ns)
+        link.start(self._begun_ns + _LEAD_NS)
 
     def go_on(self, seconds: float) -> None:
         """Push the events of the next seconds, each step at its end."""
@@ -150,6 +151,7 @@ class Stream:
             self._reached_us += _STEP_US
             time.sleep(max(0.0, (self._begun_ns + self._reached_us * 1000 - MonotonicClock().now_ns()) * 1e-9))
             self._link.push(events, self._reached_us)
+            self._link.listen()  # a pipe full of old reports takes no new one
 
     def _next(self) -> Events:
         events = self._steps[self._reached_us % _BLOCK_US // _STEP_US].copy()

@@ -32,7 +32,7 @@ from transports.faults.kinds import Fault
 from transports.link.deliveries import DeliveryTally
 from transports.link.loop import Happen, InjectFault, Stop
 from transports.link.pacing import Clock
-from transports.link.process import STOP_SIGNALS, LinkSetup, run_link
+from transports.link.process import STOP_SIGNALS, LinkSetup, run_link_process
 from transports.link.report import CameraSettings, LinkReport, Occurrence
 from transports.recording.format import with_addition
 from transports.recording.part import RecordingSummary
@@ -243,7 +243,9 @@ class LinkProcess:
         setup = dataclasses.replace(self._setup, tally=self._tally, record=self._record(), endpoint=endpoint)
         context = multiprocessing.get_context("spawn")
         self._control, theirs = context.Pipe()
-        self._process = context.Process(target=run_link, args=(setup, theirs), name=f"evstim {self.name}", daemon=True)
+        self._process = context.Process(
+            target=run_link_process, args=(setup, theirs), name=f"evstim {self.name}", daemon=True
+        )
         with starting_a_link(setup):
             self._process.start()
         theirs.close()

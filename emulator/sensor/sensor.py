@@ -29,12 +29,14 @@ from emulator.sensor.chip.scan import ScanReadOut
 from emulator.sensor.chip.sources import BackgroundEvents, Particles
 from emulator.sensor.methods.base import MakePixels, PixelMethod
 from emulator.sensor.methods.large_signal import LargeSignalPixels
+from emulator.sensor.noise.draws import insert
 from emulator.sensor.noise.grid import NoisyPixels
 from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.parameters import DefectParameters, KickParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
 from emulator.sensor.pixels.state import draw
+from emulator.sensor.pixels.workers import EventBuffers
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events
 
@@ -193,6 +195,17 @@ class AdjustableSource(Protocol):
         """Set one of them from now on; raises ValueError."""
 
 
+def _load_rare_kernels() -> None:
+    """Load the kernels that a flash at a few pixels does not reach: loading one takes 10 ms, which a run has not.
+
+    They merge the events of two threads, and insert the noise events of a step.
+    """
+    key = np.zeros(1, np.uint64)
+    EventBuffers().add([key, key], (0, 10), 0)
+    none, one = ((np.empty(n, np.int64), np.empty(n, np.uint32), np.empty(n, np.bool_)) for n in (0, 1))
+    insert(key, 0, 10, none, one)
+
+
 class Sensor:
     """A sensor from light to events.
 
@@ -305,6 +318,7 @@ class Sensor:
         everything = Region(0, 16, 0, 16, np.array([[0, 16, 0, 16]]))
         flashed.expose(LightFrame(1_000_000, bright, dark, changed=everything))
         flashed.finish()
+        _load_rare_kernels()
 
     def reset(self, frame: LightFrame) -> None:
         """Start at rest on the light of `frame`, at its time; nothing is pending, all counters are zero."""

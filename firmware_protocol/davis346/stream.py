@@ -30,7 +30,7 @@ from firmware_protocol.davis346.words import (
     is_row,
 )
 from firmware_protocol.device.items import Numbers, Reading, count_kinds
-from firmware_protocol.events import Events, empty_events, join_events
+from firmware_protocol.events import Edges, Events, empty_edges, empty_events, join_events
 from firmware_protocol.usb.device import Transfer
 
 __all__ = ["Batch", "EventStream", "Fifo", "Flushed", "Late"]
@@ -182,15 +182,14 @@ class Fifo:
             some, completed, completed_marks, blocks = batch.take(room)
             words.append(some)
             events.append(completed)
-            marks.append(completed_marks)
+            if len(completed_marks):
+                marks.append(completed_marks)
             readings += [block.reading for block in blocks]
             room -= len(some)
             if batch.is_empty:
                 self._batches.popleft()
-        data = b"".join(part.data for part in words)
-        all_marks = np.concatenate(marks)
-        edges = edges_of(all_marks["t"], all_marks["code"])
-        transfer = Transfer(join_events(events), edges, epoch_us, tuple(readings), data)
+        data = b"".join([part.data for part in words])
+        transfer = Transfer(join_events(events), _edges_of(marks), epoch_us, tuple(readings), data)
         self._used -= len(data) // 2
         self.waiting = self.waiting.less(transfer.numbers)
         return transfer
@@ -207,6 +206,14 @@ class Fifo:
             self.waiting = self.waiting.plus(batch.numbers)
             self._batches.append(batch)
         return batch
+
+
+def _edges_of(marks: list[Marks]) -> Edges:
+    """Return the (n,) EDGE records that a reader makes of marks."""
+    if not marks:
+        return empty_edges()
+    joined = np.concatenate(marks)
+    return edges_of(joined["t"], joined["code"])
 
 
 _WRAP_SHARE = 8
@@ -299,7 +306,9 @@ class EventStream:
         words = queued.encoded.words
         if len(words) < len(encoded.words):
             self._encoder.state = before.after(words)
-        self.rows += int(np.count_nonzero(is_row(words)))
+            self.rows += int(np.count_nonzero(is_row(words)))
+        else:
+            self.rows += self._encoder.rows
         return Late(len(events) - len(queued.events), marks[len(queued.marks) :], blocks[len(queued.blocks) :])
 
     def advance(self, now_us: int) -> None:

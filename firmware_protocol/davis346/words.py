@@ -177,12 +177,18 @@ class WordEncoder:
         (width, height) of the array; events outside are refused.
     turned
         True for the chip's own coordinates, turned by 90 degrees: the row word carries x, the column word y.
+
+    Attributes
+    ----------
+    rows
+        Number of row words of the last call of `encode`.
     """
 
     def __init__(self, size: tuple[int, int] = (MAX_ADDRESS + 1, MAX_ADDRESS + 1), turned: bool = False) -> None:
         if not all(0 < n <= MAX_ADDRESS + 1 for n in size):
             raise ValueError(f"an array of {size[0]} x {size[1]} does not fit the 12-bit addresses of DAVIS words")
         self.state = WordState()
+        self.rows = 0
         self._size = size
         self._turned = turned
         self._make_tables(_PORTION)
@@ -229,30 +235,33 @@ class WordEncoder:
         """
         before = self.state
         pieces: list[Words] = []
+        self.rows = 0
         try:
             placed = with_places(no_marks() if marks is None else marks, blocks)
             for some, between in _portions(events, placed):
-                pieces.extend(self._encode_portion(some, between, epoch_us))
+                self._encode_portion(some, between, epoch_us, pieces)
         except ValueError:
             self.state = before
             raise
-        words = np.concatenate(pieces) if pieces else np.empty(0, WORD)
-        return Encoded(*put_in_place(words, blocks))
+        return Encoded(*put_in_place(_joined(pieces), blocks))
 
-    def _encode_portion(self, events: Events, marks: Marks, epoch_us: int) -> Iterator[Words]:
+    def _encode_portion(self, events: Events, marks: Marks, epoch_us: int, pieces: list[Words]) -> None:
+        """Append the words of one portion to `pieces`."""
         items = timed_words(self._device_time(events["t"], epoch_us), *self._addresses(events), events["on"])
         if len(marks):
             items = items.merged(self._device_time(marks["t"], epoch_us), marks["code"], self.state.row)
         for start, stop in _between_wraps(items.time_us):
-            yield self._wraps_before(int(items.time_us[start]))
-            yield self._encode_run(items[start:stop])
+            wraps = self._wraps_before(int(items.time_us[start]))
+            if len(wraps):
+                pieces.append(wraps)
+            pieces.append(self._encode_run(items[start:stop]))
 
     def _device_time(self, t: npt.NDArray[np.uint64], epoch_us: int) -> npt.NDArray[np.int64]:
         time_us = t.astype(np.int64)
         time_us -= epoch_us
         if len(time_us) and time_us[0] < self.state.time_us:
             raise ValueError(f"event at {time_us[0]} us comes after device time {self.state.time_us} us has passed")
-        if (time_us[1:] < time_us[:-1]).any():
+        if np.logical_or.reduce(time_us[1:] < time_us[:-1]):
             raise ValueError("events must be sorted by time")
         return time_us
 
@@ -279,9 +288,9 @@ class WordEncoder:
         np.not_equal(items.rows[1:], items.rows[:-1], out=wanted[1:, 1])
         row = int(items.rows[-1])
         self.state = WordState(int(items.time_us[-1]), -1 if row == NO_ROW else row)
-        if wanted.all():
-            return table.ravel().copy()
-        return np.compress(wanted.ravel(), table.ravel())
+        self.rows += int(np.count_nonzero(wanted[:, 1]))
+        words: Words = table.ravel().compress(wanted.ravel())
+        return words
 
     def _addresses(self, events: Events) -> tuple[Words, Words]:
         """Return contiguous (rows, columns) of `events` in the coordinates that are sent."""
@@ -294,6 +303,13 @@ class WordEncoder:
         self._table = np.empty((n, 3), WORD)
         self._wanted = np.empty((n, 3), np.bool_)
         self._wanted[:, 2] = True
+
+
+def _joined(pieces: list[Words]) -> Words:
+    """Return the pieces one after another."""
+    if len(pieces) == 1:
+        return pieces[0]
+    return np.concatenate(pieces) if pieces else np.empty(0, WORD)
 
 
 def _portions(events: Events, marks: Marks) -> Iterator[tuple[Events, Marks]]:

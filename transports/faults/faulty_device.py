@@ -329,6 +329,8 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
 
     def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
         """See `UsbDevice.read`."""
+        if not self._faults.stages and endpoint not in self._halted:
+            return self._read(endpoint, max_bytes)
         for stage in [stage for stage in self._endpoint_stages if stage.endpoint == endpoint]:
             if stage.stalls and endpoint not in self._halted:
                 self._halt(stage)

@@ -23,12 +23,12 @@ from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from pathlib import Path
 
 from firmware_protocol.gige.control import DeviceTime
 from firmware_protocol.imx636.triton2_control import Triton2Control
 from firmware_protocol.imx636.triton2_registers import Triton2Settings
 from transports.gige.sockets import ControlSockets
+from transports.priority import MOST_NICE, run_before_others
 
 __all__ = [
     "TIME_CELLS",
@@ -50,8 +50,6 @@ TIME_CELLS = 2
 _TURN_MS = 50
 _COUNTS_PERIOD_NS = 100_000_000
 _MOST_PRIORITY = 99
-_LEAST_NICE = -20
-_AUTOGROUP = Path("/proc/self/autogroup")
 
 
 @dataclass(frozen=True)
@@ -195,23 +193,16 @@ class _Answering:
 
 
 def _run_before_others() -> None:
-    """Set the highest permitted priority: one above the link's inherited real-time priority, or nice -20."""
-    with suppress(PermissionError):
-        if os.sched_getscheduler(0) == os.SCHED_FIFO:
-            priority = min(_MOST_PRIORITY, os.sched_getparam(0).sched_priority + 1)
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        else:
-            os.setpriority(os.PRIO_PROCESS, 0, _LEAST_NICE)
-            _run_before_other_sessions()
-
-
-def _run_before_other_sessions() -> None:
-    """Set the priority of this session too: Linux divides processors by session, and nice counts only within one.
+    """Set the highest permitted priority: one above the link's inherited real-time priority, or nice -20.
 
     Without it some answers waited for seconds on two cores with two busy processes.
     """
-    with suppress(OSError):  # a kernel that divides processors by process has no such file
-        _AUTOGROUP.write_text(str(_LEAST_NICE))
+    if os.sched_getscheduler(0) != os.SCHED_FIFO:
+        run_before_others(MOST_NICE)
+        return
+    with suppress(PermissionError):
+        priority = min(_MOST_PRIORITY, os.sched_getparam(0).sched_priority + 1)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
 
 
 def main() -> None:

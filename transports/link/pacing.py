@@ -69,6 +69,6 @@ class FineSelector(selectors.DefaultSelector):
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
         """Return the ready objects, at the latest after `timeout` seconds."""
-        if timeout is None or timeout > 0:
-            select.select([self.fileno()], [], [], timeout)
+        if (timeout is None or timeout > 0) and not select.select([self.fileno()], [], [], timeout)[0]:
+            return []
         return super().select(0)

@@ -39,10 +39,11 @@ from transports.link.loop import LinkLoop
 from transports.link.pacing import Clock, FineSelector, MonotonicClock
 from transports.link.report import CameraSettings, ChangeWatch, LinkReport, Occurrence
 from transports.link.rings import FOREVER_US, FREE_RUNNING, EventRing, ReadingRing
+from transports.priority import LINK_NICE, run_before_others
 from transports.recording.live import AnyRecorder, ForwardingRecorder, open_recorder
 from transports.recording.part import Facts
 
-__all__ = ["STOP_SIGNALS", "Link", "LinkSetup", "run_link"]
+__all__ = ["STOP_SIGNALS", "Link", "LinkSetup", "run_link", "run_link_process"]
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end a run: to the session alone or to its whole process group."""
@@ -338,13 +339,21 @@ def _recorder(setup: LinkSetup[Any]) -> AnyRecorder | ForwardingRecorder | None:
     return own if setup.deliveries is None else ForwardingRecorder(setup.deliveries, own)
 
 
+def run_link_process(setup: LinkSetup[Any], control: Connection) -> None:
+    """Run one link in the process of which this is the target; the session, which computes all the time, yields to it.
+
+    Orders of the session come through `control`, signals to its group of processes do not come here.
+    """
+    run_before_others(LINK_NICE)
+    run_link(setup, control)
+
+
 def run_link(setup: LinkSetup[Any], control: Connection) -> None:
-    """Run one link until the session sends Stop or ends. The target of the link's process."""
+    """Run one link until the session sends Stop or ends."""
     for number in STOP_SIGNALS:  # they are for the session, which then sends Stop
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
     log = log_in_background()
-    gc.freeze()
     with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(FineSelector())) as runner:
         runner.run(_serve(setup, control))
     log.drain()
@@ -362,6 +371,7 @@ async def _report_all(setup: LinkSetup[Any], control: Connection) -> None:
         _take_priority(setup.fifo_priority)
         link = Link(setup, clock)
         await link.endpoint.start()
+        gc.freeze()  # what is loaded stays: a full collection of numba's objects alone takes some ten milliseconds
     except OSError as error:
         control.send(LinkReport("failed", final=True, error=str(error)))
         return

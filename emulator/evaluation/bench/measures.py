@@ -110,6 +110,8 @@ MEASURES = (
     *(Measure(f"gpu_frame_{w}x{h}", "ms", "lower", None, Drawing((w, h))) for w, h in (SMALL, LARGE)),
     Measure("serial_fill", "%", "higher", 98, serial_line.serial_fill),
     Measure("usbip_events", "Mev/s", "higher", 12, link.usbip_events),
-    Measure("latency_p50", "us", "lower", 2000, link.latency_p50),
-    Measure("latency_p99", "us", "lower", 5000, link.latency_p99),
+    Measure("latency_p50", "us", "lower", 1000, link.latency_p50),
+    Measure("latency_p99", "us", "lower", 3000, link.latency_p99),
+    Measure("latency_p999", "us", "lower", 10_000, link.latency_p999),
+    Measure("late_steps", "steps", "lower", 0, link.late_steps),
 )

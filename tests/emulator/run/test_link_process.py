@@ -1,5 +1,6 @@
 """The session's end of a link: hosts come and go while its process runs. The contract of links: tests/evstim."""
 
+import os
 from functools import partial
 
 import numpy as np
@@ -11,6 +12,7 @@ from firmware_protocol.davis346 import Davis346, Davis346Settings
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
+from transports.priority import LINK_NICE
 from transports.usb.davis_host import DavisHost
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.server import UsbipFactory
@@ -51,3 +53,16 @@ def test_hosts_come_and_go():
     report = link.stop(1.0)
     assert report.delivered == 6000
     assert report.dropped == report.dropped_in_device == 0
+
+
+@pytest.mark.socket
+def test_a_link_runs_in_a_session_of_its_own_and_before_the_session_that_feeds_it():
+    setup = LinkSetup("usbip", EventRing(), partial(Davis346, Davis346Settings()), UsbipFactory("127.0.0.1", 0, "1-1"))
+    link = LinkProcess(setup, MonotonicClock())
+    try:
+        link.wait_ready()
+        assert os.getsid(link.pid) == link.pid
+        if os.geteuid() == 0:
+            assert os.getpriority(os.PRIO_PROCESS, link.pid) == LINK_NICE
+    finally:
+        link.stop(0.0)

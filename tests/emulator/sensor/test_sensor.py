@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from emulator.light import LightFrame
+from emulator.sensor import sensor as sensor_module
 from emulator.sensor.chip.defects import at_temperature, draw_defects
 from emulator.sensor.chip.readout import ArbiterReadOut
 from emulator.sensor.methods.other_simulators import Pangu
@@ -24,9 +25,10 @@ from emulator.sensor.parameters import (
     RadiationParameters,
     TemperatureParameters,
 )
+from emulator.sensor.pixels import workers
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import Field
-from emulator.sensor.presets import ReadoutParameters, SensorParameters
+from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
 
 ALPHA = 1e-4
@@ -372,3 +374,12 @@ def test_time_does_not_go_back_and_the_picture_must_fit():
     with pytest.raises(ValueError, match="must be"):
         sensor.expose(LightFrame(6 * MS, np.ones((3, 3), np.float32)))
     assert len(sensor.expose(LightFrame(5 * MS, still()))) == 0
+
+
+def test_the_kernels_of_a_later_step_are_loaded_before_the_first(monkeypatch):
+    """Those that merge the events of two threads and insert noise events: a flash of few pixels needs neither."""
+    loaded = []
+    monkeypatch.setattr(sensor_module, "insert", lambda *_: loaded.append("insert"))
+    monkeypatch.setattr(workers, "unpack_both", lambda *_: loaded.append("unpack_both"))
+    Sensor(PRESETS["davis346"], 0).warm_up()
+    assert {"insert", "unpack_both"} <= set(loaded)

@@ -15,7 +15,8 @@ from firmware_protocol.device.event_device import ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.events import EVENT
 from firmware_protocol.frames import line_record
-from firmware_protocol.usb.usbip import ImportRequest
+from firmware_protocol.usb.device import SetupPacket
+from firmware_protocol.usb.usbip import ImportRequest, Submit
 from transports.faults.script import FaultPlan
 from transports.faults.usb import UsbUnplugged
 from transports.link.edges import EdgeTrain, ListedEdges
@@ -317,6 +318,40 @@ def test_a_host_attaches_a_camera_that_has_been_fed_up_to_now(new_bench):
     bench.run(1)
     host.close()
     assert bench.link._device.attached_us == [777_700]
+
+
+def requests_of(urbs, new_bench):
+    """Attach a host that sends `urbs` at 777.7 ms; return the times of feeding in the 0.3 ms after that."""
+    bench = new_bench(UsbipFactory("127.0.0.1", 0, "1-1"))
+    bench.publish_all(1)
+    host, server = socket.socketpair()
+    fed_us = []
+
+    async def serve():
+        await bench.link.endpoint._server.serve(server)
+
+    def send():
+        advance = bench.link._advance
+        bench.link._advance = lambda *time: (fed_us.append(bench.now_us), advance(*time))
+        host.sendall(b"".join(map(bytes, urbs)))
+
+    bench.at(100, lambda: bench.loop.create_task(serve()))
+    bench.at(200, lambda: host.sendall(bytes(ImportRequest("1-1"))))
+    bench.at(300, lambda: host.sendall(bytes(Submit(1, 0, False, 0, 0, bytes(SetupPacket(0, 9, 1, 0, 0))))))
+    bench.at(777.7, send)
+    bench.run(1)
+    host.close()
+    return [t_us for t_us in fed_us if t_us < 778_000]
+
+
+def test_a_urb_that_waits_for_data_does_not_feed_the_camera(new_bench):
+    reads = [Submit(seqnum, 0, True, 2, 8192) for seqnum in (2, 3)]
+    assert 777_700 not in requests_of(reads, new_bench)
+
+
+def test_a_request_behind_urbs_that_wait_feeds_the_camera_first(new_bench):
+    get_status = Submit(4, 0, True, 0, 2, bytes(SetupPacket(0x80, 0, 0, 0, 2)))
+    assert 777_700 in requests_of([Submit(2, 0, True, 2, 8192), get_status], new_bench)
 
 
 @pytest.mark.parametrize("early", [False, True])

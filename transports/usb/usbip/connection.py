@@ -37,7 +37,7 @@ from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Protocol
+from typing import Protocol, TypeGuard
 
 from firmware_protocol.usb.device import NotReady, SetupPacket, Stall, Transfer, UsbDevice
 from firmware_protocol.usb.usbip import (
@@ -94,6 +94,7 @@ class EarlyUnlinks:
 
 log = logging.getLogger(__name__)
 
+_RECEIVED_BYTES = 1 << 16  # asyncio by itself would map and unmap 256 kB of memory for each request of 48 bytes
 _DEVICE_GONE = -108  # ESHUTDOWN, as a host sees it
 
 
@@ -153,7 +154,7 @@ class UrbObserver(Protocol):
         """Register that the host cancels a URB, before that URB's end."""
 
 
-class Connection(asyncio.Protocol):
+class Connection(asyncio.BufferedProtocol):
     """Server's end of one connection."""
 
     _transport: asyncio.Transport
@@ -163,6 +164,7 @@ class Connection(asyncio.Protocol):
         self._settings = settings
         self._observer = observer
         self._parser = ServerParser(settings.limits)
+        self._received = bytearray(_RECEIVED_BYTES)
         self._device: UsbDevice | None = None
         # Endpoint number -> the URBs that wait there by sequence number, oldest first.
         self._pending: dict[int, OrderedDict[int, Submit]] = {}
@@ -188,11 +190,16 @@ class Connection(asyncio.Protocol):
         loop = asyncio.get_running_loop()
         self._timeout = loop.call_later(self._settings.operation_timeout_s, self._operation_overdue)
 
-    def data_received(self, data: bytes) -> None:
+    def get_buffer(self, sizehint: int) -> bytearray:
+        """Return the memory for the next bytes from the peer."""
+        return self._received
+
+    def buffer_updated(self, nbytes: int) -> None:
         """Process bytes from the peer."""
         if not self._leaving:
-            self._parser.receive(data)
-            self._advance()
+            self._parser.receive(memoryview(self._received)[:nbytes])
+            if self._handle_all():
+                self.answer()
 
     def pause_writing(self) -> None:
         """Stop reading, because the socket accepts no data and requests produce answers."""
@@ -203,7 +210,8 @@ class Connection(asyncio.Protocol):
         """Continue, because the kernel has accepted everything."""
         self._blocked = False
         self._settle()
-        self._advance()
+        self._handle_all()
+        self.answer()
         if not self._blocked:
             self._transport.resume_reading()
 
@@ -256,20 +264,30 @@ class Connection(asyncio.Protocol):
 
     # Requests of the peer.
 
-    def _advance(self) -> None:
-        """Process the received requests and send the possible answers."""
-        self._bus.attend()
+    def _handle_all(self) -> bool:
+        """Process the received requests; return True if the device may have an answer that it did not have before.
+
+        The device is fed before a request that can change or report its state. A URB that only waits for data, behind
+        others of its endpoint, waits until new data are due.
+        """
+        is_fed = has_first = False
         try:
             while self._writable:
                 message = self._parser.next_message()
                 if message is None:
                     break
+                if not _waits_for_data(message):
+                    if not is_fed:
+                        self._bus.attend()
+                    is_fed = True
+                elif not self._pending.get(message.endpoint):
+                    has_first = True
                 self._handle(message)
         except UsbipError as error:
             log.warning("%s: closed, the peer broke the protocol: %s", self.peer, error)
             self._transport.abort()
-            return
-        self.answer()
+            return False
+        return is_fed or has_first
 
     def _handle(self, message: Request) -> None:
         match message:
@@ -418,6 +436,11 @@ class Connection(asyncio.Protocol):
     def _operation_overdue(self) -> None:
         log.warning("%s: closed, no device requested within %g s", self.peer, self._settings.operation_timeout_s)
         self._transport.abort()
+
+
+def _waits_for_data(message: Request) -> TypeGuard[Submit]:
+    """Return True for a URB that reads an endpoint of data."""
+    return isinstance(message, Submit) and message.is_in and message.endpoint != 0
 
 
 def _name(transport: asyncio.Transport) -> str:
