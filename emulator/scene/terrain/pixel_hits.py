@@ -12,10 +12,13 @@ step that ends below ground.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
 from emulator.raster.layout import Floats, Ints, W, WHighest, WLowest
+from emulator.scene.terrain.ground import Halves
 from emulator.scene.terrain.tile import (
     ABOVE,
     ABOVE_W,
@@ -65,7 +68,9 @@ from emulator.scene.terrain.tile import (
 from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 
 __all__ = [
+    "Posts",
     "Screen",
+    "Sight",
     "Table",
     "clamp",
     "corner_hits",
@@ -80,6 +85,39 @@ __all__ = [
 Table = npt.NDArray[np.int64]
 Screen = tuple[float, float, float]
 """Focal length in pixels, column and row of the boresight."""
+
+
+class Sight(NamedTuple):
+    """The facets that a camera sees, and the camera.
+
+    Attributes
+    ----------
+    owner : of `raster.Owners`.
+    facets : of `Renderer.facets`.
+    place : of the camera in the world (3,).
+    turn : camera_from_world (3, 3).
+    """
+
+    owner: Ints
+    facets: Floats
+    screen: Screen
+    place: Floats
+    turn: Floats
+
+
+class Posts(NamedTuple):
+    """The fine map: heights, moments and table of a `Pyramid`.
+
+    Attributes
+    ----------
+    ground : unit in metres, how many grids, posts from their middle to their side.
+    """
+
+    heights: Floats32
+    moments: Halves
+    levels: Table
+    ground: tuple[float, int, float]
+
 
 _TINY = np.float32(1e-12)
 _LEAST, _MOST = np.float32(0.5), np.float32(2.0)  # slope of a secant
@@ -130,36 +168,24 @@ def keep_row(s: Floats32) -> None:
 
 
 @vector_kernel
-def corner_hits(
-    at: tuple[int, int],
-    owner: Ints,
-    facets: Floats,
-    screen: Screen,
-    camera: tuple[Floats, Floats],
-    heights: Floats32,
-    levels: Table,
-    ground: tuple[float, int, float],
-    s: Floats32,
-    places: Ints32,
-) -> None:
+def corner_hits(at: tuple[int, int], sight: Sight, posts: Posts, s: Floats32, places: Ints32) -> None:
     """Write the hits of a row of corners, relative to the camera, and the planes of the pixels right of them and below.
 
     Parameters
     ----------
     at : row and first column.
-    camera : place in the world (3,), camera_from_world (3, 3).
-    ground : unit in metres, how many grids, posts from their middle to their side.
     """
-    _planes(at, owner, facets, screen, camera[1], s)
-    _on_facets(at, screen, camera[1], ground[0], s)
-    write_levels(TILE, (levels, ground, len(levels) - 2), camera[0], (X, Y, SIZE), s, places)
-    meet_map(heights, np.float32(camera[0][2]), s, places)
+    _planes(at, sight, s)
+    _on_facets(at, sight.screen, sight.turn, posts.ground[0], s)
+    table = posts.levels, posts.ground, len(posts.levels) - 2
+    write_levels(TILE, table, sight.place, (X, Y, SIZE), s, places)
+    meet_map(posts.heights, np.float32(sight.place[2]), s, places)
 
 
 @vector_kernel
-def _planes(at: tuple[int, int], owner: Ints, facets: Floats, screen: Screen, turn: Floats, s: Floats32) -> None:
+def _planes(at: tuple[int, int], sight: Sight, s: Floats32) -> None:
     """Write w and its change of each pixel's facet, and the height of its normal; no change without a facet."""
-    focal, cx, cy = screen
+    owner, facets, (focal, cx, cy), _, turn = sight
     height, width = owner.shape
     row = min(at[0], height - 1)
     for k in range(TILE):

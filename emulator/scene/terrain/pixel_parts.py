@@ -20,11 +20,11 @@ import math
 
 import numpy as np
 
-from emulator.raster.layout import Floats, Ints, W, WHighest, WLowest
+from emulator.raster.layout import Floats, W, WHighest, WLowest
 from emulator.scene.terrain.block_vertices import GRAZING
-from emulator.scene.terrain.ground import BP, BQ, MOMENTS, B, Halves
+from emulator.scene.terrain.ground import BP, BQ, MOMENTS, B
 from emulator.scene.terrain.pixel_boxes import box_means
-from emulator.scene.terrain.pixel_hits import Screen, Table, meet_first, meet_map, write_levels
+from emulator.scene.terrain.pixel_hits import Posts, Screen, Sight, meet_first, meet_map, write_levels
 from emulator.scene.terrain.tile import (
     BOX_SIZE,
     DOUBT,
@@ -102,17 +102,12 @@ def shorter_side(ax: float, ay: float, bx: float, by: float, most: float) -> flo
 
 @kernel
 def part_means(
-    row: int,
-    listed: tuple[int, int],
+    listed: tuple[int, int, int],
     edge_on: bool,
+    sight: Sight,
+    posts: Posts,
+    top: int,
     samples: float,
-    owner: Ints,
-    facets: Floats,
-    screen: Screen,
-    camera: tuple[Floats, Floats],
-    heights: Floats32,
-    moments: Halves,
-    posts: tuple[Table, tuple[float, int, float], int],
     towards: Floats,
     room: tuple[Floats32, Ints32, Floats32, Floats],
     line: Floats,
@@ -121,29 +116,30 @@ def part_means(
 
     Parameters
     ----------
-    listed : first of the columns listed in `line`, and the one after the last.
+    listed : row, first of its columns listed in `line`, and the one after the last.
     edge_on : the first hits of rays are searched; else one near the facet is taken.
+    top : coarsest level.
     samples : parts of a pixel along the shorter side of its footprint.
-    posts : of `write_levels`.
     room : of `new_tile`.
     """
     s, places = room[:2]
-    per_m = 2.0 / (_SQUARE_POSTS * posts[1][0])
+    per_m = 2.0 / (_SQUARE_POSTS * posts.ground[0])
     filled: int = NONE
-    for k in range(listed[0], listed[1]):
+    row, first, last = listed
+    for k in range(first, last):
         for field in (MEAN_B, MEAN_BP, MEAN_BQ, MEAN_REFLECTED):
             line[field, k] = 0.0
         column = int(line[COLUMN, k])
-        plane = _plane(row, column, facets[owner[row, column]], screen, camera[1], samples)
+        plane = _plane(row, column, sight.facets[sight.owner[row, column]], sight.screen, sight.turn, samples)
         parts = plane[6] * plane[7]
         line[SHARE, k] = 1.0 / parts
         for part in range(int(parts)):
             _put(filled, k, part, plane, per_m, s, places)
             filled += 1
             if filled == TILE:
-                _finish(filled, edge_on, heights, moments, posts, camera[0], towards, room, line)
+                _finish(filled, edge_on, posts, top, sight.place, towards, room, line)
                 filled = NONE
-    _finish(filled, edge_on, heights, moments, posts, camera[0], towards, room, line)
+    _finish(filled, edge_on, posts, top, sight.place, towards, room, line)
 
 
 @lane
@@ -198,9 +194,8 @@ def _put(n: int, k: int, part: int, plane: _Plane, per_m: float, s: Floats32, pl
 def _finish(
     count: int,
     edge_on: bool,
-    heights: Floats32,
-    moments: Halves,
-    posts: tuple[Table, tuple[float, int, float], int],
+    posts: Posts,
+    top: int,
     place: Floats,
     towards: Floats,
     room: tuple[Floats32, Ints32, Floats32, Floats],
@@ -208,16 +203,17 @@ def _finish(
 ) -> None:
     """Add the means over the squares around the first `count` parts of a tile to their pixels."""
     s, places, sums, _ = room
-    write_levels(count, posts, place, (X, Y, SIZE), s, places)
+    table = posts.levels, posts.ground, top
+    write_levels(count, table, place, (X, Y, SIZE), s, places)
     up = np.float32(place[2])
     if edge_on:
-        meet_first(heights, up, s, places)
+        meet_first(posts.heights, up, s, places)
     else:
-        meet_map(heights, up, s, places)
+        meet_map(posts.heights, up, s, places)
     for k in range(TILE):
         s[MIDDLE_X * TILE + k], s[MIDDLE_Y * TILE + k] = s[X * TILE + k], s[Y * TILE + k]
         s[BOX_SIZE * TILE + k] = s[SIZE * TILE + k]
-    box_means(count, moments, posts, place, _SQUARE_POSTS, False, s, places, sums)
+    box_means(count, posts.moments, table, place, _SQUARE_POSTS, False, s, places, sums)
     _reflected(towards, s, sums)
     for n in range(count):
         k = places[PIXEL * TILE + n]

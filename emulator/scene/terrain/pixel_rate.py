@@ -23,10 +23,10 @@ import math
 
 import numpy as np
 
-from emulator.raster.layout import Bytes, Float32s, Floats, Ints, W, WHighest, WLowest
+from emulator.raster.layout import Bytes, Float32s, Floats, W, WHighest, WLowest
 from emulator.scene.terrain.compiled import entry
 from emulator.scene.terrain.ground import MOMENTS
-from emulator.scene.terrain.pixel_hits import Screen
+from emulator.scene.terrain.pixel_hits import Sight
 from emulator.scene.terrain.pixel_law import Sunlight, mean_light
 from emulator.scene.terrain.tile import (
     ABOVE_X,
@@ -120,22 +120,21 @@ def light_rate(sun: Sunlight, s: Floats32, sums: Floats32, inputs: Floats) -> No
 @entry
 def rate_of_doubtful(
     rows: tuple[int, int],
-    pixels: tuple[Ints, Bytes],
-    facets: Floats,
-    screen: Screen,
+    sight: Sight,
     motion: tuple[Floats, Floats],
+    doubtful: Bytes,
     out: tuple[Float32s, Float32s],
 ) -> None:
     """Write the rate of doubtful pixels of rows first to last, from the light frame and the motion of the ground.
 
     Parameters
     ----------
-    pixels : facets of `raster.Owners`, 1 for doubtful pixels of `shade_rows`.
     motion : rate of a ground point's place over the place, in camera axes, (3, 3), and the rate of all, (3,).
+    doubtful : of `shade_rows`, 1 for doubtful pixels.
     out : light, and its rate.
     """
-    focal, cx, cy = screen
-    (owner, doubtful), (m, c), (light, rate) = pixels, motion, out
+    owner, facets, (focal, cx, cy), _, _ = sight
+    (m, c), (light, rate) = motion, out
     for row in range(rows[0], rows[1]):
         for column in range(owner.shape[1]):
             f = owner[row, column]

@@ -25,9 +25,8 @@ from emulator.raster.layout import Bytes, Float32s, Floats, G, Ints, L
 from emulator.scene.terrain.block_vertices import around, grazing
 from emulator.scene.terrain.box_moments import MOST_POSTS
 from emulator.scene.terrain.compiled import entry
-from emulator.scene.terrain.ground import Halves
 from emulator.scene.terrain.pixel_boxes import box_means, footprints, mismatches
-from emulator.scene.terrain.pixel_hits import Screen, Table, corner_hits, keep_row
+from emulator.scene.terrain.pixel_hits import Posts, Screen, Sight, Table, corner_hits, keep_row
 from emulator.scene.terrain.pixel_law import Sunlight, mean_light
 from emulator.scene.terrain.pixel_parts import (
     COLUMN,
@@ -67,13 +66,9 @@ def top_level(levels: Table) -> int:
 @entry
 def shade_rows(
     rows: tuple[int, int],
-    owner: Ints,
-    facets: Floats,
-    screen: Screen,
-    camera: tuple[Floats, Floats],
+    sight: Sight,
     motion: tuple[Floats, Floats],
-    posts: tuple[Floats32, Halves, Table],
-    ground: tuple[float, int, float],
+    posts: Posts,
     sun: Sunlight,
     room: tuple[Floats32, Ints32, Floats32, Floats],
     out: tuple[Float32s, Bytes, Float32s],
@@ -82,35 +77,28 @@ def shade_rows(
 
     Parameters
     ----------
-    owner : of `raster.Owners`.
-    facets : of `Renderer.facets`.
-    screen : focal length in pixels, column and row of the boresight.
-    camera : place in the world (3,), camera_from_world (3, 3).
     motion : of `footprint_moves`.
-    posts : heights, moments and table of a `Pyramid`.
-    ground : unit in metres, how many grids, posts from their middle to their side.
     room : of `new_tile`.
     out : light of the ground, 1 for doubtful pixels, (height, width) each; rate of light, the same or empty.
     """
     moving = out[2].size > 0
     s, places, sums, inputs = room
-    heights, moments, levels = posts
-    top = top_level(levels)
-    for first in range(0, owner.shape[1], _PIXELS):
-        columns = min(_PIXELS, owner.shape[1] - first)
-        corner_hits((rows[0], first), owner, facets, screen, camera, heights, levels, ground, s, places)
+    table = posts.levels, posts.ground, top_level(posts.levels)
+    for first in range(0, sight.owner.shape[1], _PIXELS):
+        columns = min(_PIXELS, sight.owner.shape[1] - first)
+        corner_hits((rows[0], first), sight, posts, s, places)
         for row in range(rows[0], rows[1]):
             keep_row(s)
-            corner_hits((row + 1, first), owner, facets, screen, camera, heights, levels, ground, s, places)
-            footprints((row, first), screen, camera[1], ground[0], s)
-            mismatches(screen[0], s)
+            corner_hits((row + 1, first), sight, posts, s, places)
+            footprints((row, first), sight.screen, sight.turn, posts.ground[0], s)
+            mismatches(sight.screen[0], s)
             if moving:
                 footprint_moves(motion, s)
-            box_means(columns, moments, (levels, ground, top), camera[0], LONGEST, moving, s, places, sums)
+            box_means(columns, posts.moments, table, sight.place, LONGEST, moving, s, places, sums)
             mean_light(sun, s, sums, inputs)
             if moving:
                 light_rate(sun, s, sums, inputs)
-            _keep((row, first, columns), owner, facets, s, out)
+            _keep((row, first, columns), sight.owner, sight.facets, s, out)
 
 
 @lane
@@ -136,12 +124,9 @@ def _keep(
 @entry
 def shade_doubtful(
     rows: tuple[int, int],
-    owners: tuple[Ints, Float32s],
-    facets: Floats,
-    screen: Screen,
-    camera: tuple[Floats, Floats],
-    posts: tuple[Floats32, Halves, Table],
-    ground: tuple[float, int, float],
+    sight: Sight,
+    whole: Float32s,
+    posts: Posts,
     limits: tuple[float, float],
     sun: Sunlight,
     room: tuple[tuple[Floats32, Ints32, Floats32, Floats], Floats, Floats],
@@ -152,6 +137,7 @@ def shade_doubtful(
 
     Parameters
     ----------
+    whole : of `raster.Owners`.
     limits : parts of a pixel along the shorter side of its footprint; mean of the light frame from which changes count.
     room : of `new_tile`; (ROW_FIELDS, width + 2), (LINE_FIELDS, width + 2).
     smooth : from `shade_rows`.
@@ -159,36 +145,22 @@ def shade_doubtful(
     """
     tile, s, line = room
     samples, least = limits
-    heights, moments, levels = posts
-    table = levels, ground, top_level(levels)
+    owners = sight.owner, whole
     for row in range(rows[0], rows[1]):
         _changes(row, smooth[0], s)
-        doubtful = _list_doubtful(row, owners[0], smooth[1][row], line)
-        count = _list_changing(row, doubtful, owners[0], smooth[1][row], least, s, line)
+        doubtful = _list_doubtful(row, sight.owner, smooth[1][row], line)
+        count = _list_changing(row, doubtful, sight.owner, smooth[1][row], least, s, line)
         for listed in ((NONE, doubtful), (doubtful, count)):
             part_means(
-                row,
-                listed,
-                listed[0] < doubtful,
-                samples,
-                owners[0],
-                facets,
-                screen,
-                camera,
-                heights,
-                moments,
-                table,
-                sun[0],
-                tile,
-                line,
+                (row, *listed), listed[0] < doubtful, sight, posts, top_level(posts.levels), samples, sun[0], tile, line
             )
-        _angles(row, count, screen, camera[1], sun, line, s)
+        _angles(row, count, sight.screen, sight.turn, sun, line, s)
         reflect(sun[2], sun[3], s[_MU0], s[_MU], s[_CHORD2], count, s[_MU0])
         for k in range(count):
             s[_VALUE, int(line[COLUMN, k])] = s[_MU0, k] * s[_SUNLIGHT, k] + s[_AROUND, k]
-        _write(row, owners, facets, s, out[0])
+        _write(row, owners, sight.facets, s, out[0])
         if smooth[2].size > 0:
-            _write_rate(row, owners, facets, smooth[2], out[1])
+            _write_rate(row, owners, sight.facets, smooth[2], out[1])
 
 
 @vector_kernel

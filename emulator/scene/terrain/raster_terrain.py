@@ -30,6 +30,7 @@ from emulator.photometry.reflection_kernels import law_of
 from emulator.raster import Box, Owners, Renderer, Screen, Topology, View, join, prepare
 from emulator.scene.terrain.block_vertices import CORNERS, block_vertices
 from emulator.scene.terrain.ground import build_pyramid
+from emulator.scene.terrain.pixel_hits import Posts, Sight
 from emulator.scene.terrain.pixel_rate import rate_of_doubtful
 from emulator.scene.terrain.pixel_shading import LINE_FIELDS, ROW_FIELDS, shade_doubtful, shade_rows
 from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets, level_count
@@ -174,8 +175,9 @@ class RasterTerrain(Scene):
         self._scratches = [np.zeros((10, CORNERS)) for _ in range(threads)]
         self._tiles = [new_tile() for _ in range(threads)]
         self._lines = [(np.zeros((ROW_FIELDS, width + 2)), np.zeros((LINE_FIELDS, width + 2))) for _ in range(threads)]
-        pyramid = self._pyramid
-        self._posts = pyramid.heights, pyramid.moments, pyramid.levels
+        pyramid, ground = self._pyramid, world.ground
+        scalars = ground.unit_m, ground.grids, (min(ground.shape) - 1) / 2
+        self._posts = Posts(pyramid.heights, pyramid.moments, pyramid.levels, scalars)
         self._smooth = np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
         self._rates = np.zeros((height, width), np.float32), np.zeros((0, 0), np.float32)
         self._owners = Owners.of(width, height)
@@ -279,27 +281,22 @@ class RasterTerrain(Scene):
     def _shade(self, motion: CameraMotion, light: Light, rate: Light, *, with_rate: bool) -> None:
         """Write the fine map's light into the light frame, and its rate if wanted."""
         height, width = light.shape
-        ground, owners, facets = self._world.ground, self._owners, self._renderer.facets
         screen = self._world.pinhole.focal_px, width / 2, height / 2
-        scalars = ground.unit_m, ground.grids, (min(ground.shape) - 1) / 2
-        camera = motion.arrays[0], motion.turn
+        sight = Sight(self._owners.facets, self._renderer.facets, screen, motion.arrays[0], motion.turn)
         smooth = *self._smooth, self._rates[0 if with_rate else 1]
-        moves = motion.of_directions
-        posts = self._posts, scalars
         limits = float(self._world.parameters.samples), _FAINT * float(light.mean())
 
         def shade(band: int, thread: int) -> None:
             rows, tile = _rows(band, height), self._tiles[thread]
-            shade_rows(rows, owners.facets, facets, screen, camera, moves, *posts, self._sun, tile, smooth)
+            shade_rows(rows, sight, motion.of_directions, self._posts, self._sun, tile, smooth)
 
         def refine(band: int, thread: int) -> None:
             rows, room = _rows(band, height), (self._tiles[thread], *self._lines[thread])
-            both = owners.facets, owners.whole
-            shade_doubtful(rows, both, facets, screen, camera, *posts, limits, self._sun, room, smooth, (light, rate))
+            whole, both = self._owners.whole, (light, rate)
+            shade_doubtful(rows, sight, whole, self._posts, limits, self._sun, room, smooth, both)
 
         def follow(band: int, thread: int) -> None:
-            rows, moving = _rows(band, height), motion.of_ground
-            rate_of_doubtful(rows, (owners.facets, smooth[1]), facets, screen, moving, (light, rate))
+            rate_of_doubtful(_rows(band, height), sight, motion.of_ground, smooth[1], (light, rate))
 
         for work in (shade, refine, follow) if with_rate else (shade, refine):
             self._pool.each(work, -(-height // _BAND))
@@ -326,7 +323,7 @@ class RasterTerrain(Scene):
             block_vertices(
                 chosen,
                 *ends,
-                self._posts[:2],
+                (self._posts.heights, self._posts.moments),
                 self._pyramid.levels,
                 scalars,
                 motion.arrays,

@@ -10,6 +10,7 @@ from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Hapke, Lambert
 from emulator.raster.layout import FACET_FIELDS, W, WHighest, WLowest
 from emulator.scene.terrain.ground import MOMENTS, build_pyramid
+from emulator.scene.terrain.pixel_hits import Sight
 from emulator.scene.terrain.pixel_rate import rate_of_doubtful
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.relief import make_ridge
@@ -142,8 +143,9 @@ def rate_by_gradient(light, motion, inverse_depth=0.1, doubtful=1):
     facets = np.zeros((1, FACET_FIELDS))
     facets[0, [W, WLowest, WHighest]] = inverse_depth
     rate = np.full(light.shape, np.nan, np.float32)
-    pixels = np.zeros(light.shape, np.int32), np.full(light.shape, doubtful, np.uint8)
-    rate_of_doubtful((0, len(light)), pixels, facets, SCREEN, motion, (light.astype(np.float32), rate))
+    sight = Sight(np.zeros(light.shape, np.int32), facets, SCREEN, np.zeros(3), np.eye(3))
+    doubtful = np.full(light.shape, doubtful, np.uint8)
+    rate_of_doubtful((0, len(light)), sight, motion, doubtful, (light.astype(np.float32), rate))
     return rate
 
 
