@@ -128,6 +128,7 @@ class Link:
         self.endpoint: Endpoint = setup.endpoint.build(self._device, self._deliveries)
         self.ticked_ns = clock.now_ns()
         self._fed = 0
+        self._seen_us = 0  # stream time of the run when the last tick began
 
     def tick(self) -> None:
         """Feed the due data to the camera, and let the endpoint send the requested data."""
@@ -149,7 +150,10 @@ class Link:
         """Move all data that are due, of a stream with the origin `origin_ns` that has reached `now_us`."""
         self.ticked_ns = self._clock.now_ns()
         self._watch.look(self._feed.reached_us)
+        self._seen_us = now_us
         self._fed = 0 if origin_ns is None else self._feed_due(origin_ns, now_us)
+        if not self._watch.waiting:  # a session without pacing computes its next step while the endpoint sends
+            self.settle()
         self.endpoint.advance_faults(self._feed.reached_us)
         marks = self._feed.own_marks()
         if len(marks):
@@ -197,7 +201,8 @@ class Link:
         if self._watch.is_behind or self.endpoint.next_fault_us <= self._feed.reached_us:
             return self.soonest_ns
         if not self.is_paced and self._lags:
-            return self.ticked_ns if self._fed >= _MANY_EVENTS else self.soonest_ns
+            waited_for = self._watch.acts and self._ring.now_us > self._seen_us
+            return self.ticked_ns if waited_for or self._fed >= _MANY_EVENTS else self.soonest_ns
         longest_ns = self._longest_sleep_ns
         latest_ns = self.ticked_ns + longest_ns
         if self._fed >= _DENSE_EVENTS and longest_ns == HOSTED_NS:

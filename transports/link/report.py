@@ -5,7 +5,8 @@
 
 The stream time of a change is the time that the camera had reached when it accepted the change: it had processed all
 events up to that time and none after it. The camera stores its stream time after it has sent its changes
-(`EventRing.settle`). So when a camera has reached a stream time, a waiting session has all changes before that time.
+(`EventRing.settle`). So when a camera has reached a stream time, a waiting session has all changes before that time. It
+need not wait until the events have been sent: it computes its next step meanwhile.
 
 A bias on its way: the register (`Davis346._write`), its factor (`sensor_factors`), `ChangeWatch.look`,
 `LinkLoop._send_changes`, `LinkProcess.take_changes`, `Session._follow_cameras`, `BiasFollowing.follow`

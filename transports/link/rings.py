@@ -23,8 +23,9 @@ might find no room, its start and all its lines are refused. The numbers are wri
 so that a reader that reads in between keeps the previous numbers.
 
 A reader that sleeps stores the stream time until which it does so, looks at the ring once more, and sleeps. The writer
-looks at that time after it has published, and writes a byte into a pipe if it published anything earlier. Neither side
-has a memory barrier: if both miss the other's store, which takes nanoseconds, the reader wakes at the end of its sleep.
+looks at that time after it has published, and adds to an event counter of the kernel if it published anything earlier.
+Neither side has a memory barrier: if both miss the other's store, which takes nanoseconds, the reader wakes at the end
+of its sleep.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ import bisect
 import multiprocessing
 import os
 from contextlib import suppress
+from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
@@ -178,18 +180,15 @@ FOREVER_US = 1 << 62
 """Stream time that no run reaches."""
 
 _NOW_US, _ORIGIN_NS, _CLOSED, _SETTLED_US, _ASLEEP_US, _CELLS_RING = range(6)
-_MOST_WAKES = 64  # bytes that one read of the pipe removes; the writer writes one for each sleep
 
 
 class EventRing(SharedRing):
-    """Events from the sensor to one link, the stream time of both ends, and a pipe that wakes the reader."""
+    """Events from the sensor to one link, the stream time of both ends, and a counter that wakes the reader."""
 
     def __init__(self, capacity: int = 1 << 20) -> None:
         super().__init__(EVENT, capacity, _CELLS_RING)
-        self._wakes_in, self._wakes_out = multiprocessing.get_context("spawn").Pipe(duplex=False)
+        self._wakes = Connection(os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC))
         self._first_us = FOREVER_US
-        for end in (self._wakes_in, self._wakes_out):
-            os.set_blocking(end.fileno(), False)
 
     @property
     def now_us(self) -> int:
@@ -241,13 +240,12 @@ class EventRing(SharedRing):
         cells = self.cells
         if cells[_ASLEEP_US] > t_us:
             cells[_ASLEEP_US] = 0
-            with suppress(BlockingIOError, BrokenPipeError):  # many wake-ups wait; the reader has ended
-                os.write(self._wakes_out.fileno(), b"\0")
+            os.eventfd_write(self._wakes.fileno(), 1)
 
     @property
     def wakes(self) -> int:
         """Descriptor that becomes readable when the writer wakes the reader; `woken` makes it unreadable again."""
-        return self._wakes_in.fileno()
+        return self._wakes.fileno()
 
     def sleep(self, until_us: int) -> None:
         """Announce that the reader sleeps until the stream time `until_us`; 0: it is awake, and is not woken."""
@@ -256,7 +254,7 @@ class EventRing(SharedRing):
     def woken(self) -> None:
         """Remove the wake-ups that the writer has written."""
         with suppress(BlockingIOError):
-            os.read(self._wakes_in.fileno(), _MOST_WAKES)
+            os.eventfd_read(self._wakes.fileno())
 
     def settle(self, until_us: int) -> None:
         """Store the stream time that the camera has reached, after the earlier changes of its hosts have been sent."""

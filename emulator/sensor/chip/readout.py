@@ -16,6 +16,7 @@ pixel continues as if it were served at once, and only its events are lost. The 
 the refractory period.
 
 The cost is linear in the events: requests and rows are bit maps, 64 to a word, without sorting or searching by event.
+A crossing that finds no other request is served without them, and of a row only the words with requests are visited.
 
 Jitter is a keyed delay for each event of each pixel, which preserves the order of a pixel's events. Event number k of a
 pixel (counted since the reset) is delayed by a log-normal time of the given mean and deviation, keyed by pixel and k;
@@ -33,13 +34,13 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.chip.sources import LONGEST_NS, Pending, Window, new_pending, release, reserve
-from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, log_compilation
+from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, lane, log_compilation
 from emulator.sensor.numerics.elementary import lowest_bit
 from emulator.sensor.numerics.keyed import Purpose, normal_from, root_of, stream, word
 from emulator.sensor.parameters import JitterParameters
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined, unpacked
 from emulator.sensor.presets import SensorParameters
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import EVENT, Events, copy_events
 
 __all__ = ["ArbiterReadOut", "Arrivals", "Jitter", "ReadOut"]
 
@@ -60,9 +61,10 @@ class _Maps(NamedTuple):
     polarity: _Words  # (height, words), of those requests
     rows: _Words  # bit set: this row has requests
     counts: _Int64s  # (height,), requests in each row
-    words: _Int64s  # (height,), word of the row's latest request
-    latched: _Words  # (words,), of the row being sent, not yet sent: all 0 when nothing is being sent
+    filled: _Words  # (height,), bit set: this group of the row's words has requests
+    latched: _Words  # (words,), the words with requests of the row being sent, not yet sent, without gaps
     latched_polarity: _Words
+    latched_words: _Int64s  # their numbers in the row
 
 
 class Arrivals(NamedTuple):
@@ -77,6 +79,7 @@ class _Timing(NamedTuple):
     width: int
     row_ns: int
     event_ps: int
+    group_bits: int  # words of a group, as a power of two: a row has at most 64 groups
 
 
 class _Queue(NamedTuple):
@@ -97,17 +100,19 @@ class _Arbiter(NamedTuple):
     latch_ns: int
     latched: int  # events of the row
     sent: int  # of them
-    word: int  # word of the next event
+    word: int  # latched word of the next event
 
 
-@kernel
-def _admit(arrivals: Arrivals, k: int, until_ns: int, maps: _Maps, width: int, queue: _Queue) -> tuple[int, _Queue]:
+@lane
+def _admit(
+    arrivals: Arrivals, k: int, until_ns: int, maps: _Maps, timing: _Timing, queue: _Queue
+) -> tuple[int, _Queue]:
     """Turn crossings from k on, up to and including `until_ns`, into requests; return the next k and the queue."""
     waiting, ready_ns, latest, lost = queue
     while k < arrivals.t_ns.size and arrivals.t_ns[k] <= until_ns:
         pixel = np.uint64(arrivals.pixel[k])
-        row = int(np.int64(pixel // np.uint64(width)))
-        x = np.int64(pixel) - row * width
+        row = int(np.int64(pixel // np.uint64(timing.width)))
+        x = np.int64(pixel) - row * timing.width
         word, place = x >> 6, np.uint64(x & 63)
         bit = np.uint64(1) << place
         if maps.waiting[row, word] & bit:
@@ -120,12 +125,12 @@ def _admit(arrivals: Arrivals, k: int, until_ns: int, maps: _Maps, width: int, q
             maps.polarity[row, word] |= np.uint64(arrivals.on[k]) << place
             maps.rows[row >> 6] |= np.uint64(1) << np.uint64(row & 63)
             maps.counts[row] += 1
-            maps.words[row] = word
+            maps.filled[row] |= np.uint64(1) << np.uint64(word >> timing.group_bits)
         k += 1
     return k, _Queue(waiting, ready_ns, latest, lost)
 
 
-@kernel
+@lane
 def _next_row(rows: _Words, last: int, height: int) -> int:
     """Return the first row with requests after `last`, round-robin; at least one row has requests."""
     first = last + 1 if last + 1 < height else 0
@@ -137,21 +142,26 @@ def _next_row(rows: _Words, last: int, height: int) -> int:
     return int(word * 64 + np.int64(lowest_bit(here)))
 
 
-@kernel
-def _latch(maps: _Maps, row: int) -> tuple[int, int]:
-    """Take all requests of a row: return their number and the first word. For one request, the word is known."""
-    n = maps.counts[row]
-    first, beyond = (maps.words[row], maps.words[row] + 1) if n == 1 else (0, maps.latched.size)
-    for k in range(first, beyond):
-        maps.latched[k] = maps.waiting[row, k]
-        maps.latched_polarity[k] = maps.polarity[row, k]
-        maps.waiting[row, k] = maps.polarity[row, k] = np.uint64(0)
+@lane
+def _latch(maps: _Maps, row: int, group_bits: int) -> int:
+    """Take all requests of a row, and return their number; only words with requests are visited."""
+    m, groups = NONE, maps.filled[row]
+    while groups != 0:
+        first = np.int64(lowest_bit(groups)) << group_bits
+        for number in range(first, min(first + (np.int64(1) << group_bits), maps.waiting.shape[1])):
+            if maps.waiting[row, number] != 0:
+                maps.latched[m], maps.latched_words[m] = maps.waiting[row, number], number
+                maps.latched_polarity[m] = maps.polarity[row, number]
+                maps.waiting[row, number] = maps.polarity[row, number] = np.uint64(0)
+                m += 1
+        groups &= groups - np.uint64(1)
     maps.rows[row >> 6] &= ~(np.uint64(1) << np.uint64(row & 63))
-    maps.counts[row] = 0
-    return n, first
+    n = maps.counts[row]
+    maps.counts[row], maps.filled[row] = 0, np.uint64(0)
+    return int(n)
 
 
-@kernel
+@lane
 def _send(maps: _Maps, a: _Arbiter, event_ps: int, until_ns: int, out: Events, n: int) -> tuple[int, _Arbiter]:
     """Send latched events that leave before `until_ns`, into `out` from n on; return the new n and the arbiter."""
     sent, word = a.sent, a.word
@@ -161,20 +171,44 @@ def _send(maps: _Maps, a: _Arbiter, event_ps: int, until_ns: int, out: Events, n
         if leaves_ns >= until_ns:
             break
         exit_ns = leaves_ns
-        while maps.latched[word] == 0:
-            word += 1
         bits = maps.latched[word]
-        x = lowest_bit(bits)
-        maps.latched[word] = bits & (bits - np.uint64(1))
+        x, left = lowest_bit(bits), bits & (bits - np.uint64(1))
         event = out[n]
         event.t = exit_ns // 1000
-        event.x = np.int64(word) * 64 + np.int64(x)
+        event.x = maps.latched_words[word] * 64 + np.int64(x)
         event.y = a.row
         event.on = (maps.latched_polarity[word] >> x) & np.uint64(1) != 0
+        maps.latched[word] = left
+        word += left == 0
         n += 1
         sent += 1
     phase = _SENDING if sent < a.latched else _IDLE
     return n, _Arbiter(phase, exit_ns, a.row, a.latch_ns, a.latched, sent, word)
+
+
+@kernel
+def _serve_lone(
+    arrivals: Arrivals, until_ns: int, timing: _Timing, at: tuple[int, int], a: _Arbiter, out: Events
+) -> tuple[int, int, _Arbiter]:
+    """Serve crossings as long as each is latched before the next one comes; for an idle arbiter without requests.
+
+    They need no bit maps. `at`: number of events in `out`, and of crossings served; returned changed.
+    """
+    (n, k), free_ns, row = at, a.free_ns, a.row
+    send_ns = (timing.event_ps + 999) // 1000
+    while k < arrivals.t_ns.size:
+        latch_ns = max(free_ns, arrivals.t_ns[k]) + timing.row_ns
+        is_last = k + 1 == arrivals.t_ns.size
+        if latch_ns + send_ns >= until_ns or not (is_last or arrivals.t_ns[k + 1] > latch_ns):
+            break
+        pixel = np.uint64(arrivals.pixel[k])
+        row = int(np.int64(pixel // np.uint64(timing.width)))
+        free_ns = latch_ns + send_ns
+        event = out[n]
+        event.t, event.x, event.y = free_ns // 1000, np.int64(pixel) - row * timing.width, row
+        event.on = arrivals.on[k]
+        n, k = n + 1, k + 1
+    return n, k, _Arbiter(_IDLE, free_ns, row, 0, 0, 0, 0)
 
 
 @kernel
@@ -189,23 +223,25 @@ def _run(
             if a.phase == _SENDING:
                 break
         if a.phase == _IDLE:
+            if queue.waiting == 0:
+                n, k, a = _serve_lone(arrivals, until_ns, timing, (n, k), a, out)
             if queue.waiting == 0 and k == arrivals.t_ns.size:
                 break
             first_ns = queue.ready_ns if queue.waiting else arrivals.t_ns[k]
             start_ns = max(a.free_ns, first_ns)
             if start_ns >= until_ns:
                 break
-            k, queue = _admit(arrivals, k, start_ns, maps, timing.width, queue)
+            k, queue = _admit(arrivals, k, start_ns, maps, timing, queue)
             lone = queue.waiting == 1 and maps.counts[queue.row] == 1
             row = queue.row if lone else _next_row(maps.rows, a.row, maps.counts.size)
             a = _Arbiter(_PICKED, a.free_ns, row, start_ns + timing.row_ns, 0, 0, 0)
         if a.latch_ns >= until_ns:
             break
-        k, queue = _admit(arrivals, k, a.latch_ns, maps, timing.width, queue)
-        taken, word = _latch(maps, a.row)
+        k, queue = _admit(arrivals, k, a.latch_ns, maps, timing, queue)
+        taken = _latch(maps, a.row, timing.group_bits)
         queue = _Queue(queue.waiting - taken, queue.ready_ns, queue.row, queue.lost)
-        a = _Arbiter(_SENDING, a.free_ns, a.row, a.latch_ns, taken, 0, word)
-    _, queue = _admit(arrivals, k, np.int64(_FOREVER_NS), maps, timing.width, queue)
+        a = _Arbiter(_SENDING, a.free_ns, a.row, a.latch_ns, taken, 0, 0)
+    _, queue = _admit(arrivals, k, np.int64(_FOREVER_NS), maps, timing, queue)
     return n, queue, a
 
 
@@ -287,7 +323,7 @@ class ReadOut(ABC):
             self._out = np.empty(max(room, 2 * self._out.size), EVENT)
         n = self._serve(Arrivals(crossings.t_ns, crossings.pixel, crossings.on), until_ns)
         self.read_out += n
-        return self._out[:n].copy()
+        return copy_events(self._out[:n])
 
     def finish(self) -> Events:
         """Return the events that have not left yet; afterwards `push` must not be called again."""
@@ -312,15 +348,17 @@ class ArbiterReadOut(ReadOut):
         log_compilation(_serve, "the read-out")
         times, height = parameters.readout, parameters.height
         words = -(-parameters.width // 64)
-        self._timing = _Timing(parameters.width, times.row_ns, max(1, round(times.event_ns * 1000)))
+        group_bits = max(0, (words - 1).bit_length() - 6)
+        self._timing = _Timing(parameters.width, times.row_ns, max(1, round(times.event_ns * 1000)), group_bits)
         self._maps = _Maps(
             waiting=np.zeros((height, words), np.uint64),
             polarity=np.zeros((height, words), np.uint64),
             rows=np.zeros(-(-height // 64), np.uint64),
             counts=np.zeros(height, np.int64),
-            words=np.zeros(height, np.int64),
+            filled=np.zeros(height, np.uint64),
             latched=np.zeros(words, np.uint64),
             latched_polarity=np.zeros(words, np.uint64),
+            latched_words=np.zeros(words, np.int64),
         )
         self._queue = _Queue(0, 0, 0, 0)
         self._arbiter = _Arbiter(_IDLE, -_FOREVER_NS, height - 1, 0, 0, 0, 0)

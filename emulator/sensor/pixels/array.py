@@ -27,6 +27,7 @@ from emulator.sensor.pixels.state import (
     DEAD_THRESHOLD,
     EPOCH_BITS,
     FIELDS,
+    NEAR_BLOCKS,
     PARTS,
     Field,
     Levels,
@@ -413,4 +414,5 @@ class PixelArray(PixelMethod):
             chord=chord,
             unseen_share=UNSEEN_SHARE,
             refine=False,
+            far=self.state.fields.shape[0] > NEAR_BLOCKS,
         )

@@ -53,9 +53,9 @@ BATCH = BLOCK
 (
     _C_U0, _C_V0, _C_L0, _C_A0, _C_U1, _C_V1, _C_L1, _C_A1, _C_S, _C_REF, _C_ON, _C_OFF, _C_LEAK,
     _C_W0, _C_W1, _C_P0, _C_P1, _C_START, _C_BASE, _C_A, _C_D0, _C_D1, _C_C1, _C_C2, _C_C3, _C_KIND,
-    _C_Z, _C_MISS, _C_NEXT_A, _C_NEXT_START, _C_NEXT_REF, _C_AGAIN,
-) = (k * CAPACITY for k in range(32))  # fmt: skip
-_C_ROWS = 32
+    _C_Z, _C_MISS, _C_NEXT_A, _C_NEXT_START, _C_NEXT_REF, _C_AGAIN, _C_LIT,
+) = (k * CAPACITY for k in range(33))  # fmt: skip
+_C_ROWS = 33
 
 _NOTHING, _RE_ARMS, _FIRES, _NEEDS_SUBSTEPS = (np.float32(kind) for kind in range(4))
 
@@ -133,17 +133,26 @@ def gather(selected: _Int64s, s: _Float32s, before: _Float32s, firsts: _Int64s, 
 
 @kernel
 def gather_rare(selected: _Int64s, s: _Float32s, before: _Float32s, n: int, table: Table, c: StepConstants) -> None:
-    """Add the state that only sensors with a second pole or parasitic leak have."""
+    """Add the state that only sensors with a second pole or parasitic leak have; `_complete_parasitic` follows."""
     rows = table.rows
     for j in range(selected.size):
         i, k = np.uint64(selected[j]), np.uint64(n + j)
         if c.second > _ZERO:
             rows[_at(_C_W0, k)], rows[_at(_C_W1, k)] = before[_at(_W0, i)], s[_at(_W, i)]
         if c.parasitic > _ZERO:
-            leaks = c.parasitic * s[_at(_ON, i)]
-            since0, since1 = leaks * photocurrent(before[_at(_U0, i)]), leaks * photocurrent(s[_at(_U, i)])
-            rows[_at(_C_P0, k)] = before[_at(_P0, i)] + since0 * c.since_epoch_0
-            rows[_at(_C_P1, k)] = s[_at(_P, i)] + since1 * c.since_epoch_1
+            rows[_at(_C_P0, k)], rows[_at(_C_P1, k)] = before[_at(_P0, i)], s[_at(_P, i)]
+
+
+@kernel
+def _complete_parasitic(rows: _Float32s, n: int, c: StepConstants) -> None:
+    """Add to each candidate's sums what its light at both ends of the step leaks since the epoch."""
+    use_widest_vectors()
+    for j in range(n):
+        leaks = c.parasitic * rows[_C_ON + j]
+        since0, since1 = leaks * photocurrent(rows[_C_U0 + j]), leaks * photocurrent(rows[_C_U1 + j])
+        rows[_C_P0 + j] += since0 * c.since_epoch_0
+        rows[_C_P1 + j] += since1 * c.since_epoch_1
+        rows[_C_LIT + j] = since1
 
 
 @kernel
@@ -364,8 +373,7 @@ def _fold_parasitic(pixels: Pixels, table: Table, n: int, c: StepConstants) -> N
         kind = table.rows[_C_KIND + j]
         if (kind == _FIRES) | (kind == _RE_ARMS):
             table.rows[_C_BASE + j] -= table.rows[_C_P1 + j]
-            leaks = c.parasitic * table.rows[_C_ON + j] * photocurrent(table.rows[_C_U1 + j])
-            pixels.fields[slot(table.pixels[j]) + _P] = -leaks * c.since_epoch_1
+            pixels.fields[slot(table.pixels[j]) + _P] = -table.rows[_C_LIT + j] * c.since_epoch_1
 
 
 @cached_entry
@@ -379,6 +387,8 @@ def solve(
     The keys (a longer copy where they were too short), the number of events in them, the number of crossings beyond
     MOST_EVENTS of a pixel, and the number of undersampled pixels.
     """
+    if c.parasitic > _ZERO:
+        _complete_parasitic(table.rows, whole_vectors(n), c)
     _find_starts(pixels, table, n, c)
     _make_curves(table.rows, whole_vectors(n), c)
     if c.second > _ZERO:

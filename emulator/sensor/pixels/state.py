@@ -38,6 +38,7 @@ __all__ = [
     "FIELDS",
     "MOST_EVENTS",
     "MOST_LOST",
+    "NEAR_BLOCKS",
     "PART",
     "PARTS",
     "Drawn",
@@ -69,6 +70,9 @@ PART = 64
 
 PARTS = BLOCK // PART
 """Parts of a block."""
+
+NEAR_BLOCKS = 1000
+"""Blocks whose state, 20 kB each, stays in a last cache of 32 MB beside what else a run needs."""
 
 EPOCH_BITS = 33
 """Leak is counted from the last multiple of 2^33 ns, 8.6 s."""
@@ -154,6 +158,7 @@ class StepConstants(NamedTuple):
     chord: bool  # whether log light is a straight line, because its derivative is not given
     unseen_share: np.float32  # share of a threshold that may stay unseen; more makes a step undersampled
     refine: bool  # undersampled pixels are collected for refinement
+    far: bool  # the state is larger than the caches: a block is requested from memory while the one before is moved
 
 
 @kernel

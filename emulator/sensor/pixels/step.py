@@ -17,7 +17,13 @@ from emulator.sensor.numerics.compiled import NONE, cached_entry, cached_kernel,
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.pixels.candidates import BATCH, Table, gather, gather_rare, select, solve
 from emulator.sensor.pixels.idle import Idle, Touched, block_is_touched, is_same, mark, may_rest
-from emulator.sensor.pixels.quiet_pass import list_flags, move_quietly, replace_light_of_block
+from emulator.sensor.pixels.quiet_pass import (
+    Ahead,
+    list_flags,
+    move_quietly,
+    move_quietly_from_memory,
+    replace_light_of_block,
+)
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, FIELDS, PART, PARTS, Pixels, StepConstants
 from emulator.sensor.pixels.subset import (
     MOST_PACKED,
@@ -151,7 +157,7 @@ def _of_block(frame: _Frame, first: int, scratch: Scratch, c: StepConstants) -> 
 
 
 @kernel
-def _move(
+def _list_and_mark(
     here: tuple[_Float32s, _Float32s, _Float32s],
     buffers: Buffers,
     firsts: _Int64s,
@@ -159,13 +165,13 @@ def _move(
     at: _Progress,
     c: StepConstants,
 ) -> _Progress:
-    """Move a block, or a pack of parts that begin at `firsts`, and add those that may fire to the table.
+    """Note which parts of a moved block or pack rest from now on, and add its pixels that may fire to the table.
 
-    `here` are its state, light and rate, `tables` those of the array: idle blocks, ends of refractory periods.
+    `here` are its state, light and rate, `firsts` the first pixels of its parts, `tables` those of the array: idle
+    blocks, ends of refractory periods.
     """
-    (s, light, rate), (idle, refractory_until_ns) = here, tables
+    (s, light, _), (idle, refractory_until_ns) = here, tables
     scratch, refined, n = buffers.scratch, at.refined, firsts.size
-    move_quietly(light, rate, s, scratch.before, scratch.may_fire, c)
     flags = scratch.may_fire.view(np.uint64)
     for k in range(n * (PART // 8), PARTS * (PART // 8)):
         flags[k] = _NO_FLAGS
@@ -195,22 +201,34 @@ def _move_pack(
     s, light, rate = scratch.before[_PACK:], scratch.light, scratch.rate
     firsts = scratch.found[_PACKED : _PACKED + at.packed]
     gather_parts(frame, pixels.fields, firsts, (s, (light, rate)), c.chord)
-    at = _move((s, light, rate), buffers, firsts, (idle, pixels.refractory_until_ns), at, c)
+    move_quietly(light, rate, s, scratch.before, scratch.may_fire, c)
+    at = _list_and_mark((s, light, rate), buffers, firsts, (idle, pixels.refractory_until_ns), at, c)
     scatter_parts(s, pixels.fields, firsts, c.parasitic > _ZERO)
     return _Progress(at.block, NONE, at.n, at.candidates, at.unreadable, at.refined, at.moved)
 
 
 @kernel
 def _move_block(
-    frame: _Frame, pixels: Pixels, buffers: Buffers, idle: Idle, at: tuple[int, _Progress], c: StepConstants
+    frame: _Frame, pixels: Pixels, buffers: Buffers, idle: Idle, at: tuple[int, int, _Progress], c: StepConstants
 ) -> _Progress:
-    """Move the block that begins at pixel `at[0]` in place."""
-    first, scratch = at[0], buffers.scratch
+    """Move the block that begins at pixel `at[0]` in place; the one that begins at `at[1]` is moved next."""
+    first, following, progress = at
+    scratch = buffers.scratch
     firsts = scratch.found[_FIRSTS:_PACKED]
     list_all(first, firsts)
     s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
     light, rate = _of_block(frame, first, scratch, c)
-    moved: _Progress = _move((s, light, rate), buffers, firsts, (idle, pixels.refractory_until_ns), at[1], c)
+    usual = (c.second == _ZERO) & (c.parasitic == _ZERO) & (not c.chord)
+    if c.far & usual & (following + BLOCK <= frame[0].size):
+        end = following + BLOCK
+        ahead = Ahead(
+            pixels.fields[following * FIELDS : end * FIELDS], frame[0][following:end], frame[1][following:end]
+        )
+        move_quietly_from_memory(light, rate, s, scratch.before, scratch.may_fire, c, ahead)
+    else:
+        move_quietly(light, rate, s, scratch.before, scratch.may_fire, c)
+    tables = idle, pixels.refractory_until_ns
+    moved: _Progress = _list_and_mark((s, light, rate), buffers, firsts, tables, progress, c)
     return moved
 
 
@@ -262,7 +280,7 @@ def _fill(frame: _Frame, pixels: Pixels, buffers: Buffers, share: Share, at: _Pr
             continue
         active = list_active(frame, first, idle, share.touched, scratch.found[_FIRSTS:_PACKED], c)
         if active > MOST_PACKED:
-            at = _move_block(frame, pixels, buffers, idle, (first, at), c)
+            at = _move_block(frame, pixels, buffers, idle, (first, _first_of(block + 1, share), at), c)
         elif packed + active > PARTS:
             at = _Progress(block, packed, at.n, at.candidates, at.unreadable, at.refined, at.moved)
             at, packed = _move_pack(frame, pixels, buffers, idle, at, c), NONE

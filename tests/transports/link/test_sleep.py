@@ -26,7 +26,7 @@ from transports.link.loop import Happen, InjectFault, LinkLoop, Stop
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing, ReadingRing
-from transports.usb.loopback import LoopbackFactory
+from transports.usb.loopback import LoopbackEndpoint, LoopbackFactory
 from transports.usb.usbip.server import UsbipFactory
 
 MS = 1_000_000
@@ -247,6 +247,23 @@ def test_a_link_that_is_not_paced_follows_each_publication_at_once(new_bench, st
     assert report.delivered == 100
     assert max(behind) == 0
     assert len(bench.ticks_ns) <= 100 + 25 + 4
+
+
+def test_a_session_that_is_not_paced_goes_on_while_the_endpoint_sends(new_bench, monkeypatch):
+    bench, settled_us, pump = new_bench(LoopbackFactory()), [], LoopbackEndpoint.pump
+    bench.ring.start(FREE_RUNNING)
+
+    def step_meanwhile(endpoint):
+        settled_us.append(bench.ring.settled_us)
+        if len(settled_us) < 100:
+            bench.ring.push(events_at(bench.ring.now_us + 999))
+            bench.ring.publish(bench.ring.now_us + 1000)
+        pump(endpoint)
+
+    monkeypatch.setattr(LoopbackEndpoint, "pump", step_meanwhile)
+    report = bench.run(0.001)
+    assert settled_us[:100] == [1000 * k for k in range(100)]  # each before its events were sent, and without a pause
+    assert report.delivered == 99
 
 
 def test_a_plain_link_that_is_not_paced_gathers_publications(new_bench):

@@ -19,10 +19,10 @@ def sensor(width=70, height=67, event_ns=80.0, row_ns=100):
     )
 
 
-def crossings(rows):
-    """From [(t_ns, x, y, on)], sorted by time, on the sensor of 70 x 67."""
+def crossings(rows, width=70):
+    """From [(t_ns, x, y, on)], sorted by time, on a sensor of `width` columns."""
     t, x, y, on = (np.array(column) for column in zip(*rows, strict=True)) if rows else (np.empty(0),) * 4
-    return Crossings(t.astype(np.int64), (y * 70 + x).astype(np.uint32), on.astype(np.bool_))
+    return Crossings(t.astype(np.int64), (y * width + x).astype(np.uint32), on.astype(np.bool_))
 
 
 def part(c, first, last):
@@ -74,6 +74,24 @@ def test_it_does_what_the_plain_arbiter_does(rows, event_ns, row_ns):
     assert (readout.raised, readout.lost_at_readout, readout.read_out, readout.pending) == (
         len(rows), lost, len(rows) - lost, 0,
     )  # fmt: skip
+
+
+wide_bursts = st.lists(
+    st.tuples(
+        st.integers(0, 3000), st.sampled_from([0, 63, 64, 127, 128, 4095, 4096, 8999]), st.integers(0, 2), st.booleans()
+    ),
+    max_size=80,
+).map(sorted)
+
+
+@given(rows=wide_bursts)
+def test_rows_of_more_than_64_words_are_served_the_same(rows):
+    parameters = sensor(width=9000, height=3, event_ns=2.2, row_ns=30)
+    expected, lost = plain_arbiter(rows, parameters)
+    readout = ArbiterReadOut(parameters)
+    events = np.concatenate([readout.push(crossings(rows, 9000), 3000), readout.finish()])
+    assert events.tolist() == [(t // 1000, x, y, on) for t, x, y, on in expected]
+    assert readout.lost_at_readout == lost
 
 
 @given(rows=bursts, cuts=st.lists(st.integers(0, 4000), max_size=6).map(sorted))

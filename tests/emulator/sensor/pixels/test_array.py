@@ -94,6 +94,26 @@ def test_the_same_seed_gives_the_same_events_and_another_seed_others():
     assert not np.array_equal(first, other)
 
 
+def wave_and_rate(parameters, t_ns):
+    y, x = np.mgrid[: parameters.height, : parameters.width]
+    light = wave(parameters, t_ns)
+    return LightFrame(t_ns, light, (light * 1.2 * np.cos(0.3 * x + 0.2 * y + t_ns * 2e-7) * 200).astype(np.float32))
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_state_that_comes_from_memory_block_by_block_moves_in_the_same_way(monkeypatch, threads):
+    parameters = sensor(width=300, height=61, refractory_us=100.0, leak_hz=0.1)  # 36 blocks, the last one not full
+    found = []
+    for near_blocks in (1000, 0):
+        monkeypatch.setattr("emulator.sensor.pixels.array.NEAR_BLOCKS", near_blocks)
+        array = PixelArray(parameters, 1, threads)
+        array.reset(wave_and_rate(parameters, 0))
+        crossings = [array.step(wave_and_rate(parameters, t)) for t in range(MS, 20 * MS, MS)]
+        found.append((sum(map(len, crossings)), crossings[-1].t_ns.tobytes(), array.state.fields.tobytes()))
+    assert found[0][0] > 10_000
+    assert found[0] == found[1]
+
+
 def test_a_restart_from_a_pickle_goes_on_with_the_same_events():
     parameters = sensor(mismatch=0.03, leak_hz=5.0, leak_spread=0.3, refractory_us=2000.0)
     times = list(range(3 * MS, 60 * MS, 3 * MS))
