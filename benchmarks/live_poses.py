@@ -148,9 +148,9 @@ def main(moves: int = 100, lead_us: int = 10_000) -> None:
                 process.send_signal(signal.SIGINT)
                 report = json.loads((process.stdout.read() if process.stdout else "").splitlines()[-1])
         p50, p99 = np.quantile(found, [0.5, 0.99])
-        print(
+        sys.stdout.write(
             f"{width}x{height}, steps of {step_us / 1000:g} ms, lead {lead_us / 1000:g} ms: motion to bytes "
-            f"p50 {p50:.1f} ms, p99 {p99:.1f} ms, max {found.max():.1f} ms; lateness {report['lateness']}"
+            f"p50 {p50:.1f} ms, p99 {p99:.1f} ms, max {found.max():.1f} ms; lateness {report['lateness']}\n"
         )
 
 
