@@ -6,7 +6,8 @@ beside it, in a session of their own, as those of another user.
 
 For each run a row: median, 99th and 99.9th percentile and maximum of the latency, us; late and longer steps; how late
 the worst step was, and the lead that the steps needed (p50, p99, p99.9), us. Exit code 1 where a run misses a limit:
-p50 1 ms, p99 3 ms, p99.9 10 ms and no late step, or beside busy programs a p99 of 10 ms.
+p50 1 ms, p99 3 ms, p99.9 10 ms and no late step, or beside busy programs a p99 of 10 ms. A run that drops events, or is
+so short that its receiver comes too late for 0.5 Mev/s, fails: give at least five seconds.
 """
 
 from __future__ import annotations
@@ -72,8 +73,11 @@ def main(runs: int = 10, seconds: float = 10.0, busy: int = 0) -> int:
     for run in range(1, runs + 1):
         with busy_programs(busy):
             process = subprocess.run(
-                [sys.executable, __file__, _ONE, str(seconds)], stdout=subprocess.PIPE, text=True, check=True
+                [sys.executable, __file__, _ONE, str(seconds)], stdout=subprocess.PIPE, text=True, check=False
             )
+        if process.returncode:
+            _print(f"| {run} | failed, the reason is above |")
+            continue
         values: dict[str, float] = json.loads(process.stdout.splitlines()[-1])
         met = all(values[name] <= limit for name, limit in limits.items())
         good += met
