@@ -1,14 +1,12 @@
 """The threads of an array's step, and the buffers of its events.
 
-The blocks are divided into shares, several for each thread, which the threads take in turn: one that must wait for a
-core does not hold up the others. The events are merged. The number of threads follows from the work of the last step:
-counts, no clock. The result is bit for bit that of one thread. The buffers of a step's events grow on demand and are
-used again.
+Each thread moves a share of the blocks, and the events are merged. The number of threads follows from the work of the
+last step: counts, no clock. The result is bit for bit that of one thread. The buffers of a step's events grow on demand
+and are used again.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -28,13 +26,9 @@ __all__ = ["EventBuffers", "Workers"]
 
 _Keys = npt.NDArray[np.uint64]
 _Frame = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
-_Moved = tuple[_Keys, list[Tally]]
-"""Sorted events of the shares that one thread moved, and their counts."""
 
 _WORTH_A_THREAD = 100_000
 """Quiet pixels that take as long as waking a thread pays for, about 100 us."""
-
-_SHARES_A_THREAD = 4  # a share takes 20 us to begin
 
 _CANDIDATE = 12
 """Cost of a candidate, in quiet pixels."""
@@ -73,27 +67,20 @@ class Workers:
         """Move the array as `advance` does; return the keys in one or two sorted lists, and the counts."""
         n = self._wanted(frame[0].size)
         self._reserve(n)
-        count = 1 if n == 1 else min(_SHARES_A_THREAD * n, _runs(frame[0].size))
-        left = itertools.count()  # its next() is one step for the interpreter, so no share is taken twice
 
-        def move(thread: int) -> _Moved:
-            parts, tallies = [], []
-            while (number := next(left)) < count:
-                share = Share(number, count, self.idle, touched)
-                keys, found, tally = advance(frame, pixels, self._buffers[thread], self._keys[thread], share, c)
-                self._keys[thread] = keys
-                parts.append(keys[:found] if count == 1 else keys[:found].copy())
-                tallies.append(tally)
-            keys = np.concatenate(parts) if len(parts) > 1 else parts[0] if parts else np.empty(0, np.uint64)
-            keys.sort()
-            return keys, tallies
+        def move(number: int) -> tuple[_Keys, Tally]:
+            share = Share(number, n, self.idle, touched)
+            keys, found, tally = advance(frame, pixels, self._buffers[number], self._keys[number], share, c)
+            self._keys[number] = keys
+            keys[:found].sort()
+            return keys[:found], tally
 
         lists, tally = _merged(self._each(move, n))
         self._last = tally.moved + _CANDIDATE * tally.candidates
         return lists, tally
 
     def _wanted(self, pixels: int) -> int:
-        runs = _runs(pixels)
+        runs = -(-pixels // RUN)
         if self._fixed:
             return min(self._fixed, runs)
         return max(1, min(self._most, runs, self._last // _WORTH_A_THREAD))
@@ -103,31 +90,25 @@ class Workers:
             self._buffers.append(Buffers(new_table(), new_subset(0), new_scratch()))
             self._keys.append(np.empty(4096, np.uint64))
 
-    def _each(self, move: Callable[[int], _Moved], n: int) -> list[_Moved]:
-        """Return the results of all threads; the first is this one. One that has not begun at the end is not awaited."""
+    def _each(self, move: Callable[[int], tuple[_Keys, Tally]], n: int) -> list[tuple[_Keys, Tally]]:
+        """Return the results of all shares; the first is this thread's."""
         if n == 1:
             return [move(0)]
         if self._pool is None:
             self._pool = ThreadPoolExecutor(max(self._most, n) - 1, thread_name_prefix="pixels")
-        others = [self._pool.submit(move, thread) for thread in range(1, n)]
-        own = move(0)
-        return [own, *(other.result() for other in others if not other.cancel())]
+        others = [self._pool.submit(move, number) for number in range(1, n)]
+        return [move(0), *(other.result() for other in others)]
 
 
-def _runs(pixels: int) -> int:
-    return -(-pixels // RUN)
-
-
-def _merged(moved: list[_Moved]) -> tuple[list[_Keys], Tally]:
-    """Return the events of all threads in at most two sorted lists, and the counts of all shares."""
-    lists = [keys for keys, _ in moved]
+def _merged(shares: list[tuple[_Keys, Tally]]) -> tuple[list[_Keys], Tally]:
+    """Return the events of all shares in at most two sorted lists, and their counts."""
+    lists = [keys for keys, _ in shares]
     if len(lists) > 2:
         half = len(lists) // 2
         lists = [np.concatenate(part) for part in (lists[:half], lists[half:])]
         for part in lists:
             part.sort(kind="stable")  # merges the sorted parts
-    tallies = [tally for _, several in moved for tally in several]
-    return lists, Tally(*(sum(column) for column in zip(*tallies, strict=True)))
+    return lists, Tally(*(sum(column) for column in zip(*(tally for _, tally in shares), strict=True)))
 
 
 @dataclass(slots=True)

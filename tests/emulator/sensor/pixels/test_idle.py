@@ -1,7 +1,6 @@
 """Blocks that are skipped, and threads: events and state are those of the full pass by one thread, bit for bit."""
 
 import dataclasses
-import threading
 
 import numpy as np
 import pytest
@@ -210,27 +209,6 @@ def test_threads_change_nothing(effect, threads):
     assert_same(run(PixelArray(p, 1, threads=threads), grating, steps("even")), one)
     mixed = run(PixelArray(p, 1, threads=1), spot_before_texture, steps("even"))
     assert_same(run(PixelArray(p, 1, threads=threads), spot_before_texture, steps("even"), told=True), mixed)
-
-
-def _last_step(array, busy=None):
-    """Return the crossings of a step in which all light changes; with `busy`, while the second thread waits for it."""
-    run(array, spot, steps("even"))
-    if busy is not None:
-        array._workers._pool.submit(busy.wait)
-    light, rate = (part.astype(np.float32) for part in still(0))
-    found = array.step(LightFrame((STEPS + 1) * MS, light, rate))
-    return [values.copy() for values in (found.t_ns, found.pixel, found.on)]
-
-
-def test_a_step_does_not_wait_for_a_thread_that_has_not_begun():
-    p, busy = sensor(**EFFECTS["ideal"]), threading.Event()
-    one, two = PixelArray(p, 1, threads=1), PixelArray(p, 1, threads=2)
-    try:
-        results = [_last_step(one), _last_step(two, busy)]
-    finally:
-        busy.set()
-    assert len(results[0][0]) > 1000
-    assert all(np.array_equal(a, b) for a, b in zip(*results, strict=True))
 
 
 def test_a_copied_state_is_looked_at_whole():
