@@ -59,11 +59,15 @@ class BlurWorkers:
         rows = [first + (last - first) * k // count for k in range(count + 1)]
 
         def share(k: int, thread: int) -> None:
-            for picture, out in zip(pictures, outs, strict=True):
-                mine = rows[k], rows[k + 1], left, right
-                blur_and_scale(picture, self._taps, self._factor, mine, self._strips[thread], out)
+            which, k = divmod(k, count)
+            mine = rows[k], rows[k + 1], left, right
+            blur_and_scale(pictures[which], self._taps, self._factor, mine, self._strips[thread], outs[which])
 
-        self._pool.each(share, count)
+        if count > 1:  # threads take shares in turn: one on a busy core does not hold up all
+            self._pool.each(share, count * len(outs))
+            return
+        for k in range(len(outs)):
+            share(k, 0)
 
     def close(self) -> None:
         """End the threads; a second call does nothing."""

@@ -269,7 +269,7 @@ def query_bands(
 @entry
 def draw_bands(
     data: Data,
-    bands: tuple[int, int, int],
+    bands: tuple[int, int],
     lists: Data,
     window: tuple[int, int],
     scratch: Data,
@@ -277,12 +277,12 @@ def draw_bands(
     rate: Float32s,
     owners: tuple[Ints, Float32s],
 ) -> tuple[int, int]:
-    """Draw every `step`-th band from first to last; return the band that needs more room and how much, or (-1, 0).
+    """Draw the bands from the first to before the last; return the one that needs more room and how much, or (-1, 0).
 
     Parameters
     ----------
     data : vertices, faces, across, smooth, facets, kinds, over.
-    bands : first, last, step.
+    bands : first, last.
     lists : `starts` and `listed` of `projection.bucket`.
     window : first column to write, and the one after the last.
     scratch : see `renderer.Scratch`.
@@ -293,7 +293,7 @@ def draw_bands(
     facets = data[4]
     places = (slots, found, masks)
     height, width = light.shape
-    for band in range(bands[0], bands[1], bands[2]):
+    for band in range(bands[0], bands[1]):
         here = listed[starts[band] : starts[band + 1]]
         first, last = band * BAND, min((band + 1) * BAND, height)
         c0, c1 = _extent(facets, here, width)

@@ -36,6 +36,26 @@ def test_threads_change_no_bit(picture):
     with_two.close()
 
 
+def test_threads_take_bands_in_small_shares(picture, monkeypatch):
+    topology, view = soup(4)
+    screen = Screen(40, 640, 60.0, (20.0, 320.0))
+    with_one, with_two = Renderer(topology, screen), Renderer(topology, screen, threads=2)
+    taken = []
+
+    def each(work, count):  # the second thread gets one share, since its core is busy
+        for item in range(count):
+            work(item, thread := int(item == 3))
+            taken.append(thread)
+
+    monkeypatch.setattr(with_two._pool, "each", each)
+    expected, found = (np.zeros((2, 640, 40), np.float32) for _ in range(2))
+    with_one.draw(view, *expected)
+    with_two.draw(view, *found)
+    np.testing.assert_equal(found, expected)
+    assert expected.any()
+    assert 8 <= len(taken) <= 20
+
+
 def test_single_pixels_are_those_of_the_picture(picture):
     topology, corners = grid(12)
     points = np.column_stack([2 * corners, 8 + np.sin(5 * corners[:, 0]) * np.cos(4 * corners[:, 1])])
