@@ -9,6 +9,8 @@ surfaces that pass through each other the velocity of equal depth.
 
 from __future__ import annotations
 
+import numpy as np
+
 from emulator.raster.compiled import lane, vector_kernel
 from emulator.raster.layout import FLAT, Data, Floats, G, Ints, L, W, WHighest, WLowest
 
@@ -18,6 +20,7 @@ LINES = 6  # with 4 the 99th percentile of rate errors on Itokawa's outlines is 
 LINE_FIELDS = 7
 SIDE_FIELDS = 21
 _SHORTEST = 1e-9  # px
+_NONE = np.int64(-1)  # no interval; as a literal it would have a type of its own, for which kernels are compiled again
 _NO_STEP = 1e-10  # of the light: where it is continuous from facet to facet, its change is rounding
 _FROM, _TO, _FROM_SIDE, _TO_SIDE, _W, _WX, _SLOT = range(LINE_FIELDS)
 _Y_LOW, _Y_MIDDLE, _Y_HIGH, _X_LOW, _X_MIDDLE, _LONG, _LOWER, _UPPER, _LONG_SIDE, _LOWER_SIDE, _UPPER_SIDE = range(11)
@@ -189,7 +192,7 @@ def _along(
     """Return the integrals of light and rate along a line; `seen` are facets and intervals."""
     lines, y = seen[1], line[1]
     light = rate = 0.0
-    x, w, heir, passed = 0.0, -1, -1, False
+    x, w, heir, passed = 0.0, _NONE, _NONE, False
     for k in range(4 * n + 5):
         following = heir if heir >= 0 else _nearest(lines, n, x)
         if k > 0:
@@ -201,7 +204,7 @@ def _along(
                 else:
                     last = w >= 0 and heir < 0
                     rate += step * _speed(data, seen, w if last else following, last, origin, line)
-        w, heir, passed = following, -1, False
+        w, heir, passed = following, _NONE, False
         if w < 0:
             end = 2.0
             for i in range(n):

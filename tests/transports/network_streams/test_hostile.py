@@ -88,12 +88,13 @@ def test_a_run_that_is_not_paced_does_not_wait_for_ever_for_a_sleeper():
 
 
 def test_a_client_that_vanishes_takes_only_what_was_on_its_way():
-    events = event_stream(400_000)
+    events = event_stream(1_000_000)  # 8 MB: more than the kernel holds for a client that does not read
     link = opened(CAER)
     gone = connected(link)
+    gone.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 8192)
     clients(link, 1)
     link.start(FREE_RUNNING)
-    link.push(events, 1_200_000)
+    link.push(events, 3_000_000)
     taken = 0
     while taken < 10_000:
         taken += len(gone.recv(4096))
