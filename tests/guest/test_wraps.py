@@ -41,7 +41,7 @@ title = "a loop of recorded events as fast as its reader takes them"
 kind = "recording"
 path = "looped.npz"
 [camera]
-start_delay_ms = 1000.0   # neuromorphic_drivers must have started all its transfers; a guest on a busy machine is slow
+start_delay_ms = 3000.0   # a driver must have started all its transfers; a guest on a busy machine is slow
 [run]
 pace = "free"
 step_us = 1000000
