@@ -2,7 +2,7 @@
 
 The camera of a sky of stars has kind "live" and stands still; now and then it turns by a third of a degree at once, by
 a pose for now. The sensor has no noise, so the first datagram of the rig's UDP link after it carries events of that
-motion. At 346x260 with steps of 2 ms and at 1280x720 with steps of 5 ms, in real time: a pose acts on the next light
+motion. At 346x260 with steps of 2 ms and at 1024x512 with steps of 5 ms, in real time: a pose acts on the next light
 frame, and frames are drawn LEAD_US (10 000) before their time.
 
 For each size: median, 99th percentile and maximum from handing the pose to the socket until the datagram is there, ms,
@@ -56,7 +56,7 @@ lead_us = {lead_us}
 kind = "udp"
 port = {port}
 """
-SIZES = ((346, 260, 2000), (1280, 720, 5000))  # width, height, us a step
+SIZES = ((346, 260, 2000), (1024, 512, 5000))  # width, height, us a step; the datagrams number no more pixels
 TURN_RAD = math.radians(0.3)
 PAUSE_S = 0.15  # from one motion to the next, beside a random part
 QUIET_S = 0.05
