@@ -7,7 +7,7 @@ in 1/z, as perspective requires. Facets are visible from both sides.
 Bodies (`SampledBodies`) are drawn from every facet. Of the scene's own code this uses the shape models, the paths and
 the laws of reflection in float64. Shadows are rays of an independent library (embree through trimesh) from each corner
 to points of the Sun's disc. Light is linear over a facet, from corner to corner; flat facets are divided until they are
-small: at the closest range no longer than five pixels. Rays are cast from facets in the frame alone.
+small: at the closest range no longer than five pixels. Of these only facets in the frame are drawn.
 
 Ground (`SampledTerrain`) is drawn from every facet of its finest grids. Of the scene's own code this uses heights, the
 visible share of the Sun at each post, paths, and the laws of reflection in float64. No block is coarser than the map,
@@ -225,7 +225,8 @@ class SampledBodies(Scene):
         lit = np.where(mu0 > 0, law.reflect(np.maximum(mu0, 0), mu, phase), 0.0)
         around = np.abs(mu)
         in_camera = from_eye @ camera.world_from_body
-        facets = body.facets[self._in_frame(in_camera)[body.facets].any(axis=1)]
+        near = self._in_frame(in_camera) | body.table.smooth  # facets that are not divided may be larger than the frame
+        facets = body.facets[near[body.facets].any(axis=1)]
         wanted = np.zeros(len(points), bool)
         wanted[facets] = True
         sunlit = self._sunlit(points + normals * body.lift_m, wanted & (lit > 0), poses)
@@ -234,10 +235,7 @@ class SampledBodies(Scene):
         return in_camera[facets], (body.albedo * radiance)[facets]
 
     def _in_frame(self, points_m: _Floats) -> npt.NDArray[np.bool_]:
-        """Return whether points in camera axes, (n, 3), are in the frame, or close beside it.
-
-        Of facets larger than the frame no corner may be.
-        """
+        """Return whether points in camera axes, (n, 3), are in the frame, or close beside it."""
         x, y, z = points_m.T
         half = [_BESIDE * side / 2 / self._pinhole.focal_px for side in self._pinhole.size]
         return np.asarray((np.abs(x) <= half[0] * z) & (np.abs(y) <= half[1] * z))
