@@ -63,6 +63,7 @@ for verb, module, summary in (
     ("picture", "picture", "Write a PNG of a rig: its light and its events."),
     ("accuracy", "accuracy", "Measure accuracy against speed, and where each method fails."),
     ("characterise", "characterise", "Measure a simulated sensor with the methods of a laboratory."),
+    ("validate", "validate", "Repeat public measurements of real cameras on the simulated sensors."),
     ("doctor", "doctor", "Show which parts this machine has and lacks, with the command that adds each."),
 ):
     app.command(f"emulator.cli.{module}:{verb}", name=verb, help=summary)

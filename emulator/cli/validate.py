@@ -1,0 +1,67 @@
+"""`evstim validate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.evaluation.validation.experiments import EXPERIMENTS
+from emulator.evaluation.validation.findings import Findings
+from emulator.evaluation.validation.page import write
+from emulator.report.page import ChartsLacking, check_charts
+
+__all__ = ["validate"]
+
+
+def validate(
+    *names: str,
+    out: Path,
+    seed: int = 1,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Repeat public measurements of real cameras on the simulated sensors; write a page, pictures and tables.
+
+    Parameters
+    ----------
+    names
+        Only these experiments; all without a name.
+    out
+        Folder to write into; created if missing.
+    seed
+        Fixes mismatch, noise and phases.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    unknown = [name for name in names if name not in EXPERIMENTS]
+    if unknown:
+        raise Failure(f"{unknown[0]!r} is no experiment: choose from {', '.join(EXPERIMENTS)}", WRONG_USE)
+    try:
+        check_charts()
+        out.mkdir(parents=True, exist_ok=True)
+    except ChartsLacking as error:
+        raise Failure(str(error), LACKING) from error
+    except OSError as error:
+        raise Failure(f"--out {out}: {error.strerror}", WRONG_USE) from error
+    found = _measured(names or tuple(EXPERIMENTS), seed)
+    with status.status("drawing ..."):
+        files = write(found, out)
+    if json:
+        alike = {one.name: sum(datum.alike for datum in one.judged) for one in found}
+        print_json({"alike": alike, "judged": {one.name: len(one.judged) for one in found}, "files": files})
+        return GOOD
+    for one in found:
+        console.print(f"{one.title}: {sum(datum.alike for datum in one.judged)} of {len(one.judged)} alike")
+    for path in files:
+        console.print(str(path))
+    return GOOD
+
+
+def _measured(names: tuple[str, ...], seed: int) -> list[Findings]:
+    """Run the experiments under a progress bar."""
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=status, transient=True) as progress:
+        return [EXPERIMENTS[name](seed) for name in progress.track(names, description="measuring")]

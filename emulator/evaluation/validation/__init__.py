@@ -1,0 +1,1 @@
+"""Public measurements of real cameras, repeated on the simulated sensors."""
