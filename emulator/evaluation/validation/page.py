@@ -21,7 +21,7 @@ Each real value stands beside ours with the distance between them; what disagree
 
 
 def write(found: Sequence[Findings], out: Path) -> list[Path]:
-    """Write `validation.md` into folder `out`, and pictures and tables into its folder `validation`; return the files."""
+    """Write `validation.md` into folder `out`, pictures and tables into `out/validation`; return the files."""
     folder = out / "validation"
     folder.mkdir(parents=True, exist_ok=True)
     pictures = {one.name: one.draw(folder / one.name) for one in found if one.draw is not None}
