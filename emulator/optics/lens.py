@@ -99,6 +99,9 @@ class LensParameters:
         Radial distortion (Brown and Conrady, as OpenCV writes it).
     p1, p2
         Tangential distortion.
+    veiling_glare
+        Share of the light that the lens scatters evenly over the image (veiling glare index, ISO 9358): 0.01 to 0.05
+        for usual lenses. Every change of light then changes all pixels, so none can be skipped.
     """
 
     field_of_view_deg: float = 25.0
@@ -113,6 +116,7 @@ class LensParameters:
     k3: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
+    veiling_glare: float = 0.0
 
     def __post_init__(self) -> None:
         bounds = {
@@ -122,6 +126,7 @@ class LensParameters:
             "reference_lux": (1e-6, 1e6),
             "blur_px": (0.0, 20.0),
             "focus_m": (0.0, 1e12),
+            "veiling_glare": (0.0, 0.5),
             **dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), (-10.0, 10.0)),
         }
         for name, (low, high) in bounds.items():

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from emulator.optics.lens import LensParameters
 from emulator.plan.scene_probe import Probe
 from emulator.sensor.chip.sources import hits_per_second
 from emulator.sensor.noise.law import bandwidth_hz, beyond_the_law, fixed_corner_hz, of_array, rms
@@ -34,6 +35,7 @@ __all__ = [
     "chip_costs",
     "interval_s",
     "least_current",
+    "lens_costs",
     "noise_shift",
     "over",
     "pixel_costs",
@@ -136,6 +138,9 @@ def pixel_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list
         _noise(p, scene),
         _shift(p, scene),
         _jitter(p),
+        _comparator(p, scene),
+        *_resets(p, scene),
+        _acknowledge(p, scene),
     ]
 
 
@@ -260,6 +265,58 @@ def _jitter(p: SensorParameters) -> Decision | None:
     late_us = p.jitter.latency_us + 2 * p.jitter.deviation_us
     off = {"jitter": {"latency_us": 0.0, "deviation_us": 0.0}}
     return Decision("jitter", "latency and two deviations", late_us, None, off)
+
+
+def _comparator(p: SensorParameters, scene: Probe) -> Decision | None:
+    """Return the cost of comparators without delay, at the mean contrast rate."""
+    c = p.comparator
+    if not max(c.on_us, c.off_us):
+        return None
+    late_us = max(mean_delay_us(us, on=k == 0, c=c, slope=scene.contrast_rate) for k, us in enumerate((c.on_us, c.off_us)))
+    off = {"comparator": {"on_us": 0.0, "off_us": 0.0}}
+    share = late_us * 1e-6 / interval_s(p, scene)
+    return Decision("comparator", "delay at the mean contrast rate, and events lost in it", late_us, share, off)
+
+
+def _resets(p: SensorParameters, scene: Probe) -> list[Decision | None]:
+    n = run_events(p, scene)
+    r, offset_us, noise_us = p.reset, None, None
+    if r.offset:
+        offset_us = over(n * abs(r.offset), scene) * 1e6
+    if r.noise:
+        noise_us = over(2 * math.sqrt(n) * r.noise, scene) * 1e6
+    share = abs(r.offset) / min(p.threshold_on, p.threshold_off)
+    offset = Decision("reset offset", "stamps in a run, and its share of a threshold", offset_us, share, {"reset": {"offset": 0.0}})
+    noise = Decision("reset noise", "two deviations of the stamps in a run", noise_us, None, {"reset": {"noise": 0.0}})
+    return [offset if r.offset else None, noise if r.noise else None]
+
+
+def _acknowledge(p: SensorParameters, scene: Probe) -> Decision | None:
+    """Return the cost of a refractory period from the crossing: pixels would not wait for the read-out."""
+    if not p.reset.at_acknowledge:
+        return None
+    wait_us = mean_wait_us(p, scene.events_per_s)
+    late_us, share = run_events(p, scene) * wait_us, wait_us * 1e-6 / interval_s(p, scene)
+    bound = "mean wait at the read-out: stamps in a run, and events lost"
+    return Decision("refractory period from the acknowledge", bound, late_us, share, {"reset": {"at_acknowledge": False}})
+
+
+def mean_wait_us(p: SensorParameters, events_per_s: float) -> float:
+    """Return the mean time from a request to its acknowledge, us: half a scan, or that of a queue (M/D/1) and a row."""
+    if p.readout.scan_us:
+        return p.readout.scan_us / 2
+    service_us = (p.readout.event_ns + p.readout.row_ns) / 1000
+    load = events_per_s * service_us * 1e-6
+    queue_us = service_us * load / (2 * (1 - load)) if load < 1 else math.inf
+    return p.readout.row_ns / 1000 + queue_us
+
+
+def lens_costs(lens: LensParameters, p: SensorParameters, scene: Probe) -> list[Decision]:
+    """Return the cost of each effect of the lens that is switched on."""
+    if not lens.veiling_glare:
+        return []
+    share = min(1.0, lens.veiling_glare * scene.mean_current / least_current(p, scene))
+    return [Decision("veiling glare", "its share of the darkest light; never left out", None, share, choice=False)]
 
 
 def _largest(scene: Probe) -> float:

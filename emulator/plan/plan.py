@@ -22,6 +22,11 @@ darkest active light.
     noise               R events a second; stamps off by rms / A           R < delta A/theta, and rms / A < eps
     shift by noise      stamps late by up to 3 rms / A                     that < eps, and a point process will do
     jitter              stamps early by the latency                        latency + 2 deviations < eps
+    comparator          stamps early by its delay at A, events by delay A/theta    that < eps, and < delta
+    reset offset        contrasts by o / theta; stamps by n o / A          that < delta, and < eps
+    reset noise         stamps off by 2 sqrt(n) s / A                      that < eps
+    acknowledge         as the refractory period, of the mean wait         the same
+    veiling glare       contrasts in dim light smaller by its share there  never: it is a floor of the light
     dark current        contrasts larger by dim                            never: it is the floor of the logarithm
     temperature         its changes of leak and dark current               as these
     efficiencies, PRNU  contrasts by change dim, stamps by change tau      that < delta, and < eps
@@ -40,9 +45,10 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
-from emulator.plan.costs import Decision, Tolerance, chip_costs, pixel_costs
+from emulator.plan.costs import Decision, Tolerance, chip_costs, lens_costs, pixel_costs
 from emulator.plan.scene_probe import Probe
 from emulator.plan.step_control import Limits
+from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.sensor.presets import SensorParameters
 
@@ -152,7 +158,9 @@ def make_plan(rig: Rig, probe: Probe) -> Plan:
     tolerance = Tolerance(run.tolerance_us or _PINNED_TOLERANCE_US, run.tolerated_wrong_share, duration_s)
     steps = _steps(rig, probe)
     sensor = rig.camera.sensor
-    return Plan(rig, probe, tolerance, steps, decide(sensor, probe, tolerance), _load(rig, probe, steps))
+    seen = [] if SCENES[rig.scene.kind].lens == "none" else lens_costs(rig.camera.lens, sensor, probe)
+    decisions = [*decide(sensor, probe, tolerance), *seen]
+    return Plan(rig, probe, tolerance, steps, decisions, _load(rig, probe, steps))
 
 
 def limits(rig: Rig, motion_bound_px_s: float) -> Limits:

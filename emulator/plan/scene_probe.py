@@ -59,6 +59,8 @@ class Probe:
         The scene's bound on image motion.
     line_slips, hermite_slips
         Slips per event at a step of `step_s`; see `step_control`.
+    mean_current
+        Mean photocurrent of all pixels, relative.
     """
 
     contrast_rate: float
@@ -76,6 +78,7 @@ class Probe:
     motion_px_s: float
     line_slips: float = 0.0
     hermite_slips: float = 0.0
+    mean_current: float = 0.0
 
 
 def probe(scene: Scene, sensor: SensorParameters, step_ns: int, duration_s: float) -> Probe:
@@ -140,6 +143,7 @@ def _figures(
         motion_px_s=scene.motion_bound_px_s,
         line_slips=_slips(without),
         hermite_slips=_slips(triples),
+        mean_current=float(current[np.isfinite(current)].mean()) if np.isfinite(current).any() else 0.0,
     )
 
 

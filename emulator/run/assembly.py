@@ -30,6 +30,7 @@ import numpy as np
 
 from emulator.gl.context import selected_painter
 from emulator.light import Scene, SceneFrames
+from emulator.optics.glare import Veiled, veiled
 from emulator.optics.through import Through
 from emulator.plan.plan import limits, make_plan
 from emulator.plan.scene_probe import probe
@@ -106,9 +107,9 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
     else:
         build = partial(imported(kind.build), rig.scene, **({"threads": threads} if kind.threads else {}))
     if kind.lens == "applied":
-        return Through(lens, chip, size, build, threads)
+        return veiled(Through(lens, chip, size, build, threads), lens)
     scene: Scene = build(size, lens, chip) if kind.lens == "own" else build(size)
-    return scene
+    return veiled(scene, lens) if kind.lens == "own" else scene
 
 
 def imu_source(rig: Rig, scene: Scene) -> ImuSource | None:
@@ -119,7 +120,9 @@ def imu_source(rig: Rig, scene: Scene) -> ImuSource | None:
 
 def carried(rig: Rig, imu: ImuParameters, scene: Scene) -> Carried:
     """Return path, gravity and time of the unit; on a bench where the scene's camera has no path."""
-    inner = scene.scene if isinstance(scene, Through) else scene
+    inner = scene
+    while isinstance(inner, Through | Veiled):
+        inner = inner.scene
     given = Gravity(np.zeros(3) if imu.gravity_m_s2 is None else np.array(imu.gravity_m_s2), imu.gm_m3_s2)
     is_given = imu.gravity_m_s2 is not None or imu.gm_m3_s2 > 0
     if not isinstance(inner, HasCameraPath):

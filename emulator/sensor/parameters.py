@@ -8,6 +8,8 @@ Every effect of a sensor is off, or changes nothing, by default:
     noise          rms is 0                                   noise.points, noise.grid
     background     rates are 0                                chip.sources
     jitter         latency, deviation and leak share are 0    chip.readout, chip.defects
+    comparator     times are 0                                pixels.comparator
+    reset          offset, noise are 0, at_acknowledge false  pixels.state, chip.readout, chip.scan
     imager         gains are 1, spreads 0, shot noise false   chip.imager
     radiation      flux and dose are 0                        chip.sources, chip.defects
 
@@ -41,6 +43,7 @@ __all__ = [
     "LEAK_DOUBLES_EVERY_K",
     "REFERENCE_CELSIUS",
     "BackgroundParameters",
+    "ComparatorParameters",
     "DefectParameters",
     "FrameParameters",
     "ImagerParameters",
@@ -49,6 +52,7 @@ __all__ = [
     "KickParameters",
     "NoiseParameters",
     "RadiationParameters",
+    "ResetParameters",
     "TemperatureParameters",
     "check",
     "check_finite",
@@ -236,6 +240,57 @@ class JitterParameters:
         check(self, "leak_share", 0, 1)
         if self.deviation_us > 0 and self.latency_us == 0:
             raise ValueError(f"deviation_us = {self.deviation_us!r}: must be 0 without a latency_us to vary")
+
+
+@dataclass(frozen=True, slots=True)
+class ComparatorParameters:
+    """Delay of the comparators, which depends on the slope of the signal and on the polarity; see `pixels.comparator`.
+
+    No camera's times are published. An estimate for the DAVIS346 at its default biases: an output node of 10 fF swings
+    by 1 V at the bias currents that its drivers set, 387 nA for ON and 0.19 nA for OFF, in 0.03 us and 53 us.
+
+    Attributes
+    ----------
+    on_us, off_us : time in which the bias current alone drives the output of the ON or OFF comparator from one level to
+        the other, us; 0: no delay.
+    contrast_per_e : change of log light that changes the current of the comparator's input transistor by a factor e; of
+        the thresholds, theta = contrast_per_e ln(I_on / I_diff). 0.0714 is jAER's value for a DAVIS.
+    """
+
+    on_us: float = 0.0
+    off_us: float = 0.0
+    contrast_per_e: float = 0.0714
+
+    def __post_init__(self) -> None:
+        check(self, "on_us", 0, 10_000)
+        check(self, "off_us", 0, 10_000)
+        check(self, "contrast_per_e", 1e-3, 10)
+
+
+@dataclass(frozen=True, slots=True)
+class ResetParameters:
+    """Errors of the reset that follows an event, and its time.
+
+    When the reset switch opens, its channel's charge and the thermal noise of the capacitor stay on the reference. The
+    noise is sqrt(k T / C) over gain: 0.8 mV for the 6 fF of a DAVIS, over some 0.5 V for a factor e of light (gain 20),
+    is 0.0017. Both are estimates: the offset depends on the layout, and the biases of a real camera cancel its mean.
+
+    Attributes
+    ----------
+    offset : of the reference over the signal after a reset, ln units. A positive one brings OFF nearer and takes ON
+        farther away, by the same amount. Limited to 0.9 of a pixel's thresholds.
+    noise : standard deviation of that offset from one reset to the next, ln units; normal.
+    at_acknowledge : true: a pixel is in reset until the read-out acknowledges its event, and the refractory period
+        begins there; false: it begins at the crossing.
+    """
+
+    offset: float = 0.0
+    noise: float = 0.0
+    at_acknowledge: bool = False
+
+    def __post_init__(self) -> None:
+        check(self, "offset", -1, 1)
+        check(self, "noise", 0, 1)
 
 
 @dataclass(frozen=True, slots=True)

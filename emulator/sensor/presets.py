@@ -63,11 +63,13 @@ from typing import Literal
 
 from emulator.sensor.parameters import (
     BackgroundParameters,
+    ComparatorParameters,
     DefectParameters,
     ImagerParameters,
     JitterParameters,
     NoiseParameters,
     RadiationParameters,
+    ResetParameters,
     TemperatureParameters,
     check,
     check_finite,
@@ -125,8 +127,8 @@ class SensorParameters:
     photoreceptor : "one_pole", the small-signal model that all parameters above describe; "large_signal" solves the
         circuit with its slew, its second pole and its slow decay into the dark, at many times the cost.
     readout : the read-out's times.
-    temperature, defects, noise, background, jitter, imager, radiation : see `parameters`; all off, or without
-        effect, by default.
+    temperature, defects, noise, background, jitter, imager, radiation, comparator, reset : see `parameters`; all off,
+        or without effect, by default.
     """
 
     width: int
@@ -153,6 +155,8 @@ class SensorParameters:
     jitter: JitterParameters = field(default_factory=JitterParameters)
     imager: ImagerParameters = field(default_factory=ImagerParameters)
     radiation: RadiationParameters = field(default_factory=RadiationParameters)
+    comparator: ComparatorParameters = field(default_factory=ComparatorParameters)
+    reset: ResetParameters = field(default_factory=ResetParameters)
 
     def __post_init__(self) -> None:
         for name in ("width", "height"):
@@ -174,6 +178,7 @@ class SensorParameters:
         check(self, "corner_max_hz", self.corner_min_hz, math.inf)
         self._check_photoreceptor()
         self._check_noise()
+        self._check_reset()
         for name in ("hot_pixels", "dead_pixels"):
             self._check_places(name)
 
@@ -189,6 +194,14 @@ class SensorParameters:
             raise ValueError(
                 f"noise.rms = {self.noise.rms!r}: must be 0 where nothing limits the noise's bandwidth; give "
                 "source_follower_hz, noise.corner_hz, or a finite corner_hz_at_reference and corner_max_hz"
+            )
+
+    def _check_reset(self) -> None:
+        r, least = self.reset, min(self.threshold_on, self.threshold_off)
+        if abs(r.offset) + 3 * r.noise > least / 2:
+            raise ValueError(
+                f"reset.offset = {r.offset!r}: it and three times reset.noise ({r.noise!r}) must be at most half of the "
+                f"lower threshold, {least:g}; else a reset raises events by itself"
             )
 
     def _check_places(self, name: str) -> None:

@@ -34,6 +34,7 @@ from emulator.evaluation.accuracy.sampled_scenes import SampledBodies, SampledTe
 from emulator.evaluation.accuracy.scores import PixelEvents as Sequences
 from emulator.evaluation.accuracy.scores import Stream, common_subsequences, compare
 from emulator.light import LightFrame, Scene, SceneFrames
+from emulator.optics.glare import veiled
 from emulator.optics.through import Through
 from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.loading import Rig
@@ -210,7 +211,8 @@ class Look:
     def scene(self, build: Callable[..., Scene]) -> Scene:
         """Return the scene that `build(parameters, pinhole)` makes, through the rig's lens."""
         camera = self.rig.camera
-        return Through(camera.lens, CAMERA_MODELS[camera.model].chip, camera.size, partial(build, self.rig.scene))
+        chip = CAMERA_MODELS[camera.model].chip
+        return veiled(Through(camera.lens, chip, camera.size, partial(build, self.rig.scene)), camera.lens)
 
     def truth(self) -> Stream:
         """Return the events of the scene by point samples."""

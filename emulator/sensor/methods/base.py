@@ -45,6 +45,8 @@ class Capabilities:
         Pixels can be dead, and their leak can change between two steps: `kill`, `leak_hz`, `set_leak`.
     has_grid_noise, has_large_signal : bool
         The method contains noise of the grade "grid", or the large-signal photoreceptor.
+    has_comparator : bool
+        The comparator's delay, and the offset and the noise of resets.
     """
 
     uses_rate: bool = False
@@ -55,6 +57,7 @@ class Capabilities:
     has_faults: bool = False
     has_grid_noise: bool = False
     has_large_signal: bool = False
+    has_comparator: bool = False
 
     def check(self, parameters: SensorParameters) -> None:
         """Raise ValueError if the parameters switch on an effect that needs another method."""
@@ -62,6 +65,12 @@ class Capabilities:
             raise ValueError('photoreceptor = "large_signal" is a method of its own: leave it out, or the other method')
         if parameters.noise.rms and parameters.noise.grade == "grid" and not self.has_grid_noise:
             raise ValueError('noise.grade = "grid" is a method of its own: leave it out, or the other method')
+        comparator, reset = parameters.comparator, parameters.reset
+        if max(comparator.on_us, comparator.off_us, abs(reset.offset), reset.noise) > 0 and not self.has_comparator:
+            raise ValueError(
+                "comparator.on_us, comparator.off_us, reset.offset and reset.noise need evstim's own pixels: leave them "
+                "out, or the other method"
+            )
 
 
 class PixelMethod(ABC):

@@ -18,6 +18,7 @@ from emulator.light import LightFrame, PixelLight, Region
 from emulator.sensor.methods.base import Capabilities, PixelMethod, time_of
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
+from emulator.sensor.numerics.keyed import Purpose, root_of, streams
 from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.pixels.curve import UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, touch, wake
@@ -30,6 +31,7 @@ from emulator.sensor.pixels.state import (
     NEAR_BLOCKS,
     PARTS,
     Field,
+    Keys,
     Levels,
     Pixels,
     PixelState,
@@ -88,6 +90,7 @@ class PixelArray(PixelMethod):
         is_adjustable=True,
         takes_row_reads=True,
         has_faults=True,
+        has_comparator=True,
     )
 
     def __init__(self, parameters: SensorParameters, seed: int, threads: int = 0) -> None:
@@ -96,11 +99,12 @@ class PixelArray(PixelMethod):
         self._whole = Region(0, parameters.height, 0, parameters.width)
         self._pixels = parameters.width * parameters.height
         self._pixel_bits = max(1, (self._pixels - 1).bit_length())
-        self._refractory_ns = round(parameters.refractory_us * 1000)
+        self._refractory_ns = _refractory_ns(parameters)
         self._light_constants = light_constants(parameters)
         self._buffers = EventBuffers()
         self.state = self._dark_state()
         self._workers = Workers(self.state.fields.shape[0], threads)
+        self._delays = max(parameters.comparator.on_us, parameters.comparator.off_us) > 0
         self._touched_units = np.zeros(self.state.fields.shape[0] * (1 + PARTS), np.uint8)
         self._known = self.state.fields
         self._replacing: tuple[_Float32s, _Float32s] | None = None
@@ -115,7 +119,7 @@ class PixelArray(PixelMethod):
         put_field(fields, Field.ON, drawn.on)
         put_field(fields, Field.OFF, drawn.off)
         put_field(fields, Field.LEAK, drawn.leak_hz * take_field(fields, Field.ON, self._pixels))
-        return PixelState(fields, np.zeros(blocks * BLOCK, np.int64), 0, 0, False)
+        return PixelState(fields, np.zeros((1 + (p.reset.noise > 0)) * blocks * BLOCK, np.int64), 0, 0, False)
 
     def _clear_counters(self) -> None:
         self.lost_in_pixel = self.quiet_nan = self.undersampled = self.candidates = 0
@@ -156,7 +160,7 @@ class PixelArray(PixelMethod):
             drawn = draw(after, self.seed)
             self.set_leak(drawn.leak / drawn.on)
         self.parameters, self._light_constants = after, light_constants(after)
-        self._refractory_ns = round(after.refractory_us * 1000)
+        self._refractory_ns = _refractory_ns(after)
         self._refinement = None
         self.wake()
 
@@ -228,7 +232,11 @@ class PixelArray(PixelMethod):
         state, p = self.state, self.parameters
         flat, slope = self._flat(frame.light), _NO_RATE if frame.rate is None else self._flat(frame.rate)
         state.t_ns, state.epoch_ns = int(frame.t_ns), (int(frame.t_ns) >> EPOCH_BITS) << EPOCH_BITS
-        state.refractory_until_ns[:] = frame.t_ns
+        pixels = state.fields.shape[0] * BLOCK
+        state.refractory_until_ns[:pixels] = frame.t_ns
+        if p.reset.noise:
+            state.refractory_until_ns[pixels:] = streams(root_of(self.seed, Purpose.RESET_NOISE), pixels).view(np.int64)
+        state.late, state.late_from_ns = np.empty(0, np.uint64), state.t_ns
         current = np.maximum(flat, 0) + np.float32(p.dark_current_relative)
         current[~np.isfinite(flat)] = np.nan
         log_light = np.log(current)
@@ -332,7 +340,21 @@ class PixelArray(PixelMethod):
             lists[0].sort()
         self._count(tally)
         state.t_ns = t_ns
+        if self._delays:
+            lists = self._switched(lists, t0_ns)
         return buffers.add(lists, (t0_ns, self._pixel_bits), n)
+
+    def _switched(self, lists: list[Keys], t0_ns: int) -> list[Keys]:
+        """Return the events whose comparator has switched by now, in one list; the others wait for a later step.
+
+        Events of `lists` count from `t0_ns`. One that still waits when the stream ends has not happened.
+        """
+        state, shift = self.state, np.uint64(self._pixel_bits + 1)
+        keys = np.concatenate([*lists, state.late - (np.uint64(t0_ns - state.late_from_ns) << shift)])
+        keys.sort()
+        n = int(np.searchsorted(keys, np.uint64(state.t_ns - t0_ns + 1) << shift))
+        state.late, state.late_from_ns = keys[n:].copy(), t0_ns
+        return [keys[:n]]
 
     def _replace_light(self) -> None:
         """Change the light at once to that of a pending frame at the time of the last one."""
@@ -415,4 +437,14 @@ class PixelArray(PixelMethod):
             unseen_share=UNSEEN_SHARE,
             refine=False,
             far=self.state.fields.shape[0] > NEAR_BLOCKS,
+            reset_offset=np.float32(p.reset.offset),
+            reset_noise=np.float32(p.reset.noise),
+            on_delay=p.comparator.on_us * 1e-6,
+            off_delay=p.comparator.off_us * 1e-6,
+            contrast_per_e=float(p.comparator.contrast_per_e),
         )
+
+
+def _refractory_ns(p: SensorParameters) -> int:
+    """Return the refractory period, ns; at least 1 where comparators are late, which set the reference when they switch."""
+    return max(round(p.refractory_us * 1000), int(max(p.comparator.on_us, p.comparator.off_us) > 0))

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import NONE, cached_entry, inlined, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import aligned_zeros, exponential, use_widest_vectors
+from emulator.sensor.pixels.comparator import delay_s
 from emulator.sensor.pixels.curve import Course, is_smooth, missed_by_cubic, photocurrent, transient
 from emulator.sensor.pixels.march import SETTLED, Bracket, Cubic, bisect, newton, solve_substeps, value
 from emulator.sensor.pixels.march_table import CAPACITY, Start, SubstepTable, enter, new_substep_table
@@ -29,9 +30,11 @@ from emulator.sensor.pixels.state import (
     Keys,
     Pixels,
     StepConstants,
+    count_reset,
     levels_passed,
     pack,
     reserve,
+    reset_offset,
     slot,
     whole_vectors,
 )
@@ -54,8 +57,10 @@ BATCH = BLOCK
     _C_U0, _C_V0, _C_L0, _C_A0, _C_U1, _C_V1, _C_L1, _C_A1, _C_S, _C_REF, _C_ON, _C_OFF, _C_LEAK,
     _C_W0, _C_W1, _C_P0, _C_P1, _C_START, _C_BASE, _C_A, _C_D0, _C_D1, _C_C1, _C_C2, _C_C3, _C_KIND,
     _C_Z, _C_MISS, _C_NEXT_A, _C_NEXT_START, _C_NEXT_REF, _C_AGAIN, _C_LIT,
-) = (k * CAPACITY for k in range(33))  # fmt: skip
-_C_ROWS = 33
+    _C_RESET, _C_NEXT_RESET, _C_LATE,
+) = (k * CAPACITY for k in range(36))  # fmt: skip
+_C_ROWS = 36
+_LAST, _NEXT = (np.int64(n) for n in range(2))
 
 _NOTHING, _RE_ARMS, _FIRES, _NEEDS_SUBSTEPS = (np.float32(kind) for kind in range(4))
 
@@ -167,6 +172,16 @@ def _find_starts(pixels: Pixels, table: Table, n: int, c: StepConstants) -> None
         table.rows[_C_START + j] = start
 
 
+@kernel
+def _find_offsets(pixels: Pixels, table: Table, n: int, c: StepConstants) -> None:
+    """Write the offsets of each candidate's reference after its last reset and after its next one; see `state`."""
+    rows, errors = table.rows, (c.reset_offset, c.reset_noise)
+    for j in range(n):
+        thresholds = rows[_C_ON + j], rows[_C_OFF + j]
+        rows[_C_RESET + j] = reset_offset(pixels, table.pixels[j], _LAST, thresholds, errors)
+        rows[_C_NEXT_RESET + j] = reset_offset(pixels, table.pixels[j], _NEXT, thresholds, errors)
+
+
 @vector_kernel
 def _make_curves(table: _Float32s, n: int, c: StepConstants) -> None:
     """Write each candidate's cubic, without leak, and whether the pixel needs substeps instead."""
@@ -226,7 +241,7 @@ def _sort_by_kind(table: _Float32s, n: int, c: StepConstants) -> None:
         middle = m0 + c2
         monotone = (min(min(m0, m1), middle) >= _ZERO) | (max(max(m0, m1), middle) <= _ZERO)
         at_start = ((c3 * start + c2) * start + m0) * start + d0
-        a = at_start if refractory else _ZERO
+        a = at_start + table[_C_RESET + j] if refractory else _ZERO
         inside = (at_start - a < on) & (at_start - a > -off)
         fires = (d1 - a >= on) | (d1 - a <= -off)
         table[_C_BASE + j], table[_C_A + j] = base, a
@@ -278,16 +293,27 @@ def _bisect_unsettled(table: Table, n: int) -> None:
         rows[_C_Z + j] = bisect(_cubic(rows, j), _bracket(rows, j))
 
 
+@kernel
+def _find_delays(table: Table, n: int, c: StepConstants) -> None:
+    """Write the delay of the comparator of each candidate that fires, as a share of the step."""
+    rows = table.rows
+    for j in range(n):
+        if rows[_C_KIND + j] == _FIRES:
+            z = rows[_C_Z + j]
+            slope = (_THREE * rows[_C_C3 + j] * z + _TWO * rows[_C_C2 + j]) * z + rows[_C_C1 + j]
+            rows[_C_LATE + j] = np.float32(delay_s(abs(slope) / c.h, rows[_C_D1 + j] > rows[_C_A + j], c) / c.h)
+
+
 @vector_kernel
 def _follow(table: _Float32s, n: int, c: StepConstants) -> None:
     """Write for each candidate that fires at z its next reference, when it is re-armed, and whether it fires again."""
     use_widest_vectors()
     for j in range(n):
         a, d1, on, off = table[_C_A + j], table[_C_D1 + j], table[_C_ON + j], table[_C_OFF + j]
-        re_armed = table[_C_Z + j] + c.refractory
+        re_armed = table[_C_Z + j] + (table[_C_LATE + j] + c.refractory)
         level = a + (on if d1 > a else -off)
         there = value(_cubic(table, j), re_armed)
-        following = there if c.refractory > _ZERO else level
+        following = (there if c.refractory > _ZERO else level) + table[_C_NEXT_RESET + j]
         fires = ((d1 - following >= on) | (d1 - following <= -off)) & (re_armed <= _ONE)
         table[_C_NEXT_A + j], table[_C_NEXT_START + j] = following, re_armed
         table[_C_NEXT_REF + j] = table[_C_BASE + j] + following if re_armed <= _ONE else _NAN
@@ -300,7 +326,7 @@ def _move_column(table: Table, j: int, k: int) -> None:
     rows = table.rows
     table.pixels[k] = table.pixels[j]
     rows[_C_A + k], rows[_C_START + k], rows[_C_KIND + k] = rows[_C_NEXT_A + j], rows[_C_NEXT_START + j], _FIRES
-    for row in (_C_ON, _C_OFF, _C_BASE, _C_D0, _C_D1, _C_C1, _C_C2, _C_C3):
+    for row in (_C_ON, _C_OFF, _C_BASE, _C_D0, _C_D1, _C_C1, _C_C2, _C_C3, _C_NEXT_RESET):
         rows[row + k] = rows[row + j]
 
 
@@ -312,14 +338,18 @@ def _fire(pixels: Pixels, table: Table, n: int, keys: Keys, n_keys: int, c: Step
         if rows[_C_KIND + j] != _FIRES:
             continue
         pixel, reference = table.pixels[j], rows[_C_NEXT_REF + j]
-        dt_ns = min(int(rows[_C_Z + j] * c.h_ns), c.h_ns)
+        dt_ns = min(int(rows[_C_Z + j] * c.h_ns), c.h_ns) + int(rows[_C_LATE + j] * c.h_ns)
         keys[n_keys] = pack(dt_ns, pixel, rows[_C_D1 + j] > rows[_C_A + j], c.pixel_bits)
         n_keys += 1
         pixels.fields[slot(pixel) + _REF] = reference
         if reference != reference:
             pixels.refractory_until_ns[pixel] = c.t0_ns + dt_ns + c.refractory_ns
+        count_reset(pixels, pixel, c.reset_noise)
         if rows[_C_AGAIN + j] != _ZERO:
             _move_column(table, j, again)
+            if c.reset_noise > _ZERO:
+                thresholds, errors = (rows[_C_ON + j], rows[_C_OFF + j]), (c.reset_offset, c.reset_noise)
+                rows[_C_NEXT_RESET + again] = reset_offset(pixels, pixel, _NEXT, thresholds, errors)
             again += 1
     return n_keys, again
 
@@ -345,7 +375,7 @@ def _start(rows: _Float32s, j: int, c: StepConstants) -> Start:
         w=rows[_C_W0 + j] if c.second > _ZERO else rows[_C_V0 + j],
         leaked=rows[_C_P0 + j] if c.parasitic > _ZERO else _ZERO,
         reference=rows[_C_REF + j], re_armed=rows[_C_START + j],
-        on=rows[_C_ON + j], off=rows[_C_OFF + j], leak=rows[_C_LEAK + j],
+        on=rows[_C_ON + j], off=rows[_C_OFF + j], leak=rows[_C_LEAK + j], reset=rows[_C_RESET + j],
     )  # fmt: skip
 
 
@@ -390,6 +420,8 @@ def solve(
     if c.parasitic > _ZERO:
         _complete_parasitic(table.rows, whole_vectors(n), c)
     _find_starts(pixels, table, n, c)
+    if (c.reset_offset != _ZERO) | (c.reset_noise > _ZERO):
+        _find_offsets(pixels, table, n, c)
     _make_curves(table.rows, whole_vectors(n), c)
     if c.second > _ZERO:
         _make_curves_of_second_pole(table.rows, whole_vectors(n), c)
@@ -407,6 +439,8 @@ def solve(
             break
         _cross(table.rows, whole_vectors(n))
         _bisect_unsettled(table, n)
+        if max(c.on_delay, c.off_delay) > 0:
+            _find_delays(table, n, c)
         _follow(table.rows, whole_vectors(n), c)
         keys = reserve(keys, n_keys + n)
         counted, n = _fire(pixels, table, n, keys, n_keys, c)

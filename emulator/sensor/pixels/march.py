@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 import emulator.sensor.pixels.march_table as row
 from emulator.sensor.numerics.compiled import NONE, Real, kernel, kernel_that_allocates, lane, vector_kernel
+from emulator.sensor.pixels.comparator import delay_s
 from emulator.sensor.pixels.curve import photocurrent
 from emulator.sensor.pixels.march_table import SubstepTable
 from emulator.sensor.pixels.state import (
@@ -29,9 +30,11 @@ from emulator.sensor.pixels.state import (
     Keys,
     Pixels,
     StepConstants,
+    count_reset,
     levels_passed,
     pack,
     reserve,
+    reset_offset,
     slot,
     whole_vectors,
 )
@@ -111,6 +114,7 @@ _U, _V, _, _, _REF, _, _, _, _W, _P = (int(f) * BLOCK for f in Field)
 
 _NAN = np.float32(np.nan)
 _BEHIND = np.float32(2)  # the substep, which ends at 1
+_LAST = np.int64(0)
 
 
 @lane
@@ -137,7 +141,7 @@ def _find_firing_part(rows: _Float32s, n: int) -> None:
         refractory = level != level
         x = max(x, opens) if refractory else x
         armed = x <= _ONE
-        level = value(g, x) if refractory & armed else level
+        level = value(g, x) + rows[row.RESET + j] if refractory & armed else level
         turn, turn2 = max(rows[row.TURN + j], x), max(rows[row.TURN2 + j], x)
         g0, g1 = value(g, x) - level, value(g, turn) - level
         g2, g3 = value(g, turn2) - level, value(g, _ONE) - level
@@ -198,6 +202,16 @@ def _pass_over(rows: _Float32s, j: int) -> int:
 
 
 @kernel
+def _late(rows: _Float32s, j: int, c: StepConstants) -> np.float32:
+    """Return the delay of the comparator of a column that fires, as a share of the step."""
+    if max(c.on_delay, c.off_delay) <= 0:
+        return _ZERO
+    g, x = _cubic(rows, j), rows[row.HIT + j]
+    slope = ((_THREE * g.c3 * x + _TWO * g.c2) * x + g.c1) / (rows[row.SPAN + j] * c.h)
+    return np.float32(delay_s(abs(slope), rows[row.TO + j] > rows[row.LEVEL + j], c) / c.h)
+
+
+@kernel
 def _fire(
     pixels: Pixels, table: SubstepTable, n: int, keys: Keys, n_keys: int, c: StepConstants
 ) -> tuple[int, int, int]:
@@ -210,7 +224,8 @@ def _fire(
         fired += 1
         pixel, to = table.pixels[j], rows[row.TO + j]
         z = rows[row.Z + j] + rows[row.HIT + j] * rows[row.SPAN + j]
-        dt_ns = min(int(z * c.h_ns), c.h_ns)
+        late = _late(rows, j, c)
+        dt_ns = min(int(z * c.h_ns), c.h_ns) + int(late * c.h_ns)
         if rows[row.COUNT + j] < MOST_EVENTS:
             keys[n_keys] = pack(dt_ns, pixel, to > rows[row.LEVEL + j], c.pixel_bits)
             n_keys += 1
@@ -220,9 +235,12 @@ def _fire(
         else:
             lost += 1
         rows[row.COUNT + j] += _ONE
-        rows[row.X + j], rows[row.LEVEL + j] = rows[row.HIT + j], to
+        count_reset(pixels, pixel, c.reset_noise)
+        thresholds, errors = (rows[row.ON + j], rows[row.OFF + j]), (c.reset_offset, c.reset_noise)
+        offset = reset_offset(pixels, pixel, _LAST, thresholds, errors)
+        rows[row.X + j], rows[row.LEVEL + j], rows[row.RESET + j] = rows[row.HIT + j], to + offset, offset
         if c.refractory > _ZERO:
-            rows[row.LEVEL + j], rows[row.RE_ARMED + j] = _NAN, z + c.refractory
+            rows[row.LEVEL + j], rows[row.RE_ARMED + j] = _NAN, z + (late + c.refractory)
             pixels.refractory_until_ns[pixel] = c.t0_ns + dt_ns + c.refractory_ns
     return n_keys, fired, lost
 

@@ -23,12 +23,12 @@ _Int64s = npt.NDArray[np.int64]
 CAPACITY = 2 * BLOCK + 16
 """Columns; a little more than a power of two, so that a column's entries do not all fall into one set of the cache."""
 
-STEP_ROWS = 18
+STEP_ROWS = 19
 # Light: value at the start, change, both slopes, its form and where that changes, width of a substep. State: filter,
 # second pole, parasitic leak. Position z; base and level of the comparator, when it is re-armed; thresholds, leak,
-# number of events.
+# number of events, offset of the reference after the last reset.
 (
-    U, D, A0, A1, FORM, KNOT, WIDTH, V, W, P, Z, BASE, LEVEL, RE_ARMED, ON, OFF, LEAK, COUNT,
+    U, D, A0, A1, FORM, KNOT, WIDTH, V, W, P, Z, BASE, LEVEL, RE_ARMED, ON, OFF, LEAK, COUNT, RESET,
 ) = (k * CAPACITY for k in range(STEP_ROWS))  # fmt: skip
 # The curve of a substep g = d0 + c1 x + c2 x^2 + c3 x^3 with x in [0, 1], its turns, its width and end; the position x,
 # whether it fires and where, bounds and level of that crossing, the last Newton correction; light at both ends.
@@ -62,6 +62,7 @@ class Start(NamedTuple):
     on: Real
     off: Real
     leak: Real
+    reset: Real  # offset of the reference after the last reset
 
 
 def new_substep_table() -> SubstepTable:
@@ -78,3 +79,4 @@ def enter(table: SubstepTable, j: int, pixel: int, p: Start) -> None:
     rows[U + j], rows[D + j], rows[A0 + j], rows[A1 + j] = p.u0, p.u1 - p.u0, p.a0, p.a1
     rows[V + j], rows[W + j], rows[P + j], rows[RE_ARMED + j] = p.v, p.w, p.leaked, p.re_armed
     rows[BASE + j], rows[ON + j], rows[OFF + j], rows[LEAK + j] = p.reference, p.on, p.off, p.leak
+    rows[RESET + j] = p.reset

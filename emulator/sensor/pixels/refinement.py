@@ -126,6 +126,7 @@ class Refinement:
         fields = subset.fields[: blocks * FIELDS * BLOCK]
         if n % BLOCK:
             fields.reshape(-1, FIELDS, BLOCK)[-1, :, n % BLOCK :] = self._resting
-        refractory_until_ns = np.zeros(blocks * BLOCK, np.int64)
-        refractory_until_ns[:n] = above.refractory_until_ns[subset.pixels[:n]]
-        return Pixels(fields, refractory_until_ns)
+        parts = above.refractory_until_ns.size // (above.fields.size // FIELDS)  # 2 with positions of reset noise
+        refractory_until_ns = np.zeros((parts, blocks * BLOCK), np.int64)
+        refractory_until_ns[:, :n] = above.refractory_until_ns.reshape(parts, -1)[:, subset.pixels[:n]]
+        return Pixels(fields, refractory_until_ns.reshape(-1))

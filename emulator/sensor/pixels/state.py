@@ -14,12 +14,17 @@ The events of one step are packed in one number each, so that sorting the number
 counted. A pixel without a refractory period may cross any number of thresholds in a step, as under light with parasitic
 leak. Beyond MOST_EVENTS they are not found one by one: on a monotone curve their number is its change over the
 threshold.
+
+The reference after a reset differs from the signal by an offset, with noise from one reset to the next. It is part of
+the stored reference, so every test of a step, the quiet one included, holds for it. The noise of a pixel's reset number
+k is number k of its stream: the sum of which a number is made is stored, and each reset adds to it, so no index of the
+pixel in the array is needed. Beyond MOST_EVENTS resets have no offset.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple, Protocol
 
@@ -27,8 +32,9 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import cached_entry, kernel, kernel_that_allocates
-from emulator.sensor.numerics.keyed import Purpose, normal, uniform
+from emulator.sensor.numerics.keyed import Purpose, normal, normal_from, uniform, word
 from emulator.sensor.presets import SensorParameters
+from firmware_protocol.device.clock import GOLDEN
 
 __all__ = [
     "BEFORE_ROWS",
@@ -48,6 +54,7 @@ __all__ = [
     "PixelState",
     "Pixels",
     "StepConstants",
+    "count_reset",
     "draw",
     "field_index",
     "leak_phase",
@@ -56,6 +63,7 @@ __all__ = [
     "pack",
     "put_field",
     "reserve",
+    "reset_offset",
     "slot",
     "take_field",
     "whole_vectors",
@@ -80,6 +88,9 @@ EPOCH_BITS = 33
 
 _NO_LOW_PASS_RATE = 1e12  # rad/s: a lag of a picosecond
 _HIGHEST_HZ = _NO_LOW_PASS_RATE / (2 * math.pi)
+
+
+Keys = npt.NDArray[np.uint64]
 
 
 class Field(IntEnum):
@@ -115,13 +126,16 @@ class PixelState:
     fields : (blocks, FIELDS, BLOCK) float32
         See `Field`; pixels of the last block beyond the sensor's end never fire.
     refractory_until_ns : (blocks * BLOCK,) int64
-        End of the refractory period, valid where the reference is NaN.
+        End of the refractory period, valid where the reference is NaN. With noise of resets as many entries follow: the
+        position in each pixel's stream of random numbers.
     t_ns : int
         Stream time.
     epoch_ns : int
         Time from which leak is counted.
     slopes_known : bool
         Whether the last frame came with its time derivative.
+    late : (n,) uint64
+        Events whose comparator switches after `t_ns`, packed as in `pack`, with times counted from `late_from_ns`.
     """
 
     fields: npt.NDArray[np.float32]
@@ -129,10 +143,16 @@ class PixelState:
     t_ns: int
     epoch_ns: int
     slopes_known: bool
+    late: Keys = field(default_factory=lambda: np.empty(0, np.uint64))
+    late_from_ns: int = 0
 
 
 class Pixels(NamedTuple):
-    """The state of an array: `fields`, flat, and the end (ns) of the refractory period of pixels with reference NaN."""
+    """The state of an array: `fields`, flat, and the end (ns) of the refractory period of pixels with reference NaN.
+
+    Positions in the streams of reset noise follow in the second array, see `PixelState`: one array for both, because
+    each costs time in every call.
+    """
 
     fields: npt.NDArray[np.float32]
     refractory_until_ns: npt.NDArray[np.int64]
@@ -159,6 +179,11 @@ class StepConstants(NamedTuple):
     unseen_share: np.float32  # share of a threshold that may stay unseen; more makes a step undersampled
     refine: bool  # undersampled pixels are collected for refinement
     far: bool  # the state is larger than the caches: a block is requested from memory while the one before is moved
+    reset_offset: np.float32 = np.float32(0)  # of references after a reset, ln units
+    reset_noise: np.float32 = np.float32(0)  # its standard deviation
+    on_delay: float = 0.0  # times of the comparators, s; see `comparator`
+    off_delay: float = 0.0
+    contrast_per_e: float = 1.0
 
 
 @kernel
@@ -175,6 +200,38 @@ def whole_vectors(n: int) -> int:
     would then depend on how many others are solved with it.
     """
     return (n + 63) // 64 * 64
+
+
+_MOST_OFFSET = np.float32(0.9)  # of a pixel's thresholds
+_AT_ONCE = np.float32(0)
+
+
+@kernel
+def reset_offset(
+    pixels: Pixels,
+    pixel: int,
+    ahead: int,
+    thresholds: tuple[np.float32, np.float32],
+    errors: tuple[np.float32, np.float32],
+) -> np.float32:
+    """Return the offset of a pixel's reference, ln units, after its last reset (`ahead` 0) or its next one (1).
+
+    `errors`: its mean, and its deviation from one reset to the next.
+    """
+    offset, noise = errors
+    if noise > _AT_ONCE:
+        place = pixels.refractory_until_ns.size // 2 + pixel
+        bits = word(np.uint64(pixels.refractory_until_ns[place]) - GOLDEN, ahead)
+        offset += noise * np.float32(normal_from(bits))
+    return np.float32(min(max(offset, -_MOST_OFFSET * thresholds[0]), _MOST_OFFSET * thresholds[1]))
+
+
+@kernel
+def count_reset(pixels: Pixels, pixel: int, noise: np.float32) -> None:
+    """Count a reset of a pixel: its next offset has the next number of its stream."""
+    if noise > _AT_ONCE:
+        place = pixels.refractory_until_ns.size // 2 + pixel
+        pixels.refractory_until_ns[place] = np.int64(np.uint64(pixels.refractory_until_ns[place]) + GOLDEN)
 
 
 def take_field(fields: npt.NDArray[np.float32], which: Field, pixels: int) -> npt.NDArray[np.float32]:
@@ -263,7 +320,8 @@ def field_index(pixel: _Int64s, which: Field) -> _Int64s:
 
 _Float32s = npt.NDArray[np.float32]
 
-_U, _V, _, _, _REF, _ON, _, _LEAK, _W, _P = (int(f) * BLOCK for f in Field)
+_U, _V, _, _, _REF, _ON, _OFF, _LEAK, _W, _P = (int(f) * BLOCK for f in Field)
+_NOW = np.int64(0)
 
 
 @cached_entry
@@ -288,10 +346,12 @@ def _thresholds(pixels: Pixels, which: _Int64s, row: int) -> _Float32s:
 
 
 @cached_entry
-def _fire(pixels: Pixels, which: _Int64s) -> None:
+def _fire(pixels: Pixels, which: _Int64s, errors: tuple[np.float32, np.float32]) -> None:
     for k in range(which.size):
         at = slot(which[k])
-        pixels.fields[at + _REF] += pixels.fields[at + _ON]
+        on, off = pixels.fields[at + _ON], pixels.fields[at + _OFF]
+        count_reset(pixels, which[k], errors[1])
+        pixels.fields[at + _REF] += on + reset_offset(pixels, which[k], _NOW, (on, off), errors)
 
 
 class _Array(Protocol):
@@ -331,11 +391,10 @@ class Levels:
     def fire(self, pixel: _Int64s) -> None:
         """Move the references of pixels (n,), each named once, by an ON event."""
         if len(pixel):
-            _fire(self._pixels, pixel)
+            reset = self._array.parameters.reset
+            _fire(self._pixels, pixel, (np.float32(reset.offset), np.float32(reset.noise)))
             self._array.wake()
 
-
-Keys = npt.NDArray[np.uint64]
 
 MOST_EVENTS = 64
 """Most events of a pixel in a step; further crossings are counted as lost in the pixel."""

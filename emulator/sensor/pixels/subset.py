@@ -205,6 +205,10 @@ def scatter(here: Pixels, above: Pixels, listed: _Int64s) -> None:
         for row in (_V, _REF, _W, _P):
             above.fields[to + row] = here.fields[at + row]
         above.refractory_until_ns[listed[k]] = here.refractory_until_ns[k]
+    places, of = here.refractory_until_ns.size // 2, above.refractory_until_ns.size // 2
+    if here.refractory_until_ns.size > here.fields.size // FIELDS:
+        for k in range(listed.size):
+            above.refractory_until_ns[of + listed[k]] = here.refractory_until_ns[places + k]
 
 
 @cached_entry
