@@ -1,4 +1,4 @@
-"""Veiling glare: light that the lens scatters over the whole image, from reflections between its surfaces and its barrel.
+"""Veiling glare: light that a lens scatters over the whole image, by reflections between its surfaces and its barrel.
 
     light on a pixel    (1 - g) E + g M        E: of the image, M: mean of E over all pixels
 
@@ -9,8 +9,8 @@ glare describes the measurement). Left out: the halo around a bright light, ghos
 edge of the image.
 
 The veil follows the light exactly at each frame, with its time derivative. Between two frames the mean is the cubic
-through both values and derivatives: the light of a single pixel there is off by at most g |M''''| h^4 / 384 for a step h.
-Derivatives that are not known count as 0 in the mean's.
+through both values and derivatives, so the light of a single pixel there is off by at most g D h^4 / 384 for a step h,
+D the greatest fourth derivative of M. Derivatives that are not known count as 0 in the mean's.
 
 Any change of light changes all pixels, so the changed region is the whole frame unless it is empty: the sensor cannot
 skip still pixels. That, and two passes over each frame, are its cost.

@@ -268,40 +268,45 @@ def _jitter(p: SensorParameters) -> Decision | None:
 
 
 def _comparator(p: SensorParameters, scene: Probe) -> Decision | None:
-    """Return the cost of comparators without delay, at the mean contrast rate."""
+    """Return the cost of comparators without delay: an upper bound of the later one's, at the mean contrast rate."""
     c = p.comparator
     if not max(c.on_us, c.off_us):
         return None
-    late_us = max(mean_delay_us(us, on=k == 0, c=c, slope=scene.contrast_rate) for k, us in enumerate((c.on_us, c.off_us)))
-    off = {"comparator": {"on_us": 0.0, "off_us": 0.0}}
-    share = late_us * 1e-6 / interval_s(p, scene)
-    return Decision("comparator", "delay at the mean contrast rate, and events lost in it", late_us, share, off)
+    late_us, unit_us = math.inf, over(c.contrast_per_e, scene) * 1e6
+    if math.isfinite(unit_us):
+        on, off = c.on_us / unit_us, c.off_us / unit_us  # see `sensor.pixels.comparator`
+        late_us = unit_us * max(math.log1p(on + math.sqrt(2 * on)), off + min(1.0, math.sqrt(2 * off)))
+    none = {"comparator": {"on_us": 0.0, "off_us": 0.0}}
+    share = late_us * 1e-6 / interval_s(p, scene) if math.isfinite(late_us) else math.inf
+    return Decision("comparator", "delay at the mean contrast rate, and events lost in it", late_us, share, none)
 
 
 def _resets(p: SensorParameters, scene: Probe) -> list[Decision | None]:
-    n = run_events(p, scene)
-    r, offset_us, noise_us = p.reset, None, None
-    if r.offset:
-        offset_us = over(n * abs(r.offset), scene) * 1e6
-    if r.noise:
-        noise_us = over(2 * math.sqrt(n) * r.noise, scene) * 1e6
-    share = abs(r.offset) / min(p.threshold_on, p.threshold_off)
-    offset = Decision("reset offset", "stamps in a run, and its share of a threshold", offset_us, share, {"reset": {"offset": 0.0}})
-    noise = Decision("reset noise", "two deviations of the stamps in a run", noise_us, None, {"reset": {"noise": 0.0}})
-    return [offset if r.offset else None, noise if r.noise else None]
+    n, found = run_events(p, scene), list[Decision | None]()
+    offset, noise = abs(p.reset.offset), p.reset.noise
+    if offset:
+        bound, share = "stamps in a run, and its share of a threshold", offset / min(p.threshold_on, p.threshold_off)
+        off_us = over(n * offset, scene) * 1e6
+        found.append(Decision("reset offset", bound, off_us, share, {"reset": {"offset": 0.0}}))
+    if noise:
+        off_us = over(2 * math.sqrt(n) * noise, scene) * 1e6
+        bound = "two deviations of the stamps in a run"
+        found.append(Decision("reset noise", bound, off_us, None, {"reset": {"noise": 0.0}}))
+    return found
 
 
 def _acknowledge(p: SensorParameters, scene: Probe) -> Decision | None:
     """Return the cost of a refractory period from the crossing: pixels would not wait for the read-out."""
     if not p.reset.at_acknowledge:
         return None
-    wait_us = mean_wait_us(p, scene.events_per_s)
-    late_us, share = run_events(p, scene) * wait_us, wait_us * 1e-6 / interval_s(p, scene)
+    wait_us = _mean_wait_us(p, scene.events_per_s)
+    late_us, interval_us = run_events(p, scene) * wait_us, interval_s(p, scene) * 1e6
+    share = wait_us / interval_us if math.isfinite(wait_us) else math.inf
     bound = "mean wait at the read-out: stamps in a run, and events lost"
-    return Decision("refractory period from the acknowledge", bound, late_us, share, {"reset": {"at_acknowledge": False}})
+    return Decision("acknowledge", bound, late_us, share, {"reset": {"at_acknowledge": False}})
 
 
-def mean_wait_us(p: SensorParameters, events_per_s: float) -> float:
+def _mean_wait_us(p: SensorParameters, events_per_s: float) -> float:
     """Return the mean time from a request to its acknowledge, us: half a scan, or that of a queue (M/D/1) and a row."""
     if p.readout.scan_us:
         return p.readout.scan_us / 2

@@ -6,7 +6,8 @@ Each event raised has exactly one fate, and the sums must agree at every stop:
     read_out = dropped_in_device + delivered + dropped          for every link, which each carry the whole stream
 
 lost_in_pixel      crossings beyond the limit of one pixel in one step
-lost_at_readout    the pixel crossed again while its earlier event still waited to be read out
+lost_at_readout    the pixel crossed again while its earlier event still waited to be read out, or was busy: in the
+                   refractory period that begins when the read-out acknowledges an event (reset.at_acknowledge)
 dropped_in_device  the camera was not running, its FIFO was full, or it was flushed at a stop
 dropped            lost by the link: its ring was full, or the bytes had left the camera when the host went away
 

@@ -171,6 +171,11 @@ class TracedSensor(Sensor):
                 jitter.reset(self._t_ns)
         self._readouts = [make_readout(self.parameters) for _ in range(_BITS)]
 
+    def _set_refractory(self, refractory_us: float) -> None:
+        super()._set_refractory(refractory_us)
+        for readout in self._readouts:
+            readout.set_refractory(refractory_us)
+
     def _with_others(self, crossings: Crossings, seen: _Float32s, settled_ns: int) -> Crossings:
         bits = _bits(crossings, self._of_pixels(crossings, seen, settled_ns))
         if self._jitter is not None:

@@ -200,8 +200,8 @@ class SensorParameters:
         r, least = self.reset, min(self.threshold_on, self.threshold_off)
         if abs(r.offset) + 3 * r.noise > least / 2:
             raise ValueError(
-                f"reset.offset = {r.offset!r}: it and three times reset.noise ({r.noise!r}) must be at most half of the "
-                f"lower threshold, {least:g}; else a reset raises events by itself"
+                f"reset.offset = {r.offset!r}: it and three times reset.noise ({r.noise!r}) must be at most half of "
+                f"the lower threshold, {least:g}; else a reset raises events by itself"
             )
 
     def _check_places(self, name: str) -> None:

@@ -279,8 +279,13 @@ class Sensor:
 
     @property
     def lost_at_readout(self) -> int:
-        """Crossings of pixels whose request still waited."""
+        """Crossings of pixels whose request still waited, or that were still busy: `lost_busy`."""
         return self._readout.lost_at_readout
+
+    @property
+    def lost_busy(self) -> int:
+        """Of these, crossings in the refractory period after the acknowledge, with `reset.at_acknowledge`."""
+        return self._readout.lost_busy
 
     @property
     def read_out(self) -> int:
@@ -371,8 +376,13 @@ class Sensor:
         if name not in self.adjustable:
             raise ValueError(f"{name} cannot be changed while this sensor runs")
         self.pixels.adjust(name, value)
+        if name == "refractory_us":
+            self._set_refractory(value)
         if self._noise is not None:
             self._noise.follow(self.pixels.parameters, self.pixels.live_thresholds())
+
+    def _set_refractory(self, refractory_us: float) -> None:
+        self._readout.set_refractory(refractory_us)
 
     def finish(self) -> Events:
         """Return the events that have not left yet; the sensor cannot be exposed afterwards."""

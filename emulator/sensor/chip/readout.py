@@ -11,9 +11,11 @@ Then it is free again. A decision at time T uses the requests raised up to and i
 depend on how crossings are divided over calls of `push`. No row is served twice while another waits (the
 arbiter is not greedy, Lichtsteiner et al. 2008), and the bus sends at most 1 / event_ns.
 
-Not modelled: the comparator of a waiting pixel stays in reset, so its reference is set when it is served. Here the
-pixel continues as if it were served at once, and only its events are lost. The two differ when the wait is longer than
-the refractory period.
+The comparator of a waiting pixel stays in reset until its request is served, the acknowledge, and the refractory period
+begins there. Here the pixel continues as if it were served at once, and only its events are lost: those of a pixel
+whose request waits and, with `reset.at_acknowledge`, those before the end of a refractory period after it. The pixel's
+reference is then that of the last event that it lost, or older; a real one's is the signal at the end of its reset.
+They differ by less than a threshold, since a larger difference would have raised one more event.
 
 The cost is linear in the events: requests and rows are bit maps, 64 to a word, without sorting or searching by event.
 A crossing that finds no other request is served without them, and of a row only the words with requests are visited.
@@ -28,7 +30,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -42,7 +44,7 @@ from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined, un
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events, copy_events
 
-__all__ = ["ArbiterReadOut", "Arrivals", "Jitter", "ReadOut"]
+__all__ = ["ArbiterReadOut", "Arrivals", "Jitter", "ReadOut", "new_busy"]
 
 
 _FOREVER_NS = (1 << 63) - 1
@@ -65,6 +67,7 @@ class _Maps(NamedTuple):
     latched: _Words  # (words,), the words with requests of the row being sent, not yet sent, without gaps
     latched_polarity: _Words
     latched_words: _Int64s  # their numbers in the row
+    busy_until_ns: _Int64s  # (pixels,), end of the refractory period after the acknowledge; empty where it is not used
 
 
 class Arrivals(NamedTuple):
@@ -80,15 +83,21 @@ class _Timing(NamedTuple):
     row_ns: int
     event_ps: int
     group_bits: int  # words of a group, as a power of two: a row has at most 64 groups
+    refractory_ns: int  # after the acknowledge
 
 
 class _Queue(NamedTuple):
-    """Number of waiting requests, time of the first of them, row of the latest one, and number of lost ones."""
+    """Number of waiting requests, time of the first of them, row of the latest one, and numbers of lost ones.
+
+    `busy` are those of pixels in the refractory period after the acknowledge, the other lost ones those of pixels whose
+    request waits.
+    """
 
     waiting: int
     ready_ns: int
     row: int
     lost: int
+    busy: int
 
 
 class _Arbiter(NamedTuple):
@@ -108,7 +117,7 @@ def _admit(
     arrivals: Arrivals, k: int, until_ns: int, maps: _Maps, timing: _Timing, queue: _Queue
 ) -> tuple[int, _Queue]:
     """Turn crossings from k on, up to and including `until_ns`, into requests; return the next k and the queue."""
-    waiting, ready_ns, latest, lost = queue
+    waiting, ready_ns, latest, lost, busy = queue
     while k < arrivals.t_ns.size and arrivals.t_ns[k] <= until_ns:
         pixel = np.uint64(arrivals.pixel[k])
         row = int(np.int64(pixel // np.uint64(timing.width)))
@@ -117,6 +126,8 @@ def _admit(
         bit = np.uint64(1) << place
         if maps.waiting[row, word] & bit:
             lost += 1
+        elif maps.busy_until_ns.size > 0 and arrivals.t_ns[k] < maps.busy_until_ns[pixel]:
+            busy += 1
         else:
             ready_ns = ready_ns if waiting else arrivals.t_ns[k]
             waiting += 1
@@ -127,7 +138,7 @@ def _admit(
             maps.counts[row] += 1
             maps.filled[row] |= np.uint64(1) << np.uint64(word >> timing.group_bits)
         k += 1
-    return k, _Queue(waiting, ready_ns, latest, lost)
+    return k, _Queue(waiting, ready_ns, latest, lost, busy)
 
 
 @lane
@@ -159,6 +170,19 @@ def _latch(maps: _Maps, row: int, group_bits: int) -> int:
     n = maps.counts[row]
     maps.counts[row], maps.filled[row] = 0, np.uint64(0)
     return int(n)
+
+
+@lane
+def _acknowledge(maps: _Maps, row: int, events: int, width: int, until_ns: int) -> None:
+    """Note the end of the refractory period of the pixels of a row that were latched just now."""
+    word = marked = NONE
+    while marked < events:
+        bits = maps.latched[word]
+        while bits != 0:
+            maps.busy_until_ns[row * width + maps.latched_words[word] * 64 + np.int64(lowest_bit(bits))] = until_ns
+            bits &= bits - np.uint64(1)
+            marked += 1
+        word += 1
 
 
 @lane
@@ -223,7 +247,7 @@ def _run(
             if a.phase == _SENDING:
                 break
         if a.phase == _IDLE:
-            if queue.waiting == 0:
+            if queue.waiting == 0 and maps.busy_until_ns.size == 0:
                 n, k, a = _serve_lone(arrivals, until_ns, timing, (n, k), a, out)
             if queue.waiting == 0 and k == arrivals.t_ns.size:
                 break
@@ -232,6 +256,8 @@ def _run(
             if start_ns >= until_ns:
                 break
             k, queue = _admit(arrivals, k, start_ns, maps, timing, queue)
+            if queue.waiting == 0:
+                continue  # all of them were those of busy pixels
             lone = queue.waiting == 1 and maps.counts[queue.row] == 1
             row = queue.row if lone else _next_row(maps.rows, a.row, maps.counts.size)
             a = _Arbiter(_PICKED, a.free_ns, row, start_ns + timing.row_ns, 0, 0, 0)
@@ -239,7 +265,9 @@ def _run(
             break
         k, queue = _admit(arrivals, k, a.latch_ns, maps, timing, queue)
         taken = _latch(maps, a.row, timing.group_bits)
-        queue = _Queue(queue.waiting - taken, queue.ready_ns, queue.row, queue.lost)
+        if maps.busy_until_ns.size > 0:
+            _acknowledge(maps, a.row, taken, timing.width, a.latch_ns + timing.refractory_ns)
+        queue = _Queue(queue.waiting - taken, queue.ready_ns, queue.row, queue.lost, queue.busy)
         a = _Arbiter(_SENDING, a.free_ns, a.row, a.latch_ns, taken, 0, 0)
     _, queue = _admit(arrivals, k, np.int64(_FOREVER_NS), maps, timing, queue)
     return n, queue, a
@@ -280,6 +308,8 @@ class ReadOut(ABC):
         Events returned.
     """
 
+    _timing: Any
+
     def __init__(self) -> None:
         self._until_ns = -_FOREVER_NS
         self._out = np.empty(0, EVENT)
@@ -289,12 +319,21 @@ class ReadOut(ABC):
     @property
     @abstractmethod
     def lost_at_readout(self) -> int:
-        """Crossings of pixels whose request still waited."""
+        """Crossings of pixels whose request still waited, or that were busy (`lost_busy`)."""
+
+    @property
+    @abstractmethod
+    def lost_busy(self) -> int:
+        """Of these, crossings of pixels in the refractory period after the acknowledge."""
 
     @property
     @abstractmethod
     def pending(self) -> int:
         """Requests that wait, and events that have not left."""
+
+    def set_refractory(self, refractory_us: float) -> None:
+        """Set the refractory period after an acknowledge from now on; those that have begun end at their time."""
+        self._timing = self._timing._replace(refractory_ns=round(refractory_us * 1000))
 
     def push(self, crossings: Crossings, until_ns: int) -> Events:
         """Add crossings, and return the events that leave before `until_ns`.
@@ -334,6 +373,11 @@ class ReadOut(ABC):
         """Run until `until_ns`; return the number of events written to `_out`."""
 
 
+def new_busy(p: SensorParameters) -> _Int64s:
+    """Return the ends of the pixels' refractory periods after the acknowledge, all over; empty if there are none."""
+    return np.full(p.width * p.height if p.reset.at_acknowledge else 0, -_FOREVER_NS)
+
+
 class ArbiterReadOut(ReadOut):
     """The arbiter of one sensor.
 
@@ -349,7 +393,8 @@ class ArbiterReadOut(ReadOut):
         times, height = parameters.readout, parameters.height
         words = -(-parameters.width // 64)
         group_bits = max(0, (words - 1).bit_length() - 6)
-        self._timing = _Timing(parameters.width, times.row_ns, max(1, round(times.event_ns * 1000)), group_bits)
+        event_ps, refractory_ns = max(1, round(times.event_ns * 1000)), round(parameters.refractory_us * 1000)
+        self._timing = _Timing(parameters.width, times.row_ns, event_ps, group_bits, refractory_ns)
         self._maps = _Maps(
             waiting=np.zeros((height, words), np.uint64),
             polarity=np.zeros((height, words), np.uint64),
@@ -359,14 +404,20 @@ class ArbiterReadOut(ReadOut):
             latched=np.zeros(words, np.uint64),
             latched_polarity=np.zeros(words, np.uint64),
             latched_words=np.zeros(words, np.int64),
+            busy_until_ns=new_busy(parameters),
         )
-        self._queue = _Queue(0, 0, 0, 0)
+        self._queue = _Queue(0, 0, 0, 0, 0)
         self._arbiter = _Arbiter(_IDLE, -_FOREVER_NS, height - 1, 0, 0, 0, 0)
 
     @property
     def lost_at_readout(self) -> int:
-        """Crossings of pixels whose request still waited."""
-        return self._queue.lost
+        """Crossings of pixels whose request still waited, or that were busy (`lost_busy`)."""
+        return self._queue.lost + self._queue.busy
+
+    @property
+    def lost_busy(self) -> int:
+        """Of these, crossings of pixels in the refractory period after the acknowledge."""
+        return self._queue.busy
 
     @property
     def pending(self) -> int:

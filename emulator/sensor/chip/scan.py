@@ -8,6 +8,9 @@ A column takes 1 / width of the scan, or the time of its events on the bus where
 under load. Scans follow each other without a pause from stream time 0 on. A read at time T finds the requests raised up
 to and including T only, so the result does not depend on how crossings are divided over calls of `push`.
 
+With `reset.at_acknowledge` the read of its column is a pixel's acknowledge: its crossings before the end of a
+refractory period after it are lost too, see `readout`.
+
 Not modelled: a real comparator is sampled only at the read, and an excursion that is over by then is lost. Here it is
 sent.
 """
@@ -19,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.chip.readout import Arrivals, ReadOut
+from emulator.sensor.chip.readout import Arrivals, ReadOut, new_busy
 from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, log_compilation
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events
@@ -31,8 +34,8 @@ _FREE, _OFF, _ON = range(3)
 
 _Requests = npt.NDArray[np.uint8]
 _Int64s = npt.NDArray[np.int64]
-_Maps = tuple[_Requests, _Int64s]
-"""Requests, (width, height), and their number in each column."""
+_Maps = tuple[_Requests, _Int64s, _Int64s]
+"""Requests, (width, height), their number in each column, and the ends of refractory periods: see `new_busy`."""
 
 
 class _Timing(NamedTuple):
@@ -40,16 +43,21 @@ class _Timing(NamedTuple):
     height: int
     column_ps: int
     event_ps: int
+    refractory_ns: int  # after the acknowledge
 
 
 class _Scan(NamedTuple):
-    """The next look: its column, its time since the start in ns and ps beyond it; requests that wait, and lost ones."""
+    """The next look: its column, its time since the start in ns and ps beyond it; requests that wait; lost ones.
+
+    `busy` are those of pixels in the refractory period after the acknowledge.
+    """
 
     column: int
     t_ns: int
     ps: int
     waiting: int
     lost: int
+    busy: int
 
 
 @kernel
@@ -61,13 +69,13 @@ def _idle(scan: _Scan, until_ns: int, timing: _Timing) -> _Scan:
         return scan
     ps = scan.ps + whole * (scan_ps % 1000)
     t_ns = scan.t_ns + whole * (scan_ps // 1000) + ps // 1000
-    return _Scan(scan.column, t_ns, ps % 1000, scan.waiting, scan.lost)
+    return _Scan(scan.column, t_ns, ps % 1000, scan.waiting, scan.lost, scan.busy)
 
 
 @kernel
 def _look(scan: _Scan, maps: _Maps, timing: _Timing, out: Events, n: int) -> tuple[int, int]:
     """Send the requests of a column, into `out` from n on; return the new n and the time that this takes, ps."""
-    requests, counts = maps
+    requests, counts, busy_until_ns = maps
     column, t_ns = scan.column, scan.t_ns
     sent = counts[column]
     if sent:
@@ -78,6 +86,8 @@ def _look(scan: _Scan, maps: _Maps, timing: _Timing, out: Events, n: int) -> tup
                 event.t, event.x, event.y = t_ns // 1000, column, row
                 event.on = requests[column, row] == _ON
                 requests[column, row] = _FREE
+                if busy_until_ns.size > 0:
+                    busy_until_ns[row * timing.width + column] = t_ns + timing.refractory_ns
                 n += 1
     return n, max(timing.column_ps, sent * timing.event_ps)
 
@@ -85,18 +95,20 @@ def _look(scan: _Scan, maps: _Maps, timing: _Timing, out: Events, n: int) -> tup
 @kernel
 def _admit(arrivals: Arrivals, k: int, until_ns: int, maps: _Maps, scan: _Scan) -> tuple[int, _Scan]:
     """Turn crossings from k on, up to and including `until_ns`, into requests; return the next k and the scan."""
-    requests, counts = maps
-    width, waiting, lost = np.uint32(counts.size), scan.waiting, scan.lost
+    requests, counts, busy_until_ns = maps
+    width, waiting, lost, busy = np.uint32(counts.size), scan.waiting, scan.lost, scan.busy
     while k < arrivals.t_ns.size and arrivals.t_ns[k] <= until_ns:
         x, y = arrivals.pixel[k] % width, arrivals.pixel[k] // width
-        if requests[x, y] == _FREE:
+        if busy_until_ns.size > 0 and arrivals.t_ns[k] < busy_until_ns[arrivals.pixel[k]]:
+            busy += 1
+        elif requests[x, y] == _FREE:
             requests[x, y] = _ON if arrivals.on[k] else _OFF
             counts[x] += 1
             waiting += 1
         else:
             lost += 1
         k += 1
-    return k, _Scan(scan.column, scan.t_ns, scan.ps, waiting, lost)
+    return k, _Scan(scan.column, scan.t_ns, scan.ps, waiting, lost, busy)
 
 
 @cached_entry
@@ -116,7 +128,7 @@ def _run(
         n, taken_ps = _look(scan, maps, timing, out, n)
         column = scan.column + 1 if scan.column + 1 < timing.width else NONE
         ps = scan.ps + taken_ps
-        scan = _Scan(column, scan.t_ns + ps // 1000, ps % 1000, scan.waiting - (n - before), scan.lost)
+        scan = _Scan(column, scan.t_ns + ps // 1000, ps % 1000, scan.waiting - (n - before), scan.lost, scan.busy)
     _, scan = _admit(arrivals, k, np.int64(_FOREVER_NS), maps, scan)
     return n, scan
 
@@ -135,14 +147,20 @@ class ScanReadOut(ReadOut):
         log_compilation(_run, "the scan")
         times, width, height = parameters.readout, parameters.width, parameters.height
         column_ps = max(1, round(times.scan_us * 1e6 / width))
-        self._timing = _Timing(width, height, column_ps, max(1, round(times.event_ns * 1000)))
-        self._maps = np.zeros((width, height), np.uint8), np.zeros(width, np.int64)
-        self._scan = _Scan(0, 0, 0, 0, 0)
+        event_ps, refractory_ns = max(1, round(times.event_ns * 1000)), round(parameters.refractory_us * 1000)
+        self._timing = _Timing(width, height, column_ps, event_ps, refractory_ns)
+        self._maps = np.zeros((width, height), np.uint8), np.zeros(width, np.int64), new_busy(parameters)
+        self._scan = _Scan(0, 0, 0, 0, 0, 0)
 
     @property
     def lost_at_readout(self) -> int:
-        """Crossings of pixels whose request still waited."""
-        return self._scan.lost
+        """Crossings of pixels whose request still waited, or that were busy (`lost_busy`)."""
+        return self._scan.lost + self._scan.busy
+
+    @property
+    def lost_busy(self) -> int:
+        """Of these, crossings of pixels in the refractory period after the acknowledge."""
+        return self._scan.busy
 
     @property
     def pending(self) -> int:

@@ -68,8 +68,8 @@ class Capabilities:
         comparator, reset = parameters.comparator, parameters.reset
         if max(comparator.on_us, comparator.off_us, abs(reset.offset), reset.noise) > 0 and not self.has_comparator:
             raise ValueError(
-                "comparator.on_us, comparator.off_us, reset.offset and reset.noise need evstim's own pixels: leave them "
-                "out, or the other method"
+                "comparator.on_us, comparator.off_us, reset.offset and reset.noise need evstim's own pixels: leave "
+                "them out, or the other method"
             )
 
 

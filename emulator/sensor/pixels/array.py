@@ -446,5 +446,5 @@ class PixelArray(PixelMethod):
 
 
 def _refractory_ns(p: SensorParameters) -> int:
-    """Return the refractory period, ns; at least 1 where comparators are late, which set the reference when they switch."""
+    """Return the refractory period, ns; at least 1 where comparators are late: they set the reference anew."""
     return max(round(p.refractory_us * 1000), int(max(p.comparator.on_us, p.comparator.off_us) > 0))

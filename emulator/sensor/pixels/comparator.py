@@ -42,7 +42,7 @@ _SETTLED = 1e-9
 def _units(q: float, on: bool) -> float:
     """Return u for q > 0, by Newton's method from above: both functions are convex, so it cannot overshoot."""
     most = math.sqrt(2 * q)
-    u = math.log1p(q + most) if on else q + most
+    u = math.log1p(q + most) if on else q + min(1.0, most)
     for _ in range(_TURNS):
         e = math.expm1(u) if on else -math.expm1(-u)
         less = (e - u - q) / e if on else (u - e - q) / e
@@ -61,4 +61,5 @@ def delay_s(slope: float, on: bool, c: StepConstants) -> float:
     if slope <= 0:
         return LONGEST_S
     unit_s = c.contrast_per_e / slope
-    return min(_units(tau_s / unit_s, on) * unit_s, LONGEST_S)
+    late_s: float = min(_units(tau_s / unit_s, on) * unit_s, LONGEST_S)
+    return late_s

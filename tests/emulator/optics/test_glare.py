@@ -1,0 +1,138 @@
+"""Veiling glare against its definition and closed forms: light, rate, single pixels and the changed region."""
+
+import numpy as np
+import pytest
+
+from emulator.light import LightFrame, Region, Scene, SceneFrames
+from emulator.optics.glare import Veiled, veiled
+from emulator.optics.lens import LensParameters
+
+SIZE = 40, 30
+MS = 1_000_000
+WHOLE = Region(0, 30, 0, 40)
+NONE = Region(0, 0, 0, 0)
+
+
+class Lit(Scene):
+    """A light that is a function of the time, s, and of the pixel's number, with its derivative; and what changed."""
+
+    has_rate = True
+
+    def __init__(self, light, rate):
+        self._light, self._rate, self.now_changed, self.closed = light, rate, WHOLE, False
+
+    @property
+    def size(self):
+        return SIZE
+
+    @property
+    def motion_bound_px_s(self):
+        return 3.0
+
+    @property
+    def changed(self):
+        return self.now_changed
+
+    @property
+    def pixel_light(self):
+        return lambda t_ns, k: tuple(f(t_ns * 1e-9, k).astype(np.float32) for f in (self._light, self._rate))
+
+    def light(self, t_ns, out):
+        if not self.now_changed.empty:
+            out[:] = self._light(t_ns * 1e-9, np.arange(1200)).reshape(30, 40)
+
+    def light_and_rate(self, t_ns, light, rate):
+        self.light(t_ns, light)
+        if not self.now_changed.empty:
+            rate[:] = self._rate(t_ns * 1e-9, np.arange(1200)).reshape(30, 40)
+
+    def close(self):
+        self.closed = True
+
+
+def waves():
+    """Light 1 + 0.5 sin(30 t + 0.01 k), whose mean is known as a sum."""
+    return Lit(lambda t, k: 1 + 0.5 * np.sin(30 * t + 0.01 * k), lambda t, k: 15 * np.cos(30 * t + 0.01 * k))
+
+
+def test_a_black_area_in_a_bright_field_has_the_index_and_the_field_its_light():
+    """ISO 9358: the light in the black area's image over that of the field."""
+    black = np.ones(1200)
+    black[600] = 0
+    scene = Veiled(Lit(lambda t, k: black[k], lambda t, k: 0 * black[k]), 0.03)
+    light = np.zeros((30, 40), np.float32)
+    scene.light(0, light)
+    index = light.reshape(-1)[600] / light[0, 0]
+    assert index == pytest.approx(0.03, rel=2e-3)
+    assert light[0, 0] == pytest.approx(1, rel=1e-4)
+
+
+def test_light_and_rate_are_those_of_the_image_and_of_its_mean():
+    scene, t_s, k = Veiled(waves(), 0.05), 0.02, np.arange(1200)
+    light, rate = (np.zeros((30, 40), np.float32) for _ in range(2))
+    scene.light_and_rate(20 * MS, light, rate)
+    own, own_rate = 1 + 0.5 * np.sin(30 * t_s + 0.01 * k), 15 * np.cos(30 * t_s + 0.01 * k)
+    assert np.allclose(light.reshape(-1), 0.95 * own + 0.05 * own.mean(), atol=1e-6)
+    assert np.allclose(rate.reshape(-1), 0.95 * own_rate + 0.05 * own_rate.mean(), atol=1e-5)
+    alone = np.zeros((30, 40), np.float32)
+    scene.light(20 * MS, alone)
+    assert np.array_equal(alone, light)
+
+
+def test_single_pixels_have_the_light_of_a_frame_at_the_ends_and_its_bound_between():
+    frames = SceneFrames(Veiled(waves(), 0.05), with_rate=True, with_pixel_light=True)
+    k = np.array([0, 7, 1199])
+    frames.draw(0)
+    frame = frames.draw(10 * MS)
+    at_end, rate_at_end = frame.at(10 * MS, k)
+    assert np.allclose(at_end, frame.light.reshape(-1)[k], atol=1e-6)
+    assert np.allclose(rate_at_end, frame.rate.reshape(-1)[k], atol=1e-4)
+    fourth = 0.5 * 30**4  # at most, of any pixel's light and so of the mean
+    for t_ns in (1 * MS, 4 * MS, 9 * MS):
+        light, _ = frame.at(t_ns, k)
+        own = 1 + 0.5 * np.sin(30 * t_ns * 1e-9 + 0.01 * np.arange(1200))
+        off = np.abs(light - (0.95 * own[k] + 0.05 * own.mean()))
+        assert off.max() <= 0.05 * fourth * 0.01**4 / 384 + 5e-7
+
+
+def test_only_a_scene_in_which_nothing_changed_leaves_the_frame_as_it_is():
+    inner = waves()
+    frames = SceneFrames(Veiled(inner, 0.05), with_rate=True)
+    first = frames.draw(0)
+    assert first.changed is None
+    before = first.light.copy()
+    inner.now_changed = NONE
+    still = frames.draw(MS)
+    assert still.changed is not None and still.changed.empty
+    assert np.array_equal(still.light, before)
+    inner.now_changed = Region(0, 1, 0, 1)
+    assert frames.draw(2 * MS).changed is None
+    assert not np.array_equal(frames.last.light, before)
+
+
+def test_an_unknown_rate_leaves_those_of_other_pixels_known():
+    scene = Veiled(Lit(lambda t, k: 1.0 + 0 * k, lambda t, k: np.where(k == 3, np.nan, 2.0)), 0.1)
+    light, rate = (np.zeros((30, 40), np.float32) for _ in range(2))
+    scene.light_and_rate(0, light, rate)
+    assert np.isnan(rate.reshape(-1)[3])
+    assert np.isfinite(rate).sum() == 1199
+    assert rate[0, 0] == pytest.approx(2, rel=1e-3)
+
+
+def test_without_glare_the_scene_is_not_wrapped():
+    inner = waves()
+    assert veiled(inner, LensParameters()) is inner
+    wrapped = veiled(inner, LensParameters(veiling_glare=0.02))
+    assert isinstance(wrapped, Veiled) and wrapped.scene is inner
+    wrapped.close()
+    assert inner.closed
+
+
+def test_an_impossible_index_is_refused():
+    with pytest.raises(ValueError, match="veiling_glare"):
+        LensParameters(veiling_glare=0.6)
+
+
+def test_frames_keep_their_time():
+    frames = SceneFrames(Veiled(waves(), 0.05), with_rate=True)
+    assert isinstance(frames.draw(3 * MS), LightFrame) and frames.last.t_ns == 3 * MS
