@@ -103,7 +103,8 @@ def test_only_a_scene_in_which_nothing_changed_leaves_the_frame_as_it_is():
     before = first.light.copy()
     inner.now_changed = NONE
     still = frames.draw(MS)
-    assert still.changed is not None and still.changed.empty
+    assert still.changed is not None
+    assert still.changed.empty
     assert np.array_equal(still.light, before)
     inner.now_changed = Region(0, 1, 0, 1)
     assert frames.draw(2 * MS).changed is None
@@ -123,7 +124,8 @@ def test_without_glare_the_scene_is_not_wrapped():
     inner = waves()
     assert veiled(inner, LensParameters()) is inner
     wrapped = veiled(inner, LensParameters(veiling_glare=0.02))
-    assert isinstance(wrapped, Veiled) and wrapped.scene is inner
+    assert isinstance(wrapped, Veiled)
+    assert wrapped.scene is inner
     wrapped.close()
     assert inner.closed
 
@@ -135,4 +137,5 @@ def test_an_impossible_index_is_refused():
 
 def test_frames_keep_their_time():
     frames = SceneFrames(Veiled(waves(), 0.05), with_rate=True)
-    assert isinstance(frames.draw(3 * MS), LightFrame) and frames.last.t_ns == 3 * MS
+    assert isinstance(frames.draw(3 * MS), LightFrame)
+    assert frames.last.t_ns == 3 * MS

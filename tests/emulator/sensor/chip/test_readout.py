@@ -8,15 +8,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from emulator.sensor.chip.readout import ArbiterReadOut
+from emulator.sensor.parameters import ResetParameters
 from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import PRESETS, ReadoutParameters
 from firmware_protocol.events import EVENT
 
 
-def sensor(width=70, height=67, event_ns=80.0, row_ns=100):
-    return dataclasses.replace(
-        PRESETS["davis346"], width=width, height=height, readout=ReadoutParameters(event_ns=event_ns, row_ns=row_ns)
-    )
+def sensor(width=70, height=67, event_ns=80.0, row_ns=100, **changes):
+    readout = ReadoutParameters(event_ns=event_ns, row_ns=row_ns)
+    return dataclasses.replace(PRESETS["davis346"], width=width, height=height, readout=readout, **changes)
+
+
+def busy_sensor(refractory_us, **changes):
+    return sensor(refractory_us=refractory_us, reset=ResetParameters(at_acknowledge=True), **changes)
 
 
 def crossings(rows, width=70):
@@ -32,14 +36,15 @@ def part(c, first, last):
 def plain_arbiter(rows, parameters):
     """The same rules, written for reading: [(exit_ns, x, y, on)] and the number lost."""
     waiting, free, last, out, lost = {}, 0, parameters.height - 1, [], 0
+    busy, wait_ns = {}, round(parameters.refractory_us * 1000) if parameters.reset.at_acknowledge else None
     event_ps, row_ns = round(parameters.readout.event_ns * 1000), parameters.readout.row_ns
     queue = list(rows)
 
     def admit(until):
         nonlocal lost
         while queue and queue[0][0] <= until:
-            _, x, y, on = queue.pop(0)
-            if (y, x) in waiting:
+            t, x, y, on = queue.pop(0)
+            if (y, x) in waiting or t < busy.get((y, x), 0):
                 lost += 1
             else:
                 waiting[y, x] = on
@@ -49,10 +54,14 @@ def plain_arbiter(rows, parameters):
         if not waiting:
             free = max(free, queue[0][0])
             admit(free)
+            if not waiting:
+                continue
         row = min({y for y, _ in waiting}, key=lambda y: (y - last - 1) % parameters.height)
         latch = free + row_ns
         admit(latch)
         taken = sorted(x for y, x in waiting if y == row)
+        if wait_ns is not None:
+            busy |= {(row, x): latch + wait_ns for x in taken}
         for k, x in enumerate(taken):
             out.append((latch - (-(k + 1) * event_ps // 1000), x, row, waiting.pop((row, x))))
         free, last = latch - (-len(taken) * event_ps // 1000), row
@@ -109,6 +118,52 @@ def test_how_crossings_are_cut_into_calls_does_not_matter(rows, cuts):
     got.append(cut.finish())
     assert np.concatenate(got).tobytes() == expected.tobytes()
     assert cut.lost_at_readout == whole.lost_at_readout
+
+
+@given(rows=bursts, refractory_us=st.sampled_from([0.0, 0.05, 1.0]), row_ns=st.sampled_from([0, 100]))
+def test_a_pixel_is_busy_from_its_acknowledge_on_as_in_the_plain_arbiter(rows, refractory_us, row_ns):
+    parameters = busy_sensor(refractory_us, row_ns=row_ns)
+    expected, lost = plain_arbiter(rows, parameters)
+    readout = ArbiterReadOut(parameters)
+    events = np.concatenate([readout.push(crossings(rows), 3000), readout.finish()])
+    assert events.tolist() == [(t // 1000, x, y, on) for t, x, y, on in expected]
+    assert (readout.raised, readout.lost_at_readout, readout.read_out) == (len(rows), lost, len(rows) - lost)
+    assert readout.lost_busy <= lost
+
+
+@given(rows=bursts, cuts=st.lists(st.integers(0, 4000), max_size=6).map(sorted))
+def test_busy_pixels_do_not_depend_on_how_crossings_are_cut(rows, cuts):
+    whole, cut = (ArbiterReadOut(busy_sensor(0.5)) for _ in range(2))
+    c, first, got = crossings(rows), 0, []
+    expected = np.concatenate([whole.push(c, 4000), whole.finish()])
+    for until in [*cuts, 4000]:
+        last = int(np.searchsorted(c.t_ns, until, side="left" if until % 2 else "right"))
+        got.append(cut.push(part(c, first, last), until))
+        first = last
+        assert cut.raised == cut.lost_at_readout + cut.read_out + cut.pending
+    assert np.concatenate([*got, cut.finish()]).tobytes() == expected.tobytes()
+    assert (cut.lost_busy, cut.lost_at_readout) == (whole.lost_busy, whole.lost_at_readout)
+
+
+def test_a_pixel_behind_a_full_bus_is_busy_from_its_acknowledge_on():
+    """Row 1 waits for the 70 events of row 0: its pixel is acknowledged at 2 x 100 + 70 x 80 ns, and busy for 1000."""
+    first = [(0, x, 0, True) for x in range(70)]
+    later = [(50, 5, 1, True), (3000, 5, 1, True), (5790, 5, 1, False), (6799, 5, 1, True), (6800, 5, 1, False)]
+    readout = ArbiterReadOut(busy_sensor(1.0))
+    events = np.concatenate([readout.push(crossings(sorted(first + later)), 10_000), readout.finish()])
+    assert readout.lost_at_readout == 3
+    assert readout.lost_busy == 1
+    assert [bool(on) for on in events[events["y"] == 1]["on"]] == [True, False]
+
+
+def test_the_refractory_period_after_the_acknowledge_can_change():
+    readout = ArbiterReadOut(busy_sensor(1.0))
+    readout.push(crossings([(0, 3, 3, True)]), 500)
+    readout.set_refractory(5.0)
+    readout.push(crossings([(1090, 3, 3, True), (2000, 3, 3, True)]), 3000)  # the first period ends at 1100
+    readout.push(crossings([(5000, 3, 3, True), (7200, 3, 3, True)]), 8000)  # the second one at 7100
+    readout.finish()
+    assert (readout.lost_busy, readout.read_out) == (2, 3)
 
 
 def test_a_lone_event_leaves_after_a_row_and_an_event_time():

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from emulator.light import LightFrame
 from emulator.sensor.chip.scan import ScanReadOut
+from emulator.sensor.parameters import ResetParameters
 from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import PRESETS, ReadoutParameters
 from emulator.sensor.sensor import Sensor
@@ -17,10 +18,10 @@ WIDTH, HEIGHT, SCAN_NS = 16, 6, 16_000
 END_NS = 400_000
 
 
-def parameters(event_ns=2.0, **size):
+def parameters(event_ns=2.0, **changes):
     readout = ReadoutParameters(event_ns=event_ns, row_ns=0, scan_us=SCAN_NS / 1000)
     return dataclasses.replace(
-        PRESETS["dvxplorer_micro"], **{"width": WIDTH, "height": HEIGHT, **size}, readout=readout
+        PRESETS["dvxplorer_micro"], **{"width": WIDTH, "height": HEIGHT, **changes}, readout=readout
     )
 
 
@@ -29,17 +30,22 @@ def crossings(times, pixels, ons):
     return Crossings(np.array(times, np.int64)[order], np.array(pixels, np.uint32)[order], np.array(ons, bool)[order])
 
 
-def slow(found, event_ns):
+def slow(found, event_ns, busy_ns=None):
     """What the rules say, column by column with a dictionary of requests; and how many crossings are lost."""
     waiting, sent, lost, t, column, k = {}, [], 0, 0.0, 0, 0
+    busy = {}
     events = list(zip(found.t_ns.tolist(), found.pixel.tolist(), found.on.tolist(), strict=True))
     while k < len(events) or waiting:
         while k < len(events) and events[k][0] <= int(t):
-            lost += events[k][1] in waiting
-            waiting.setdefault(events[k][1], events[k][2])
+            at, pixel, on = events[k]
+            is_lost = pixel in waiting or at < busy.get(pixel, 0)
+            lost += is_lost
+            waiting |= {} if is_lost else {pixel: on}
             k += 1
         here = sorted(pixel for pixel in waiting if pixel % WIDTH == column)
         sent += [(int(t) // 1000, pixel % WIDTH, pixel // WIDTH, waiting.pop(pixel)) for pixel in here]
+        if busy_ns is not None:
+            busy |= {pixel: int(t) + busy_ns for pixel in here}
         t += max(SCAN_NS / WIDTH, len(here) * event_ns)
         column = (column + 1) % WIDTH
     return sent, lost
@@ -48,17 +54,24 @@ def slow(found, event_ns):
 _CROSSING = st.tuples(st.integers(0, END_NS - 1), st.integers(0, WIDTH * HEIGHT - 1), st.booleans())
 
 
-@given(st.lists(_CROSSING, max_size=200), st.lists(st.integers(0, END_NS), max_size=5), st.sampled_from([2.0, 500.0]))
-def test_it_does_what_the_rules_say_however_time_is_divided(drawn, cuts, event_ns):
+@given(
+    st.lists(_CROSSING, max_size=200),
+    st.lists(st.integers(0, END_NS), max_size=5),
+    st.sampled_from([2.0, 500.0]),
+    st.sampled_from([None, 0, 20_000]),
+)
+def test_it_does_what_the_rules_say_however_time_is_divided(drawn, cuts, event_ns, busy_ns):
     found = crossings(*([*zip(*drawn, strict=True)] or [[], [], []]))
-    readout, parts, k = ScanReadOut(parameters(event_ns)), [], 0
+    reset = ResetParameters(at_acknowledge=busy_ns is not None)
+    readout = ScanReadOut(parameters(event_ns, reset=reset, refractory_us=(busy_ns or 0) / 1000))
+    parts, k = [], 0
     for end in [*sorted(cuts), END_NS]:
         n = int(np.searchsorted(found.t_ns, end))
         parts.append(readout.push(Crossings(found.t_ns[k:n], found.pixel[k:n], found.on[k:n]), end))
         k = n
         assert readout.raised == readout.read_out + readout.lost_at_readout + readout.pending
     events = np.concatenate([*parts, readout.finish()])
-    sent, lost = slow(found, event_ns)
+    sent, lost = slow(found, event_ns, busy_ns)
     assert events.tolist() == sent
     assert readout.lost_at_readout == lost
     assert readout.pending == 0

@@ -104,7 +104,8 @@ def test_resets_do_not_depend_on_the_step(refractory_us):
     fine, coarse = (ramp(p, SLOPE, step_ns, with_rate=True)[0] for step_ns in (MS // 2, 25 * MS))
     for a, b in zip(fine, coarse, strict=True):
         n = min(len(a), len(b))
-        assert abs(len(a) - len(b)) <= 1 and n > 5
+        assert abs(len(a) - len(b)) <= 1
+        assert n > 5
         assert np.abs(a[:n] - b[:n]).max() < 5000
 
 
