@@ -7,16 +7,18 @@ import pytest
 
 from emulator.rig.loading import RigError, parse_rig
 from emulator.sensor.parameters import (
+    ComparatorParameters,
     DefectParameters,
     ImagerParameters,
     JitterParameters,
     NoiseParameters,
     RadiationParameters,
+    ResetParameters,
     TemperatureParameters,
 )
 from emulator.sensor.presets import PRESETS, SensorParameters
 
-EFFECTS = ("temperature", "defects", "noise", "jitter", "imager", "radiation")
+EFFECTS = ("temperature", "defects", "noise", "jitter", "imager", "radiation", "comparator", "reset")
 RIG = """
 [scene]
 kind = "checkerboard"
@@ -48,6 +50,9 @@ dead_share = 0.01
         (RadiationParameters, "depth_um", math.nan), (RadiationParameters, "off_share", 1.5),
         (RadiationParameters, "recovery_us", 0.0), (RadiationParameters, "dose_krad", -1.0),
         (RadiationParameters, "dose_krad_per_day", math.inf), (RadiationParameters, "hot_share_per_krad", 2.0),
+        (ComparatorParameters, "on_us", -1.0), (ComparatorParameters, "off_us", math.nan),
+        (ComparatorParameters, "contrast_per_e", 0.0),
+        (ResetParameters, "offset", 2.0), (ResetParameters, "noise", -0.1),
     ],
 )  # fmt: skip
 def test_what_makes_no_sense_is_refused_by_name_and_value(cls, field, value):

@@ -18,11 +18,13 @@ from emulator.sensor.chip.defects import at_temperature, draw_defects
 from emulator.sensor.chip.readout import ArbiterReadOut
 from emulator.sensor.methods.other_simulators import Pangu
 from emulator.sensor.parameters import (
+    ComparatorParameters,
     DefectParameters,
     ImagerParameters,
     JitterParameters,
     NoiseParameters,
     RadiationParameters,
+    ResetParameters,
     TemperatureParameters,
 )
 from emulator.sensor.pixels import workers
@@ -208,6 +210,8 @@ def everything():
             dark_shot_noise=True, electrons_per_s_at_reference=1e5,
         ),
         radiation=RadiationParameters(hits_per_cm2_s=1e4, dose_krad=5.0, dose_krad_per_day=1e4),
+        comparator=ComparatorParameters(on_us=1.0, off_us=200.0),
+        reset=ResetParameters(offset=0.02, noise=0.01, at_acknowledge=True),
     )  # fmt: skip
 
 

@@ -238,17 +238,19 @@ def test_events_of_a_ramp_come_late_by_the_delay_and_start_anew_there(slope, ste
 
 
 def test_delayed_events_do_not_depend_on_the_step():
-    p = sensor(
-        width=400, comparator=ComparatorParameters(on_us=1.0, off_us=300.0), corner_max_hz=300.0, corner_min_hz=3.0
-    )
-    p = dataclasses.replace(p, corner_hz_at_reference=300.0)
+    """References that are read anew are as good as the curve of a step: 3.7 us at 0.5 ms with a refractory period."""
+    p = sensor(width=400, corner_hz_at_reference=300.0, corner_max_hz=300.0, corner_min_hz=3.0)
+    p = dataclasses.replace(p, comparator=ComparatorParameters(on_us=1.0, off_us=300.0))
     fine, coarse = (flickering(p, step)[0] for step in (MS // 10, MS // 2))
-    same = 0
+    off_ns, same = [], 0
     for pixel in range(400):
         a, b = fine[fine[:, 0] == pixel], coarse[coarse[:, 0] == pixel]
         n = min(len(a), len(b))
-        same += np.array_equal(a[:n, 2], b[:n, 2]) and np.abs(a[:n, 1] - b[:n, 1]).max(initial=0) < 5000
-    assert same > 0.97 * 400
+        if abs(len(a) - len(b)) <= 1 and np.array_equal(a[:n, 2], b[:n, 2]):
+            same += 1
+            off_ns.append(np.abs(a[:n, 1] - b[:n, 1]))
+    assert same >= 0.98 * 400
+    assert np.quantile(np.concatenate(off_ns), 0.95) < 4000
 
 
 def test_other_methods_refuse_what_they_do_not_have():
