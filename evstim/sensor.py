@@ -14,11 +14,13 @@ from emulator.light import LightFrame
 from emulator.sensor import sensor as simulation
 from emulator.sensor.parameters import (
     BackgroundParameters,
+    ComparatorParameters,
     DefectParameters,
     ImagerParameters,
     JitterParameters,
     NoiseParameters,
     RadiationParameters,
+    ResetParameters,
     TemperatureParameters,
 )
 from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
@@ -63,6 +65,8 @@ class SensorOptions(TypedDict, total=False):
     jitter: JitterParameters | _Part
     imager: ImagerParameters | _Part
     radiation: RadiationParameters | _Part
+    comparator: ComparatorParameters | _Part
+    reset: ResetParameters | _Part
 
 
 def sensor_parameters(model: str | SensorParameters, **parameters: Unpack[SensorOptions]) -> SensorParameters:
@@ -138,7 +142,7 @@ class Sensor:
 
     @property
     def lost_at_readout(self) -> int:
-        """Events lost because an earlier event of their pixel was still waiting for the read-out."""
+        """Events lost because an earlier event of their pixel was waiting for the read-out, or their pixel was busy."""
         return self._sensor.lost_at_readout
 
     @property

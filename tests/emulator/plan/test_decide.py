@@ -237,7 +237,7 @@ def test_reset_errors_add_up_over_a_run():
 
 
 def test_the_acknowledge_costs_the_mean_wait():
-    """A queue with constant service (M/D/1): 160 ns an event at 1e6 a second is a load of 0.16; a scan waits for half."""
+    """A queue with constant service (M/D/1): 160 ns an event at 1e6 a second are a load of 0.16; of a scan, half."""
     events, load = math.log(10) / 0.2725, 0.16
     wait_us = 0.08 + 0.16 * load / (2 * (1 - load))
     assert decisions(1.0)["acknowledge"].cost_us == pytest.approx(events * wait_us)
