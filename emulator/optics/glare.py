@@ -28,6 +28,7 @@ import numpy.typing as npt
 from emulator.geometry.camera import Rays, SceneGeometry
 from emulator.light import Light, PixelLight, Region, Scene
 from emulator.optics.lens import LensParameters
+from firmware_protocol.compiled import entry_of
 
 __all__ = ["Veiled", "veiled"]
 
@@ -35,6 +36,38 @@ __all__ = ["Veiled", "veiled"]
 def veiled(scene: Scene, lens: LensParameters) -> Scene:
     """Return a scene with the veiling glare of its lens: the scene itself where the lens has none."""
     return Veiled(scene, lens.veiling_glare) if lens.veiling_glare else scene
+
+
+_LARGEST = np.finfo(np.float32).max
+_entry = entry_of(__name__, nogil=True, error_model="numpy", fastmath={"contract"})
+
+
+@_entry
+def _mean_of(values: Light, sums: npt.NDArray[np.float64], least: np.float32) -> float:
+    """Return the mean of an array; values below `least` count as that, those that are not finite as 0.
+
+    Columns are summed first, into `sums`, (width,): such a loop becomes vectors, and has one order on every machine.
+    """
+    for x in range(sums.size):
+        sums[x] = 0.0
+    for y in range(values.shape[0]):
+        row = values[y]
+        for x in range(sums.size):
+            e = row[x]
+            sums[x] += (e if e > least else least) if abs(e) <= _LARGEST else np.float32(0)
+    total = 0.0
+    for x in range(sums.size):
+        total += sums[x]
+    return total / values.size
+
+
+@_entry
+def _add_veil(values: Light, share: np.float32, veil: np.float32, out: Light) -> None:
+    """Write share * values + veil to `out`."""
+    for y in range(values.shape[0]):
+        row, to = values[y], out[y]
+        for x in range(row.size):
+            to[x] = row[x] * share + veil
 
 
 class _Mean(NamedTuple):
@@ -77,6 +110,7 @@ class Veiled(Scene):
         self._size, self._glare = scene.size, glare
         shape = self._size[::-1]
         self._inner = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        self._sums = np.zeros(self._size[0])
         self._before = self._last = _Mean(0, 0.0, 0.0)
         self._outs: tuple[Light, ...] = ()
         self._changed: Region | None = None
@@ -160,17 +194,15 @@ class Veiled(Scene):
         if still:
             return
         for values, mean, out in zip(self._inner, self._last[1:], outs, strict=False):
-            np.multiply(values, np.float32(1 - self._glare), out=out)
-            out += np.float32(self._glare * mean)
+            _add_veil(values, np.float32(1 - self._glare), np.float32(self._glare * mean), out)
 
     def _mean(self, t_ns: int, arrays: int, still: bool) -> _Mean:
         if still:
             return self._last._replace(t_ns=t_ns)
         light, rate = self._inner
-        mean = float(np.maximum(light, 0).mean(dtype=np.float64))
-        if arrays == 1:
-            return _Mean(t_ns, mean, 0.0)
-        return _Mean(t_ns, mean, float(np.nan_to_num(rate, nan=0.0, posinf=0.0, neginf=0.0).mean(dtype=np.float64)))
+        mean = float(_mean_of(light, self._sums, np.float32(0)))
+        rate_s = float(_mean_of(rate, self._sums, -_LARGEST)) if arrays == 2 else 0.0
+        return _Mean(t_ns, mean, rate_s)
 
     def _pixels(self, inner: PixelLight, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[Light, Light]:
         """Return the light and rate of single pixels between the last two frames."""
