@@ -117,3 +117,12 @@ def test_after_thirty_days_the_looks_are_where_they_were():
     column_ps = round(SCAN_NS * 1000 / 7)
     looks = -(-((day + 5) * 1000 - 3 * column_ps) // (7 * column_ps)) * 7 + 3
     assert event["t"].tolist() == [looks * column_ps // 1000 // 1000]
+
+
+def test_a_pixel_is_busy_from_the_read_of_its_column_on():
+    """Column 0 is read every 16 us: the first event leaves at 16 us, and the pixel is busy until 36 us."""
+    found = crossings([1, 20_000, 35_999, 36_000], [0, 0, 0, 0], [True] * 4)
+    readout = ScanReadOut(parameters(reset=ResetParameters(at_acknowledge=True), refractory_us=20.0))
+    events = np.concatenate([readout.push(found, END_NS), readout.finish()])
+    assert events["t"].tolist() == [16, 48]
+    assert (readout.lost_busy, readout.lost_at_readout, readout.read_out) == (2, 2, 2)
