@@ -73,7 +73,7 @@ from emulator.sensor.parameters import (
     check_finite,
 )
 
-__all__ = ["PRESETS", "ReadoutParameters", "SensorParameters"]
+__all__ = ["IMX636_W_M2", "PRESETS", "ReadoutParameters", "SensorParameters"]
 
 _MOST_PIXELS = 1 << 29
 _MOST_MISMATCH = 0.3
@@ -200,6 +200,9 @@ class SensorParameters:
                 raise ValueError(f"defects.{name}: [{x}, {y}] must lie within {self.width} x {self.height} pixels")
 
 
+IMX636_W_M2 = 0.192
+"""Irradiance on the chip at 680 nm that is light 1 of the preset imx636, W/m2."""
+
 PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
     {
         "davis346": SensorParameters(
@@ -229,9 +232,13 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             height=720,
             threshold_on=0.223,
             threshold_off=0.223,
+            mismatch=0.1,
+            photoreceptor="large_signal",
+            corner_max_hz=30_000.0,
             leak_hz=0.0,
             refractory_us=100.0,
-            readout=ReadoutParameters(event_ns=0.94, row_ns=50),
+            readout=ReadoutParameters(event_ns=0.33, row_ns=127),
+            jitter=JitterParameters(latency_us=19.3, off_latency_us=23.6, late_share=0.0005, late_us=3000.0),
             background=BackgroundParameters(
                 hz=0.0033, off_share=0.84, pair_share=0.05, hot_share=1.3e-5, hot_hz=46.0, hot_pair_share=0.6
             ),
