@@ -48,14 +48,14 @@ class BiasSlopes:
     diff_off_above
         The same of the OFF contrast threshold above the factory's value.
     fo
-        Of the low-pass corner frequency, as a share of that at the factory's bias, 0 to 1: one over the factory's value of the register.
+        Of the low-pass corner frequency, as a share, 0 to 1: one over the factory's value of the register.
     refr
         Of the inverse of the refractory period, as a share, 0 to 1: one over the factory's value of the register.
     """
 
-    diff_on: float = 0.0125
-    diff_off: float = 0.0277
-    diff_off_above: float = 0.0122
+    diff_on: float = 0.0148
+    diff_off: float = 0.0263
+    diff_off_above: float = 0.0117
     fo: float = 0.012
     refr: float = 0.05
 

@@ -20,8 +20,8 @@ A crossing that finds no other request is served without them, and of a row only
 
 Jitter is a keyed delay for each event of each pixel, which preserves the order of a pixel's events. Event number k of a
 pixel (counted since the reset) is delayed by a log-normal time of the given mean and deviation, keyed by pixel and k,
-and a share of the events by an exponential time more; it leaves at least 1 ns after event k - 1. Events that leave after the step stay pending. So the result depends on the
-crossings alone, not on their division into steps.
+and a share of the events by an exponential time more; it leaves at least 1 ns after event k - 1. Events that leave
+after the step stay pending. So the result depends on the crossings alone, not on their division into steps.
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@
 The equations (photocurrent i relative to the reference light, u = ln i, natural logarithms throughout):
 
     rate      lambda = 2 pi f(i), f proportional to i within its bounds
-    filter    dv/dt = lambda (u - v), or that of `receptor` for large signals; and if there is a second pole dw/dt = lambda2 (v - w); else w is v
+    filter    dv/dt = lambda (u - v), or the large-signal law of `receptor`; if there is a second pole, then
+              dw/dt = lambda2 (v - w), else w is v
     leak      the reference falls by l each second, and by the parasitic l' i; here the filtered value rises instead:
               g = w + l T + the parasitic part, T seconds since the epoch; the stored reference moves at events only
     crossing  ON when g - reference >= threshold_on, OFF when <= -threshold_off

@@ -1,4 +1,4 @@
-"""The large-signal law of the photoreceptor, solved over an interval of time with the same fourth-order rules as `curve`.
+"""The large-signal law of the photoreceptor, solved over an interval of time by the fourth-order rules of `curve`.
 
 The feedback transistor of a logarithmic photoreceptor carries e^V where the photodiode carries the photocurrent i; the
 output moves as the difference charges the node:
@@ -36,7 +36,14 @@ import numpy as np
 
 from emulator.sensor.numerics.compiled import Real, lane
 from emulator.sensor.numerics.elementary import decay, exponential_less_one, log_of_one_more
-from emulator.sensor.pixels.curve import Course, Filtered, missed_by_cubic, passed_by_second_pole, rise_of_filter, transient
+from emulator.sensor.pixels.curve import (
+    Course,
+    Filtered,
+    missed_by_cubic,
+    passed_by_second_pole,
+    rise_of_filter,
+    transient,
+)
 
 __all__ = [
     "MOST_BEHIND",
@@ -55,8 +62,8 @@ _THIRD, _A_64TH = np.float32(1 / 3), np.float32(1 / 64)
 _LEAST_W = np.float32(-0.9999999)  # of w's rise: w stays positive
 
 MOST_BEHIND = np.float32(3)
-"""Farthest that V may lie below ln i where a step is solved in one piece: w then falls to e^-3 of its value at most, and
-loses 1e-6 by rounding. A pixel that is farther behind is solved in substeps, over each of which w changes little."""
+"""Farthest that V may lie below ln i where a step is solved in one piece: w then falls to e^-3 of its value at most,
+and loses 1e-6 by rounding. A pixel that is farther behind is solved in substeps, in each of which w changes little."""
 
 _WIDER, _BULGE = np.float32(1.08), np.float32(1.2)  # as in the quiet test of the small-signal law
 _CHORD = np.float32(1.57)  # e^x <= 1 + 1.57 x for x up to 0.84, the farthest that smooth light goes
@@ -146,9 +153,7 @@ def response(behind: tuple[Real, Real], rates: tuple[Real, Real], rise: Real, u:
 
 
 @lane
-def rise_behind_second_pole_of_receptor(
-    behind: Real, second: Real, u: Course, v: Filtered
-) -> tuple[Real, Real]:
+def rise_behind_second_pole_of_receptor(behind: Real, second: Real, u: Course, v: Filtered) -> tuple[Real, Real]:
     """Return the rise of a second pole behind the receptor, with behind = V0 - w0, and 1 where it is not accurate.
 
     `second` is the pole's rate times the length of the interval. A faint exponential is the same in V and in w; a

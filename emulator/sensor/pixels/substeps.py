@@ -310,7 +310,7 @@ def _find_turns(rows: _Float32s, n: int) -> None:
 
 @kernel
 def _begin_with_receptor(rows: _Float32s, n: int, c: StepConstants) -> None:
-    """Write the comparator's input over each column's next substep, behind a photoreceptor with the large-signal law."""
+    """Write the comparator's input over each column's next substep, with the large-signal law."""
     _choose_width_of_receptor(rows, n, c)
     _follow_light_of_receptor(rows, n, c)
     if c.second > _ZERO:
@@ -321,7 +321,7 @@ def _begin_with_receptor(rows: _Float32s, n: int, c: StepConstants) -> None:
 
 @kernel
 def _begin_with_filter(rows: _Float32s, n: int, c: StepConstants) -> None:
-    """Write the comparator's input over each column's next substep, behind a low-pass."""
+    """Write the comparator's input over each column's next substep, with the low-pass."""
     _choose_width(rows, n, c)
     _follow_light(rows, n, c)
     if c.second > _ZERO:
