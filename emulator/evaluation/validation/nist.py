@@ -28,7 +28,19 @@ from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import Events
 from firmware_protocol.imx636.biases import BiasModel
 
-__all__ = ["NIST", "Edges", "Row", "Statistics", "at_biases", "latencies", "pulsed", "statistics", "table"]
+__all__ = [
+    "NIST",
+    "Edges",
+    "Row",
+    "Statistics",
+    "at_biases",
+    "first_latencies",
+    "latencies",
+    "pulsed",
+    "regions",
+    "statistics",
+    "table",
+]
 
 _DATA = Path(__file__).with_name("data")
 _Floats = npt.NDArray[np.float64]
@@ -107,6 +119,13 @@ def pulsed(p: SensorParameters, irradiance_w_m2: float, seed: int, cycles: int =
 def regions() -> SensorParameters:
     """Return the IMX636 preset with the array of the nine regions."""
     return dataclasses.replace(PRESETS["imx636"], width=REGIONS * SIDE, height=SIDE)
+
+
+def first_latencies(events: Events, edge_us: int, on: bool) -> _Floats:
+    """Return the latency of each pixel that has an event of a polarity, us, in the order of the pixels."""
+    events = events[events["on"] == on]
+    _, first = np.unique(events["y"].astype(np.int64) << 16 | events["x"], return_index=True)
+    return np.asarray(events["t"][first].astype(np.int64) - edge_us, np.float64)
 
 
 def _firsts(events: Events, edge_us: int, on: bool) -> list[_Floats]:
