@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -93,8 +93,8 @@ def spread(seed: int) -> Findings:
     remarks = (
         "Not judged: the fastest pixels are in part pixels whose noise came before the true event, and the slowest "
         "are in part pixels that come milliseconds late.",
-        "Beyond noise, pixels differ by the position of their reference, up to one threshold of the other polarity away "
-        "from the light, and by the mismatch of the thresholds.",
+        "Beyond noise, pixels differ by the position of their reference, up to one threshold of the other polarity "
+        "away from the light, and by the mismatch of the thresholds.",
     )
     return Findings(
         "spread", "Spread of latencies in a region", "imx636", _PROTOCOL, (NIST,), data, remarks,
@@ -187,31 +187,28 @@ def _both(size: tuple[float, float]) -> tuple[Any, dict[float, Any]]:
     return figure, {polarity: one for polarity, (one,) in zip(_POLARITIES, axes, strict=True)}
 
 
-def _over_light(rows: list[Row] | tuple[Row, ...], value: Callable[[int], float], polarity: float) -> Any:
+def _over_light(rows: list[Row] | tuple[Row, ...], values: list[float], polarity: float) -> Any:
     """Return irradiances and values of the rows of a polarity, (2, n), in ascending order of irradiance."""
-    pairs = sorted((row["irradiance_w_m2"], value(k)) for k, row in enumerate(rows) if row["polarity"] == polarity)
-    return np.array(pairs).T
+    pairs = zip(rows, values, strict=True)
+    return np.array(sorted((row["irradiance_w_m2"], value) for row, value in pairs if row["polarity"] == polarity)).T
 
 
-def _draw_lines(
-    axes: dict[float, Any], rows: tuple[Row, ...], real: Callable[[int], float], ours: Callable[[int], float]
-) -> None:
+def _draw_lines(axes: dict[float, Any], rows: tuple[Row, ...], real: list[float], ours: list[float]) -> None:
     """Draw real values as marks and ours as lines over light, one colour a pair of biases."""
     pairs = sorted({_biases(row) for row in rows})
     colours = pyplot().get_cmap("viridis")(np.linspace(0, 0.9, len(pairs)))
     for biases, colour in zip(pairs, colours, strict=True):
         some = [k for k, row in enumerate(rows) if _biases(row) == biases]
-        chosen = [rows[k] for k in some]
+        chosen, marks, line = [rows[k] for k in some], [real[k] for k in some], [ours[k] for k in some]
         for polarity, one in axes.items():
-            x, y = _over_light(chosen, lambda j, some=some: real(some[j]), polarity)
-            one.plot(x, y, "o", color=colour, ms=4)
-            x, y = _over_light(chosen, lambda j, some=some: ours(some[j]), polarity)
-            one.plot(x, y, "-", color=colour, label="biases {:+d}, {:+d}".format(*biases))
+            one.plot(*_over_light(chosen, marks, polarity), "o", color=colour, ms=4)
+            label = "biases {:+d}, {:+d}".format(*biases)
+            one.plot(*_over_light(chosen, line, polarity), "-", color=colour, label=label)
 
 
 def _draw_medians(rows: tuple[Row, ...], data: tuple[Datum, ...], stem: Path) -> list[Path]:
     figure, axes = _both((5.0, 4.2))
-    _draw_lines(axes, rows, lambda k: data[k].real, lambda k: data[k].ours)
+    _draw_lines(axes, rows, [one.real for one in data], [one.ours for one in data])
     for one in axes.values():
         one.set_yscale("log")
         one.set_ylabel("median latency, us (marks: real; lines: ours)")
@@ -221,7 +218,8 @@ def _draw_medians(rows: tuple[Row, ...], data: tuple[Datum, ...], stem: Path) ->
 
 def _draw_opposite(rows: tuple[Row, ...], ours: list[Statistics], stem: Path) -> list[Path]:
     figure, axes = _both((5.0, 4.2))
-    _draw_lines(axes, rows, lambda k: max(rows[k]["opposite"], 0.05), lambda k: min(max(ours[k].opposite, 0.05), 100))
+    real = [max(row["opposite"], 0.05) for row in rows]
+    _draw_lines(axes, rows, real, [min(max(one.opposite, 0.05), 100) for one in ours])
     for one in axes.values():
         one.set_yscale("log")
         one.set_ylabel("pixels of 111 with the other polarity (marks: real)")
@@ -231,17 +229,15 @@ def _draw_opposite(rows: tuple[Row, ...], ours: list[Statistics], stem: Path) ->
 
 def _draw_spread(rows: list[Row], ours: list[Statistics], stem: Path) -> list[Path]:
     figure, axes = _both((5.0, 4.2))
-    values: dict[str, tuple[str, Callable[[Statistics], float]]] = {
-        "slowest pixel": ("max_us", lambda s: s.most_us),
-        "median": ("median_us", lambda s: s.median_us),
-        "fastest pixel": ("min_us", lambda s: s.least_us),
+    values = {
+        "slowest pixel": ("max_us", [one.most_us for one in ours]),
+        "median": ("median_us", [one.median_us for one in ours]),
+        "fastest pixel": ("min_us", [one.least_us for one in ours]),
     }
-    for (name, (column, value)), colour in zip(values.items(), (RED, INK, BLUE), strict=True):
+    for (name, (column, here)), colour in zip(values.items(), (RED, INK, BLUE), strict=True):
         for polarity, one in axes.items():
-            x, y = _over_light(rows, lambda k, column=column: rows[k][column], polarity)
-            one.plot(x, y, "o", color=colour, ms=4)
-            x, y = _over_light(rows, lambda k, value=value: value(ours[k]), polarity)
-            one.plot(x, y, "-", color=colour, label=name)
+            one.plot(*_over_light(rows, [row[column] for row in rows], polarity), "o", color=colour, ms=4)
+            one.plot(*_over_light(rows, here, polarity), "-", color=colour, label=name)
     for one in axes.values():
         one.set_yscale("log")
         one.set_ylabel("latency, us (marks: real; lines: ours)")

@@ -100,7 +100,8 @@ def test_events_are_those_of_lsoda(scene, corner_hz, second_hz, step_s, within_u
     end_s = 0.2
     true = true_events(light, p, end_s)
     ours = events(p, [frame(p, t, light(t), log_rate(t)) for t in np.arange(0, end_s + step_s / 2, step_s)])
-    assert [on for _, on in ours] == [on for _, on in true] and len(true) > 20
+    assert [on for _, on in ours] == [on for _, on in true]
+    assert len(true) > 20
     assert np.max(np.abs(np.subtract([t for t, _ in ours], [t for t, _ in true]))) * 1e6 < within_us
 
 
@@ -119,7 +120,8 @@ def test_events_from_the_dark_come_one_after_another_at_theta_over_k_i(light, st
     # w = e^-V falls from 1 / dark to 1 / current as one exponential
     w = np.exp(-(math.log(DARK) + levels))
     closed = 0.1 - np.log((w - 1 / current) / (1 / DARK - 1 / current)) / (K * current)
-    assert all(on for _, on in got) and len(got) == len(levels)
+    assert all(on for _, on in got)
+    assert len(got) == len(levels)
     assert np.abs(np.array([t for t, _ in got]) - closed)[: len(levels) // 2].max() < 2e-7 / light
     assert got[0][0] - 0.1 == pytest.approx(THETA / (K * current), rel=0.01)
 
@@ -143,7 +145,8 @@ def test_small_signals_are_those_of_one_pole():
     light, log_rate = sine(20, 0.02)
     frames = [frame(small, t, light(t), log_rate(t)) for t in np.arange(0, 0.1, 1e-3)]
     large, one_pole = events(small, frames), events(dataclasses.replace(small, photoreceptor="one_pole"), frames)
-    assert [on for _, on in large] == [on for _, on in one_pole] and len(large) > 20
+    assert [on for _, on in large] == [on for _, on in one_pole]
+    assert len(large) > 20
     assert np.abs(np.subtract([t for t, _ in large], [t for t, _ in one_pole])).max() < 3e-4
 
 
