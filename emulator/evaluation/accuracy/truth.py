@@ -2,6 +2,7 @@
 
     i  = max(E, 0) + i_dark                 photocurrent, relative to the reference light
     v' = lambda(i) (ln i - v)               lambda = 2 pi clip(f_ref i, f_min, f_max)
+    x' = lambda(i) (1 / i - x), v = -ln x   the same for the large-signal photoreceptor, v' = lambda (1 - e^v / i)
     w' = lambda_2 (v - w)                   the second pole, fixed; w = v without it
     q' = i                                  for the leak that light causes
     g  = w + leak t + R_par theta_on q      the comparator's input, with the reference at rest
@@ -51,6 +52,7 @@ class _Constants(NamedTuple):
     most: float
     second: float  # rad/s; infinite: no second pole
     refractory: float  # s
+    large: bool  # the large-signal photoreceptor
 
 
 class _Pixels(NamedTuple):
@@ -64,7 +66,10 @@ class _Pixels(NamedTuple):
 
 
 class _State(NamedTuple):
-    """The state, (pixels,) each; r is the reference, and is valid after `refractory_until` (s)."""
+    """The state, (pixels,) each; r is the reference, and is valid after `refractory_until` (s).
+
+    With the large-signal photoreceptor v holds x = e^-v, whose equation is linear.
+    """
 
     v: _Float64s
     w: _Float64s
@@ -96,6 +101,9 @@ def _slopes(light: float, v: float, w: float, c: _Constants) -> tuple[float, flo
     """Return v', w' and q' under that light."""
     current = max(light, 0.0) + c.dark
     rate = min(max(c.at_reference * current, c.least), c.most)
+    if c.large:
+        x_slope = rate * (1 / current - v)
+        return x_slope, c.second * (-math.log(v) - w) if c.second < math.inf else -x_slope / v, current
     v_slope = rate * (math.log(current) - v)
     return v_slope, c.second * (v - w) if c.second < math.inf else v_slope, current
 
@@ -110,9 +118,11 @@ def _fine_step(
     b = _slopes(lights[1], v + h / 2 * a[0], w + h / 2 * a[1], c)
     d = _slopes(lights[1], v + h / 2 * b[0], w + h / 2 * b[1], c)
     e = _slopes(lights[2], v + h * d[0], w + h * d[1], c)
+    v_after = v + h / 6 * (a[0] + 2 * b[0] + 2 * d[0] + e[0])
+    w_after = w + h / 6 * (a[1] + 2 * b[1] + 2 * d[1] + e[1])
     return (
-        v + h / 6 * (a[0] + 2 * b[0] + 2 * d[0] + e[0]),
-        w + h / 6 * (a[1] + 2 * b[1] + 2 * d[1] + e[1]),
+        v_after,
+        -math.log(v_after) if c.large and c.second == math.inf else w_after,
         q + h / 6 * (a[2] + 2 * b[2] + 2 * d[2] + e[2]),
     )
 
@@ -246,19 +256,22 @@ def true_events(
     ------
     ValueError
         The scene and the sensor have different numbers of pixels; the sensor has no low-pass (the truth is the solution
-        of its equation); the step is too long for the corner frequency.
+        of its equation) or the circuit as its photoreceptor; the step is too long for the corner frequency.
     """
     pixels = parameters.width * parameters.height
     if scene.pixels != pixels:
         raise ValueError(f"the scene has {scene.pixels} pixels: must be the sensor's {pixels}")
     if math.isinf(parameters.corner_hz_at_reference):
         raise ValueError("corner_hz_at_reference = inf: the truth needs a low-pass; take a corner of 100 kHz")
+    if parameters.photoreceptor == "circuit":
+        raise ValueError('photoreceptor = "circuit": the truth has no such equation; take "one_pole" or "large_signal"')
     drawn, c = draw(parameters, seed), _constants(parameters, fine_s)
     by_light = parameters.parasitic_hz_at_reference * drawn.on
     static = _Pixels(drawn.on, drawn.off, drawn.leak, by_light, scene.jumps_s())
     start = np.log(np.maximum(scene.value(0.0)[0], 0) + c.dark)
     reference = start - drawn.on * drawn.phase
-    state = _State(start.copy(), start.copy(), np.zeros(pixels), reference, np.full(pixels, -np.inf))
+    first = np.exp(-start) if c.large else start.copy()
+    state = _State(first, start.copy(), np.zeros(pixels), reference, np.full(pixels, -np.inf))
     steps = round(duration_s / fine_s)
     parts = [_chunk(scene, k, min(k + _CHUNK, steps), static, state, c) for k in range(0, steps, _CHUNK)]
     t_s, pixel, on = (np.concatenate([part[field] for part in parts]) for field in range(3))
@@ -270,7 +283,8 @@ def _constants(p: SensorParameters, fine_s: float) -> _Constants:
         2 * math.pi * hz for hz in (p.corner_hz_at_reference, p.corner_min_hz, p.corner_max_hz)
     )
     second = 2 * math.pi * p.source_follower_hz if p.source_follower_hz > 0 else math.inf
-    return _Constants(fine_s, p.dark_current_relative, at_reference, least, most, second, p.refractory_us * 1e-6)
+    large = p.photoreceptor == "large_signal"
+    return _Constants(fine_s, p.dark_current_relative, at_reference, least, most, second, p.refractory_us * 1e-6, large)
 
 
 def _chunk(scene: ClosedLight, first: int, last: int, p: _Pixels, s: _State, c: _Constants) -> tuple[Any, Any, Any]:

@@ -257,7 +257,7 @@ def latency(p: SensorParameters, contrast: float, light: float) -> list[Point]:
         return []
     middle, low, high = (float(np.percentile(late_us, share)) for share in (50, 5, 95))
     seen = float(log_current(p, light) - log_current(p, before))
-    share = p.threshold_on / seen
+    share = _share(p, seen)
     model_us = 1e6 * _rise_s(p, light, share) + p.jitter.latency_us
     name = f"step of {contrast:.2g} ln"
     corners = [_corner_hz(share, us - p.jitter.latency_us) for us in (middle, high, low, model_us)]
@@ -265,6 +265,16 @@ def latency(p: SensorParameters, contrast: float, light: float) -> list[Point]:
         Point("latency", name, light, middle, low, high, model_us),
         Point("bandwidth", name, light, *corners),
     ]
+
+
+def _share(p: SensorParameters, step: float) -> float:
+    """Return the share of a step of log light that the low-pass has covered when the output reaches the threshold.
+
+    The large-signal photoreceptor filters the inverse of the current, e^-v, by the same pole.
+    """
+    if p.photoreceptor == "large_signal" and not p.source_follower_hz:
+        return math.expm1(-p.threshold_on) / math.expm1(-step)
+    return p.threshold_on / step
 
 
 def _corner_hz(share: float, rise_us: float) -> float:
@@ -275,9 +285,12 @@ def _corner_hz(share: float, rise_us: float) -> float:
 
 
 def _rise_s(p: SensorParameters, light: float, share: float) -> float:
-    """Return the time in which the filter covers a share of a step, by bisection; NaN: it never does."""
+    """Return the time in which the filter covers a share of a step, by bisection; NaN: never, or no closed form.
+
+    A second pole behind a photoreceptor with large signals has no closed form.
+    """
     first, second = float(lags_s(p, light)[0]), lags_s(p, light)[1]
-    if share >= 1:
+    if share >= 1 or (p.photoreceptor != "one_pole" and second > 0):
         return math.nan
     low, high = 0.0, (first + second) * (1 - math.log1p(-share)) * 4
     for _ in range(80):

@@ -5,8 +5,11 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from emulator.evaluation.validation.findings import Experiment
+from emulator.evaluation.validation.latency import latency, opposite, region, spread
 
 __all__ = ["EXPERIMENTS"]
 
-EXPERIMENTS: MappingProxyType[str, Experiment] = MappingProxyType({})
+EXPERIMENTS: MappingProxyType[str, Experiment] = MappingProxyType(
+    {"latency": latency, "region": region, "spread": spread, "opposite": opposite}
+)
 """Experiments by name."""

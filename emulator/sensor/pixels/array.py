@@ -91,6 +91,7 @@ class PixelArray(PixelMethod):
         takes_row_reads=True,
         has_faults=True,
         has_comparator=True,
+        has_large_signal=True,
     )
 
     def __init__(self, parameters: SensorParameters, seed: int, threads: int = 0) -> None:
@@ -436,6 +437,7 @@ class PixelArray(PixelMethod):
             chord=chord,
             unseen_share=UNSEEN_SHARE,
             refine=False,
+            large=p.photoreceptor == "large_signal",
             far=self.state.fields.shape[0] > NEAR_BLOCKS,
             reset_offset=np.float32(p.reset.offset),
             reset_noise=np.float32(p.reset.noise),

@@ -178,6 +178,7 @@ class StepConstants(NamedTuple):
     chord: bool  # whether log light is a straight line, because its derivative is not given
     unseen_share: np.float32  # share of a threshold that may stay unseen; more makes a step undersampled
     refine: bool  # undersampled pixels are collected for refinement
+    large: bool  # whether the photoreceptor follows the large-signal law (see `receptor`)
     far: bool  # the state is larger than the caches: a block is requested from memory while the one before is moved
     reset_offset: np.float32 = np.float32(0)  # of references after a reset, ln units
     reset_noise: np.float32 = np.float32(0)  # its standard deviation
