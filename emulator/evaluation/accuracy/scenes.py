@@ -456,9 +456,10 @@ class Faded(ClosedLight):
     def _log_and_rate(self, t_s: npt.ArrayLike) -> tuple[Float64s, Float64s]:
         """Return ln of the dimming and its time derivative, (m, pixels)."""
         shares = 0.1 + 0.8 * ((np.arange(self.pixels) * _IRRATIONAL) % 1)
-        phase = np.pi * np.clip(_column(t_s) / self.rise_s, 0, 1)
+        phase = math.pi * np.clip(_column(t_s) / self.rise_s, 0, 1)
         depth = -self.threshold * shares
-        return depth * (1 + np.cos(phase)) / 2, -depth * np.sin(phase) * np.pi / (2 * self.rise_s)
+        slope = -depth * np.sin(phase) * math.pi / (2 * self.rise_s)
+        return np.asarray(depth * (1 + np.cos(phase)) / 2), np.asarray(slope)
 
     def value(self, t_s: npt.ArrayLike) -> Float64s:
         """See `ClosedLight`."""

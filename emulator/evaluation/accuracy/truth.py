@@ -13,8 +13,9 @@ minus a share of theta_on, the same as that of `PixelArray`.
 The integration is Runge-Kutta of fourth order in steps of a few us; between, g is the cubic through its values and
 slopes, divided at its extrema, and crossings are found by bisection to the last bit. Around a known jump the light is
 taken as constant on both sides for one such step. `ideal_events` are those of a pixel without filter, leak and
-refractory period, with r = ln i at the start: there g is ln i itself, in closed form. Nothing here is shared with the fast kernels but the numbers that are
-drawn. Crossings agree with those of an adaptive solver of eighth order to 1e-6 us at steps of 10 us (see the tests).
+refractory period, with r = ln i at the start: there g is ln i itself, in closed form. Nothing here is shared with the
+fast kernels but the numbers that are drawn. Crossings agree with those of an adaptive solver of eighth order to 1e-6 us
+at steps of 10 us (see the tests).
 """
 
 from __future__ import annotations
@@ -301,8 +302,11 @@ def _collected(s: _State, advance: Callable[[_State, _Events], None]) -> tuple[A
 
 
 @compiled
-def _advance_ideal(u: _Float64s, slope: _Float64s, t0: float, h: float, p: _Pixels, s: _State, out: _Events) -> None:
-    """Write the events of log light u (steps + 1, pixels), whose time derivative is `slope`, from t0 on."""
+def _advance_ideal(
+    u: _Float64s, slope: _Float64s, times: tuple[float, float], p: _Pixels, s: _State, out: _Events
+) -> None:
+    """Write the events of log light u, (steps + 1, pixels), and its derivative; `times` are the start and a step, s."""
+    t0, h = times
     for k in range(u.shape[0] - 1):
         span = _Span(t0 + k * h, h, (0.0, 0.0, 0.0), 0.0)
         for j in range(u.shape[1]):
@@ -343,8 +347,8 @@ def ideal_events(
     state = _State(start.copy(), start.copy(), none.copy(), start.copy(), np.full(scene.pixels, -np.inf))
     steps, parts = round(duration_s / fine_s), []
     for first in range(0, steps, _CHUNK):
-        u, slope = _log_and_slope(scene, np.arange(first, min(first + _CHUNK, steps) + 1) * fine_s)
-        advance = partial(_advance_ideal, u, slope, first * fine_s, fine_s, static)
+        u, slope = _log_and_slope(scene, np.arange(first, min(first + _CHUNK, steps) + 1, dtype=np.float64) * fine_s)
+        advance = partial(_advance_ideal, u, slope, (first * fine_s, fine_s), static)
         parts.append(_collected(state, advance))
     t_s, pixel, on = (np.concatenate([part[field] for part in parts]) for field in range(3))
     return Stream.of(t_s * 1e6, pixel, on, scene.pixels)

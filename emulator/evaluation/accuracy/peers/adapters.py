@@ -1,9 +1,9 @@
 """Adapters of simulators to the worker: v2e, ESIM, OpenEB, IEBCS, DVS-Voltmeter, evlib, eventcv, Neurosim, and ours.
 
 Each is a class for `worker.py`, by the name that `evstim accuracy peers --simulator NAME=PATH` takes, with everything
-but the thresholds turned off. PATH is the simulator's checkout; for ESIM the folder of the compiled module `esim_py`;
-for evlib, eventcv and Neurosim's kernel, which are installed as packages, it may be left out. This file imports evstim
-only in our own adapters: the others need numpy, the simulator, and what that needs.
+but the thresholds turned off. PATH is the simulator's checkout, that of ESIM with the module `esim_py` compiled in its
+folder of that name; for evlib, eventcv and Neurosim's kernel, which are installed as packages, it may be left out. This
+file imports evstim only in our own adapters: the others need numpy, the simulator, and what that needs.
 
 ESIM and IEBCS are under the GPL: they run in a process of their own, from the user's copy, and nothing of them is here.
 """
@@ -93,7 +93,7 @@ class esim:
     notes = "times include writing and reading an image file for each frame"
 
     def __init__(self, settings: Any) -> None:
-        sys.path.insert(0, settings.path)
+        sys.path[:0] = [str(Path(settings.path) / "esim_py"), settings.path]
         self.version, self.date = checkout(settings.path)
         on, off = settings.threshold_on, settings.threshold_off
         self.simulator = importlib.import_module("esim_py").EventSimulator(on, off, 0.0, 1e-6, True)
@@ -168,8 +168,7 @@ class iebcs:
             self.sensor.init_image(lux)
             return None
         events = self.sensor.update(lux, t_us - before)
-        # It stores the row of a pixel as x.
-        return events.get_ts(), events.get_y(), events.get_x(), events.get_p()
+        return events.get_ts(), events.get_x(), events.get_y(), events.get_p()
 
 
 class dvs_voltmeter:
@@ -282,8 +281,7 @@ class _Evstim:
         self.array = importlib.import_module("emulator.sensor.pixels.array").PixelArray(parameters, 1)
         self.frame_type = importlib.import_module("emulator.light").LightFrame
         self.version = importlib.metadata.version("evstim")
-        commit, self.date = checkout(str(Path(__file__).parent))
-        self.version += f" {commit}" if commit else ""
+        self.date = checkout(str(Path(__file__).parent))[1]
         light = importlib.import_module("emulator.evaluation.accuracy.peers.sequences").light_of(settings.scene)
         self.at = self._source(light) if self.refines else None
         self.width, self.started = settings.width, False

@@ -2,7 +2,7 @@
 
 A folder of sequences contains:
 
-    sequences.json          format, thresholds (ln units) and, for each sequence, scene, size, images a second and frames
+    sequences.json          format, thresholds (ln units); of each sequence the scene, size, images a second and frames
     SCENE-IMAGES.npz        t_ns (n,) int64 since the first frame; light (n, height, width) float32, linear, above 0, at
                             most 1; rate, its time derivative, a second; IMAGES is the number of images a second
     busy.npz, quiet.npz     sequences for timing: 346 x 260 pixels, 1000 images a second
@@ -181,7 +181,7 @@ def open_folder(path: Path) -> SequenceFolder:
         sequences = {name: FrameSequence(**one) for name, one in stored["sequences"].items()}
         return SequenceFolder(path, stored["threshold_on"], stored["threshold_off"], sequences)
     except (OSError, KeyError, TypeError, ValueError) as error:
-        raise FolderError(f"{path}: no folder of sequences, write one with `evstim accuracy export`: {error}") from error
+        raise FolderError(f"{path}: no sequences; `evstim accuracy export` writes them ({error})") from error
 
 
 def export(path: Path, images_per_s: Sequence[int], scenes: Sequence[str] = tuple(SCENES)) -> Iterator[str]:

@@ -173,7 +173,7 @@ def run_sequence(simulator: Simulator, frames: Iterator[Frame]) -> dict[str, Any
         _take(given, k + 1, found)
     types = {"t_us": np.float64, "x": np.int64, "y": np.int64, "on": np.bool_, "frame": np.int64}
     columns = zip(*found) if found else [[np.empty(0)]] * len(types)  # noqa: B905 - older Python has no `strict`
-    arrays = {name: np.concatenate(part).astype(types[name]) for name, part in zip(types, columns)}  # noqa: B905
+    arrays: dict[str, Any] = {name: np.concatenate(part).astype(types[name]) for name, part in zip(types, columns)}  # noqa: B905
     return dict(arrays, wall_ns=np.array(wall, np.int64), cpu_ns=np.array(cpu, np.int64))
 
 
@@ -224,6 +224,7 @@ def main(arguments: list[str], messages: IO[str]) -> int:
 
 if __name__ == "__main__":
     # Descriptor 1 goes to standard error, also for compiled code that prints.
+    sys.path.pop(0)  # this file's folder, whose modules are not meant for the simulator
     original = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     with original:
