@@ -1,7 +1,8 @@
 """Adapters of simulators to the worker: v2e, ESIM, OpenEB, IEBCS, DVS-Voltmeter, evlib, eventcv, Neurosim, and ours.
 
 Each is a class for `worker.py`, by the name that `evstim accuracy peers --simulator NAME=PATH` takes, with everything
-but the thresholds turned off. PATH is the simulator's checkout, that of ESIM with the module `esim_py` compiled in its
+but the thresholds turned off, except where `settings.whole` is set: then, for its cost, a simulator has what the text
+`whole` of its class lists. PATH is the simulator's checkout, that of ESIM with the module `esim_py` compiled in its
 folder of that name; for evlib, eventcv and Neurosim's kernel, which are installed as packages, it may be left out. This
 file imports evstim only in our own adapters: the others need numpy, the simulator, and what that needs.
 
@@ -69,15 +70,17 @@ class v2e:
 
     name, takes = "v2e", "float, 0 to 255, linear below 20"
     notes = "events of a frame are spread by the pixel that has most; times are float32 seconds"
+    whole = "low-pass, leak, shot noise, mismatch, refractory period"
 
     def __init__(self, settings: Any) -> None:
         self.version, self.date = checkout(settings.path)
         sys.path.insert(0, settings.path)
         stand_in("easygui", "screeninfo", "engineering_notation", "dv_processing", "tkinter", "cv2", "h5py", "numba")
         self.emulator = importlib.import_module("v2ecore.emulator").EventEmulator(
-            pos_thres=settings.threshold_on, neg_thres=settings.threshold_off, sigma_thres=0, cutoff_hz=0,
-            leak_rate_hz=0, shot_noise_rate_hz=0, refractory_period_s=0, seed=1, device="cpu",
-            output_width=settings.width, output_height=settings.height,
+            pos_thres=settings.threshold_on, neg_thres=settings.threshold_off, sigma_thres=0.01 * settings.whole,
+            cutoff_hz=286 * settings.whole, leak_rate_hz=0.1 * settings.whole, shot_noise_rate_hz=settings.whole,
+            refractory_period_s=5e-4 * settings.whole, seed=1, device="cpu", output_width=settings.width,
+            output_height=settings.height,
         )  # fmt: skip
 
     def step(self, frame: Any) -> Events | None:
@@ -121,6 +124,7 @@ class openeb:
 
     name, takes = "OpenEB", "float, 0 to 255"
     notes = "times are whole us"
+    whole = "low-pass, leak, shot noise, mismatch, refractory period"
 
     def __init__(self, settings: Any) -> None:
         self.version, self.date = checkout(settings.path)
@@ -132,7 +136,8 @@ class openeb:
         base.EventCD = np.dtype([("x", "<u2"), ("y", "<u2"), ("p", "<i2"), ("t", "<i8")])  # type: ignore[attr-defined]
         module = importlib.import_module("metavision_core_ml.video_to_event.simulator")
         on, off = settings.threshold_on, settings.threshold_off
-        self.simulator = module.EventSimulator(settings.height, settings.width, on, off, 0)
+        everything = (500, 0.01, 286, 0.1, 1) if settings.whole else (0,)
+        self.simulator = module.EventSimulator(settings.height, settings.width, on, off, *everything)
 
     def step(self, frame: Any) -> Events:
         """See `worker`."""
@@ -150,14 +155,19 @@ class iebcs:
         "its low-pass stays on, 100 us at 1 klux as in its examples, since its times are solved in that exponential; "
         "after each event the reference is the level then; times are whole us"
     )
+    whole = "low-pass, latency, jitter, noise events, threshold noise, refractory period"
 
     def __init__(self, settings: Any) -> None:
         self.version, self.date = checkout(settings.path)
         sys.path.insert(0, str(Path(settings.path) / "src"))
         stand_in("tqdm", "cv2")
         self.sensor = importlib.import_module("dvs_sensor").DvsSensor("sensor")
-        on, off, never_hz = settings.threshold_on, settings.threshold_off, 1e-9
-        self.sensor.initCamera(settings.width, settings.height, 0, 0, 0, 100, on, off, 0, never_hz, never_hz)
+        # Latency, jitter, refractory period and low-pass, us; thresholds and their noise; noise events, Hz.
+        us, noise, on_hz, off_hz = (
+            ((100, 30, 50, 100), 0.02, 0.1, 0.01) if settings.whole else ((0, 0, 0, 100), 0, 1e-9, 1e-9)
+        )
+        thresholds = settings.threshold_on, settings.threshold_off
+        self.sensor.initCamera(settings.width, settings.height, *us, *thresholds, noise, on_hz, off_hz)
         self.t_us: int | None = None
 
     def step(self, frame: Any) -> Events | None:
@@ -174,19 +184,21 @@ class iebcs:
 class dvs_voltmeter:
     """DVS-Voltmeter (Lin et al., 2022): EventSim.generate_events."""
 
-    name, takes = "DVS-Voltmeter", "float, linear"
+    name, takes = "DVS-Voltmeter", "float, 0 to 255"
     notes = "its noise cannot be 0 and is 1e-9; both thresholds are one number; times are whole us"
+    whole = "its constants of a DVS346: drift and noise"
 
     def __init__(self, settings: Any) -> None:
         self.version, self.date = checkout(settings.path)
         sys.path.insert(0, settings.path)
-        sensor = types.SimpleNamespace(K=[1 / settings.threshold_on, 0.0, 0.0, 0.0, 0.0, 1e-9])
+        plain, dvs346 = [1 / settings.threshold_on, 0.0, 0.0, 0.0, 0.0, 1e-9], [5.265, 20, 1e-4, 1e-7, 5e-9, 1e-5]
+        sensor = types.SimpleNamespace(K=dvs346 if settings.whole else plain)
         simulator = importlib.import_module("src.simulator")
         self.simulator = simulator.EventSim(types.SimpleNamespace(SENSOR=sensor), "", "")
 
     def step(self, frame: Any) -> Events | None:
         """See `worker`."""
-        events = self.simulator.generate_events(frame.light, frame.t_ns // 1000)
+        events = self.simulator.generate_events(frame.light * 255, frame.t_ns // 1000)
         return None if events is None else tuple(events.T)
 
 
@@ -216,6 +228,7 @@ class eventcv:
 
     name, takes = "eventcv", "8 bits in sRGB, linear below 20 of 255"
     notes = "times are whole us"
+    whole = "low-pass, leak, shot noise, mismatch, refractory period, as by default"
 
     def __init__(self, settings: Any) -> None:
         if settings.path:
@@ -232,10 +245,10 @@ class eventcv:
 
     def finish(self) -> Events:
         """See `worker`."""
+        off = ("sigma_thres", "refractory_us", "cutoff_hz", "leak_rate_hz", "shot_noise_rate_hz")
         events = self.simulate(
             np.stack(self.frames), fps=float(self.settings.images_per_s), pos_thres=self.settings.threshold_on,
-            neg_thres=self.settings.threshold_off, sigma_thres=0.0, refractory_us=0, cutoff_hz=0.0, leak_rate_hz=0.0,
-            shot_noise_rate_hz=0.0,
+            neg_thres=self.settings.threshold_off, **({} if self.settings.whole else dict.fromkeys(off, 0)),
         ).numpy()  # fmt: skip
         return events[:, 2], events[:, 0], events[:, 1], events[:, 3]
 
@@ -270,21 +283,24 @@ class _Evstim:
     """Our pixels with everything off; `rate` and `at` are what they get beside the light of the frames."""
 
     takes, rate, refines = "float, linear", True, False
-    notes = ""
+    notes, whole = "", ""
 
     def __init__(self, settings: Any) -> None:
         presets = importlib.import_module("emulator.sensor.presets").PRESETS
         parameters = importlib.import_module("dataclasses").replace(
-            presets["ideal"], width=settings.width, height=settings.height, threshold_on=settings.threshold_on,
-            threshold_off=settings.threshold_off, dark_current_relative=1e-9,
+            presets["davis346" if settings.whole else "ideal"], width=settings.width, height=settings.height,
+            threshold_on=settings.threshold_on, threshold_off=settings.threshold_off,
+            dark_current_relative=1e-3 if settings.whole else 1e-9,
         )  # fmt: skip
-        self.array = importlib.import_module("emulator.sensor.pixels.array").PixelArray(parameters, 1)
         self.frame_type = importlib.import_module("emulator.light").LightFrame
         self.version = importlib.metadata.version("evstim")
         self.date = checkout(str(Path(__file__).parent))[1]
         light = importlib.import_module("emulator.evaluation.accuracy.peers.sequences").light_of(settings.scene)
         self.at = self._source(light) if self.refines else None
-        self.width, self.started = settings.width, False
+        self.width, self.started, self.sensor = settings.width, False, None
+        if settings.whole:
+            self.sensor = importlib.import_module("emulator.sensor.sensor").Sensor(parameters, 1)
+        self.array = self.sensor or importlib.import_module("emulator.sensor.pixels.array").PixelArray(parameters, 1)
 
     @staticmethod
     def _source(light: Any) -> Any:
@@ -304,20 +320,27 @@ class _Evstim:
             self.started = True
             self.array.reset(ours)
             return None
+        if self.sensor is not None:
+            events = self.sensor.expose(ours)
+            return events["t"], events["x"], events["y"], events["on"]
         found = self.array.step(ours)
         return found.t_ns * 1e-3, found.pixel % self.width, found.pixel // self.width, found.on
+
+
+_SENSOR = "a DAVIS346 with filters, leak, noise, mismatch, refractory period and read-out"
 
 
 class evstim(_Evstim):
     """Ours with the light and its time derivative, as rigs run by default."""
 
     name, notes = "evstim", "gets the light's time derivative with each frame, as its own scenes give it"
+    whole = _SENSOR
 
 
 class evstim_line(_Evstim):
     """Ours with frames alone: a straight line in log light between them."""
 
-    name, notes, rate = "evstim, frames alone", "", False
+    name, rate, whole = "evstim, frames alone", False, _SENSOR
 
 
 class evstim_refined(_Evstim):

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from emulator.evaluation.accuracy.peers.scoring import Report, Summary, read_report
+from emulator.evaluation.accuracy.peers.sequences import SCENES, TIMING
 from emulator.report.page import Page, figure_legend, panels, save, write_csv, write_json
 
 __all__ = ["BEGIN", "END", "markdown", "read_results", "table", "write_page"]
@@ -89,6 +90,7 @@ def _simulators(reports: Sequence[Report]) -> list[Row]:
                 "Mpx/s, all pixels active": _mpx_per_s(report, "busy"),
                 "Mev/s": busy.events / us if busy and us else None,
                 "Mpx/s, an edge": _mpx_per_s(report, "quiet"),
+                "Mpx/s, with all that it models": _mpx_per_s(report, "whole"),
             }
         )
     return rows
@@ -97,7 +99,8 @@ def _simulators(reports: Sequence[Report]) -> list[Row]:
 def _remarks(report: Report) -> str:
     """Return the remarks on a simulator as one sentence each, or ""."""
     failed = [f"no scores for {', '.join(names)}: {reason}" for reason, names in report.failures().items()]
-    parts = [report.about.get("notes", ""), *report.remarks, *failed]
+    whole = report.about.get("whole", "")
+    parts = [report.about.get("notes", ""), *report.remarks, *failed, f"all that it models: {whole}" if whole else ""]
     return "; ".join(part for part in parts if part)
 
 
@@ -142,7 +145,8 @@ def _cell(value: object) -> str:
 def write_page(reports: Sequence[Report], out: Path) -> list[Path]:
     """Write page, chart, table as CSV and all as JSON into folder `out`; return the files, the page first."""
     drawn = _draw(reports, out / "simulators")
-    page = Page(_TITLE).text(_READING).table(table(reports)).chart(drawn).table(_simulators(reports))
+    scenes = {name: one.description for name, one in (SCENES | TIMING).items()}
+    page = Page(_TITLE).facts(scenes).text(_READING).table(table(reports)).chart(drawn).table(_simulators(reports))
     for report in reports:
         page.text(_remarks(report), strong=report.name)
     each = [

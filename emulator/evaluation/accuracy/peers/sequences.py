@@ -6,6 +6,7 @@ A folder of sequences contains:
     SCENE-IMAGES.npz        t_ns (n,) int64 since the first frame; light (n, height, width) float32, linear, above 0, at
                             most 1; rate, its time derivative, a second; IMAGES is the number of images a second
     busy.npz, quiet.npz     sequences for timing: 346 x 260 pixels, 1000 images a second
+    whole.npz               as quiet.npz, for the time of simulators with all that they model turned on
     truth/SCENE.npz         t_us float64, x, y, on: the events of ideal pixels
 
 The pixel has contrast thresholds and nothing else: no mismatch, noise, leak, refractory period or low-pass. The first
@@ -93,13 +94,16 @@ SCENES = {
 }
 """Scenes of the table."""
 
+_QUIET = TimedScene(
+    MovingEdge(_TIMING_SIZE[0], speed_px_s=1000.0, duration_s=0.04, half_width_px=_TIMING_SIZE[0] / 2),
+    0.04,
+    "an edge that crosses 40 of 346 columns",
+)
+
 TIMING = {
     "busy": TimedScene(SineGrating(_TIMING_SIZE[0], mean=1 / 1.7), 0.04, "sine grating on all pixels"),
-    "quiet": TimedScene(
-        MovingEdge(_TIMING_SIZE[0], speed_px_s=1000.0, duration_s=0.04, half_width_px=_TIMING_SIZE[0] / 2),
-        0.04,
-        "an edge that crosses 40 of 346 columns",
-    ),
+    "quiet": _QUIET,
+    "whole": _QUIET,
 }
 """Scenes for timing."""
 
@@ -111,13 +115,14 @@ def light_of(scene: str) -> ClosedLight:
 
 @dataclass(frozen=True)
 class FrameSequence:
-    """A sequence as `sequences.json` lists it: scene, size, images a second, frames."""
+    """A sequence as `sequences.json` lists it: scene, size, images a second, frames, and `Settings.whole`."""
 
     scene: str
     width: int
     height: int
     images_per_s: float
     frames: int
+    whole: bool = False
 
 
 class FolderError(Exception):
@@ -209,7 +214,7 @@ def export(path: Path, images_per_s: Sequence[int], scenes: Sequence[str] = tupl
             listed[name] = asdict(_write(FrameSequence(scene, _WIDTH, _HEIGHT, rate, frames), path / f"{name}.npz"))
             yield name
     for scene in TIMING:
-        one = FrameSequence(scene, *_TIMING_SIZE, _TIMING_IMAGES_PER_S, _TIMING_FRAMES)
+        one = FrameSequence(scene, *_TIMING_SIZE, _TIMING_IMAGES_PER_S, _TIMING_FRAMES, scene == "whole")
         listed[scene] = asdict(_write(one, path / f"{scene}.npz"))
         yield scene
     whole = {"format": FORMAT, "threshold_on": THRESHOLD, "threshold_off": THRESHOLD, "sequences": listed}

@@ -11,9 +11,10 @@ adapter file; it is called once for each sequence with its `Settings` and return
     step(frame)     Take the next `Frame`; return the new events as (t_us, x, y, on), (n,) each, or None.
     finish()        Optional: return the events that are left, in the same form. A simulator that takes a whole film at
                     once returns all events here.
-    name, version, date, takes, notes, device
+    name, version, date, takes, notes, device, whole
                     Optional strings for the table: `takes` is the form of light that it gets, `notes` the remarks, and
-                    "gpu" as `device` makes the clock on the wall count and not the time of processors.
+                    "gpu" as `device` makes the clock on the wall count and not the time of processors. `whole` lists
+                    what it turns on where `settings.whole` is set; without that text such sequences are left out.
 
 Times are in us since the first frame and may have fractions. `on` is True or above 0 for ON events. The first frame
 sets the pixels' references.
@@ -41,7 +42,7 @@ import numpy as np
 
 __all__ = ["ABOUT", "MOST_EVENTS", "Frame", "Settings", "Simulator", "load_adapter", "main", "run_sequence"]
 
-ABOUT = ("name", "version", "date", "takes", "notes", "device")
+ABOUT = ("name", "version", "date", "takes", "notes", "device", "whole")
 """Attributes of a simulator that are shown in the table."""
 
 MOST_EVENTS = 20_000_000
@@ -65,6 +66,8 @@ class Settings:
         Rate of the frames.
     frames : int
         Number of the frames.
+    whole : bool
+        True: turn on all that the simulator models, as for a real camera. For times alone: nothing is scored.
     path : str
         Place of the simulator's checkout or package as the user gave it, or "".
     """
@@ -76,6 +79,7 @@ class Settings:
     scene: str
     images_per_s: float
     frames: int
+    whole: bool = False
     path: str = ""
 
 
@@ -213,6 +217,9 @@ def main(arguments: list[str], messages: IO[str]) -> int:
             if not sent:
                 send(about={key: str(getattr(simulator, key, "")) for key in ABOUT})
                 sent = True
+            if settings.whole and not getattr(simulator, "whole", ""):
+                send(ends=name)
+                continue
             events = run_sequence(simulator, frames_of(folder / f"{name}.npz"))
         except Exception as error:  # noqa: BLE001 - whatever another program raises must not end the run
             send(fails=name, reason=f"{type(error).__name__}: {error}"[:500])
