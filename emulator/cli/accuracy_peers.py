@@ -26,10 +26,10 @@ from emulator.evaluation.accuracy.peers.scoring import Report, Summary, score_ev
 from emulator.evaluation.accuracy.peers.sequences import (
     IMAGES_PER_S,
     SCENES,
-    TIMING,
     FolderError,
     SequenceFolder,
     open_folder,
+    timing_sequences,
 )
 from emulator.evaluation.accuracy.peers.sequences import export as export_sequences
 from emulator.evaluation.realtime.report import machine, put_section
@@ -122,7 +122,8 @@ class Sequences:
 
     def names(self) -> set[str]:
         """Return the names of all sequences."""
-        return {f"{scene}-{rate}" for scene in self.scene for rate in self.images_per_s} | set(TIMING)
+        scored = {f"{scene}-{rate}" for scene in self.scene for rate in self.images_per_s}
+        return scored | set(timing_sequences(self.images_per_s))
 
 
 _ALL, _OURS = Sequences(), Simulators()

@@ -2,7 +2,7 @@
 
 A folder of results has a `results/NAME.json` for each simulator, so that simulators with interpreters of their own, or
 from other people, come together in one table. The cost is the time of a frame on 346 x 260 pixels whose light changes
-everywhere, times the frames a second: processor seconds for a second of stream.
+everywhere, at that frame rate, times the frames a second: processor seconds for a second of stream.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _FLOOR_US, _FLOOR_PERCENT = 1e-3, 1e-2
 _READING = (
     "Shares are means over the scenes, times medians. Right sequences: pixels whose whole sequence of polarities is "
     "that of an ideal pixel; t50 and t95: time errors over the events of these pixels; false and missed: events over "
-    "the true ones."
+    "the true ones; Mpx/s: pixels in a microsecond of processor time, all of them active, at that frame rate."
 )
 
 Row = dict[str, Any]
@@ -63,11 +63,16 @@ def table(reports: Sequence[Report]) -> list[Row]:
             "false": one.false,
             "missed": one.missed,
             "scenes": f"{one.scenes} of {one.of}",
-            "mpx_per_s": _mpx_per_s(report, "busy"),
+            "mpx_per_s": _mpx_per_s(report, _busy(one)),
         }
         for report in reports
         for one in report.summaries()
     ]
+
+
+def _busy(one: Summary) -> str:
+    """Return the name of the timing sequence at a summary's frame rate."""
+    return f"busy-{one.images_per_s:g}"
 
 
 def _mpx_per_s(report: Report, which: str) -> float | None:
@@ -79,18 +84,17 @@ def _simulators(reports: Sequence[Report]) -> list[Row]:
     """Return the table of simulators: version, input, speed."""
     rows = []
     for report in reports:
-        busy = report.frame_times.get("busy")
-        us = report.frame_us("busy")
+        busy, us = report.frame_times.get("busy-1000"), report.frame_us("busy-1000")
         rows.append(
             {
                 "simulator": report.name,
                 "version": report.about.get("version", ""),
                 "date": report.about.get("date", ""),
                 "gets light as": report.about.get("takes", ""),
-                "Mpx/s, all pixels active": _mpx_per_s(report, "busy"),
+                "Mpx/s, all active": _mpx_per_s(report, "busy-1000"),
                 "Mev/s": busy.events / us if busy and us else None,
-                "Mpx/s, an edge": _mpx_per_s(report, "quiet"),
-                "Mpx/s, with all that it models": _mpx_per_s(report, "whole"),
+                "Mpx/s, an edge": _mpx_per_s(report, "quiet-1000"),
+                "Mpx/s, with all that it models": _mpx_per_s(report, "whole-1000"),
             }
         )
     return rows
@@ -98,7 +102,10 @@ def _simulators(reports: Sequence[Report]) -> list[Row]:
 
 def _remarks(report: Report) -> str:
     """Return the remarks on a simulator as one sentence each, or ""."""
-    failed = [f"no scores for {', '.join(names)}: {reason}" for reason, names in report.failures().items()]
+    failed = [
+        f"no scores for {'all' if len(names) == len(report.scores) else ', '.join(names)}: {reason}"
+        for reason, names in report.failures().items()
+    ]
     whole = report.about.get("whole", "")
     parts = [report.about.get("notes", ""), *report.remarks, *failed, f"all that it models: {whole}" if whole else ""]
     return "; ".join(part for part in parts if part)
@@ -109,8 +116,12 @@ def markdown(reports: Sequence[Report], chart: str | None) -> str:
     days, machines = (sorted({getattr(report, name) for report in reports}) for name in ("day", "machine"))
     facts = f"Measured {', '.join(days)} on {'; '.join(machines)}. {_READING}\n\n"
     scores = _markdown_table(
-        ("simulator", "images/s", "right sequences", "t50, us", "t95, us", "false", "missed", "scenes"),
-        [(report.name, f"{one.images_per_s:g}", *_cells(one)) for report in reports for one in report.summaries()],
+        ("simulator", "images/s", "right sequences", "t50, us", "t95, us", "false", "missed", "scenes", "Mpx/s"),
+        [
+            (report.name, f"{one.images_per_s:g}", *_cells(one), _cell(_mpx_per_s(report, _busy(one))))
+            for report in reports
+            for one in report.summaries()
+        ],
     )
     rows = _simulators(reports)
     speeds = _markdown_table(tuple(rows[0]), [tuple(_cell(value) for value in row.values()) for row in rows])
@@ -173,7 +184,7 @@ def _draw(reports: Sequence[Report], stem: Path) -> list[Path]:
     """Draw median time error and wrong events against the cost: a line a simulator, a point a frame rate."""
     figure, found = panels(2, 2, (5.2, 4.4))
     for (axes,), label in zip(found, ("median time error, us", "false + missed events, %"), strict=True):
-        for k, report in enumerate(report for report in reports if report.frame_us("busy")):
+        for k, report in enumerate(reports):
             _line(axes, report, k, label)
         _name(axes, label)
     figure_legend(figure, ncols=4, fontsize=8)
@@ -182,9 +193,9 @@ def _draw(reports: Sequence[Report], stem: Path) -> list[Path]:
 
 def _line(axes: Any, report: Report, k: int, label: str) -> None:
     """Draw a simulator; hollow marks where fewer than 90 % of the sequences are right."""
-    us = report.frame_us("busy")
     points = []
     for one in report.summaries():
+        us = report.frame_us(_busy(one))
         value = one.t50_us if "error" in label else _wrong_percent(one)
         if us and value is not None:
             floor = _FLOOR_US if "error" in label else _FLOOR_PERCENT

@@ -139,7 +139,7 @@ class Report:
     scores : tuple of SequenceScore
         Of all sequences with a truth.
     frame_times : dict of str to FrameTime
-        By the timing sequence, "busy" and "quiet".
+        By the timing sequence.
     remarks : tuple of str
         On its events.
     """
@@ -275,7 +275,7 @@ def _score(name: str, sequence: FrameSequence, found: PeerEvents, truth: Stream)
         place = f"({found.x[where]}, {found.y[where]})"
         raise EventsError(f"{outside.sum()} events are outside {width} x {height} pixels, one at {place}")
     scores = compare(Stream.of(found.t_us, found.y * width + found.x, found.on, width * height), truth)
-    wrong, surplus, true = scores.wrong_events * len(truth), found.t_us.size - len(truth), len(truth)
+    wrong, surplus, true = round(scores.wrong_events * len(truth)), found.t_us.size - len(truth), len(truth)
     t50_us, t95_us = (None if math.isnan(time) else time for time in (scores.t50_us, scores.t95_us))
     false, missed = (wrong + surplus) / 2 / true, (wrong - surplus) / 2 / true
     return SequenceScore(

@@ -5,8 +5,9 @@ A folder of sequences contains:
     sequences.json          format, thresholds (ln units); of each sequence the scene, size, images a second and frames
     SCENE-IMAGES.npz        t_ns (n,) int64 since the first frame; light (n, height, width) float32, linear, above 0, at
                             most 1; rate, its time derivative, a second; IMAGES is the number of images a second
-    busy.npz, quiet.npz     sequences for timing: 346 x 260 pixels, 1000 images a second
-    whole.npz               as quiet.npz, for the time of simulators with all that they model turned on
+    busy-IMAGES.npz         sequences for timing on 346 x 260 pixels
+    quiet-1000.npz          the same with few active pixels
+    whole-1000.npz          as quiet, for the time of simulators with all that they model turned on
     truth/SCENE.npz         t_us float64, x, y, on: the events of ideal pixels
 
 The pixel has contrast thresholds and nothing else: no mismatch, noise, leak, refractory period or low-pass. The first
@@ -53,6 +54,7 @@ __all__ = [
     "export",
     "light_of",
     "open_folder",
+    "timing_sequences",
 ]
 
 FORMAT = 1
@@ -65,8 +67,7 @@ IMAGES_PER_S = (100, 1000, 10000)
 _WIDTH, _HEIGHT = 20, 12
 _PIXELS = _WIDTH * _HEIGHT
 _TIMING_SIZE = 346, 260
-_TIMING_IMAGES_PER_S = 1000
-_TIMING_FRAMES = 40
+_TIMING_IMAGES_PER_S = 1000  # of those that are not at every frame rate
 
 
 @dataclass(frozen=True)
@@ -189,6 +190,20 @@ def open_folder(path: Path) -> SequenceFolder:
         raise FolderError(f"{path}: no sequences; `evstim accuracy export` writes them ({error})") from error
 
 
+def timing_sequences(images_per_s: Sequence[int]) -> dict[str, FrameSequence]:
+    """Return the sequences for timing by name: "busy" at every frame rate, the others at one."""
+    rates = [("busy", rate) for rate in images_per_s] + [(name, _TIMING_IMAGES_PER_S) for name in ("quiet", "whole")]
+    return {
+        f"{scene}-{rate}": FrameSequence(scene, *_TIMING_SIZE, rate, _timing_frames(rate), scene == "whole")
+        for scene, rate in rates
+    }
+
+
+def _timing_frames(rate: int) -> int:
+    """Return the number of frames: fewer where each has many events, and none after the edge has crossed."""
+    return 40 if rate >= 1000 else 12
+
+
 def export(path: Path, images_per_s: Sequence[int], scenes: Sequence[str] = tuple(SCENES)) -> Iterator[str]:
     """Write a folder of sequences, created where missing; yield the name of each sequence after it is written.
 
@@ -213,10 +228,9 @@ def export(path: Path, images_per_s: Sequence[int], scenes: Sequence[str] = tupl
             frames = round(SCENES[scene].duration_s * rate) + 1
             listed[name] = asdict(_write(FrameSequence(scene, _WIDTH, _HEIGHT, rate, frames), path / f"{name}.npz"))
             yield name
-    for scene in TIMING:
-        one = FrameSequence(scene, *_TIMING_SIZE, _TIMING_IMAGES_PER_S, _TIMING_FRAMES, scene == "whole")
-        listed[scene] = asdict(_write(one, path / f"{scene}.npz"))
-        yield scene
+    for name, one in timing_sequences(images_per_s).items():
+        listed[name] = asdict(_write(one, path / f"{name}.npz"))
+        yield name
     whole = {"format": FORMAT, "threshold_on": THRESHOLD, "threshold_off": THRESHOLD, "sequences": listed}
     (path / "sequences.json").write_text(json.dumps(whole, indent=1) + "\n")
 
