@@ -276,10 +276,11 @@ def _with_page(reports: dict[str, Report], out: Path, page: Path | None) -> list
         files = write_page(every, out)
         if page is None:
             return files
-        picture = page.parent / "pictures" / "simulators.png"
-        picture.parent.mkdir(exist_ok=True)
-        shutil.copy(out / "simulators.png", picture)
-        put_section(page, markdown(every, f"pictures/{picture.name}"), (BEGIN, END))
+        charts = [file for file in files if file.suffix == ".png"]
+        for chart in charts:
+            (page.parent / "pictures").mkdir(exist_ok=True)
+            shutil.copy(chart, page.parent / "pictures" / chart.name)
+        put_section(page, markdown(every, f"pictures/{charts[0].name}" if charts else None), (BEGIN, END))
     except (OSError, ValueError) as error:
         raise Failure(str(error), WRONG_USE) from error
     return [*files, page]

@@ -369,6 +369,15 @@ def test_results_come_together_in_one_table_and_page(tmp_path):
         read_results(tmp_path)
 
 
+def test_a_page_without_costs_has_no_chart(tmp_path):
+    uncosted = dataclasses.replace(report("by files", 1.0), frame_times={})
+    assert {file.suffix for file in write_page([uncosted], tmp_path)} == {".html", ".csv", ".json"}
+    hopeless = report("hopeless", 1.0, "it did not end")
+    hopeless = dataclasses.replace(hopeless, scores=hopeless.scores[2:])
+    assert ".png" in {file.suffix for file in write_page([hopeless], tmp_path)}
+    assert "| hopeless | 1000 | – | – | – | – | – | 0 of 1 | 500 |" in markdown([hopeless], None)
+
+
 def test_the_page_has_the_section_that_the_command_writes():
     _, begin, rest = (DOCS / "simulators.md").read_text().partition(BEGIN)
     section, end, _ = rest.partition(END)

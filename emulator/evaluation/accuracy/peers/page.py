@@ -157,7 +157,10 @@ def write_page(reports: Sequence[Report], out: Path) -> list[Path]:
     """Write page, chart, table as CSV and all as JSON into folder `out`; return the files, the page first."""
     drawn = _draw(reports, out / "simulators")
     scenes = {name: one.description for name, one in (SCENES | TIMING).items()}
-    page = Page(_TITLE).facts(scenes).text(_READING).table(table(reports)).chart(drawn).table(_simulators(reports))
+    page = Page(_TITLE).facts(scenes).text(_READING).table(table(reports))
+    if drawn:
+        page.chart(drawn)
+    page.table(_simulators(reports))
     for report in reports:
         page.text(_remarks(report), strong=report.name)
     each = [
@@ -181,7 +184,12 @@ _OF_A_SEQUENCE = (
 
 
 def _draw(reports: Sequence[Report], stem: Path) -> list[Path]:
-    """Draw median time error and wrong events against the cost: a line a simulator, a point a frame rate."""
+    """Draw median time error and wrong events against the cost, or nothing where no cost is known.
+
+    A simulator is a line, a frame rate a point.
+    """
+    if not any(report.frame_us(_busy(one)) for report in reports for one in report.summaries()):
+        return []
     figure, found = panels(2, 2, (5.2, 4.4))
     for (axes,), label in zip(found, ("median time error, us", "false + missed events, %"), strict=True):
         for k, report in enumerate(reports):
@@ -200,6 +208,8 @@ def _line(axes: Any, report: Report, k: int, label: str) -> None:
         if us and value is not None:
             floor = _FLOOR_US if "error" in label else _FLOOR_PERCENT
             points.append((us * 1e-6 * one.images_per_s, max(value, floor), (one.right or 0) >= 0.9))
+    if not points:
+        return
     style = {"color": f"C{k % 10}", "marker": _MARKERS[k % len(_MARKERS)], "markersize": 6}
     axes.plot([p[0] for p in points], [p[1] for p in points], markerfacecolor="none", label=report.name, **style)
     good = [p for p in points if p[2]]
@@ -211,11 +221,12 @@ def _wrong_percent(one: Summary) -> float | None:
 
 
 def _name(axes: Any, label: str) -> None:
-    axes.set_xscale("log")
-    axes.set_yscale("log")
+    if axes.lines:
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.xaxis.set_major_locator(importlib.import_module("matplotlib.ticker").LogLocator(numticks=12))
     axes.set_xlabel("processor seconds for a second of stream, 346 x 260", fontsize=9)
     axes.set_ylabel(label, fontsize=9)
     axes.grid(True, which="major", alpha=0.3)
     axes.tick_params(labelsize=8)
     axes.axvline(1, color="black", linewidth=0.6, linestyle=":")
-    axes.xaxis.set_major_locator(importlib.import_module("matplotlib.ticker").LogLocator(numticks=12))
