@@ -1,4 +1,7 @@
-"""`evstim accuracy`."""
+"""`evstim accuracy`: our methods and the rules of others against the truth.
+
+`evstim accuracy peers`, `export` and `score`: other simulators as they are, on the same scenes (`accuracy_peers`).
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
-from cyclopts import Parameter
+from cyclopts import App, Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from emulator.cli.checks import failures
@@ -36,7 +39,7 @@ from emulator.evaluation.accuracy.sweeps import (
 from emulator.report.page import ChartsLacking, check_charts
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 
-__all__ = ["accuracy"]
+__all__ = ["accuracy", "verbs"]
 
 _Item = TypeVar("_Item")
 _EFFECTS_STEP_S = 1e-3
@@ -135,3 +138,13 @@ def _all(items: Iterable[_Item], count: int, what: str) -> list[_Item]:
 def _written(write: Callable[[], list[Path]]) -> list[Path]:
     with status.status("drawing ..."):
         return write()
+
+
+verbs = App(name="accuracy")
+verbs.default(accuracy)
+for verb, summary in (
+    ("peers", "Run other simulators over closed-form scenes: a table of their errors and costs."),
+    ("export", "Write the frames of the closed-form scenes, and the events of ideal pixels."),
+    ("score", "Score the events that a simulator made of exported frames."),
+):
+    verbs.command(f"emulator.cli.accuracy_peers:{verb}", name=verb, help=summary)

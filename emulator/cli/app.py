@@ -61,7 +61,6 @@ for verb, module, summary in (
     ("export", "export", "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark."),
     ("schema", "rigs", "Print the JSON Schema of rig files."),
     ("picture", "picture", "Write a PNG of a rig: its light and its events."),
-    ("accuracy", "accuracy", "Measure accuracy against speed, and where each method fails."),
     ("characterise", "characterise", "Measure a simulated sensor with the methods of a laboratory."),
     ("validate", "validate", "Repeat public measurements of real cameras on the simulated sensors."),
     ("doctor", "doctor", "Show which parts this machine has and lacks, with the command that adds each."),
@@ -72,6 +71,11 @@ app.command(
     "emulator.cli.listen.cameras:verbs",
     name="listen",
     help="Read a camera, real or emulated: on USB (the default), a serial line or a CAN bus.",
+)
+app.command(
+    "emulator.cli.accuracy:verbs",
+    name="accuracy",
+    help="Measure accuracy against speed, where each method fails, and other simulators on the same scenes.",
 )
 app.command(
     "emulator.cli.bench:verbs",

@@ -21,13 +21,15 @@ nearly so, and an edge enters within a step.
     ShadedEdge     an edge between two surfaces whose light drifts by some per cent
     ThinLine       a bright line of 1 px
     TurningBody    a textured ellipse that turns before a dim sky
+
+`Faded` is another scene, dimmed at the start.
 """
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -39,6 +41,7 @@ __all__ = [
     "ClosedLight",
     "Dark",
     "DriftingStar",
+    "Faded",
     "Flash",
     "Flicker",
     "MovingEdge",
@@ -416,3 +419,53 @@ class TurningBody(_Profiled):
         texture_rate = 0.5 * math.pi * (vx / 9 * np.cos(a) * np.sin(b) + vy / 7 * np.sin(a) * np.cos(b))
         rate = slope * inward_rate * texture + level * texture_rate
         return dark + (1 - dark) * level * texture, (1 - dark) * rate
+
+
+_IRRATIONAL = math.sqrt(2) - 1  # irrational: shares fill the interval evenly, and follow no pattern of a scene
+
+
+@dataclass(frozen=True)
+class Faded(ClosedLight):
+    """Another scene that is dimmed at the start, each pixel by a share of a threshold of its own, until `rise_s`.
+
+    Without that, a pixel whose light returns to where it began meets a level exactly where the light comes to rest, and
+    rounding decides whether the ideal pixel fires.
+
+    Attributes
+    ----------
+    scene : ClosedLight
+        The scene; `pixels` is its own.
+    threshold : float
+        The dimming is 0.1 to 0.9 of it, ln units.
+    rise_s : float
+        End of the dimming, s; its derivative is continuous.
+    """
+
+    scene: ClosedLight = field(default_factory=lambda: MovingEdge())
+    threshold: float = 0.2
+    rise_s: float = 0.04
+
+    def __post_init__(self) -> None:
+        if self.pixels != self.scene.pixels:
+            raise ValueError(f"{self.pixels} pixels: must be the {self.scene.pixels} of the scene")
+
+    def jumps_s(self) -> Float64s:
+        """See `ClosedLight`."""
+        return self.scene.jumps_s()
+
+    def _log_and_rate(self, t_s: npt.ArrayLike) -> tuple[Float64s, Float64s]:
+        """Return ln of the dimming and its time derivative, (m, pixels)."""
+        shares = 0.1 + 0.8 * ((np.arange(self.pixels) * _IRRATIONAL) % 1)
+        phase = math.pi * np.clip(_column(t_s) / self.rise_s, 0, 1)
+        depth = -self.threshold * shares
+        slope = -depth * np.sin(phase) * math.pi / (2 * self.rise_s)
+        return np.asarray(depth * (1 + np.cos(phase)) / 2), np.asarray(slope)
+
+    def value(self, t_s: npt.ArrayLike) -> Float64s:
+        """See `ClosedLight`."""
+        return np.asarray(self.scene.value(t_s) * np.exp(self._log_and_rate(t_s)[0]))
+
+    def rate(self, t_s: npt.ArrayLike) -> Float64s:
+        """See `ClosedLight`."""
+        log, slope = self._log_and_rate(t_s)
+        return np.asarray((self.scene.rate(t_s) + self.scene.value(t_s) * slope) * np.exp(log))

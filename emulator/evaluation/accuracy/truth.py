@@ -13,14 +13,17 @@ minus a share of theta_on, the same as that of `PixelArray`.
 
 The integration is Runge-Kutta of fourth order in steps of a few us; between, g is the cubic through its values and
 slopes, divided at its extrema, and crossings are found by bisection to the last bit. Around a known jump the light is
-taken as constant on both sides for one such step. Nothing here is shared with the fast kernels but the numbers that are
-drawn. Crossings agree with those of an adaptive solver of eighth order to 1e-6 us at steps of 10 us (see the tests).
+taken as constant on both sides for one such step. `ideal_events` are those of a pixel without filter, leak and
+refractory period, with r = ln i at the start: there g is ln i itself, in closed form. Nothing here is shared with the
+fast kernels but the numbers that are drawn. Crossings agree with those of an adaptive solver of eighth order to 1e-6 us
+at steps of 10 us (see the tests).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,7 +35,7 @@ from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.compiled import entry_of
 
-__all__ = ["true_events"]
+__all__ = ["ideal_events", "true_events"]
 
 _Float64s = npt.NDArray[np.float64]
 
@@ -293,11 +296,16 @@ def _chunk(scene: ClosedLight, first: int, last: int, p: _Pixels, s: _State, c: 
     fastest = min(max(c.at_reference * (float(light.max(initial=0.0)) + c.dark), c.least), c.most)
     if max(fastest, c.second if c.second < math.inf else 0) * c.h > _LONGEST_STEP:
         raise ValueError(f"fine_s = {c.h:g}: too long for a corner of {fastest / 2 / math.pi:.3g} Hz")
+    return _collected(s, lambda trial, out: _advance(light, first * c.h, p, trial, c, out))
+
+
+def _collected(s: _State, advance: Callable[[_State, _Events], None]) -> tuple[Any, Any, Any]:
+    """Move the state on, with room for all events; return times (s), pixels and polarities."""
     room = 4096
     while True:
         out = _Events(np.empty(room), np.empty(room, np.int64), np.empty(room, np.bool_), np.zeros(1, np.int64))
         trial = _State(*(part.copy() for part in s))
-        _advance(light, first * c.h, p, trial, c, out)
+        advance(trial, out)
         n = int(out.n[0])
         if n <= room:
             break
@@ -305,3 +313,64 @@ def _chunk(scene: ClosedLight, first: int, last: int, p: _Pixels, s: _State, c: 
     for part, new in zip(s, trial, strict=True):
         part[:] = new
     return out.t_s[:n], out.pixel[:n], out.on[:n]
+
+
+@compiled
+def _advance_ideal(
+    u: _Float64s, slope: _Float64s, times: tuple[float, float], p: _Pixels, s: _State, out: _Events
+) -> None:
+    """Write the events of log light u, (steps + 1, pixels), and its derivative; `times` are the start and a step, s."""
+    t0, h = times
+    for k in range(u.shape[0] - 1):
+        span = _Span(t0 + k * h, h, (0.0, 0.0, 0.0), 0.0)
+        for j in range(u.shape[1]):
+            _fire(j, span, (u[k, j], u[k + 1, j], h * slope[k, j], h * slope[k + 1, j]), p, s, out)
+
+
+def ideal_events(
+    scene: ClosedLight, threshold_on: float, threshold_off: float, duration_s: float, fine_s: float = 1e-5
+) -> Stream:
+    """Return the events of ideal pixels under a scene from time 0 to `duration_s`.
+
+    Such a pixel fires where the log of its light first reaches `threshold_on` above or `threshold_off` below its
+    reference, which then moves by that threshold; it starts with the log of its light at time 0.
+
+    Parameters
+    ----------
+    scene : ClosedLight
+        The light, above 0 and without jumps.
+    threshold_on, threshold_off : float
+        Thresholds, ln units, > 0.
+    duration_s : float
+        Rounded to a whole number of fine steps.
+    fine_s : float
+        Distance of the values of ln i between which it is the cubic through its values and slopes, s.
+
+    Raises
+    ------
+    ValueError
+        A threshold is not positive, the light jumps, or it is not above 0.
+    """
+    if min(threshold_on, threshold_off) <= 0:
+        raise ValueError(f"thresholds {threshold_on:g} and {threshold_off:g}: must be above 0")
+    if scene.jumps_s().size:
+        raise ValueError(f"{type(scene).__name__}: its light jumps, and events at a jump have no one time")
+    every, none = np.ones(scene.pixels), np.zeros(scene.pixels)
+    static = _Pixels(threshold_on * every, threshold_off * every, none, none, scene.jumps_s())
+    start = _log_and_slope(scene, np.zeros(1))[0][0]
+    state = _State(start.copy(), start.copy(), none.copy(), start.copy(), np.full(scene.pixels, -np.inf))
+    steps, parts = round(duration_s / fine_s), []
+    for first in range(0, steps, _CHUNK):
+        u, slope = _log_and_slope(scene, np.arange(first, min(first + _CHUNK, steps) + 1, dtype=np.float64) * fine_s)
+        advance = partial(_advance_ideal, u, slope, (first * fine_s, fine_s), static)
+        parts.append(_collected(state, advance))
+    t_s, pixel, on = (np.concatenate([part[field] for part in parts]) for field in range(3))
+    return Stream.of(t_s * 1e6, pixel, on, scene.pixels)
+
+
+def _log_and_slope(scene: ClosedLight, t_s: _Float64s) -> tuple[_Float64s, _Float64s]:
+    """Return ln of the light at times (m,) s, and its time derivative, (m, pixels) each."""
+    light = scene.value(t_s)
+    if not light.min() > 0:
+        raise ValueError(f"{type(scene).__name__}: its light must be above 0 for pixels without dark current")
+    return np.log(light), scene.rate(t_s) / light

@@ -129,10 +129,10 @@ def _number(value: float | None) -> str:
     return "–" if value is None or not math.isfinite(value) else f"{value:.2f}"
 
 
-def put_section(page: Path, text: str) -> None:
-    """Replace the section of a page; raises OSError, and ValueError where the page has no such section."""
-    before, begin, rest = page.read_text().partition(BEGIN)
-    _, end, after = rest.partition(END)
+def put_section(page: Path, text: str, marks: tuple[str, str] = (BEGIN, END)) -> None:
+    """Replace the section of a page between two lines; raises OSError, and ValueError where the page lacks them."""
+    before, begin, rest = page.read_text().partition(marks[0])
+    _, end, after = rest.partition(marks[1])
     if not begin or not end:
-        raise ValueError(f"{page} has no lines {BEGIN} and {END}")
+        raise ValueError(f"{page} has no lines {marks[0]} and {marks[1]}")
     page.write_text(f"{before}{begin}\n\n{text}\n{end}{after}")
