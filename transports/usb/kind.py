@@ -23,8 +23,8 @@ def _check_model(link: LinkParameters, camera: CameraFacts) -> None:
     sizes = sorted(set(camera.usb_models.values()))
     cures = " or ".join(f"{_named(camera, size)} with {size[0]}x{size[1]} pixels" for size in sizes)
     raise Unsuitable(
-        f"there is no USB model for a {camera.model} of {camera.size[0]}x{camera.size[1]} pixels yet; use {cures}, "
-        'or kind = "loopback"',
+        f"there is no USB model for a {camera.model} of {camera.size[0]}x{camera.size[1]} pixels yet; use "
+        f'kind = "loopback", or {cures}',
         "kind",
     )
 
