@@ -20,6 +20,7 @@ from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.tables.registry import Registry
 from emulator.tables.typed_table import KeyPath, TableError, convert_kind, unknown
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo
+from firmware_protocol.imx636.boards import BOARDS
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.imx636.registers import Surroundings
 from firmware_protocol.usb.device import Speed, UsbCamera
@@ -136,7 +137,7 @@ class UsbModel:
         Returns the factory of the device in a link's process, which can be pickled; raises ValueError for a camera
         that the device cannot represent.
     has_evt
-        Whether it sends EVT3 words: a run compiles their kernels before it begins.
+        Whether it sends EVT words: a run compiles their kernels before it begins.
     """
 
     size: tuple[int, int]
@@ -195,6 +196,7 @@ def _evk4(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
         start_delay_us=round(usb.start_delay_ms * 1000),
         surroundings=Surroundings(celsius=sensor.temperature.celsius, dead_time_us=sensor.refractory_us),
         biases=camera.bias_model,
+        board=BOARDS[camera.model],
     )
     return partial(Evk4, settings)
 
@@ -203,7 +205,9 @@ CAMERA_MODELS: Mapping[str, CameraModel] = {
     "davis346": CameraModel(PRESETS["davis346"], CHIPS["davis346"], UsbModel((346, 260), _davis346)),
     "dvxplorer_micro": CameraModel(PRESETS["dvxplorer_micro"], CHIPS["dvxplorer_micro"]),
     "imx636": CameraModel(PRESETS["imx636"], CHIPS["imx636"]),
-    "evk4": CameraModel(PRESETS["imx636"], CHIPS["imx636"], UsbModel((1280, 720), _evk4, has_evt=True)),
+    **dict.fromkeys(
+        BOARDS, CameraModel(PRESETS["imx636"], CHIPS["imx636"], UsbModel((1280, 720), _evk4, has_evt=True))
+    ),
     "triton2": CameraModel(PRESETS["imx636"], CHIPS["imx636"], gige=True),
     "ideal": CameraModel(PRESETS["ideal"], CHIPS["davis346"], UsbModel((346, 260), _davis346)),
 }

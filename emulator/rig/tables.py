@@ -29,7 +29,7 @@ class Camera:
     model
         Name of a camera: its sensor's size, pixels and read-out, and its connector.
     serial
-        Serial number that the host reads, up to 8 characters; of an "evk4", hexadecimal digits.
+        Serial number that the host reads, up to 8 characters; of an "evk4" and its siblings, hexadecimal digits.
     speed
         USB speed: "super" or "high".
     layout

@@ -80,13 +80,15 @@ LOW_BITS, HIGH_BITS = 6, 28
 
 
 def evt2_header(size: tuple[int, int], form: Form) -> bytes:
-    """Return the text before the words of a `.raw` file of a sensor of `size` = (width, height)."""
+    """Return the text before the words of a `.raw` file of a sensor of `size` = (width, height).
+
+    These lines are among those that OpenEB 5.1.1 writes (psee_raw_file_header.cpp), in its order: it gives a version
+    "evt" for EVT2, and an "endianness" for EVT2.1. Lines about the camera, the program and the date are left out.
+    """
     width, height = size
-    version, name = ("2.0", "EVT2") if form == "evt2" else ("2.1", "EVT21")
-    endianness = {"evt2": "", "evt21": ";endianness=little", "evt21-legacy": ";endianness=legacy"}[form]
-    lines = [f"evt {version}", f"format {name};width={width};height={height}{endianness}"]
-    lines += ["endianness legacy"] if form == "evt21-legacy" else []
-    lines += [f"geometry {width}x{height}", "end"]
+    order = {"evt2": "", "evt21": "little", "evt21-legacy": "legacy"}[form]
+    first, name = (f"endianness {order}", f"EVT21;endianness={order}") if order else ("evt 2.0", "EVT2")
+    lines = (first, f"format {name};height={height};width={width}", f"geometry {width}x{height}", "end")
     return "".join(f"% {line}\n" for line in lines).encode("ascii")
 
 
@@ -233,9 +235,10 @@ class Evt2Encoder(Coder):
     form : EVT2, EVT2.1, or EVT2.1 as the IMX636 sends it. In EVT2.1, events of a time, row and polarity whose columns
         rise within 32 columns from a multiple of 32 share a word.
     standalone : true if the words of each call begin with their time.
+    origin_us : time of the records that is zero in the words.
     """
 
-    def __init__(self, form: Form, *, standalone: bool = False) -> None:
+    def __init__(self, form: Form, *, standalone: bool = False, origin_us: int = 0) -> None:
         mask = _MASKS[form]
         beside = {NO_MASK: (), MASK_FIRST: (0,), MASK_LAST: (0,)}[mask]
 
@@ -247,7 +250,7 @@ class Evt2Encoder(Coder):
             np.uint32, LOW_BITS, HIGH_BITS,
             lambda events, edges, state, out: write_evt2(events, edges, mask, state, out), high_words,
         )  # fmt: skip
-        super().__init__(words, standalone=standalone)
+        super().__init__(words, standalone=standalone, origin_us=origin_us)
 
 
 class Evt2Decoder:

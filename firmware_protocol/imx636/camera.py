@@ -7,7 +7,7 @@ A camera adds its protocol: the registers, which set the gate, the selection and
 
 `Outflow` holds events and edges on their way from the selection to the words of a link:
 
-    put, put_edges --> [events] [edges] --> due, taken --> EVT3 words --> transfers, or blocks of packets
+    put, put_edges --> [events] [edges] --> due, taken --> EVT words --> transfers, or blocks of packets
 
 Words are made when the host reads, so that items dropped while they wait leave no trace in the stream. Edges come
 before events of the same time; one that is older than the time already sent, or than the edge before it, gets that
@@ -29,7 +29,7 @@ from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import Items, Numbers
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events, join_events
-from firmware_protocol.evt.evt3 import Evt3Encoder
+from firmware_protocol.evt.words import Coder
 from firmware_protocol.imx636.biases import BiasModel
 from firmware_protocol.imx636.selection import Selected
 
@@ -75,7 +75,7 @@ class Outflow(ABC, Generic[_Taken]):
         Stream time at which the sensor's clock was zero.
     """
 
-    def __init__(self, encoder: Evt3Encoder, epoch_us: int, limits: OutflowLimits) -> None:
+    def __init__(self, encoder: Coder, epoch_us: int, limits: OutflowLimits) -> None:
         self.epoch_us = self._reported_us = epoch_us
         self._encoder = encoder
         self._limits = limits

@@ -1,24 +1,27 @@
-"""USB device model of a Prophesee EVK4 HD (IMX636): requests on one bulk endpoint, answers and events on two others.
+"""USB device model of a Prophesee EVK4 HD (IMX636) and its siblings: see `imx636.boards` for these.
+
+Requests come on one bulk endpoint, answers and events leave on two others:
 
     host --bulk 02--> write ----> Board --> Registers --> masks, rate control, run gate, biases
          <-bulk 82--- read 2 <--- answers
-    array ----------> offer ----> Selection -> UsbOutflow --bulk 81--> read 1: EVT3
+    array ----------> offer ----> Selection -> UsbOutflow --bulk 81--> read 1: EVT3, or EVT2.1 if the host sets it
 
 Run gate: events leave while the array runs (register 0004 bit 10), the output is enabled (9028 bit 1 is 0) and time
-runs (9008 bit 0). Opening it begins a stream; closing it drops waiting events. Device time is zero when time starts.
+runs (9008 bit 0). Opening it begins a stream; closing it drops waiting events, and so does another format (7000 bit 1).
+Device time is zero when time starts.
 
 Biases act on the sensor through `sensor_factors`; see `imx636.biases`.
 
 Vendor request on endpoint 0, without which neuromorphic_drivers does not list the camera:
 
-    C0  bRequest 72, wValue 0, wIndex 0     2 bytes, the first 31: the kind of board, an EVK4
+    C0  bRequest 72, wValue 0, wIndex 0     2 bytes, the first the kind of board: 31 an EVK4
 
 A camera is not safe for concurrent use: one thread at a time may call it.
 
 During a silence, words carry the time every 4096 us.
 
-Sources of identity and descriptors: the checks of OpenEB 5.1.1 and neuromorphic_drivers. Device version, release and
-build date of a shipped camera are not public: those here are new enough for both.
+Sources of the descriptors: the checks of OpenEB 5.1.1 and neuromorphic_drivers. Device version, release and build date
+of a shipped camera are not public: those here are new enough for both.
 """
 
 from __future__ import annotations
@@ -26,13 +29,17 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 from firmware_protocol.device.items import Numbers
 from firmware_protocol.events import Events
+from firmware_protocol.evt.evt2 import Evt2Encoder
 from firmware_protocol.evt.evt3 import Evt3Encoder
+from firmware_protocol.evt.words import Coder
 from firmware_protocol.imx636.biases import BiasModel
+from firmware_protocol.imx636.boards import BOARDS, BoardModel
 from firmware_protocol.imx636.camera import LONGEST_GAP_US, Imx636Camera, Outflow, OutflowLimits
-from firmware_protocol.imx636.registers import BIASES, SIZE, Registers, Surroundings
+from firmware_protocol.imx636.registers import SIZE, Registers, Surroundings
 from firmware_protocol.imx636.selection import Selected, Selection
 from firmware_protocol.imx636.treuzell import Board, BoardFacts
 from firmware_protocol.usb.control import Recipient, StandardControl
@@ -64,14 +71,27 @@ _SILENCE_US = 4096  # a high part of the time
 _FEWEST_EVENTS = 16  # made into words together, also for a host that requests less
 _MOST_EDGES = 1024
 _FIFO_BYTES_PER_EVENT = 6
+_WORD_BYTES = {"evt3": 2, "evt21-legacy": 8}
+_EVENT_BYTES = {"evt3": 8, "evt21-legacy": 16}  # at most: with its time
 
 
 class UsbOutflow(Outflow[Transfer]):
-    """Outflow to a bulk endpoint: one stream of words, cut into transfers of any length."""
+    """Outflow to a bulk endpoint: one stream of words, cut into transfers of any length.
 
-    def __init__(self, epoch_us: int, fifo_bytes: int) -> None:
+    Attributes
+    ----------
+    form
+        Form of the words.
+    """
+
+    def __init__(self, epoch_us: int, fifo_bytes: int, form: Literal["evt3", "evt21-legacy"] = "evt3") -> None:
         limits = OutflowLimits(fifo_bytes // _FIFO_BYTES_PER_EVENT, _MOST_EDGES, _SILENCE_US)
-        super().__init__(Evt3Encoder(width=SIZE[0], origin_us=epoch_us), epoch_us, limits)
+        encoder: Coder = (
+            Evt3Encoder(width=SIZE[0], origin_us=epoch_us) if form == "evt3" else Evt2Encoder(form, origin_us=epoch_us)
+        )
+        super().__init__(encoder, epoch_us, limits)
+        self.form = form
+        self._word_bytes, self._event_bytes = _WORD_BYTES[form], _EVENT_BYTES[form]
         self._cut: Transfer | None = None  # the rest of words beyond the length that the host requested
 
     @property
@@ -82,13 +102,13 @@ class UsbOutflow(Outflow[Transfer]):
 
     def take(self, now_us: int, room: int) -> Transfer | None:
         """Remove up to `room` octets of words; None if there is nothing to send yet."""
-        if room < 2:
+        if room < self._word_bytes:
             return None
         whole = self._cut or self._next(now_us, room)
         if whole is None or len(whole.data) <= room:
             self._cut = None
             return whole
-        end = room & ~1
+        end = room - room % self._word_bytes
         self._cut = replace(whole, data=whole.data[end:])
         return Transfer(epoch_us=whole.epoch_us, data=whole.data[:end])
 
@@ -106,7 +126,7 @@ class UsbOutflow(Outflow[Transfer]):
 
     def _words(self, first_us: int, now_us: int, max_bytes: int) -> Transfer:
         until_us = min(now_us, first_us + LONGEST_GAP_US)
-        room = max(max_bytes // 8 - 2, _FEWEST_EVENTS)
+        room = max(max_bytes // self._event_bytes - 2, _FEWEST_EVENTS)
         events = self._taken(until_us + 1, room)
         edges = self._due_edges(int(events["t"][-1]) if len(events) == room else until_us)
         words = self._encoder.encode(events, edges)
@@ -114,8 +134,6 @@ class UsbOutflow(Outflow[Transfer]):
         return Transfer(events, edges, self.epoch_us, data=words)
 
 
-VENDOR_ID = 0x04B4
-PRODUCT_ID = 0x00F5
 ANSWER_ENDPOINT = 0x82
 REQUEST_ENDPOINT = 0x02
 DATA_ENDPOINT = 0x81
@@ -139,6 +157,8 @@ class Evk4Settings(UsbCameraSettings):
         Build time of the firmware.
     biases
         Effect of the biases on the sensor.
+    board
+        The board: its identity and its sensor.
     """
 
     bcd_device: int = 0x0309
@@ -146,11 +166,12 @@ class Evk4Settings(UsbCameraSettings):
     build_unix_s: int = 1_700_000_000
     surroundings: Surroundings = field(default_factory=Surroundings)
     biases: BiasModel = field(default_factory=BiasModel)
+    board: BoardModel = BOARDS["evk4"]
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 1 <= len(self.serial) <= 8 or set(self.serial) - set("0123456789abcdefABCDEF"):
-            raise ValueError(f"the serial of an EVK4 has 1 to 8 hexadecimal digits, got {self.serial!r}")
+            raise ValueError(f"the serial of this camera has 1 to 8 hexadecimal digits, got {self.serial!r}")
         if self.fifo_bytes < 1024:
             raise ValueError(f"fifo_bytes must be at least 1024, got {self.fifo_bytes}")
 
@@ -162,15 +183,16 @@ class Evk4Settings(UsbCameraSettings):
     @property
     def identity(self) -> Identity:
         """The camera as a host's bus lists it."""
-        return Identity(VENDOR_ID, PRODUCT_ID, self.bcd_device, self.speed, interfaces=(_INTERFACE_CLASS,))
+        vendor, product = self.board.usb_id
+        return Identity(vendor, product, self.bcd_device, self.speed, interfaces=(_INTERFACE_CLASS,))
 
     def descriptors(self) -> DescriptorSet:
         """Return all descriptors at the camera's speed."""
         other = OTHER_SPEED.get(self.speed)
         return DescriptorSet(
-            device=DeviceDescriptor(self.speed, VENDOR_ID, PRODUCT_ID, self.bcd_device, strings=(1, 2, 0)),
+            device=DeviceDescriptor(self.speed, *self.board.usb_id, self.bcd_device, strings=(1, 2, 0)),
             configuration=_configuration(self.speed),
-            strings={1: "Prophesee", 2: "EVK4"},
+            strings={1: self.board.manufacturer, 2: self.board.product},
             other_speed=_configuration(other) if other else None,
         )
 
@@ -183,7 +205,6 @@ def _configuration(speed: Speed) -> Configuration:
 
 
 _BOARD_KIND = 0x72
-_KIND = b"\x31\x00"
 _IN = 0x80
 _MOST_ANSWERS = 64
 
@@ -197,9 +218,13 @@ class Evk4(Imx636Camera[UsbOutflow], UsbCamera):
         self.settings = settings = settings or Evk4Settings()
         super().__init__(settings.size, settings.biases, UsbOutflow(0, settings.fifo_bytes))
         self._standard = StandardControl(settings.descriptors())
-        self._registers = Registers(settings.surroundings, settings.biases)
+        board = settings.board
+        self._kind = bytes((board.kind, 0))
+        self._registers = Registers(settings.surroundings, settings.biases, board.chip)
         self._selection = Selection(self._registers)
-        facts = BoardFacts(int(settings.serial, 16), settings.release, settings.build_unix_s)
+        serial = int(settings.serial, 16)
+        names = board.chip.name, board.chip.compatible
+        facts = BoardFacts(serial, settings.release, settings.build_unix_s, *names, short_frames=board.short_frames)
         self._board = Board(facts, self)
         self._answers: deque[bytes] = deque()
         self._was_running = False
@@ -223,7 +248,7 @@ class Evk4(Imx636Camera[UsbOutflow], UsbCamera):
     @property
     def biases(self) -> dict[str, int]:
         """Currents of the biases, 0 to 255, by Prophesee's names, as the host set them."""
-        return {name: self._registers[address] & 0xFF for name, (address, _) in BIASES.items()}
+        return self._registers.currents
 
     def control(self, setup: SetupPacket, data: bytes) -> bytes:
         """Execute one control transfer; see `UsbDevice.control` and the module's description."""
@@ -232,7 +257,7 @@ class Evk4(Imx636Camera[UsbOutflow], UsbCamera):
         wanted = (RequestKind.VENDOR, Recipient.DEVICE, True, _BOARD_KIND)
         if (setup.kind, setup.recipient, setup.is_in, setup.request) != wanted:
             raise Stall
-        return _KIND[: setup.length]
+        return self._kind[: setup.length]
 
     def write(self, endpoint: int, data: bytes) -> None:
         """Process a request; it stalls while 64 answers wait for a host that does not read them."""
@@ -265,6 +290,8 @@ class Evk4(Imx636Camera[UsbOutflow], UsbCamera):
             self._epoch_us = self._now_us
         if self._registers.running != self._was_running:
             self._turn()
+        elif self._registers.form != self._outflow.form:
+            self._drop_waiting()
 
     def _turn(self) -> None:
         """Begin a stream, or end it."""
@@ -284,7 +311,7 @@ class Evk4(Imx636Camera[UsbOutflow], UsbCamera):
 
     def _drop_waiting(self) -> None:
         self._flush(self._outflow)
-        self._outflow = UsbOutflow(self._epoch_us, self.settings.fifo_bytes)
+        self._outflow = UsbOutflow(self._epoch_us, self.settings.fifo_bytes, self._registers.form)
         self._flushes += 1
 
     @property

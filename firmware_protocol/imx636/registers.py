@@ -3,7 +3,7 @@
     0004            array control: bit 1 masks on, 5 masks take effect, 6 pass inside (0: mask where both masks
                     cross), 10 pixels run
     000C, 0010      light meter: control (bit 0 on); status: bits 26..0 count (100 per us), 29 valid
-    0014            chip, A0401806
+    0014            chip: A0401806 of an IMX636 and an IMX646, A0301003 of a Gen4.1
     0020            dead time: bit 31 and 30 start; bit 28 valid, 27..0 count (200 per us)
     0034, 0038, 003C  window: bit 0 write the masks from it, 1 done; first column 10..0, row 25..16; end likewise
     004C, 0050      thermometer: bit 2 start; status: bits 9..0 value (0.19 degrees C each, from -56), 11 done
@@ -11,27 +11,37 @@
     2000 + 4 i      40 words of column masks, 4000 + 4 i  23 words of row masks: bit k of word i is pixel 32 i + k
     6000            rate control: bits 1..0 = 1 ready; 6008 period, us, 600C events a period, 6028 bit 0 on,
                     6050 bit 0 drops
-    7000            bit 1 output format, 0: EVT3;  7004 bit 10 trigger input on
+    7000            bit 1 output format, 0: EVT3, 1: EVT2.1;  7004 bit 10 trigger input on
+    8000            bits 7..6 order of octets, which each driver sets for its format: 2 for EVT3, 0 for EVT2.1
     9008            bit 0 time runs
     9028            bit 1 no output
     9100 + 4 i      64 words of masked pixels: column 10..0, row 25..16, bit 31 on
+    C0C4            anti-flicker filter: bit 2 its memory is ready, always 1
+    F128            bits 1..0 variant of the chip: 0 IMX636, 2 IMX646
     00400000        bit 0 of 400004: reset
 
-Other registers only store their value. Addresses from 0 to FFFC and from 400000 to 400FFC exist. Format 1 (EVT2.1) is
-not implemented: the bit reads back as 0. Rows count from the top, as in EVT3 and OpenEB; neuromorphic_drivers counts
-those of masks from the bottom.
+Other registers only store their value, 8000 among them: words leave in the order that drivers set for their format.
+Addresses from 0 to FFFC and from 400000 to 400FFC exist. There is no EVT2: the format has one bit. Rows count from the
+top, as in EVT3 and OpenEB; neuromorphic_drivers counts those of masks from the bottom.
 
 The effect of the biases on the pixels is in `imx636.biases`.
 
-Sources: register map and drivers of OpenEB 5.1.1; registers that neuromorphic_drivers writes and reads. Factory values
-of the biases are those in neuromorphic_drivers. The power-on values of other registers are not public: 0 here.
+A Gen4.1, the sensor before the IMX636, has the same registers as far as hosts use them, and other biases.
+
+Sources: register maps and drivers of OpenEB 5.1.1; registers that neuromorphic_drivers writes and reads; Prophesee's
+Linux driver of the IMX636 (the orders of octets). Factory values of the biases are those in neuromorphic_drivers, of a
+Gen4.1 those that OpenEB and neuromorphic_drivers write when they open it; no source gives those of an IMX646, which
+here are an IMX636's. That the anti-flicker filter's memory is ready from power-on is inferred: OpenEB reads the bit
+three times when it switches the filter on, and nothing requests it. The power-on values of other registers are not
+public: 0 here.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -40,9 +50,13 @@ from firmware_protocol.imx636.biases import BiasModel
 
 __all__ = [
     "BIASES",
+    "GEN41",
+    "IMX636",
+    "IMX646",
     "PIXEL_MASKS",
     "SIZE",
     "Address",
+    "Chip",
     "NoRegister",
     "Registers",
     "Surroundings",
@@ -52,9 +66,9 @@ __all__ = [
 
 SIZE = (1280, 720)
 PIXEL_MASKS = 64
-BIAS_FLAGS = 0x11A1_0000
 
 _LOW_END, _SYSTEM, _SYSTEM_END = 0x1_0000, 0x40_0000, 0x40_1000
+_FILTER_IS_READY = 1 << 2
 _READY, _VALID_LIGHT, _VALID_DEAD_TIME, _MEASURE_DEAD_TIME = 1 << 11, 1 << 29, 1 << 28, 3 << 30
 
 
@@ -80,9 +94,12 @@ class Address(IntEnum):
     RATE_DROPS = 0x6050
     FORMAT = 0x7000
     TRIGGER = 0x7004
+    OCTETS = 0x8000
     TIME = 0x9008
     OUTPUT = 0x9028
     PIXELS = 0x9100
+    FILTER_READY = 0xC0C4
+    VARIANT = 0xF128
     RESET = 0x40_0004
 
 
@@ -102,6 +119,58 @@ BIASES: Mapping[str, tuple[int, int]] = {
     "unknown_2": (0x1050, 0x51),
 }
 """Register and factory's current of each bias, by Prophesee's names."""
+
+
+@dataclass(frozen=True)
+class Chip:
+    """A version of the sensor.
+
+    Attributes
+    ----------
+    name
+        Its name in the board's own description, for people.
+    compatible
+        Names by which OpenEB finds its driver.
+    number, variant
+        Values of the registers CHIP and VARIANT.
+    biases
+        Register and factory's current of each bias, by Prophesee's names.
+    bias_flags
+        The other bits of the bias registers at power-on.
+    """
+
+    name: str
+    compatible: tuple[str, ...]
+    number: int = 0xA040_1806
+    variant: int = 0
+    biases: Mapping[str, tuple[int, int]] = field(default_factory=lambda: BIASES)
+    bias_flags: int = 0x11A1_0000
+
+
+IMX636 = Chip("CCam5 Imx636 Event-Based Camera", ("psee,ccam5_imx636", "psee,ccam5_gen42"))
+IMX646 = Chip("CCam5 Imx646 Event-Based Camera", ("psee,ccam5_imx646",), variant=2)
+GEN41 = Chip(
+    "CCam5 Gen4.1 Event-Based Camera",
+    ("psee,ccam5_gen41",),
+    number=0xA030_1003,
+    biases={
+        "pr": (0x1000, 0x69),
+        "fo": (0x1004, 0x4A),
+        "fo_n": (0x1008, 0x00),
+        "hpf": (0x100C, 0x00),
+        "diff_on": (0x1010, 0x73),
+        "diff": (0x1014, 0x50),
+        "diff_off": (0x1018, 0x34),
+        "inv": (0x101C, 0x5B),
+        "refr": (0x1020, 0x44),
+        "reqpuy": (0x1040, 0x94),
+        "reqpux": (0x1044, 0x7C),
+        "sendreqpdy": (0x1048, 0x94),
+        "blk": (0x104C, 0x78),
+        "unknown_2": (0x1050, 0x51),
+    },
+)
+"""The sensors of the boards that are emulated; names of the two that are no IMX636 follow the pattern of its name."""
 
 
 class NoRegister(LookupError):
@@ -149,18 +218,22 @@ def is_register(address: int) -> bool:
 class Registers:
     """The register file, from power-on."""
 
-    def __init__(self, surroundings: Surroundings = Surroundings(), biases: BiasModel | None = None) -> None:
+    def __init__(
+        self, surroundings: Surroundings = Surroundings(), biases: BiasModel | None = None, chip: Chip = IMX636
+    ) -> None:
         self._around = surroundings
         self._biases = biases or BiasModel()
+        self._chip = chip
         self._words = np.zeros((_LOW_END + _SYSTEM_END - _SYSTEM) // 4, np.uint32)
         self.power_on()
 
     def power_on(self) -> None:
         """Set every register to its power-on value."""
         self._words[:] = 0
-        for address, current in BIASES.values():
-            self._set(address, BIAS_FLAGS | current)
-        self._set(Address.CHIP, 0xA040_1806)
+        for address, current in self._chip.biases.values():
+            self._set(address, self._chip.bias_flags | current)
+        self._set(Address.CHIP, self._chip.number)
+        self._set(Address.VARIANT, self._chip.variant)
         self._set(Address.RATE_PERIOD, 0x80)
         self._set(Address.RATE_EVENTS, 0x80)
         self._set(Address.WINDOW_END, SIZE[1] << 16 | SIZE[0])
@@ -169,13 +242,13 @@ class Registers:
         """Return a register's value; raises NoRegister."""
         if address == Address.LIGHT_STATUS and self[Address.LIGHT_CONTROL] & 1:
             return _VALID_LIGHT | self._around.light_count
-        return self[address]
+        return self[address] | _FILTER_IS_READY if address == Address.FILTER_READY else self[address]
 
     def write(self, address: int, value: int) -> None:
         """Write a register, and apply its effect within the sensor; raises NoRegister."""
-        if address in (Address.CHIP, Address.ADC_STATUS):
+        if address in (Address.CHIP, Address.VARIANT, Address.ADC_STATUS):
             return
-        self._set(address, value & ~2 if address == Address.FORMAT else value)
+        self._set(address, value)
         if address == Address.RESET and value & 1:
             self.power_on()
             self._set(address, value)
@@ -200,7 +273,17 @@ class Registers:
     @property
     def bias_steps(self) -> dict[str, int]:
         """Steps of each bias away from the factory's value, by Prophesee's names."""
-        return {name: (self[address] & 0xFF) - factory for name, (address, factory) in BIASES.items()}
+        return {name: (self[address] & 0xFF) - factory for name, (address, factory) in self._chip.biases.items()}
+
+    @property
+    def currents(self) -> dict[str, int]:
+        """Current of each bias, 0 to 255, by Prophesee's names."""
+        return {name: self[address] & 0xFF for name, (address, _) in self._chip.biases.items()}
+
+    @property
+    def form(self) -> Literal["evt3", "evt21-legacy"]:
+        """Form of the words that leave the sensor."""
+        return "evt21-legacy" if self[Address.FORMAT] & 2 else "evt3"
 
     @property
     def time_runs(self) -> bool:

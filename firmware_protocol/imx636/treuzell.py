@@ -16,11 +16,18 @@ A frame, little-endian; an answer is at most 1024 bytes:
     10102  read registers    u32 device, address, n     u32 device, address, n x u32
     40010102  write them     u32 device, address, n x u32    u32 device, address
 
+Boards of the generation before have frames of registers without a size, and answer with the value that is read or was
+written:
+
+    55  u32 address                 u32 55, address, value
+    56  u32 address, u32 value      u32 56, address, value
+
 Registers that failed: u32 device, address, errno. Each request gets one answer, also an invalid one: a frame without a
 header is answered as an unknown property. There is one device, 0, the sensor.
 
 Sources: OpenEB 5.1.1 (tz_control_frame, tz_libusb_board_command); neuromorphic_drivers, which reads one register at a
-time.
+time; Prophesee's treuzell-kernel-module, f_treuzell.c (frames without a size). neuromorphic_drivers sends these to an
+EVK3 HD, and ignores the answers.
 """
 
 from __future__ import annotations
@@ -40,6 +47,7 @@ WRITE = 0x4000_0000
 EINVAL, ENODEV = 22, 19
 
 _HEADER = struct.Struct("<II")
+_SHORT_FRAMES = ((8, struct.pack("<I", 0x55)), (12, struct.pack("<I", 0x56)))
 _MOST_WORDS = (MOST_ANSWER_BYTES - _HEADER.size) // 4 - 2
 
 
@@ -97,13 +105,20 @@ class RegisterBus(Protocol):
 
 @dataclass(frozen=True)
 class BoardFacts:
-    """Identity data of the board."""
+    """Identity data of the board.
+
+    Attributes
+    ----------
+    short_frames
+        True if it has frames without a size as well.
+    """
 
     serial: int
     release: int
     build_unix_s: int
-    name: str = "CCam5 Imx636 Event-Based Camera"
-    compatible: tuple[str, ...] = ("psee,ccam5_imx636", "psee,ccam5_gen42")
+    name: str
+    compatible: tuple[str, ...]
+    short_frames: bool = False
 
 
 class Board:
@@ -111,6 +126,7 @@ class Board:
 
     def __init__(self, facts: BoardFacts, bus: RegisterBus) -> None:
         self._bus = bus
+        self._has_short_frames = facts.short_frames
         texts = ("".join(f"{text}\0" for text in each).encode("ascii") for each in ((facts.name,), facts.compatible))
         name, compatible = texts
         self._doing: dict[int, Callable[[bytes], bytes]] = {
@@ -126,6 +142,8 @@ class Board:
 
     def answer(self, data: bytes) -> bytes:
         """Execute the request in a transfer's bytes and return the answer's."""
+        if self._has_short_frames and (len(data), data[:4]) in _SHORT_FRAMES:
+            return self._short(data)
         try:
             request = Frame.parse(data)
         except ValueError:
@@ -137,6 +155,17 @@ class Board:
             return bytes(Frame(request.property, do(request.payload)))
         except Failed as failed:
             return bytes(Frame(request.property | FAILED, failed.payload))
+
+    def _short(self, data: bytes) -> bytes:
+        """Execute a request without a size; where there is no register, nothing is written, and 0 is read."""
+        address, *values = struct.unpack_from(f"<{len(data) // 4 - 1}I", data, 4)
+        try:
+            for value in values:
+                self._bus.write_register(address, value)
+            value = self._bus.read_register(address)
+        except LookupError:
+            value = 0
+        return data[:8] + struct.pack("<I", value)
 
     def _read(self, payload: bytes) -> bytes:
         words = _words(payload, 3)

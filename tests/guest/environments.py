@@ -37,7 +37,7 @@ from pathlib import Path
 from tests.guest.cache import made_once
 from tests.guest.image import GuestUnavailable
 
-__all__ = ["DRIVERS", "EVENTCV", "ND_EVK4", "Driver"]
+__all__ = ["DRIVERS", "EVENTCV", "ND_EVK3", "ND_EVK4", "Driver"]
 
 CLIENTS = Path(__file__).with_name("clients")
 
@@ -124,6 +124,11 @@ ND_EVK4 = Driver(
     "nd_evk4", (), adds_host_time=False, imports=ND_IMPORTS, abort_after_unplugging=DRIVERS[-1].abort_after_unplugging
 )
 """The program for the EVK4 in the environment of neuromorphic_drivers."""
+
+ND_EVK3 = Driver(
+    "nd_evk3", (), adds_host_time=False, imports=ND_IMPORTS, abort_after_unplugging=DRIVERS[-1].abort_after_unplugging
+)
+"""The program for the EVK3 HD there: another driver, which writes registers by frames without a size."""
 
 EVENTCV = Driver("ecv", ("eventcv==1.0.8", "numpy"), adds_host_time=False, imports=("numpy", "eventcv"))
 """A library of computer vision with neuromorphic_drivers 0.17 inside; it reads the EVK4 alone of our cameras."""

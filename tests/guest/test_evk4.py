@@ -1,4 +1,4 @@
-"""An unmodified driver opens an EVK4 that is not there, on a real Linux kernel's USB, and sees every event.
+"""Unmodified drivers open an EVK4 that is not there, or a sibling, on a real Linux kernel's USB, and see every event.
 
 Short by default; at length:
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +18,15 @@ import pytest
 from firmware_protocol.events import EVENT
 from tests.guest.attachment import EVK4, Attachment
 from tests.guest.comparison import assert_same
-from tests.guest.environments import EVENTCV, ND_EVK4
+from tests.guest.environments import EVENTCV, ND_EVK3, ND_EVK4
 from tests.guest.gige_run import looped_1280x720
 from tests.guest.known_ramp import apart_us, expected_us, save_frames
 from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
 from tests.guest.streaming import Seen, Streaming
 from tests.guest.turns import Turns, selected
+from transports.recording.evt_file import EvtReader
+from transports.recording.part import Facts
 
 EVENTS = round(float(os.environ.get("EVSTIM_EVK4_EVENTS", "1e5")))
 GAP_US = 4  # 0.25 million events a second, which a processor that QEMU translates can take
@@ -96,6 +99,10 @@ def looped(folder: Path, count: int = 1_000_000) -> None:
     looped = looped_1280x720(count)
     looped.events["t"] *= GAP_US
     looped.save(folder / "looped.npz")
+
+
+def rig_of(model: str) -> str:
+    return RIG.replace('model = "evk4"', f'model = "{model}"')
 
 
 def streamed(guest: Guest, python: Path, rig: RunningRig, count: int, *options: str) -> Seen:
@@ -179,22 +186,85 @@ def test_a_library_with_an_older_driver_inside_sees_every_event_of_its_region(
     assert turns.rig.summary["balanced"], turns.rig.summary
 
 
+@dataclass(frozen=True)
+class Opened:
+    """A board in OpenEB: its name in the rig, the format that it is set to, and what the client prints of it."""
+
+    model: str = "evk4"
+    form: str = "EVT3"
+    usb_id: tuple[str, str] = EVK4
+    bias_diff_on: int = 25  # steps above the factory's; a Gen4.1's are currents
+    has_thermometer: bool = True
+
+    def __str__(self) -> str:
+        return f"{self.model}-{self.form}"
+
+
+OPENED = [
+    Opened(),
+    Opened(form="EVT21"),
+    Opened("silkyevcam_hd", "EVT21", ("31f7", "0003")),
+    Opened("silkyevcam_hd_lite", usb_id=("31f7", "0004")),
+    Opened("ueye_xcp_e", "EVT21", ("1409", "8e00")),
+    Opened("evk3_hd", "EVT21", bias_diff_on=0x73 + 25, has_thermometer=False),
+]
+
+
 @pytest.mark.skipif(not OPENEB, reason="EVSTIM_OPENEB_CLIENT names no program; tests/guest/openeb/Makefile builds it")
-def test_openeb_sees_every_event_of_its_window(guest: Guest, tmp_path: Path) -> None:
-    """Its own discovery, device, biases, window, monitoring, stream and decoder, as its Prophesee plugin has them."""
+@pytest.mark.parametrize("one", OPENED, ids=str)
+def test_openeb_sees_every_event_of_its_window(guest: Guest, tmp_path: Path, one: Opened) -> None:
+    """Its own discovery, device, biases, window, monitoring, stream and decoder, as its Prophesee plugin has them.
+
+    The ids of other makers, which their own plugins list, are given to it.
+    """
     looped(tmp_path)
-    out = "openeb.bin"
-    with RunningRig(tmp_path, text=RIG) as rig, Attachment(guest, rig.port, model=EVK4):
-        command = [OPENEB, str(EVENTS), str(TIMEOUT_S), guest.path_in_guest(out)]
+    out = f"openeb-{one}.bin"
+    with RunningRig(tmp_path, text=rig_of(one.model)) as rig, Attachment(guest, rig.port, model=one.usb_id):
+        command = [OPENEB, str(EVENTS), str(TIMEOUT_S), guest.path_in_guest(out), one.form, *one.usb_id]
         about = json.loads(guest.check(command, 2 * TIMEOUT_S).splitlines()[-1])
     assert about["serial"] == "0badcafe"
-    assert about["bias_diff_on"] == 25
-    assert abs(about["celsius"] - 20) <= 1
+    assert about["word_bytes"] == {"EVT3": 2, "EVT21": 8}[one.form]
+    assert about["bias_diff_on"] == one.bias_diff_on
+    assert about["anti_flicker"] is True
     assert abs(about["lux"] - 100) <= 1  # the driver cuts fractions off
-    assert about["dead_time_us"] == 100
+    if one.has_thermometer:
+        assert abs(about["celsius"] - 20) <= 1
+        assert about["dead_time_us"] == 100
     seen = np.fromfile(guest.results / out, EVENT)
     assert len(seen) >= EVENTS
     delivered = rig.delivered
-    assert_same(seen, delivered.events[delivered.resets[-1] :], offset_us=0)
+    sent = delivered.events[delivered.resets[-1] :]
+    assert_same(seen, sent, offset_us=0)
     assert (seen["x"].min(), seen["x"].max(), seen["y"].min(), seen["y"].max()) == (200, 999, 100, 599)
+    recorded = EvtReader(guest.results / f"{out}.raw", None)
+    assert recorded.facts == Facts((1280, 720), {"EVT3": "evt3", "EVT21": "evt21-legacy"}[one.form])
+    assert_same(np.concatenate([part.events for part in recorded.parts()]), sent, offset_us=0)
+    assert rig.summary["balanced"], rig.summary
+
+
+LISTED = {
+    "silkyevcam_hd": (ND_EVK4, ("31f7", "0003"), "CenturyArks", "SilkyEvCam HD v03.09.00C"),
+    "silkyevcam_hd_lite": (ND_EVK4, ("31f7", "0004"), "CenturyArks", "SilkyEvCam HD Lite v03.09.01C"),
+    "ueye_xcp_e": (ND_EVK4, ("1409", "8e00"), "IDS Imaging Development Systems GmbH", "UE-39B0XCP"),
+    "ueye_xls_e": (ND_EVK4, ("1409", "8e00"), "IDS Imaging Development Systems GmbH", "UE-39B2XLS"),
+    "evk3_hd": (ND_EVK3, EVK4, "Prophesee", "EVK3"),
+}
+SIBLINGS_EVENTS = 20_000
+
+
+@pytest.mark.parametrize("model", LISTED)
+def test_a_driver_sees_every_event_of_a_sibling(
+    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path, model: str
+) -> None:
+    driver, usb_id, *strings = LISTED[model]
+    looped(tmp_path)
+    with RunningRig(tmp_path, text=rig_of(model)) as rig, Attachment(guest, rig.port, model=usb_id) as camera:
+        assert [camera.device["manufacturer"], camera.device["product"]] == strings
+        streaming = Streaming(guest, driver, driver_pythons["nd"], SIBLINGS_EVENTS, timeout_s=TIMEOUT_S)
+        seen = streaming.wait()
+    assert seen.about["serial"] == "0BADCAFE"
+    assert seen.about["discovered"] == ["0BADCAFE"]
+    assert len(seen.events) >= SIBLINGS_EVENTS
+    delivered = rig.delivered
+    assert_same(seen.events, delivered.events[delivered.resets[-1] :], offset_us=0)
     assert rig.summary["balanced"], rig.summary

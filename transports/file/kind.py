@@ -73,8 +73,11 @@ def _check(link: FileLink, camera: CameraFacts) -> None:
         raise Unsuitable(f"{form.title} numbers {most} pixels, not {camera.size}", "path")
 
 
+_OF_WORDS = ("evt2", "evt21", "evt21-legacy", "evt3", "ros1", "ros2")
+
+
 def _has_evt(link: FileLink) -> bool:
-    return format_to_write(Path(link.path), link.format).name in ("evt2", "evt3", "ros1", "ros2")
+    return format_to_write(Path(link.path), link.format).name in _OF_WORDS
 
 
 def _needs(link: FileLink) -> tuple[Need, ...]:

@@ -1,4 +1,4 @@
-"""`.raw` files of Prophesee's formats: EVT3, EVT2, and EVT2.1, which is only read.
+"""`.raw` files of Prophesee's formats: EVT3, EVT2, and EVT2.1 in both orders of octets.
 
 The words are encoded here: faery 0.7.1 writes no time in long silences, so readers of its EVT3 files miss wraps.
 """
@@ -8,13 +8,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import ClassVar
 
 from firmware_protocol.evt.evt2 import Evt2Decoder, Evt2Encoder, Form, evt2_header
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 from firmware_protocol.evt.words import evt3_header
 from transports.recording.part import Facts, Part, RecordingError
 
-__all__ = ["Evt2Writer", "Evt3Writer", "EvtReader"]
+__all__ = ["Evt2Writer", "Evt3Writer", "Evt21LegacyWriter", "Evt21Writer", "EvtReader"]
 
 _PIECE_BYTES = 1 << 17  # at most twelve events in each word: 786 432 events
 _MOST_HEADER = 1 << 16
@@ -49,8 +50,22 @@ class Evt3Writer(_Writer):
 class Evt2Writer(_Writer):
     """Writer of EVT2: events and triggers."""
 
+    form: ClassVar[Form] = "evt2"
+
     def __init__(self, path: Path, facts: Facts) -> None:
-        super().__init__(path, evt2_header(facts.size or (0, 0), "evt2"), Evt2Encoder("evt2"))
+        super().__init__(path, evt2_header(facts.size or (0, 0), self.form), Evt2Encoder(self.form))
+
+
+class Evt21Writer(Evt2Writer):
+    """Writer of EVT2.1, little-endian, as a GenX320 sends it: events and triggers."""
+
+    form = "evt21"
+
+
+class Evt21LegacyWriter(Evt2Writer):
+    """Writer of EVT2.1 in the order of octets of an IMX636 and its siblings: events and triggers."""
+
+    form = "evt21-legacy"
 
 
 class EvtReader:

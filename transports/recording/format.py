@@ -7,7 +7,6 @@ The format of an existing file is detected by its first bytes; CSV, which has no
 
 from __future__ import annotations
 
-import dataclasses
 import errno
 import importlib
 import os
@@ -98,7 +97,7 @@ class Format:
 _HERE = "transports.recording"
 _ALL = ("events", "edges", "imu", "frames")
 _PICTURED = ("events", "imu", "frames")
-_WORDS = ("events", "edges")  # share one order of time where both are words of EVT2 or EVT3
+_WORDS = ("events", "edges")  # share one order of time where both are words
 _FORMATS = (
     Format(
         "aedat4", "AEDAT 4.0", (".aedat4",), f"{_HERE}.aedat4:Aedat4Writer", f"{_HERE}.aedat4:Aedat4Reader", _ALL, (),
@@ -119,6 +118,14 @@ _FORMATS = (
     Format(
         "evt2", "EVT2", (".evt2.raw", ".evt2"), f"{_HERE}.evt_file:Evt2Writer", f"{_HERE}.evt_file:EvtReader",
         _WORDS, _WORDS, "Metavision, OpenEB, faery, evlib, expelliarmus", "", (1 << 11, 1 << 11), 1 << 34,
+    ),
+    Format(
+        "evt21", "EVT2.1", (".evt21.raw", ".evt21"), f"{_HERE}.evt_file:Evt21Writer", f"{_HERE}.evt_file:EvtReader",
+        _WORDS, _WORDS, "Metavision, OpenEB, evlib", "", (1 << 11, 1 << 11), 1 << 34,
+    ),
+    Format(
+        "evt21-legacy", "EVT2.1 as of an IMX636", (".evt21-legacy.raw",), f"{_HERE}.evt_file:Evt21LegacyWriter",
+        f"{_HERE}.evt_file:EvtReader", _WORDS, _WORDS, "Metavision, OpenEB", "", (1 << 11, 1 << 11), 1 << 34,
     ),
     Format(
         "dat", "DAT", (".dat",), f"{_HERE}.faery_files:DatWriter", f"{_HERE}.faery_files:DatReader", ("events",), (),
@@ -218,7 +225,7 @@ def _of_percent(head: bytes, path: Path) -> Format:
     if path.suffix == ".dat" and b"% evt" not in head and b"% format" not in head:
         return FORMATS["dat"]
     if re.search(rb"(?mi)^% (evt 2\.1|format EVT2\.?1)", head):
-        return dataclasses.replace(FORMATS["evt2"], title="EVT2.1", readers="Metavision, OpenEB")
+        return FORMATS["evt21-legacy" if re.search(rb"(?mi)^% .*endianness[ =]legacy", head) else "evt21"]
     return FORMATS["evt2" if re.search(rb"(?mi)^% (evt 2\.0|format EVT2\b)", head) else "evt3"]
 
 

@@ -2,9 +2,9 @@
 
 `receive` counts, digests and records the events of a camera until it is stopped or unplugged.
 
-`Evk4Host` is the driver of a Prophesee EVK4 on any `UsbHost`; that of a DAVIS346 is in `davis_host`. The order of its
-registers is that of OpenEB's and neuromorphic_drivers' start and stop. The long initialisation between the two, which
-powers the chip, is omitted: the emulated camera needs none.
+`Evk4Host` is the driver of a Prophesee EVK4 and of its siblings on any `UsbHost`; that of a DAVIS346 is in
+`davis_host`. The order of its registers is that of OpenEB's and neuromorphic_drivers' start and stop. The long
+initialisation between the two, which powers the chip, is omitted: the emulated camera needs none.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from typing import Any
 from firmware_protocol.davis346.decoder import WordFaults
 from firmware_protocol.events import Events, empty_events
 from firmware_protocol.evt.evt3 import Evt3Decoder
-from firmware_protocol.imx636.evk4 import ANSWER_ENDPOINT, DATA_ENDPOINT, PRODUCT_ID, REQUEST_ENDPOINT, VENDOR_ID
-from firmware_protocol.imx636.registers import SIZE, Address
+from firmware_protocol.imx636.boards import BOARDS
+from firmware_protocol.imx636.evk4 import ANSWER_ENDPOINT, DATA_ENDPOINT, REQUEST_ENDPOINT
+from firmware_protocol.imx636.registers import GEN41, IMX636, SIZE, Address
 from firmware_protocol.imx636.treuzell import FAILED, MOST_ANSWER_BYTES, UNKNOWN, Frame, Property
 from transports.link import reception
 from transports.link.pacing import Clock
@@ -39,8 +40,7 @@ from transports.usb.pyusb_host import PyusbHost
 
 __all__ = [
     "CAMERAS",
-    "EVK4_PRODUCT",
-    "EVK4_VENDOR",
+    "EVK4_IDS",
     "CameraReception",
     "Evk4Host",
     "Evk4Info",
@@ -50,13 +50,15 @@ __all__ = [
 ]
 
 
-EVK4_VENDOR, EVK4_PRODUCT = VENDOR_ID, PRODUCT_ID
+EVK4_IDS = frozenset(board.usb_id for board in BOARDS.values())
+"""(vendor, product) of an EVK4 and of its siblings."""
 
-_CHIP = 0xA040_1806
+_CHIPS = {IMX636.number: "an IMX636 or IMX646", GEN41.number: "a Gen4.1"}
 _OLDEST_RELEASE = 0x03_0800
 _DEVICE = bytes(4)
 _STOP = ((Address.ARRAY, 0xF000_5042), (Address.OUTPUT, 2), (Address.TIME, 0x644))
-_START = ((Address.OUTPUT, 0), (Address.TIME, 0x645), (Address.ARRAY, 0xF000_5442))
+_EVT3 = ((Address.FORMAT, 0x0007_0001), (Address.OCTETS, 0x0001_E085))
+_START = (*_EVT3, (Address.OUTPUT, 0), (Address.TIME, 0x645), (Address.ARRAY, 0xF000_5442))
 _TRIGGER_OFF, _TRIGGER_ON = 0xC1FF, 0xC5FF
 
 
@@ -72,7 +74,7 @@ class Evk4Info:
 
 
 class Evk4Host(CameraHost[Evk4Info]):
-    """Driver of one EVK4.
+    """Driver of one EVK4, or of a board like it, whose name `model` then is. It reads EVT3.
 
     Parameters
     ----------
@@ -82,7 +84,7 @@ class Evk4Host(CameraHost[Evk4Info]):
     Raises
     ------
     UnsuitableDevice
-        Not an EVK4, or one that OpenEB refuses.
+        None of these boards, or one that OpenEB refuses.
     UsbHostError
         Any error of the host.
     """
@@ -139,16 +141,19 @@ class Evk4Host(CameraHost[Evk4Info]):
 
     def _identify(self) -> Evk4Info:
         identity = self._host.identity
-        if (identity.vendor_id, identity.product_id) != (EVK4_VENDOR, EVK4_PRODUCT):
-            raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is not an EVK4 (04b4:00f5)")
+        usb_id = identity.vendor_id, identity.product_id
+        if usb_id not in EVK4_IDS:
+            raise UnsuitableDevice(f"{usb_id[0]:04x}:{usb_id[1]:04x} is not an EVK4 (04b4:00f5), nor a board like it")
         release = int.from_bytes(self.request(Property.RELEASE), "little")
         if release < _OLDEST_RELEASE:
             raise UnsuitableDevice(f"the camera has release {release:06x}; at least 030800 is needed: update it")
         chip = self.read_register(Address.CHIP)
-        if chip != _CHIP:
-            raise UnsuitableDevice(f"the camera has chip {chip:08x}, not an IMX636 ({_CHIP:08x})")
+        if chip not in _CHIPS:
+            known = " or ".join(f"{name} ({number:08x})" for number, name in _CHIPS.items())
+            raise UnsuitableDevice(f"the camera has chip {chip:08x}, not {known}")
         serial = int.from_bytes(self.request(Property.SERIAL), "little")
         name, compatible = self._texts(Property.NAME), self._texts(Property.COMPATIBLE)
+        self.model = _model(usb_id, compatible)
         return Evk4Info(f"{serial:08X}", release, name[0], compatible)
 
     def _texts(self, what: Property) -> tuple[str, ...]:
@@ -163,9 +168,16 @@ class Evk4Host(CameraHost[Evk4Info]):
 
 CAMERAS: Mapping[tuple[int, int], Callable[[UsbHost], CameraHost[Any]]] = {
     (DAVIS_VENDOR, DAVIS_PRODUCT): DavisHost,
-    (EVK4_VENDOR, EVK4_PRODUCT): Evk4Host,
+    **dict.fromkeys(sorted(EVK4_IDS), Evk4Host),
 }
 """Drivers by (vendor, product)."""
+
+
+def _model(usb_id: tuple[int, int], compatible: tuple[str, ...]) -> str:
+    """Return the names of the boards that these facts fit."""
+    boards = [board for board in BOARDS.values() if board.usb_id == usb_id]
+    fitting = [board for board in boards if board.chip.compatible == compatible] or boards
+    return " or ".join(board.title for board in fitting)
 
 
 def driver_of(host: UsbHost) -> CameraHost[Any]:

@@ -16,7 +16,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -176,7 +176,7 @@ class CameraHost(ABC, Generic[_Info]):
         Identity that the camera reports.
     """
 
-    model: ClassVar[str]
+    model: str
 
     def __init__(self, host: UsbHost) -> None:
         self._host = host

@@ -6,6 +6,7 @@ from hypothesis import settings, stateful
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EDGE, EVENT
+from firmware_protocol.evt.evt2 import Evt2Decoder
 from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 
@@ -14,6 +15,8 @@ STEPS_US = st.sampled_from([0, 1, 3, 100, 5000, 2_000_000, 20_000_000])
 
 class Life(stateful.RuleBasedStateMachine):
     """A camera under any sequence of events, edges, time, requests and reads."""
+
+    FORMAT, DECODER = 0x0007_0001, Evt3Decoder
 
     def __init__(self):
         super().__init__()
@@ -24,8 +27,8 @@ class Life(stateful.RuleBasedStateMachine):
         self.t_us = 0
 
     def start(self):
-        self.host.write((0x7004, 1 << 10), *START)
-        self.decoder = Evt3Decoder()
+        self.host.write((0x7000, self.FORMAT), (0x7004, 1 << 10), *START)
+        self.decoder = self.DECODER()
         self.said, self.heard = ([], []), ([], [])
 
     @stateful.rule(entry=st.sampled_from([*STOP, (0x40_0004, 1), (0x9008, 0x645), (0x9028, 0), (0x0004, 0xF000_5442)]))
@@ -98,5 +101,15 @@ class Life(stateful.RuleBasedStateMachine):
         assert self.camera.room_events >= 0
 
 
-TestLife = Life.TestCase
-TestLife.settings = settings(stateful_step_count=25)
+class LifeInEvt21(Life):
+    """The same, of a camera whose host chose EVT2.1."""
+
+    FORMAT = 0x0007_0003
+
+    @staticmethod
+    def DECODER():
+        return Evt2Decoder("evt21-legacy")
+
+
+TestLife, TestLifeInEvt21 = Life.TestCase, LifeInEvt21.TestCase
+TestLife.settings = TestLifeInEvt21.settings = settings(stateful_step_count=25)

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.imx636.biases import BiasModel, BiasSlopes
-from firmware_protocol.imx636.registers import NoRegister, Registers, Surroundings
+from firmware_protocol.imx636.registers import GEN41, IMX636, IMX646, NoRegister, Registers, Surroundings
 
 
 def test_the_thermometer_answers_when_it_is_started():
@@ -52,16 +52,43 @@ def test_a_reset_brings_back_what_was_at_power_on():
 
 def test_the_chip_and_the_status_cannot_be_written():
     registers = Registers()
-    registers.write(0x0014, 0)
-    registers.write(0x0050, 0x800)
+    for address, value in ((0x0014, 0), (0xF128, 2), (0x0050, 0x800)):
+        registers.write(address, value)
+    assert registers.read(0xF128) == 0
     assert registers.read(0x0014) == 0xA040_1806
     assert registers.read(0x0050) == 0
 
 
-def test_another_output_format_is_not_taken():
+def test_the_output_format_is_one_bit_until_a_reset():
     registers = Registers()
-    registers.write(0x7000, 0x0007_0003)
-    assert registers.read(0x7000) == 0x0007_0001
+    for value, form in ((0x0007_0003, "evt21-legacy"), (0x0007_0001, "evt3"), (0x0007_0003, "evt21-legacy")):
+        registers.write(0x7000, value)
+        assert (registers.read(0x7000), registers.form) == (value, form)
+    registers.write(0x40_0004, 1)
+    assert registers.form == "evt3"
+
+
+def test_the_anti_flicker_filter_is_ready_as_openeb_requires():
+    """When it switches the filter on, it writes C000 and reads bit 2 of C0C4 up to three times."""
+    registers = Registers()
+    registers.write(0xC000, 0b101)
+    assert registers.read(0xC0C4) == 0b100
+    registers.write(0xC0C4, 0b001)
+    assert registers.read(0xC0C4) == 0b101
+
+
+# The values that OpenEB 5.1.1 compares: imx636_tz_device.cpp, imx646_tz_device.cpp, gen41_tz_device.cpp.
+@pytest.mark.parametrize(
+    ("chip", "number", "variant"), [(IMX636, 0xA040_1806, 0), (IMX646, 0xA040_1806, 2), (GEN41, 0xA030_1003, 0)]
+)
+def test_each_chip_has_its_number_and_its_biases(chip, number, variant):
+    registers = Registers(chip=chip)
+    assert (registers.read(0x0014), registers.read(0xF128) & 3) == (number, variant)
+    assert set(registers.bias_steps.values()) == {0}
+    registers.write(0x1010, 0)
+    assert registers.bias_steps["diff_on"] == (-0x73 if chip is GEN41 else -0x66)
+    registers.write(0x40_0004, 1)
+    assert set(registers.bias_steps.values()) == {0}
 
 
 @pytest.mark.parametrize("address", [1, 2, 0x1_0000, 0x3F_FFFC, 0x40_1000, 0xFFFF_FFFC, -4])
@@ -74,7 +101,7 @@ def test_where_no_register_lies_there_is_an_error(address):
 
 
 @given(
-    st.integers(0, 0x3FFF).filter(lambda k: 4 * k not in {0x10, 0x14, 0x20, 0x34, 0x50, 0x7000}),
+    st.integers(0, 0x3FFF).filter(lambda k: 4 * k not in {0x10, 0x14, 0x20, 0x34, 0x50, 0xC0C4, 0xF128}),
     st.integers(0, 2**32 - 1),
 )
 def test_all_others_remember(place, value):

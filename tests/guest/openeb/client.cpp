@@ -1,8 +1,12 @@
-// Reads a Prophesee EVK4 by OpenEB's own classes: discovery, device, facilities, stream, decoder.
+// Reads a Prophesee EVK4, or a board like it, by OpenEB's own classes: discovery, device, facilities, stream, decoder.
 //
-//     client COUNT TIMEOUT_S OUT.bin
+//     client COUNT TIMEOUT_S OUT.bin [FORMAT [VENDOR PRODUCT]]
 //
-// Writes each event as t (int64, us), x, y (uint16), polarity (uint8), 13 bytes, and prints what it saw as JSON.
+// FORMAT is EVT3 or EVT21; VENDOR and PRODUCT, in hexadecimal digits, are those of a board that OpenEB does not list
+// itself, and that its maker opens by a plug-in of its own. The anti-flicker filter is switched on.
+//
+// Writes each event as t (int64, us), x, y (uint16), polarity (uint8), 13 bytes, to OUT.bin, has OpenEB record the same
+// stream to OUT.bin.raw, and prints what it saw as JSON.
 
 #include <chrono>
 #include <cstdint>
@@ -15,6 +19,7 @@
 
 #include "boards/treuzell/tz_camera_discovery.h"
 #include "metavision/hal/device/device.h"
+#include "metavision/hal/facilities/i_antiflicker_module.h"
 #include "metavision/hal/facilities/i_camera_synchronization.h"
 #include "metavision/hal/facilities/i_event_decoder.h"
 #include "metavision/hal/facilities/i_events_stream.h"
@@ -44,15 +49,25 @@ void append(std::FILE *out, const EventCD &event) {
     std::fwrite(&is_on, 1, 1, out);
 }
 
-std::unique_ptr<Device> open_camera(const std::string &serial, TzCameraDiscovery &discovery) {
+std::unique_ptr<Device> open_camera(const std::string &serial, const std::string &format, TzCameraDiscovery &discovery) {
     SoftwareInfo none(0, 0, 0, "", "", "", "");
     DeviceBuilder builder(std::make_unique<I_HALSoftwareInfo>(get_hal_software_info()),
                           std::make_unique<I_PluginSoftwareInfo>("test", "test", none));
     DeviceConfig config;
+    config.set_format(format);
     if (!discovery.discover(builder, serial, config)) {
         return nullptr;
     }
     return builder();
+}
+
+template <typename Value>
+std::string number_or_null(Value value) {
+    try {
+        return std::to_string(value());
+    } catch (const std::exception &) { // a Gen4.1 has no thermometer and no dead time
+        return "null";
+    }
 }
 
 std::int64_t read_events(Device &device, std::int64_t count, double timeout_s, std::FILE *out) {
@@ -80,35 +95,50 @@ std::int64_t read_events(Device &device, std::int64_t count, double timeout_s, s
 } // namespace
 
 int main(int argc, char **argv) {
-    if (argc != 4) {
+    if (argc != 4 && argc != 5 && argc != 7) {
         return 2;
     }
     try {
+        const std::string format = argc > 4 ? argv[4] : "EVT3";
+        const auto vendor        = argc > 5 ? std::strtoul(argv[5], nullptr, 16) : 0x04b4;
+        const auto product       = argc > 5 ? std::strtoul(argv[6], nullptr, 16) : 0x00f5;
         TzCameraDiscovery discovery;
-        discovery.add_usb_id(0x04b4, 0x00f5, 0x19);
+        discovery.add_usb_id(vendor, product, 0x19);
         const auto serials = discovery.list();
         if (serials.size() != 1) {
             std::cerr << serials.size() << " cameras found\n";
             return 1;
         }
-        auto device = open_camera(serials.front(), discovery);
+        auto device = open_camera(serials.front(), format, discovery);
         if (!device) {
             std::cerr << "the camera cannot be built\n";
             return 1;
         }
         auto *biases = device->get_facility<I_LL_Biases>();
-        biases->set("bias_diff_on", 25);
+        biases->set("bias_diff_on", biases->get("bias_diff_on") + 25);
         auto *roi = device->get_facility<I_ROI>();
         roi->set_window(I_ROI::Window(window_x, window_y, window_width, window_height));
         roi->enable(true);
+        auto *anti_flicker = device->get_facility<I_AntiFlickerModule>();
+        anti_flicker->enable(true);
         auto *monitoring = device->get_facility<I_Monitoring>();
         std::FILE *out   = std::fopen(argv[3], "wb");
+        auto *stream     = device->get_facility<I_EventsStream>();
+        if (!stream->log_raw_data(std::string(argv[3]) + ".raw")) {
+            std::cerr << "the stream cannot be recorded\n";
+            return 1;
+        }
         const auto seen  = read_events(*device, std::atoll(argv[1]), std::atof(argv[2]), out);
         std::fclose(out);
+        stream->stop_log_raw_data();
         std::cout << "{\"serial\": \"" << serials.front() << "\", \"events\": " << seen
                   << ", \"bias_diff_on\": " << biases->get("bias_diff_on")
-                  << ", \"celsius\": " << monitoring->get_temperature() << ", \"lux\": " << monitoring->get_illumination()
-                  << ", \"dead_time_us\": " << monitoring->get_pixel_dead_time() << "}" << std::endl;
+                  << ", \"word_bytes\": " << int(device->get_facility<I_EventsStreamDecoder>()->get_raw_event_size_bytes())
+                  << ", \"anti_flicker\": " << (anti_flicker->is_enabled() ? "true" : "false")
+                  << ", \"celsius\": " << number_or_null([&] { return monitoring->get_temperature(); })
+                  << ", \"lux\": " << number_or_null([&] { return monitoring->get_illumination(); })
+                  << ", \"dead_time_us\": " << number_or_null([&] { return monitoring->get_pixel_dead_time(); }) << "}"
+                  << std::endl;
     } catch (const std::exception &error) {
         std::cerr << error.what() << std::endl;
         return 1;

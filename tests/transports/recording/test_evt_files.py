@@ -7,7 +7,8 @@ from firmware_protocol.evt.evt2 import Evt2Encoder, evt2_header
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.evt.words import evt3_header
 from tests.transports.recording.samples import SIZE, sample_edges, sample_events
-from transports.recording.evt_file import EvtReader
+from transports.recording.evt_file import Evt21LegacyWriter, EvtReader
+from transports.recording.part import Facts
 
 EVENTS = sample_events()
 EDGES = sample_edges(EVENTS)
@@ -19,6 +20,8 @@ TEXTS = [
     ("evt2", evt2_header(SIZE, "evt2")),
     ("evt2", b"% evt 2.0\n% geometry 346x260\n"),
     ("evt21", evt2_header(SIZE, "evt21")),
+    ("evt2", b"% evt 2.0\n% format EVT2;width=346;height=260\n% end\n"),
+    ("evt21", b"% endianness little\n% format EVT21;height=260;width=346\n% geometry 346x260\n% end\n"),
     ("evt21", b"% evt 2.1\n% geometry 346x260\n% end\n"),
     ("evt21-legacy", evt2_header(SIZE, "evt21-legacy")),
     ("evt21-legacy", b"% evt 2.1\n% endianness legacy\n% geometry 346x260\n% end\n"),
@@ -37,3 +40,11 @@ def test_the_text_tells_words_and_size(form, text, tmp_path):
     assert reader.facts.camera == form
     np.testing.assert_array_equal(np.concatenate([part.events for part in parts]), EVENTS)
     np.testing.assert_array_equal(np.concatenate([part.edges for part in parts]), EDGES)
+
+
+def test_the_text_is_what_openeb_writes_for_these_words(tmp_path):
+    """Its lines in its order (psee_raw_file_header.cpp of 5.1.1), without those of the camera and the program."""
+    Evt21LegacyWriter(tmp_path / "a.raw", Facts(SIZE)).close()
+    assert (tmp_path / "a.raw").read_bytes() == (
+        b"% endianness legacy\n% format EVT21;endianness=legacy;height=260;width=346\n% geometry 346x260\n% end\n"
+    )

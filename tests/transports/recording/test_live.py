@@ -123,7 +123,7 @@ def test_a_killed_feeder_leaves_a_finished_file(tmp_path):
     assert read_all(path)[1]["t"].tolist() == list(range(5000))
 
 
-@pytest.mark.parametrize("name", ["aedat4", "evt3", "evt2", "dat", "es", "csv", "aedat2", "aedat31"])
+@pytest.mark.parametrize("name", ["aedat4", "evt3", "evt2", "evt21", "dat", "es", "csv", "aedat2", "aedat31"])
 def test_a_full_disk_stops_the_record_alone(name, tmp_path):
     (tmp_path / "full").symlink_to("/dev/full")
     recorder = LiveRecorder(tmp_path / "full", FORMATS[name], FACTS)

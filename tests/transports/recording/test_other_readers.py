@@ -1,5 +1,6 @@
 """Every format that is written, read by a program of others: each event, exactly."""
 
+import re
 import warnings
 
 import aedat
@@ -18,6 +19,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from firmware_protocol.events import EVENT, EdgeKind
 from firmware_protocol.evt.words import evt3_header
+from tests.firmware_protocol.evt2_words import by_the_tables
 from tests.transports.recording.samples import SIZE, UNIX_US, sample_edges, sample_events, write
 from transports.recording.rosbag import DVS_EVENT, EVENT_ARRAY, EVENT_PACKET
 
@@ -79,6 +81,13 @@ def by_expelliarmus(path):
     return as_events(*(read[name] for name in "txyp"))
 
 
+def by_the_tables_of_evt21(path):
+    """No package reads the order of octets of the IMX636: OpenEB alone does."""
+    head, _, words = path.read_bytes().partition(b"% end\n")
+    order = re.search(rb"^% format EVT21;endianness=(\w+);height=260;width=346$", head, re.MULTILINE)[1].decode()
+    return by_the_tables(words, {"little": "evt21", "legacy": "evt21-legacy"}[order])[0]
+
+
 def by_dv(path):
     with dv.LegacyAedatFile(str(path)) as file:
         return as_events(*np.array([(e.timestamp, e.x, e.y, e.polarity) for e in file]).T)
@@ -129,6 +138,9 @@ PATHS = [
     ("evt2", "a.raw", by_evlib, 0),
     ("evt2", "a.raw", by_faery, 0),
     ("evt2", "a.raw", by_expelliarmus, 0),
+    ("evt21", "a.raw", by_evlib, 0),
+    ("evt21", "a.raw", by_the_tables_of_evt21, 0),
+    ("evt21-legacy", "a.raw", by_the_tables_of_evt21, 0),
     ("dat", "a.dat", by_expelliarmus, 0),
     ("es", "a.es", by_event_stream, 0),
     ("es", "a.es", by_faery, 0),
@@ -163,6 +175,13 @@ def test_triggers_of_aedat4_are_read_by_dv_processing(tmp_path):
     while (batch := reader.getNextTriggerBatch()) is not None:
         read += [(trigger.timestamp - UNIX_US, trigger.type.value) for trigger in batch]
     assert read == [(int(edge["t"]), 1 if edge["kind"] == EdgeKind.RISING else 2) for edge in EDGES]
+
+
+@pytest.mark.parametrize("name", ["evt21", "evt21-legacy"])
+def test_triggers_of_evt21_are_in_the_words(name, tmp_path):
+    write(tmp_path / "a.raw", name, EVENTS, EDGES)
+    triggers = by_the_tables((tmp_path / "a.raw").read_bytes().partition(b"% end\n")[2], name)[1]
+    np.testing.assert_array_equal(triggers[["t", "kind"]], EDGES[["t", "kind"]])
 
 
 def test_triggers_of_evt3_are_read_by_evt3(tmp_path):
