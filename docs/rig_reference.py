@@ -146,8 +146,12 @@ def _presets() -> str:
     rows = {name: _plain(dataclasses.asdict(preset)) for name, preset in PRESETS.items()}
     keys = [key for key in next(iter(rows.values())) if len({str(row[key]) for row in rows.values()}) > 1]
     lines = ["## Presets", "", "| | " + " | ".join(PRESETS) + " |", "|---|" + "---|" * len(PRESETS)]
-    lines += [f"| `{key}` | " + " | ".join(f"{row[key]:g}" for row in rows.values()) + " |" for key in keys]
+    lines += [f"| `{key}` | " + " | ".join(_cell(row[key]) for row in rows.values()) + " |" for key in keys]
     return "\n".join(lines)
+
+
+def _cell(value: float | str) -> str:
+    return f"`{_toml(value)}`" if isinstance(value, str) else f"{value:g}"
 
 
 def _plain(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:

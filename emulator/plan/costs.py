@@ -155,7 +155,7 @@ def _low_pass(p: SensorParameters, scene: Probe) -> Decision | None:
     if math.isinf(p.corner_hz_at_reference):
         return None
     lag_us = tau_us(p, least_current(p, scene))
-    if p.photoreceptor == "large_signal":
+    if p.photoreceptor == "circuit":
         return Decision("low-pass", "longest time constant; of the circuit, kept", lag_us, None, choice=False)
     limits_noise = p.noise.rms and math.isinf(fixed_corner_hz(p))
     noise: dict[str, Any] = {"noise": {"corner_hz": min(p.corner_max_hz, _FASTEST_HZ)}} if limits_noise else {}
@@ -174,14 +174,19 @@ def _bandwidth(p: SensorParameters, scene: Probe) -> Decision | None:
 
 
 def _large_signals(p: SensorParameters, scene: Probe) -> Decision | None:
-    """Return the cost of a one-pole photoreceptor: its second pole, and its slew over the scene's range of light."""
+    """Return the cost of a photoreceptor without the circuit's second pole, and its slew over the range of light.
+
+    The law of large signals costs no more than one pole, so it is not for choice.
+    """
+    if p.photoreceptor == "large_signal":
+        return None
     if math.isinf(p.corner_hz_at_reference) or math.isinf(p.corner_max_hz):
         return None
     least = least_current(p, scene)
     range_ln = math.log(max(_largest(scene) / least, 1.0))
     late_us = 1e6 * (1 + range_ln) / (2 * math.pi * p.corner_max_hz)
-    here = p.photoreceptor == "large_signal"
-    changes = {"photoreceptor": "one_pole"} if here else {}
+    here = p.photoreceptor == "circuit"
+    changes = {"photoreceptor": "large_signal"} if here else {}
     return Decision("large signals", "second pole, and slew over the range", late_us, None, changes, here, here)
 
 

@@ -22,7 +22,7 @@ _HIGHEST_FITTED = 35
 _BOUND = 0.10
 _RISE_BOUND_US = 5.0
 _REGION_W_M2 = 0.1658
-_REGION_CYCLES = 2
+_COUNTED_PIXELS, _MOST_EDGES = 65_536, 16  # so many that single late pixels move a mean by less than 1 us
 _FACTORY = 0, 0
 _POLARITIES = {1.0: "ON", 0.0: "OFF"}
 _COLOURS = {1.0: BLUE, 0.0: RED}
@@ -160,11 +160,14 @@ def region(seed: int) -> Findings:
 def _means_us(side: int, seed: int) -> dict[float, float]:
     """Return the mean latency of a square of pixels to ON and to OFF events, us."""
     p = dataclasses.replace(PRESETS["imx636"], width=side, height=side)
-    edges = pulsed(p, _REGION_W_M2, seed, _REGION_CYCLES)
-    return {
-        1.0: float(first_latencies(edges.after(int(edges.on_us[1])), int(edges.on_us[1]), True).mean()),
-        0.0: float(first_latencies(edges.after(int(edges.off_us[0])), int(edges.off_us[0]), False).mean()),
+    counted = max(1, min(_MOST_EDGES, _COUNTED_PIXELS // side**2))
+    edges = pulsed(p, _REGION_W_M2, seed, counted + 1)
+    times = {True: edges.on_us[1:], False: edges.off_us}
+    means = {
+        on: [first_latencies(edges.after(int(t)), int(t), on).mean() for t in edges_us]
+        for on, edges_us in times.items()
     }
+    return {float(on): float(np.mean(values)) for on, values in means.items()}
 
 
 def _rises(rows: list[Row], ours: dict[float, dict[float, float]], least: float) -> Iterator[Datum]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import warnings
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -157,8 +158,10 @@ def statistics(edges: Edges, on: bool) -> Statistics:
         after = edges.after(int(edge_us))
         own, other = _firsts(after, int(edge_us), on), _firsts(after, int(edge_us), not on)
         per_region.append(np.array([_of_region(one, opposite) for one, opposite in zip(own, other, strict=True)]))
-    mean = np.nanmean(np.array(per_region), axis=0)  # over edges: (regions, figures)
-    middle = np.nanmedian(mean, axis=0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # regions of which no pixel responds stay NaN
+        mean = np.nanmean(np.array(per_region), axis=0)  # over edges: (regions, figures)
+        middle = np.nanmedian(mean, axis=0)
     return Statistics(*(float(value) for value in middle[:3]), *(float(value) for value in mean[:, 3:].mean(axis=0)))
 
 

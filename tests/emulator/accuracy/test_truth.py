@@ -26,7 +26,8 @@ def adaptive(scene, p, pixel, duration_s):
     def slopes(t, y):
         current = scene.value(t)[0, pixel] + p.dark_current_relative
         rate = 2 * math.pi * min(max(p.corner_hz_at_reference * current, p.corner_min_hz), p.corner_max_hz)
-        first = rate * (math.log(current) - y[0])
+        behind = math.log(current) - y[0]
+        first = rate * (-math.expm1(-behind) if p.photoreceptor == "large_signal" else behind)
         second = 2 * math.pi * p.source_follower_hz * (y[0] - y[1]) if p.source_follower_hz else first
         return [first, second, current]
 
@@ -64,8 +65,10 @@ def adaptive(scene, p, pixel, duration_s):
         {},
         {"refractory_us": 700.0},
         {"leak_hz": 5.0, "source_follower_hz": 150.0, "parasitic_hz_at_reference": 20.0},
+        {"photoreceptor": "large_signal"},
+        {"photoreceptor": "large_signal", "source_follower_hz": 150.0, "refractory_us": 700.0},
     ],
-    ids=["plain", "refractory", "two poles and both leaks"],
+    ids=["plain", "refractory", "two poles and both leaks", "large signals", "large signals and a second pole"],
 )
 def test_crossings_agree_with_an_adaptive_solver(changes):
     scene, p = SineGrating(pixels=3), row(3, **changes)
@@ -96,6 +99,11 @@ def test_a_flash_is_met_at_its_own_instant():
         known = scene.jumps_s()[k, 0] - np.log((u1 - level) / (u1 - u0)) / rate
         known = known[known < 0.1]
         np.testing.assert_allclose(truth.t_us[truth.first[k] : truth.first[k + 1]], known * 1e6, atol=2e-6)
+
+
+def test_the_circuit_has_no_truth():
+    with pytest.raises(ValueError, match='photoreceptor = "circuit"'):
+        true_events(Dark(pixels=1), row(1, photoreceptor="circuit"), SEED, 0.1)
 
 
 def test_leak_in_the_dark_has_its_rate_and_phase():

@@ -166,12 +166,12 @@ def test_where_a_point_process_ends_the_grid_is_kept(rms, refractory_us, contras
 
 
 def test_a_photoreceptor_of_large_signals_is_dropped_where_it_hardly_matters():
-    sensor = dataclasses.replace(SENSOR, photoreceptor="large_signal")
+    sensor = dataclasses.replace(SENSOR, photoreceptor="circuit")
     # the second pole at 3 kHz, and its slew over light of 10:1
     bound_us = 1e6 * (1 + math.log(10)) / (2 * math.pi * 3000)
     assert decisions(0.99 * bound_us, sensor=sensor)["large signals"].kept
     dropped = decisions(1.01 * bound_us, sensor=sensor)["large signals"]
-    assert without(sensor, [dropped]).photoreceptor == "one_pole"
+    assert without(sensor, [dropped]).photoreceptor == "large_signal"
     assert not decisions(0.0)["large signals"].kept
 
 

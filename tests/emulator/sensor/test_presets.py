@@ -20,7 +20,7 @@ def test_presets_are_there_and_plausible(name):
     p = PRESETS[name]
     assert 0.1 <= p.threshold_on <= 0.4
     assert 0.1 <= p.threshold_off <= 0.4
-    assert 0.02 <= p.mismatch <= 0.1
+    assert 0.02 <= p.mismatch <= 0.15
     assert p.dark_current_relative > 0
     assert p.leak_hz <= 0.01
 
@@ -31,7 +31,7 @@ def test_the_sizes_and_rates_of_the_presets():
         "davis346": (346, 260), "dvxplorer_micro": (640, 480), "imx636": (1280, 720), "ideal": (346, 260),
     }  # fmt: skip
     assert 1e3 / PRESETS["davis346"].readout.event_ns == pytest.approx(12, rel=0.05)  # Mev/s
-    assert 1e3 / PRESETS["imx636"].readout.event_ns == pytest.approx(1066, rel=0.01)
+    assert (PRESETS["imx636"].readout.row_ns, PRESETS["imx636"].readout.event_ns) == (127, 0.33)
     assert [name for name, p in PRESETS.items() if p.readout.scan_us] == ["dvxplorer_micro"]
 
 

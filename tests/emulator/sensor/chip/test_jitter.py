@@ -106,3 +106,24 @@ def test_a_step_of_days_loses_no_time():
     found = jitter.step(events, days_ns)
     assert np.abs(found.t_ns - t_ns - 7 * US).max() <= 1
     assert np.array_equal(found.pixel, events.pixel)
+
+
+def test_off_events_have_a_delay_of_their_own():
+    events = crossings(1000, 10**9)
+    found, _ = delayed(events, [2 * 10**9], JitterParameters(latency_us=7.0, off_latency_us=11.0))
+    late_ns = found.t_ns[np.lexsort((found.t_ns, found.pixel))] - events.t_ns[np.lexsort((events.t_ns, events.pixel))]
+    on = events.on[np.lexsort((events.t_ns, events.pixel))]
+    assert 0 < on.sum() < on.size
+    assert np.median(late_ns[on]) == pytest.approx(7 * US, abs=1)
+    assert np.median(late_ns[~on]) == pytest.approx(11 * US, abs=1)
+
+
+def test_a_share_of_the_events_is_late_by_an_exponential_time():
+    n = 20_000
+    events = Crossings(np.arange(n) * US, np.arange(n, dtype=np.uint32) % PIXELS, np.ones(n, bool))
+    events = Crossings(np.arange(n, dtype=np.int64) // PIXELS * 10**9, events.pixel, events.on)
+    found, _ = delayed(events, [10**13], JitterParameters(latency_us=7.0, late_share=0.1, late_us=3000.0))
+    late_us = (found.t_ns % 10**9) / US - 7
+    late = late_us[late_us > 1]
+    assert late.size / n == pytest.approx(0.1, rel=0.1)
+    assert stats.kstest(late, "expon", args=(0, 3000)).pvalue > ALPHA

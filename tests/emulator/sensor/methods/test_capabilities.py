@@ -31,11 +31,11 @@ PLAIN = SensorParameters(
     random_start=False,
 )
 NOISY = dataclasses.replace(PLAIN, noise=NoiseParameters(rms=0.002, grade="grid", corner_hz=500.0))
-LARGE_SIGNAL = dataclasses.replace(PLAIN, photoreceptor="circuit")
+CIRCUIT = dataclasses.replace(PLAIN, photoreceptor="circuit")
 METHODS = {
     "own": (PixelArray, PLAIN),
     "grid": (NoisyPixels, NOISY),
-    "large_signal": (CircuitPixels, LARGE_SIGNAL),
+    "circuit": (CircuitPixels, CIRCUIT),
     **{name: (rule, PLAIN) for name, rule in OTHER_SIMULATORS.items()},
 }
 ALL = pytest.mark.parametrize("method", METHODS)
@@ -95,7 +95,7 @@ def test_resting_pixels_outside_the_changed_region_are_skipped_where_that_is_sta
 
 @ALL
 def test_parameters_change_where_that_is_stated(method):
-    pixels = made(method, source_follower_hz=300.0) if method != "large_signal" else made(method)
+    pixels = made(method, source_follower_hz=300.0) if method != "circuit" else made(method)
     pixels.reset(LightFrame(0, level(1.0)))
     if not pixels.capabilities.is_adjustable:
         assert pixels.adjustable == {}
@@ -153,7 +153,7 @@ def test_wrong_frames_are_refused_alike(method, wrong, words):
         pixels.step(wrong)
 
 
-@pytest.mark.parametrize("method", ["own", "large_signal"])
+@pytest.mark.parametrize("method", ["own", "circuit"])
 def test_a_derivative_of_another_size_is_refused(method):
     pixels = made(method)
     pixels.reset(LightFrame(0, level(1.0)))
@@ -162,11 +162,11 @@ def test_a_derivative_of_another_size_is_refused(method):
 
 
 def test_a_sensor_has_the_method_of_its_effects_unless_one_is_given():
-    for method in ("own", "grid", "large_signal"):
+    for method in ("own", "grid", "circuit"):
         make, parameters = METHODS[method]
         assert type(own_pixels(parameters, 1)) is make
         assert type(Sensor(parameters, 1).pixels) is make
-    for parameters, words in ((NOISY, "noise.grade"), (LARGE_SIGNAL, "photoreceptor")):
+    for parameters, words in ((NOISY, "noise.grade"), (CIRCUIT, "photoreceptor")):
         for make in (PixelArray, *OTHER_SIMULATORS.values()):
             with pytest.raises(ValueError, match=f"{words}.*is a method of its own"):
                 Sensor(parameters, 1, make)
