@@ -5,8 +5,9 @@ from __future__ import annotations
 from types import MappingProxyType
 
 from emulator.evaluation.validation.findings import Experiment
+from emulator.evaluation.validation.stars import stars
 
 __all__ = ["EXPERIMENTS"]
 
-EXPERIMENTS: MappingProxyType[str, Experiment] = MappingProxyType({})
+EXPERIMENTS: MappingProxyType[str, Experiment] = MappingProxyType({"stars": stars})
 """Experiments by name."""

@@ -129,6 +129,7 @@ class StarField(Scene):
         self._paths: Sequence[Trajectory] = paths[1:]
         stars = stars_of(parameters)
         self._directions = stars.directions
+        self._magnitudes = stars.magnitudes
         self._irradiance = stars.irradiance_w_m2
         self._sun = unit(parameters.sun.direction)
         self._outs: tuple[Light, Light] | None = None
@@ -188,6 +189,13 @@ class StarField(Scene):
     def changed(self) -> Region | None:
         """The boxes of the points in this light frame and in the one before."""
         return self._changed
+
+    def stars_at(self, t_ns: int) -> tuple[Floats, Floats]:
+        """Return columns and rows, (n, 2), and magnitudes, (n,), of the stars in or near the light frame of `t_ns`."""
+        camera = self._camera.pose(self._time.scene_ns(t_ns))
+        near = self._near(camera)
+        seen = self._seen(self._directions[near], camera)
+        return np.array(self._size) / 2 + self._pinhole.focal_px * seen[:, :2], self._magnitudes[near]
 
     def close(self) -> None:
         """Close the sockets of live poses."""
