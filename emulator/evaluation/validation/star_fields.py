@@ -38,7 +38,7 @@ mean sky, 227 stars from 11 to 12; so one of these is matched by chance with a p
 40 sources lie at random in the picture.
 """
 
-_THRESHOLDS = 1.5 * 1.15 ** np.arange(24)
+_THRESHOLDS = 1.2 * 1.04 ** np.arange(90)
 _MATCH_PX = 3.0
 _EDGE_PX = 20.0
 _HOT_SIGMAS = 10.0

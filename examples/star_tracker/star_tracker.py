@@ -1,0 +1,194 @@
+"""A star tracker for events: windows of equal motion, centroids at the window's middle time, and an attitude.
+
+    events of a window -> streaks -> motion of the picture -> events moved to the middle time -> centroids -> attitude
+
+The motion of the picture is measured from the events themselves; no gyroscope is needed. It is that of a far sky before
+a turning camera: a shift and a turn about the middle, the same for all stars. The solver is tetra3rs, with a catalogue
+of its own (Gaia); it has no idea of the attitude before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import tetra3rs
+from scipy import ndimage
+from scipy.stats import poisson
+
+__all__ = ["Motion", "Solution", "Tracker", "centroids", "hot_pixels", "motion_of"]
+
+Floats = npt.NDArray[np.float64]
+Events = npt.NDArray[Any]
+"""(n,) with fields t (us), x, y, on; as `evstim.run` gives them."""
+
+STREAK_EVENTS, STAR_EVENTS = 12, 6
+FALSE_CENTROIDS = 1.0
+MATCH_PX = 3.0
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Motion of the picture about its middle: a shift in px/s and a turn in rad/s."""
+
+    right_px_s: float
+    down_px_s: float
+    turn_rad_s: float
+
+    def at(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
+        """Return the speed of places measured from the middle, px/s."""
+        return self.right_px_s - self.turn_rad_s * y, self.down_px_s + self.turn_rad_s * x
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Attitude at the middle of a window.
+
+    Attributes
+    ----------
+    camera_from_world : (3, 3), rotation of directions in the ICRS to the camera's axes; None where there is none.
+    centroids : number of centroids.
+    matched : number of them that the solver matched with stars.
+    motion : of the picture; None where no star left a streak.
+    """
+
+    camera_from_world: Floats | None
+    centroids: int
+    matched: int
+    motion: Motion | None
+
+
+def hot_pixels(events: Events, size: tuple[int, int], parts: int = 8) -> npt.NDArray[np.bool_]:
+    """Return which pixels have events in most parts of a recording, (height, width): no star stays that long."""
+    width, height = size
+    edges = np.linspace(events["t"][0], int(events["t"][-1]) + 1, parts + 1)
+    busy = np.zeros((height, width), np.int64)
+    for first, last in zip(edges[:-1], edges[1:], strict=True):
+        part = events[(events["t"] >= first) & (events["t"] < last)]
+        there = np.zeros((height, width), bool)
+        there[part["y"], part["x"]] = True
+        busy += there
+    return busy > parts / 2
+
+
+def motion_of(events: Events, size: tuple[int, int]) -> Motion | None:
+    """Return the motion of the picture from the streaks of bright stars; None without a streak.
+
+    The events of each streak are fitted by a straight line over time, then all lines by one motion; lines that lie off
+    by more than three times the median are left out, three times.
+    """
+    labels, count = _regions(events["x"], events["y"], size)
+    if not count:
+        return None
+    of = labels[events["y"], events["x"]]
+    lines = [line for k in range(1, count + 1) if (line := _line(events[of == k], size)) is not None]
+    if not lines:
+        return None
+    x, y, right, down, weight = np.array(lines).T
+    good = np.ones(len(x), bool)
+    motion = Motion(float(np.median(right)), float(np.median(down)), 0.0)
+    for _ in range(3):
+        off = np.hypot(*(a - b for a, b in zip(motion.at(x, y), (right, down), strict=True)))
+        good = off <= 3 * np.median(off) + 1e-9
+        motion = _fitted(x[good], y[good], right[good], down[good], weight[good])
+    return motion
+
+
+def _line(events: Events, size: tuple[int, int]) -> tuple[float, float, float, float, float] | None:
+    """Return place, speed and weight of a streak; None where it has few events."""
+    if len(events) < STREAK_EVENTS:
+        return None
+    t = events["t"].astype(float) * 1e-6
+    t -= t.mean()
+    x, y = events["x"] + 0.5 - size[0] / 2, events["y"] + 0.5 - size[1] / 2
+    spread = float(t @ t)
+    return float(x.mean()), float(y.mean()), float(t @ x) / spread, float(t @ y) / spread, spread
+
+
+def _fitted(x: Floats, y: Floats, right: Floats, down: Floats, weight: Floats) -> Motion:
+    """Return the motion nearest to the speeds of some places, by least squares; of one place, a shift."""
+    zero, one, root = np.zeros_like(x), np.ones_like(x), np.sqrt(np.concatenate([weight, weight]))
+    columns = [np.concatenate([one, zero]), np.concatenate([zero, one])]
+    if len(x) > 2:
+        columns.append(np.concatenate([-y, x]))
+    best, *_ = np.linalg.lstsq(np.column_stack(columns) * root[:, None], np.concatenate([right, down]) * root)
+    return Motion(*(float(v) for v in best), *([0.0] if len(best) < 3 else []))
+
+
+def _regions(x: Floats, y: Floats, size: tuple[int, int]) -> tuple[npt.NDArray[np.int32], int]:
+    """Return connected regions with more events than noise makes, (height, width), and their number.
+
+    The threshold is that at which noise spread evenly makes `FALSE_CENTROIDS` regions in a picture.
+    """
+    counts, _, _ = np.histogram2d(y, x, bins=(size[1], size[0]), range=((0, size[1]), (0, size[0])))
+    near = ndimage.uniform_filter(counts, 5, mode="constant") * 25
+    mean = max(float(np.median(near)), 25 * len(x) / counts.size * 0.5)
+    least = poisson.isf(FALSE_CENTROIDS / counts.size, mean) + 1
+    labels, count = ndimage.label(near >= least)
+    return labels, count
+
+
+def centroids(events: Events, motion: Motion, t_us: float, size: tuple[int, int]) -> Floats:
+    """Return columns and rows from the middle, and numbers of events, of the stars at `t_us`, (n, 3), bright ones first.
+
+    Events are moved along the motion to `t_us`. A star lies in the middle between its ON events, which run ahead of it,
+    and its OFF events, which follow.
+    """
+    x, y = events["x"] + 0.5 - size[0] / 2, events["y"] + 0.5 - size[1] / 2
+    later_s = (t_us - events["t"].astype(float)) * 1e-6
+    right, down = motion.at(x, y)
+    x, y = x + right * later_s, y + down * later_s
+    labels, count = _regions(x + size[0] / 2, y + size[1] / 2, size)
+    column, row = np.floor(x + size[0] / 2).astype(int), np.floor(y + size[1] / 2).astype(int)
+    inside = (column >= 0) & (column < size[0]) & (row >= 0) & (row < size[1])
+    of = np.where(inside, labels[row.clip(0, size[1] - 1), column.clip(0, size[0] - 1)], 0)
+    of_each = [of == k for k in range(1, count + 1)]
+    found = [_middle(x[own], y[own], events["on"][own]) for own in of_each if own.sum() >= STAR_EVENTS]
+    return np.array(sorted(found, key=lambda star: -star[2])).reshape(-1, 3)
+
+
+def _middle(x: Floats, y: Floats, on: npt.NDArray[np.bool_]) -> tuple[float, float, int]:
+    """Return the middle between the means of ON and of OFF events, and the number of events."""
+    kinds = [kind for kind in (on, ~on) if kind.any()]
+    middle = np.mean([(np.mean(x[kind]), np.mean(y[kind])) for kind in kinds], axis=0)
+    return float(middle[0]), float(middle[1]), len(x)
+
+
+class Tracker:
+    """Attitudes from windows of events.
+
+    Parameters
+    ----------
+    size : (width, height) of the picture, pixels.
+    width_deg : field of view of its width.
+    epoch_year : of the solver's star places.
+    """
+
+    def __init__(self, size: tuple[int, int], width_deg: float, epoch_year: float = 2026.0) -> None:
+        self._size, self._width_deg = size, width_deg
+        self._stars = tetra3rs.SolverDatabase.generate_from_gaia(
+            max_fov_deg=1.1 * width_deg, star_max_magnitude=7.5, epoch_proper_motion_year=epoch_year
+        )
+
+    def solve(self, events: Events, t_us: float) -> Solution:
+        """Return the attitude at `t_us` from the events around it."""
+        motion = motion_of(events, self._size) if len(events) else None
+        if motion is None:
+            return Solution(None, 0, 0, None)
+        places = centroids(events, motion, t_us, self._size)
+        if len(places) < 4:
+            return Solution(None, len(places), 0, motion)
+        found = self._stars.solve_from_centroids(
+            places,
+            fov_estimate_deg=self._width_deg,
+            fov_max_error_deg=0.1,
+            image_shape=self._size[::-1],
+            match_radius=MATCH_PX / self._size[0],
+            solve_timeout_ms=None,
+            max_patterns_checked=20_000,
+        )
+        if not found:
+            return Solution(None, len(places), 0, motion)
+        return Solution(np.asarray(found.rotation_matrix_icrs_to_camera), len(places), found.num_matches, motion)
