@@ -1,15 +1,15 @@
 """Error of a star tracker's attitude over angular rate: `python measure.py [FOLDER]`.
 
 For each rate it runs tracker.toml, cuts the events into windows in which stars move by `MOVE_PX` pixels, solves the
-attitude of each, and compares it with the true one. It writes star-tracker.csv, star-tracker.json and the chart
-star-tracker.png into FOLDER.
+attitude of each, and compares it with the true one; then again with the noise of a real camera under the night sky. It
+writes star-tracker.csv and the chart star-tracker.png into FOLDER, and puts the table into FOLDER/../star-tracker.md
+where that page exists.
 """
 
 from __future__ import annotations
 
 import csv
 import dataclasses
-import json
 import math
 import sys
 from collections.abc import Sequence
@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 from star_tracker import Solution, Tracker, hot_pixels
 
@@ -29,6 +30,9 @@ RATES_DEG_S = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 MOVE_PX = 10.0
 WINDOWS = 20
 SETTLE_PX = 15.0  # motion before the first window
+NOISES_HZ = {"preset": None, "noise of 0.15 Hz": 0.15}
+"""Noise events of a pixel, Hz: the preset's, and those of a recording under the night sky (docs/star-tracker.md)."""
+MARKS = "<!-- table of measure.py -->\n", "<!-- end of table -->\n"
 RIG = Path(__file__).parent / "tracker.toml"
 
 Floats = npt.NDArray[np.float64]
@@ -41,6 +45,7 @@ class Measured:
     `errors` has a row for each solved window: along the motion, across it, and about the boresight, arc-seconds.
     """
 
+    noise: str
     rate_deg_s: float
     window_ms: float
     solutions: tuple[Solution, ...]
@@ -50,6 +55,22 @@ class Measured:
     def solved(self) -> int:
         """Windows with an attitude."""
         return len(self.errors)
+
+    def row(self) -> dict[str, object]:
+        """Return the line of the table; errors are root mean squares, and the mean along the motion."""
+        spread = np.sqrt(np.mean(self.errors**2, axis=0)) if self.solved else np.full(3, math.nan)
+        lag = float(np.mean(self.errors[:, 0])) if self.solved else math.nan
+        return {
+            "noise": self.noise,
+            "rate, deg/s": f"{self.rate_deg_s:g}",
+            "window, ms": f"{self.window_ms:.0f}",
+            "stars matched": f"{np.median([one.matched for one in self.solutions]):.0f}",
+            "solved": f"{self.solved} of {len(self.solutions)}",
+            "across the motion, arcsec": f"{spread[1]:.1f}",
+            "along it, arcsec": f"{spread[0]:.1f}",
+            "mean along": f"{lag:+.1f}",
+            "roll, arcsec": f"{spread[2]:.0f}",
+        }
 
 
 def turning(rig: evstim.Rig, rate_deg_s: float) -> evstim.Rig:
@@ -93,9 +114,20 @@ def recorded(rig: evstim.Rig, seconds: float) -> npt.NDArray[Any]:
         return np.concatenate([events.copy() for events in run])
 
 
-def measure(rig: evstim.Rig, tracker: Tracker, rate_deg_s: float, windows: int = WINDOWS) -> Measured:
+def noisy(rig: evstim.Rig, hz: float | None) -> evstim.Rig:
+    """Return the rig with `hz` noise events a second in each pixel, half of them ON; None: with its own noise."""
+    if hz is None:
+        return rig
+    background = dataclasses.replace(rig.camera.sensor.background, hz=hz, off_share=0.5)
+    sensor = dataclasses.replace(rig.camera.sensor, background=background)
+    return dataclasses.replace(rig, camera=dataclasses.replace(rig.camera, sensor=sensor))
+
+
+def measure(
+    rig: evstim.Rig, tracker: Tracker, rate_deg_s: float, windows: int = WINDOWS, noise: str = "preset"
+) -> Measured:
     """Run at one rate and solve `windows` windows."""
-    rig = turning(rig, rate_deg_s)
+    rig = turning(noisy(rig, NOISES_HZ[noise]), rate_deg_s)
     speed_px_s = rate_deg_s * pixels_a_degree(rig)
     window_us, settle_us = MOVE_PX / speed_px_s * 1e6, SETTLE_PX / speed_px_s * 1e6
     events = recorded(rig, (settle_us + window_us * windows) * 1e-6)
@@ -110,4 +142,55 @@ def measure(rig: evstim.Rig, tracker: Tracker, rate_deg_s: float, windows: int =
         if solution.camera_from_world is not None and solution.motion is not None:
             way = solution.motion.right_px_s, solution.motion.down_px_s
             errors.append(errors_arcsec(solution.camera_from_world, true_attitude(rig, middle_us * 1e-6), way))
-    return Measured(rate_deg_s, window_us * 1e-3, tuple(solutions), np.array(errors).reshape(-1, 3))
+    return Measured(noise, rate_deg_s, window_us * 1e-3, tuple(solutions), np.array(errors).reshape(-1, 3))
+
+
+def table(measured: Sequence[Measured]) -> str:
+    """Return the rows as Markdown."""
+    rows = [one.row() for one in measured]
+    lines = [list(rows[0]), ["---"] * len(rows[0]), *(list(row.values()) for row in rows)]
+    return "".join(f"| {' | '.join(map(str, line))} |\n" for line in lines)
+
+
+def draw(measured: Sequence[Measured], path: Path) -> None:
+    """Draw errors and the share of solved windows over the rate."""
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    errors, solved = figure.subplots(1, 2)
+    for noise, style in zip(NOISES_HZ, ("-", "--"), strict=True):
+        some = [one for one in measured if one.noise == noise]
+        rates = [one.rate_deg_s for one in some]
+        for k, (name, colour) in enumerate((("along", "#d55e00"), ("across", "#0072b2"), ("roll", "#999999"))):
+            rms = [float(np.sqrt(np.mean(one.errors[:, k] ** 2))) if one.solved else math.nan for one in some]
+            errors.plot(rates, rms, style, marker="o", ms=3, color=colour, label=f"{name}, {noise}")
+        solved.plot(rates, [one.solved / len(one.solutions) for one in some], f"k{style}", marker="o", label=noise)
+    errors.set(xscale="log", yscale="log", xlabel="rate, deg/s", ylabel="error, arc-seconds (root mean square)")
+    solved.set(xscale="log", xlabel="rate, deg/s", ylabel="share of windows solved", ylim=(0, 1.05))
+    for axes in (errors, solved):
+        axes.legend(frameon=False, fontsize=8)
+    figure.savefig(path, dpi=110)
+
+
+def main(folder: str = ".") -> list[Measured]:
+    """Measure at all rates; write table and chart into `folder`."""
+    rig, out = evstim.load_rig(str(RIG)), Path(folder)
+    out.mkdir(parents=True, exist_ok=True)
+    tracker = Tracker((rig.camera.sensor.width, rig.camera.sensor.height), rig.camera.lens.field_of_view_deg)
+    measured = []
+    for noise in NOISES_HZ:
+        for rate in RATES_DEG_S:
+            measured.append(measure(rig, tracker, rate, noise=noise))
+            print(measured[-1].row())
+    with (out / "star-tracker.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, measured[0].row())
+        writer.writeheader()
+        writer.writerows(one.row() for one in measured)
+    draw(measured, out / "star-tracker.png")
+    page = out.parent / "star-tracker.md"
+    if page.exists():
+        before, rest = page.read_text().split(MARKS[0])
+        page.write_text(before + MARKS[0] + table(measured) + MARKS[1] + rest.split(MARKS[1])[1])
+    return measured
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

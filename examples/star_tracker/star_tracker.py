@@ -9,6 +9,8 @@ of its own (Gaia); it has no idea of the attitude before.
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,7 +27,8 @@ Events = npt.NDArray[Any]
 """(n,) with fields t (us), x, y, on; as `evstim.run` gives them."""
 
 STREAK_EVENTS, STAR_EVENTS = 12, 6
-FALSE_CENTROIDS = 1.0
+FALSE_REGIONS = 1.0
+ROUNDS = 3
 MATCH_PX = 3.0
 
 
@@ -65,7 +68,7 @@ def hot_pixels(events: Events, size: tuple[int, int], parts: int = 8) -> npt.NDA
     width, height = size
     edges = np.linspace(events["t"][0], int(events["t"][-1]) + 1, parts + 1)
     busy = np.zeros((height, width), np.int64)
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in itertools.pairwise(edges):
         part = events[(events["t"] >= first) & (events["t"] < last)]
         there = np.zeros((height, width), bool)
         there[part["y"], part["x"]] = True
@@ -76,18 +79,34 @@ def hot_pixels(events: Events, size: tuple[int, int], parts: int = 8) -> npt.NDA
 def motion_of(events: Events, size: tuple[int, int]) -> Motion | None:
     """Return the motion of the picture from the streaks of bright stars; None without a streak.
 
-    The events of each streak are fitted by a straight line over time, then all lines by one motion; lines that lie off
-    by more than three times the median are left out, three times.
+    The events of each streak are fitted by a straight line over time, then all lines by one motion. Events are then
+    moved back along it, so that fainter stars become streaks, and what motion is left is fitted again.
     """
-    labels, count = _regions(events["x"], events["y"], size)
-    if not count:
+    motion = Motion(0.0, 0.0, 0.0)
+    if not len(events):
         return None
-    of = labels[events["y"], events["x"]]
-    lines = [line for k in range(1, count + 1) if (line := _line(events[of == k], size)) is not None]
-    if not lines:
-        return None
-    x, y, right, down, weight = np.array(lines).T
-    good = np.ones(len(x), bool)
+    for _ in range(ROUNDS):
+        x, y = moved(events, motion, float(events["t"].mean()), size)
+        labels, count = _labels(x, y, size)
+        lines = [_line(events["t"][own], x[own], y[own]) for own in _each(labels, count, STREAK_EVENTS)]
+        if not lines:
+            return None
+        more = _agreed(np.array(lines))
+        motion = Motion(*(a + b for a, b in zip(dataclasses.astuple(motion), dataclasses.astuple(more), strict=True)))
+    return motion
+
+
+def moved(events: Events, motion: Motion, t_us: float, size: tuple[int, int]) -> tuple[Floats, Floats]:
+    """Return columns and rows of events from the picture's middle, moved along the motion to `t_us`, (n,) each."""
+    x, y = events["x"] + 0.5 - size[0] / 2, events["y"] + 0.5 - size[1] / 2
+    later_s = (t_us - events["t"].astype(float)) * 1e-6
+    right, down = motion.at(x, y)
+    return x + right * later_s, y + down * later_s
+
+
+def _agreed(lines: Floats) -> Motion:
+    """Return the motion of most lines: those off by more than three times the median are left out, three times."""
+    x, y, right, down, weight = lines.T
     motion = Motion(float(np.median(right)), float(np.median(down)), 0.0)
     for _ in range(3):
         off = np.hypot(*(a - b for a, b in zip(motion.at(x, y), (right, down), strict=True)))
@@ -96,14 +115,11 @@ def motion_of(events: Events, size: tuple[int, int]) -> Motion | None:
     return motion
 
 
-def _line(events: Events, size: tuple[int, int]) -> tuple[float, float, float, float, float] | None:
-    """Return place, speed and weight of a streak; None where it has few events."""
-    if len(events) < STREAK_EVENTS:
-        return None
-    t = events["t"].astype(float) * 1e-6
+def _line(t_us: npt.NDArray[Any], x: Floats, y: Floats) -> tuple[float, float, float, float, float]:
+    """Return place, speed and weight of a streak."""
+    t = t_us.astype(float) * 1e-6
     t -= t.mean()
-    x, y = events["x"] + 0.5 - size[0] / 2, events["y"] + 0.5 - size[1] / 2
-    spread = float(t @ t)
+    spread = max(float(t @ t), 1e-12)
     return float(x.mean()), float(y.mean()), float(t @ x) / spread, float(t @ y) / spread, spread
 
 
@@ -117,35 +133,39 @@ def _fitted(x: Floats, y: Floats, right: Floats, down: Floats, weight: Floats) -
     return Motion(*(float(v) for v in best), *([0.0] if len(best) < 3 else []))
 
 
-def _regions(x: Floats, y: Floats, size: tuple[int, int]) -> tuple[npt.NDArray[np.int32], int]:
-    """Return connected regions with more events than noise makes, (height, width), and their number.
+def _labels(x: Floats, y: Floats, size: tuple[int, int]) -> tuple[npt.NDArray[np.int64], int]:
+    """Return the region of each event, (n,), 0 where there is none, and the number of regions.
 
-    The threshold is that at which noise spread evenly makes `FALSE_CENTROIDS` regions in a picture.
+    A region is connected and has more events in 5 x 5 pixels than noise makes: noise spread evenly would have
+    `FALSE_REGIONS` in a picture.
     """
-    counts, _, _ = np.histogram2d(y, x, bins=(size[1], size[0]), range=((0, size[1]), (0, size[0])))
+    width, height = size
+    column, row = np.floor(x + width / 2).astype(int), np.floor(y + height / 2).astype(int)
+    inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    column, row = column.clip(0, width - 1), row.clip(0, height - 1)
+    counts = np.zeros((height, width))
+    np.add.at(counts, (row[inside], column[inside]), 1)
     near = ndimage.uniform_filter(counts, 5, mode="constant") * 25
-    mean = max(float(np.median(near)), 25 * len(x) / counts.size * 0.5)
-    least = poisson.isf(FALSE_CENTROIDS / counts.size, mean) + 1
-    labels, count = ndimage.label(near >= least)
-    return labels, count
+    mean = max(float(np.median(near)), 12.5 * len(x) / counts.size)
+    labels, count = ndimage.label(near >= poisson.isf(FALSE_REGIONS / counts.size, mean) + 1)
+    return np.where(inside, labels[row, column], 0), count
+
+
+def _each(labels: npt.NDArray[np.int64], count: int, least: int) -> list[npt.NDArray[np.intp]]:
+    """Return the indices of the events of each region that has at least `least`."""
+    order = np.argsort(labels, kind="stable")
+    edges = np.searchsorted(labels[order], np.arange(1, count + 2))
+    return [order[a:b] for a, b in itertools.pairwise(edges) if b - a >= least]
 
 
 def centroids(events: Events, motion: Motion, t_us: float, size: tuple[int, int]) -> Floats:
-    """Return columns and rows from the middle, and numbers of events, of the stars at `t_us`, (n, 3), bright ones first.
+    """Return columns and rows from the middle, and numbers of events, of the stars at `t_us`, (n, 3), bright first.
 
-    Events are moved along the motion to `t_us`. A star lies in the middle between its ON events, which run ahead of it,
-    and its OFF events, which follow.
+    A star lies in the middle between its ON events, which run ahead of it, and its OFF events, which follow.
     """
-    x, y = events["x"] + 0.5 - size[0] / 2, events["y"] + 0.5 - size[1] / 2
-    later_s = (t_us - events["t"].astype(float)) * 1e-6
-    right, down = motion.at(x, y)
-    x, y = x + right * later_s, y + down * later_s
-    labels, count = _regions(x + size[0] / 2, y + size[1] / 2, size)
-    column, row = np.floor(x + size[0] / 2).astype(int), np.floor(y + size[1] / 2).astype(int)
-    inside = (column >= 0) & (column < size[0]) & (row >= 0) & (row < size[1])
-    of = np.where(inside, labels[row.clip(0, size[1] - 1), column.clip(0, size[0] - 1)], 0)
-    of_each = [of == k for k in range(1, count + 1)]
-    found = [_middle(x[own], y[own], events["on"][own]) for own in of_each if own.sum() >= STAR_EVENTS]
+    x, y = moved(events, motion, t_us, size)
+    labels, count = _labels(x, y, size)
+    found = [_middle(x[own], y[own], events["on"][own]) for own in _each(labels, count, STAR_EVENTS)]
     return np.array(sorted(found, key=lambda star: -star[2])).reshape(-1, 3)
 
 
@@ -174,7 +194,7 @@ class Tracker:
 
     def solve(self, events: Events, t_us: float) -> Solution:
         """Return the attitude at `t_us` from the events around it."""
-        motion = motion_of(events, self._size) if len(events) else None
+        motion = motion_of(events, self._size)
         if motion is None:
             return Solution(None, 0, 0, None)
         places = centroids(events, motion, t_us, self._size)
