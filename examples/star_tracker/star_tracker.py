@@ -1,9 +1,10 @@
 """A star tracker for events: windows of equal motion, centroids at the window's middle time, and an attitude.
 
-    events of a window -> streaks -> motion of the picture -> events moved to the middle time -> centroids -> attitude
+    ON events of a window -> streaks -> motion of the picture -> events moved to the middle time -> centroids -> attitude
 
-The motion of the picture is measured from the events themselves; no gyroscope is needed. It is that of a far sky before
-a turning camera: a shift and a turn about the middle, the same for all stars. The solver is tetra3rs, with a catalogue
+OFF events are left out: in the dark a pixel follows falling light slowly, so they trail behind by many pixels. The
+motion of the picture is measured from the events themselves; no gyroscope is needed. It is that of a far sky before a
+turning camera: a shift and a turn about the middle, the same for all stars. The solver is tetra3rs, with a catalogue
 of its own (Gaia); it has no idea of the attitude before.
 """
 
@@ -28,7 +29,7 @@ Events = npt.NDArray[Any]
 
 STREAK_EVENTS, STAR_EVENTS = 12, 6
 FALSE_REGIONS = 1.0
-ROUNDS = 3
+ROUNDS = 2
 MATCH_PX = 3.0
 
 
@@ -159,21 +160,11 @@ def _each(labels: npt.NDArray[np.int64], count: int, least: int) -> list[npt.NDA
 
 
 def centroids(events: Events, motion: Motion, t_us: float, size: tuple[int, int]) -> Floats:
-    """Return columns and rows from the middle, and numbers of events, of the stars at `t_us`, (n, 3), bright first.
-
-    A star lies in the middle between its ON events, which run ahead of it, and its OFF events, which follow.
-    """
+    """Return columns and rows from the middle, and numbers of events, of the stars at `t_us`, (n, 3), bright first."""
     x, y = moved(events, motion, t_us, size)
     labels, count = _labels(x, y, size)
-    found = [_middle(x[own], y[own], events["on"][own]) for own in _each(labels, count, STAR_EVENTS)]
+    found = [(x[own].mean(), y[own].mean(), len(own)) for own in _each(labels, count, STAR_EVENTS)]
     return np.array(sorted(found, key=lambda star: -star[2])).reshape(-1, 3)
-
-
-def _middle(x: Floats, y: Floats, on: npt.NDArray[np.bool_]) -> tuple[float, float, int]:
-    """Return the middle between the means of ON and of OFF events, and the number of events."""
-    kinds = [kind for kind in (on, ~on) if kind.any()]
-    middle = np.mean([(np.mean(x[kind]), np.mean(y[kind])) for kind in kinds], axis=0)
-    return float(middle[0]), float(middle[1]), len(x)
 
 
 class Tracker:
@@ -193,7 +184,8 @@ class Tracker:
         )
 
     def solve(self, events: Events, t_us: float) -> Solution:
-        """Return the attitude at `t_us` from the events around it."""
+        """Return the attitude at `t_us` from the ON events around it."""
+        events = events[events["on"]]
         motion = motion_of(events, self._size)
         if motion is None:
             return Solution(None, 0, 0, None)
