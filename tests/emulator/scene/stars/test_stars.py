@@ -128,7 +128,9 @@ def test_a_star_in_the_middle_brings_its_light_onto_the_chip():
     """Power through the aperture: E tau pi (f / 2 N)^2, on the chip spread over pixels of the pitch."""
     light, _ = drawn(StarsParameters(camera=at(direction(*SIRIUS)), faintest_v=-1.0))
     focal_m = LENS.pinhole(SIZE).focal_px * CHIP.pitch_um * 1e-6
-    power_w = float(irradiance_w_m2(load_stars(-1.0).magnitudes[0])) * LENS.transmission * math.pi * (focal_m / 2 / 1.4) ** 2
+    power_w = (
+        float(irradiance_w_m2(load_stars(-1.0).magnitudes[0])) * LENS.transmission * math.pi * (focal_m / 2 / 1.4) ** 2
+    )
     on_chip_w = LENS.chip_irradiance_w_m2(float(light.sum(dtype=float))) * (CHIP.pitch_um * 1e-6) ** 2
     assert on_chip_w == pytest.approx(power_w, rel=3e-3)
     row, column = np.unravel_index(light.argmax(), light.shape)
