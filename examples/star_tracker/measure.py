@@ -57,19 +57,19 @@ class Measured:
         return len(self.errors)
 
     def row(self) -> dict[str, object]:
-        """Return the line of the table; errors are root mean squares, and the mean along the motion."""
-        spread = np.sqrt(np.mean(self.errors**2, axis=0)) if self.solved else np.full(3, math.nan)
-        lag = float(np.mean(self.errors[:, 0])) if self.solved else math.nan
+        """Return the line of the table: root mean squares, and along the motion mean and standard deviation."""
+        rms = np.sqrt(np.mean(self.errors**2, axis=0)) if self.solved else np.full(3, math.nan)
+        along = self.errors[:, 0] if self.solved else np.array([math.nan])
         return {
             "noise": self.noise,
             "rate, deg/s": f"{self.rate_deg_s:g}",
             "window, ms": f"{self.window_ms:.0f}",
             "stars matched": f"{np.median([one.matched for one in self.solutions]):.0f}",
             "solved": f"{self.solved} of {len(self.solutions)}",
-            "across the motion, arcsec": f"{spread[1]:.1f}",
-            "along it, arcsec": f"{spread[0]:.1f}",
-            "mean along": f"{lag:+.1f}",
-            "roll, arcsec": f"{spread[2]:.0f}",
+            "across, arcsec": f"{rms[1]:.1f}",
+            "along, mean": f"{np.mean(along):+.1f}",
+            "along, spread": f"{np.std(along):.1f}",
+            "roll, arcsec": f"{rms[2]:.0f}",
         }
 
 
@@ -160,7 +160,7 @@ def draw(measured: Sequence[Measured], path: Path) -> None:
         some = [one for one in measured if one.noise == noise]
         rates = [one.rate_deg_s for one in some]
         for k, (name, colour) in enumerate((("along", "#d55e00"), ("across", "#0072b2"), ("roll", "#999999"))):
-            rms = [float(np.sqrt(np.mean(one.errors[:, k] ** 2))) if one.solved else math.nan for one in some]
+            rms = [np.sqrt(np.mean(one.errors[:, k] ** 2)) if one.solved else math.nan for one in some]
             errors.plot(rates, rms, style, marker="o", ms=3, color=colour, label=f"{name}, {noise}")
         solved.plot(rates, [one.solved / len(one.solutions) for one in some], f"k{style}", marker="o", label=noise)
     errors.set(xscale="log", yscale="log", xlabel="rate, deg/s", ylabel="error, arc-seconds (root mean square)")
