@@ -26,7 +26,7 @@ import evstim
 
 __all__ = ["Measured", "errors_arcsec", "main", "measure", "recorded", "true_attitude"]
 
-RATES_DEG_S = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
+RATES_DEG_S = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 MOVE_PX = 10.0
 WINDOWS = 20
 SETTLE_PX = 15.0  # motion before the first window
@@ -78,7 +78,7 @@ def turning(rig: evstim.Rig, rate_deg_s: float) -> evstim.Rig:
     path = rig.scene.camera
     off_pole = math.sin(math.radians(path.tilt_deg))
     camera = dataclasses.replace(path, precession_deg_s=rate_deg_s / off_pole)
-    step_us = max(500, min(50_000, round(0.3e6 / (rate_deg_s * pixels_a_degree(rig)))))
+    step_us = max(200, min(50_000, round(0.3e6 / (rate_deg_s * pixels_a_degree(rig)))))
     run = dataclasses.replace(rig.run, step_us=step_us)
     return dataclasses.replace(rig, scene=dataclasses.replace(rig.scene, camera=camera), run=run)
 
