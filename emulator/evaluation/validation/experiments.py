@@ -6,10 +6,11 @@ from types import MappingProxyType
 
 from emulator.evaluation.validation.findings import Experiment
 from emulator.evaluation.validation.latency import latency, opposite, region, spread
+from emulator.evaluation.validation.stars import stars
 
 __all__ = ["EXPERIMENTS"]
 
 EXPERIMENTS: MappingProxyType[str, Experiment] = MappingProxyType(
-    {"latency": latency, "region": region, "spread": spread, "opposite": opposite}
+    {"latency": latency, "region": region, "spread": spread, "opposite": opposite, "stars": stars}
 )
 """Experiments by name."""

@@ -43,6 +43,7 @@ __all__ = [
     "clear",
     "irradiance_w_m2",
     "load_stars",
+    "moved",
     "splat",
 ]
 
@@ -94,19 +95,26 @@ class Stars:
     Attributes
     ----------
     directions : (n, 3) unit vectors, ICRS.
-    v_mag : (n,) visual magnitudes.
+    magnitudes : (n,) in the catalogue's band.
+    sun_magnitude : the Sun's in that band.
     """
 
     directions: Floats
-    v_mag: Floats
+    magnitudes: Floats
+    sun_magnitude: float
 
     def __len__(self) -> int:
-        return len(self.v_mag)
+        return len(self.magnitudes)
+
+    @property
+    def irradiance_w_m2(self) -> Floats:
+        """Irradiance of each star, in the Sun's band, (n,)."""
+        return irradiance_w_m2(self.magnitudes, self.sun_magnitude)
 
 
-def irradiance_w_m2(v_mag: Floats | float) -> Floats:
-    """Return the light of stars of visual magnitude `v_mag`, 400 to 700 nm."""
-    return np.asarray(SUN_W_M2 * 10 ** (-0.4 * (np.asarray(v_mag) - SUN_V)))
+def irradiance_w_m2(magnitude: Floats | float, sun_magnitude: float = SUN_V) -> Floats:
+    """Return the light of stars of a magnitude, visual unless `sun_magnitude` is of another band, 400 to 700 nm."""
+    return np.asarray(SUN_W_M2 * 10 ** (-0.4 * (np.asarray(magnitude) - sun_magnitude)))
 
 
 def load_stars(faintest_v: float = FAINTEST_V, epoch_year: float = 2026.0) -> Stars:
@@ -116,14 +124,22 @@ def load_stars(faintest_v: float = FAINTEST_V, epoch_year: float = 2026.0) -> St
     v_mag = _v_mag(columns)
     kept = v_mag <= faintest_v
     ra, dec = columns["ra_rad"][kept], columns["dec_rad"][kept]
-    years = epoch_year - _EPOCH
+    proper = columns["pm_ra_mas_a"][kept], columns["pm_dec_mas_a"][kept]
+    directions = moved(ra, dec, proper, epoch_year - _EPOCH)
+    order = np.argsort(v_mag[kept], kind="stable")
+    return Stars(directions[order], v_mag[kept][order], SUN_V)
+
+
+def moved(ra: Floats, dec: Floats, proper_mas_a: tuple[Floats, Floats], years: float) -> Floats:
+    """Return the directions, (n, 3), of stars at `ra` and `dec` (rad) after `years` of proper motion.
+
+    `proper_mas_a` is that motion in right ascension, times cos dec, and in declination.
+    """
     east = np.column_stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)])
     north = np.column_stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
     at = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
-    moved = (columns["pm_ra_mas_a"][kept, None] * east + columns["pm_dec_mas_a"][kept, None] * north) * _MAS_RAD * years
-    directions = at + moved
-    order = np.argsort(v_mag[kept], kind="stable")
-    return Stars((directions / np.linalg.norm(directions, axis=1, keepdims=True))[order], v_mag[kept][order])
+    by = (proper_mas_a[0][:, None] * east + proper_mas_a[1][:, None] * north) * _MAS_RAD * years
+    return np.asarray((at + by) / np.linalg.norm(at + by, axis=1, keepdims=True))
 
 
 def _v_mag(columns: dict[str, Floats]) -> Floats:

@@ -27,7 +27,8 @@ from emulator.geometry.attitude import unit
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import Light, Region, Scene, SceneError
 from emulator.optics.lens import Chip, Distortion, LensParameters, bent_rays, straight_columns_and_rows
-from emulator.scene.stars.catalogue import Boxes, boxes_of, clear, irradiance_w_m2, load_stars, splat
+from emulator.scene.stars.catalogue import Boxes, Stars, boxes_of, clear, load_stars, splat
+from emulator.scene.stars.skies import draw_field, load_gaia
 from emulator.scene.stars.table import StarsParameters
 from emulator.trajectory.building import build_trajectories
 from emulator.trajectory.live import close_receivers, live_counts
@@ -35,7 +36,7 @@ from emulator.trajectory.parameters import BasiliskPath, LivePath
 from emulator.trajectory.pose import Pose, Timescale, Trajectory, TrajectoryError
 from emulator.truth.surfaces import Instants, instants, motion_of, write_depth_and_flow
 
-__all__ = ["Sky", "StarField", "StarsGeometry"]
+__all__ = ["Sky", "StarField", "StarsGeometry", "stars_of"]
 
 
 _REACH = 2.0  # standard deviations
@@ -126,9 +127,10 @@ class StarField(Scene):
             raise SceneError(f"scene: {error}") from error
         self._camera = paths[0]
         self._paths: Sequence[Trajectory] = paths[1:]
-        stars = load_stars(parameters.faintest_v, parameters.epoch_year)
+        stars = stars_of(parameters)
         self._directions = stars.directions
-        self._irradiance = irradiance_w_m2(stars.v_mag)
+        self._magnitudes = stars.magnitudes
+        self._irradiance = stars.irradiance_w_m2
         self._sun = unit(parameters.sun.direction)
         self._outs: tuple[Light, Light] | None = None
         self._boxes: Boxes = np.empty((0, 4), np.int64)
@@ -187,6 +189,13 @@ class StarField(Scene):
     def changed(self) -> Region | None:
         """The boxes of the points in this light frame and in the one before."""
         return self._changed
+
+    def stars_at(self, t_ns: int) -> tuple[Floats, Floats]:
+        """Return columns and rows, (n, 2), and magnitudes, (n,), of the stars in or near the light frame of `t_ns`."""
+        camera = self._camera.pose(self._time.scene_ns(t_ns))
+        near = self._near(camera)
+        seen = self._seen(self._directions[near], camera)
+        return np.array(self._size) / 2 + self._pinhole.focal_px * seen[:, :2], self._magnitudes[near]
 
     def close(self) -> None:
         """Close the sockets of live poses."""
@@ -252,6 +261,21 @@ class StarField(Scene):
         is_ahead = to_point @ boresight > self._cone_cosine
         to_point[~is_ahead] = boresight
         return to_point, np.where(is_ahead, self._p.sun.irradiance_w_m2 * shine, 0.0)
+
+
+def stars_of(parameters: StarsParameters) -> Stars:
+    """Return the stars of a sky, brightest first.
+
+    Raises
+    ------
+    MachineLacks
+        The package of the catalogue is not installed.
+    """
+    if parameters.drawn is not None:
+        return draw_field(parameters.drawn)
+    if parameters.catalogue == "gaia":
+        return load_gaia(parameters.faintest_g, parameters.epoch_year)
+    return load_stars(parameters.faintest_v, parameters.epoch_year)
 
 
 def _phase(to_point: Floats, sun: Floats) -> Floats:

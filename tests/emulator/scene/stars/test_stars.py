@@ -78,7 +78,7 @@ def test_the_brightest_star_is_where_sirius_is():
     stars = load_stars(2.0)
     apart = math.degrees(math.acos(stars.directions[0] @ direction(*SIRIUS)))
     assert apart < 0.02
-    vega = stars.v_mag[np.argmax(stars.directions @ direction(*np.radians([279.235, 38.784])))]
+    vega = stars.magnitudes[np.argmax(stars.directions @ direction(*np.radians([279.235, 38.784])))]
     assert vega == pytest.approx(0.03, abs=0.1)
     assert len(load_stars(6.0)) == pytest.approx(5000, rel=0.05)
     assert np.linalg.norm(stars.directions, axis=1) == pytest.approx(1.0)
@@ -111,7 +111,7 @@ def test_visual_magnitudes_are_those_of_the_bright_star_catalogue(star):
     ra, dec, v_mag, within = BRIGHT[star]
     stars = load_stars(6.0, 1991.25)
     nearest = np.argmax(stars.directions @ direction(*np.radians([ra, dec])))
-    assert stars.v_mag[nearest] == pytest.approx(v_mag, abs=within)
+    assert stars.magnitudes[nearest] == pytest.approx(v_mag, abs=within)
 
 
 def test_sirius_has_moved_since_hipparcos():
@@ -128,7 +128,9 @@ def test_a_star_in_the_middle_brings_its_light_onto_the_chip():
     """Power through the aperture: E tau pi (f / 2 N)^2, on the chip spread over pixels of the pitch."""
     light, _ = drawn(StarsParameters(camera=at(direction(*SIRIUS)), faintest_v=-1.0))
     focal_m = LENS.pinhole(SIZE).focal_px * CHIP.pitch_um * 1e-6
-    power_w = float(irradiance_w_m2(load_stars(-1.0).v_mag[0])) * LENS.transmission * math.pi * (focal_m / 2 / 1.4) ** 2
+    power_w = (
+        float(irradiance_w_m2(load_stars(-1.0).magnitudes[0])) * LENS.transmission * math.pi * (focal_m / 2 / 1.4) ** 2
+    )
     on_chip_w = LENS.chip_irradiance_w_m2(float(light.sum(dtype=float))) * (CHIP.pitch_um * 1e-6) ** 2
     assert on_chip_w == pytest.approx(power_w, rel=3e-3)
     row, column = np.unravel_index(light.argmax(), light.shape)
