@@ -121,6 +121,7 @@ int main(int argc, char **argv) {
         roi->enable(true);
         auto *anti_flicker = device->get_facility<I_AntiFlickerModule>();
         anti_flicker->enable(true);
+        const bool is_filtered = anti_flicker->is_enabled(); // a Gen4.1's stop switches it off
         auto *monitoring = device->get_facility<I_Monitoring>();
         std::FILE *out   = std::fopen(argv[3], "wb");
         auto *stream     = device->get_facility<I_EventsStream>();
@@ -134,7 +135,7 @@ int main(int argc, char **argv) {
         std::cout << "{\"serial\": \"" << serials.front() << "\", \"events\": " << seen
                   << ", \"bias_diff_on\": " << biases->get("bias_diff_on")
                   << ", \"word_bytes\": " << int(device->get_facility<I_EventsStreamDecoder>()->get_raw_event_size_bytes())
-                  << ", \"anti_flicker\": " << (anti_flicker->is_enabled() ? "true" : "false")
+                  << ", \"anti_flicker\": " << (is_filtered ? "true" : "false")
                   << ", \"celsius\": " << number_or_null([&] { return monitoring->get_temperature(); })
                   << ", \"lux\": " << number_or_null([&] { return monitoring->get_illumination(); })
                   << ", \"dead_time_us\": " << number_or_null([&] { return monitoring->get_pixel_dead_time(); }) << "}"

@@ -26,6 +26,7 @@ from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import EVENT, EdgeKind
 from firmware_protocol.evt.words import evt3_header
 from firmware_protocol.imu_samples import ImuScale, no_samples, physical
+from tests.firmware_protocol.evt2_words import by_the_tables
 from tests.transports.recording.test_other_readers import (
     as_events,
     by_aedat,
@@ -286,6 +287,15 @@ def triggers_of_evt2(data):
     return triggers
 
 
+def evt21_by_others(path, sent):
+    """evlib reads the little-endian order alone, and the tables of the format both."""
+    form = path.name.removeprefix("a.").removesuffix(".raw")
+    events, triggers = by_the_tables(path.read_bytes().partition(b"% end\n")[2], form)
+    for read in (events, by_evlib(path)) if form == "evt21" else (events,):
+        np.testing.assert_array_equal(read, sent.events)
+    assert triggers[["t", "kind"]].tolist() == sent.edges
+
+
 def bags_by_others(path, sent):
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(EVENT_PACKET, "event_camera_msgs/msg/EventPacket"))
@@ -326,7 +336,8 @@ def npz_by_numpy(path, sent):
 
 READ_BY_OTHERS = {
     "aedat4": aedat4_by_others, "aedat2": aedat2_by_others, "aedat31": aedat31_by_others, "evt3": evt3_by_others,
-    "evt2": evt2_by_others, "ros1": bags_by_others, "ros2": bags_by_others, "npz": npz_by_numpy,
+    "evt2": evt2_by_others, "evt21": evt21_by_others, "evt21-legacy": evt21_by_others, "ros1": bags_by_others,
+    "ros2": bags_by_others, "npz": npz_by_numpy,
 }  # fmt: skip
 
 
