@@ -327,6 +327,7 @@ class KickParameters:
     share : of the ON threshold that is added; 0: frames do not disturb events.
     signal_excess : excess of the value of signal reads over that of reset reads, as a share of `share`.
     spread : between pixels and reads, standard deviation, as a share of `share`.
+    frame_spread : between frames, for all pixels alike, standard deviation, as a share of `share`.
     delay_us : longest time from a kick to its events, that of pixels which need all of it, us.
     reset_lead_us, signal_lead_us : time from a kick to the reset or signal read that causes it, us; no kick comes
         before its frame begins.
@@ -335,14 +336,16 @@ class KickParameters:
     share: float = 0.10
     signal_excess: float = 0.024
     spread: float = 0.02
+    frame_spread: float = 0.0007
     delay_us: float = 35.0
     reset_lead_us: float = 18.0
-    signal_lead_us: float = 28.0
+    signal_lead_us: float = 34.0
 
     def __post_init__(self) -> None:
         check(self, "share", 0, 0.9)
         check(self, "signal_excess", -1, 1)
         check(self, "spread", 0, 0.3)
+        check(self, "frame_spread", 0, 0.3)
         for name in ("delay_us", "reset_lead_us", "signal_lead_us"):
             check(self, name, 0, 1000)
 

@@ -245,7 +245,7 @@ def frame_times(start_ns: int, settings: FrameSettings, line_us: float) -> Frame
     return FrameTimes(start_ns, line_ns, reset, opened, shut, shut)
 
 
-_READ = "t_ns", "line", "signal"
+_READ = "t_ns", "line", "signal", "frame"
 _LEAST_INTERVAL_NS = 1_000_000  # a host can request one pixel without exposure: that would be millions of frames
 
 
@@ -280,7 +280,8 @@ class _Frame:
         reset_ns = times.reset_ns - round(kicks.reset_lead_us * 1000)
         t_ns = np.concatenate([reset_ns, times.signal_ns - round(kicks.signal_lead_us * 1000)])
         t_ns = np.maximum(t_ns, times.start_ns)  # the first kick of a frame lies in the step of its start
-        return LineReads(t_ns, np.tile(lines, 2), signal, self.settings.by_column)
+        frame = np.full(len(signal), self._number)
+        return LineReads(t_ns, np.tile(lines, 2), signal, frame, self.settings.by_column)
 
     def expose(self, before: Light, t0_ns: int, after: Light, t1_ns: int) -> None:
         """Add the light from `t0_ns` to `t1_ns`."""
@@ -374,8 +375,8 @@ class FrameSource:
         """Report the reads whose kicks come in the step to `t_ns`."""
         parts = [frame.reads.between(self._t_ns, t_ns) for frame in self._begun]
         if self._disturb is not None and parts:
-            t, line, signal = (np.concatenate([getattr(one, name) for one in parts]) for name in _READ)
-            self._disturb(LineReads(t, line, signal, parts[-1].by_column))
+            t, line, signal, frame = (np.concatenate([getattr(one, name) for one in parts]) for name in _READ)
+            self._disturb(LineReads(t, line, signal, frame, parts[-1].by_column))
 
     def _frames(self, light: Light, t_ns: int, requested: FrameSettings) -> Iterator[Readings]:
         """Yield the readings of each frame until `t_ns`."""

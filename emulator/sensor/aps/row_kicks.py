@@ -12,7 +12,10 @@ end 35 us later, when the next row is read. Within this time those of still pixe
 ones decay. Here a pixel that needs the share s of the kick has its event at an even chance between the kick and s times
 35 us later: a still pixel drifts towards its threshold so slowly that it needs nearly all of a kick (s = 1), an active
 one has any s, which gives the density -ln(t / 35 us). The added value is 0.10 of the ON threshold; that of signal reads
-is a little larger in most pixels, because in stillness the larger one always comes first.
+is a little larger in most pixels, because in stillness the larger one always comes first. The still pixels' events of a
+frame vary as numbers with Fano factor 1.9, in bright and in dim pixels together: the drift from frame to frame is 1e-4
+of a threshold, so a common variation of the kick (or of the light) of that size makes events come in some frames and
+not in others.
 
 Levels at a kick lie on the straight line between those at both ends of the step. Pixels that start within reach of a
 kick have been kicked by the frames before the start: their first kick sends no event.
@@ -37,16 +40,28 @@ _Int64s = npt.NDArray[np.int64]
 _Float32s = npt.NDArray[np.float32]
 _Floats = npt.NDArray[np.float64]
 _RESET, _SIGNAL = 0, 1
+_OF_FRAMES = 1 << 40  # index of their strengths, beyond those of pixels, in us
+_STRONG = 2  # deviations of the strongest of the frames before the start
 _LEAST = 1e-12  # where frames do not disturb events
 
 
 @dataclass(frozen=True)
 class LineReads:
-    """Reads that disturb a step: times of their kicks (n,) ns, lines (n,) of the user's image, True for signal (n,)."""
+    """Reads that disturb a step, arrays (n,).
+
+    Attributes
+    ----------
+    t_ns : times of their kicks.
+    line : lines of the user's image.
+    signal : True for signal reads.
+    frame : numbers of their frames.
+    by_column : lines are columns.
+    """
 
     t_ns: _Int64s
     line: _Int64s
     signal: npt.NDArray[np.bool_]
+    frame: _Int64s
     by_column: bool = False
 
     def only(self, *, signal: bool) -> LineReads:
@@ -58,24 +73,24 @@ class LineReads:
         return self._chosen((self.t_ns >= t0_ns) & (self.t_ns < t1_ns))
 
     def _chosen(self, which: npt.NDArray[np.bool_]) -> LineReads:
-        return LineReads(self.t_ns[which], self.line[which], self.signal[which], self.by_column)
+        return LineReads(self.t_ns[which], self.line[which], self.signal[which], self.frame[which], self.by_column)
 
     def pixels(self, width: int, height: int) -> tuple[_Int64s, _Int64s]:
-        """Return the pixels of all lines, and the time of each one's kick, (n * length,)."""
+        """Return the pixels of all lines, and the read of each one, (n * length,)."""
         along = np.arange(height) * width if self.by_column else np.arange(width)
         first = self.line if self.by_column else self.line * width
         pixel = (first[:, None] + along).reshape(-1)
-        return pixel, np.repeat(self.t_ns, len(along))
+        return pixel, np.repeat(np.arange(len(self.line)), len(along))
 
 
 @dataclass(frozen=True)
 class _Before:
-    """The pixels that are kicked in a step, the times of their kicks, and their levels at its start."""
+    """The pixels that are kicked in a step, times and values of their kicks, and their levels at its start."""
 
     pixel: _Int64s
     t_ns: _Int64s
+    added: _Floats
     level: _Float32s
-    kind: int
 
 
 class RowKicks:
@@ -84,6 +99,7 @@ class RowKicks:
     def __init__(self, kicks: KickParameters, sensor: SensorParameters, seed: int, levels: Levels) -> None:
         self._size = sensor.width, sensor.height
         self._delay_ns = kicks.delay_us * 1000
+        self._frame_spread = kicks.frame_spread
         self._seed = seed
         self._levels = levels
         pixels = np.arange(sensor.width * sensor.height)
@@ -100,7 +116,8 @@ class RowKicks:
         """Start with the levels that the pixels have now; no event is to come."""
         pixels = np.arange(len(self._silent))
         on, _ = self._levels.thresholds(pixels)
-        self._silent = self._levels.of(pixels) + np.maximum(*self._added) >= on
+        most = np.maximum(*self._added) * (1 + _STRONG * self._frame_spread)
+        self._silent = self._levels.of(pixels) + most >= on
         self._late = NO_CROSSINGS
 
     def begin(self, reads: LineReads) -> list[_Before]:
@@ -109,10 +126,16 @@ class RowKicks:
         for kind in (_RESET, _SIGNAL):
             own = reads.only(signal=kind == _SIGNAL)
             if len(own.t_ns):
-                pixel, t_ns = own.pixels(*self._size)
+                pixel, read = own.pixels(*self._size)
                 pixel, first = np.unique(pixel, return_index=True)
-                groups.append(_Before(pixel, t_ns[first], self._levels.of(pixel), kind))
+                read = read[first]
+                added = self._added[kind][pixel] * self._strength(own.frame, kind)[read]
+                groups.append(_Before(pixel, own.t_ns[read], added, self._levels.of(pixel)))
         return groups
+
+    def _strength(self, frame: _Int64s, kind: int) -> _Floats:
+        """Return the kicks of frames relative to their mean."""
+        return np.asarray(1 + self._frame_spread * normal(self._seed, Purpose.APS_KICK, frame, _OF_FRAMES + kind))
 
     def end(self, groups: list[_Before], crossings: Crossings, t0_ns: int, t1_ns: int) -> Crossings:
         """Return a step's crossings with the effect of the reads; some events may come in a later step."""
@@ -146,9 +169,9 @@ class RowKicks:
         share = (group.t_ns - t0_ns) / (t1_ns - t0_ns)
         rise = self._levels.of(group.pixel) + in_all - group.level
         level = group.level + share * rise - until_read
-        missing, added = on - level, self._added[group.kind][group.pixel]
-        fired = np.flatnonzero(missing <= added)
-        needed = np.maximum(missing[fired], 0) / np.maximum(added[fired], _LEAST)
+        missing = on - level
+        fired = np.flatnonzero(missing <= group.added)
+        needed = np.maximum(missing[fired], 0) / np.maximum(group.added[fired], _LEAST)
         crossings = self._without_next(group, fired, crossings, (at[~before], place[~before]))
         return merged(crossings, self._events(group, fired, needed))
 
