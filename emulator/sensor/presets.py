@@ -205,11 +205,11 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             threshold_on=0.283,
             threshold_off=0.262,
             leak_hz=0.001,
-            parasitic_hz_at_reference=0.002,
+            parasitic_hz_at_reference=0.0016,
             source_follower_hz=286.0,
             refractory_us=3.4,
             readout=ReadoutParameters(event_ns=80.0, row_ns=80),
-            noise=NoiseParameters(rms=0.086),
+            noise=NoiseParameters(rms=0.055),
         ),
         "dvxplorer_micro": SensorParameters(
             width=640,
@@ -230,7 +230,17 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             refractory_us=100.0,
             readout=ReadoutParameters(event_ns=0.94, row_ns=50),
             background=BackgroundParameters(
-                hz=0.0033, off_share=0.84, pair_share=0.05, hot_share=1.3e-5, hot_hz=46.0, hot_pair_share=0.6
+                hz=0.00334,
+                off_share=0.83,
+                pair_share=0.036,
+                on_pair_factor=4.0,
+                again_share=0.4,
+                pair_us=2_100_000.0,
+                on_wait_factor=4.0,
+                hot_share=1e-4,
+                hot_hz=4.0,
+                hot_spread=1.6,
+                hot_pair_share=0.6,
             ),
         ),
         "ideal": SensorParameters(
