@@ -275,8 +275,8 @@ def _shares(halves: list[dict[str, _Array]], ours: dict[str, _Array], seconds: f
     medians = [float(np.median(one)) * 1e-6 for one in (np.concatenate([h["off_on"] for h in halves]), ours["off_on"])]
     return [
         Datum("rate of ordinary pixels", 1e3 * rates[0], 1e3 * rates[1], "mHz", "relative", 0.1),
-        Datum("ON share", real_on[0] / real_on[1], on[0] / on[1], "", "difference", 0.02),
-        Datum("silent pixels", real_counts[0] / real_counts.sum(), counts[0] / counts.sum(), "", "difference", 0.005),
+        Datum("ON share", float(real_on[0] / real_on[1]), float(on[0] / on[1]), "", "difference", 0.02),
+        Datum("silent pixels", *(float(of[0] / of.sum()) for of in (real_counts, counts)), "", "difference", 0.005),
         Datum("median from OFF to ON", *medians, "s", "relative", 0.2),
         Datum("pixels above 8 events", *tails, "", "factor", 1.5),
         Datum("pixels above 50 events", *far, "", "factor", 2.0),

@@ -101,23 +101,16 @@ def release(window: Window, pending: Pending, n: int, keys: npt.NDArray[np.uint6
 
 
 class SlottedEvents(ABC):
-    """A source of random events for an array of `pixels` pixels.
-
-    Attributes
-    ----------
-    before_ns : time before the start in which events are drawn that others may follow after it.
-    """
-
-    before_ns = 0
+    """A source of random events for an array of `pixels` pixels."""
 
     def __init__(self, pixels: int) -> None:
         self._pixel_bits = max(1, (pixels - 1).bit_length())
         self.reset(0)
 
     def reset(self, t_ns: int) -> None:
-        """Start at `t_ns`; of earlier events, those that began up to `before_ns` before may have some that follow."""
+        """Start at `t_ns`; events that began before are left out."""
         self._pending, self._known = new_pending(), 0
-        self._slot, self._t_ns = (t_ns - self.before_ns) // SLOT_NS, t_ns
+        self._slot, self._t_ns = t_ns // SLOT_NS, t_ns
 
     def add_to(self, crossings: Crossings, light: npt.NDArray[np.float32], t_ns: int) -> Crossings:
         """Return a step's `crossings` with the events up to, and without, `t_ns` among them."""
@@ -259,8 +252,14 @@ class BackgroundEvents(SlottedEvents):
             on_pair_factor=b.on_pair_factor,
             on_wait_factor=b.on_wait_factor,
         )
-        self.before_ns = round(_BEFORE_WAITS * b.pair_us * 1000 * max(1.0, b.on_wait_factor))
+        self._before_ns = round(_BEFORE_WAITS * b.pair_us * 1000 * max(1.0, b.on_wait_factor))
         super().__init__(p.width * p.height)
+
+    def reset(self, t_ns: int) -> None:
+        """Start at `t_ns`, with the events to come that follow events before."""
+        super().reset(t_ns)
+        self._slot = (t_ns - self._before_ns) // SLOT_NS
+        self._events_until(np.empty(0, np.float32), t_ns)
 
     def _advance(
         self, window: Window, light: npt.NDArray[np.float32], pending: Pending, known: int
