@@ -352,8 +352,8 @@ class KickParameters:
     spread: float = 0.02
     frame_spread: float = 0.0007
     delay_us: float = 35.0
-    reset_lead_us: float = 18.0
-    signal_lead_us: float = 34.0
+    reset_lead_us: float = 12.0
+    signal_lead_us: float = 28.0
 
     def __post_init__(self) -> None:
         check(self, "share", 0, 0.9)

@@ -15,8 +15,8 @@ recording of one camera, in unknown light.
     corner at reference        3 kHz at 1 klux [6]          3 kHz estimate as [6]        3 kHz estimate as [6]
     corner, least and most     3 Hz / 3 kHz [6] [7]         3 Hz / 3 kHz as davis346     3 Hz / 3 kHz as davis346
     source follower            286 Hz [8]                   none: no value found         none: no value found
-    leak and its spread        0.0008 Hz [9], 30 % [10]     0.001 Hz, 30 % estimate      0: see background
-    parasitic leak             0.0016 Hz at light 1 [9]     0.002 Hz estimate            0: see background
+    leak and its spread        0.0007 Hz [9], 30 % [10]     0.001 Hz, 30 % estimate      0: see background
+    parasitic leak             0.0018 Hz at light 1 [9]     0.002 Hz estimate            0: see background
     noise, rms                 0.05 [11]                    0: no value found            0: see background
     background                 none: leak and noise         none                         0.0033 Hz, tail [12]
     refractory                 3.4 us [4]                   100 us estimate [13]         100 us estimate [13]
@@ -36,8 +36,8 @@ recording of one camera, in unknown light.
     [8] jAER's I / (2 pi U_T C1) with the DAVIS346's default bias. Signal and noise pass through it alike.
     [9] One recording (DAVIS346, a street, 2.36 s, shipped with the Python package aedat): the still half of its pixels,
         chosen by the frames alone, fires at 0.0012, 0.0013, 0.0018, 0.0024 and 0.0049 Hz where the frames are at 0-20,
-        20-40, 40-80, 80-120 and 120-170 of 255, all ON. The best straight line, with level 80 taken as light 1, has
-        0.0008 Hz in the dark and 0.0016 Hz a unit of light. Other chips and warmer ones leak at 0.1 to 0.2 Hz (Nozaki
+        20-40, 40-80, 80-120 and 120-170 of 255, all ON. A straight line through them, with level 80 taken as light 1, has
+        0.0007 Hz in the dark and 0.0018 Hz a unit of light. Other chips and warmer ones leak at 0.1 to 0.2 Hz (Nozaki
         and Delbruck 2017, from memory; Guo and Delbruck, DND21).
     [10] v2e's usual spread of leak rates between pixels.
     [11] Recording [9]: at level 0 to 10 the still half has 2 events of 1900 pixels, no more than its leak, so that
@@ -238,8 +238,8 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             height=260,
             threshold_on=0.283,
             threshold_off=0.262,
-            leak_hz=0.0008,
-            parasitic_hz_at_reference=0.0016,
+            leak_hz=0.0007,
+            parasitic_hz_at_reference=0.0018,
             source_follower_hz=286.0,
             refractory_us=3.4,
             readout=ReadoutParameters(event_ns=80.0, row_ns=80),

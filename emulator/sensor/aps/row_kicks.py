@@ -6,8 +6,8 @@ leak event of a still pixel comes at a read, and events of a rising light come i
 with fewer after them.
 
 Source: one recording of a DAVIS346 (2.36 s, 59 frames). In still pixels 373 of 376 events lie within 22 us of a read of
-their own row, 302 at signal and 74 at reset reads; 10.4 % of all ON events within 20 us. They begin 18 us before the
-reset read and 28 us before the signal read of their row (relative to the frame's start and the end of its exposure), and
+their own row, 302 at signal and 74 at reset reads; 10.4 % of all ON events within 20 us. They begin 12 us before the
+reset read and 28 us before the signal read of their row, where reads take 35.25 us from the exposure on, and they
 end 35 us later, when the next row is read. Within this time those of still pixels are spread evenly, those of active
 ones decay. Here a pixel that needs the share s of the kick has its event at an even chance between the kick and s times
 35 us later: a still pixel drifts towards its threshold so slowly that it needs nearly all of a kick (s = 1), an active

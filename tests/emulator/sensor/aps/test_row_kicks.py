@@ -20,7 +20,7 @@ IDEAL = dataclasses.replace(
 )
 ASKED = FrameSettings(True, True, False, 300_000, 10_000_000, 40_000_000, 0, 0, WIDTH - 1, HEIGHT - 1)
 LINE_US = 35.25 * 346 / WIDTH
-DELAY_US, LEAD_US = 35, (18, 28)
+DELAY_US, LEAD_US = 35, (12, 28)
 KICKS = KickParameters(share=0.1, signal_excess=0, spread=0)
 
 
