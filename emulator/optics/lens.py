@@ -15,7 +15,8 @@ tangent: it is 11 % lower at f/1.4. Source: Born and Wolf, Principles of Optics,
 
 The chip's parameters are estimates (fill factor 22 %, peak efficiency 24 % for the front-illuminated DAVIS346; pitch as
 in its data sheet; pitch and fill factor of the Gen 3.1 and pitch of the GenX320 as in `sensor.presets`, their other
-values estimates after front- and back-illuminated chips), and so is the reference: 1 klux on a scene of middle grey through f/1.4 is about 50 lx on the chip.
+values after front- and back-illuminated chips), and so is the reference: 1 klux on a scene of middle grey through f/1.4
+is about 50 lx on the chip.
 
 Distortion follows the model of Brown and Conrady, as OpenCV writes it. With x, y the tangents of a direction
 (x / z, y / z) and r^2 = x^2 + y^2, its image is at

@@ -36,9 +36,9 @@ recording of one camera, in unknown light.
     [8] jAER's I / (2 pi U_T C1) with the DAVIS346's default bias. Signal and noise pass through it alike.
     [9] One recording (DAVIS346, a street, 2.36 s, shipped with the Python package aedat): the still half of its pixels,
         chosen by the frames alone, fires at 0.0012, 0.0013, 0.0018, 0.0024 and 0.0049 Hz where the frames are at 0-20,
-        20-40, 40-80, 80-120 and 120-170 of 255, all ON. A straight line through them, with level 80 taken as light 1, has
-        0.0007 Hz in the dark and 0.0018 Hz a unit of light. Other chips and warmer ones leak at 0.1 to 0.2 Hz (Nozaki
-        and Delbruck 2017, from memory; Guo and Delbruck, DND21).
+        20-40, 40-80, 80-120 and 120-170 of 255, all ON. A straight line through them, with level 80 taken as light 1,
+        has 0.0007 Hz in the dark and 0.0018 Hz a unit of light. Other chips and warmer ones leak at 0.1 to 0.2 Hz
+        (Nozaki and Delbruck 2017, from memory; Guo and Delbruck, DND21).
     [10] v2e's usual spread of leak rates between pixels.
     [11] Recording [9]: at level 0 to 10 the still half has 2 events of 1900 pixels, no more than its leak, so that
         noise adds less than 0.001 Hz there: up to 0.05. Farther up the law rises steeply (0.055: 0.002 Hz, 0.06: 0.02,

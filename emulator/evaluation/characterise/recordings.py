@@ -245,7 +245,10 @@ def _pairs(recorded: Activity, events: int, hot: npt.NDArray[np.bool_]) -> tuple
     intervals_s, opposite = recorded.intervals_s[ordinary], recorded.opposite[ordinary]
     short = opposite & (intervals_s < _PAIRED_S)
     by_chance = events * (events / max(int((~hot).sum()), 1)) * _PAIRED_S / recorded.seconds / 2
-    seconds, wait_s = max(float(short.sum()) - by_chance, 0.0), float(intervals_s[short].mean()) if short.any() else 1e-3
+    seconds, wait_s = (
+        max(float(short.sum()) - by_chance, 0.0),
+        float(intervals_s[short].mean()) if short.any() else 1e-3,
+    )
     late, late_wait_s = _slow_followers(intervals_s, opposite, recorded)
     if late > _MOSTLY * seconds:
         seconds, wait_s = late, late_wait_s
@@ -433,7 +436,9 @@ def _with(p: SensorParameters, figures: Mapping[str, Any]) -> SensorParameters:
 def _simulated(p: SensorParameters, light: _Light, seconds: float) -> Activity:
     """Return the statistics of the sensor in still light, at most `_MOST_S` of them."""
     seconds = min(seconds, _MOST_S)
-    events = _in_uniform_light(p, light.uniform, seconds) if light.seen is None else still_events(p, light.seen, seconds)
+    events = (
+        _in_uniform_light(p, light.uniform, seconds) if light.seen is None else still_events(p, light.seen, seconds)
+    )
     return activity(events, (p.width, p.height), seconds, light.chosen)
 
 

@@ -7,6 +7,7 @@ two halves of the recording. `data/SOURCES.md` names the recordings.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -48,8 +49,8 @@ def davis346(seed: int) -> Findings:
         "davis346_street",
         "DAVIS346, still half of a street",
         "davis346",
-        "A DAVIS346 looks at a street for 2.36 s. The half of its pixels that see no motion, chosen by its frames alone,"
-        " is compared with the simulated sensor under the mean of the frames (level 80 of 255 is light 1), noise and"
+        "A DAVIS346 looks at a street for 2.36 s. The half of its pixels that see no motion, chosen by its frames"
+        " alone, is compared with the simulated sensor under the mean of the frames (level 80 of 255 is light 1), noise and"
         " frames on. A distance is alike where Kolmogorov and Smirnov's test does not separate the two (p > 0.05).",
         (
             Source(
@@ -87,7 +88,7 @@ def _rates(real: Events, ours: Events, seen: StillLight, seconds: float) -> list
         Datum("ON share", float(real["on"].mean()), float(ours["on"].mean()), "", "difference", 0.02),
     ]
     levels = seen.level[seen.still]
-    for low, high in zip(_LEVELS[:-1], _LEVELS[1:], strict=True):
+    for low, high in pairwise(_LEVELS):
         pixels = int(((levels >= low) & (levels < high)).sum())
         counts = [_between(_levels(events, seen), low, high) for events in (real, ours)]
         unit = 1000 / (pixels * seconds)
@@ -189,6 +190,15 @@ def _in_kick(lags_us: _Array) -> int:
 _LIKE = 0.1
 _TAIL = 8
 _KINDS = {"off_on": (False, True), "on_off": (True, False), "off_off": (False, False), "on_on": (True, True)}
+_SEQUENCES = {
+    "intervals of a pixel": tuple(_KINDS),
+    "lengths of runs of one polarity": ("runs",),
+    "counts of the pixels": ("counts",),
+    "intervals from OFF to ON": ("off_on",),
+    "intervals from ON to OFF": ("on_off",),
+    "intervals from OFF to OFF": ("off_off",),
+    "intervals from ON to ON": ("on_on",),
+}
 _HALVES = "left", "right"
 
 
@@ -229,8 +239,8 @@ def evk4(seed: int) -> Findings:
         "EVK4, quiet pixels",
         "imx636",
         "An EVK4 (IMX636) records for 10.8 s. The pixels whose neighbours fire at 0.02 Hz at most are compared with as"
-        " many of the simulated sensor's for the same time, by the sequences of events in a pixel. Pixels with more than"
-        " 8 events count in the tail alone. A distance is alike up to 0.1.",
+        " many of the simulated sensor's for the same time, by the sequences of events in a pixel. Pixels with more"
+        " than 8 events count in the tail alone. A distance is alike up to 0.1.",
         (
             Source(
                 "faery 0.7.1, tests/data/evt3.raw",
@@ -284,20 +294,17 @@ def _shares(halves: list[dict[str, _Array]], ours: dict[str, _Array], seconds: f
 
 
 def _sequence_distances(halves: list[dict[str, _Array]], ours: dict[str, _Array]) -> list[Datum]:
-    def intervals(of: dict[str, _Array]) -> _Array:
-        return np.concatenate([of[name] for name in _KINDS])
-
-    def spelled(of: dict[str, _Array], name: str) -> _Array:
-        return np.repeat(np.arange(len(of[name])), of[name].astype(np.int64))
-
-    pairs = {"intervals of a pixel": intervals, "lengths of runs of one polarity": lambda of: spelled(of, "runs")}
-    pairs["counts of the pixels"] = lambda of: spelled(of, "counts")
-    for name, words in (("off_on", "OFF to ON"), ("on_off", "ON to OFF"), ("off_off", "OFF to OFF"), ("on_on", "ON to ON")):
-        pairs[f"intervals from {words}"] = lambda of, name=name: of[name]  # type: ignore[misc]
     data = []
-    for what, of in pairs.items():
-        parts = [of(half) for half in halves]
-        real, emulated = np.concatenate(parts), of(ours)
+    for what, names in _SEQUENCES.items():
+        parts = [_samples(half, names) for half in halves]
+        real, emulated = np.concatenate(parts), _samples(ours, names)
         remark = f"n = {real.size} and {emulated.size}"
         data.append(Datum(what, _ks(*parts), _ks(real, emulated), "", "statistic", _LIKE, remark))
     return data
+
+
+def _samples(of: dict[str, _Array], names: tuple[str, ...]) -> _Array:
+    """Return the samples of intervals, joined, or those of a histogram."""
+    if names[0] in _KINDS:
+        return np.concatenate([of[name] for name in names])
+    return np.repeat(np.arange(len(of[names[0]])), of[names[0]].astype(np.int64))

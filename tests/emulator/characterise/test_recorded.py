@@ -23,6 +23,9 @@ from emulator.sensor.parameters import BackgroundParameters
 from emulator.sensor.presets import SensorParameters
 from evstim.sensor import sensor_parameters
 from firmware_protocol.events import EVENT
+from transports.recording.format import FORMATS
+from transports.recording.part import Facts, Frame, Part
+from transports.recording.writing import RecordingFile
 
 SIZE = 200, 150
 SECONDS = 8.0
@@ -156,7 +159,9 @@ def test_a_recording_with_frames_is_compared_under_their_light(tmp_path):
     pixel = np.repeat(np.arange(counts.size), counts)
     events = stream(random.uniform(0, 1.6, pixel.size), pixel, pixel >= 0, size)
     path = tmp_path / "framed.aedat4"
-    write_part(path, size, Part(events, frames=tuple(frames)))
+    file = RecordingFile(path, FORMATS["aedat4"], Facts(size=size))
+    file.write(Part(events, frames=tuple(frames)))
+    file.close()
     sensor = SensorParameters(
         width=size[0], height=size[1], threshold_on=0.25, threshold_off=0.25, leak_hz=0.0,
         parasitic_hz_at_reference=1.0, leak_spread=0.0,
@@ -167,7 +172,7 @@ def test_a_recording_with_frames_is_compared_under_their_light(tmp_path):
     rates = [found.streams["sensor"].rate_hz for found in (framed, uniform)]
     assert rates[0] == pytest.approx((0.1 + 2.0) / 2, rel=0.1)
     assert rates[1] == pytest.approx(1.0, rel=0.1)
-    apart = [row for row in framed.rows() if row["statistic"] == "counts of the pixels, KS"][0]
+    apart = next(row for row in framed.rows() if row["statistic"] == "counts of the pixels, KS")
     assert apart["sensor"] < 0.1
 
 
