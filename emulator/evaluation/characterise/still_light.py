@@ -59,8 +59,7 @@ class StillLight:
     @property
     def light(self) -> npt.NDArray[np.float32]:
         """Light relative to the sensor's reference, (height, width)."""
-        light: npt.NDArray[np.float32] = np.maximum(self.level, np.float32(_LEAST_DN)) / np.float32(REFERENCE_DN)
-        return light
+        return (np.maximum(self.level, _LEAST_DN) / REFERENCE_DN).astype(np.float32)
 
 
 def still_light(frames: Sequence[Frame], begin_us: int) -> StillLight | None:

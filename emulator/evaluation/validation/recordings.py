@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy import stats
 
 from emulator.evaluation.characterise.still_light import StillLight, still_events
-from emulator.evaluation.validation.findings import Datum, Findings, Source
+from emulator.evaluation.validation.findings import Datum, Findings, Kind, Source
 from emulator.sensor.chip.sources import BackgroundEvents
 from emulator.sensor.parameters import KickParameters
 from emulator.sensor.presets import PRESETS
@@ -50,8 +50,8 @@ def davis346(seed: int) -> Findings:
         "DAVIS346, still half of a street",
         "davis346",
         "A DAVIS346 looks at a street for 2.36 s. The half of its pixels that see no motion, chosen by its frames"
-        " alone, is compared with the simulated sensor under the mean of the frames (level 80 of 255 is light 1), noise and"
-        " frames on. A distance is alike where Kolmogorov and Smirnov's test does not separate the two (p > 0.05).",
+        " alone, is compared with the simulated sensor under the mean of the frames (level 80 of 255 is light 1), noise"
+        " and frames on. A distance is alike where Kolmogorov and Smirnov's test does not separate the two (p > 0.05).",
         (
             Source(
                 "aedat 2.3.0, tests/data/test_data.aedat4",
@@ -90,11 +90,11 @@ def _rates(real: Events, ours: Events, seen: StillLight, seconds: float) -> list
     levels = seen.level[seen.still]
     for low, high in pairwise(_LEVELS):
         pixels = int(((levels >= low) & (levels < high)).sum())
-        counts = [_between(_levels(events, seen), low, high) for events in (real, ours)]
+        recorded, emulated = (_between(_levels(events, seen), low, high) for events in (real, ours))
         unit = 1000 / (pixels * seconds)
-        bound = unit * _chance(*counts, fano)
+        bound = unit * _chance(recorded, emulated, fano)
         what = f"rate at level {low} to {high} ({pixels} pixels)"
-        data.append(Datum(what, unit * counts[0], unit * counts[1], "mHz", "difference", bound))
+        data.append(Datum(what, unit * recorded, unit * emulated, "mHz", "difference", bound))
     return data
 
 
@@ -102,7 +102,7 @@ def _chance(real: int, ours: int, fano: float) -> float:
     return 2.6 * math.sqrt(fano * max(real + ours, 3))
 
 
-def _between(values: _Array, low: int, high: int) -> int:
+def _between(values: npt.NDArray[np.float32], low: int, high: int) -> int:
     return int(np.count_nonzero((values >= low) & (values < high)))
 
 
@@ -172,10 +172,10 @@ def kick_lags(events: Events, seen: StillLight) -> npt.NDArray[np.float64]:
 
 def _kicks(real: Events, ours: Events, seen: StillLight, lags: _Array) -> list[Datum]:
     """Return the share of still events in a kick, and the fall of the rate of moving pixels after one."""
-    shares = [_in_kick(kick_lags(events, seen)) / max(len(events), 1) for events in (real, ours)]
+    inside, emulated = (_in_kick(kick_lags(events, seen)) / max(len(events), 1) for events in (real, ours))
     since_us = np.arange(-2000, 4000)
     before = float(lags[since_us < -50].mean())
-    data = [Datum("still events within 40 us of a kick, share", *shares, "", "difference", 0.05)]
+    data = [Datum("still events within 40 us of a kick, share", inside, emulated, "", "difference", 0.05)]
     for low, high in ((_KICK_US, 500), (500, 1000), (1000, 2000)):
         rate = float(lags[(since_us >= low) & (since_us < high)].mean()) / before
         what = f"moving pixels, rate from {low} to {high} us after a kick, over that before"
@@ -183,7 +183,7 @@ def _kicks(real: Events, ours: Events, seen: StillLight, lags: _Array) -> list[D
     return data
 
 
-def _in_kick(lags_us: _Array) -> int:
+def _in_kick(lags_us: npt.NDArray[np.float64]) -> int:
     return int(np.count_nonzero((lags_us >= -1) & (lags_us < _KICK_US)))
 
 
@@ -273,24 +273,41 @@ def _background(seed: int, seconds: float, pixels: int) -> dict[str, _Array]:
 def _sum(halves: list[dict[str, _Array]], name: str) -> npt.NDArray[np.int64]:
     """Return the histograms of both halves, added."""
     longest = max(len(half[name]) for half in halves)
-    return np.sum([np.pad(half[name].astype(np.int64), (0, longest - len(half[name]))) for half in halves], axis=0)
+    padded = [np.pad(half[name].astype(np.int64), (0, longest - len(half[name]))) for half in halves]
+    return np.asarray(np.sum(padded, axis=0))
 
 
 def _shares(halves: list[dict[str, _Array]], ours: dict[str, _Array], seconds: float) -> list[Datum]:
-    real_counts, real_on = _sum(halves, "counts"), _sum(halves, "events")
-    counts, on = ours["counts"].astype(np.int64), ours["events"].astype(np.int64)
-    rates = [float(one[1]) / float(of.sum()) / seconds for one, of in ((real_on, real_counts), (on, counts))]
-    tails = [float(of[_TAIL + 1 :].sum()) for of in (real_counts, counts)]
-    far = [float(of[51:].sum()) for of in (real_counts, counts)]
-    medians = [float(np.median(one)) * 1e-6 for one in (np.concatenate([h["off_on"] for h in halves]), ours["off_on"])]
+    real = {name: np.concatenate([half[name] for half in halves]) for name in _KINDS}
+    real |= {name: _sum(halves, name) for name in ("counts", "events")}
     return [
-        Datum("rate of ordinary pixels", 1e3 * rates[0], 1e3 * rates[1], "mHz", "relative", 0.1),
-        Datum("ON share", float(real_on[0] / real_on[1]), float(on[0] / on[1]), "", "difference", 0.02),
-        Datum("silent pixels", *(float(of[0] / of.sum()) for of in (real_counts, counts)), "", "difference", 0.005),
-        Datum("median from OFF to ON", *medians, "s", "relative", 0.2),
-        Datum("pixels above 8 events", *tails, "", "factor", 1.5),
-        Datum("pixels above 50 events", *far, "", "factor", 2.0),
+        Datum(what, _share(real, what, seconds), _share(ours, what, seconds), unit, kind, bound)
+        for what, unit, kind, bound in _SHARES
     ]
+
+
+_SHARES: tuple[tuple[str, str, Kind, float], ...] = (
+    ("rate of ordinary pixels", "mHz", "relative", 0.1),
+    ("ON share", "", "difference", 0.02),
+    ("silent pixels", "", "difference", 0.005),
+    ("median from OFF to ON", "s", "relative", 0.2),
+    ("pixels above 8 events", "", "factor", 1.5),
+    ("pixels above 50 events", "", "factor", 2.0),
+)
+
+
+def _share(of: dict[str, _Array], what: str, seconds: float) -> float:
+    """Return one of `_SHARES`."""
+    counts, (on, events) = of["counts"].astype(np.int64), (int(n) for n in of["events"].astype(np.int64))
+    values = {
+        "rate of ordinary pixels": 1e3 * events / float(counts.sum()) / seconds,
+        "ON share": on / events,
+        "silent pixels": float(counts[0] / counts.sum()),
+        "median from OFF to ON": float(np.median(of["off_on"].astype(np.float64))) * 1e-6,
+        "pixels above 8 events": float(counts[_TAIL + 1 :].sum()),
+        "pixels above 50 events": float(counts[51:].sum()),
+    }
+    return values[what]
 
 
 def _sequence_distances(halves: list[dict[str, _Array]], ours: dict[str, _Array]) -> list[Datum]:
