@@ -228,7 +228,7 @@ _IMX636_BACKGROUND = BackgroundParameters(
     hot_share=1e-4,
     hot_hz=4.0,
     hot_spread=1.6,
-    hot_pair_share=0.6,
+    hot_pair_share=0.9,
 )
 
 PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(

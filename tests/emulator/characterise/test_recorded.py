@@ -159,7 +159,7 @@ def test_a_recording_with_frames_is_compared_under_their_light(tmp_path):
     pixel = np.repeat(np.arange(counts.size), counts)
     events = stream(random.uniform(0, 1.6, pixel.size), pixel, pixel >= 0, size)
     path = tmp_path / "framed.aedat4"
-    file = RecordingFile(path, FORMATS["aedat4"], Facts(size=size))
+    file = RecordingFile(path, FORMATS["aedat4"], Facts(size=size, streams=frozenset({"frames"})))
     file.write(Part(events, frames=tuple(frames)))
     file.close()
     sensor = SensorParameters(
