@@ -103,7 +103,8 @@ class Sensor:
 
     Parameters
     ----------
-    model : name of a preset ("davis346", "dvxplorer_micro", "imx636", "ideal"), or SensorParameters.
+    model : name of a preset ("davis346", "dvxplorer_micro", "imx636", "gen31", "genx320", "ideal"), or
+        SensorParameters.
     seed : seed of everything random; the same seed and frames give the same events.
     parameters : fields of SensorParameters, such as `threshold_on=0.2`, `width=64` or `noise={"rms": 0.05}`; see
         `SensorOptions`.

@@ -28,7 +28,7 @@ def characterise(
     out: Path,
     recording: Path | None = None,
     still: float = 0.0,
-    light: float = 1.0,
+    light: float | None = None,
     fit: Annotated[bool, Parameter(negative="")] = False,
     quick: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
@@ -48,7 +48,8 @@ def characterise(
     still
         With a recording: count only pixels whose neighbours fire at this rate at most, Hz; 0: all.
     light
-        With a recording: light on the simulated sensor.
+        With a recording: light on the whole simulated sensor. Without it the light is that of the recording's frames,
+        in pixels that see no motion; 1 where it has no frames.
     fit
         With a recording: also write fit.toml, the sensor parameters that match it best.
     quick
@@ -82,7 +83,7 @@ def characterise(
 
 
 def _beside(
-    recording: Path, sensor: tuple[str, SensorParameters], out: Path, given: tuple[float, float, bool, bool]
+    recording: Path, sensor: tuple[str, SensorParameters], out: Path, given: tuple[float | None, float, bool, bool]
 ) -> int:
     """Compare a sensor, name and parameters, with a recording; `given` are light, still, fit and json."""
     light, still, fit, json = given

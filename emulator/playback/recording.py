@@ -21,10 +21,10 @@ from firmware_protocol.events import Events, join_events
 from transports.needs import Need, package
 from transports.recording.format import format_to_read, format_to_write
 from transports.recording.guarded import LibraryMissing, OpenRecording
-from transports.recording.part import RecordingError
+from transports.recording.part import Frame, RecordingError
 from transports.recording.record import ArrayFileError, load_record
 
-__all__ = ["RECORDING", "RecordingParameters", "load_recording", "read_events"]
+__all__ = ["RECORDING", "RecordingParameters", "load_recording", "read_events", "read_frames"]
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,26 @@ def read_events(path: Path, known: tuple[int, int] | None = None) -> tuple[Event
         k = int(back[0]) + 1
         raise SceneError(f"{path}: event {k} goes back in time, from {events['t'][k - 1]} to {events['t'][k]} us")
     return events, size
+
+
+def read_frames(path: Path) -> list[Frame]:
+    """Read the frames of a recording that cover the whole array; none where its format has none.
+
+    Raises SceneError where the file cannot be read.
+    """
+    if path.suffix == ".npz":
+        return []
+    try:
+        with OpenRecording(path, None) as recording:
+            frames = [frame for part in recording.parts() for frame in part.frames]
+            size = recording.facts.size
+    except LibraryMissing as error:
+        raise MachineLacks(f"{path}: {error}") from error
+    except RecordingError as error:
+        raise SceneError(f"{path}: {error}") from error
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read: {error.strerror or error}") from error
+    return [frame for frame in frames if size is None or frame.pixels.shape[:2] == size[::-1]]
 
 
 def load_recording(path: Path, size: tuple[int, int]) -> Events:

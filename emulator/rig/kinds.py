@@ -209,6 +209,8 @@ CAMERA_MODELS: Mapping[str, CameraModel] = {
         BOARDS, CameraModel(PRESETS["imx636"], CHIPS["imx636"], UsbModel((1280, 720), _evk4, has_evt=True))
     ),
     "triton2": CameraModel(PRESETS["imx636"], CHIPS["imx636"], gige=True),
+    "gen31": CameraModel(PRESETS["gen31"], CHIPS["gen31"]),
+    "genx320": CameraModel(PRESETS["genx320"], CHIPS["genx320"]),
     "ideal": CameraModel(PRESETS["ideal"], CHIPS["davis346"], UsbModel((346, 260), _davis346)),
 }
 """Camera models by the name that rigs write."""

@@ -183,18 +183,24 @@ class NoiseParameters:
 class BackgroundParameters:
     """Background activity as counted in a recording, for sensors whose leak and noise are not known separately.
 
-    Events at a constant rate, in any light; an event may be followed by one of the other polarity. A few pixels are hot
-    and have a rate of their own. `evstim characterise --recording FILE --fit` measures these parameters.
+    Events at a constant rate, in any light. A primary event may be followed by one of the other polarity, and that one
+    by another, as when a level drifts over a threshold and back. A few pixels are hot and have a rate of their own.
+    `evstim characterise --recording FILE --fit` measures these parameters.
 
     Attributes
     ----------
-    hz : mean rate of events of a pixel that is not hot, seconds of pairs included, Hz.
+    hz : mean rate of events of a pixel that is not hot, followers included, Hz.
     spread : log-normal spread of that rate between pixels (standard deviation of its logarithm).
-    off_share : share of OFF events among those that begin a pair or stay alone.
-    pair_share : share of them that are followed by an event of the other polarity.
-    pair_us : mean time to that second event, us; exponential. An estimate.
+    off_share : share of OFF events among the primaries.
+    pair_share : share of the primaries that are followed by an event of the other polarity.
+    on_pair_factor : `pair_share` of ON primaries, over that of OFF primaries.
+    again_share : share of the followers that are followed by another event, again of the other polarity.
+    pair_us : mean time from an event to its follower, us; exponential. That of a hot pixel is shorter: the rate of its
+        followers is higher by its own rate.
+    on_wait_factor : that time after ON events, over that after OFF events.
     hot_share : share of the pixels that are hot, drawn pixel by pixel.
-    hot_hz : mean rate of a hot pixel, Hz.
+    hot_hz : mean rate of hot pixels, Hz.
+    hot_spread : log-normal spread of that rate between them (standard deviation of its logarithm).
     hot_pair_share : `pair_share` of hot pixels.
     """
 
@@ -202,18 +208,26 @@ class BackgroundParameters:
     spread: float = 0.0
     off_share: float = 0.5
     pair_share: float = 0.0
+    on_pair_factor: float = 1.0
+    again_share: float = 0.0
     pair_us: float = 1000.0
+    on_wait_factor: float = 1.0
     hot_share: float = 0.0
     hot_hz: float = 0.0
+    hot_spread: float = 0.0
     hot_pair_share: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("hz", "hot_hz"):
             check(self, name, 0, 10_000)
-        check(self, "spread", 0, 3)
+        for name in ("spread", "hot_spread"):
+            check(self, name, 0, 3)
         for name in ("off_share", "pair_share", "hot_share", "hot_pair_share"):
             check(self, name, 0, 1)
-        check(self, "pair_us", 1, 1_000_000)
+        check(self, "again_share", 0, 0.95)
+        check(self, "on_pair_factor", 0, 100)
+        check(self, "on_wait_factor", 0.01, 100)
+        check(self, "pair_us", 1, 10_000_000)
 
 
 @dataclass(frozen=True, slots=True)
@@ -394,19 +408,27 @@ class KickParameters:
     share : of the ON threshold that is added; 0: frames do not disturb events.
     signal_excess : excess of the value of signal reads over that of reset reads, as a share of `share`.
     spread : between pixels and reads, standard deviation, as a share of `share`.
-    delay_us : mean time from the read to the events, exponential.
+    frame_spread : between frames, for all pixels alike, standard deviation, as a share of `share`.
+    delay_us : longest time from a kick to its events, that of pixels which need all of it, us.
+    reset_lead_us, signal_lead_us : time from a kick to the reset or signal read that causes it, us; no kick comes
+        before its frame begins.
     """
 
     share: float = 0.10
     signal_excess: float = 0.024
     spread: float = 0.02
-    delay_us: float = 26.0
+    frame_spread: float = 0.0007
+    delay_us: float = 35.0
+    reset_lead_us: float = 12.0
+    signal_lead_us: float = 28.0
 
     def __post_init__(self) -> None:
         check(self, "share", 0, 0.9)
         check(self, "signal_excess", -1, 1)
         check(self, "spread", 0, 0.3)
-        check(self, "delay_us", 0, 1000)
+        check(self, "frame_spread", 0, 0.3)
+        for name in ("delay_us", "reset_lead_us", "signal_lead_us"):
+            check(self, name, 0, 1000)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,10 +16,10 @@ recording of one camera, in unknown light.
     corner at reference        3 kHz at 1 klux [6]          3 kHz estimate as [6]        3 kHz at 0.1695 W/m2 [17]
     corner, least and most     3 Hz / 3 kHz [6] [7]         3 Hz / 3 kHz as davis346     3 Hz as davis346 / 30 kHz [17]
     source follower            286 Hz [8]                   none: no value found         4.35 kHz [17]
-    leak and its spread        0.001 Hz [9], 30 % [10]      as davis346, estimate        0: see background
-    parasitic leak             0.002 Hz at light 1 [9]      as davis346, estimate        0: see background
-    noise, rms                 0.086 [11]                   0: no value found            0: see background
-    background                 none: leak and noise         none                         0.0038 Hz, 22 % ON [12]
+    leak and its spread        0.0007 Hz [9], 30 % [10]     0.001 Hz, 30 % estimate      0: see background
+    parasitic leak             0.0018 Hz at light 1 [9]     0.002 Hz estimate            0: see background
+    noise, rms                 0.05 [11]                    0: no value found            0: see background
+    background                 none: leak and noise         none                         0.0033 Hz, tail [12]
     refractory                 3.4 us [4]                   100 us estimate [13]         20 us [18]
     read-out                   arbiter                      scan, 197.28 us [14]         arbiter
     time of an event           80 ns (12 Mev/s) [15]        2.2 ns (450 Mev/s) [16]      0.33 ns [19]
@@ -37,16 +37,19 @@ recording of one camera, in unknown light.
     [6] Lichtsteiner, Posch and Delbruck, IEEE JSSC 2008: 3 kHz at 1 klux of scene light.
     [7] 1-20 Hz below 1 lux, in the same literature.
     [8] jAER's I / (2 pi U_T C1) with the DAVIS346's default bias. Signal and noise pass through it alike.
-    [9] One recording (DAVIS346, a street, 2.36 s, shipped with the Python package aedat): still pixels fire at 0.0013,
-        0.0020 and 0.0040 Hz where the frames are at 0-40, 40-120 and 120-170 of 255. The straight line through them,
-        with level 80 taken as light 1, has about 0.001 Hz in the dark and 0.002 Hz a unit of light. Other chips and
-        warmer ones leak at 0.1 to 0.2 Hz (Nozaki and Delbruck 2017, from memory; Guo and Delbruck, DND21).
+    [9] One recording (DAVIS346, a street, 2.36 s, shipped with the Python package aedat): the still half of its pixels,
+        chosen by the frames alone, fires at 0.0012, 0.0013, 0.0018, 0.0024 and 0.0049 Hz where the frames are at 0-20,
+        20-40, 40-80, 80-120 and 120-170 of 255, all ON. A straight line through them, with level 80 taken as light 1,
+        has 0.0007 Hz in the dark and 0.0018 Hz a unit of light. Other chips and warmer ones leak at 0.1 to 0.2 Hz
+        (Nozaki and Delbruck 2017, from memory; Guo and Delbruck, DND21).
     [10] v2e's usual spread of leak rates between pixels.
-    [11] Chosen so that noise makes 10 Hz a pixel in the dim light in which there is most of it, and nothing in bright
-        light: Guo and Delbruck, DND21, "shot noise about 10 Hz" in dim light; 2e-5 Hz of OFF events in recording [9].
-        0.043 to 0.073 were measured at another chip's comparator (Graca 2024, fig. 2.13).
-    [12] One recording (EVK4, 10.8 s), pixels of low activity: 0.0038 Hz, 22 % ON, 96.6 % of the pixels silent, 75 % of
-        a pixel's successive events of opposite polarity, 12 pixels above 50 events.
+    [11] Recording [9]: at level 0 to 10 the still half has 2 events of 1900 pixels, no more than its leak, so that
+        noise adds less than 0.001 Hz there: up to 0.05. Farther up the law rises steeply (0.055: 0.002 Hz, 0.06: 0.02,
+        0.086: 4.5). 0.043 to 0.073 were measured at another chip's comparator (Graca 2024, fig. 2.13).
+    [12] One recording (EVK4, 10.8 s, shipped with the sources of the Python package faery), pixels of low activity:
+        0.0033 Hz in pixels of at most 4 events, 17 % of first events ON; OFF followed by ON after 1.26 s, ON by OFF
+        after 2.6 s (medians); a tail of 1e-4 of the pixels with 5 to 1447 events, half of them ON. Shares and waits of
+        followers were fitted to the sequences; `evstim validate evk4_quiet` compares them.
     [13] Between the chips' few microseconds and the 0.5 ms of v2e; a bias sets it.
     [14] One recording (320 x 240, of a DVXplorer's kind): 97.6 % of a pixel's intervals are whole multiples of that.
         iniVation: about 5000 scans a second, fewer under load, stamps continuous during a scan.
@@ -68,6 +71,23 @@ recording of one camera, in unknown light.
     [19] The same: mean latency over regions of 32 to 420 pixels' side, within 0.6 us. Stamps are set before the output
         bus, of 1.06 Gev/s [3], limits.
     [20] An estimate: the same measurement has a few pixels that come milliseconds late.
+
+Other chips of Prophesee, of which less is public:
+
+    parameter                  gen31                        genx320
+    size, pitch                640 x 480, 15 um [21]        320 x 320, 6.3 um [22]
+    thresholds, ln             0.223 / 0.223 estimate,      0.223 / 0.223 estimate, as imx636
+                               as imx636; least ln 1.12 [21]
+    time of an event           15.2 ns (66 Mev/s) [21]      5 ns (200 Mev/s) estimate [23]
+    time of a row              50 ns estimate               50 ns estimate
+    background                 that of imx636, estimate     that of imx636, estimate
+    all else                   estimate, as dvxplorer_micro without leak
+
+    [21] Gallego et al., Event-based vision: a survey, IEEE TPAMI 2022, table 1 (Prophesee Gen3 CD), from memory: 15 um,
+        fill factor 25 %, latency 40 to 200 us, least contrast 12 %, 66 Mev/s. The size is also in every client.
+    [22] Prophesee's announcement of the GenX320 (October 2023), from memory: 320 x 320, 6.3 um, latency below 150 us at
+        1 klux. The size is also in every client.
+    [23] The most that the chip's own limit of its rate can be set to: 20000 events in 100 us (OpenEB).
 
 `ideal` is a pixel of the textbook in an array of the DAVIS346's size: threshold 0.2, no low-pass, leak, noise, mismatch
 or refractory period, references at the first frame's level, a read-out that takes no time.
@@ -233,6 +253,20 @@ class SensorParameters:
 IMX636_W_M2 = 0.1695
 """Irradiance on the chip at 680 nm that is light 1 of the preset imx636, W/m2."""
 
+_IMX636_BACKGROUND = BackgroundParameters(
+    hz=0.00334,
+    off_share=0.83,
+    pair_share=0.036,
+    on_pair_factor=4.0,
+    again_share=0.4,
+    pair_us=2_100_000.0,
+    on_wait_factor=4.0,
+    hot_share=1e-4,
+    hot_hz=4.0,
+    hot_spread=1.6,
+    hot_pair_share=0.9,
+)
+
 PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
     {
         "davis346": SensorParameters(
@@ -240,12 +274,12 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             height=260,
             threshold_on=0.283,
             threshold_off=0.262,
-            leak_hz=0.001,
-            parasitic_hz_at_reference=0.002,
+            leak_hz=0.0007,
+            parasitic_hz_at_reference=0.0018,
             source_follower_hz=286.0,
             refractory_us=3.4,
             readout=ReadoutParameters(event_ns=80.0, row_ns=80),
-            noise=NoiseParameters(rms=0.086),
+            noise=NoiseParameters(rms=0.05),
         ),
         "dvxplorer_micro": SensorParameters(
             width=640,
@@ -270,9 +304,27 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             refractory_us=20.0,
             readout=ReadoutParameters(event_ns=0.33, row_ns=127),
             jitter=JitterParameters(latency_us=1.2, off_latency_us=0.4, late_share=0.0005, late_us=3000.0),
-            background=BackgroundParameters(
-                hz=0.0033, off_share=0.84, pair_share=0.05, hot_share=1.3e-5, hot_hz=46.0, hot_pair_share=0.6
-            ),
+            background=_IMX636_BACKGROUND,
+        ),
+        "gen31": SensorParameters(
+            width=640,
+            height=480,
+            threshold_on=0.223,
+            threshold_off=0.223,
+            leak_hz=0.0,
+            refractory_us=100.0,
+            readout=ReadoutParameters(event_ns=15.2, row_ns=50),
+            background=_IMX636_BACKGROUND,
+        ),
+        "genx320": SensorParameters(
+            width=320,
+            height=320,
+            threshold_on=0.223,
+            threshold_off=0.223,
+            leak_hz=0.0,
+            refractory_us=100.0,
+            readout=ReadoutParameters(event_ns=5.0, row_ns=50),
+            background=_IMX636_BACKGROUND,
         ),
         "ideal": SensorParameters(
             width=346,

@@ -332,6 +332,8 @@ class Sensor:
         if self._leaks is not None:
             self._leaks.follow(self._t_ns)
         self.pixels.reset(self._imager.see(LightFrame(frame.t_ns, frame.light)))  # at rest: no derivative
+        if self._kicks is not None:
+            self._kicks.reset()
         for source in self._sources:
             source.reset(self._t_ns)
         if self._jitter is not None:

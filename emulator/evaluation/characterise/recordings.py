@@ -6,7 +6,10 @@ they are background activity (`BackgroundParameters`). With p the ON share of pr
 a second event, S = p^2 + (1 - p)^2 and D = 1 - S:
 
     hot pixels      those beyond what the others' counts allow once in a hundred recordings
-    s               opposite successors within `_PAIRED_S`, less those by chance, over primaries
+    followers       opposite successors less those by chance, over primaries: within `_PAIRED_S`, where most are, or at
+                    any time; chance then has D / S times the same successors, and followers after the end of the
+                    recording are added
+    s               followers over primaries
     p               from the ON share of all, (p + s (1 - p)) / (1 + s)
     s of hot ones   from the share of opposite successors, (s + s S + (1 - s) D) / (1 + s)
     spread          from the variance of the counts beyond that of pairs at one rate
@@ -23,11 +26,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import stats
+from scipy import optimize, stats
 from scipy.ndimage import uniform_filter
 
+from emulator.evaluation.characterise.still_light import REFERENCE_DN, StillLight, still_events, still_light
 from emulator.light import LightFrame
-from emulator.playback.recording import read_events
+from emulator.playback.recording import read_events, read_frames
 from emulator.report.page import Page, write_csv, write_json
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor
@@ -173,6 +177,7 @@ def _ks(a: npt.NDArray[np.generic], b: npt.NDArray[np.generic]) -> float:
 
 _LEAK_ON_SHARE, _LEAK_OPPOSITE = 0.95, 0.1
 _PAIRED_S = 0.05
+_MOSTLY = 2.0
 _CHANCE = 0.01
 _ROUNDS = 20
 _SURELY_NOT_HOT = 0.998  # of the pixels
@@ -211,7 +216,7 @@ def _background(recorded: Activity) -> dict[str, float]:
         "spread": _spread(ordinary, pair),
         "off_share": 1 - first_on,
         "pair_share": pair,
-        "pair_us": float(np.clip(pair_s * 1e6, 1, 1e6)),
+        "pair_us": float(np.clip(pair_s * 1e6, 1, 1e7)),
         "hot_share": float(hot.mean()),
         "hot_hz": hot_events / max(int(hot.sum()), 1) / recorded.seconds,
         "hot_pair_share": _hot_pairs(recorded.opposite_share, first_on) if hot_events else 0.0,
@@ -235,14 +240,49 @@ def _most(recorded: Activity) -> float:
 
 
 def _pairs(recorded: Activity, events: int, hot: npt.NDArray[np.bool_]) -> tuple[float, float]:
-    """Return the share of primaries with a second event, and the mean wait for it, s, of pixels that are not hot."""
-    number = np.maximum(recorded.counts - 1, 0)
-    ordinary = ~np.repeat(hot, number)
-    short = ordinary & recorded.opposite & (recorded.intervals_s < _PAIRED_S)
+    """Return the share of primaries with a follower, and the mean wait for it, s, of pixels that are not hot."""
+    ordinary = ~np.repeat(hot, np.maximum(recorded.counts - 1, 0))
+    intervals_s, opposite = recorded.intervals_s[ordinary], recorded.opposite[ordinary]
+    short = opposite & (intervals_s < _PAIRED_S)
     by_chance = events * (events / max(int((~hot).sum()), 1)) * _PAIRED_S / recorded.seconds / 2
-    seconds = max(float(short.sum()) - by_chance, 0.0)
-    share = min(seconds / max(events - seconds, 1.0), 0.95)
-    return share, float(recorded.intervals_s[short].mean()) if short.any() else 1e-3
+    seconds, wait_s = (
+        max(float(short.sum()) - by_chance, 0.0),
+        float(intervals_s[short].mean()) if short.any() else 1e-3,
+    )
+    late, late_wait_s = _slow_followers(intervals_s, opposite, recorded)
+    if late > _MOSTLY * seconds:
+        seconds, wait_s = late, late_wait_s
+    return min(seconds / max(events - seconds, 1.0), 0.95), wait_s
+
+
+def _slow_followers(intervals_s: _Floats, opposite: _Bools, recorded: Activity) -> tuple[float, float]:
+    """Return the number of followers at any time, and their mean wait, s."""
+    on = recorded.on_share
+    same = on**2 + (1 - on) ** 2
+    by_chance = float((~opposite).sum()) * (1 - same) / same
+    found = float(opposite.sum()) - by_chance
+    if found < 1 or not (~opposite).any():
+        return 0.0, 1e-3
+    sum_s = float(intervals_s[opposite].sum()) - by_chance * float(intervals_s[~opposite].mean())
+    wait_s = _wait_s(max(sum_s / found, 1e-6), recorded.seconds)
+    turns = recorded.seconds / wait_s
+    return found / (1 + math.expm1(-turns) / turns), wait_s
+
+
+def _wait_s(seen_s: float, seconds: float) -> float:
+    """Return the mean of an exponential wait, of which `seen_s` is the mean of those that end within a recording.
+
+    The event before lies anywhere in the recording. Waits longer than it look alike, so that it is the most.
+    """
+
+    def excess_s(wait_s: float) -> float:
+        turns = seconds / wait_s
+        rest = math.exp(-turns)
+        weight = wait_s * seconds - wait_s**2 * (1 - rest)
+        moment = seconds * wait_s**2 * (1 - rest * (1 + turns)) - wait_s**3 * (2 - rest * (turns**2 + 2 * turns + 2))
+        return moment / weight - seen_s
+
+    return float(optimize.brentq(excess_s, seen_s / 2, seconds)) if excess_s(seconds) > 0 else seconds
 
 
 def _hot_pairs(opposite: float, first_on: float) -> float:
@@ -306,11 +346,19 @@ class Compared:
 
 
 def compare(
-    path: Path, sensor: tuple[str, SensorParameters], light: float, still_hz: float = 0.0, *, fitted: bool = False
+    path: Path,
+    sensor: tuple[str, SensorParameters],
+    light: float | None = None,
+    still_hz: float = 0.0,
+    *,
+    fitted: bool = False,
 ) -> Compared:
     """Measure a recording, and the sensor (name and parameters) in still light for the same time.
 
-    `still_hz` above 0: only pixels of the recording count whose neighbours fire at that rate at most.
+    `light` is that on the whole simulated sensor. Without it, and where the recording has frames of the sensor's size,
+    the light is the mean of these frames, the sensor's own frames run, and only pixels count that see no motion in the
+    frames; else the light is 1. `still_hz` above 0: only pixels of the recording count whose neighbours fire at that
+    rate at most.
 
     Raises
     ------
@@ -327,18 +375,54 @@ def compare(
     )
     seconds = max(float(events["t"][-1] - events["t"][0]) * 1e-6, 1e-3)
     chosen = still_pixels(events, size, seconds, still_hz) if still_hz else None
+    seen = _seen(path, parameters, int(events["t"][0])) if light is None else None
+    if seen is not None:
+        chosen = seen.still if chosen is None else seen.still & chosen
     if chosen is not None and not chosen.any():
         raise ValueError(f"{path}: no pixel has neighbours that fire at {still_hz:g} Hz at most; allow more")
     recorded = activity(events, size, seconds, chosen)
-    streams = {path.name: recorded, name: _simulated(parameters, light, seconds)}
+    under = _Light(1.0 if light is None else light, seen, chosen if seen is not None else None)
+    streams = {path.name: recorded, name: _simulated(parameters, under, seconds)}
     figures = fit(recorded) if fitted else None
     if figures is not None:
-        streams[f"{name}, fitted"] = _simulated(_with(parameters, figures), light, seconds)
+        streams[f"{name}, fitted"] = _simulated(_with(parameters, figures), under, seconds)
     extent = (
         f"{recorded.pixels} of {size[0] * size[1]} pixels of {path.name}, {seconds:.3g} s, {recorded.events} events"
     )
-    beside = f"beside {parameters.width} x {parameters.height} pixels of {name} in still light {light:g}, same time"
-    return Compared(streams, figures, [f"{extent}; {beside}."])
+    return Compared(streams, figures, [f"{extent}; {under.beside(name, parameters)}, same time.", under.limits()])
+
+
+def _seen(path: Path, p: SensorParameters, begin_us: int) -> StillLight | None:
+    """Return the still light of a recording's frames; None without frames of the sensor's size."""
+    frames = [frame for frame in read_frames(path) if frame.pixels.shape[:2] == (p.height, p.width)]
+    return still_light(frames, begin_us)
+
+
+@dataclass(frozen=True)
+class _Light:
+    """Light on the simulated sensor: uniform, or that of frames; and the pixels that count, None: all."""
+
+    uniform: float
+    seen: StillLight | None
+    chosen: _Bools | None
+
+    def beside(self, name: str, p: SensorParameters) -> str:
+        """Return the simulated side in words."""
+        if self.seen is None:
+            return f"beside {p.width} x {p.height} pixels of {name} in still light {self.uniform:g}"
+        return f"beside the same pixels of {name} under the mean of the recording's frames, its own frames on"
+
+    def limits(self) -> str:
+        """Return in words what the comparison leaves out."""
+        if self.seen is None:
+            return (
+                f"No light of the recording is used: all pixels have light {self.uniform:g} and no frames are read, so "
+                "noise and leak over light, kicks by frames and everything that moves cannot be compared."
+            )
+        return (
+            f"Only pixels that see no motion in the frames count (level {REFERENCE_DN:g} of 255 is light 1); the light "
+            "of the others between two frames is not known."
+        )
 
 
 def _with(p: SensorParameters, figures: Mapping[str, Any]) -> SensorParameters:
@@ -349,14 +433,21 @@ def _with(p: SensorParameters, figures: Mapping[str, Any]) -> SensorParameters:
     return dataclasses.replace(p, **parts)
 
 
-def _simulated(p: SensorParameters, light: float, seconds: float) -> Activity:
+def _simulated(p: SensorParameters, light: _Light, seconds: float) -> Activity:
     """Return the statistics of the sensor in still light, at most `_MOST_S` of them."""
     seconds = min(seconds, _MOST_S)
+    events = (
+        _in_uniform_light(p, light.uniform, seconds) if light.seen is None else still_events(p, light.seen, seconds)
+    )
+    return activity(events, (p.width, p.height), seconds, light.chosen)
+
+
+def _in_uniform_light(p: SensorParameters, light: float, seconds: float) -> Events:
     picture, sensor = np.full((p.height, p.width), light, np.float32), Sensor(p, 1)
     sensor.reset(LightFrame(0, picture))
     ends = [min(k * _STEP_NS, round(seconds * 1e9)) for k in range(1, math.ceil(seconds * 1e9 / _STEP_NS) + 1)]
     parts: list[Events] = [sensor.expose(LightFrame(end, picture)) for end in ends]
-    return activity(np.concatenate([*parts, sensor.finish()]), (p.width, p.height), seconds)
+    return np.concatenate([*parts, sensor.finish()])
 
 
 def write_comparison(found: Compared, name: str, out: Path) -> list[Path]:

@@ -6,11 +6,20 @@ from types import MappingProxyType
 
 from emulator.evaluation.validation.findings import Experiment
 from emulator.evaluation.validation.latency import latency, opposite, region, spread
+from emulator.evaluation.validation.recordings import davis346, evk4
 from emulator.evaluation.validation.stars import stars
 
 __all__ = ["EXPERIMENTS"]
 
 EXPERIMENTS: MappingProxyType[str, Experiment] = MappingProxyType(
-    {"latency": latency, "region": region, "spread": spread, "opposite": opposite, "stars": stars}
+    {
+        "latency": latency,
+        "region": region,
+        "spread": spread,
+        "opposite": opposite,
+        "davis346_street": davis346,
+        "evk4_quiet": evk4,
+        "stars": stars,
+    }
 )
 """Experiments by name."""

@@ -245,16 +245,19 @@ def frame_times(start_ns: int, settings: FrameSettings, line_us: float) -> Frame
     return FrameTimes(start_ns, line_ns, reset, opened, shut, shut)
 
 
-_READ = "t_ns", "line", "signal"
+_READ = "t_ns", "line", "signal", "frame"
 _LEAST_INTERVAL_NS = 1_000_000  # a host can request one pixel without exposure: that would be millions of frames
 
 
 class _Frame:
     """A frame in the making."""
 
-    def __init__(self, start_ns: int, settings: FrameSettings, converter: Converter, line_us: float) -> None:
+    def __init__(
+        self, start_ns: int, settings: FrameSettings, converter: Converter, parameters: FrameParameters
+    ) -> None:
         self.settings = settings
-        self.times = frame_times(start_ns, settings, line_us)
+        self.times = frame_times(start_ns, settings, parameters.line_us)
+        self._kicks = parameters.kicks
         self.schedule = Schedule.of(self.times)
         self.returned = 0
         left, top, right, bottom = settings.roi
@@ -271,11 +274,14 @@ class _Frame:
 
     @property
     def reads(self) -> LineReads:
-        """All its reads."""
-        times, lines = self.times, np.arange(self.lines.start, self.lines.stop)
+        """All its reads, at the times of their kicks."""
+        times, lines, kicks = self.times, np.arange(self.lines.start, self.lines.stop), self._kicks
         signal = np.repeat([False, True], len(lines))
-        t_ns = np.concatenate([times.reset_ns, times.signal_ns])
-        return LineReads(t_ns, np.tile(lines, 2), signal, self.settings.by_column)
+        reset_ns = times.reset_ns - round(kicks.reset_lead_us * 1000)
+        t_ns = np.concatenate([reset_ns, times.signal_ns - round(kicks.signal_lead_us * 1000)])
+        t_ns = np.maximum(t_ns, times.start_ns)  # the first kick of a frame lies in the step of its start
+        frame = np.full(len(signal), self._number)
+        return LineReads(t_ns, np.tile(lines, 2), signal, frame, self.settings.by_column)
 
     def expose(self, before: Light, t0_ns: int, after: Light, t1_ns: int) -> None:
         """Add the light from `t0_ns` to `t1_ns`."""
@@ -316,7 +322,7 @@ class FrameSource:
     Parameters
     ----------
     disturb
-        Receiver of the reads that begin in each step, before the events of that step are made; None: none.
+        Receiver of the reads that disturb each step, before the events of that step are made; None: none.
     """
 
     kind = ReadingKind.FRAMES
@@ -366,18 +372,18 @@ class FrameSource:
         return records
 
     def _report_reads(self, t_ns: int) -> None:
-        """Report the reads that begin in the step to `t_ns`."""
+        """Report the reads whose kicks come in the step to `t_ns`."""
         parts = [frame.reads.between(self._t_ns, t_ns) for frame in self._begun]
         if self._disturb is not None and parts:
-            t, line, signal = (np.concatenate([getattr(one, name) for one in parts]) for name in _READ)
-            self._disturb(LineReads(t, line, signal, parts[-1].by_column))
+            t, line, signal, frame = (np.concatenate([getattr(one, name) for one in parts]) for name in _READ)
+            self._disturb(LineReads(t, line, signal, frame, parts[-1].by_column))
 
     def _frames(self, light: Light, t_ns: int, requested: FrameSettings) -> Iterator[Readings]:
         """Yield the readings of each frame until `t_ns`."""
         while self._frame is not None or (self._next_ns is not None and self._next_ns <= t_ns):
             if self._frame is None:
                 converter = self._converter(by_column=requested.by_column)
-                self._frame = _Frame(self._next_ns or 0, requested, converter, self._parameters.line_us)
+                self._frame = _Frame(self._next_ns or 0, requested, converter, self._parameters)
             frame = self._frame
             self._begun.append(frame)
             if self._before_ns == self._t_ns:

@@ -1,13 +1,14 @@
 """Sources of random events beside the pixels: background activity, and particles that cross the chip.
 
 Events are drawn by slots of stream time and released step by step. The draws of a slot of 1024 us depend on the slot
-and the seed alone. An event may lie after its slot (the second of a pair, the OFF event after a particle), so drawn
-events stay pending until a step reaches them. The pixel's own level does not change.
+and the seed alone. An event may lie after its slot (a follower, the OFF event after a particle), so drawn events stay
+pending until a step reaches them. The pixel's own level does not change.
 
-Background activity, as counted in a recording, has a constant rate, some events in pairs, some pixels hot. Each pixel
-has a rate of its own, drawn once: log-normal around the mean, or that of a hot pixel. Primaries are drawn with their
-pixel in proportion to its rate; a primary is followed by an event of the other polarity with a probability of its
-pixel, after an exponential time. Events do not depend on the light.
+Background activity, as counted in a recording, has a constant rate, some events with followers, some pixels hot. Each
+pixel has a rate of its own, drawn once: log-normal around the mean, or that of a hot pixel. Primaries are drawn with
+their pixel in proportion to its rate; a primary is followed by an event of the other polarity with a probability of its
+pixel and polarity, after an exponential time, and each follower by another one with one probability for all. Primaries
+before the start are drawn too, as far back as their followers matter. Events do not depend on the light.
 
 Particles give straight tracks of events, at a rate per area and time. A particle meets the chip anywhere, at any time
 (a Poisson process). Its direction is that of isotropic flux through a plane: the square of the cosine to the normal is
@@ -140,55 +141,85 @@ _ONE = np.uint64(1)
 _Floats = npt.NDArray[np.float64]
 
 
+_FOLLOWERS = np.uint64(1 << 32)  # of a primary: first index of the numbers that they draw
+_MOST_FOLLOWERS = 1024
+_BEFORE_WAITS = 6.0  # time before the start, in longest mean waits
+
+
 class _Constants(NamedTuple):
-    """The stream, the mean gap between primaries as a share of a slot, the share of OFF, and the mean wait in ns."""
+    """Stream, mean gap between primaries as a share of a slot, share of OFF, of repeated followers, ON over OFF."""
 
     root: np.uint64
     mean_gap: float
     off_share: float
-    wait_ns: float
+    again_share: float
+    on_pair_factor: float
+    on_wait_factor: float
 
 
-def primaries_hz(p: SensorParameters, seed: int) -> tuple[_Floats, _Floats]:
-    """Return each pixel's rate of primaries, Hz, and the probability that a second event follows."""
+class _Rates(NamedTuple):
+    """Of each pixel, (pixels,): sums of the rates of primaries up to it, share of pairs, and mean wait in ns."""
+
+    below: _Floats
+    pair: _Floats
+    wait_ns: _Floats
+
+
+def primaries_hz(p: SensorParameters, seed: int) -> tuple[_Floats, _Floats, _Floats]:
+    """Return each pixel's rate of primaries, Hz, the probability that an OFF one has a follower, and its mean wait, s.
+
+    Rates hold over a long time. A probability above 1, of ON primaries, counts as 1.
+    """
     b, pixel = p.background, np.arange(p.width * p.height)
     hz = b.hz * np.exp(b.spread * normal(seed, Purpose.BACKGROUND_RATE, pixel) - b.spread**2 / 2)
     hot = uniform(seed, Purpose.BACKGROUND_HOT, pixel) < b.hot_share
+    hot_hz = b.hot_hz * np.exp(b.hot_spread * normal(seed, Purpose.BACKGROUND_HOT, pixel, 1) - b.hot_spread**2 / 2)
+    hz = np.where(hot, hot_hz, hz)
     pair = np.where(hot, b.hot_pair_share, b.pair_share)
-    return np.where(hot, b.hot_hz, hz) / (1 + pair), pair
+    followed = b.off_share * pair + (1 - b.off_share) * np.minimum(b.on_pair_factor * pair, 1)
+    wait_s = 1 / (1e6 / b.pair_us + np.where(hot, hz, 0))
+    return hz / (1 + followed / (1 - b.again_share)), pair, wait_s
 
 
 @kernel_that_allocates
-def _draw_background(
-    slot: int, c: _Constants, below: _Floats, pair: _Floats, pending: Pending, n: int
-) -> tuple[Pending, int]:
-    """Add the events that begin in a slot to `pending` from n on; `below` are sums of rates up to each pixel."""
-    base, t, k = stream(c.root, slot), 0.0, 0
+def _draw_background(slot: int, c: _Constants, rates: _Rates, pending: Pending, n: int) -> tuple[Pending, int]:
+    """Add the events that begin in a slot to `pending` from n on."""
+    base, t, k, below = stream(c.root, slot), 0.0, 0, rates.below
     while True:
-        gap, choice, rest = word(base, 3 * k), word(base, 3 * k + 1), word(base, 3 * k + 2)
+        gap, choice = word(base, 2 * k), word(base, 2 * k + 1)
         t -= c.mean_gap * math.log(unit(high(gap)))
         if t >= 1:
             return pending, n
         pixel = np.searchsorted(below, unit(high(choice)) * below[-1], side="right")
-        on = np.uint64(unit(low(gap)) >= c.off_share)
-        key, t_ns = np.uint64(pixel) << _ONE | on, slot * SLOT_NS + int(t * SLOT_NS)
-        pending = reserve(pending, n, 2)
-        pending.t_ns[n], pending.key[n] = t_ns, key
-        n += 1
-        if unit(low(choice)) < pair[pixel]:
-            pending.t_ns[n] = t_ns + 1 + int(-c.wait_ns * math.log(unit(high(rest))))
-            pending.key[n] = key ^ _ONE
-            n += 1
+        on = unit(low(gap)) >= c.off_share
+        key, t_ns = np.uint64(pixel) << _ONE | np.uint64(on), slot * SLOT_NS + int(t * SLOT_NS)
+        pending, n = _add(pending, n, t_ns, key)
+        follows = unit(low(choice)) < rates.pair[pixel] * (c.on_pair_factor if on else 1.0)
+        follower, chances = 0, stream(base, _FOLLOWERS + np.uint64(k))
+        while follows and follower < _MOST_FOLLOWERS:
+            drawn = word(chances, follower)
+            wait_ns = rates.wait_ns[pixel] * (c.on_wait_factor if key & _ONE else 1.0)
+            t_ns, key = t_ns + 1 + int(-wait_ns * math.log(unit(high(drawn)))), key ^ _ONE
+            pending, n = _add(pending, n, t_ns, key)
+            follower, follows = follower + 1, unit(low(drawn)) < c.again_share
         k += 1
+
+
+@kernel_that_allocates
+def _add(pending: Pending, n: int, t_ns: int, key: np.uint64) -> tuple[Pending, int]:
+    """Add an event behind the first n."""
+    pending = reserve(pending, n, 1)
+    pending.t_ns[n], pending.key[n] = t_ns, key
+    return pending, n + 1
 
 
 @cached_entry
 def _advance(
-    window: Window, c: _Constants, below: _Floats, pair: _Floats, pending: Pending, n: int
+    window: Window, c: _Constants, rates: _Rates, pending: Pending, n: int
 ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
     """Draw the slots up to t1; return the events pending after t1, and the packed events before it, unsorted."""
     for slot in range(window.slot, -(-window.t1_ns // SLOT_NS)):
-        pending, n = _draw_background(slot, c, below, pair, pending, n)
+        pending, n = _draw_background(slot, c, rates, pending, n)
     keys = np.empty(n + 1, np.uint64)
     found, remaining = release(window, pending, n, keys)
     return pending, remaining, keys[:found]
@@ -208,24 +239,33 @@ class BackgroundEvents(SlottedEvents):
     """
 
     def __init__(self, parameters: SensorParameters, seed: int, dead: npt.NDArray[np.int64]) -> None:
-        p = parameters
-        super().__init__(p.width * p.height)
-        hz, self._pair = primaries_hz(p, seed)
+        p, b = parameters, parameters.background
+        hz, pair, wait_s = primaries_hz(p, seed)
         hz[dead] = 0
-        self._below = np.cumsum(hz)
-        total_hz = max(float(self._below[-1]), 1e-12)
+        self._rates = _Rates(np.cumsum(hz), pair, wait_s * 1e9)
+        total_hz = max(float(self._rates.below[-1]), 1e-12)
         self._constants = _Constants(
             root=root_of(seed, Purpose.BACKGROUND),
             mean_gap=1 / (total_hz * SLOT_NS * 1e-9),
-            off_share=p.background.off_share,
-            wait_ns=p.background.pair_us * 1000,
+            off_share=b.off_share,
+            again_share=b.again_share,
+            on_pair_factor=b.on_pair_factor,
+            on_wait_factor=b.on_wait_factor,
         )
+        self._before_ns = round(_BEFORE_WAITS * b.pair_us * 1000 * max(1.0, b.on_wait_factor))
+        super().__init__(p.width * p.height)
+
+    def reset(self, t_ns: int) -> None:
+        """Start at `t_ns`, with the events to come that follow events before."""
+        super().reset(t_ns)
+        self._slot = (t_ns - self._before_ns) // SLOT_NS
+        self._events_until(np.empty(0, np.float32), t_ns)
 
     def _advance(
         self, window: Window, light: npt.NDArray[np.float32], pending: Pending, known: int
     ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
         result: tuple[Pending, int, npt.NDArray[np.uint64]] = _advance(
-            window, self._constants, self._below, self._pair, pending, known
+            window, self._constants, self._rates, pending, known
         )
         return result
 

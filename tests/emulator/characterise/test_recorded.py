@@ -23,6 +23,9 @@ from emulator.sensor.parameters import BackgroundParameters
 from emulator.sensor.presets import SensorParameters
 from evstim.sensor import sensor_parameters
 from firmware_protocol.events import EVENT
+from transports.recording.format import FORMATS
+from transports.recording.part import Facts, Frame, Part
+from transports.recording.writing import RecordingFile
 
 SIZE = 200, 150
 SECONDS = 8.0
@@ -142,3 +145,47 @@ def test_still_pixels_are_those_away_from_what_moves(events):
     busy = np.bincount(events["y"].astype(int) * SIZE[0] + events["x"], minlength=PIXELS).argsort()[-HOT:]
     hot = [one for one in busy if one % SIZE[0] > 43]
     assert still.reshape(-1)[hot].mean() > 0.8
+
+
+def test_a_recording_with_frames_is_compared_under_their_light(tmp_path):
+    """A dark half and a bright one that leaks ten times as much: seen with the frames' light, not without."""
+    size = 64, 48
+    random, level = np.random.default_rng(4), np.where(np.arange(size[0]) < 32, 8, 160).astype(np.uint8)
+    frames = [
+        Frame(50_250 + 40_000 * k, 50_000 + 40_000 * k, 50_500 + 40_000 * k, np.tile(level, (size[1], 1)))
+        for k in range(40)
+    ]
+    counts = random.poisson(np.tile(np.where(level > 100, 2.0, 0.1), size[1]) * 1.6)
+    pixel = np.repeat(np.arange(counts.size), counts)
+    events = stream(random.uniform(0, 1.6, pixel.size), pixel, pixel >= 0, size)
+    path = tmp_path / "framed.aedat4"
+    file = RecordingFile(path, FORMATS["aedat4"], Facts(size=size, streams=frozenset({"frames"})))
+    file.write(Part(events, frames=tuple(frames)))
+    file.close()
+    sensor = SensorParameters(
+        width=size[0], height=size[1], threshold_on=0.25, threshold_off=0.25, leak_hz=0.0,
+        parasitic_hz_at_reference=1.0, leak_spread=0.0,
+    )  # fmt: skip
+    framed, uniform = (compare(path, ("sensor", sensor), light) for light in (None, 1.0))
+    assert "under the mean of the recording's frames" in framed.reading[0]
+    assert "cannot be compared" in uniform.reading[1]
+    rates = [found.streams["sensor"].rate_hz for found in (framed, uniform)]
+    assert rates[0] == pytest.approx((0.1 + 2.0) / 2, rel=0.1)
+    assert rates[1] == pytest.approx(1.0, rel=0.1)
+    apart = next(row for row in framed.rows() if row["statistic"] == "counts of the pixels, KS")
+    assert apart["sensor"] < 0.1
+
+
+def test_slow_followers_are_fitted():
+    """OFF events, one in eight followed by ON after 2 s: followers beyond the end of 10 s are added."""
+    random = np.random.default_rng(8)
+    pixels, seconds = 400_000, 10.0
+    first = random.poisson(0.004 * seconds, pixels)
+    pixel = np.repeat(np.arange(pixels), first)
+    t, again = random.uniform(0, seconds, pixel.size), random.random(pixel.size) < 0.125
+    t = np.concatenate([t, t[again] + random.exponential(2.0, again.sum())])
+    on = np.concatenate([np.zeros(pixel.size, bool), np.ones(again.sum(), bool)])
+    pixel, inside = np.concatenate([pixel, pixel[again]]), t < seconds
+    found = fit(activity(stream(t[inside], pixel[inside], on[inside], (800, 500)), (800, 500), seconds))
+    assert found["background"]["pair_share"] == pytest.approx(0.125, abs=0.015)
+    assert found["background"]["pair_us"] == pytest.approx(2e6, rel=0.2)

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from emulator.rig.kinds import LINKS, SCENES
+from emulator.rig.kinds import CAMERA_MODELS, LINKS, SCENES
 from emulator.rig.loading import (
     LoopbackLink,
     RigError,
@@ -242,3 +242,12 @@ def test_slopes_of_biases_are_refused_where_there_are_none_or_they_cannot_be():
         text = IMX636.format(model=model, slopes="", follower_hz=0.0)
         assert f"biases of a {model} have no slopes" in message(text)
     assert "refr must be 0 to 1" in message(IMX636.format(model="evk4", slopes="refr = 2.0", follower_hz=0.0))
+
+
+@pytest.mark.parametrize(("model", "size", "pitch_um"), [("gen31", (640, 480), 15.0), ("genx320", (320, 320), 6.3)])
+def test_other_chips_of_prophesee_are_camera_models(model, size, pitch_um):
+    text = GOOD.replace('kind = "usbip"\nport = 0\n[[links]]\n', "").replace('"davis346"', f'"{model}"')
+    camera = parse_rig(text, "my.toml", "my").camera
+    assert camera.size == size
+    assert camera.sensor.background == PRESETS[model].background
+    assert CAMERA_MODELS[model].chip.pitch_um == pitch_um

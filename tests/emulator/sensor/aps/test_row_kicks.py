@@ -20,6 +20,7 @@ IDEAL = dataclasses.replace(
 )
 ASKED = FrameSettings(True, True, False, 300_000, 10_000_000, 40_000_000, 0, 0, WIDTH - 1, HEIGHT - 1)
 LINE_US = 35.25 * 346 / WIDTH
+DELAY_US, LEAD_US = 35, (12, 28)
 KICKS = KickParameters(share=0.1, signal_excess=0, spread=0)
 
 
@@ -51,13 +52,14 @@ def run(frames_s, kicks, slope_hz=0.0, leak_hz=0.0, step_ns=1_000_000, asked=ASK
 
 
 def read_times_ns(asked=ASKED):
-    """Start of the reset and of the signal read of each line, (2, lines), in the first frame."""
+    """Kick of the reset and of the signal read of each line, (2, lines), in the first frame."""
     times = frame_times(0, asked, LINE_US)
-    return np.stack([times.reset_ns, times.signal_ns])
+    leads = np.array(LEAD_US)[:, None] * 1000
+    return np.maximum(np.stack([times.reset_ns, times.signal_ns]) - leads, 0)
 
 
 def since_own_read_us(events, line="y", asked=ASKED):
-    """Time since the last read of the event's own line, rounded up."""
+    """Time since the last kick of the event's own line, rounded up."""
     starts = read_times_ns(asked)[:, events[line]]
     return ((whole_us(events["t"]) - starts) % 40_000_000).min(axis=0) * 1e-3
 
@@ -93,8 +95,8 @@ def _pixel(level, rate, reads, strength, random):
             yield now
         level, now = level + rate * (read - now), read
         if level + strength[kind] >= 1:
+            yield now + random.random() * DELAY_US * 1000 * (1 - level) / strength[kind]
             level -= 1
-            yield now + random.exponential(26_000)
 
 
 def in_frame(t_ns, line):
@@ -119,18 +121,37 @@ def test_events_of_rising_light_come_in_the_frame_as_the_law_has_it(rate_hz):
 def test_a_kick_is_worth_its_share_of_a_threshold_and_is_repaid():
     events = run(0.8, KICKS, slope_hz=47.3)
     since = since_own_read_us(events)
-    assert np.count_nonzero(since < 200) / (40 * WIDTH * HEIGHT) == pytest.approx(0.1, rel=0.03)  # 20 frames of 2 reads
-    assert not np.count_nonzero((since > 400) & (since < 1900))  # 2 ms of rising were taken ahead
+    assert np.count_nonzero(since < 40) / (40 * WIDTH * HEIGHT) == pytest.approx(0.1, rel=0.03)  # 20 frames of 2 reads
+    assert not np.count_nonzero((since > 37) & (since < 1900))  # 2 ms of rising were taken ahead
     assert len(events) == pytest.approx(0.8 * 47.3 * WIDTH * HEIGHT, rel=0.01)
 
 
-def test_events_of_still_pixels_come_at_reads_of_their_own_line_alone():
-    events = run(2.0, KICKS, leak_hz=0.5)
-    assert len(events) == pytest.approx(2 * 0.5 * WIDTH * HEIGHT, rel=0.1)
+def test_events_of_still_pixels_come_evenly_in_the_time_of_a_kick():
+    events = run(8.0, KICKS, leak_hz=0.05)
+    assert len(events) == pytest.approx(8 * 0.05 * WIDTH * HEIGHT, rel=0.1)
     assert events["on"].all()
-    since = since_own_read_us(after_start(events))
-    assert since.max() < 400
-    assert kstest(since - 0.5, "expon", args=(0, 26)).pvalue > 0.001
+    since = since_own_read_us(events)
+    assert since.max() <= DELAY_US + 1
+    assert kstest(since - 0.5, "uniform", args=(0, DELAY_US)).pvalue > 0.001
+
+
+def test_delays_of_moving_pixels_follow_the_share_of_the_kick_that_they_need():
+    """Any share from 0 to 1 has the same chance: the delay's distribution is u (1 - ln u), u = t / 35 us."""
+    events = run(0.8, KICKS, slope_hz=47.3)
+    since = since_own_read_us(events)
+    u = np.linspace(0, 1, 1001)[1:]
+    kicked = since[since <= DELAY_US + 1] - 0.5
+    assert kstest(kicked, lambda t: np.interp(t / DELAY_US, u, u * (1 - np.log(u)))).statistic < 0.03
+    assert len(kicked) > 5000
+
+
+@pytest.mark.parametrize("random_start", [True, False])
+def test_the_first_frame_has_no_more_events_than_later_ones(random_start):
+    """Levels at random would put one still pixel in ten within a kick of its threshold."""
+    events = run(0.4, KickParameters(), leak_hz=0.5, random_start=random_start)
+    frames = np.bincount((events["t"] // 40_000).astype(int), minlength=10)
+    assert frames[0] <= frames[1:].max() if random_start else not len(events)
+    assert random_start == (len(events) > 0.3 * 0.4 * 0.5 * WIDTH * HEIGHT)
 
 
 @pytest.mark.system
