@@ -74,6 +74,7 @@ __all__ = [
     "bandwidth_hz",
     "beyond_the_law",
     "corner_hz",
+    "exits",
     "fixed_corner_hz",
     "noise_events",
     "of_array",
@@ -139,7 +140,7 @@ def _quadrature(begin: _Floats, end: _Floats, low: _Floats) -> _Floats:
     return np.asarray((np.exp(y * y / 2) * inner * weight).sum(1) * (end - begin) / (3 * _INTERVALS))
 
 
-def _exits(c: _Floats, on: float, off: float) -> tuple[_Floats, _Floats]:
+def exits(c: _Floats, on: float, off: float) -> tuple[_Floats, _Floats]:
     """Return for levels c the probability that the exit is an ON event, and the mean time to it, tau."""
     low, high = c - off, c + on
     below, above = (_odd_integral(c) - _odd_integral(low), _odd_integral(high) - _odd_integral(c))
@@ -160,7 +161,7 @@ def statistics(on: float, off: float, refractory: float) -> Statistics:
     from scipy.special import ndtr
 
     c, deviation = _levels(on, off, refractory)
-    p_on, wait = _exits(c, on, off)
+    p_on, wait = exits(c, on, off)
     edges = np.concatenate([[-np.inf], (c[1:] + c[:-1]) / 2, [np.inf]])
     decay = np.exp(-refractory)
     after_on, after_off = (
