@@ -67,6 +67,7 @@ OFFSET, SEEN, DRIFT, RATE = range(4)
 
 _NEAR, _WINDOW, _MOVED = (np.uint8(bit) for bit in (1, 2, 4))
 _LEAST_HZ = 2.0**-5  # of candidates: a level that moves without crossings is read again as often as this
+_UNREADABLE_HZ = 64.0  # of candidates in light that is not finite, so that finite light is noticed
 _MARGIN = 1.25
 _RESTING = 0.02  # change of level between two windows, in thresholds, below which it is at rest
 _LARGEST = np.finfo(np.float32).max
@@ -200,7 +201,7 @@ def _run(
             s.levels[pixel, OFFSET] = level + seen
             on_hz, off_hz = _rates(level, limits, noise, table)
             t_ns += c.refractory_ns
-        hz = _candidates_hz(on_hz + off_hz)
+        hz = _candidates_hz(on_hz + off_hz) if noise[0] > 0 else _UNREADABLE_HZ
         s.levels[pixel, RATE] = hz
         t_ns += _wait_ns(low(bits), hz)
     s.times[pixel, NEXT] = t_ns
@@ -217,7 +218,7 @@ def begin(t_ns: int, light: _Float32s, c: Constants, table: _Float32s, s: PixelN
         limits = np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])
         level = s.levels[pixel, OFFSET] - _seen(t_ns, pixel, s)
         on_hz, off_hz = _rates(level, limits, _figures(light[pixel], c), table)
-        hz = _candidates_hz(on_hz + off_hz)
+        hz = _candidates_hz(on_hz + off_hz) if abs(light[pixel]) <= _LARGEST else _UNREADABLE_HZ
         s.levels[pixel, RATE] = hz
         s.times[pixel, NEXT] = t_ns + _wait_ns(low(word(stream(c.root_of_looks, pixel), t_ns)), hz)
 
