@@ -54,7 +54,7 @@ class SensorOptions(TypedDict, total=False):
     source_follower_hz: float
     refractory_us: float
     random_start: bool
-    photoreceptor: Literal["one_pole", "large_signal"]
+    photoreceptor: Literal["one_pole", "large_signal", "circuit"]
     readout: ReadoutParameters | _Part
     temperature: TemperatureParameters | _Part
     defects: DefectParameters | _Part

@@ -258,7 +258,7 @@ def _jitter(p: SensorParameters) -> Decision | None:
     if not p.jitter.latency_us:
         return None
     late_us = p.jitter.latency_us + 2 * p.jitter.deviation_us
-    off = {"jitter": {"latency_us": 0.0, "deviation_us": 0.0}}
+    off = {"jitter": {"latency_us": 0.0, "deviation_us": 0.0, "off_latency_us": 0.0, "late_share": 0.0}}
     return Decision("jitter", "latency and two deviations", late_us, None, off)
 
 

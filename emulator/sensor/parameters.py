@@ -221,21 +221,33 @@ class JitterParameters:
     Attributes
     ----------
     latency_us : mean delay from crossing to request, us.
-    deviation_us : standard deviation of that delay, us; delays are log-normal, so a deviation needs a latency.
+    deviation_us : standard deviation of that delay, us; delays are log-normal, so a deviation needs a latency. Delays
+        of OFF events have the same relative deviation.
     leak_share : relative standard deviation of a pixel's leak from one stretch of 8.6 s (2^33 ns) to the next, so
         about that of the time between two leak events at 0.1 Hz; normal, cut off at zero leak.
+    off_latency_us : mean delay of OFF events, us; 0: as `latency_us`.
+    late_share : share of the events that come late.
+    late_us : mean further delay of those, us; exponential.
     """
 
     latency_us: float = 0.0
     deviation_us: float = 0.0
     leak_share: float = 0.0
+    off_latency_us: float = 0.0
+    late_share: float = 0.0
+    late_us: float = 1000.0
 
     def __post_init__(self) -> None:
-        check(self, "latency_us", 0, 100_000)
-        check(self, "deviation_us", 0, 100_000)
-        check(self, "leak_share", 0, 1)
+        for name in ("latency_us", "off_latency_us", "deviation_us"):
+            check(self, name, 0, 100_000)
+        check(self, "late_us", 1, 1_000_000)
+        for name in ("late_share", "leak_share"):
+            check(self, name, 0, 1)
         if self.deviation_us > 0 and self.latency_us == 0:
             raise ValueError(f"deviation_us = {self.deviation_us!r}: must be 0 without a latency_us to vary")
+        for name in ("off_latency_us", "late_share"):
+            if getattr(self, name) > 0 and self.latency_us == 0:
+                raise ValueError(f"{name} = {getattr(self, name)!r}: must be 0 without a latency_us")
 
 
 @dataclass(frozen=True, slots=True)

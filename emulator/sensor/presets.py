@@ -73,7 +73,7 @@ from emulator.sensor.parameters import (
     check_finite,
 )
 
-__all__ = ["PRESETS", "ReadoutParameters", "SensorParameters"]
+__all__ = ["IMX636_W_M2", "PRESETS", "ReadoutParameters", "SensorParameters"]
 
 _MOST_PIXELS = 1 << 29
 _MOST_MISMATCH = 0.3
@@ -122,8 +122,9 @@ class SensorParameters:
     refractory_us : refractory period after an event, us; at its end the reference is read anew.
     random_start : true: the first references lie below the first frame's level by random shares of the ON
         threshold, as in a sensor that has run for a while; else at that level.
-    photoreceptor : "one_pole", the small-signal model that all parameters above describe; "large_signal" solves the
-        circuit with its slew, its second pole and its slow decay into the dark, at many times the cost.
+    photoreceptor : "one_pole", the small-signal model; "large_signal", the law V' = K (i - e^V), which is the same for
+        small signals, rises slowly from the dark and falls slowly into it (see `pixels.receptor`); "circuit" solves
+        the circuit with a second pole that limits its slew as well, at many times the cost.
     readout : the read-out's times.
     temperature, defects, noise, background, jitter, imager, radiation : see `parameters`; all off, or without
         effect, by default.
@@ -144,7 +145,7 @@ class SensorParameters:
     source_follower_hz: float = 0.0
     refractory_us: float = 0.0
     random_start: bool = True
-    photoreceptor: Literal["one_pole", "large_signal"] = "one_pole"
+    photoreceptor: Literal["one_pole", "large_signal", "circuit"] = "one_pole"
     readout: ReadoutParameters = field(default_factory=lambda: ReadoutParameters(event_ns=80.0, row_ns=80))
     temperature: TemperatureParameters = field(default_factory=TemperatureParameters)
     defects: DefectParameters = field(default_factory=DefectParameters)
@@ -178,10 +179,12 @@ class SensorParameters:
             self._check_places(name)
 
     def _check_photoreceptor(self) -> None:
-        if self.photoreceptor not in ("one_pole", "large_signal"):
-            raise ValueError(f"photoreceptor = {self.photoreceptor!r}: must be 'one_pole' or 'large_signal'")
-        if self.photoreceptor == "large_signal" and math.isinf(max(self.corner_hz_at_reference, self.corner_max_hz)):
-            raise ValueError('photoreceptor = "large_signal": needs a finite corner_hz_at_reference and corner_max_hz')
+        if self.photoreceptor not in ("one_pole", "large_signal", "circuit"):
+            raise ValueError(
+                f"photoreceptor = {self.photoreceptor!r}: must be 'one_pole', 'large_signal' or 'circuit'"
+            )
+        if self.photoreceptor == "circuit" and math.isinf(max(self.corner_hz_at_reference, self.corner_max_hz)):
+            raise ValueError('photoreceptor = "circuit": needs a finite corner_hz_at_reference and corner_max_hz')
 
     def _check_noise(self) -> None:
         unlimited = math.isinf(self.corner_max_hz) or math.isinf(self.corner_hz_at_reference)
@@ -196,6 +199,9 @@ class SensorParameters:
             if not (0 <= x < self.width and 0 <= y < self.height):
                 raise ValueError(f"defects.{name}: [{x}, {y}] must lie within {self.width} x {self.height} pixels")
 
+
+IMX636_W_M2 = 0.192
+"""Irradiance on the chip at 680 nm that is light 1 of the preset imx636, W/m2."""
 
 PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
     {
@@ -226,9 +232,13 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             height=720,
             threshold_on=0.223,
             threshold_off=0.223,
+            mismatch=0.1,
+            photoreceptor="large_signal",
+            corner_max_hz=30_000.0,
             leak_hz=0.0,
             refractory_us=100.0,
-            readout=ReadoutParameters(event_ns=0.94, row_ns=50),
+            readout=ReadoutParameters(event_ns=0.33, row_ns=127),
+            jitter=JitterParameters(latency_us=19.3, off_latency_us=23.6, late_share=0.0005, late_us=3000.0),
             background=BackgroundParameters(
                 hz=0.0033, off_share=0.84, pair_share=0.05, hot_share=1.3e-5, hot_hz=46.0, hot_pair_share=0.6
             ),

@@ -28,7 +28,7 @@ from emulator.sensor.chip.readout import ArbiterReadOut, Jitter, ReadOut
 from emulator.sensor.chip.scan import ScanReadOut
 from emulator.sensor.chip.sources import BackgroundEvents, Particles
 from emulator.sensor.methods.base import MakePixels, PixelMethod
-from emulator.sensor.methods.large_signal import LargeSignalPixels
+from emulator.sensor.methods.circuit import CircuitPixels
 from emulator.sensor.noise.draws import insert
 from emulator.sensor.noise.grid import NoisyPixels
 from emulator.sensor.noise.points import NoiseEvents
@@ -74,8 +74,8 @@ class Source(Protocol):
 
 def own_pixels(p: SensorParameters, seed: int, threads: int = 0) -> PixelMethod:
     """Return evstim's own pixels with the effects of the sensor; `threads` as in `PixelArray`."""
-    if p.photoreceptor == "large_signal":
-        return LargeSignalPixels(p, seed)
+    if p.photoreceptor == "circuit":
+        return CircuitPixels(p, seed)
     on_grid = bool(p.noise.rms) and p.noise.grade == "grid"
     return NoisyPixels(p, seed) if on_grid else PixelArray(p, seed, threads)
 

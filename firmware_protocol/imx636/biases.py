@@ -1,28 +1,29 @@
 """The effect of the biases on the pixels is a set of factors on the parameters that the factory's biases give:
 
-    threshold_on             1 + diff_on  x steps of diff_on
-    threshold_off            1 + diff_off x steps of diff_off
-    refractory_us       1 / (1 + refr     x steps of refr)
-    corner_max_hz            1 + fo       x steps of fo; source_follower_hz if the sensor has a source follower
+    threshold_on         e^(diff_on      x steps of diff_on)
+    threshold_off        e^(diff_off     x steps of diff_off); above the factory's value diff_off_above
+    refractory_us    1 / (1 + refr       x steps of refr)
+    corner_max_hz         1 + fo         x steps of fo; source_follower_hz if the sensor has a source follower
 
 `steps` are those away from the factory's value, and the slopes are those of `BiasSlopes`: at the factory's biases all
 factors are 1, and the parameters are those of the sensor's preset or of the rig. Factors end at 0.1 and 1000.
 
-No formula is public, and no measurement of a threshold over a bias was found. Basis of the model:
+No formula is public. Basis of the model:
 
     directions      Prophesee's page "Biases": a higher diff_on, diff_off is a higher threshold, a higher fo passes
                     faster changes, a higher refr is a shorter dead time
-    straight lines  the same page of 2021 on the sensor before: contrast is the difference of two bias voltages
+    diff_on,        fitted to latencies that NIST measured on a camera of this family at seven pairs of biases (doi
+    diff_off        10.1109/tim.2025.3623767; digitised, see `evstim validate`), by the law of the photoreceptor:
+                    thresholds by latency, from diff_on -63 to 70 and diff_off -25 to 47. Beyond, the latency of OFF
+                    events has a part that no threshold explains, and the exponentials are extrapolated
     fo, refr        registers are current DACs. The corner of a follower is proportional to its current and a dead time
                     inverse, as in jAER's formulas (IEEE 7962235); so a slope is one over the factory's value, 83 and 20
                     (those in neuromorphic_drivers). Assumed: current is proportional to the register
-    diff_on         assumed: the least recommended offset, -85, gives the least threshold that was published, 11 %
-                    (Finateu et al., ISSCC 2020, from memory), where the factory's value gives 25 %
-    diff_off        assumed as diff_on: the recommended ranges of both have 225 steps
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Literal
@@ -38,20 +39,23 @@ _WITHOUT_EFFECT = {
 
 @dataclass(frozen=True)
 class BiasSlopes:
-    """Effect of one step of each bias on the simulated IMX636, as a share of the parameter at the factory's bias.
+    """Effect of one step of each bias on the simulated IMX636.
 
     Attributes
     ----------
     diff_on, diff_off
-        Of the ON and the OFF contrast threshold, 0 to 1. Assumed: no measurement was found.
+        Of the logarithm of the ON and the OFF contrast threshold, 0 to 1; `diff_off` holds below the factory's value.
+    diff_off_above
+        The same of the OFF contrast threshold above the factory's value.
     fo
-        Of the low-pass corner frequency, 0 to 1: one over the factory's value of the register.
+        Of the low-pass corner frequency, as a share of that at the factory's bias, 0 to 1: one over the factory's value of the register.
     refr
-        Of the inverse of the refractory period, 0 to 1: one over the factory's value of the register.
+        Of the inverse of the refractory period, as a share, 0 to 1: one over the factory's value of the register.
     """
 
-    diff_on: float = 0.0063
-    diff_off: float = 0.0063
+    diff_on: float = 0.0125
+    diff_off: float = 0.0277
+    diff_off_above: float = 0.0122
     fo: float = 0.012
     refr: float = 0.05
 
@@ -78,12 +82,13 @@ class BiasModel:
 
     def factors(self, steps: Mapping[str, int]) -> dict[str, float]:
         """Return the factors that are not 1, by parameter, for biases by name in steps from the factory's value."""
-        rise = {one.name: 1 + getattr(self.slopes, one.name) * steps.get(one.name, 0) for one in fields(self.slopes)}
+        slopes, off = self.slopes, steps.get("diff_off", 0)
+        faster = 1 + slopes.refr * steps.get("refr", 0)
         factors = {
-            "threshold_on": rise["diff_on"],
-            "threshold_off": rise["diff_off"],
-            "refractory_us": 1 / rise["refr"] if rise["refr"] > 0 else MOST_FACTOR,
-            self.low_pass: rise["fo"],
+            "threshold_on": math.exp(slopes.diff_on * steps.get("diff_on", 0)),
+            "threshold_off": math.exp((slopes.diff_off if off < 0 else slopes.diff_off_above) * off),
+            "refractory_us": 1 / faster if faster > 0 else MOST_FACTOR,
+            self.low_pass: 1 + slopes.fo * steps.get("fo", 0),
         }
         limited = {name: min(max(factor, LEAST_FACTOR), MOST_FACTOR) for name, factor in factors.items()}
         return {name: factor for name, factor in limited.items() if factor != 1}

@@ -19,8 +19,8 @@ The cost is linear in the events: requests and rows are bit maps, 64 to a word, 
 A crossing that finds no other request is served without them, and of a row only the words with requests are visited.
 
 Jitter is a keyed delay for each event of each pixel, which preserves the order of a pixel's events. Event number k of a
-pixel (counted since the reset) is delayed by a log-normal time of the given mean and deviation, keyed by pixel and k;
-it leaves at least 1 ns after event k - 1. Events that leave after the step stay pending. So the result depends on the
+pixel (counted since the reset) is delayed by a log-normal time of the given mean and deviation, keyed by pixel and k,
+and a share of the events by an exponential time more; it leaves at least 1 ns after event k - 1. Events that leave after the step stay pending. So the result depends on the
 crossings alone, not on their division into steps.
 """
 
@@ -36,7 +36,7 @@ import numpy.typing as npt
 from emulator.sensor.chip.sources import LONGEST_NS, Pending, Window, new_pending, release, reserve
 from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, lane, log_compilation
 from emulator.sensor.numerics.elementary import lowest_bit
-from emulator.sensor.numerics.keyed import Purpose, normal_from, root_of, stream, word
+from emulator.sensor.numerics.keyed import Purpose, high, low, normal_from, root_of, stream, unit, word
 from emulator.sensor.parameters import JitterParameters
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined, unpacked
 from emulator.sensor.presets import SensorParameters
@@ -381,11 +381,18 @@ class ArbiterReadOut(ReadOut):
 
 
 class _Delays(NamedTuple):
-    """Logarithm of the delay in ns, mean and deviation; of each pixel, number of events and when the last one left."""
+    """Logarithm of the delay in ns, mean for each polarity and deviation; share and mean delay in ns of late events.
+
+    And of each pixel, the number of events and when the last one left.
+    """
 
     root: np.uint64
-    mean: float
+    late_root: np.uint64
+    on: float
+    off: float
     deviation: float
+    late_share: float
+    late_ns: float
     events: npt.NDArray[np.int64]
     last_ns: npt.NDArray[np.int64]
 
@@ -406,8 +413,12 @@ def _delay(
     pending = reserve(pending, n, t_ns.size)
     for k in range(t_ns.size):
         pixel = pixels[k]
-        bits = word(stream(d.root, pixel), d.events[pixel])
-        late_ns = int(math.exp(d.mean + d.deviation * normal_from(bits)))
+        more = d.deviation * normal_from(word(stream(d.root, pixel), d.events[pixel])) if d.deviation > 0 else 0.0
+        late_ns = int(math.exp((d.on if on[k] else d.off) + more))
+        if d.late_share > 0:
+            bits = word(stream(d.late_root, pixel), d.events[pixel])
+            if unit(high(bits)) < d.late_share:
+                late_ns -= int(d.late_ns * math.log(unit(low(bits))))
         leaves_ns = max(t_ns[k] + late_ns, d.last_ns[pixel] + 1)
         d.events[pixel] += 1
         d.last_ns[pixel] = leaves_ns
@@ -438,9 +449,20 @@ class Jitter:
 
     def __init__(self, parameters: JitterParameters, seed: int, pixels: int) -> None:
         deviation = math.sqrt(math.log1p((parameters.deviation_us / parameters.latency_us) ** 2))
-        mean = math.log(parameters.latency_us * 1000) - deviation**2 / 2
+        off_us = parameters.off_latency_us or parameters.latency_us
+        on, off = (math.log(us * 1000) - deviation**2 / 2 for us in (parameters.latency_us, off_us))
         nothing = np.zeros(pixels, np.int64)
-        self._delays = _Delays(root_of(seed, Purpose.LATENCY), mean, deviation, nothing, nothing.copy())
+        self._delays = _Delays(
+            root_of(seed, Purpose.LATENCY),
+            root_of(seed, Purpose.LATE),
+            on,
+            off,
+            deviation,
+            parameters.late_share,
+            parameters.late_us * 1000,
+            nothing,
+            nothing.copy(),
+        )
         self._pixel_bits = max(1, (pixels - 1).bit_length())
         self.reset(0)
 

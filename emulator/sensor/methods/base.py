@@ -43,8 +43,8 @@ class Capabilities:
         Reads of active pixels can disturb the pixels: `levels`.
     has_faults : bool
         Pixels can be dead, and their leak can change between two steps: `kill`, `leak_hz`, `set_leak`.
-    has_grid_noise, has_large_signal : bool
-        The method contains noise of the grade "grid", or the large-signal photoreceptor.
+    has_grid_noise, has_large_signal, has_circuit : bool
+        The method contains noise of the grade "grid", the large-signal photoreceptor, or its circuit.
     """
 
     uses_rate: bool = False
@@ -55,11 +55,14 @@ class Capabilities:
     has_faults: bool = False
     has_grid_noise: bool = False
     has_large_signal: bool = False
+    has_circuit: bool = False
 
     def check(self, parameters: SensorParameters) -> None:
         """Raise ValueError if the parameters switch on an effect that needs another method."""
         if parameters.photoreceptor == "large_signal" and not self.has_large_signal:
-            raise ValueError('photoreceptor = "large_signal" is a method of its own: leave it out, or the other method')
+            raise ValueError('photoreceptor = "large_signal" needs evstim\'s own pixels: leave it out, or the method')
+        if (parameters.photoreceptor == "circuit") != self.has_circuit:
+            raise ValueError('photoreceptor = "circuit" is a method of its own: leave it out, or the other method')
         if parameters.noise.rms and parameters.noise.grade == "grid" and not self.has_grid_noise:
             raise ValueError('noise.grade = "grid" is a method of its own: leave it out, or the other method')
 

@@ -62,6 +62,7 @@ class _Model(NamedTuple):
     second: float  # rate of the second pole times the grid step; 0: none
     noise_rms: float
     noise_corner_hz: float
+    large: bool  # whether the photoreceptor has the large-signal law
 
 
 class _State(NamedTuple):
@@ -115,6 +116,9 @@ def _filtered(u0: float, u1: float, v0: float, m: _Model) -> float:
     d = u1 - u0
     warped = m.delta_ns * 1e-9 * max((rate0 + rate1) / 2 + d * (rate0 - rate1) / 12, min(rate0, rate1))
     q = -math.expm1(-warped)
+    if m.large:  # the same filter of e^-u (see `pixels.receptor`), relative to its value at the start
+        excess, rise = math.expm1(v0 - u0), math.exp(v0 - u0) * math.expm1(-d)
+        return float(v0 - math.log1p(q * excess + rise * (1 - q / warped)))
     return float(v0 + q * (u0 - v0) + d * (1 - q / warped))
 
 
@@ -257,7 +261,7 @@ class NoisyPixels(DrawnPixels):
         Pixel-steps whose light was not finite; the last finite light of the pixel is used.
     """
 
-    capabilities: ClassVar = Capabilities(has_faults=True, has_grid_noise=True)
+    capabilities: ClassVar = Capabilities(has_faults=True, has_grid_noise=True, has_large_signal=True)
     _model: _Model
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
@@ -279,6 +283,7 @@ class NoisyPixels(DrawnPixels):
             second=2 * math.pi * p.source_follower_hz * grid_ns(p) * 1e-9,
             noise_rms=p.noise.rms * (math.sqrt(1 + _FASTEST_HZ / noise_corner_hz) if no_low_pass else 1.0),
             noise_corner_hz=noise_corner_hz,
+            large=p.photoreceptor == "large_signal",
         )  # fmt: skip
         self._u = np.zeros(drawn.on.size)
         self._t_ns = 0

@@ -32,7 +32,17 @@ from numba.extending import intrinsic
 
 from emulator.sensor.numerics.compiled import lane
 
-__all__ = ["aligned_zeros", "decay", "exponential", "fetch", "lowest_bit", "natural_log", "use_widest_vectors"]
+__all__ = [
+    "aligned_zeros",
+    "decay",
+    "exponential",
+    "exponential_less_one",
+    "fetch",
+    "log_of_one_more",
+    "lowest_bit",
+    "natural_log",
+    "use_widest_vectors",
+]
 
 
 _SQRT_HALF_BITS = 0x3F3504F3
@@ -54,7 +64,7 @@ _E1, _E2, _E3, _E4, _E5, _E6, _E7 = (
 )
 _HALF = np.float32(0.5)
 _ONE = np.float32(1)
-_DEEPEST = np.float32(80)
+_NOTHING, _DEEPEST = np.float32(0), np.float32(80)
 
 _Pair = tuple[Any, Any]
 
@@ -166,6 +176,26 @@ def exponential(x: np.float32) -> np.float32:
     """Return e^x in float32, within 3e-7 (1 + |x| / 4) relative; beyond +-80, the value at +-80."""
     scale, less_one = _two_to_the(max(min(x, _DEEPEST), -_DEEPEST) * _LOG2_E)
     result: np.float32 = scale + scale * less_one
+    return result
+
+
+@lane
+def exponential_less_one(x: np.float32) -> np.float32:
+    """Return e^x - 1 in float32, good to the last bits for tiny x too; beyond +-80, the value at +-80."""
+    scale, less_one = _two_to_the(max(min(x, _DEEPEST), -_DEEPEST) * _LOG2_E)
+    result: np.float32 = (scale - _ONE) + scale * less_one
+    return result
+
+
+@lane
+def log_of_one_more(x: np.float32) -> np.float32:
+    """Return ln(1 + x) in float32 for x above -1: good to 1e-7 and, for tiny x, to the last bits.
+
+    The rounding of 1 + x is known exactly and added again; above 1/2 it is below the resolution of the logarithm.
+    """
+    more = _ONE + x
+    rounded = x - (more - _ONE)
+    result: np.float32 = natural_log(more) + (rounded if abs(x) < _HALF else _NOTHING)
     return result
 
 

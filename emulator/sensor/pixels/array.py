@@ -88,6 +88,7 @@ class PixelArray(PixelMethod):
         is_adjustable=True,
         takes_row_reads=True,
         has_faults=True,
+        has_large_signal=True,
     )
 
     def __init__(self, parameters: SensorParameters, seed: int, threads: int = 0) -> None:
@@ -414,5 +415,6 @@ class PixelArray(PixelMethod):
             chord=chord,
             unseen_share=UNSEEN_SHARE,
             refine=False,
+            large=p.photoreceptor == "large_signal",
             far=self.state.fields.shape[0] > NEAR_BLOCKS,
         )

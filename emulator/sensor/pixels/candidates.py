@@ -21,6 +21,7 @@ from emulator.sensor.numerics.elementary import aligned_zeros, exponential, use_
 from emulator.sensor.pixels.curve import Course, is_smooth, missed_by_cubic, photocurrent, transient
 from emulator.sensor.pixels.march import SETTLED, Bracket, Cubic, bisect, newton, solve_substeps, value
 from emulator.sensor.pixels.march_table import CAPACITY, Start, SubstepTable, enter, new_substep_table
+from emulator.sensor.pixels.receptor import MOST_BEHIND, response
 from emulator.sensor.pixels.state import (
     BEFORE_ROWS,
     BLOCK,
@@ -61,6 +62,7 @@ _NOTHING, _RE_ARMS, _FIRES, _NEEDS_SUBSTEPS = (np.float32(kind) for kind in rang
 
 _NAN = np.float32(np.nan)
 _ZERO, _ONE, _TWO, _THREE, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 0.5))
+_MISSED = np.float32(1e-3)  # ln units: up to there the second pole's output is that behind a cubic (see `receptor`)
 _SHARE = np.float32(0.01)  # of a threshold: what the cubic may miss of the exponential
 
 
@@ -109,7 +111,8 @@ def select(
         found[selected] = pixel
         if reference != reference and refractory_until_ns[pixel_at(firsts, pixel)] - c.t0_ns > c.h_ns:
             d, a0, a1 = u1 - before[_at(_U0, i)], before[_at(_A0, i)], before[_at(_A1, i)]
-            if is_smooth(d, a0, a1, min(s[_at(_ON, i)], s[_at(_OFF, i)]), c.unseen_share):
+            in_one_piece = not c.large or before[_at(_U0, i)] - v0 < MOST_BEHIND
+            if in_one_piece and is_smooth(d, a0, a1, min(s[_at(_ON, i)], s[_at(_OFF, i)]), c.unseen_share):
                 continue
         selected += (u1 == u1) & (v0 == v0)
     return selected, unreadable
@@ -181,6 +184,21 @@ def _make_curves(table: _Float32s, n: int, c: StepConstants) -> None:
         fits = (_ZERO if t.faint else missed_by_cubic(t.b, s)) <= _SHARE * threshold
         table[_C_D0 + j], table[_C_D1 + j], table[_C_C1 + j], table[_C_C2 + j] = v0, v1, m0, m1
         table[_C_KIND + j] = _NOTHING if smooth & fits else _NEEDS_SUBSTEPS
+
+
+@vector_kernel
+def _make_curves_of_receptor(table: _Float32s, n: int, c: StepConstants) -> None:
+    """Do for the large-signal law what `_make_curves` does."""
+    use_widest_vectors()
+    for j in range(n):
+        u0, v0, u1, v1 = table[_C_U0 + j], table[_C_V0 + j], table[_C_U1 + j], table[_C_V1 + j]
+        r0, r1, a0, a1 = c.h * table[_C_L0 + j], c.h * table[_C_L1 + j], table[_C_A0 + j], table[_C_A1 + j]
+        s, threshold = table[_C_S + j], min(table[_C_ON + j], table[_C_OFF + j])
+        r = response((u0 - v0, u1 - v1), (r0, r1), v1 - v0, Course(s, u1 - u0, s * a0 / r0, s * a1 / r1))
+        most = _SHARE * threshold if c.second == _ZERO else min(_SHARE * threshold, _MISSED)
+        smooth = is_smooth(u1 - u0, a0, a1, threshold, c.unseen_share) & (u0 - v0 < MOST_BEHIND)
+        table[_C_D0 + j], table[_C_D1 + j], table[_C_C1 + j], table[_C_C2 + j] = v0, v1, r.m0, r.m1
+        table[_C_KIND + j] = _NOTHING if smooth & (r.missed <= most) else _NEEDS_SUBSTEPS
 
 
 @vector_kernel
@@ -390,7 +408,10 @@ def solve(
     if c.parasitic > _ZERO:
         _complete_parasitic(table.rows, whole_vectors(n), c)
     _find_starts(pixels, table, n, c)
-    _make_curves(table.rows, whole_vectors(n), c)
+    if c.large:
+        _make_curves_of_receptor(table.rows, whole_vectors(n), c)
+    else:
+        _make_curves(table.rows, whole_vectors(n), c)
     if c.second > _ZERO:
         _make_curves_of_second_pole(table.rows, whole_vectors(n), c)
     if c.parasitic > _ZERO:

@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import cached_entry, kernel, vector_kernel
-from emulator.sensor.numerics.elementary import exponential
+from emulator.sensor.numerics.elementary import exponential, exponential_less_one
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, EPOCH_BITS, PART, PARTS, Field, StepConstants
 
 __all__ = [
@@ -243,7 +243,8 @@ def _find_rest(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
         by_light = c.parasitic * on * exponential(u) if c.parasitic > _ZERO else _ZERO
         leak = s[_LEAK + i] + by_light
         compared = (s[_W + i] if c.second > _ZERO else v) + (s[_P + i] if c.parasitic > _ZERO else _ZERO)
-        rests = v + _MORE * (before[_Q + i] * (u - v)) == v
+        pulled = -exponential_less_one(v - u) if c.large else u - v
+        rests = v + _MORE * (before[_Q + i] * pulled) == v
         room = (on - _MARGIN - by_light * c.h) - (compared - s[_REF + i])  # the quiet test allows 1.5 times that leak
         wait = room / leak if leak > _ZERO else (_LARGE if leak == _ZERO else -_LARGE)
         before[_WAIT + i] = wait if rests else -_LARGE

@@ -3,7 +3,7 @@
 The equations (photocurrent i relative to the reference light, u = ln i, natural logarithms throughout):
 
     rate      lambda = 2 pi f(i), f proportional to i within its bounds
-    filter    dv/dt = lambda (u - v), and if there is a second pole dw/dt = lambda2 (v - w); else w is v
+    filter    dv/dt = lambda (u - v), or that of `receptor` for large signals; and if there is a second pole dw/dt = lambda2 (v - w); else w is v
     leak      the reference falls by l each second, and by the parasitic l' i; here the filtered value rises instead:
               g = w + l T + the parasitic part, T seconds since the epoch; the stored reference moves at events only
     crossing  ON when g - reference >= threshold_on, OFF when <= -threshold_off
@@ -55,6 +55,13 @@ from emulator.sensor.pixels.curve import (
     rise_of_filter,
     warped_time,
 )
+from emulator.sensor.pixels.receptor import (
+    MOST_BEHIND,
+    bounds_of_receptor,
+    excess_of,
+    rise_behind_second_pole_of_receptor,
+    rise_of_receptor,
+)
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, PART, Field, StepConstants
 
 __all__ = ["Ahead", "list_flags", "move_quietly", "move_quietly_from_memory", "replace_light_of_block"]
@@ -72,6 +79,7 @@ _NAN = np.float32(np.nan)
 _ZERO, _ONE, _HALF = (np.float32(x) for x in (0, 1, 0.5))
 _THIRD, _TWELFTH = np.float32(1 / 3), np.float32(1 / 12)
 _BRIGHTEST = np.finfo(np.float32).max
+_ENDLESS = np.float32(np.inf)
 _MARGIN = np.float32(5e-6)  # rounding of the quiet test, ln units
 _WIDER = np.float32(1.08)  # covers the error of S for the largest smooth change, bounds of the rate included
 _MORE = np.float32(1.5)  # the same for the integral of light
@@ -229,6 +237,73 @@ def _filter_and_test_far(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: S
             _filter_and_test_at(i, s, before, may_fire, c)
 
 
+@lane
+def _receive_and_test_at(i: int, s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -> None:
+    """Do for a pixel with the large-signal law what `_filter_and_test_at` does."""
+    u0, u1, v0, q = before[_U0 + i], s[_U + i], s[_V + i], before[_Q + i]
+    warped, g0, g1 = before[_S + i], before[_G0 + i], s[_G + i]
+    d, behind, a0, a1 = u1 - u0, u0 - v0, before[_A0 + i], before[_A1 + i]
+    excess = excess_of(behind)
+    before[_V0 + i] = v0
+    s[_V + i] = v0 + rise_of_receptor(q, excess, Course(warped, d, warped * g0, warped * g1))
+    on, off, leak, above = s[_ON + i], s[_OFF + i], s[_LEAK + i], v0 - s[_REF + i]
+    rise, fall = bounds_of_receptor(q, behind, excess, d, a0, a1)
+    high, low = above + (rise + leak * c.since_epoch_1), above + (fall + leak * c.since_epoch_0)
+    quiet = (high < on - _MARGIN) & (low > _MARGIN - off) & (behind < MOST_BEHIND)
+    may_fire[i] = 0 if quiet & is_smooth(d, a0, a1, min(on, off), c.unseen_share) else 1
+
+
+@vector_kernel
+def _receive_and_test(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -> None:
+    use_widest_vectors()
+    for i in range(BLOCK):
+        _receive_and_test_at(i, s, before, may_fire, c)
+
+
+@vector_kernel
+def _receive_and_test_far(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants, ahead: Ahead) -> None:
+    use_widest_vectors()
+    for part in range(0, BLOCK, PART):
+        for k in range(part, part + PART, _LINE):
+            fetch(ahead.state, _OFF + k)
+            fetch(ahead.state, _LEAK + k)
+            fetch(ahead.light, k)
+            fetch(ahead.rate, k)
+        for i in range(part, part + PART):
+            _receive_and_test_at(i, s, before, may_fire, c)
+
+
+@vector_kernel
+def _receive(s: _Float32s, before: _Float32s) -> None:
+    """Do for the large-signal law what `_filter` and `_bound` do; a pixel far behind its light has no upper bound."""
+    use_widest_vectors()
+    for i in range(BLOCK):
+        u0, v0, q, warped = before[_U0 + i], s[_V + i], before[_Q + i], before[_S + i]
+        d, behind = s[_U + i] - u0, u0 - v0
+        excess = excess_of(behind)
+        before[_V0 + i] = v0
+        course = Course(warped, d, warped * before[_G0 + i], warped * s[_G + i])
+        s[_V + i] = v0 + rise_of_receptor(q, excess, course)
+        rise, fall = bounds_of_receptor(q, behind, excess, d, before[_A0 + i], before[_A1 + i])
+        before[_HIGH + i], before[_LOW + i] = (v0 + rise if behind < MOST_BEHIND else _ENDLESS), v0 + fall
+
+
+@vector_kernel
+def _add_second_pole_of_receptor(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Do for the large-signal law what `_add_second_pole` does; a pixel without a closed form has no upper bound."""
+    use_widest_vectors()
+    q = decay(c.second)
+    for i in range(BLOCK):
+        u0, u1, v0, w0, warped = before[_U0 + i], s[_U + i], before[_V0 + i], s[_W + i], before[_S + i]
+        light = Course(warped, u1 - u0, warped * before[_G0 + i], warped * s[_G + i])
+        filtered = Filtered(u0 - v0, u1 - s[_V + i], s[_V + i] - v0, c.h * before[_L0 + i], c.h * s[_L + i])
+        rise, inaccurate = rise_behind_second_pole_of_receptor(v0 - w0, c.second, light, filtered)
+        high = w0 + q * max(before[_HIGH + i] - w0, _ZERO)
+        before[_W0 + i], s[_W + i] = w0, w0 + rise
+        before[_HIGH + i] = high if inaccurate == _ZERO else _ENDLESS
+        before[_LOW + i] = w0 + q * min(before[_LOW + i] - w0, _ZERO)
+
+
 @vector_kernel
 def _bound(s: _Float32s, before: _Float32s) -> None:
     """Write bounds of a block's filtered values during the step, for the stages behind the filter."""
@@ -318,7 +393,10 @@ def move_quietly_from_memory(
     """Move a block as `move_quietly` does in the usual case, and request the next one from memory."""
     _take_far_light(light, rate, s, before, c, ahead)
     _warp_far(s, before, c, ahead)
-    _filter_and_test_far(s, before, may_fire, c, ahead)
+    if c.large:
+        _receive_and_test_far(s, before, may_fire, c, ahead)
+    else:
+        _filter_and_test_far(s, before, may_fire, c, ahead)
 
 
 @kernel
@@ -332,12 +410,20 @@ def move_quietly(
         _take_light(light, rate, s, before, c)
     _warp(s, before, c)
     if (c.second == _ZERO) & (c.parasitic == _ZERO):
-        _filter_and_test(s, before, may_fire, c)
+        if c.large:
+            _receive_and_test(s, before, may_fire, c)
+        else:
+            _filter_and_test(s, before, may_fire, c)
         return
-    _filter(s, before)
-    _bound(s, before)
-    if c.second > _ZERO:
-        _add_second_pole(s, before, c)
+    if c.large:
+        _receive(s, before)
+        if c.second > _ZERO:
+            _add_second_pole_of_receptor(s, before, c)
+    else:
+        _filter(s, before)
+        _bound(s, before)
+        if c.second > _ZERO:
+            _add_second_pole(s, before, c)
     if c.parasitic > _ZERO:
         _add_parasitic(s, before, c)
     _test(s, before, may_fire, c)

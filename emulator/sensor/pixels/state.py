@@ -158,6 +158,7 @@ class StepConstants(NamedTuple):
     chord: bool  # whether log light is a straight line, because its derivative is not given
     unseen_share: np.float32  # share of a threshold that may stay unseen; more makes a step undersampled
     refine: bool  # undersampled pixels are collected for refinement
+    large: bool  # whether the photoreceptor follows the large-signal law (see `receptor`)
     far: bool  # the state is larger than the caches: a block is requested from memory while the one before is moved
 
 

@@ -34,6 +34,13 @@ from emulator.sensor.pixels.curve import (
     transient,
     warped_time,
 )
+from emulator.sensor.pixels.receptor import (
+    excess_of,
+    fourth_derivative,
+    response,
+    rise_of_receptor,
+    weight_of_exponential,
+)
 from emulator.sensor.pixels.state import StepConstants
 
 __all__ = ["begin", "begin_substep"]
@@ -182,6 +189,36 @@ def _choose_width(rows: _Float32s, n: int, c: StepConstants) -> None:
 
 
 @vector_kernel
+def _choose_width_of_receptor(rows: _Float32s, n: int, c: StepConstants) -> None:
+    """Do for the large-signal law what `_choose_width` does."""
+    for j in range(n):
+        z, wide, v0 = rows[row.Z + j], rows[row.WIDTH + j], rows[row.V + j]
+        knot = rows[row.KNOT + j]
+        stop = knot if z < knot else _ONE
+        last = stop - z < _NEARLY * wide
+        whole = stop - z if last else wide
+        q = _substep(_light_of(rows, j), z, whole, c)
+        excess = excess_of(q.u0 - v0)
+        bent = fourth_derivative(weight_of_exponential(excess, q.course), excess)
+        share = _share_within(bent, q.course.s, _most(rows, j))
+        rows[row.SPAN + j], rows[row.X + j] = share * whole, _ZERO
+        rows[row.Z1 + j] = stop if last & (share == _ONE) else z + share * whole
+
+
+@vector_kernel
+def _follow_light_of_receptor(rows: _Float32s, n: int, c: StepConstants) -> None:
+    """Do for the large-signal law what `_follow_light` does."""
+    for j in range(n):
+        v0, width = rows[row.V + j], rows[row.SPAN + j]
+        q = _substep(_light_of(rows, j), rows[row.Z + j], width, c)
+        v1 = v0 + rise_of_receptor(decay(q.course.s), excess_of(q.u0 - v0), q.course)
+        r = response((q.u0 - v0, q.u1 - v1), (width * q.r0, width * q.r1), v1 - v0, q.course)
+        rows[row.U0 + j], rows[row.U1 + j], rows[row.SLOPE0 + j], rows[row.SLOPE1 + j] = q.u0, q.u1, q.a0, q.a1
+        rows[row.D0 + j], rows[row.D1 + j], rows[row.V1 + j], rows[row.W1 + j] = v0, v1, v1, v1
+        rows[row.C1 + j], rows[row.M1 + j] = r.m0, r.m1
+
+
+@vector_kernel
 def _shorten_for_second_pole(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Shorten each column's substep to what the exponential behind the second pole allows."""
     for j in range(n):
@@ -272,14 +309,34 @@ def _find_turns(rows: _Float32s, n: int) -> None:
 
 
 @kernel
-def begin_substep(rows: _Float32s, n: int, c: StepConstants) -> None:
-    """Compute each column's curve over its next substep."""
+def _begin_with_receptor(rows: _Float32s, n: int, c: StepConstants) -> None:
+    """Write the comparator's input over each column's next substep, behind a photoreceptor with the large-signal law."""
+    _choose_width_of_receptor(rows, n, c)
+    _follow_light_of_receptor(rows, n, c)
+    if c.second > _ZERO:
+        _shorten_for_second_pole(rows, n, c)
+        _follow_light_of_receptor(rows, n, c)
+        _follow_filter(rows, n, c)
+
+
+@kernel
+def _begin_with_filter(rows: _Float32s, n: int, c: StepConstants) -> None:
+    """Write the comparator's input over each column's next substep, behind a low-pass."""
     _choose_width(rows, n, c)
     _follow_light(rows, n, c)
     if c.second > _ZERO:
         _shorten_for_second_pole(rows, n, c)
         _follow_light(rows, n, c)
         _follow_filter(rows, n, c)
+
+
+@kernel
+def begin_substep(rows: _Float32s, n: int, c: StepConstants) -> None:
+    """Compute each column's curve over its next substep."""
+    if c.large:
+        _begin_with_receptor(rows, n, c)
+    else:
+        _begin_with_filter(rows, n, c)
     _make_cubic(rows, n, c)
     if c.parasitic > _ZERO:
         _add_parasitic(rows, n, c)

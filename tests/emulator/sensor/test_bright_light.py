@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from emulator.light import LightFrame
-from emulator.sensor.methods.large_signal import LargeSignalPixels
+from emulator.sensor.methods.circuit import CircuitPixels
 from emulator.sensor.methods.other_simulators import Pangu
 from emulator.sensor.noise.grid import NoisyPixels
 from emulator.sensor.parameters import NoiseParameters
@@ -25,7 +25,7 @@ METHODS = {
     "array": (PixelArray, PLAIN),
     "array without second pole": (PixelArray, dataclasses.replace(PLAIN, source_follower_hz=0.0)),
     "grid": (NoisyPixels, dataclasses.replace(PLAIN, noise=NoiseParameters(0.02, 300.0, "grid"))),
-    "large signal": (LargeSignalPixels, dataclasses.replace(PLAIN, photoreceptor="large_signal")),
+    "circuit": (CircuitPixels, dataclasses.replace(PLAIN, photoreceptor="circuit")),
     "pangu": (Pangu, PLAIN),
 }
 

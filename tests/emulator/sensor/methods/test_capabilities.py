@@ -8,7 +8,7 @@ import pytest
 
 from emulator.light import LightFrame, Region
 from emulator.sensor.methods.base import ADJUSTABLE
-from emulator.sensor.methods.large_signal import LargeSignalPixels
+from emulator.sensor.methods.circuit import CircuitPixels
 from emulator.sensor.methods.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.noise.grid import NoisyPixels
 from emulator.sensor.parameters import NoiseParameters
@@ -31,11 +31,11 @@ PLAIN = SensorParameters(
     random_start=False,
 )
 NOISY = dataclasses.replace(PLAIN, noise=NoiseParameters(rms=0.002, grade="grid", corner_hz=500.0))
-LARGE_SIGNAL = dataclasses.replace(PLAIN, photoreceptor="large_signal")
+LARGE_SIGNAL = dataclasses.replace(PLAIN, photoreceptor="circuit")
 METHODS = {
     "own": (PixelArray, PLAIN),
     "grid": (NoisyPixels, NOISY),
-    "large_signal": (LargeSignalPixels, LARGE_SIGNAL),
+    "large_signal": (CircuitPixels, LARGE_SIGNAL),
     **{name: (rule, PLAIN) for name, rule in OTHER_SIMULATORS.items()},
 }
 ALL = pytest.mark.parametrize("method", METHODS)

@@ -1,4 +1,7 @@
-"""Pixels whose photoreceptor is a circuit with large signals: off unless a rig selects it.
+"""Pixels whose photoreceptor is a circuit with two poles and a limited slew: off unless a rig selects it.
+
+`pixels.receptor` has the large-signal law of the photodiode's node alone, at the cost of the one-pole model. This is
+the reference for it, and for amplifiers whose bias is so low that b, below, matters.
 
 In units of the thermal voltage, p is the photodiode's node above its rest, y the output, u = ln i the photocurrent. The
 feedback transistor carries e^(y - p); the amplifier has a bias current that limits the rise of its output, and a
@@ -36,7 +39,7 @@ from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, unpacked
 from emulator.sensor.pixels.state import draw, levels_passed
 from emulator.sensor.presets import SensorParameters
 
-__all__ = ["Circuit", "LargeSignalPixels", "Light", "State", "log_light", "rates", "rosenbrock"]
+__all__ = ["Circuit", "CircuitPixels", "Light", "State", "log_light", "rates", "rosenbrock"]
 
 
 _State = tuple[float, float, float]
@@ -376,13 +379,13 @@ def _advance(
     return pending, n, lost
 
 
-class LargeSignalPixels(DrawnPixels):
+class CircuitPixels(DrawnPixels):
     """An array of event pixels with the photoreceptor's circuit.
 
     Parameters
     ----------
     parameters : SensorParameters
-        The sensor, with `photoreceptor = "large_signal"`.
+        The sensor, with `photoreceptor = "circuit"`.
     seed : int
         Keys the pixels, which are those of a `PixelArray` with that seed.
 
@@ -394,7 +397,7 @@ class LargeSignalPixels(DrawnPixels):
         Pixel-steps whose light was not finite; the last finite light of the pixel is used.
     """
 
-    capabilities: ClassVar = Capabilities(uses_rate=True, has_faults=True, has_large_signal=True)
+    capabilities: ClassVar = Capabilities(uses_rate=True, has_faults=True, has_circuit=True)
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
         p, drawn = parameters, draw(parameters, seed)
@@ -436,7 +439,7 @@ class LargeSignalPixels(DrawnPixels):
         t0_ns, t_ns = self.settled_ns, time_of(frame, self.settled_ns)
         h_ns = t_ns - t0_ns
         if h_ns > _LONGEST_NS:
-            raise ValueError(f"a step of {h_ns * 1e-9:.3g} s: a large-signal photoreceptor takes 8.6 s at most")
+            raise ValueError(f"a step of {h_ns * 1e-9:.3g} s: the photoreceptor's circuit takes 8.6 s at most")
         u = self._log(frame.light)
         slope = self._slopes(frame.rate)
         if h_ns == 0:

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from emulator.light import LightFrame
-from emulator.sensor.methods.large_signal import Circuit, LargeSignalPixels, Light, State, rosenbrock
+from emulator.sensor.methods.circuit import Circuit, CircuitPixels, Light, State, rosenbrock
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import joined
 from emulator.sensor.presets import SensorParameters
@@ -17,7 +17,7 @@ from emulator.sensor.sensor import Sensor
 MS = 1_000_000
 P = SensorParameters(
     width=1, height=1, threshold_on=0.25, threshold_off=0.25, mismatch=0.0, leak_hz=0.0, source_follower_hz=286.0,
-    random_start=False, photoreceptor="large_signal",
+    random_start=False, photoreceptor="circuit",
 )  # fmt: skip
 DARK = P.dark_current_relative
 
@@ -49,7 +49,7 @@ def truth(log_light, end_s, p=P, tolerance=1e-10):
         found.append((t0, on))
 
 
-def events(light, steps_ms, p=P, rate=None, make=LargeSignalPixels):
+def events(light, steps_ms, p=P, rate=None, make=CircuitPixels):
     pixels, parts, t_ns = make(p, 1), [], 0
     picture = lambda f, t: np.full((1, 1), f(t * 1e-9), np.float32)  # noqa: E731
     pixels.reset(LightFrame(0, picture(light, 0), None if rate is None else picture(rate, 0)))
@@ -150,7 +150,7 @@ def test_still_light_leaks_at_its_rate_and_a_sensor_uses_it():
     sensor, light = Sensor(p, 1), np.full((12, 16), 0.2, np.float32)
     sensor.reset(LightFrame(0, light))
     found = np.concatenate([sensor.expose(LightFrame(k * 100 * MS, light)) for k in range(1, 21)])
-    assert isinstance(sensor.pixels, LargeSignalPixels)
+    assert isinstance(sensor.pixels, CircuitPixels)
     assert len(found) == pytest.approx(2 * 10 * 192, abs=192)
     assert found["on"].all()
 
@@ -160,7 +160,7 @@ def test_what_it_cannot_do_is_refused():
         dataclasses.replace(P, corner_hz_at_reference=math.inf)
     with pytest.raises(ValueError, match="photoreceptor = 'two_poles'"):
         dataclasses.replace(P, photoreceptor="two_poles")
-    pixels = LargeSignalPixels(P, 1)
+    pixels = CircuitPixels(P, 1)
     pixels.reset(LightFrame(100, np.ones((1, 1), np.float32)))
     with pytest.raises(ValueError, match="time does not go back"):
         pixels.step(LightFrame(99, np.ones((1, 1), np.float32)))
