@@ -14,7 +14,7 @@ with one access to memory:
     times    (pixels, 3) int64: NEXT candidate; READ, time of the level that was read; CROSSED, the last crossing
     levels   (pixels, 4) float32: OFFSET of the reference from that of the pixels' method, SEEN, the level of the
              comparator when it was read, DRIFT of it by leak in ln units a second, and the candidate's RATE in Hz
-    limits   (pixels, 2) float32: the thresholds; infinite for dead pixels
+    limits   (pixels, 3) float32: the thresholds, infinite for dead pixels; the noise's rms over that of the sensor
     place    (pixels,) uint8: bits of the lists that a pixel is in
     counts   (COUNTS,) int64: see `Count`
 """
@@ -56,6 +56,7 @@ __all__ = [
     "look_again",
     "open_horizon",
     "open_window",
+    "settle",
 ]
 
 WINDOW_NS, HORIZON_NS = 1 << 22, 1 << 26
@@ -64,6 +65,7 @@ NEVER_NS = 1 << 61
 
 NEXT, READ, CROSSED = range(3)
 OFFSET, SEEN, DRIFT, RATE = range(4)
+_SCALE = 2
 
 _NEAR, _WINDOW, _MOVED = (np.uint8(bit) for bit in (1, 2, 4))
 _LEAST_HZ = 2.0**-5  # of candidates: a level that moves without crossings is read again as often as this
@@ -131,13 +133,13 @@ class Packing(NamedTuple):
 
 
 @kernel
-def _figures(light: float, c: Constants) -> tuple[float, float]:
+def _figures(light: float, scale: float, c: Constants) -> tuple[float, float]:
     """Return sigma, ln units, and 1 / tau, 1/s, at a light; sigma is 0 where the light is not finite."""
     if not abs(light) <= _LARGEST:
         return 0.0, 1.0
     hz = min(max(c.hz_at_reference * (max(light, 0.0) + c.dark), c.hz_min), c.hz_max)
     passed = c.corner_hz / (c.corner_hz + hz)
-    return c.rms * math.sqrt(passed), 2 * math.pi * hz * passed
+    return c.rms * scale * math.sqrt(passed), 2 * math.pi * hz * passed
 
 
 @kernel
@@ -184,7 +186,7 @@ def _run(
     packing: Packing,
 ) -> int:  # fmt: skip
     """Run a pixel's candidates before a time; return the number of events in `keys`, which may be full."""
-    base, noise = stream(c.root, pixel), _figures(light, c)
+    base, noise = stream(c.root, pixel), _figures(light, s.limits[pixel, _SCALE], c)
     limits = np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])
     t_ns = s.times[pixel, NEXT]
     while t_ns < until_ns and n < keys.size:
@@ -217,10 +219,22 @@ def begin(t_ns: int, light: _Float32s, c: Constants, table: _Float32s, s: PixelN
             continue
         limits = np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])
         level = s.levels[pixel, OFFSET] - _seen(t_ns, pixel, s)
-        on_hz, off_hz = _rates(level, limits, _figures(light[pixel], c), table)
+        on_hz, off_hz = _rates(level, limits, _figures(light[pixel], s.limits[pixel, _SCALE], c), table)
         hz = _candidates_hz(on_hz + off_hz) if abs(light[pixel]) <= _LARGEST else _UNREADABLE_HZ
         s.levels[pixel, RATE] = hz
         s.times[pixel, NEXT] = t_ns + _wait_ns(low(word(stream(c.root_of_looks, pixel), t_ns)), hz)
+
+
+@cached_entry
+def settle(until_ns: int, light: _Float32s, c: Constants, table: _Float32s, s: PixelNoise) -> None:
+    """Run the candidates of all pixels before a time without events: what they leave is the pixels' levels."""
+    keys, packing = np.empty(64, np.uint64), Packing(np.int64(0), np.int64(1))
+    for pixel in range(light.size):
+        drift = s.levels[pixel, DRIFT]
+        s.levels[pixel, DRIFT] = 0
+        while s.times[pixel, NEXT] < until_ns:
+            _run(pixel, until_ns, light[pixel], c, table, s, keys, NONE, packing)
+        s.levels[pixel, DRIFT] = drift
 
 
 @kernel
@@ -233,7 +247,7 @@ def _crossed(pixel: int, on: bool, t_ns: int, light: float, c: Constants, s: Pix
         s.levels[pixel, OFFSET] = offset - step
     elif c.refractory_ns > 0:
         bits = word(stream(c.root_of_looks, pixel), _TWO * t_ns + 1)
-        s.levels[pixel, OFFSET] = _set_again(0.0, _figures(light, c), c, bits)
+        s.levels[pixel, OFFSET] = _set_again(0.0, _figures(light, s.limits[pixel, _SCALE], c), c, bits)
     else:
         s.levels[pixel, OFFSET] = 0
     return not early
@@ -291,7 +305,7 @@ def look_again(
         moved = _read(pixel, t_ns, read[0][k], read[1][k], s)
         limits = np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])
         level = s.levels[pixel, OFFSET] - _seen(window_ns, pixel, s)
-        on_hz, off_hz = _rates(level, limits, _figures(light[pixel], c), table)
+        on_hz, off_hz = _rates(level, limits, _figures(light[pixel], s.limits[pixel, _SCALE], c), table)
         hz = _candidates_hz(on_hz + off_hz)
         if hz != s.levels[pixel, RATE] and s.limits[pixel, 0] <= _LARGEST:
             s.levels[pixel, RATE] = hz

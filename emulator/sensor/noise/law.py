@@ -60,6 +60,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from emulator.sensor.numerics.keyed import Purpose, normal
 from emulator.sensor.presets import SensorParameters
 
 __all__ = [
@@ -77,6 +78,7 @@ __all__ = [
     "exits",
     "fixed_corner_hz",
     "noise_events",
+    "noise_scale",
     "of_array",
     "rate_over_bandwidth",
     "rms",
@@ -318,6 +320,12 @@ def beyond_the_law(p: SensorParameters, f_hz: npt.ArrayLike) -> str:
     if under_way.max() > MOST_UNDER_WAY:
         return "bursts of noise events overlap: rates hold, intervals and the order of polarities do not"
     return ""
+
+
+def noise_scale(p: SensorParameters, seed: int) -> _Floats:
+    """Return the rms of each pixel's noise over that of the parameters, (pixels,)."""
+    pixel = np.arange(p.width * p.height)
+    return np.exp(p.noise.spread * normal(seed, Purpose.NOISE_SPREAD, pixel))
 
 
 def corner_hz(p: SensorParameters, light: npt.ArrayLike) -> _Floats:

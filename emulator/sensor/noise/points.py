@@ -46,8 +46,9 @@ from emulator.sensor.noise.draws import (
     look_again,
     open_horizon,
     open_window,
+    settle,
 )
-from emulator.sensor.noise.law import fixed_corner_hz
+from emulator.sensor.noise.law import fixed_corner_hz, noise_scale
 from emulator.sensor.noise.passages import passage_table
 from emulator.sensor.numerics.keyed import Purpose, root_of
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings
@@ -115,7 +116,7 @@ class NoiseEvents:
         pixels = thresholds.shape[-1]
         self._pixel_bits = max(1, (pixels - 1).bit_length())
         self._table = passage_table()
-        limits = np.empty((pixels, 2), np.float32)
+        limits = np.empty((pixels, 3), np.float32)
         self._state = PixelNoise(
             np.zeros((pixels, 3), np.int64), np.zeros((pixels, 4), np.float32), limits, np.zeros(pixels, np.uint8)
         )
@@ -127,13 +128,15 @@ class NoiseEvents:
 
     def _model(self, parameters: SensorParameters, thresholds: _Floats) -> None:
         self._constants = _constants(parameters, self._seed)
-        self._state.limits[:] = np.broadcast_to(thresholds, (2, thresholds.shape[-1])).T
+        self._before_start_ns = round(parameters.noise.history_s * 1e9)
+        self._state.limits[:, :2] = np.broadcast_to(thresholds, (2, thresholds.shape[-1])).T
+        self._state.limits[:, 2] = noise_scale(parameters, self._seed) if parameters.noise.spread else 1
 
     def reset(self, t_ns: int) -> None:
         """Start at `t_ns`, with the pixels' levels of that time and the light of the first step."""
         self._state.times[:] = t_ns
         self._state.levels[:] = 0
-        self._t_ns = t_ns
+        self._t_ns, self._history_ns = t_ns, self._before_start_ns
         self._start_again()
 
     def _start_again(self) -> None:
@@ -156,7 +159,11 @@ class NoiseEvents:
         if self._started:
             return
         self._started = True
-        begin(self._t_ns, light, self._constants, self._table, self._state)
+        model = light, self._constants, self._table, self._state
+        begin(self._t_ns - self._history_ns, *model)
+        if self._history_ns:
+            settle(self._t_ns, *model)
+            self._history_ns = 0
         window_ns = self._t_ns // WINDOW_NS * WINDOW_NS
         open_horizon(window_ns, self._state, self._lists)
         open_window(window_ns, self._state, self._lists)
