@@ -51,8 +51,8 @@ recording of one camera, in unknown light.
         iniVation: about 5000 scans a second, fewer under load, stamps continuous during a scan.
     [15] iniVation's white paper: about 80 ns an event, 12 Mev/s.
     [16] iniVation's sheet of the DVXplorer Micro, from memory.
-    [17] Fitted to NIST's camera 1 (column "opposite", `evstim validate`): pixels that fire against the edge within half a
-        second at 0.006 to 0.4 W/m2. Uncertain in the dark, where that camera fires some ten times as often as this.
+    [17] Fitted to NIST's camera 1 (column "opposite", `evstim validate`): pixels that fire against the edge within
+        half a second at 0.006 to 0.4 W/m2. Uncertain in the dark, where that camera fires some ten times as often.
 
 `ideal` is a pixel of the textbook in an array of the DAVIS346's size: threshold 0.2, no low-pass, leak, noise, mismatch
 or refractory period, references at the first frame's level, a read-out that takes no time.

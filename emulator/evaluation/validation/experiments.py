@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
+from emulator.evaluation.validation.background import background
 from emulator.evaluation.validation.findings import Experiment
 
 __all__ = ["EXPERIMENTS"]
 
-EXPERIMENTS: MappingProxyType[str, Experiment] = MappingProxyType({})
+EXPERIMENTS: MappingProxyType[str, Experiment] = MappingProxyType({"background": background})
 """Experiments by name."""

@@ -88,9 +88,7 @@ class Edges:
 def pulsed(p: SensorParameters, irradiance_w_m2: float, seed: int, cycles: int = CYCLES) -> Edges:
     """Return the events of a sensor in front of a lamp that is off, then on, for half a second each, in each cycle."""
     sensor = Sensor(p, seed)
-    off, on = (
-        np.full((p.height, p.width), light, np.float32) for light in (0.0, irradiance_w_m2 / IMX636_W_M2)
-    )
+    off, on = (np.full((p.height, p.width), light, np.float32) for light in (0.0, irradiance_w_m2 / IMX636_W_M2))
     sensor.reset(LightFrame(0, off))
     parts, t_ns, half_ns = [], 0, HALF_PERIOD_US * 1000
     for half in range(2 * cycles):

@@ -46,8 +46,9 @@ __all__ = [
     "Constants",
     "Count",
     "Lists",
-    "Packing",
+    "Packed",
     "PixelNoise",
+    "Setting",
     "begin",
     "cross",
     "due",
@@ -125,9 +126,18 @@ class Lists(NamedTuple):
     counts: _Int64s
 
 
-class Packing(NamedTuple):
-    """Layout of packed events: [time since t0 | pixel | on]."""
+class Setting(NamedTuple):
+    """The light of the step, (pixels,), the constants, and the table of first passages."""
 
+    light: _Float32s
+    constants: Constants
+    table: _Float32s
+
+
+class Packed(NamedTuple):
+    """Packed events, [time since t0 | pixel | on]."""
+
+    keys: _Words
     t0_ns: int
     pixel_bits: int
 
@@ -181,12 +191,10 @@ def _set_again(level: float, noise: tuple[float, float], c: Constants, bits: np.
 
 
 @kernel
-def _run(
-    pixel: int, until_ns: int, light: float, c: Constants, table: _Float32s, s: PixelNoise, keys: _Words, n: int,
-    packing: Packing,
-) -> int:  # fmt: skip
-    """Run a pixel's candidates before a time; return the number of events in `keys`, which may be full."""
-    base, noise = stream(c.root, pixel), _figures(light, s.limits[pixel, _SCALE], c)
+def _run(pixel: int, until_ns: int, w: Setting, s: PixelNoise, out: Packed, n: int) -> int:
+    """Run a pixel's candidates before a time; return the number of events in `out`, which may be full."""
+    c, table, keys = w.constants, w.table, out.keys
+    base, noise = stream(c.root, pixel), _figures(w.light[pixel], s.limits[pixel, _SCALE], c)
     limits = np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])
     t_ns = s.times[pixel, NEXT]
     while t_ns < until_ns and n < keys.size:
@@ -196,7 +204,7 @@ def _run(
         chance = unit(high(bits)) * s.levels[pixel, RATE]
         if chance < on_hz + off_hz:
             on = chance < on_hz
-            keys[n] = np.uint64(t_ns - packing.t0_ns) << np.uint64(packing.pixel_bits + 1)
+            keys[n] = np.uint64(t_ns - out.t0_ns) << np.uint64(out.pixel_bits + 1)
             keys[n] |= np.uint64(pixel) << _ONE | np.uint64(on)
             n += 1
             level = _set_again(level + limits[0] if on else level - limits[1], noise, c, word(base, _TWO * t_ns + 1))
@@ -211,8 +219,9 @@ def _run(
 
 
 @cached_entry
-def begin(t_ns: int, light: _Float32s, c: Constants, table: _Float32s, s: PixelNoise) -> None:
-    """Draw the first candidates of all pixels at a time; levels have been read, and offsets are 0."""
+def begin(t_ns: int, w: Setting, s: PixelNoise) -> None:
+    """Draw the first candidates of all pixels at a time; levels have been read."""
+    light, c, table = w.light, w.constants, w.table
     for pixel in range(light.size):
         if s.limits[pixel, 0] > _LARGEST:
             s.times[pixel, NEXT] = NEVER_NS
@@ -226,20 +235,21 @@ def begin(t_ns: int, light: _Float32s, c: Constants, table: _Float32s, s: PixelN
 
 
 @cached_entry
-def settle(until_ns: int, light: _Float32s, c: Constants, table: _Float32s, s: PixelNoise) -> None:
+def settle(until_ns: int, w: Setting, s: PixelNoise) -> None:
     """Run the candidates of all pixels before a time without events: what they leave is the pixels' levels."""
-    keys, packing = np.empty(64, np.uint64), Packing(np.int64(0), np.int64(1))
-    for pixel in range(light.size):
+    out = Packed(np.empty(64, np.uint64), NONE, NONE)
+    for pixel in range(w.light.size):
         drift = s.levels[pixel, DRIFT]
         s.levels[pixel, DRIFT] = 0
         while s.times[pixel, NEXT] < until_ns:
-            _run(pixel, until_ns, light[pixel], c, table, s, keys, NONE, packing)
+            _run(pixel, until_ns, w, s, out, NONE)
         s.levels[pixel, DRIFT] = drift
 
 
 @kernel
-def _crossed(pixel: int, on: bool, t_ns: int, light: float, c: Constants, s: PixelNoise) -> bool:
+def _crossed(pixel: int, on: bool, t_ns: int, w: Setting, s: PixelNoise) -> bool:
     """Move a pixel's reference by its own crossing; return whether it fires, which noise may have done before."""
+    c = w.constants
     offset, step = s.levels[pixel, OFFSET], s.limits[pixel, 0] if on else -s.limits[pixel, 1]
     s.levels[pixel, SEEN], s.times[pixel, READ], s.times[pixel, CROSSED] = 0, t_ns, t_ns
     early = offset * step > step * step / 2
@@ -247,7 +257,7 @@ def _crossed(pixel: int, on: bool, t_ns: int, light: float, c: Constants, s: Pix
         s.levels[pixel, OFFSET] = offset - step
     elif c.refractory_ns > 0:
         bits = word(stream(c.root_of_looks, pixel), _TWO * t_ns + 1)
-        s.levels[pixel, OFFSET] = _set_again(0.0, _figures(light, s.limits[pixel, _SCALE], c), c, bits)
+        s.levels[pixel, OFFSET] = _set_again(0.0, _figures(w.light[pixel], s.limits[pixel, _SCALE], c), c, bits)
     else:
         s.levels[pixel, OFFSET] = 0
     return not early
@@ -255,23 +265,22 @@ def _crossed(pixel: int, on: bool, t_ns: int, light: float, c: Constants, s: Pix
 
 @cached_entry
 def cross(
-    crossings: _Events, light: _Float32s, c: Constants, table: _Float32s, s: PixelNoise, lists: Lists, keys: _Words,
-    packing: Packing, fires: npt.NDArray[np.bool_],
-) -> bool:  # fmt: skip
+    crossings: _Events, w: Setting, s: PixelNoise, lists: Lists, out: Packed, fires: npt.NDArray[np.bool_]
+) -> bool:
     """Apply the pixels' own crossings from the DONE one on, each after its pixel's earlier candidates.
 
-    Writes which of them fire. Returns False where `keys` is full: call again with more room.
+    Writes which of them fire. Returns False where `out` is full: call again with more room.
     """
     (t_ns, pixels, on), counts = crossings, lists.counts
     n = counts[Count.FOUND]
     for k in range(counts[Count.DONE], t_ns.size):
         pixel = np.int64(pixels[k])
         if s.times[pixel, NEXT] < t_ns[k]:
-            n = _run(pixel, t_ns[k], light[pixel], c, table, s, keys, n, packing)
+            n = _run(pixel, t_ns[k], w, s, out, n)
             if s.times[pixel, NEXT] < t_ns[k]:
                 counts[Count.FOUND], counts[Count.DONE] = n, k
                 return False
-        fires[k] = _crossed(pixel, on[k], t_ns[k], light[pixel], c, s)
+        fires[k] = _crossed(pixel, on[k], t_ns[k], w, s)
         if not s.place[pixel] & _MOVED:
             s.place[pixel] |= _MOVED
             lists.moved[counts[Count.MOVED]] = pixel
@@ -292,13 +301,15 @@ def _read(pixel: int, t_ns: int, level: float, drift: float, s: PixelNoise) -> f
 
 @cached_entry
 def look_again(
-    window_ns: int, t_ns: int, read: tuple[_Float32s, _Float32s], light: _Float32s, c: Constants, table: _Float32s,
-    s: PixelNoise, lists: Lists,
-) -> None:  # fmt: skip
-    """Draw the candidates of `moved` pixels again at a window's start, by the levels and drifts `read` at `t_ns`.
+    times_ns: tuple[int, int], read: tuple[_Float32s, _Float32s], w: Setting, s: PixelNoise, lists: Lists
+) -> None:
+    """Draw the candidates of `moved` pixels again at the first of two times, a window's start.
+
+    `read` are their levels and drifts at the second time.
 
     Those that have come to rest leave the list.
     """
+    (window_ns, t_ns), light, c, table = times_ns, w.light, w.constants, w.table
     counts, remaining = lists.counts, NONE
     for k in range(counts[Count.MOVED]):
         pixel = lists.moved[k]
@@ -380,21 +391,21 @@ def due(until_ns: int, end_ns: int, s: PixelNoise, lists: Lists, out: _Pixels) -
 
 @cached_entry
 def fire(
-    pixels: _Pixels, times_ns: tuple[int, int], read: tuple[_Float32s, _Float32s], light: _Float32s, c: Constants,
-    table: _Float32s, s: PixelNoise, lists: Lists, keys: _Words, packing: Packing,
+    those: tuple[_Pixels, _Float32s, _Float32s], times_ns: tuple[int, int], w: Setting, s: PixelNoise, lists: Lists,
+    out: Packed,
 ) -> bool:  # fmt: skip
     """Run the candidates of the pixels that are due, from the DONE one on, before the first of two times.
 
-    `read` are the levels and drifts of the pixels at the second time; with none, levels stay as they are. Returns False
-    where `keys` is full: call again with more room.
+    `those` are the pixels, and their levels and drifts at the second time; with none, levels stay as they are. Returns
+    False where `out` is full: call again with more room.
     """
-    counts, (until_ns, t_ns) = lists.counts, times_ns
+    counts, (until_ns, t_ns), (pixels, level, drift) = lists.counts, times_ns, those
     n = counts[Count.FOUND]
     for k in range(counts[Count.DONE], pixels.size):
         pixel = pixels[k]
-        if read[0].size:
-            _read(pixel, t_ns, read[0][k], read[1][k], s)
-        n = _run(pixel, until_ns, light[pixel], c, table, s, keys, n, packing)
+        if level.size:
+            _read(pixel, t_ns, level[k], drift[k], s)
+        n = _run(pixel, until_ns, w, s, out, n)
         if s.times[pixel, NEXT] < until_ns:
             counts[Count.FOUND], counts[Count.DONE] = n, k
             return False

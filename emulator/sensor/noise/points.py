@@ -36,8 +36,9 @@ from emulator.sensor.noise.draws import (
     Constants,
     Count,
     Lists,
-    Packing,
+    Packed,
     PixelNoise,
+    Setting,
     begin,
     cross,
     due,
@@ -159,10 +160,10 @@ class NoiseEvents:
         if self._started:
             return
         self._started = True
-        model = light, self._constants, self._table, self._state
-        begin(self._t_ns - self._history_ns, *model)
+        setting = self._setting(light)
+        begin(self._t_ns - self._history_ns, setting, self._state)
         if self._history_ns:
-            settle(self._t_ns, *model)
+            settle(self._t_ns, setting, self._state)
             self._history_ns = 0
         window_ns = self._t_ns // WINDOW_NS * WINDOW_NS
         open_horizon(window_ns, self._state, self._lists)
@@ -181,10 +182,8 @@ class NoiseEvents:
             return crossings
         self._start(light)
         fires = np.empty(len(crossings), np.bool_)
-        arrays = crossings.t_ns, crossings.pixel, crossings.on
-        packing = Packing(self._t_ns, self._pixel_bits)
-        model = light, self._constants, self._table, self._state, self._lists
-        while not cross(arrays, *model, self._keys, packing, fires):
+        arrays, setting = (crossings.t_ns, crossings.pixel, crossings.on), self._setting(light)
+        while not cross(arrays, setting, self._state, self._lists, self._packed(self._t_ns), fires):
             self._more_keys()
         if fires.all():
             return crossings
@@ -199,12 +198,12 @@ class NoiseEvents:
         if t_ns <= self._t_ns:
             return crossings
         self._start(light)
-        t0_ns, packing = self._t_ns, Packing(self._t_ns, self._pixel_bits)
+        t0_ns = self._t_ns
         while self._t_ns < t_ns:
             if self._t_ns >= self._window_end_ns:
                 self._open(light, t_ns)
             end_ns = min(t_ns, self._window_end_ns)
-            self._run(light, end_ns, t_ns, packing)
+            self._run(light, end_ns, t_ns, t0_ns)
             self._t_ns = end_ns
         found, self._lists.counts[Count.FOUND] = int(self._lists.counts[Count.FOUND]), 0
         if not found:
@@ -222,7 +221,7 @@ class NoiseEvents:
         self._window_end_ns = window_ns + WINDOW_NS
         if lists.counts[Count.MOVED]:
             read = self._levels_of(lists.moved[: lists.counts[Count.MOVED]])
-            look_again(window_ns, t_ns, read, light, self._constants, self._table, self._state, lists)
+            look_again((window_ns, t_ns), read, self._setting(light), self._state, lists)
         if window_ns % HORIZON_NS == 0:
             open_horizon(window_ns, self._state, lists)
         open_window(window_ns, self._state, lists)
@@ -232,7 +231,13 @@ class NoiseEvents:
             return self._reader.moving(pixel)
         return np.full(pixel.size, np.nan, np.float32), np.zeros(pixel.size, np.float32)
 
-    def _run(self, light: _Float32s, end_ns: int, t_ns: int, packing: Packing) -> None:
+    def _setting(self, light: _Float32s) -> Setting:
+        return Setting(light, self._constants, self._table)
+
+    def _packed(self, t0_ns: int) -> Packed:
+        return Packed(self._keys, t0_ns, self._pixel_bits)
+
+    def _run(self, light: _Float32s, end_ns: int, t_ns: int, t0_ns: int) -> None:
         """Run the candidates before `end_ns`, within the window; levels are those at `t_ns`."""
         if not self._lists.counts[Count.WINDOW]:
             return
@@ -241,8 +246,8 @@ class NoiseEvents:
             return
         pixels = self._due[:n]
         read = self._levels_of(pixels) if self._reader is not None else _NOTHING_READ
-        model = light, self._constants, self._table, self._state, self._lists
-        while not fire(pixels, (end_ns, t_ns), read, *model, self._keys, packing):
+        those, setting = (pixels, *read), self._setting(light)
+        while not fire(those, (end_ns, t_ns), setting, self._state, self._lists, self._packed(t0_ns)):
             self._more_keys()
 
     def _more_keys(self) -> None:

@@ -1,4 +1,4 @@
-"""Point noise from the level that the last event left, against a process followed in fine steps, from the first instant.
+"""Point noise from the level that the last event left, against a process followed in fine steps.
 
 The reference follows the noise voltage in steps of a hundredth of its time constant and shares nothing with the
 emulator. Counts are compared within 5 %, the target, and 3.9 standard errors of both, found from the spread between
@@ -125,7 +125,10 @@ def test_after_events_of_a_signal_that_stops_between_two_thresholds(a, over):
     rise = P.threshold_on * (3 + over)
     t_s = np.linspace(0, 0.02, 21)[1:]
     levels = np.exp(-rise + rise * t_s / 0.02)
-    frames = [light(np.exp(-rise) - 0.001, 0.0), *(light(level - 0.001, t) for level, t in zip(levels, t_s, strict=True))]
+    frames = [
+        light(np.exp(-rise) - 0.001, 0.0),
+        *(light(level - 0.001, t) for level, t in zip(levels, t_s, strict=True)),
+    ]
     begin_s = 0.04  # the filter has come to rest
     frames += [light(LIT, t) for t in (0.025, 0.03, 0.04, 0.06, 0.14, 1.04)]
     edges_s = np.array([0.1, 1.0])

@@ -94,7 +94,7 @@ def test_rates_are_those_of_the_law(refractory_us, step_ns):
 
 
 def test_without_a_refractory_period_levels_stay_on_whole_thresholds():
-    """Equal thresholds: a level is in the middle, or one threshold off, from where it returns within a time constant."""
+    """Equal thresholds: a level is in the middle, or one threshold off, from where it soon returns."""
     p = dataclasses.replace(PLAIN, refractory_us=0.0)
     found, f = run(p, end_ns=8000 * MS), corner_hz(p, 1.0)
     a = float(0.2 / rms(p, f))
