@@ -40,10 +40,10 @@ recording of one camera, in unknown light.
         with level 80 taken as light 1, has about 0.001 Hz in the dark and 0.002 Hz a unit of light. Other chips and
         warmer ones leak at 0.1 to 0.2 Hz (Nozaki and Delbruck 2017, from memory; Guo and Delbruck, DND21).
     [10] v2e's usual spread of leak rates between pixels.
-    [11] Fitted to recording [9]: its still half has 296 events, that of the preset 311. Uncertain in the dark: at levels
-        0 to 10 of its frames the real pixels fire at 0.0082 Hz, these less. Other DVS fire at about 10 Hz in dim light
-        (Guo and Delbruck, DND21), which needs 0.086; 0.043 to 0.073 were measured at another chip's comparator (Graca
-        2024, fig. 2.13).
+    [11] Fitted to recording [9]: its still half has 296 events, that of the preset 311. Uncertain in the dark: at
+        levels 0 to 10 of its frames the real pixels fire at 0.0082 Hz, these less. Other DVS fire at about 10 Hz in dim
+        light (Guo and Delbruck, DND21), which needs 0.086; 0.043 to 0.073 were measured at another chip's comparator
+        (Graca 2024, fig. 2.13).
     [12] One recording (EVK4, 10.8 s), pixels of low activity: 0.0038 Hz, 22 % ON, 96.6 % of the pixels silent, 75 % of
         a pixel's successive events of opposite polarity, 12 pixels above 50 events.
     [13] Between the chips' few microseconds and the 0.5 ms of v2e; a bias sets it.
