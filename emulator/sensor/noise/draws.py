@@ -173,14 +173,14 @@ def _candidates_hz(total: float) -> float:
 
 @kernel
 def _wait_ns(half: np.uint64, hz: float) -> int:
-    return np.int64(1) + np.int64(-math.log(unit(half)) / hz * 1e9)
+    return 1 + int(-math.log(unit(half)) / hz * 1e9)
 
 
 @kernel
 def _seen(t_ns: int, pixel: int, s: PixelNoise) -> float:
     """Return the level of the comparator at a time, as it was last read."""
     since_s = (t_ns - s.times[pixel, READ]) * 1e-9
-    return np.float64(s.levels[pixel, SEEN]) + s.levels[pixel, DRIFT] * since_s
+    return float(np.float64(s.levels[pixel, SEEN]) + s.levels[pixel, DRIFT] * since_s)
 
 
 @kernel
@@ -296,7 +296,7 @@ def _read(pixel: int, t_ns: int, level: float, drift: float, s: PixelNoise) -> f
         return 0.0
     moved = level - _seen(t_ns, pixel, s)
     s.levels[pixel, SEEN], s.levels[pixel, DRIFT], s.times[pixel, READ] = level, drift, t_ns
-    return moved
+    return float(moved)
 
 
 @cached_entry

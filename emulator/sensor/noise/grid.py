@@ -62,6 +62,7 @@ class _Model(NamedTuple):
     second: float  # rate of the second pole times the grid step; 0: none
     noise_rms: float
     noise_corner_hz: float
+    noise_scale: _Floats
     large: bool  # whether the photoreceptor has the large-signal law
 
 

@@ -187,7 +187,7 @@ class NoiseEvents:
             self._more_keys()
         if fires.all():
             return crossings
-        return Crossings(*(one[fires] for one in arrays), crossings.lost_in_pixel)
+        return Crossings(arrays[0][fires], arrays[1][fires], arrays[2][fires], crossings.lost_in_pixel)
 
     def step(self, light: _Float32s, t_ns: int) -> Crossings:
         """Return the events from the last time up to, and without, `t_ns`, under `light`, (pixels,) float32."""
