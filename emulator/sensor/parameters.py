@@ -162,6 +162,10 @@ class NoiseParameters:
         have the same bandwidth (without a source follower noise passes the photoreceptor alone). Where the
         photoreceptor, of corner frequency f, is faster, the pole takes the noise down to rms^2 corner / (corner + f),
         its bandwidth to f corner / (corner + f).
+    spread : log-normal spread of the rms between pixels (standard deviation of its logarithm; the median is `rms`): a
+        few pixels fire far more often than the others, as on real chips.
+    history_s : time for which noise has acted before the start, s, in the first light: without it, references at random
+        phases make a burst of events, as after a reset of the whole chip. Points only.
     grade : "points" draws noise events by their rate, at a cost that follows their number; "grid" follows the voltage
         of each pixel on a fine grid of time, for sensors of some thousand pixels and for comparison.
     """
@@ -169,9 +173,13 @@ class NoiseParameters:
     rms: float = 0.0
     corner_hz: float = 0.0
     grade: Literal["points", "grid"] = "points"
+    spread: float = 0.0
+    history_s: float = 0.0
 
     def __post_init__(self) -> None:
         check(self, "rms", 0, 1)
+        check(self, "history_s", 0, 10_000)
+        check(self, "spread", 0, 1)
         check(self, "corner_hz", 0, 1e6)
         if 0 < self.corner_hz < 1:
             raise ValueError(f"corner_hz = {self.corner_hz!r}: must be 0 (the signal's) or at least 1")

@@ -18,7 +18,8 @@ recording of one camera, in unknown light.
     source follower            286 Hz [8]                   none: no value found         4.35 kHz [17]
     leak and its spread        0.0007 Hz [9], 30 % [10]     0.001 Hz, 30 % estimate      0: see background
     parasitic leak             0.0018 Hz at light 1 [9]     0.002 Hz estimate            0: see background
-    noise, rms                 0.05 [11]                    0: no value found            0: see background
+    noise, rms                 0.05 [11]                    0: no value found            0.0445 [24]
+    its pole, spread           286 Hz [8], none             none                         2.7 kHz, 22 % [24]
     background                 none: leak and noise         none                         0.0033 Hz, tail [12]
     refractory                 3.4 us [4]                   100 us estimate [13]         20 us [18]
     read-out                   arbiter                      scan, 197.28 us [14]         arbiter
@@ -71,6 +72,8 @@ recording of one camera, in unknown light.
     [19] The same: mean latency over regions of 32 to 420 pixels' side, within 0.6 us. Stamps are set before the output
         bus, of 1.06 Gev/s [3], limits.
     [20] An estimate: the same measurement has a few pixels that come milliseconds late.
+    [24] Fitted to the same camera (column "opposite", `evstim validate`): pixels that fire against the edge within half
+        a second at 0.006 to 0.4 W/m2. Uncertain in the dark, where that camera fires some twenty times as often.
 
 Other chips of Prophesee, of which less is public:
 
@@ -279,7 +282,7 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             source_follower_hz=286.0,
             refractory_us=3.4,
             readout=ReadoutParameters(event_ns=80.0, row_ns=80),
-            noise=NoiseParameters(rms=0.05),
+            noise=NoiseParameters(rms=0.05, history_s=100.0),
         ),
         "dvxplorer_micro": SensorParameters(
             width=640,
@@ -304,6 +307,7 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             refractory_us=20.0,
             readout=ReadoutParameters(event_ns=0.33, row_ns=127),
             jitter=JitterParameters(latency_us=1.2, off_latency_us=0.4, late_share=0.0005, late_us=3000.0),
+            noise=NoiseParameters(rms=0.0445, corner_hz=2700.0, spread=0.22, history_s=100.0),
             background=_IMX636_BACKGROUND,
         ),
         "gen31": SensorParameters(

@@ -111,14 +111,14 @@ def dead_pixels(p: SensorParameters, defects: Defects) -> npt.NDArray[np.bool_] 
     return dead
 
 
-def make_noise(p: SensorParameters, seed: int, defects: Defects) -> NoiseEvents | None:
-    """Return the noise of the grade "points"; None where there is none. Dead pixels have none."""
+def make_noise(p: SensorParameters, seed: int, defects: Defects, pixels: PixelMethod) -> NoiseEvents | None:
+    """Return the noise of the grade "points" of these pixels; None where there is none. Dead pixels have none."""
     if not p.noise.rms or p.noise.grade != "points" or defects.dead.size == p.width * p.height:
         return None
     drawn = draw(p, seed)
-    thresholds = (drawn.on + drawn.off) / 2
-    thresholds[defects.dead] = np.inf
-    return NoiseEvents(p, seed, thresholds)
+    thresholds = np.stack([drawn.on, drawn.off])
+    thresholds[:, defects.dead] = np.inf
+    return NoiseEvents(p, seed, thresholds, pixels.levels() if pixels.capabilities.takes_row_reads else None)
 
 
 def make_sources(p: SensorParameters, seed: int, defects: Defects, noise: NoiseEvents | None) -> list[Source]:
@@ -241,7 +241,7 @@ class Sensor:
         defects = draw_defects(own, seed)
         self._dead = dead_pixels(own, defects)
         self._leaks = _leaks(self.pixels, own, seed, defects)
-        self._noise = make_noise(own, seed, defects)
+        self._noise = make_noise(own, seed, defects, self.pixels)
         self._sources = make_sources(own, seed, defects, self._noise)
         self._jitter = make_jitter(own, seed)
         self._readout = make_readout(own)
@@ -404,6 +404,8 @@ class Sensor:
         seen = self._imager.see(frame)
         crossings = self._of_live_pixels(self.pixels.step(seen) if self._kicks is None else self._kicked(seen))
         self._t_ns = frame.t_ns
+        if self._noise is not None:
+            crossings = self._noise.take(crossings, seen.light.reshape(-1))
         return self._with_others(crossings, seen.light, self.pixels.settled_ns)
 
     def _kicked(self, seen: LightFrame) -> Crossings:

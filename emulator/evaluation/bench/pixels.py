@@ -228,6 +228,7 @@ def pixel_edges() -> float:
 _LIGHT = 0.05
 _NOISE_STEPS, _BLOCKS = 64, 25
 _SEED = 1
+_REFRACTORY_US = 5000.0
 
 
 def noisy_sensor(events_hz: float) -> SensorParameters:
@@ -242,7 +243,9 @@ def noisy_sensor(events_hz: float) -> SensorParameters:
 
 
 def _with_rms(noise_rms: float) -> SensorParameters:
-    return dataclasses.replace(PRESETS["davis346"], noise=NoiseParameters(rms=noise_rms), leak_hz=0.1)
+    noise = NoiseParameters(rms=noise_rms)
+    # A refractory period longer than the noise's time constant: the rate is soon that of the law.
+    return dataclasses.replace(PRESETS["davis346"], noise=noise, leak_hz=0.1, refractory_us=_REFRACTORY_US)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from types import MappingProxyType
 
+from emulator.evaluation.validation.background import background
 from emulator.evaluation.validation.findings import Experiment
 from emulator.evaluation.validation.latency import latency, opposite, region, spread
 from emulator.evaluation.validation.recordings import davis346, evk4
@@ -19,6 +20,7 @@ EXPERIMENTS: MappingProxyType[str, Experiment] = MappingProxyType(
         "opposite": opposite,
         "davis346_street": davis346,
         "evk4_quiet": evk4,
+        "background": background,
         "stars": stars,
     }
 )

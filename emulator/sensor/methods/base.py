@@ -141,7 +141,7 @@ class PixelMethod(ABC):
         raise NotImplementedError
 
     def live_thresholds(self) -> _Floats:
-        """Return the mean of each pixel's two thresholds, (pixels,), as they are now; infinite for dead pixels."""
+        """Return each pixel's ON and OFF threshold, (2, pixels), as they are now; infinite for dead pixels."""
         raise NotImplementedError
 
     def levels(self) -> Levels:

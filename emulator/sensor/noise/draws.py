@@ -1,425 +1,416 @@
-"""Compiled loops of `points`: draw a window of candidates, thin them by the light, merge them with crossings.
+"""Compiled loops of `points`: each pixel's next candidate, thinned by the rates of first passage from its level.
 
-The candidates of a window of some slots are drawn once, whatever the steps that cross it, and are sorted by time. A
-step then uses the candidates of its own time only, and the next events of bursts that are due. These are in lists by
-slot and by window, so that no step searches all of them. In the dark a burst waits half a second for its next event,
-and hundreds of thousands are pending in a large array; with the lists the cost of noise follows its events:
+A pixel has one candidate ahead, at a random time of a rate that is at least that of its noise events. When its time has
+come, the rates in the light and at the level of that time decide on an event. Only pixels with a candidate soon are
+looked at, by lists of pixels:
 
-    soon    a list for each slot of the present window, (WINDOW_SLOTS, 3, room); a step reads those of its own slots
-    ring    a list for each of the next RING windows, (RING, 3, room)
-    far     a list of later events, (3, room)
+    near     those whose candidate may come before the next horizon, a multiple of 2^26 ns
+    window   those whose candidate may come before the window's end, a multiple of 2^22 ns; a step searches these
+    moved    those with crossings of the pixels' own: their levels are read at the next windows until they rest
 
-When a window opens its list is distributed over its slots. Once in RING windows the far events are distributed over the
-ring.
+A pixel is in `near` or in `window` once at most. State of the pixels, one row for each, so that a pixel's values come
+with one access to memory:
 
-Numbers of one kind share an array, because each array argument costs 0.05 us a call, and each named tuple twice that
-(named tuples and arrays made for the result, as elsewhere in this folder, cost 4 us):
-
-    candidates   (3, room) int64: WHEN, KEY (pixel << 1 | on), BURST (random bits for the events that follow)
-    chances      (2, room) float32: ROW of the table of rates, by the pixel's thresholds, and LOG: the candidate fires
-                 if this is less than ln of the rate in the light of its step
-    table        (thresholds + 2, nodes) float32: ln of the primaries' rate in Hz over (threshold, ln f); below, over
-                 ln f, the probability that another event follows, and the mean wait for it in ns
-    lights       (6,) float32: dark current, corner frequency at the reference, least, most, nodes a fold, last place
-    soon, ring   (WINDOW_SLOTS, 3, room) and (RING, 3, room) int64: WHEN, KEY, BURST
-    far          (3, room) int64, the same
-    state        (STATE_SIZE,) int64, see `State`
+    times    (pixels, 3) int64: NEXT candidate; READ, time of the level that was read; CROSSED, the last crossing
+    levels   (pixels, 4) float32: OFFSET of the reference from that of the pixels' method, SEEN, the level of the
+             comparator when it was read, DRIFT of it by leak in ln units a second, and the candidate's RATE in Hz
+    limits   (pixels, 3) float32: the thresholds, infinite for dead pixels; the noise's rms over that of the sensor
+    place    (pixels,) uint8: bits of the lists that a pixel is in
+    counts   (COUNTS,) int64: see `Count`
 """
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.chip.sources import SLOT_NS
-from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, vector_kernel
-from emulator.sensor.numerics.elementary import natural_log
-from emulator.sensor.numerics.keyed import high, low, stream, unit, word
+from emulator.sensor.noise.passages import rates_between
+from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel
+from emulator.sensor.numerics.keyed import high, low, normal_from, stream, unit, word
 
 __all__ = [
-    "BURST",
-    "KEY",
-    "RING",
-    "STATE_SIZE",
-    "WHEN",
-    "WINDOW_SLOTS",
-    "State",
-    "draw_window",
+    "CROSSED",
+    "DRIFT",
+    "HORIZON_NS",
+    "NEVER_NS",
+    "NEXT",
+    "OFFSET",
+    "RATE",
+    "READ",
+    "SEEN",
+    "WINDOW_NS",
+    "Constants",
+    "Count",
+    "Lists",
+    "Packed",
+    "PixelNoise",
+    "Setting",
+    "begin",
+    "cross",
+    "due",
     "fire",
     "insert",
-    "put",
-    "put_ahead",
-    "slot_of",
-    "spread",
-    "take_window",
+    "look_again",
+    "open_horizon",
+    "open_window",
+    "settle",
 ]
 
+WINDOW_NS, HORIZON_NS = 1 << 22, 1 << 26
+NEVER_NS = 1 << 61
+"""Time of the next candidate of a pixel that has none."""
 
-WINDOW_SLOTS = 16
-"""Slots of a window. Fewer: more calls; more: more memory."""
+NEXT, READ, CROSSED = range(3)
+OFFSET, SEEN, DRIFT, RATE = range(4)
+_SCALE = 2
 
-RING = 32
-"""Windows that have a list of their own, half a second; a power of 2."""
-
-WHEN, KEY, BURST = range(3)
-
-_WINDOW_NS = WINDOW_SLOTS * SLOT_NS
-_Int64s = npt.NDArray[np.int64]
-_Ahead = tuple[_Int64s, _Int64s, _Int64s]
-
-
-class State(IntEnum):
-    """Entries of `state`; the last two are the first of WINDOW_SLOTS and of RING numbers of events in lists.
-
-    Step and window's end, candidates used and drawn, two constants, lack of room, the list of the window that opens
-    next, events in `far`, in the lists of `soon` and in those of the ring.
-    """
-
-    T0_NS = 0
-    T1_NS = 1
-    WINDOW_NS = 2
-    FIRST = 3
-    COUNT = 4
-    REFRACTORY_NS = 5
-    PIXEL_BITS = 6
-    FULL = 7
-    TURN = 8
-    FAR = 9
-    SOON = 10
-    RING = 10 + WINDOW_SLOTS
-
-
-STATE_SIZE = State.RING + RING
-
-_T0, _T1, _WINDOW, _FIRST, _COUNT, _REFRACTORY, _PIXEL_BITS, _FULL = (int(place) for place in list(State)[:8])
-_TURN, _FAR, _SOON, _RING = int(State.TURN), int(State.FAR), int(State.SOON), int(State.RING)
-
-
-@kernel
-def put(events: _Int64s, n: int, event: tuple[int, int, int]) -> int:
-    """Write an event to place n of a list, (3, room); return the next place."""
-    events[WHEN, n], events[KEY, n], events[BURST, n] = event
-    return n + 1
-
-
-@kernel
-def _windows_ahead(t_ns: int, state: _Int64s) -> Any:
-    """Return the number of windows between the present one and that of an event due after it."""
-    return np.int64(np.uint64(t_ns - state[_WINDOW]) // np.uint64(_WINDOW_NS))
-
-
-@kernel
-def slot_of(t_ns: int, state: _Int64s) -> Any:
-    """Return the number of the slot of a time within the present window."""
-    return np.int64(np.uint64(t_ns - (state[_WINDOW] - _WINDOW_NS)) // np.uint64(SLOT_NS))
-
-
-@kernel
-def put_ahead(ahead: _Ahead, event: tuple[int, int, int], state: _Int64s) -> None:
-    """Add an event that is due later in the present window or after it; `ahead` are soon, ring and far."""
-    soon, ring, far = ahead
-    if event[WHEN] < state[_WINDOW]:
-        slot = slot_of(event[WHEN], state)
-        state[_SOON + slot] = put(soon[slot], state[_SOON + slot], event)
-        return
-    windows = _windows_ahead(event[WHEN], state)
-    if windows >= RING:
-        state[_FAR] = put(far, state[_FAR], event)
-        return
-    place = (state[_TURN] + windows) & (RING - 1)
-    state[_RING + place] = put(ring[place], state[_RING + place], event)
-
-
-@cached_entry
-def spread(ring: _Int64s, far: _Int64s, state: _Int64s) -> bool:
-    """Move far events to the ring, where their windows are among the next RING; call it before each RING-th window.
-
-    Returns False if a list had no room for all of its events. They are still far: call again with more room.
-    """
-    remaining, fits = NONE, True
-    for k in range(state[_FAR]):
-        event = far[WHEN, k], far[KEY, k], far[BURST, k]
-        windows = _windows_ahead(event[WHEN], state)
-        place = (state[_TURN] + windows) & (RING - 1)
-        if windows < RING and state[_RING + place] < ring.shape[2]:
-            state[_RING + place] = put(ring[place], state[_RING + place], event)
-            continue
-        fits &= windows >= RING
-        remaining = put(far, remaining, event)
-    state[_FAR] = remaining
-    return fits
-
-
-@cached_entry
-def take_window(soon: _Int64s, ring: _Int64s, state: _Int64s) -> None:
-    """Move the events of the window that opens to `soon`, which is empty, and let the present window end with it."""
-    turn = state[_TURN]
-    state[_WINDOW] += _WINDOW_NS
-    for k in range(state[_RING + turn]):
-        slot = slot_of(ring[turn, WHEN, k], state)
-        event = ring[turn, WHEN, k], ring[turn, KEY, k], ring[turn, BURST, k]
-        state[_SOON + slot] = put(soon[slot], state[_SOON + slot], event)
-    state[_RING + turn] = 0
-    state[_TURN] = (turn + 1) & (RING - 1)
-
-
-_BATCH = 256
-_SECONDS = 1 << 40  # first index of the numbers that bursts are drawn from
-_ONE, _S32 = np.uint64(1), np.uint64(32)
+_NEAR, _WINDOW, _MOVED = (np.uint8(bit) for bit in (1, 2, 4))
+_LEAST_HZ = 2.0**-5  # of candidates: a level that moves without crossings is read again as often as this
+_UNREADABLE_HZ = 64.0  # of candidates in light that is not finite, so that finite light is noticed
+_MARGIN = 1.25
+_RESTING = 0.02  # change of level between two windows, in thresholds, below which it is at rest
 _LARGEST = np.finfo(np.float32).max
-_ZERO, _UNITY, _HALF, _NAN = (np.float32(x) for x in (0, 1, 0.5, np.nan))
-_ROW, _LOG = range(2)
-_AGAIN, _WAIT = -2, -1  # rows of the table
+_ONE = np.uint64(1)
+_TWO = np.int64(2)
 
+_Int64s = npt.NDArray[np.int64]
 _Float32s = npt.NDArray[np.float32]
-_Floats = npt.NDArray[np.float64]
-
 _Words = npt.NDArray[np.uint64]
+_Pixels = npt.NDArray[np.int64]
 _Events = tuple[_Int64s, npt.NDArray[np.uint32], npt.NDArray[np.bool_]]
 
 
-@vector_kernel
-def _logs(base: np.uint64, index: int, n: int, out: _Float32s) -> None:
-    """Write ln of the uniform numbers of every third word from `index` on."""
-    for k in range(n):
-        out[k] = natural_log(np.float32(unit(high(word(base, index + 3 * k)))))
+class Count(IntEnum):
+    """Entries of `counts`: the pixels in each list, and the packed events of the step."""
+
+    NEAR = 0
+    WINDOW = 1
+    MOVED = 2
+    FOUND = 3
+    DONE = 4
+
+
+class Constants(NamedTuple):
+    """The sensor's noise: streams of candidates and of looks, light to corner frequency, noise, refractory period."""
+
+    root: np.uint64
+    root_of_looks: np.uint64
+    dark: float
+    hz_at_reference: float
+    hz_min: float
+    hz_max: float
+    rms: float
+    corner_hz: float
+    refractory_ns: int
+
+
+class PixelNoise(NamedTuple):
+    """State of the pixels, see above."""
+
+    times: _Int64s
+    levels: _Float32s
+    limits: _Float32s
+    place: npt.NDArray[np.uint8]
+
+
+class Lists(NamedTuple):
+    """Lists of pixels, (pixels,) each, and the numbers in them."""
+
+    near: _Pixels
+    window: _Pixels
+    moved: _Pixels
+    counts: _Int64s
+
+
+class Setting(NamedTuple):
+    """The light of the step, (pixels,), the constants, and the table of first passages."""
+
+    light: _Float32s
+    constants: Constants
+    table: _Float32s
+
+
+class Packed(NamedTuple):
+    """Packed events, [time since t0 | pixel | on]."""
+
+    keys: _Words
+    t0_ns: int
+    pixel_bits: int
 
 
 @kernel
-def _words(base: np.uint64, index: int, n: int, out: _Words) -> None:
-    for k in range(n):
-        out[k] = word(base, index + 3 * k)
+def _figures(light: float, scale: float, c: Constants) -> tuple[float, float]:
+    """Return sigma, ln units, and 1 / tau, 1/s, at a light; sigma is 0 where the light is not finite."""
+    if not abs(light) <= _LARGEST:
+        return 0.0, 1.0
+    hz = min(max(c.hz_at_reference * (max(light, 0.0) + c.dark), c.hz_min), c.hz_max)
+    passed = c.corner_hz / (c.corner_hz + hz)
+    return c.rms * scale * math.sqrt(passed), 2 * math.pi * hz * passed
 
 
 @kernel
-def _times(log_gap: _Float32s, n: int, t: float, mean_gap: float, out: _Floats) -> tuple[int, float]:
-    """Write the times of the next candidates as shares of the slot; return the number within it, and the last time."""
-    for k in range(n):
-        t -= mean_gap * np.float64(log_gap[k])
-        out[k] = t
-        if t >= 1:
-            return k, t
-    return n, t
+def _rates(
+    level: float, limits: tuple[float, float], noise: tuple[float, float], table: _Float32s
+) -> tuple[float, float]:
+    """Return the ON and the OFF rate, Hz, for a reference at `level` above the signal."""
+    (on, off), (sigma, per_s) = limits, noise
+    if sigma <= 0:
+        return 0.0, 0.0
+    up, down = rates_between((on + level) / sigma, (off - level) / sigma, table)
+    return up * per_s, down * per_s
 
 
 @kernel
-def _choose_pixels(bits: _Words, n: int, alias: _Words, out: _Words) -> None:
-    """Write the pixel of each word: one drawn evenly, or the one that its entry [share of its own | other] names."""
-    pixels = np.uint64(alias.size)
-    for k in range(n):
-        pixel = (high(bits[k]) * pixels) >> _S32
-        entry = alias[pixel]
-        out[k] = pixel if low(bits[k]) < high(entry) else low(entry)
+def _candidates_hz(total: float) -> float:
+    """Return the rate of candidates for a rate of events: a power of two, so that it is the same whatever the steps."""
+    _, exponent = math.frexp(max(total * _MARGIN, _LEAST_HZ / 2))
+    return math.ldexp(1.0, exponent)
+
+
+@kernel
+def _wait_ns(half: np.uint64, hz: float) -> int:
+    return 1 + int(-math.log(unit(half)) / hz * 1e9)
+
+
+@kernel
+def _seen(t_ns: int, pixel: int, s: PixelNoise) -> float:
+    """Return the level of the comparator at a time, as it was last read."""
+    since_s = (t_ns - s.times[pixel, READ]) * 1e-9
+    return float(np.float64(s.levels[pixel, SEEN]) + s.levels[pixel, DRIFT] * since_s)
+
+
+@kernel
+def _set_again(level: float, noise: tuple[float, float], c: Constants, bits: np.uint64) -> float:
+    """Return the level to which the refractory period's end sets a reference, from a comparator at `level`."""
+    decay = math.exp(-noise[1] * c.refractory_ns * 1e-9)
+    return float(level * decay + noise[0] * math.sqrt(1 - decay * decay) * normal_from(bits))
+
+
+@kernel
+def _run(pixel: int, until_ns: int, w: Setting, s: PixelNoise, out: Packed, n: int) -> int:
+    """Run a pixel's candidates before a time; return the number of events in `out`, which may be full."""
+    c, table, keys = w.constants, w.table, out.keys
+    base, noise = stream(c.root, pixel), _figures(w.light[pixel], s.limits[pixel, _SCALE], c)
+    limits = np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])
+    t_ns = s.times[pixel, NEXT]
+    while t_ns < until_ns and n < keys.size:
+        bits, seen = word(base, _TWO * t_ns), _seen(t_ns, pixel, s)
+        level = s.levels[pixel, OFFSET] - seen
+        on_hz, off_hz = _rates(level, limits, noise, table)
+        chance = unit(high(bits)) * s.levels[pixel, RATE]
+        if chance < on_hz + off_hz:
+            on = chance < on_hz
+            keys[n] = np.uint64(t_ns - out.t0_ns) << np.uint64(out.pixel_bits + 1)
+            keys[n] |= np.uint64(pixel) << _ONE | np.uint64(on)
+            n += 1
+            level = _set_again(level + limits[0] if on else level - limits[1], noise, c, word(base, _TWO * t_ns + 1))
+            s.levels[pixel, OFFSET] = level + seen
+            on_hz, off_hz = _rates(level, limits, noise, table)
+            t_ns += c.refractory_ns
+        hz = _candidates_hz(on_hz + off_hz) if noise[0] > 0 else _UNREADABLE_HZ
+        s.levels[pixel, RATE] = hz
+        t_ns += _wait_ns(low(bits), hz)
+    s.times[pixel, NEXT] = t_ns
+    return n
 
 
 @cached_entry
-def draw_window(
-    slots: tuple[int, int, np.uint64, float, float],
-    alias: _Words,
-    row: _Float32s,
-    log_highest: _Float32s,
-    candidates: _Int64s,
-    chances: _Float32s,
-) -> int:
-    """Draw the candidates of some slots; return their number, or -1 if the buffer is too short for them.
+def begin(t_ns: int, w: Setting, s: PixelNoise) -> None:
+    """Draw the first candidates of all pixels at a time; levels have been read."""
+    light, c, table = w.light, w.constants, w.table
+    for pixel in range(light.size):
+        if s.limits[pixel, 0] > _LARGEST:
+            s.times[pixel, NEXT] = NEVER_NS
+            continue
+        limits = np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])
+        level = s.levels[pixel, OFFSET] - _seen(t_ns, pixel, s)
+        on_hz, off_hz = _rates(level, limits, _figures(light[pixel], s.limits[pixel, _SCALE], c), table)
+        hz = _candidates_hz(on_hz + off_hz) if abs(light[pixel]) <= _LARGEST else _UNREADABLE_HZ
+        s.levels[pixel, RATE] = hz
+        s.times[pixel, NEXT] = t_ns + _wait_ns(low(word(stream(c.root_of_looks, pixel), t_ns)), hz)
 
-    `slots` are the first, their number, the root of their streams, the mean gap between candidates as a share of a slot
-    and the share of ON events; `alias` and `row` are (pixels,), `log_highest` ln W by row of the table.
+
+@cached_entry
+def settle(until_ns: int, w: Setting, s: PixelNoise) -> None:
+    """Run the candidates of all pixels before a time without events: what they leave is the pixels' levels."""
+    out = Packed(np.empty(64, np.uint64), NONE, NONE)
+    for pixel in range(w.light.size):
+        drift = s.levels[pixel, DRIFT]
+        s.levels[pixel, DRIFT] = 0
+        while s.times[pixel, NEXT] < until_ns:
+            _run(pixel, until_ns, w, s, out, NONE)
+        s.levels[pixel, DRIFT] = drift
+
+
+@kernel
+def _crossed(pixel: int, on: bool, t_ns: int, w: Setting, s: PixelNoise) -> bool:
+    """Move a pixel's reference by its own crossing; return whether it fires, which noise may have done before."""
+    c = w.constants
+    offset, step = s.levels[pixel, OFFSET], s.limits[pixel, 0] if on else -s.limits[pixel, 1]
+    s.levels[pixel, SEEN], s.times[pixel, READ], s.times[pixel, CROSSED] = 0, t_ns, t_ns
+    early = offset * step > step * step / 2
+    if early:
+        s.levels[pixel, OFFSET] = offset - step
+    elif c.refractory_ns > 0:
+        bits = word(stream(c.root_of_looks, pixel), _TWO * t_ns + 1)
+        s.levels[pixel, OFFSET] = _set_again(0.0, _figures(w.light[pixel], s.limits[pixel, _SCALE], c), c, bits)
+    else:
+        s.levels[pixel, OFFSET] = 0
+    return not early
+
+
+@cached_entry
+def cross(
+    crossings: _Events, w: Setting, s: PixelNoise, lists: Lists, out: Packed, fires: npt.NDArray[np.bool_]
+) -> bool:
+    """Apply the pixels' own crossings from the DONE one on, each after its pixel's earlier candidates.
+
+    Writes which of them fire. Returns False where `out` is full: call again with more room.
     """
-    begin, number, root, mean_gap, on_share = slots
-    n, chunk = 0, min(_BATCH, max(8, int(1.2 / mean_gap)))
-    log_gap, t = np.empty(chunk, np.float32), np.empty(chunk)
-    drawn = np.empty((4, chunk), np.uint64)
-    sign, bits, pixel, burst = drawn[0], drawn[1], drawn[2], drawn[3]
-    for slot in range(begin, begin + number):
-        base, first, last = stream(root, slot), 0, 0.0
-        while last < 1:
-            if n + chunk > candidates.shape[1]:
-                return -1
-            _logs(base, 3 * first, chunk, log_gap)
-            some, last = _times(log_gap, chunk, last, mean_gap, t)
-            _words(base, 3 * first, some, sign)
-            _words(base, 3 * first + 1, some, bits)
-            _words(base, 3 * first + _SECONDS, some, burst)
-            _choose_pixels(bits, some, alias, pixel)
-            _logs(base, 3 * first + 2, some, log_gap)
-            for k in range(some):
-                candidates[WHEN, n + k] = slot * SLOT_NS + np.int64(t[k] * SLOT_NS)
-                candidates[KEY, n + k] = np.int64(pixel[k] << _ONE | np.uint64(unit(low(sign[k])) < on_share))
-                candidates[BURST, n + k] = np.int64(burst[k])
-                place = row[pixel[k]]
-                i = np.uint64(np.int64(place))
-                y = place - np.float32(i)
-                chances[_ROW, n + k] = place
-                chances[_LOG, n + k] = log_gap[k] + (log_highest[i] * (_UNITY - y) + log_highest[i + _ONE] * y)
-            first, n = first + some, n + some
-    return n
-
-
-@vector_kernel
-def _find_nodes(node: _Float32s, n: int, lights: _Float32s) -> None:
-    """Replace the light of n candidates by its position among the nodes; NaN where the light is not finite."""
-    dark, at_reference, lowest = lights[0], lights[1], lights[2]
-    highest, a_fold, last = lights[3], lights[4], lights[5]
-    for k in range(n):
-        light = node[k]
-        lit = light if light > _ZERO else _ZERO
-        hz = min(max(at_reference * (lit + dark), lowest), highest)
-        place = min(natural_log(hz / lowest) * a_fold, last)
-        node[k] = max(place, _ZERO) if abs(light) <= _LARGEST else _NAN
+    (t_ns, pixels, on), counts = crossings, lists.counts
+    n = counts[Count.FOUND]
+    for k in range(counts[Count.DONE], t_ns.size):
+        pixel = np.int64(pixels[k])
+        if s.times[pixel, NEXT] < t_ns[k]:
+            n = _run(pixel, t_ns[k], w, s, out, n)
+            if s.times[pixel, NEXT] < t_ns[k]:
+                counts[Count.FOUND], counts[Count.DONE] = n, k
+                return False
+        fires[k] = _crossed(pixel, on[k], t_ns[k], w, s)
+        if not s.place[pixel] & _MOVED:
+            s.place[pixel] |= _MOVED
+            lists.moved[counts[Count.MOVED]] = pixel
+            counts[Count.MOVED] += 1
+    counts[Count.FOUND], counts[Count.DONE] = n, NONE
+    return True
 
 
 @kernel
-def _find_rates(row: _Float32s, node: _Float32s, n: int, table: _Float32s, out: _Float32s) -> None:
-    """Write ln of each candidate's rate, by bilinear interpolation; NaN where the light is unreadable."""
-    for k in range(n):
-        place = node[k] if node[k] == node[k] else _ZERO
-        i, j = np.uint64(np.int64(row[k])), np.uint64(np.int64(place))
-        y, x = row[k] - np.float32(i), node[k] - np.float32(j)
-        upper = table[i, j] * (_UNITY - x) + table[i, j + _ONE] * x
-        lower = table[i + _ONE, j] * (_UNITY - x) + table[i + _ONE, j + _ONE] * x
-        out[k] = upper * (_UNITY - y) + lower * y
+def _read(pixel: int, t_ns: int, level: float, drift: float, s: PixelNoise) -> float:
+    """Store a level that was read, NaN in the refractory period; return its distance from what was expected."""
+    if level != level:
+        return 0.0
+    moved = level - _seen(t_ns, pixel, s)
+    s.levels[pixel, SEEN], s.levels[pixel, DRIFT], s.times[pixel, READ] = level, drift, t_ns
+    return float(moved)
 
 
-@kernel
-def _choose(log_chance: _Float32s, log_rate: _Float32s, n: int, chosen: _Int64s) -> int:
-    """List those of n candidates that fire, return their number."""
-    found = 0
-    for k in range(n):
-        chosen[found] = k
-        found += log_chance[k] < log_rate[k]
-    return found
+@cached_entry
+def look_again(
+    times_ns: tuple[int, int], read: tuple[_Float32s, _Float32s], w: Setting, s: PixelNoise, lists: Lists
+) -> None:
+    """Draw the candidates of `moved` pixels again at the first of two times, a window's start.
 
+    `read` are their levels and drifts at the second time.
 
-@kernel
-def _wait_ns(burst: np.uint64, node: np.float32, table: _Float32s, refractory_ns: int) -> int:
-    """Return the time to the next event of a burst, ns; -1 if there is none."""
-    nearest = np.int64(node + _HALF)
-    if unit(low(burst)) >= table[_AGAIN, nearest]:
-        return -1
-    return refractory_ns - int(np.float64(natural_log(np.float32(unit(high(burst))))) * table[_WAIT, nearest])
-
-
-@kernel
-def _pack(t_ns: int, key: int, ends: tuple[int, int, int], keys: _Words, n: int) -> int:
-    """Write an event of the step, packed as [time since t0 | pixel | on], to place n; return the next place."""
-    t0_ns, t1_ns, bits = ends
-    keys[n] = np.uint64(t_ns - t0_ns) << np.uint64(bits + 1) | np.uint64(key)
-    return n + ((t0_ns <= t_ns) & (t_ns < t1_ns))
-
-
-@kernel
-def _follow(
-    event: tuple[int, int, int], node: np.float32, table: _Float32s, keys: _Words, state: _Int64s, n: int
-) -> tuple[tuple[int, int, int], int]:
-    """Pack an event of the step and those of its burst that follow in it; return the next one, at -1 if none, and n.
-
-    Where `keys` is full, the event that finds no room is the next one.
+    Those that have come to rest leave the list.
     """
-    t_ns, key, burst = event
-    ends = state[_T0], state[_T1], state[_PIXEL_BITS]
-    while t_ns < ends[1]:
-        if n + 1 >= keys.size:
-            state[_FULL] = 1
-            break
-        n = _pack(t_ns, key, ends, keys, n)
-        wait_ns = _wait_ns(np.uint64(burst), node, table, state[_REFRACTORY])
-        if wait_ns < 0:
-            return (NONE - 1, key, burst), n
-        t_ns, key, burst = t_ns + wait_ns, key ^ 1, NONE + np.int64(word(np.uint64(burst), NONE))
-    return (t_ns, key, burst), n
+    (window_ns, t_ns), light, c, table = times_ns, w.light, w.constants, w.table
+    counts, remaining = lists.counts, NONE
+    for k in range(counts[Count.MOVED]):
+        pixel = lists.moved[k]
+        moved = _read(pixel, t_ns, read[0][k], read[1][k], s)
+        limits = np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])
+        level = s.levels[pixel, OFFSET] - _seen(window_ns, pixel, s)
+        on_hz, off_hz = _rates(level, limits, _figures(light[pixel], s.limits[pixel, _SCALE], c), table)
+        hz = _candidates_hz(on_hz + off_hz)
+        if hz != s.levels[pixel, RATE] and s.limits[pixel, 0] <= _LARGEST:
+            s.levels[pixel, RATE] = hz
+            bits = word(stream(c.root_of_looks, pixel), _TWO * window_ns)
+            s.times[pixel, NEXT] = window_ns + _wait_ns(low(bits), hz)
+        if abs(moved) > _RESTING * limits[0] or s.times[pixel, CROSSED] >= window_ns:
+            lists.moved[remaining] = pixel
+            remaining += 1
+        else:
+            s.place[pixel] &= ~_MOVED
+        _put_near(pixel, window_ns, s, lists)
+    counts[Count.MOVED] = remaining
 
 
 @kernel
-def _due(
-    light: _Float32s,
-    node: _Float32s,
-    rates: tuple[_Float32s, _Float32s],
-    ahead: tuple[_Int64s, _Int64s, _Int64s],
-    keys: _Words,
-    state: _Int64s,
-) -> int:
-    """Pack the next events of bursts that the step reaches, and compact the rest; return the number that were packed.
+def _put_near(pixel: int, t_ns: int, s: PixelNoise, lists: Lists) -> None:
+    """Add a pixel to `near` if its candidate comes before the horizon after a time, and it is in no list."""
+    if s.times[pixel, NEXT] < (t_ns // HORIZON_NS + 1) * HORIZON_NS and not s.place[pixel] & (_NEAR | _WINDOW):
+        s.place[pixel] |= _NEAR
+        lists.near[lists.counts[Count.NEAR]] = pixel
+        lists.counts[Count.NEAR] += 1
 
-    Only the lists of the step's slots are looked at. `node` is a buffer for the places of _BATCH lights.
+
+@cached_entry
+def open_horizon(t_ns: int, s: PixelNoise, lists: Lists) -> None:
+    """List the pixels whose candidates come before the horizon after a time."""
+    for pixel in range(s.place.size):
+        if s.times[pixel, NEXT] < NEVER_NS:
+            _put_near(pixel, t_ns, s, lists)
+
+
+@cached_entry
+def open_window(window_ns: int, s: PixelNoise, lists: Lists) -> None:
+    """Take the pixels whose candidates come before the end of the window at a time from `near` to `window`."""
+    counts, remaining, end_ns = lists.counts, NONE, window_ns + WINDOW_NS
+    horizon_ns = (window_ns // HORIZON_NS + 1) * HORIZON_NS
+    for k in range(counts[Count.NEAR]):
+        pixel = lists.near[k]
+        if s.times[pixel, NEXT] < end_ns:
+            s.place[pixel] = s.place[pixel] & ~_NEAR | _WINDOW
+            lists.window[counts[Count.WINDOW]] = pixel
+            counts[Count.WINDOW] += 1
+        elif s.times[pixel, NEXT] < horizon_ns:
+            lists.near[remaining] = pixel
+            remaining += 1
+        else:
+            s.place[pixel] &= ~_NEAR
+    counts[Count.NEAR] = remaining
+
+
+@cached_entry
+def due(until_ns: int, end_ns: int, s: PixelNoise, lists: Lists, out: _Pixels) -> int:
+    """List the pixels with candidates before a time, at most the window's end; return their number.
+
+    Pixels whose candidates come after the window's end leave its list.
     """
-    (table, lights), found = rates, NONE
-    for slot in range(slot_of(state[_T0], state), slot_of(state[_T1] - 1, state) + 1):
-        events, n, remaining = ahead[0][slot], state[_SOON + slot], NONE
-        for k in range(n):
-            if k % _BATCH == 0:
-                some = min(_BATCH, n - k)
-                _look(light, events, k, some, node)
-                _find_nodes(node, some, lights)
-            event = events[WHEN, k], events[KEY, k], events[BURST, k]
-            if event[0] < state[_T1]:
-                place = node[k % _BATCH]
-                event, found = _follow(event, place if place == place else _ZERO, table, keys, state, found)
-            if event[0] < 0:
-                continue
-            if event[0] < state[_WINDOW] and slot_of(event[0], state) == slot:
-                remaining = put(events, remaining, event)
-            else:
-                put_ahead(ahead, event, state)
-        state[_SOON + slot] = remaining
-    return int(found)
-
-
-@kernel
-def _look(light: _Float32s, events: _Int64s, first: int, n: int, out: _Float32s) -> None:
-    """Write the light of n events of a list, from `first` on."""
-    for k in range(n):
-        out[k] = light[np.uint64(events[KEY, first + k]) >> _ONE]
-
-
-@kernel
-def _take(light: _Float32s, candidates: _Int64s, span: tuple[int, int, int], out: _Float32s) -> int:
-    """Write the light of a step's next candidates, `span` being the first, the end and t1; return their number."""
-    first, end, t1_ns = span
-    n = 0
-    while n < _BATCH and first + n < end and candidates[WHEN, first + n] < t1_ns:
-        out[n] = light[np.uint64(candidates[KEY, first + n]) >> _ONE]
-        n += 1
-    return n
+    counts, remaining, n = lists.counts, NONE, NONE
+    for k in range(counts[Count.WINDOW]):
+        pixel = lists.window[k]
+        t_ns = s.times[pixel, NEXT]
+        out[n] = pixel
+        n += t_ns < until_ns
+        if t_ns < end_ns:
+            lists.window[remaining] = pixel
+            remaining += 1
+        else:
+            s.place[pixel] &= ~_WINDOW
+            _put_near(pixel, end_ns - 1, s, lists)
+    counts[Count.WINDOW] = remaining
+    return int(n)
 
 
 @cached_entry
 def fire(
-    light: _Float32s,
-    drawn: tuple[_Int64s, _Float32s],
-    rates: tuple[_Float32s, _Float32s],
-    ahead: tuple[_Int64s, _Int64s, _Int64s],
-    keys: _Words,
-    state: _Int64s,
-) -> int:
-    """Pack the events of a step, unsorted, into `keys`; return their number, and update `state`.
+    those: tuple[_Pixels, _Float32s, _Float32s], times_ns: tuple[int, int], w: Setting, s: PixelNoise, lists: Lists,
+    out: Packed,
+) -> bool:  # fmt: skip
+    """Run the candidates of the pixels that are due, from the DONE one on, before the first of two times.
 
-    With FULL set in `state`, `keys` had no room for all: call again for the same step and further room. `drawn` are
-    candidates and chances, `rates` table and lights, `ahead` soon, ring and far.
+    `those` are the pixels, and their levels and drifts at the second time; with none, levels stay as they are. Returns
+    False where `out` is full: call again with more room.
     """
-    (candidates, chances), (table, lights) = drawn, rates
-    t1_ns, first = state[_T1], state[_FIRST]
-    state[_FULL] = 0
-    node, rate = np.empty(_BATCH, np.float32), np.empty(_BATCH, np.float32)
-    found = _due(light, node, rates, ahead, keys, state)
-    chosen = np.empty(_BATCH + 1, np.int64)
-    n = _take(light, candidates, (first, state[_COUNT], t1_ns), node)
-    while n > 0:
-        _find_nodes(node, n, lights)
-        _find_rates(chances[_ROW, first:], node, n, table, rate)
-        for one in range(_choose(chances[_LOG, first:], rate, n, chosen)):
-            k = first + chosen[one]
-            event = candidates[WHEN, k], candidates[KEY, k], candidates[BURST, k]
-            event, found = _follow(event, node[chosen[one]], table, keys, state, found)
-            if event[0] >= 0:
-                put_ahead(ahead, event, state)
-        first += n
-        n = _take(light, candidates, (first, state[_COUNT], t1_ns), node)
-    state[_FIRST] = first
-    return int(found)
+    counts, (until_ns, t_ns), (pixels, level, drift) = lists.counts, times_ns, those
+    n = counts[Count.FOUND]
+    for k in range(counts[Count.DONE], pixels.size):
+        pixel = pixels[k]
+        if level.size:
+            _read(pixel, t_ns, level[k], drift[k], s)
+        n = _run(pixel, until_ns, w, s, out, n)
+        if s.times[pixel, NEXT] < until_ns:
+            counts[Count.FOUND], counts[Count.DONE] = n, k
+            return False
+    counts[Count.FOUND], counts[Count.DONE] = n, NONE
+    return True
 
 
 @cached_entry

@@ -27,7 +27,7 @@ import numpy.typing as npt
 from emulator.light import LightFrame
 from emulator.sensor.chip.sources import Pending, new_pending, reserve
 from emulator.sensor.methods.base import Capabilities, DrawnPixels, time_of
-from emulator.sensor.noise.law import bandwidth_hz, fixed_corner_hz
+from emulator.sensor.noise.law import bandwidth_hz, fixed_corner_hz, noise_scale
 from emulator.sensor.numerics.compiled import cached_entry, kernel, kernel_that_allocates
 from emulator.sensor.numerics.keyed import Purpose, high, low, normal, normal_from, root_of, stream, unit, word
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, unpacked
@@ -62,6 +62,7 @@ class _Model(NamedTuple):
     second: float  # rate of the second pole times the grid step; 0: none
     noise_rms: float
     noise_corner_hz: float
+    noise_scale: _Floats
     large: bool  # whether the photoreceptor has the large-signal law
 
 
@@ -232,6 +233,7 @@ def _advance(
             v = _filtered(s.u[pixel], u, s.v[pixel], m)
             w = _behind_second_pole(s.v[pixel], v, s.w[pixel], m)
             sigma, delta = _noise_figures(s.u[pixel], m)
+            sigma *= m.noise_scale[pixel]
             decay = math.exp(-delta)
             noise = s.n[pixel] * decay + sigma * math.sqrt(-math.expm1(-2 * delta)) * normal_from(word(voltage, grid))
             change = w - s.w[pixel] + noise - s.n[pixel] + _leaked(s.u[pixel], u, pixel, m)
@@ -283,6 +285,7 @@ class NoisyPixels(DrawnPixels):
             second=2 * math.pi * p.source_follower_hz * grid_ns(p) * 1e-9,
             noise_rms=p.noise.rms * (math.sqrt(1 + _FASTEST_HZ / noise_corner_hz) if no_low_pass else 1.0),
             noise_corner_hz=noise_corner_hz,
+            noise_scale=noise_scale(p, seed),
             large=p.photoreceptor == "large_signal",
         )  # fmt: skip
         self._u = np.zeros(drawn.on.size)
@@ -302,7 +305,7 @@ class NoisyPixels(DrawnPixels):
         first = -(-self._t_ns // m.delta_ns)
         self._settled_ns = first * m.delta_ns
         hz = np.clip(m.hz_at_reference * np.exp(self._u), m.hz_min, m.hz_max)
-        sigma = m.noise_rms * np.sqrt(m.noise_corner_hz / (m.noise_corner_hz + hz))
+        sigma = m.noise_rms * m.noise_scale * np.sqrt(m.noise_corner_hz / (m.noise_corner_hz + hz))
         noise = sigma * normal(self.seed, Purpose.NOISE_VOLTAGE, np.arange(pixels), first)
         seen = m.on * self._phase + noise
         self._state = _State(self._u.copy(), self._u.copy(), self._u.copy(), noise, seen, np.zeros(pixels, np.int64))

@@ -60,6 +60,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from emulator.sensor.numerics.keyed import Purpose, normal
 from emulator.sensor.presets import SensorParameters
 
 __all__ = [
@@ -74,8 +75,10 @@ __all__ = [
     "bandwidth_hz",
     "beyond_the_law",
     "corner_hz",
+    "exits",
     "fixed_corner_hz",
     "noise_events",
+    "noise_scale",
     "of_array",
     "rate_over_bandwidth",
     "rms",
@@ -139,7 +142,7 @@ def _quadrature(begin: _Floats, end: _Floats, low: _Floats) -> _Floats:
     return np.asarray((np.exp(y * y / 2) * inner * weight).sum(1) * (end - begin) / (3 * _INTERVALS))
 
 
-def _exits(c: _Floats, on: float, off: float) -> tuple[_Floats, _Floats]:
+def exits(c: _Floats, on: float, off: float) -> tuple[_Floats, _Floats]:
     """Return for levels c the probability that the exit is an ON event, and the mean time to it, tau."""
     low, high = c - off, c + on
     below, above = (_odd_integral(c) - _odd_integral(low), _odd_integral(high) - _odd_integral(c))
@@ -160,7 +163,7 @@ def statistics(on: float, off: float, refractory: float) -> Statistics:
     from scipy.special import ndtr
 
     c, deviation = _levels(on, off, refractory)
-    p_on, wait = _exits(c, on, off)
+    p_on, wait = exits(c, on, off)
     edges = np.concatenate([[-np.inf], (c[1:] + c[:-1]) / 2, [np.inf]])
     decay = np.exp(-refractory)
     after_on, after_off = (
@@ -317,6 +320,12 @@ def beyond_the_law(p: SensorParameters, f_hz: npt.ArrayLike) -> str:
     if under_way.max() > MOST_UNDER_WAY:
         return "bursts of noise events overlap: rates hold, intervals and the order of polarities do not"
     return ""
+
+
+def noise_scale(p: SensorParameters, seed: int) -> _Floats:
+    """Return the rms of each pixel's noise over that of the parameters, (pixels,)."""
+    pixel = np.arange(p.width * p.height)
+    return np.exp(p.noise.spread * normal(seed, Purpose.NOISE_SPREAD, pixel))
 
 
 def corner_hz(p: SensorParameters, light: npt.ArrayLike) -> _Floats:

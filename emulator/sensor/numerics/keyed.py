@@ -70,6 +70,7 @@ class Purpose(IntEnum):
     BACKGROUND_RATE = 20
     BACKGROUND_HOT = 21
     NOISE_BURST = 22
+    NOISE_SPREAD = 34
     LATE = 23
     RESET_NOISE = 24
     SLOT = 32

@@ -181,7 +181,7 @@ class PixelArray(PixelMethod):
     def live_thresholds(self) -> npt.NDArray[np.float64]:
         """See `PixelMethod`."""
         on, off = (self.field(which).reshape(-1).astype(np.float64) for which in (Field.ON, Field.OFF))
-        return np.where(on < DEAD_THRESHOLD, (on + off) / 2, np.inf)
+        return np.where(on < DEAD_THRESHOLD, np.stack([on, off]), np.inf)
 
     def levels(self) -> Levels:
         """See `PixelMethod`."""

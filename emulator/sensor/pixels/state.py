@@ -339,6 +339,17 @@ def _levels(pixels: Pixels, which: _Int64s, since_epoch_s: float, parasitic: flo
 
 
 @cached_entry
+def _drifts(pixels: Pixels, which: _Int64s, parasitic: float) -> _Float32s:
+    out = np.empty(which.size, np.float32)
+    for k in range(which.size):
+        at = slot(which[k])
+        out[k] = pixels.fields[at + _LEAK]
+        if parasitic > 0:
+            out[k] += parasitic * pixels.fields[at + _ON] * np.exp(pixels.fields[at + _U])
+    return out
+
+
+@cached_entry
 def _thresholds(pixels: Pixels, which: _Int64s, row: int) -> _Float32s:
     out = np.empty(which.size, np.float32)
     for k in range(which.size):
@@ -383,6 +394,10 @@ class Levels:
         second = p.source_follower_hz > 0
         levels: _Float32s = _levels(self._pixels, pixel, since_epoch_s, float(p.parasitic_hz_at_reference), second)
         return levels
+
+    def moving(self, pixel: _Int64s) -> tuple[_Float32s, _Float32s]:
+        """Return the levels of pixels (n,), see `of`, and their drifts by leak, ln units a second."""
+        return self.of(pixel), _drifts(self._pixels, pixel, float(self._array.parameters.parasitic_hz_at_reference))
 
     def thresholds(self, pixel: _Int64s) -> tuple[_Float32s, _Float32s]:
         """Return the ON and OFF thresholds of pixels (n,)."""

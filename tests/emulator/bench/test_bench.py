@@ -16,7 +16,9 @@ def test_a_load_of_noise_has_its_rate(events_hz):
     p = noisy_sensor(events_hz)
     pixels = p.width * p.height
     noise = NoiseEvents(p, 1, np.full(pixels, (p.threshold_on + p.threshold_off) / 2))
-    found = noise.step(np.full(pixels, 0.05, np.float32), 500_000_000)
+    light, settled_s = np.full(pixels, 0.05, np.float32), 2 + 6 / events_hz
+    noise.step(light, round(settled_s * 1e9))
+    found = noise.step(light, round((settled_s + 0.5) * 1e9))
     assert len(found) / pixels / 0.5 == pytest.approx(events_hz, rel=0.05)
 
 

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from emulator.sensor.chip.sources import SLOT_NS, Pending, Window, release
-from emulator.sensor.noise.draws import State
 from emulator.sensor.noise.law import bandwidth_hz, corner_hz, of_array, rate_over_bandwidth, rms
+from emulator.sensor.noise.passages import passage_rates
 from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.numerics import keyed as keyed_kernels
 from emulator.sensor.numerics.keyed import Purpose, normal, root_of, words
@@ -25,10 +25,11 @@ from emulator.sensor.presets import SensorParameters
 
 ALPHA = 1e-4
 MS = 1_000_000
+SETTLE_NS = 2000 * MS
 DAYS_30 = 30 * 86_400 * 10**9
 PLAIN = SensorParameters(
     width=64, height=48, threshold_on=0.2, threshold_off=0.2, mismatch=0.0, corner_hz_at_reference=300.0,
-    noise=NoiseParameters(rms=0.08, corner_hz=300.0),
+    refractory_us=1000.0, noise=NoiseParameters(rms=0.08, corner_hz=300.0),
 )  # fmt: skip
 PIXELS = PLAIN.width * PLAIN.height
 
@@ -43,9 +44,11 @@ def model_hz(p=PLAIN, level=1.0, threshold=0.2):
     return f_n * rate_over_bandwidth(threshold / rms(p, f), p.refractory_us * 1e-6 * 2 * np.pi * f_n)
 
 
-def run(p=PLAIN, seed=1, step_ns=MS, end_ns=1000 * MS, level=1.0, start_ns=0, thresholds=None):
+def run(p=PLAIN, seed=1, step_ns=MS, end_ns=1000 * MS, level=1.0, start_ns=0, thresholds=None, settle_ns=0):
+    """The events from start_ns on, after a time in which levels that begin at the signal come to what they stay at."""
     noise = NoiseEvents(p, seed, np.full(p.width * p.height, 0.2) if thresholds is None else thresholds)
-    noise.reset(start_ns)
+    noise.reset(start_ns - settle_ns)
+    noise.step(light(level, p), start_ns)
     times = [*range(start_ns + step_ns, start_ns + end_ns, step_ns), start_ns + end_ns]
     return joined([noise.step(light(level, p), t) for t in times])
 
@@ -80,33 +83,43 @@ def test_noise_gets_weaker_as_the_fixed_pole_takes_over():
 
 
 @pytest.mark.parametrize("step_ns", [100_000, MS, 20 * MS])
-@pytest.mark.parametrize("refractory_us", [0.0, 1000.0, 10_000.0])
+@pytest.mark.parametrize("refractory_us", [1000.0, 10_000.0])
 def test_rates_are_those_of_the_law(refractory_us, step_ns):
     p = dataclasses.replace(PLAIN, refractory_us=refractory_us)
-    found, seconds = run(p, step_ns=step_ns), 1.0
+    found, seconds = run(p, step_ns=step_ns, settle_ns=SETTLE_NS), 1.0
     expected = model_hz(p) * PIXELS * seconds
     error = np.bincount(found.pixel, minlength=PIXELS).std() * np.sqrt(PIXELS) / 2  # of ON or OFF, which alternate
     for count in (found.on.sum(), len(found) - found.on.sum()):
-        assert abs(count - expected) < stats.norm.isf(ALPHA / 2) * error + 0.01 * expected
+        assert abs(count - expected) < stats.norm.isf(ALPHA / 2) * error + 0.02 * expected
+
+
+def test_without_a_refractory_period_levels_stay_on_whole_thresholds():
+    """Equal thresholds: a level is in the middle, or one threshold off, from where it soon returns."""
+    p = dataclasses.replace(PLAIN, refractory_us=0.0)
+    found, f = run(p, end_ns=8000 * MS), corner_hz(p, 1.0)
+    a = float(0.2 / rms(p, f))
+    (leave,), (back,) = (sum(passage_rates(above, 2 * a - above)) for above in (a, 0.0))
+    expected = 8 * PIXELS * 2 * math.pi * float(bandwidth_hz(p, f)) * 2 / (1 / leave + 1 / back)
+    assert abs(len(found) - expected) < stats.norm.isf(ALPHA / 2) * 2 * math.sqrt(expected) + 0.02 * expected
 
 
 def test_each_pixel_has_the_rate_of_its_own_thresholds():
     thresholds = 0.2 * (1 + 0.05 * normal(3, Purpose.THRESHOLD_ON, np.arange(PIXELS)))
-    found = run(thresholds=thresholds, end_ns=8000 * MS)
+    found = run(thresholds=thresholds, end_ns=8000 * MS, settle_ns=SETTLE_NS)
     order = np.argsort(thresholds)
     counts = np.bincount(found.pixel, minlength=PIXELS)[order].reshape(16, -1)
     error = np.sqrt(counts.var(axis=1) * counts.shape[1])
     counts = counts.sum(axis=1)
     expected = 8 * 2 * model_hz(threshold=thresholds[order]).reshape(16, -1).sum(axis=1)
     assert expected.max() > 3 * expected.min()
-    # Bursts take their length from the middle threshold, which costs some percent at the ends.
     assert np.all(np.abs(counts - expected) < stats.norm.isf(ALPHA / 32) * error + 0.01 * expected)
 
 
 def test_rates_follow_the_light_pixel_by_pixel():
-    levels = np.repeat(np.float32([0.02, 0.1, 0.5, 3.0]), PIXELS // 4)
+    levels = np.repeat(np.float32([0.02, 0.1, 0.5, 1.0]), PIXELS // 4)
     noise = NoiseEvents(PLAIN, 1, np.full(PIXELS, 0.2))
-    found = joined([noise.step(levels, t) for t in range(MS, 4001 * MS, 10 * MS)])
+    noise.step(levels, 40_000 * MS)
+    found = joined([noise.step(levels, t) for t in range(40_001 * MS, 44_001 * MS, 10 * MS)])
     counts = np.bincount(found.pixel, minlength=PIXELS).reshape(4, -1)
     expected = np.array([8 * model_hz(level=float(e)) for e in levels[:: PIXELS // 4]])
     error = counts.std(axis=1) / np.sqrt(PIXELS / 4)
@@ -115,7 +128,7 @@ def test_rates_follow_the_light_pixel_by_pixel():
 
 def test_without_pairs_events_come_at_random_in_time_and_place():
     p = dataclasses.replace(PLAIN, refractory_us=20_000.0)
-    found = run(p, end_ns=3000 * MS)
+    found = run(p, end_ns=3000 * MS, settle_ns=SETTLE_NS)
     gaps = np.diff(found.t_ns)
     assert stats.kstest(gaps, "expon", (0, gaps.mean())).pvalue > ALPHA
     assert stats.chisquare(np.bincount(found.pixel, minlength=PIXELS).reshape(64, -1).sum(axis=1)).pvalue > ALPHA
@@ -123,17 +136,15 @@ def test_without_pairs_events_come_at_random_in_time_and_place():
     assert stats.chisquare(np.histogram(found.t_ns % SLOT_NS, bins=50)[0]).pvalue > ALPHA
 
 
-def test_bursts_go_and_come_back():
-    """Bursts of a pixel may overlap, which makes some successors alike: the more the pixel fires, the more of them."""
-    noise = NoiseParameters(rms=0.06, corner_hz=300.0)
-    p = dataclasses.replace(PLAIN, mismatch=0.035, refractory_us=500.0, noise=noise)
-    found = run(p, end_ns=20_000 * MS)
+def test_events_go_and_come_back():
+    p = dataclasses.replace(PLAIN, mismatch=0.035, refractory_us=600.0)
+    found = run(p, end_ns=5000 * MS, settle_ns=10 * SETTLE_NS)
     order = np.lexsort([found.t_ns, found.pixel])
     pixel, on = found.pixel[order], found.on[order]
     law = of_array(p, np.array(0.2), corner_hz(p, 1.0))
     opposite = (on[1:] != on[:-1])[np.diff(pixel) == 0].mean()
-    assert law.opposite > 0.85
-    assert opposite == pytest.approx(float(law.opposite), abs=0.04)
+    assert law.opposite > 0.8
+    assert opposite == pytest.approx(float(law.opposite), abs=0.02)
 
 
 @pytest.mark.parametrize("step_ns", [500_000, 5 * MS, 20 * MS, 333_333])
@@ -153,14 +164,6 @@ def test_no_division_of_time_matters(steps, start_ns):
     assert len(found) == 0 or (found.t_ns[0] >= start_ns and found.t_ns[-1] < ends[-1])
 
 
-def test_a_start_in_the_middle_of_a_slot_has_the_rest_of_it():
-    early = run(end_ns=20 * MS)
-    late = run(start_ns=SLOT_NS // 3, end_ns=20 * MS - SLOT_NS // 3)
-    kept = early.t_ns >= SLOT_NS // 3
-    assert np.count_nonzero(late.t_ns < SLOT_NS) > 10
-    assert same(late, joined([Crossings(early.t_ns[kept], early.pixel[kept], early.on[kept])]))
-
-
 def test_an_event_at_a_steps_end_belongs_to_the_next_step():
     times = np.array([21, 9, 10, 19, 20], np.int64)
     ahead = Pending(times, np.arange(5, dtype=np.uint64))
@@ -178,11 +181,10 @@ def test_steps_that_end_at_events_lose_none():
     assert same(joined(found), whole)
 
 
-def test_in_the_dark_seconds_are_due_windows_later_and_come_once():
-    found = run(level=0.0, end_ns=6000 * MS, step_ns=7 * MS)
+def test_in_the_dark_events_come_once():
+    found = run(level=0.0, end_ns=6000 * MS, step_ns=7 * MS, settle_ns=10_000 * MS)
     assert len(set(lasting(found))) == len(found)
-    settled = np.count_nonzero(found.t_ns > 1000 * MS)  # the seconds of what began before the start are missing
-    assert settled == pytest.approx(2 * 5 * model_hz(level=0.0) * PIXELS, rel=0.03)
+    assert len(found) == pytest.approx(2 * 6 * model_hz(level=0.0) * PIXELS, rel=0.03)
 
 
 def test_a_copy_goes_on_the_same():
@@ -232,30 +234,26 @@ def test_a_step_of_no_time_leaves_crossings_alone():
 
 def test_an_array_so_small_that_most_windows_have_no_candidate_goes_on():
     p = dataclasses.replace(PLAIN, width=6, height=4)
-    events = run(p, step_ns=20 * MS, end_ns=5_000 * MS)
+    events = run(p, step_ns=20 * MS, end_ns=5_000 * MS, settle_ns=SETTLE_NS)
     per_pixel = np.bincount(events.pixel, minlength=24)
     expected = 2 * 5 * model_hz(p)  # of both signs, a pixel
     assert abs(per_pixel.mean() - expected) < stats.t.isf(ALPHA / 2, 23) * per_pixel.std(ddof=1) / np.sqrt(24)
 
 
-def test_any_number_of_candidates_finds_room():
+def test_any_number_of_events_finds_room():
     p = dataclasses.replace(PLAIN, noise=NoiseParameters(rms=0.08, corner_hz=1e5), corner_hz_at_reference=1e5,
-                            corner_max_hz=1e5)  # fmt: skip
+                            corner_max_hz=1e5, refractory_us=3.0)  # fmt: skip
     noise = NoiseEvents(p, 1, np.full(PIXELS, 0.2))
-    noise._reserve_candidates(600)
     found = noise.step(light(), 30 * MS)
     assert same(found, NoiseEvents(p, 1, np.full(PIXELS, 0.2)).step(light(), 30 * MS))
-    assert len(found) == pytest.approx(2 * model_hz(p) * PIXELS * 0.03, rel=0.03)
+    assert len(found) == pytest.approx(2 * model_hz(p) * PIXELS * 0.03, rel=0.1)
 
 
-def test_an_event_is_thinned_by_the_light_of_its_own_step():
-    p = dataclasses.replace(PLAIN, refractory_us=50_000.0)  # hence no pairs
-    noise, nothing = NoiseEvents(p, 1, np.full(PIXELS, 0.2)), light(np.nan)
-    found = joined([noise.step(nothing if k % 2 else light(), k * MS) for k in range(1, 401)])
-    whole = run(p, end_ns=400 * MS)
-    lit = whole.t_ns // MS % 2 == 1
-    assert 500 < np.count_nonzero(lit) < len(whole) - 500
-    assert lasting(found) == lasting(Crossings(whole.t_ns[lit], whole.pixel[lit], whole.on[lit]))
+def test_unreadable_light_raises_no_events_and_readable_light_does_again():
+    noise, nothing = NoiseEvents(PLAIN, 1, np.full(PIXELS, 0.2)), light(np.nan)
+    found = joined([noise.step(nothing if k % 2 else light(), k * MS) for k in range(1, 1001)])
+    assert np.all((found.t_ns // MS + 1) % 2 == 0)
+    assert len(found) > 2000
 
 
 def test_a_reset_forgets_what_was_ahead():
@@ -271,7 +269,7 @@ def test_seeds_differ_and_repeat():
 
 
 def test_after_thirty_days_the_rate_is_the_same():
-    late = run(start_ns=DAYS_30)
+    late = run(start_ns=DAYS_30, settle_ns=SETTLE_NS)
     assert len(late) == pytest.approx(2 * model_hz() * PIXELS, rel=0.03)
     assert len(np.unique(late.t_ns % 1000)) == 1000  # still to the nanosecond
 
@@ -293,14 +291,11 @@ def test_light_below_zero_is_dark():
     assert same(noise.step(light(-1.0), 3000 * MS), dark.step(light(0.0), 3000 * MS))
 
 
-def test_there_is_room_for_far_events_when_figures_change_within_a_window():
-    dark = dataclasses.replace(PLAIN, corner_min_hz=0.2, noise=NoiseParameters(rms=0.08))
-    noise = NoiseEvents(dark, 1, np.full(PIXELS, 0.2))
-    room = []
-    for t_ns in range(MS, 14 * MS, MS):
-        if t_ns == 4 * MS:
-            noise.follow(dataclasses.replace(dark, threshold_on=0.19), np.full(PIXELS, 0.195))
-        noise.step(light(0.0), t_ns)
-        room.append(noise._far.shape[1] - int(noise._state[State.FAR]))
-    assert int(noise._state[State.FAR]) > 0
-    assert min(room) > 0
+def test_changed_figures_count_from_their_time_on():
+    noise = NoiseEvents(PLAIN, 1, np.full(PIXELS, 0.2))
+    noise.step(light(), 1000 * MS)
+    noise.follow(dataclasses.replace(PLAIN, threshold_on=0.25, threshold_off=0.25), np.full(PIXELS, 0.25))
+    noise.step(light(), 3000 * MS)
+    found = noise.step(light(), 7000 * MS)
+    expected = 4 * 2 * model_hz(threshold=0.25) * PIXELS
+    assert abs(len(found) - expected) < stats.norm.isf(ALPHA / 2) * 2 * math.sqrt(expected) + 0.03 * expected
