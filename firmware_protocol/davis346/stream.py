@@ -302,6 +302,7 @@ class EventStream:
             self._fifo.put_wraps(self._batch(wraps, at_start))
         queued = self._fifo.put(Batch(encoded, before, self.epoch_us, events, marks, blocks))
         words = queued.encoded.words
+        self._encoder.count(words, encoded.words[len(words) :])
         if len(words) < len(encoded.words):
             self._encoder.state = before.after(words)
             self.rows += int(np.count_nonzero(is_row(words)))

@@ -221,6 +221,9 @@ class TimedEncoder(ABC):
         self.state = WordState(now_us >> WRAP_BITS << WRAP_BITS, self.state.row)
         return words
 
+    def count(self, queued: Words, dropped: Words) -> None:  # noqa: B027  # not every model counts more than rows
+        """Count words of a call of `encode` that were queued, and those that found no room, for statistics."""
+
     @abstractmethod
     def encode(
         self, events: Events, epoch_us: int = 0, marks: Marks | None = None, blocks: Sequence[Block] = ()
