@@ -113,7 +113,7 @@ class Dvxplorer(Fx3Camera):
         return Parts(stream, ChipFilters(self._fates), readings, ChipStatistics(self, stream, self._encoder))
 
     def _factors_of_biases(self) -> Mapping[str, float]:
-        return sensor_factors(chip_of(self._registers))
+        return sensor_factors(chip_of(self._registers), self.scan_us)
 
     def _run_gate(self) -> RunGate:
         self._encoder.compressed = bool(chip_of(self._registers)(Chip.FORMAT) & _PAIRS)

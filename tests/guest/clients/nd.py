@@ -27,21 +27,21 @@ def collect_imu(samples: Any, collector: Collector) -> None:
 
 def open_camera(options: argparse.Namespace) -> Any:
     """Open the first camera, with the detector of its external input on if triggers are asked for."""
-    camera = open_driver(options.attempts)
+    camera = open_driver(options.device, options.attempts)
     if options.triggers:
         write_registers(EXTERNAL_INPUT, DETECT, 1)
     return camera
 
 
-def open_driver(attempts: int) -> Any:
+def open_driver(device: str, attempts: int) -> Any:
     """Open the first camera; where the driver finds none, a second later again."""
     try:
-        return nd.open(nd.inivation_davis346.Configuration(), iterator_timeout=0.1)
+        return nd.open(getattr(nd, device).Configuration(), iterator_timeout=0.1)
     except RuntimeError:
         if attempts == 1:
             raise
     time.sleep(1.0)
-    return open_driver(attempts - 1)
+    return open_driver(device, attempts - 1)
 
 
 def take(camera: Any, collector: Collector, options: argparse.Namespace) -> int:
