@@ -5,7 +5,8 @@ hides the pixels up to the next good one; time is unrolled in 64 bits; a reset s
 
 Inertial samples are sent in the unit's own axes: y, x, z, for accelerometer and gyroscope alike.
 
-The decoder is compiled: one pass counts pixels and other words, the next writes the records into arrays of that size.
+The decoder is compiled: one pass counts pixels and other words, the next writes the records into arrays of that size,
+with its whole state in local variables, which the compiler keeps in registers.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def count_items(words: Words) -> tuple[int, int]:
         bits -= bits >> 1 & 0x55
         bits = (bits & 0x33) + (bits >> 2 & 0x33)
         pixels += int((bits & 0xF) + (bits >> 4))
-        others += kind == 0 or kind in (0x5000, 0x6000)
+        others += kind in (0, 0x5000, 0x6000)
     return pixels, others
 
 
@@ -81,58 +82,54 @@ def read_words(words: Words, state: _Int64s, events: _Bytes, others: _Int64s) ->
     others
         (k, 3): word, its time, and the number of events before it; k words of other kinds.
     """
-    at, at_other = 0, 0
+    time_us, column, first, second = state[_TIME], state[_COLUMN], state[_GROUP_1], state[_GROUP_2]
+    columns, groups, at, at_other = state[_COLUMNS], state[_GROUPS], 0, 0
     for word in words:
         kind, value = word & _KIND, int(word & 0xFFF)
-        if word >= _WRAP:
-            _take_time(word, value, state)
-        elif kind == COLUMN:
-            x = value & COLUMN_BITS
-            is_good = x < state[_COLUMNS]
-            state[_COLUMN] = x if is_good else _NONE
-            state[_BAD_COLUMN] += not is_good
+        if kind in (GROUP_1, GROUP_2):
+            group = first if kind == GROUP_1 else second
+            if column >= 0 and group >= 0:
+                at = _put_pixels(events, at, time_us, column, group * ROWS_OF_GROUP | value << 16)
+        elif word >= _WRAP:
+            later = _time_after(time_us, word)
+            state[_BAD_TIME] += later <= time_us and (time_us > 0 or later < 0)
+            time_us = later
         elif kind == ADDRESSES:
-            _take_addresses(value, state)
-        elif kind in (GROUP_1, GROUP_2):
-            at = _put_pixels(events, at, value, state[_GROUP_1 if kind == GROUP_1 else _GROUP_2], state)
-        elif kind in (0, 0x5000, 0x6000):
-            state[_TIME] *= word != _RESET
-            others[at_other, 0], others[at_other, 1], others[at_other, 2] = word, state[_TIME], at // EVENT_BYTES
+            first = np.int64(value & 0x3F)
+            second = first - (value >> 6 & FARTHEST) if value & 0x800 else first + (value >> 6 & FARTHEST)
+            state[_BAD_GROUP] += first >= groups or second < 0 or second >= groups
+            first = first if first < groups else _NONE
+            second = second if second < groups else _NONE
+        elif kind == COLUMN:
+            column = np.int64(value & COLUMN_BITS)
+            state[_BAD_COLUMN] += column >= columns
+            column = column if column < columns else _NONE
+        else:
+            time_us *= word != _RESET
+            others[at_other, 0], others[at_other, 1], others[at_other, 2] = word, time_us, at // EVENT_BYTES
             at_other += 1
+    state[_TIME], state[_COLUMN], state[_GROUP_1], state[_GROUP_2] = time_us, column, first, second
     return at // EVENT_BYTES
 
 
 @kernel
-def _take_time(word: int, value: int, state: _Int64s) -> None:
-    """Set the time to that of a timestamp or a wrap."""
-    before = state[_TIME]
-    base = before >> _WRAP_BITS << _WRAP_BITS
-    t = base + (word & _LOW_BITS) if word >= _TIMESTAMP else base + ((value & _MAX_STEPS) << _WRAP_BITS)
-    state[_BAD_TIME] += t <= before and (before > 0 or t < before)
-    state[_TIME] = t
+def _time_after(before_us: int, word: int) -> int:
+    """Return the time that a timestamp or a wrap sets."""
+    base = before_us >> _WRAP_BITS << _WRAP_BITS
+    return base + (word & _LOW_BITS) if word >= _TIMESTAMP else base + ((word & _MAX_STEPS) << _WRAP_BITS)
 
 
 @kernel
-def _take_addresses(value: int, state: _Int64s) -> None:
-    """Set the groups in force."""
-    first, distance = value & 0x3F, value >> 6 & FARTHEST
-    second = first - distance if value & 0x800 else first + distance
-    are_good = first < state[_GROUPS] and 0 <= second < state[_GROUPS]
-    state[_GROUP_1] = first if first < state[_GROUPS] else _NONE
-    state[_GROUP_2] = second if 0 <= second < state[_GROUPS] else _NONE
-    state[_BAD_GROUP] += not are_good
+def _put_pixels(events: _Bytes, at: int, time_us: int, x: int, rows: int) -> int:
+    """Write an EVENT record for each pixel; return the place of the next one.
 
-
-@kernel
-def _put_pixels(events: _Bytes, at: int, value: int, group: int, state: _Int64s) -> int:
-    """Write an EVENT record for each pixel of a word; return the place of the next one."""
-    if group < 0 or state[_COLUMN] < 0:
-        return at
-    row, bits, on = group * ROWS_OF_GROUP, value & 0xFF, not value & OFF_BIT
+    `rows`: the first row, and from bit 16 on the word of pixels.
+    """
+    row, bits, on = rows & 0xFFFF, rows >> 16 & 0xFF, not rows >> 16 & OFF_BIT
     while bits:
         if bits & 1:
-            put_time(events, at, state[_TIME])
-            put_short(events, at + 8, state[_COLUMN])
+            put_time(events, at, time_us)
+            put_short(events, at + 8, x)
             put_short(events, at + 10, row)
             events[np.uint64(at + 12)] = on
             at += EVENT_BYTES
