@@ -184,3 +184,11 @@ def test_statistics_of_words():
     encoder.count(encoded.words[:100], encoded.words[100:])
     counted = encoder.groups + encoder.dropped_groups
     assert counted == sum(1 for word in encoded.words.tolist() if word >> 12 in (2, 3))
+
+
+@pytest.mark.parametrize("words", [[0x1001, 0x47FB, 0x20FF], [0x1001, 0x4FC0, 0x20FF], [0x1280, 0x4000, 0x30FF]])
+def test_pixels_of_a_group_or_column_outside_are_no_events(words):
+    own = GroupDecoder()
+    assert len(own.feed(np.array(words, "<u2").tobytes()).events) == 0
+    assert own.faults.row_outside + own.faults.column_outside == 1
+    assert len(own.feed(np.array([0x1001, 0x4000, 0x3001], "<u2").tobytes()).events) == 1
