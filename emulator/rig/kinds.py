@@ -20,6 +20,10 @@ from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.tables.registry import Registry
 from emulator.tables.typed_table import KeyPath, TableError, convert_kind, unknown
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo
+from firmware_protocol.davis346.registers import driver_imu_settings
+from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerSettings
+from firmware_protocol.dvxplorer import registers as dvxplorer_registers
+from firmware_protocol.imu_samples import BMI160, ImuSettings
 from firmware_protocol.imx636.boards import BOARDS
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.imx636.registers import Surroundings
@@ -39,7 +43,9 @@ __all__ = [
     "convert_fault",
     "faults_of",
     "gige_models",
+    "host_imu_settings",
     "known_faults",
+    "usb_model",
     "usb_sizes",
 ]
 
@@ -136,13 +142,17 @@ class UsbModel:
     device
         Returns the factory of the device in a link's process, which can be pickled; raises ValueError for a camera
         that the device cannot represent.
-    has_evt
-        Whether it sends EVT words: a run compiles their kernels before it begins.
+    has_evt, has_groups
+        Whether it sends EVT words, or words of groups of pixels: a run compiles their kernels before it begins.
+    imu_units
+        Inertial units that it can have; None: it has no use for one, and any is allowed.
     """
 
     size: tuple[int, int]
     device: Callable[[Camera, UsbSettings], Callable[[], UsbCamera]]
     has_evt: bool = False
+    has_groups: bool = False
+    imu_units: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -166,8 +176,17 @@ class CameraModel:
         return self.chip is CHIPS["imx636"]
 
 
-IMU_UNITS = {"mpu_6050": 1, "mpu_9250": 2}
+IMU_UNITS = {"mpu_6050": 1, "mpu_9250": 2, "bmi160": BMI160}
 """Register TYPE of an inertial unit."""
+
+_DAVIS_UNITS = ("mpu_9250", "mpu_6050")
+
+
+def host_imu_settings(unit: str) -> ImuSettings:
+    """Return the settings that the drivers of a unit's cameras write by default."""
+    if IMU_UNITS[unit] == BMI160:
+        return dvxplorer_registers.driver_imu_settings()
+    return driver_imu_settings(IMU_UNITS[unit])
 
 
 def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
@@ -179,12 +198,25 @@ def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
         fifo_bytes=camera.fifo_bytes,
         start_delay_us=round(usb.start_delay_ms * 1000),
         system=SystemInfo(timestamp_master=usb.is_master),
-        imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
+        imu_unit=IMU_UNITS[camera.imu.unit] if camera.imu is not None and camera.imu.unit in _DAVIS_UNITS else 0,
         frames=camera.frames is not None,
         activity_filter=camera.activity_filter,
         pulse_us=Davis346Settings.pulse_us if usb.pulse_us is None else usb.pulse_us,
     )
     return partial(Davis346, settings)
+
+
+def _dvxplorer(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
+    settings = DvxplorerSettings(
+        serial=camera.serial,
+        speed=Speed[camera.speed.upper()],
+        fifo_bytes=camera.fifo_bytes,
+        start_delay_us=round(usb.start_delay_ms * 1000),
+        system=dataclasses.replace(dvxplorer_registers.SYSTEM, timestamp_master=usb.is_master),
+        imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
+        pulse_us=DvxplorerSettings.pulse_us if usb.pulse_us is None else usb.pulse_us,
+    )
+    return partial(Dvxplorer, settings)
 
 
 def _evk4(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
@@ -202,7 +234,14 @@ def _evk4(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
 
 
 CAMERA_MODELS: Mapping[str, CameraModel] = {
-    "davis346": CameraModel(PRESETS["davis346"], CHIPS["davis346"], UsbModel((346, 260), _davis346)),
+    "davis346": CameraModel(
+        PRESETS["davis346"], CHIPS["davis346"], UsbModel((346, 260), _davis346, imu_units=_DAVIS_UNITS)
+    ),
+    "dvxplorer": CameraModel(
+        PRESETS["dvxplorer_micro"],
+        CHIPS["dvxplorer_micro"],
+        UsbModel((640, 480), _dvxplorer, has_groups=True, imu_units=("bmi160",)),
+    ),
     "dvxplorer_micro": CameraModel(PRESETS["dvxplorer_micro"], CHIPS["dvxplorer_micro"]),
     "imx636": CameraModel(PRESETS["imx636"], CHIPS["imx636"]),
     **dict.fromkeys(
@@ -211,9 +250,20 @@ CAMERA_MODELS: Mapping[str, CameraModel] = {
     "triton2": CameraModel(PRESETS["imx636"], CHIPS["imx636"], gige=True),
     "gen31": CameraModel(PRESETS["gen31"], CHIPS["gen31"]),
     "genx320": CameraModel(PRESETS["genx320"], CHIPS["genx320"]),
-    "ideal": CameraModel(PRESETS["ideal"], CHIPS["davis346"], UsbModel((346, 260), _davis346)),
+    "ideal": CameraModel(PRESETS["ideal"], CHIPS["davis346"], UsbModel((346, 260), _davis346, imu_units=_DAVIS_UNITS)),
 }
 """Camera models by the name that rigs write."""
+
+
+def usb_model(camera: Camera, kind: LinkKind[Any]) -> UsbModel | None:
+    """Return the USB device of a camera on a link of a kind; None if there is none.
+
+    A link may carry a camera without a USB device of its size in the words of another model.
+    """
+    own = CAMERA_MODELS[camera.model].usb
+    if kind.usb_model is None or (own is not None and own.size == camera.size):
+        return own
+    return CAMERA_MODELS[kind.usb_model].usb
 
 
 def gige_models() -> tuple[str, ...]:

@@ -47,7 +47,7 @@ class Camera:
     clock
         The camera's own clock; without it the camera shows stream time.
     imu
-        Its inertial unit, a DAVIS346's; without the table it has none.
+        Its inertial unit, of a DAVIS346 or a DVXplorer; without the table it has none.
     lens
         For scenes in units of radiance; the others bring their own light.
     frames

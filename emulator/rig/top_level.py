@@ -17,6 +17,7 @@ from emulator.rig.kinds import (
     CAMERA_MODELS,
     LINKS,
     SCENES,
+    UsbModel,
     UsbSettings,
     convert_fault,
     gige_models,
@@ -137,11 +138,20 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
         raise TableError(f"biases of a {model} have no slopes: leave it out, or take {able}", (*path, "bias_slopes"))
     usb = CAMERA_MODELS[model].usb
     if usb is not None:
+        _check_imu(camera, usb)
         try:
             usb.device(camera, UsbSettings(camera.start_delay_ms))
         except ValueError as error:
             raise TableError(str(error), (*path, "serial")) from error
     return camera
+
+
+def _check_imu(camera: Camera, usb: UsbModel) -> None:
+    """Raise TableError for an inertial unit that the camera's USB device cannot have."""
+    if camera.imu is None or usb.imu_units is None or camera.imu.unit in usb.imu_units:
+        return
+    able = " or ".join(f'"{unit}"' for unit in usb.imu_units)
+    raise TableError(f"a {camera.model} has unit = {able}, got {camera.imu.unit!r}", ("camera", "imu", "unit"))
 
 
 def _sensor(table: object, preset: SensorParameters) -> SensorParameters:

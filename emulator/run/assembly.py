@@ -35,7 +35,15 @@ from emulator.optics.through import Through
 from emulator.plan.plan import limits, make_plan
 from emulator.plan.scene_probe import probe
 from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
-from emulator.rig.kinds import CAMERA_MODELS, IMU_UNITS, LINKS, SCENES, UsbSettings
+from emulator.rig.kinds import (
+    CAMERA_MODELS,
+    IMU_UNITS,
+    LINKS,
+    SCENES,
+    UsbSettings,
+    host_imu_settings,
+    usb_model,
+)
 from emulator.rig.loading import Rig, RigError, Run
 from emulator.rig.tables import Trigger
 from emulator.run.readings import ReadingSource, ReadingSources
@@ -54,7 +62,6 @@ from emulator.tables.registry import imported
 from emulator.trajectory.building import HasCameraPath
 from emulator.trajectory.parameters import OrbitPath
 from emulator.trajectory.pose import Fixed, Timescale
-from firmware_protocol.davis346.registers import driver_imu_settings
 from firmware_protocol.device.clock import ClockSettings
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
@@ -214,7 +221,7 @@ def _driver_settings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
         )
         settings[ReadingKind.FRAMES] = dataclasses.astuple(frames)
     if rig.camera.imu is not None:
-        settings[ReadingKind.IMU] = dataclasses.astuple(driver_imu_settings(IMU_UNITS[rig.camera.imu.unit]))
+        settings[ReadingKind.IMU] = dataclasses.astuple(host_imu_settings(rig.camera.imu.unit))
     return settings
 
 
@@ -426,9 +433,9 @@ def _gige_camera(rig: Rig, link: Any) -> Callable[[], Triton2]:
 
 
 def _usb_camera(rig: Rig, kind: LinkKind[Any], is_master: bool) -> Callable[[], UsbCamera]:
-    model = CAMERA_MODELS[kind.usb_model or rig.camera.model]
-    if model.usb is None:
+    usb = usb_model(rig.camera, kind)
+    if usb is None:
         raise RigError(f"{rig.name}: there is no USB model for a {rig.camera.model} yet")
     delay_ms = rig.camera.start_delay_ms if kind.start_delay else 0.0
     pulse_us = None if rig.trigger is None else rig.trigger.pulse_us
-    return model.usb.device(rig.camera, UsbSettings(delay_ms, pulse_us, is_master))
+    return usb.device(rig.camera, UsbSettings(delay_ms, pulse_us, is_master))

@@ -29,7 +29,7 @@ from numba import config
 
 from emulator.gl.context import selected_painter
 from emulator.light import LightFrame, Scene
-from emulator.rig.kinds import CAMERA_MODELS, LINKS, SCENES
+from emulator.rig.kinds import LINKS, SCENES, usb_model
 from emulator.rig.loading import Rig
 from emulator.run.link_process import starting_a_process
 from emulator.sensor.presets import PRESETS, SensorParameters
@@ -41,6 +41,7 @@ __all__ = [
     "CODER",
     "DECODER",
     "EVT",
+    "GROUPS",
     "TRUTH",
     "Part",
     "Preparation",
@@ -99,6 +100,8 @@ def parts_of(rig: Rig) -> list[Part]:
         parts.append(CODER)
     if any(_has_evt(rig, link) for link in rig.links):
         parts.append(EVT)
+    if any(_has_groups(rig, link) for link in rig.links):
+        parts.append(GROUPS)
     if rig.camera.activity_filter:
         parts.append(ACTIVITY_FILTER)
     return parts
@@ -107,8 +110,15 @@ def parts_of(rig: Rig) -> list[Part]:
 def _has_evt(rig: Rig, link: LinkParameters) -> bool:
     """Return whether a link, or the USB device behind it, sends EVT3 or EVT2 words."""
     kind = LINKS[link.kind]
-    usb = CAMERA_MODELS[kind.usb_model or rig.camera.model].usb if kind.serves == "usb" else None
+    usb = usb_model(rig.camera, kind) if kind.serves == "usb" else None
     return kind.has_evt(link) or (usb is not None and usb.has_evt)
+
+
+def _has_groups(rig: Rig, link: LinkParameters) -> bool:
+    """Return whether the USB device behind a link sends words of groups of pixels."""
+    kind = LINKS[link.kind]
+    usb = usb_model(rig.camera, kind) if kind.serves == "usb" else None
+    return usb is not None and usb.has_groups
 
 
 def _effects(sensor: SensorParameters) -> Part:
@@ -242,6 +252,13 @@ def _code_evt() -> None:
     Evt3Encoder(), Evt3Decoder(), Evt2Encoder("evt2"), Evt2Decoder("evt2")
 
 
+def _code_groups() -> None:
+    """Compile the coder and the decoder of a DVXplorer's words."""
+    from firmware_protocol.dvxplorer import GroupDecoder, GroupEncoder
+
+    GroupEncoder((_WIDTH, _HEIGHT)), GroupDecoder()
+
+
 def _filter_activity() -> None:
     """Make the filters of background activity and refractory period."""
     from firmware_protocol.davis346.activity_filter import ActivityFilter
@@ -256,6 +273,7 @@ CODER = Part("telemetry coder", 4.0, _encode)
 TRUTH = Part("truth", 4.0, _find_truth)
 DECODER = Part("telemetry decoder", 3.0, _decode)
 EVT = Part("EVT coder", 6.0, _code_evt)
+GROUPS = Part("DVXplorer coder", 3.0, _code_groups)
 ACTIVITY_FILTER = Part("activity filter", 1.0, _filter_activity)
 
 

@@ -490,7 +490,8 @@ class ImuParameters:
     Attributes
     ----------
     unit
-        "mpu_9250", also for the MPU-6500 of a DAVIS346, or "mpu_6050": its filters and its thermometer.
+        "mpu_9250", also for the MPU-6500 of a DAVIS346, "mpu_6050", or "bmi160" of a DVXplorer: its filters and its
+        thermometer.
     q_camera_from_imu
         Rotation against the camera (x right, y down, z along the boresight): unit quaternion, scalar first.
     gravity_m_s2
@@ -511,7 +512,7 @@ class ImuParameters:
         Rate error of its own clock, positive when it runs too fast.
     """
 
-    unit: Literal["mpu_9250", "mpu_6050"] = "mpu_9250"
+    unit: Literal["mpu_9250", "mpu_6050", "bmi160"] = "mpu_9250"
     q_camera_from_imu: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     gravity_m_s2: _Triple | None = None
     gm_m3_s2: float = 0.0

@@ -363,9 +363,10 @@ class Sensor:
 
     @property
     def adjustable(self) -> dict[str, float]:
-        """Fields of `parameters` that `adjust` can change, with their present values; {} where the pixels cannot."""
+        """Fields of `parameters` and of their read-out that `adjust` can change, with their present values."""
         fixed = {"leak_hz"} if self._leaks is not None else set()  # it has its own course
-        return {name: value for name, value in self.pixels.adjustable.items() if name not in fixed}
+        fields = {name: value for name, value in self.pixels.adjustable.items() if name not in fixed}
+        return {**fields, "scan_us": self._readout.scan_us} if isinstance(self._readout, ScanReadOut) else fields
 
     def adjust(self, name: str, value: float) -> None:
         """Set one of `adjustable` from now on; noise of the grade "points" follows from the same time on.
@@ -377,6 +378,9 @@ class Sensor:
         """
         if name not in self.adjustable:
             raise ValueError(f"{name} cannot be changed while this sensor runs")
+        if name == "scan_us" and isinstance(self._readout, ScanReadOut):
+            self._readout.set_scan_us(value)
+            return
         self.pixels.adjust(name, value)
         if name == "refractory_us":
             self._set_refractory(value)

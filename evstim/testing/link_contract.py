@@ -18,7 +18,7 @@ import pickle
 import signal
 from collections.abc import Iterator
 from contextlib import closing
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 import pytest
@@ -80,11 +80,14 @@ class LinkContract:
     ----------
     parameters
         The link's table in a rig, on any free port. Its queue must hold the events of a slow reader.
+    camera
+        The rig's camera; it needs 346 x 260 pixels or more.
     many, some
         Events sent as fast as the link takes them, and at their own time. Fewer suit a slow link.
     """
 
     parameters: LinkParameters
+    camera: ClassVar[Camera] = Camera(start_delay_ms=0.0)
     many = 100_000
     some = 10_000
 
@@ -99,7 +102,7 @@ class LinkContract:
             "contract",
             "The contract of a link.",
             SCENES["checkerboard"].parameters(),
-            Camera(start_delay_ms=0.0),
+            self.camera,
             links=(self.parameters,),
         )
         (setup,) = link_setups(rig)

@@ -5,8 +5,10 @@ one of them finds the same camera at the others. Subclass and let pytest collect
 
     class TestMyCable(UsbContract):
         def plug(self, device, timeout_s):
-            bus = FakeUsbBus(device, Davis346Settings().descriptors())
-            return Plugged(PyusbHost.find(0x152A, 0x841A, bus, timeout_s), bus.call)
+            bus = FakeUsbBus(device, self.camera.settings.descriptors())
+            return Plugged(PyusbHost.find(0x152A, self.camera.product, bus, timeout_s), bus.call)
+
+The camera is a DAVIS346; `camera = DVXPLORER` in the class makes it a DVXplorer.
 """
 
 from __future__ import annotations
@@ -14,22 +16,26 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import pytest
 
 from evstim.testing.link_contract import event_stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.davis346.fx3 import Fx3Camera
+from firmware_protocol.davis346.settings import Fx3Settings
+from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerSettings
 from firmware_protocol.events import Events
 from firmware_protocol.usb.device import SetupPacket, UsbDevice
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import ControlStall, ShortTransfers, SlowControl, UsbStall
-from transports.usb.davis_host import DavisHost
+from transports.usb.davis_host import DavisHost, Fx3Host
+from transports.usb.dvxplorer_host import DvxplorerHost
 from transports.usb.host import StallError, StreamSettings, TransferTimeout, UsbHost
 
-__all__ = ["Plugged", "UsbContract"]
+__all__ = ["DAVIS346", "DVXPLORER", "ContractCamera", "Plugged", "UsbContract"]
 
 _T = TypeVar("_T")
 
@@ -40,6 +46,40 @@ _EVENTS = 5000
 _DEVICE_DESCRIPTOR = SetupPacket(0x80, 6, 0x0100, 0, 18)
 _LOGIC_VERSION = SetupPacket(0xC0, 0xBF, 6, 0, 4)
 _UNKNOWN = SetupPacket(0xC0, 0x55, 0, 0, 4)
+_DELAY = 9, 1  # module and address of the early packet delay, in cycles of 80 MHz
+_POWER_ON_DELAY = (80_000).to_bytes(4, "big")
+
+
+@dataclass(frozen=True)
+class ContractCamera:
+    """A camera that a contract is tested with.
+
+    Attributes
+    ----------
+    settings
+        Its settings; its serial number is 00000042.
+    device
+        Its model.
+    driver
+        Its driver.
+    chip_id
+        Register 6.1.
+    """
+
+    settings: Fx3Settings
+    device: Callable[[Any], Fx3Camera]
+    driver: type[Fx3Host]
+    chip_id: int
+
+    @property
+    def product(self) -> int:
+        """Product number of USB."""
+        return self.settings.product_id
+
+
+_SERIAL = "00000042"
+DAVIS346 = ContractCamera(Davis346Settings(serial=_SERIAL, start_delay_us=0), Davis346, DavisHost, 5)
+DVXPLORER = ContractCamera(DvxplorerSettings(serial=_SERIAL, start_delay_us=0), Dvxplorer, DvxplorerHost, 20)
 
 
 @dataclass(frozen=True)
@@ -59,40 +99,49 @@ class Plugged:
 
 
 class UsbContract:
-    """Behaviour of every cable between a camera and its host."""
+    """Behaviour of every cable between a camera and its host.
+
+    Attributes
+    ----------
+    camera
+        The camera at one end.
+    """
+
+    camera: ClassVar[ContractCamera] = DAVIS346
 
     def plug(self, device: UsbDevice, timeout_s: float) -> Plugged:
-        """Return `device`, a DAVIS346, at a host whose control requests may take `timeout_s`.
+        """Return `device`, a camera with `self.camera.settings`, at a host whose control requests may take `timeout_s`.
 
         The device may be plugged in again when the host was closed.
         """
         raise NotImplementedError("a contract of a cable needs the cable")
 
     @pytest.fixture
-    def model(self) -> Davis346:
+    def model(self) -> Fx3Camera:
         """Return the camera."""
-        return Davis346(Davis346Settings(serial="00000042", start_delay_us=0))
+        return self.camera.device(self.camera.settings)
 
     @pytest.fixture
-    def faulty(self, model: Davis346) -> FaultyDevice:
+    def faulty(self, model: Fx3Camera) -> FaultyDevice:
         """Return the camera behind faults, none of which is at work yet."""
         return FaultyDevice(model, FaultPlan("usb"))
 
-    def test_its_identity_is_read(self, model: Davis346) -> None:
+    def test_its_identity_is_read(self, model: Fx3Camera) -> None:
         """Identity, descriptors and strings are the camera's own."""
         with closing(self.plug(model, _PATIENCE_S).host) as host:
             identity = host.identity
-            assert (identity.vendor_id, identity.product_id, identity.bcd_device) == (0x152A, 0x841A, 0x0206)
+            of_camera = (0x152A, self.camera.product, self.camera.settings.bcd_device)
+            assert (identity.vendor_id, identity.product_id, identity.bcd_device) == of_camera
             assert host.control_in(_DEVICE_DESCRIPTOR) == bytes(model.settings.descriptors().device)
             serial = host.control_in(SetupPacket(0x80, 6, 0x0303, 0x0409, 255))
-            assert serial[2:].decode("utf-16-le") == "00000042"
+            assert serial[2:].decode("utf-16-le") == _SERIAL
 
-    def test_an_answer_is_cut_to_the_length_of_the_request(self, model: Davis346) -> None:
+    def test_an_answer_is_cut_to_the_length_of_the_request(self, model: Fx3Camera) -> None:
         """WLength bounds the data stage."""
         with closing(self.plug(model, _PATIENCE_S).host) as host:
             assert host.control_in(SetupPacket(0x80, 6, 0x0100, 0, 8)) == host.control_in(_DEVICE_DESCRIPTOR)[:8]
 
-    def test_a_refused_request_harms_nothing(self, model: Davis346) -> None:
+    def test_a_refused_request_harms_nothing(self, model: Fx3Camera) -> None:
         """A STALL of endpoint 0 is over with the next request; nothing of a bad write is written."""
         with closing(self.plug(model, _PATIENCE_S).host) as host:
             with pytest.raises(StallError):
@@ -102,21 +151,21 @@ class UsbContract:
             assert host.control_in(SetupPacket(0xC0, 0xBF, 1, 3, 4)) == bytes(4)
             assert host.control_in(_LOGIC_VERSION) == bytes((0, 0, 0, 18))
 
-    def test_registers_keep_what_is_written(self, model: Davis346) -> None:
+    def test_registers_keep_what_is_written(self, model: Fx3Camera) -> None:
         """One at a time, and several with one request."""
         with closing(self.plug(model, _PATIENCE_S).host) as host:
             host.configure()
-            sent = host.control_out(SetupPacket(0x40, 0xBF, 1, 32, 4), bytes((0, 0, 1, 2)))
+            sent = host.control_out(SetupPacket(0x40, 0xBF, *_DELAY, 4), bytes((0, 0, 1, 2)))
             assert sent == 4
-            entries = bytes((1, 41, 0, 0, 0, 7, 1, 42, 0, 0, 0, 9))
+            entries = bytes((4, 13, 0, 0, 0, 7, 4, 14, 0, 0, 0, 9))
             assert host.control_out(SetupPacket(0x40, 0xC2, 2, 0, 12), entries) == 12
-            read = [host.control_in(SetupPacket(0xC0, 0xBF, 1, address, 4))[-2:] for address in (32, 41, 42)]
+            read = [host.control_in(SetupPacket(0xC0, 0xBF, *one, 4))[-2:] for one in (_DELAY, (4, 13), (4, 14))]
             assert read == [b"\1\2", b"\0\7", b"\0\x09"]
 
-    def test_every_event_arrives_in_order(self, model: Davis346) -> None:
+    def test_every_event_arrives_in_order(self, model: Fx3Camera) -> None:
         """None is lost where nothing forces it, and each counts as delivered."""
         plugged, sent = self.plug(model, _PATIENCE_S), event_stream(_EVENTS)
-        camera = DavisHost(plugged.host)
+        camera = self.camera.driver(plugged.host)
         camera.start(StreamSettings(transfer_bytes=2048, transfers=4, reset_timestamps=False))
         plugged.call(_show, model, sent)
         received = _read(camera, len(sent))
@@ -126,7 +175,7 @@ class UsbContract:
         assert not len(rest)
         assert model.counters.delivered == len(sent) == model.counters.accounted
 
-    def test_a_read_of_nothing_ends_and_requests_do_not_wait_for_it(self, model: Davis346) -> None:
+    def test_a_read_of_nothing_ends_and_requests_do_not_wait_for_it(self, model: Fx3Camera) -> None:
         """Transfers that wait for data hold up no control request."""
         with closing(self.plug(model, _PATIENCE_S).host) as host:
             host.configure()
@@ -135,16 +184,16 @@ class UsbContract:
             assert host.control_in(_LOGIC_VERSION)[-1] == 18
             assert stream.close() == []
 
-    def test_a_host_that_goes_leaves_a_camera_without_power(self, model: Davis346) -> None:
+    def test_a_host_that_goes_leaves_a_camera_without_power(self, model: Fx3Camera) -> None:
         """Registers are as at power-on for the next host, and events between the two were not running."""
         first = self.plug(model, _PATIENCE_S)
         first.host.configure()
-        first.host.control_out(SetupPacket(0x40, 0xBF, 1, 32, 4), bytes((0, 0, 0, 99)))
+        first.host.control_out(SetupPacket(0x40, 0xBF, *_DELAY, 4), bytes((0, 0, 0, 99)))
         first.host.close()
         second = self.plug(model, _PATIENCE_S)
         second.call(_show, model, event_stream(10))
         with closing(second.host) as host:
-            assert host.control_in(SetupPacket(0xC0, 0xBF, 1, 32, 4))[-1] == 8
+            assert host.control_in(SetupPacket(0xC0, 0xBF, *_DELAY, 4)) == _POWER_ON_DELAY
         assert model.counters.not_running == 10
 
     def test_a_halt_lasts_until_it_is_cleared(self, faulty: FaultyDevice) -> None:
@@ -182,13 +231,13 @@ class UsbContract:
             with pytest.raises(TransferTimeout):
                 host.control_in(_LOGIC_VERSION)
             plugged.call(faulty.advance, 1_000_000)
-            assert _in_time(lambda: host.control_in(SetupPacket(0xC0, 0xBF, 6, 1, 4)))[-1] == 5
+            assert _in_time(lambda: host.control_in(SetupPacket(0xC0, 0xBF, 6, 1, 4)))[-1] == self.camera.chip_id
 
-    def test_transfers_of_any_length_carry_the_same_events(self, model: Davis346, faulty: FaultyDevice) -> None:
+    def test_transfers_of_any_length_carry_the_same_events(self, model: Fx3Camera, faulty: FaultyDevice) -> None:
         """A decoder must not count on full buffers."""
         plugged, sent = self.plug(faulty, _PATIENCE_S), event_stream(100)
         plugged.call(faulty.inject, ShortTransfers(for_s=10.0, most_bytes=6))
-        camera = DavisHost(plugged.host)
+        camera = self.camera.driver(plugged.host)
         camera.start(StreamSettings(transfer_bytes=512, transfers=4, reset_timestamps=False))
         plugged.call(_show, model, sent)
         received = _read(camera, len(sent))
@@ -205,12 +254,12 @@ def _in_time(action: Callable[[], _T]) -> _T:
     raise TransferTimeout(f"not done in {_ATTEMPTS} attempts of {_IMPATIENCE_S} s")
 
 
-def _show(model: Davis346, events: Events) -> None:
+def _show(model: Fx3Camera, events: Events) -> None:
     model.offer(events)
     model.advance(int(events["t"][-1]))
 
 
-def _read(camera: DavisHost, count: int) -> Events:
+def _read(camera: Fx3Host, count: int) -> Events:
     parts: list[Events] = []
     while sum(map(len, parts)) < count:
         events = camera.read(_PATIENCE_S)

@@ -208,7 +208,7 @@ class Statistics:
 
     def __init__(self, camera: EventDevice, stream: EventStream, filters: DvsFilters) -> None:
         self._camera, self._stream, self._filters = camera, stream, filters
-        self.power_on()
+        self._before = dict.fromkeys(Statistic, 0)
 
     def power_on(self) -> None:
         """Start the counts at zero."""

@@ -30,6 +30,7 @@ from __future__ import annotations
 
 import bisect
 import heapq
+from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from dataclasses import astuple, dataclass, replace
@@ -39,7 +40,7 @@ import numpy.typing as npt
 
 from firmware_protocol.davis346.blocks import MARK, Block, Marks, blocks_of, join_marks, no_marks
 from firmware_protocol.davis346.registers import Module, RegisterFile, aps_waits_on_stall, frame_settings, imu_settings
-from firmware_protocol.davis346.settings import Davis346Settings
+from firmware_protocol.davis346.settings import Davis346Settings, Fx3Settings
 from firmware_protocol.davis346.words import Special
 from firmware_protocol.device.fates import Counts, Fates
 from firmware_protocol.device.items import Numbers, ReadingKind, Readings, count_kinds
@@ -47,7 +48,7 @@ from firmware_protocol.events import EdgeKind, Edges
 from firmware_protocol.frames import FrameSettings, LineKind
 from firmware_protocol.imu_samples import ImuSettings
 
-__all__ = ["ExternalInput", "InputSettings", "ReadingInput"]
+__all__ = ["DavisReadings", "ExternalInput", "InputSettings", "ReadingInput"]
 
 
 @dataclass(frozen=True)
@@ -266,11 +267,14 @@ _LINES = (LineKind.RESET, LineKind.SIGNAL)
 _IMU_WORDS = 1 + 17  # a timestamp, and a sample of all three groups
 
 
-class ReadingInput:
-    """Readings that were offered and are not in the stream yet, and their settings in the registers."""
+class ReadingInput(ABC):
+    """Readings that were offered and are not in the stream yet, and their settings in the registers.
 
-    def __init__(self, settings: Davis346Settings, registers: RegisterFile, fates: Fates) -> None:
-        self._settings = settings
+    A camera adds `follow`, which reads its registers.
+    """
+
+    def __init__(self, settings: Fx3Settings, registers: RegisterFile, fates: Fates) -> None:
+        self._has_frames, self._has_imu = settings.frames, settings.imu_unit != 0
         self._registers = registers
         self._longest = {ReadingKind.FRAMES: max(settings.size) + 2, ReadingKind.IMU: _IMU_WORDS}
         self._frames = FrameSettings()
@@ -280,10 +284,13 @@ class ReadingInput:
         self._in_frame = self._left_out = False
         self._fates = fates
 
+    @abstractmethod
     def follow(self, *, words: bool) -> None:
         """Read the registers again; `words`: true while the data path runs."""
-        self._frames = frame_settings(self._registers, self._settings.size, self._settings.layout, words=words)
-        self._imu = imu_settings(self._registers, words=words)
+
+    def _blocks_of(self, kind: ReadingKind, readings: Readings) -> list[Block]:
+        """Return readings of a kind, (n,), as blocks."""
+        return blocks_of(kind, readings)
 
     def settings_of(self, kind: ReadingKind) -> tuple[int, ...]:
         """Return the settings of a kind; see `EventDevice.reading_settings`."""
@@ -292,7 +299,7 @@ class ReadingInput:
 
     def takes(self, kind: ReadingKind) -> bool:
         """Return true if the camera has this kind."""
-        return self._settings.frames if kind is ReadingKind.FRAMES else self._settings.imu_unit != 0
+        return self._has_frames if kind is ReadingKind.FRAMES else self._has_imu
 
     def runs(self, kind: ReadingKind) -> bool:
         """Return true if readings of a kind would go to the host now."""
@@ -311,7 +318,7 @@ class ReadingInput:
     def offer(self, kind: ReadingKind, readings: Readings, from_us: int) -> None:
         """Take readings of a kind, (n,); those before `from_us` came while the camera did not run."""
         wanted = readings[readings["t"] >= from_us] if self.runs(kind) else readings[:0]
-        blocks = blocks_of(kind, wanted)
+        blocks = self._blocks_of(kind, wanted)
         if kind is ReadingKind.FRAMES:
             self._in_frame = self._in_frame and len(blocks) == len(readings)
             blocks = [block for block in blocks if self._is_read(block)]
@@ -389,6 +396,19 @@ class ReadingInput:
         if not self._held and not self._waiting:
             return Numbers()
         return Numbers(readings=count_kinds([block.reading for block in (*self._held, *self._waiting)]))
+
+
+class DavisReadings(ReadingInput):
+    """Frames and inertial samples of a DAVIS346."""
+
+    def __init__(self, settings: Davis346Settings, registers: RegisterFile, fates: Fates) -> None:
+        super().__init__(settings, registers, fates)
+        self._size, self._layout = settings.size, settings.layout
+
+    def follow(self, *, words: bool) -> None:
+        """See `ReadingInput.follow`."""
+        self._frames = frame_settings(self._registers, self._size, self._layout, words=words)
+        self._imu = imu_settings(self._registers, words=words)
 
 
 def _time_of(block: Block) -> int:

@@ -53,14 +53,18 @@ __all__ = [
     "Module",
     "Register",
     "RegisterFile",
+    "Rows",
     "RunGate",
     "Statistic",
     "SystemInfo",
     "aps_waits_on_stall",
+    "declare",
     "driver_imu_settings",
+    "external_input",
     "frame_settings",
     "imu_settings",
     "registers",
+    "usb_registers",
 ]
 
 
@@ -215,7 +219,7 @@ _CHIP: Rows = (
 )
 
 
-def _external_input(clock_mhz: int) -> Rows:
+def external_input(clock_mhz: int) -> Rows:
     """Power-on values of the published logic (ExtInputConfigRecords.vhd): pulses of 1 us, the generator at 1 MHz."""
     bits = 20 + clock_mhz.bit_length()
     return (
@@ -247,7 +251,8 @@ def _system(info: SystemInfo) -> Rows:
     )
 
 
-def _declare(module: Module, rows: Rows, access: Access = Access.READ_WRITE, note: str = "") -> Iterator[Register]:
+def declare(module: Module, rows: Rows, access: Access = Access.READ_WRITE, note: str = "") -> Iterator[Register]:
+    """Yield registers of a module that share their access and their note."""
     for address, name, default, *bits in rows:
         yield Register(module, address, name, default, access, note, *bits)
 
@@ -257,7 +262,7 @@ def _geometry(size: tuple[int, int], layout: Layout) -> Iterator[Register]:
     columns, rows = layout.chip_size(*size)
     frame: Rows = ((0, "SIZE_COLUMNS", columns), (1, "SIZE_ROWS", rows), (2, "ORIENTATION", layout.value))
     for module in (Module.DVS, Module.APS):
-        yield from _declare(module, frame, Access.READ_ONLY, "chip's frame; orientation bit 2: turned")
+        yield from declare(module, frame, Access.READ_ONLY, "chip's frame; orientation bit 2: turned")
     width, height = size
     x_bits, y_bits = width.bit_length(), height.bit_length()
     for module, first in ((Module.DVS, 41), (Module.APS, 8)):
@@ -267,32 +272,38 @@ def _geometry(size: tuple[int, int], layout: Layout) -> Iterator[Register]:
             (first + 2, "ROI_END_COLUMN", width - 1, x_bits),
             (first + 3, "ROI_END_ROW", height - 1, y_bits),
         )
-        yield from _declare(module, region, note="user's frame, inclusive")
+        yield from declare(module, region, note="user's frame, inclusive")
     for k in range(8):
         row, column = (
             (11 + 2 * k, f"HOT_PIXEL_{k}_ROW", height, y_bits),
             (12 + 2 * k, f"HOT_PIXEL_{k}_COLUMN", width, x_bits),
         )
-        yield from _declare(Module.DVS, (row, column), note="user's frame; just outside = off")
+        yield from declare(Module.DVS, (row, column), note="user's frame; just outside = off")
 
 
 def _counters() -> Iterator[Register]:
     for statistic in Statistic:
         module, address = statistic.value
         halves: Rows = ((address, f"{statistic.name}_UPPER", 0), (address + 1, f"{statistic.name}_LOWER", 0))
-        yield from _declare(module, halves, Access.READ_ONLY, "half of a 64-bit counter")
+        yield from declare(module, halves, Access.READ_ONLY, "half of a 64-bit counter")
 
 
 def _clocked(info: SystemInfo) -> Iterator[Register]:
-    adc, usb = info.adc_clock_mhz, info.usb_clock_mhz
+    adc = info.adc_clock_mhz
     times: Rows = (
         (12, "EXPOSURE", 4000 * adc, 22 + adc.bit_length()),
         (13, "FRAME_INTERVAL", 50000 * adc, 23 + adc.bit_length()),
     )
-    yield from _declare(Module.APS, times, note="ADC clock cycles")
-    yield from _declare(Module.EXTERNAL_INPUT, _external_input(info.logic_clock_mhz), note="logic clock cycles")
+    yield from declare(Module.APS, times, note="ADC clock cycles")
+    yield from declare(Module.EXTERNAL_INPUT, external_input(info.logic_clock_mhz), note="logic clock cycles")
+
+
+def usb_registers(info: SystemInfo) -> Iterator[Register]:
+    """Yield the registers of the USB module."""
+    usb = info.usb_clock_mhz
+    yield Register(Module.USB, 0, "RUN")
     delay: Rows = ((1, "EARLY_PACKET_DELAY", 1000 * usb, 20 + usb.bit_length()),)
-    yield from _declare(Module.USB, delay, note="USB clock cycles")
+    yield from declare(Module.USB, delay, note="USB clock cycles")
 
 
 def registers(
@@ -301,22 +312,22 @@ def registers(
     """Yield every register of a camera with a (width, height) array; `imu_unit`: 0 none, 1 MPU-6050, 2 MPU-9250."""
     fixed = Access.READ_ONLY
     yield from _geometry(size, layout)
-    yield from _declare(Module.MULTIPLEXER, _MULTIPLEXER)
-    yield from _declare(Module.MULTIPLEXER, ((80, "HAS_STATISTICS", 1),), fixed)
-    yield from _declare(Module.DVS, _DVS)
-    yield from _declare(Module.DVS, _DVS_CAPABILITIES, fixed)
-    yield from _declare(Module.DVS, ((30, "HAS_BACKGROUND_ACTIVITY_FILTER", int(activity_filter)),), fixed)
-    yield from _declare(Module.APS, _APS)
-    yield from _declare(Module.APS, ((3, "COLOUR_FILTER", 0), (6, "HAS_GLOBAL_SHUTTER", 1)), fixed)
-    yield from _declare(Module.IMU, ((0, "TYPE", imu_unit), (1, "ORIENTATION", 0)), fixed, "0: no IMU")
-    yield from _declare(Module.IMU, _IMU)
-    yield from _declare(Module.EXTERNAL_INPUT, ((10, "HAS_GENERATOR", 1),), fixed)
+    yield from declare(Module.MULTIPLEXER, _MULTIPLEXER)
+    yield from declare(Module.MULTIPLEXER, ((80, "HAS_STATISTICS", 1),), fixed)
+    yield from declare(Module.DVS, _DVS)
+    yield from declare(Module.DVS, _DVS_CAPABILITIES, fixed)
+    yield from declare(Module.DVS, ((30, "HAS_BACKGROUND_ACTIVITY_FILTER", int(activity_filter)),), fixed)
+    yield from declare(Module.APS, _APS)
+    yield from declare(Module.APS, ((3, "COLOUR_FILTER", 0), (6, "HAS_GLOBAL_SHUTTER", 1)), fixed)
+    yield from declare(Module.IMU, ((0, "TYPE", imu_unit), (1, "ORIENTATION", 0)), fixed, "0: no IMU")
+    yield from declare(Module.IMU, _IMU)
+    yield from declare(Module.EXTERNAL_INPUT, ((10, "HAS_GENERATOR", 1),), fixed)
     for bias in BIASES:
         yield Register(Module.BIAS, bias.address, bias.name, int(bias.default), note=str(bias.default), bits=bias.bits)
-    yield from _declare(Module.BIAS, _CHIP)
-    yield from _declare(Module.SYSTEM, _system(info), fixed)
-    yield Register(Module.USB, 0, "RUN")
+    yield from declare(Module.BIAS, _CHIP)
+    yield from declare(Module.SYSTEM, _system(info), fixed)
     yield from _clocked(info)
+    yield from usb_registers(info)
     yield from _counters()
 
 
@@ -344,8 +355,8 @@ class RegisterFile:
         if register is not None and register.access is Access.READ_WRITE:
             self._values[module, address] = register.stored_bits(value)
 
-    def count(self, statistic: Statistic, value: int) -> None:
-        """Set a 64-bit counter, as the logic does."""
+    def count(self, statistic: Enum, value: int) -> None:
+        """Set a 64-bit counter, whose value is its (module, address), as the logic does."""
         module, upper = statistic.value
         self._values[module, upper] = value >> 32 & 0xFFFFFFFF
         self._values[module, upper + 1] = value & 0xFFFFFFFF

@@ -1,4 +1,4 @@
-"""Settings of a DAVIS346: USB identity, array and sizes, and the USB descriptors that follow from them.
+"""Settings of a DAVIS346, and of all cameras with its FX3: USB identity, array and sizes, and the USB descriptors.
 
 Sources: USB identity from libcaer 3.3.15 and three drivers' checks; endpoints from the published FX3 firmware.
 
@@ -22,8 +22,10 @@ camera.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from firmware_protocol.davis346.registers import Layout, Register, SystemInfo, registers
 from firmware_protocol.usb.descriptors import (
@@ -38,7 +40,7 @@ from firmware_protocol.usb.descriptors import (
 )
 from firmware_protocol.usb.device import Identity, Speed, UsbCameraSettings
 
-__all__ = ["DATA_ENDPOINT", "DEBUG_ENDPOINT", "Davis346Settings"]
+__all__ = ["DATA_ENDPOINT", "DEBUG_ENDPOINT", "Davis346Settings", "Fx3Settings"]
 
 
 VENDOR_ID = 0x152A
@@ -50,13 +52,71 @@ _DEBUG_INTERVAL = {Speed.SUPER: 4, Speed.HIGH: 4, Speed.FULL: 1}
 
 
 @dataclass(frozen=True)
-class Davis346Settings(UsbCameraSettings):
-    """Settings of a camera.
+class Fx3Settings(UsbCameraSettings):
+    """Settings that iniVation's cameras with an FX3 share.
 
     Attributes
     ----------
     serial
         1 to 8 ASCII characters; libcaer and dv-processing cut longer ones.
+    fifo_bytes
+        Room for words that wait for the host. 256 KiB is the most that the FX3 can give to DMA buffers: its memory from
+        0x40040000 to 0x40080000 in the vendor's memory map (cyfxtx.c). At 12 Mev/s of a DAVIS that lasts 4 to 10 ms.
+    pulse_us
+        Length of a pulse on the external input (an EDGE of kind PULSE).
+    imu_unit
+        Its inertial unit, by the numbers of `imu_samples`; 0: none.
+    frames
+        True if it takes frames; if not, its host may request them and gets none.
+    """
+
+    product_id: ClassVar[int]
+    imu_units: ClassVar[tuple[int, ...]]
+
+    size: tuple[int, int] = (0, 0)
+    pulse_us: int = 100
+    imu_unit: int = 0
+    frames: bool = False
+    system: SystemInfo = field(default_factory=SystemInfo)
+    manufacturer: str = "iniVation"
+    product: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (1 <= len(self.serial) <= 8 and self.serial.isascii() and self.serial.isprintable()):
+            raise ValueError(f"serial {self.serial!r} must be 1 to 8 printable ASCII characters")
+        if self.imu_unit not in (0, *self.imu_units):
+            known = " or ".join(map(str, (0, *self.imu_units)))
+            raise ValueError(f"imu_unit {self.imu_unit} must be {known}")
+        if self.pulse_us < 1:
+            raise ValueError(f"pulse_us {self.pulse_us} must be at least 1")
+
+    @property
+    def identity(self) -> Identity:
+        """The camera as a host's bus lists it."""
+        return Identity(VENDOR_ID, self.product_id, self.bcd_device, self.speed)
+
+    @abstractmethod
+    def registers(self) -> Iterator[Register]:
+        """Yield its registers."""
+
+    def descriptors(self) -> DescriptorSet:
+        """Return all descriptors at the camera's speed."""
+        other = OTHER_SPEED.get(self.speed)
+        return DescriptorSet(
+            device=DeviceDescriptor(self.speed, VENDOR_ID, self.product_id, self.bcd_device),
+            configuration=_configuration(self.speed),
+            strings={1: self.manufacturer, 2: self.product, 3: self.serial},
+            other_speed=_configuration(other) if other else None,
+        )
+
+
+@dataclass(frozen=True)
+class Davis346Settings(Fx3Settings):
+    """Settings of a DAVIS346.
+
+    Attributes
+    ----------
     bcd_device
         Low byte: firmware version, 6 for all drivers. High byte: hardware, 2 "blue", 3 "red".
     size
@@ -64,57 +124,24 @@ class Davis346Settings(UsbCameraSettings):
         DAVIS words if the receiver is configured for their size.
     layout
         Order in which rows and columns are sent.
-    fifo_bytes
-        Room for words that wait for the host. 256 KiB is the most that the FX3 can give to DMA buffers: its memory from
-        0x40040000 to 0x40080000 in the vendor's memory map (cyfxtx.c). At 12 Mev/s that lasts 4 to 10 ms.
-    pulse_us
-        Length of a pulse on the external input (an EDGE of kind PULSE).
     imu_unit
-        Its inertial unit: 0 none, 1 MPU-6050, 2 MPU-9250 or MPU-6500.
-    frames
-        True if it takes frames; if not, its host may request them and gets none.
+        0 none, 1 MPU-6050, 2 MPU-9250 or MPU-6500.
     activity_filter
         True if it has the filters of background activity and refractory period.
     """
 
+    product_id: ClassVar[int] = PRODUCT_ID
+    imu_units: ClassVar[tuple[int, ...]] = (1, 2)
+
     bcd_device: int = 0x0206
     size: tuple[int, int] = (346, 260)
     layout: Layout = Layout.UPRIGHT
-    pulse_us: int = 100
-    imu_unit: int = 0
-    frames: bool = False
     activity_filter: bool = False
-    system: SystemInfo = field(default_factory=SystemInfo)
-    manufacturer: str = "iniVation"
     product: str = "DAViS FX3"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (1 <= len(self.serial) <= 8 and self.serial.isascii() and self.serial.isprintable()):
-            raise ValueError(f"serial {self.serial!r} must be 1 to 8 printable ASCII characters")
-        if self.imu_unit not in (0, 1, 2):
-            raise ValueError(f"imu_unit {self.imu_unit} must be 0, 1 or 2")
-        if self.pulse_us < 1:
-            raise ValueError(f"pulse_us {self.pulse_us} must be at least 1")
-
-    @property
-    def identity(self) -> Identity:
-        """The camera as a host's bus lists it."""
-        return Identity(VENDOR_ID, PRODUCT_ID, self.bcd_device, self.speed)
 
     def registers(self) -> Iterator[Register]:
         """Yield its registers."""
         return registers(self.size, self.layout, self.system, self.imu_unit, activity_filter=self.activity_filter)
-
-    def descriptors(self) -> DescriptorSet:
-        """Return all descriptors at the camera's speed."""
-        other = OTHER_SPEED.get(self.speed)
-        return DescriptorSet(
-            device=DeviceDescriptor(self.speed, VENDOR_ID, PRODUCT_ID, self.bcd_device),
-            configuration=_configuration(self.speed),
-            strings={1: self.manufacturer, 2: self.product, 3: self.serial},
-            other_speed=_configuration(other) if other else None,
-        )
 
 
 def _configuration(speed: Speed) -> Configuration:

@@ -22,10 +22,9 @@ from firmware_protocol.davis346.words import (
     WRAP_BITS,
     Encoded,
     Special,
-    WordEncoder,
+    TimedEncoder,
     Words,
     WordState,
-    is_column,
     is_mark,
     is_row,
 )
@@ -93,7 +92,7 @@ class Batch:
         return replace(
             self,
             encoded=replace(self.encoded, words=words),
-            events=self.events[: np.count_nonzero(is_column(words))],
+            events=self.events[: self.encoded.events_in(words)],
             marks=self.marks[: np.count_nonzero(is_mark(words))],
             blocks=self.blocks[: self.encoded.blocks_in(len(words))],
         )
@@ -105,7 +104,7 @@ class Batch:
         self.words_taken += len(words)
         events, marks, blocks = self.events, self.marks, self.blocks
         if not self.is_empty:
-            events = events[: np.count_nonzero(is_column(words))]
+            events = events[: self.encoded.events_in(words)]
             marks = marks[: np.count_nonzero(is_mark(words))] if len(marks) else marks
             blocks = blocks[: self.encoded.blocks_in(self.words_taken) - blocks_before] if blocks else ()
         self.events, self.marks = self.events[len(events) :], self.marks[len(marks) :]
@@ -219,8 +218,6 @@ def _edges_of(marks: list[Marks]) -> Edges:
 _WRAP_SHARE = 8
 """One in eight of the free words is reserved for wraps in the computed room for events: they may be far apart."""
 
-_WORDS_PER_EVENT = 3
-
 
 class Late(NamedTuple):
     """Items that found no room: a number of events, which are dropped, and the marks and blocks, which may wait."""
@@ -241,7 +238,7 @@ class EventStream:
         Stream time at which device time is zero.
     """
 
-    def __init__(self, encoder: WordEncoder, fifo: Fifo) -> None:
+    def __init__(self, encoder: TimedEncoder, fifo: Fifo) -> None:
         self._encoder = encoder
         self._fifo = fifo
         self.epoch_us = 0
@@ -264,7 +261,8 @@ class EventStream:
 
     def room_beside(self, reserved_words: int) -> int:
         """Return the number of events that certainly fit, as `room_events`, beside `reserved_words`."""
-        return max(0, (self._fifo.free_words - self._wraps_that_fit - reserved_words) // _WORDS_PER_EVENT)
+        free = self._fifo.free_words - self._wraps_that_fit - reserved_words
+        return max(0, free // self._encoder.words_per_event)
 
     @property
     def room_until_us(self) -> int:
@@ -304,6 +302,7 @@ class EventStream:
             self._fifo.put_wraps(self._batch(wraps, at_start))
         queued = self._fifo.put(Batch(encoded, before, self.epoch_us, events, marks, blocks))
         words = queued.encoded.words
+        self._encoder.count(words, encoded.words[len(words) :])
         if len(words) < len(encoded.words):
             self._encoder.state = before.after(words)
             self.rows += int(np.count_nonzero(is_row(words)))

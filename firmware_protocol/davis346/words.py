@@ -29,10 +29,12 @@ Rules that the encoder follows because drivers depend on them:
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -49,7 +51,18 @@ from firmware_protocol.davis346.blocks import (
 )
 from firmware_protocol.events import Events
 
-__all__ = ["Encoded", "Special", "WordEncoder", "WordState", "Words", "is_column", "is_mark", "is_row", "wrap_words"]
+__all__ = [
+    "Encoded",
+    "Special",
+    "TimedEncoder",
+    "WordEncoder",
+    "WordState",
+    "Words",
+    "is_column",
+    "is_mark",
+    "is_row",
+    "wrap_words",
+]
 
 Words = npt.NDArray[np.uint16]
 """Words in stream order, shape (n,), little-endian uint16."""
@@ -147,6 +160,10 @@ class Encoded:
         ends: npt.NDArray[np.int64] = np.flatnonzero(is_column(self.words) | is_mark(self.words)) + 1
         return np.sort(np.concatenate([ends, self.block_ends])) if len(self.block_ends) else ends
 
+    def events_in(self, words: Words) -> int:
+        """Return the number of events that a part of the words completes."""
+        return int(np.count_nonzero(is_column(words)))
+
     def blocks_in(self, count: int) -> int:
         """Return the number of blocks that the first `count` words complete."""
         return int(np.searchsorted(self.block_ends, count, side="right"))
@@ -168,30 +185,22 @@ def wrap_words(steps: int, room: int = SINGLE_WRAPS) -> Words | None:
     return words
 
 
-class WordEncoder:
-    """Encoder of events into words; it holds the state of the stream's reader.
-
-    Parameters
-    ----------
-    size
-        (width, height) of the array; events outside are refused.
-    turned
-        True for the chip's own coordinates, turned by 90 degrees: the row word carries x, the column word y.
+class TimedEncoder(ABC):
+    """Encoder of items into words with the times of a DAVIS; it holds the state of the stream's reader.
 
     Attributes
     ----------
     rows
         Number of row words of the last call of `encode`.
+    words_per_event
+        Most words of an event, without wraps.
     """
 
-    def __init__(self, size: tuple[int, int] = (MAX_ADDRESS + 1, MAX_ADDRESS + 1), turned: bool = False) -> None:
-        if not all(0 < n <= MAX_ADDRESS + 1 for n in size):
-            raise ValueError(f"an array of {size[0]} x {size[1]} does not fit the 12-bit addresses of DAVIS words")
+    words_per_event: ClassVar[int] = 3
+
+    def __init__(self) -> None:
         self.state = WordState()
         self.rows = 0
-        self._size = size
-        self._turned = turned
-        self._make_tables(_PORTION)
 
     def reset(self) -> Words:
         """Restart time with a timestamp reset word; after it device time is zero and no row is in force."""
@@ -212,6 +221,10 @@ class WordEncoder:
         self.state = WordState(now_us >> WRAP_BITS << WRAP_BITS, self.state.row)
         return words
 
+    def count(self, queued: Words, dropped: Words) -> None:  # noqa: B027  # not every model counts more than rows
+        """Count words of a call of `encode` that were queued, and those that found no room, for statistics."""
+
+    @abstractmethod
     def encode(
         self, events: Events, epoch_us: int = 0, marks: Marks | None = None, blocks: Sequence[Block] = ()
     ) -> Encoded:
@@ -233,6 +246,31 @@ class WordEncoder:
         ValueError
             Events or marks go back in time, lie before the epoch or outside the array, or leave a gap of days.
         """
+
+
+class WordEncoder(TimedEncoder):
+    """Encoder of events into the words of a DAVIS.
+
+    Parameters
+    ----------
+    size
+        (width, height) of the array; events outside are refused.
+    turned
+        True for the chip's own coordinates, turned by 90 degrees: the row word carries x, the column word y.
+    """
+
+    def __init__(self, size: tuple[int, int] = (MAX_ADDRESS + 1, MAX_ADDRESS + 1), turned: bool = False) -> None:
+        if not all(0 < n <= MAX_ADDRESS + 1 for n in size):
+            raise ValueError(f"an array of {size[0]} x {size[1]} does not fit the 12-bit addresses of DAVIS words")
+        super().__init__()
+        self._size = size
+        self._turned = turned
+        self._make_tables(_PORTION)
+
+    def encode(
+        self, events: Events, epoch_us: int = 0, marks: Marks | None = None, blocks: Sequence[Block] = ()
+    ) -> Encoded:
+        """See `TimedEncoder.encode`."""
         before = self.state
         pieces: list[Words] = []
         self.rows = 0

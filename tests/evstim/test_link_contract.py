@@ -12,6 +12,8 @@ import pytest
 import serial
 
 from emulator.rig.kinds import LINKS
+from emulator.rig.tables import Camera
+from emulator.sensor.presets import PRESETS
 from evstim.testing.link_contract import LinkContract, NoReader
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.receiver.can import CanReceiver
@@ -20,7 +22,7 @@ from transports.can_bus.bus import PythonCanBus
 from transports.can_bus.kind import CanLink
 from transports.can_bus.node import peer_of
 from transports.serial_line.kind import SerialLink
-from transports.usb.davis_host import DavisHost
+from transports.usb.cameras import driver_of
 from transports.usb.kind import LoopbackLink, UsbipLink
 from transports.usb.usbip.client import UsbipHost
 
@@ -34,7 +36,7 @@ class UsbipReader:
 
     def __init__(self, link):
         host, _, port = link.report.address.rpartition(":")
-        self._camera = DavisHost(UsbipHost.attach(host, int(port), "1-1", timeout_s=120.0))
+        self._camera = driver_of(UsbipHost.attach(host, int(port), "1-1", timeout_s=120.0))
         self._camera.start()
 
     def read(self, count):
@@ -134,6 +136,21 @@ class TestLoopback(LinkContract):
 
     def reader(self, link):
         return NoReader()
+
+
+DVXPLORER = Camera(model="dvxplorer", sensor=PRESETS["dvxplorer_micro"], start_delay_ms=0.0)
+
+
+class TestDvxplorerOnUsbip(TestUsbip):
+    camera = DVXPLORER
+
+
+class TestDvxplorerOnLoopback(TestLoopback):
+    camera = DVXPLORER
+
+
+class TestEvk4OnLoopback(TestLoopback):
+    camera = Camera(model="evk4", sensor=PRESETS["imx636"], start_delay_ms=0.0)
 
 
 @pytest.mark.system

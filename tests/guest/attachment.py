@@ -10,10 +10,11 @@ from typing import Any
 
 from tests.guest.machine import HOST_ADDRESS, Guest
 
-__all__ = ["EVK4", "Attachment", "remote_cameras", "usb_bus"]
+__all__ = ["DVXPLORER", "EVK4", "Attachment", "remote_cameras", "usb_bus"]
 
 BUS_PROGRAM = str(Path(__file__).parent / "clients" / "bus.py")
 DAVIS_FX3 = ("152a", "841a")
+DVXPLORER = ("152a", "8419")
 EVK4 = ("04b4", "00f5")
 
 

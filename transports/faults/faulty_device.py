@@ -8,7 +8,7 @@ sent them.
 
     GET_DESCRIPTOR device     bytes 12, 13: bcdDevice; its low byte is the firmware version
     GET_DESCRIPTOR string 3   the serial number: length, type 3, UTF-16
-    0xBF IN, 4 bytes          a register of a DAVIS346, big-endian; see `davis346.device`
+    0xBF IN, 4 bytes          a register of a DAVIS346, big-endian; see `davis346.fx3`
 
 `WordPath` passes the words through the stages, and compares the result with the original until they agree again.
 
@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.davis346.decoder import Decoded, Decoder
-from firmware_protocol.davis346.device import REGISTER
+from firmware_protocol.davis346.fx3 import REGISTER
 from firmware_protocol.davis346.registers import Module
 from firmware_protocol.davis346.settings import PRODUCT_ID, VENDOR_ID
 from firmware_protocol.davis346.words import MAX_ADDRESS, Special, Words, is_column

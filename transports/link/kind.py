@@ -69,7 +69,7 @@ class CameraFacts:
     streams
         Streams of the camera beside events, as `Facts.streams`.
     imu_unit
-        Type of its inertial unit: 1 MPU-6050, 2 MPU-9250.
+        Type of its inertial unit: 1 MPU-6050, 2 MPU-9250, 3 BMI160.
     """
 
     model: str
@@ -155,7 +155,8 @@ class LinkKind(Generic[P]):
         Function that returns the (host, port) that no other link may use; None if there is none, or if any free port is
         suitable.
     usb_model
-        With "usb": the camera model that it always carries; None: the rig's model.
+        With "usb": the camera model in whose words it carries a camera that has no USB device of its size; None: it
+        carries none of these.
     start_delay
         With "usb": True if the camera waits `camera.start_delay_ms` after its host's start command.
     has_evt

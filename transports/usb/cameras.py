@@ -2,9 +2,9 @@
 
 `receive` counts, digests and records the events of a camera until it is stopped or unplugged.
 
-`Evk4Host` is the driver of a Prophesee EVK4 and of its siblings on any `UsbHost`; that of a DAVIS346 is in
-`davis_host`. The order of its registers is that of OpenEB's and neuromorphic_drivers' start and stop. The long
-initialisation between the two, which powers the chip, is omitted: the emulated camera needs none.
+`Evk4Host` is the driver of a Prophesee EVK4 and of its siblings on any `UsbHost`; those of a DAVIS346 and a DVXplorer
+are in `davis_host` and `dvxplorer_host`. The order of its registers is that of OpenEB's and neuromorphic_drivers' start
+and stop. The long initialisation between the two, which powers the chip, is omitted: the emulated camera needs none.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from transports.link.pacing import Clock
 from transports.link.reception import Arrivals, Reception
 from transports.recording.record import Recorder
 from transports.usb.davis_host import DAVIS_PRODUCT, DAVIS_VENDOR, DavisHost
+from transports.usb.dvxplorer_host import DVXPLORER_PRODUCT, DvxplorerHost
 from transports.usb.host import (
     CameraHost,
     DeviceAbsent,
@@ -168,6 +169,7 @@ class Evk4Host(CameraHost[Evk4Info]):
 
 CAMERAS: Mapping[tuple[int, int], Callable[[UsbHost], CameraHost[Any]]] = {
     (DAVIS_VENDOR, DAVIS_PRODUCT): DavisHost,
+    (DAVIS_VENDOR, DVXPLORER_PRODUCT): DvxplorerHost,
     **dict.fromkeys(sorted(EVK4_IDS), Evk4Host),
 }
 """Drivers by (vendor, product)."""

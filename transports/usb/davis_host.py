@@ -1,10 +1,10 @@
-"""Driver of a DAVIS346 on any `UsbHost`: identify it, start it, read its events, stop it.
+"""Driver of a DAVIS346 on any `UsbHost`, and the part that drivers of cameras with its FX3 share.
 
 The order of requests is that of dv-processing 2.0.4, which is the strictest of the known drivers:
 
-    identify   configuration, serial number, system registers; refuse any device but a DAVIS with logic 18
+    identify   configuration, serial number, system registers; refuse any other device, and other logic than 18
     stop       sources, multiplexer and USB off, chip last
-    configure  biases and chip as dv-processing sets them, on-chip filters off, early packet delay
+    configure  biases and chip as dv-processing sets them, on-chip filters off, early packet delay (each model its own)
     queue      bulk transfers on endpoint 2
     start      chip, USB, timestamps, multiplexer, then the DVS
     reset      timestamps to zero, and wait for the reset in the stream: data before it are discarded
@@ -18,12 +18,14 @@ from __future__ import annotations
 import contextlib
 import struct
 import time
+from abc import abstractmethod
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import ClassVar, Protocol
 
 import numpy as np
 
-from firmware_protocol.davis346.decoder import Decoder, FrameRead, WordFaults
+from firmware_protocol.davis346.decoder import Decoded, Decoder, FrameRead, WordFaults
 from firmware_protocol.davis346.registers import Layout, Module, SystemInfo, registers
 from firmware_protocol.events import Events, empty_events
 from firmware_protocol.imu_samples import ImuSamples, no_samples
@@ -38,7 +40,7 @@ from transports.usb.host import (
     UsbHost,
 )
 
-__all__ = ["DAVIS_PRODUCT", "DAVIS_VENDOR", "DavisHost", "DavisInfo"]
+__all__ = ["DAVIS_PRODUCT", "DAVIS_VENDOR", "DavisHost", "DavisInfo", "Entry", "Fx3Host", "WordDecoder"]
 
 DAVIS_VENDOR = 0x152A
 DAVIS_PRODUCT = 0x841A
@@ -46,7 +48,6 @@ DAVIS_PRODUCT = 0x841A
 _STREAM_ENDPOINT = 2
 _REGISTER, _REGISTERS, _LOG_LEVEL, _FLUSH = 0xBF, 0xC2, 0xB1, 0xC6
 _ENTRY = struct.Struct(">BBI")
-_MINIMUM_FIRMWARE = 6
 _LOGIC_VERSION = 18
 _RESET_TIMEOUT_S = 5.0
 
@@ -94,23 +95,49 @@ class DavisInfo:
     timestamp_master: bool
 
 
-class DavisHost(CameraHost[DavisInfo]):
-    """Driver of one DAVIS346.
+class WordDecoder(Protocol):
+    """Decoder of a camera's words."""
+
+    faults: WordFaults
+
+    def feed(self, data: bytes) -> Decoded:
+        """Decode the next bytes of the stream."""
+        ...
+
+
+class Fx3Host(CameraHost[DavisInfo]):
+    """Driver of one camera with iniVation's FX3.
 
     Parameters
     ----------
     host
         The device; it is closed with the driver, and when it cannot be used.
 
+    Attributes
+    ----------
+    family
+        Name of the cameras with this product number.
+    product
+        Product number of USB.
+    firmware, patch
+        Least versions of firmware and logic that the known drivers accept.
+    stop_writes, start_writes
+        Register writes that end and begin the stream.
+
     Raises
     ------
     UnsuitableDevice
-        Not a DAVIS, or firmware or logic that the known drivers refuse.
+        Another camera, or firmware or logic that the known drivers refuse.
     UsbHostError
         Any error of the host.
     """
 
-    model = "DAVIS346"
+    family: ClassVar[str]
+    product: ClassVar[int]
+    firmware: ClassVar[int]
+    patch: ClassVar[int]
+    stop_writes: ClassVar[tuple[Entry, ...]]
+    start_writes: ClassVar[tuple[Entry, ...]]
 
     def __init__(self, host: UsbHost) -> None:
         super().__init__(host)
@@ -119,7 +146,15 @@ class DavisHost(CameraHost[DavisInfo]):
         self._keeps_edges = False
         self._imu: list[ImuSamples] = []
         self._keeps_imu = False
-        self._decoder = Decoder(self.info.size, self.info.turned)
+        self._decoder = self._new_decoder()
+
+    @abstractmethod
+    def _new_decoder(self) -> WordDecoder:
+        """Return a decoder for a stream that begins now."""
+
+    @abstractmethod
+    def _configure(self, settings: StreamSettings) -> None:
+        """Set the registers that are not run bits."""
 
     @property
     def faults(self) -> WordFaults:
@@ -136,11 +171,11 @@ class DavisHost(CameraHost[DavisInfo]):
         self._tolerated(_LOG_LEVEL, value=4)
         self._flush()
         self._configure(settings)
-        self._decoder = Decoder(self.info.size, self.info.turned)
+        self._decoder = self._new_decoder()
         self._edges, self._keeps_edges, self._frames = [], settings.edges, []
         self._imu, self._keeps_imu = [], settings.imu and self.read_register(Module.IMU, 0) != 0
         self._reader = self._host.stream(_STREAM_ENDPOINT, settings.transfer_bytes, settings.transfers)
-        self._write_each(_START)
+        self._write_each(self.start_writes)
         if settings.edges:
             self._write_each(_ENABLE_EDGES)
         if self._keeps_imu:
@@ -184,7 +219,7 @@ class DavisHost(CameraHost[DavisInfo]):
         return np.concatenate([held, rest])
 
     def _end_stream(self) -> None:
-        self._write_each(_STOP)
+        self._write_each(self.stop_writes)
 
     # Registers.
 
@@ -212,14 +247,15 @@ class DavisHost(CameraHost[DavisInfo]):
 
     def _identify(self) -> DavisInfo:
         identity = self._host.identity
-        if (identity.vendor_id, identity.product_id) != (DAVIS_VENDOR, DAVIS_PRODUCT):
-            raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is not a DAVIS (152a:841a)")
+        if (identity.vendor_id, identity.product_id) != (DAVIS_VENDOR, self.product):
+            known = f"{self.family} ({DAVIS_VENDOR:04x}:{self.product:04x})"
+            raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is not a {known}")
         firmware = identity.bcd_device & 0xFF
-        _require("firmware", firmware, firmware >= _MINIMUM_FIRMWARE, f"at least {_MINIMUM_FIRMWARE}")
+        _require("firmware", firmware, firmware >= self.firmware, f"at least {self.firmware}")
         serial = self._serial()
         logic, patch = self.read_register(Module.SYSTEM, 0), self.read_register(Module.SYSTEM, 7)
         _require("logic", logic, logic == _LOGIC_VERSION, f"exactly {_LOGIC_VERSION}")
-        _require("logic patch", patch, patch >= 1, "at least 1")
+        _require("logic patch", patch, patch >= self.patch, f"at least {self.patch}")
         columns, rows, orientation = (self.read_register(Module.DVS, address) for address in range(3))
         turned = bool(orientation & 4)
         return DavisInfo(
@@ -238,13 +274,6 @@ class DavisHost(CameraHost[DavisInfo]):
         except StallError:
             return ""
         return data[2 : data[0] if data else 0].decode("utf-16-le", "replace")
-
-    def _configure(self, settings: StreamSettings) -> None:
-        declared = registers(self.info.size, Layout.UPRIGHT, SystemInfo())
-        chip = [(r.module, r.address, r.default) for r in declared if r.module is Module.BIAS]
-        self.write_registers(chip)
-        self.write_registers(_FILTERS_OFF)
-        self.write_register(Module.USB, 1, settings.early_packet_us * self.info.usb_clock_mhz)
 
     def _flush(self) -> None:
         self._tolerated(_FLUSH)
@@ -269,6 +298,28 @@ class DavisHost(CameraHost[DavisInfo]):
                 self._imu = [after.imu] if self._keeps_imu else []
                 self._frames = list(after.frames)
                 return after.events
+
+
+class DavisHost(Fx3Host):
+    """Driver of one DAVIS346; see `Fx3Host`."""
+
+    model = "DAVIS346"
+    family = "DAVIS"
+    product = DAVIS_PRODUCT
+    firmware = 6
+    patch = 1
+    stop_writes = _STOP
+    start_writes = _START
+
+    def _new_decoder(self) -> WordDecoder:
+        return Decoder(self.info.size, self.info.turned)
+
+    def _configure(self, settings: StreamSettings) -> None:
+        declared = registers(self.info.size, Layout.UPRIGHT, SystemInfo())
+        chip = [(r.module, r.address, r.default) for r in declared if r.module is Module.BIAS]
+        self.write_registers(chip)
+        self.write_registers(_FILTERS_OFF)
+        self.write_register(Module.USB, 1, settings.early_packet_us * self.info.usb_clock_mhz)
 
 
 def _whole_words(data: bytes) -> bytes:

@@ -21,10 +21,11 @@ from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 import numpy as np
 
 from firmware_protocol.events import Edges, Events, empty_edges, empty_events
+from firmware_protocol.imu_samples import ImuSamples, no_samples
 from firmware_protocol.usb.device import Identity, SetupPacket
 
 if TYPE_CHECKING:
-    from firmware_protocol.davis346.decoder import WordFaults  # it loads numba
+    from firmware_protocol.davis346.decoder import FrameRead, WordFaults  # it loads numba
 
 __all__ = [
     "AccessDenied",
@@ -148,9 +149,9 @@ class StreamSettings:
     edges
         Enable rising edges, falling edges and pulses of the external input; see `CameraHost.take_edges`.
     imu
-        Enable the inertial unit, if there is one; see `DavisHost.take_imu`.
+        Enable the inertial unit, if there is one; see `CameraHost.take_imu`.
     frames
-        Enable the APS, with its current registers; see `DavisHost.take_frames`.
+        Enable the APS, with its current registers; see `CameraHost.take_frames`.
     """
 
     transfer_bytes: int = 131_072
@@ -212,6 +213,14 @@ class CameraHost(ABC, Generic[_Info]):
         """Return the edges read since the last call, (n,) EDGE in device time, if the start enabled them."""
         edges, self._edges = self._edges, []
         return np.concatenate([empty_edges(), *edges])
+
+    def take_frames(self) -> list[FrameRead]:
+        """Return the frames read since the last call, if the camera has any and the start enabled them."""
+        return []
+
+    def take_imu(self) -> ImuSamples:
+        """Return the samples of its inertial unit since the last call, (n,) IMU_SAMPLE in device time, likewise."""
+        return no_samples()
 
     def stop(self) -> Events:
         """Stop the camera and the stream; return the events that were still in transit."""

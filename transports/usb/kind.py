@@ -77,7 +77,7 @@ USBIP = LinkKind(
     serves="usb",
     endpoint=_usbip_endpoint,
     faults=USB_FAULTS,
-    listener=Listener("usb", "Read a DAVIS346 or an EVK4 on USB.", "emulator.cli.listen.cameras:listen"),
+    listener=Listener("usb", "Read a DAVIS346, a DVXplorer or an EVK4 on USB.", "emulator.cli.listen.cameras:listen"),
     check=_check_model,
     listens_on=lambda link: (link.host, link.port) if link.port else None,
     needs=lambda link: (VHCI,),
@@ -144,5 +144,5 @@ def _loopback_endpoint(link: LoopbackLink, wiring: Wiring) -> EndpointFactory[An
     return LoopbackFactory()
 
 
-# Its host reads a DAVIS346 of any size and loses no data at the start, so the camera need not wait.
+# A DAVIS346 can have any size. This host loses no data at the start, so the camera need not wait.
 LOOPBACK = LinkKind(LoopbackLink, serves="usb", endpoint=_loopback_endpoint, usb_model="davis346", start_delay=False)

@@ -9,6 +9,7 @@ Not modelled: time on a wire, packets, other traffic, a slow or lost host. Trans
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -22,8 +23,8 @@ from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, LinkBroken
-from transports.usb.davis_host import DavisHost
-from transports.usb.host import StallError, StreamSettings, TransferTimeout
+from transports.usb.cameras import driver_of
+from transports.usb.host import CameraHost, StallError, StreamSettings, TransferTimeout
 
 __all__ = ["DirectHost", "DirectReader", "LoopbackEndpoint", "LoopbackFactory"]
 
@@ -137,14 +138,14 @@ class LoopbackEndpoint(Endpoint):
     def __init__(self, device: UsbDevice) -> None:
         self._device = device
         self._host: DirectHost | None = None
-        self._camera: DavisHost | None = None
+        self._camera: CameraHost[Any] | None = None
         self._received = self._edges = self._frames = self._samples = 0
         self._assembler = FrameAssembler()
 
     async def start(self) -> None:
         """Open the camera, identify it, start it and reset its clock."""
         self._host = DirectHost(self._device)
-        self._camera = DavisHost(self._host)
+        self._camera = driver_of(self._host)
         self._camera.start(StreamSettings(edges=True, frames=True, imu=True))
 
     @property

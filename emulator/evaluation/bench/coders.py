@@ -5,6 +5,9 @@ microsecond has a timestamp word), in batches of 20 000 as on a busy link, in pr
 all that a DAVIS346 sends in its words: a saturated read-out's events (12.5 a microsecond), 25 frames of 346 x 260 a
 second, samples of the inertial unit and edges, 1000 a second each. The time to turn readings into words is included.
 
+Words of a DVXplorer: a scanned read-out of 640 x 480 pixels with random events, batches and buffers of the same sizes,
+every event compared.
+
 EVT3 words: batches of 20 000 events and buffers of 128 KiB, as on a busy link. There are two streams: a textured
 target, where pixels fire one by one at their own microsecond (`streams.target`), and rows, where many pixels of a row
 fire at the same time, which vectors encode.
@@ -34,9 +37,18 @@ from typing import Literal
 
 import numpy as np
 
-from emulator.evaluation.bench.streams import SIZE, BenchFailed, checkerboard_stream, davis_batches, stars, target
+from emulator.evaluation.bench.streams import (
+    SIZE,
+    BenchFailed,
+    checkerboard_stream,
+    davis_batches,
+    scanned_stream,
+    stars,
+    target,
+)
 from firmware_protocol.c import FOLDER, sources
 from firmware_protocol.davis346 import Decoder, WordEncoder
+from firmware_protocol.dvxplorer import GroupDecoder, GroupEncoder
 from firmware_protocol.events import EVENT, Events, join_events
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 from firmware_protocol.packets.addresses import Message, MessageKind
@@ -53,6 +65,8 @@ __all__ = [
     "Evt3Decoding",
     "Evt3Encoding",
     "Stream",
+    "groups_decode",
+    "groups_encode",
     "words_decode",
     "words_encode",
     "words_encode_streams",
@@ -102,7 +116,34 @@ def words_encode_streams() -> float:
     return _EVENTS / _median_cpu_s(encode) * 1e-6
 
 
-def _median_cpu_s(work: Callable[[], None]) -> float:
+def groups_encode() -> float:
+    """Mev/s from events to a DVXplorer's words."""
+    batches = np.array_split(scanned_stream(_EVENTS), _EVENTS // _BATCH)
+
+    def encode() -> None:
+        encoder = GroupEncoder((640, 480))
+        for batch in batches:
+            encoder.encode(batch)
+
+    return _EVENTS / _median_cpu_s(encode) * 1e-6
+
+
+def groups_decode() -> float:
+    """Mev/s from a DVXplorer's words to events, on 128 KiB transfers; raises BenchFailed where an event differs."""
+    events = scanned_stream(_EVENTS)
+    data = GroupEncoder((640, 480)).encode(events).words.tobytes()
+    transfers = [data[i : i + _BUFFER] for i in range(0, len(data), _BUFFER)]
+
+    def decode() -> list[Events]:
+        decoder = GroupDecoder()
+        return [decoder.feed(transfer).events for transfer in transfers]
+
+    if not np.array_equal(join_events(decode()), events):
+        raise BenchFailed("the words of a DVXplorer came back as other events")
+    return _EVENTS / _median_cpu_s(decode) * 1e-6
+
+
+def _median_cpu_s(work: Callable[[], object]) -> float:
     times = []
     for _ in range(_REPEATS + 1):
         start_s = time.process_time()

@@ -91,6 +91,8 @@ MEASURES = (
     Measure("words_encode", "Mev/s", "higher", 80, word.words_encode),
     Measure("words_encode_streams", "Mev/s", "higher", 40, word.words_encode_streams),
     Measure("words_decode", "Mev/s", "higher", 40, word.words_decode),
+    Measure("groups_encode", "Mev/s", "higher", 60, word.groups_encode),
+    Measure("groups_decode", "Mev/s", "higher", 40, word.groups_decode),
     Measure("evt3_encode_target", "Mev/s", "higher", 60, Evt3Encoding("target")),
     Measure("evt3_encode_rows", "Mev/s", "higher", 60, Evt3Encoding("rows")),
     Measure("evt3_decode_target", "Mev/s", "higher", 40, Evt3Decoding("target")),

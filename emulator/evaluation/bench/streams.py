@@ -35,6 +35,7 @@ __all__ = [
     "davis_batches",
     "endless_davis_batches",
     "saturated_stream",
+    "scanned_stream",
     "stars",
     "target",
 ]
@@ -51,6 +52,20 @@ def saturated_stream(count: int, event_ns: int = 80, row_events: int = 8) -> Eve
     events["t"] = index * event_ns // 1000
     events["x"] = rng.integers(0, 346, count)
     events["y"] = index // row_events * 3 % 260
+    events["on"] = rng.integers(0, 2, count)
+    return events
+
+
+def scanned_stream(count: int, scan_us: float = 197.28, of_scan: int = 2000) -> Events:
+    """Return the events of a scanned 640 x 480 read-out: `of_scan` random pixels a scan, column by column.
+
+    With the defaults 10 Mev/s.
+    """
+    rng = np.random.default_rng(640)
+    pixel = np.sort(rng.integers(0, 640 * 480, (-(-count // of_scan), of_scan)), axis=1).ravel()[:count]
+    events = empty_events(count)
+    events["x"], events["y"] = pixel // 480, pixel % 480
+    events["t"] = (np.arange(count) // of_scan + events["x"] / 640) * scan_us
     events["on"] = rng.integers(0, 2, count)
     return events
 

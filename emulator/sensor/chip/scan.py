@@ -146,11 +146,23 @@ class ScanReadOut(ReadOut):
         super().__init__()
         log_compilation(_run, "the scan")
         times, width, height = parameters.readout, parameters.width, parameters.height
-        column_ps = max(1, round(times.scan_us * 1e6 / width))
         event_ps, refractory_ns = max(1, round(times.event_ns * 1000)), round(parameters.refractory_us * 1000)
-        self._timing = _Timing(width, height, column_ps, event_ps, refractory_ns)
+        self._timing = _Timing(width, height, 1, event_ps, refractory_ns)
+        self.set_scan_us(times.scan_us)
         self._maps = np.zeros((width, height), np.uint8), np.zeros(width, np.int64), new_busy(parameters)
         self._scan = _Scan(0, 0, 0, 0, 0, 0)
+
+    @property
+    def scan_us(self) -> float:
+        """Time of a scan of all columns without events, us."""
+        return self._scan_us
+
+    def set_scan_us(self, scan_us: float) -> None:
+        """Set the time of a scan from the next column on; raises ValueError unless above 0 and at most 1e6."""
+        if not 0 < scan_us <= 1e6:
+            raise ValueError(f"scan_us must be above 0 and at most 1e6, got {scan_us}")
+        self._scan_us = scan_us
+        self._timing = self._timing._replace(column_ps=max(1, round(scan_us * 1e6 / self._timing.width)))
 
     @property
     def lost_at_readout(self) -> int:

@@ -289,7 +289,7 @@ class Converter:
 
 def _counts(felt: Floats, temperature_c: float, settings: ImuSettings) -> npt.NDArray[np.int16]:
     """Return the seven counts: accelerometer, temperature, gyroscope; 0 for elements that are off."""
-    scale, (per_degree, offset_c) = ImuScale.parse(settings.scale), THERMOMETERS[settings.unit]
+    scale, (per_degree, offset_c) = ImuScale.parse(settings.scale, settings.unit), THERMOMETERS[settings.unit]
     there = [scale.accelerometer] * 3 + [scale.temperature] + [scale.gyroscope] * 3
     counts = np.concatenate(
         [

@@ -105,6 +105,15 @@ def test_a_mistake_is_told_with_line_key_and_cure(old, new, line, told):
         assert part in text
 
 
+def test_a_dvxplorer_has_its_own_inertial_unit():
+    rig = load_rig("stars-dvxplorer")
+    assert (rig.camera.model, rig.camera.size, rig.camera.imu.unit) == ("dvxplorer", (640, 480), "bmi160")
+    text = GOOD.replace('model = "davis346"', 'model = "dvxplorer"').replace("[run]", "[camera.imu]\n[run]")
+    assert "camera.imu.unit: a dvxplorer has unit = \"bmi160\", got 'mpu_9250'" in message(text)
+    text = GOOD.replace("[run]", '[camera.imu]\nunit = "bmi160"\n[run]')
+    assert 'a davis346 has unit = "mpu_9250" or "mpu_6050"' in message(text)
+
+
 def test_what_is_not_toml_is_told():
     assert "not valid TOML" in message("[scene\n")
     assert "line 1" in message("[scene\n")

@@ -13,8 +13,10 @@ from emulator.run.changes import BiasFollowing, Change, Changes
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346.biases import BIASES, CoarseFine, sensor_factors
+from firmware_protocol.dvxplorer import Dvxplorer
 from firmware_protocol.imx636.biases import BiasModel
 from firmware_protocol.packets.telecommands import SetBias
+from firmware_protocol.usb.device import SetupPacket
 from transports.link.report import CameraSettings
 
 ADDRESSES = {bias.name: bias.address for bias in BIASES}
@@ -207,3 +209,17 @@ def test_telecommands_set_the_biases_of_the_camera_s_own_chip(model, number, val
     instrument = setup.device()
     instrument.execute(SetBias(number, value))
     assert instrument.sensor_factors["refractory_us"] == pytest.approx(factor)
+
+
+def test_the_scan_of_a_dvxplorer_follows_the_rate_that_its_host_writes():
+    sensor = Sensor(dataclasses.replace(PRESETS["dvxplorer_micro"], width=8, height=8), 0)
+    camera, following = Dvxplorer(), BiasFollowing(sensor)
+    exposure_us = SetupPacket(0x40, 0xBF, 5, 0x3241, 4), SetupPacket(0x40, 0xBF, 5, 0x3242, 4)
+    camera.attached()
+    for setup, value in zip(exposure_us, (307 >> 8, 307 & 0xFF), strict=True):  # "variable 2000" of dv-processing
+        camera.control(setup, value.to_bytes(4, "big"))
+    following.follow({"usb": report(**camera.sensor_factors)})
+    assert sensor.adjustable["scan_us"] == pytest.approx(197.28 * 499 / 199)
+    camera.attached()
+    following.follow({"usb": report(**camera.sensor_factors)})
+    assert sensor.adjustable["scan_us"] == pytest.approx(197.28)

@@ -9,7 +9,7 @@ import pytest
 from emulator.raster import Renderer
 from emulator.rig.loading import load_rig, shipped_rigs
 from emulator.run import kernels as preparation
-from emulator.run.kernels import ACTIVITY_FILTER, DECODER, EVT, Part, parts_of, prepare, uncompiled
+from emulator.run.kernels import ACTIVITY_FILTER, DECODER, EVT, GROUPS, Part, parts_of, prepare, uncompiled
 
 
 @pytest.fixture
@@ -63,6 +63,12 @@ def test_steps_under_control_need_the_light_of_single_pixels(monkeypatch):
 def test_a_camera_on_usb_that_sends_evt3_needs_its_coder():
     assert EVT in parts_of(load_rig("stars-evk4"))
     assert EVT not in parts_of(load_rig("stars"))
+
+
+def test_a_dvxplorer_on_usb_needs_its_coder():
+    assert GROUPS in parts_of(load_rig("stars-dvxplorer"))
+    assert GROUPS not in parts_of(load_rig("stars"))
+    assert prepare([GROUPS]) == []
 
 
 def test_a_camera_with_activity_filter_needs_its_kernel():

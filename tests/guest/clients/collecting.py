@@ -9,6 +9,8 @@ With --on it reads on after N events, until the camera is gone, and makes the fi
 
 With --until FILE it also stops when this file is there.
 
+With --device NAME the client of neuromorphic_drivers opens another camera than a DAVIS346.
+
 With --attempts the client of neuromorphic_drivers opens again where the driver finds no camera.
 
 With --triggers it asks the external input for rising and falling edges and pulses, and saves what the driver tells of
@@ -48,6 +50,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--imu", action="store_true", help="take samples of the inertial unit")
     parser.add_argument("--frames", action="store_true", help="keep frames")
     parser.add_argument("--packet-ms", type=int, default=0, help="device time between packets; 0: the driver's own")
+    parser.add_argument("--device", default="inivation_davis346", help="camera, by neuromorphic_drivers' name")
     parser.add_argument("--aedat4", help="what the library's own writer shall write")
     return parser
 

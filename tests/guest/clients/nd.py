@@ -17,6 +17,13 @@ G_M_S2, DEGREES = 9.80665, 57.29577951308232
 KINDS = {0: 3, 1: 2, 2: 4}  # its polarity of a trigger: falling, rising, pulse
 
 
+def collect_triggers(triggers: Any, collector: Collector) -> None:
+    """Take triggers; their last byte is the polarity, which is declared as a flag for a DVXplorer and may be 2."""
+    polarities = triggers.view("u1").reshape(len(triggers), -1)[:, -1]
+    for t, polarity in zip(triggers["t"].tolist(), polarities.tolist(), strict=True):
+        collector.add_trigger(t, KINDS[polarity])
+
+
 def collect_imu(samples: Any, collector: Collector) -> None:
     """Take samples in m/s2 and rad/s."""
     for one in samples:
@@ -27,21 +34,21 @@ def collect_imu(samples: Any, collector: Collector) -> None:
 
 def open_camera(options: argparse.Namespace) -> Any:
     """Open the first camera, with the detector of its external input on if triggers are asked for."""
-    camera = open_driver(options.attempts)
+    camera = open_driver(options.device, options.attempts)
     if options.triggers:
         write_registers(EXTERNAL_INPUT, DETECT, 1)
     return camera
 
 
-def open_driver(attempts: int) -> Any:
+def open_driver(device: str, attempts: int) -> Any:
     """Open the first camera; where the driver finds none, a second later again."""
     try:
-        return nd.open(nd.inivation_davis346.Configuration(), iterator_timeout=0.1)
+        return nd.open(getattr(nd, device).Configuration(), iterator_timeout=0.1)
     except RuntimeError:
         if attempts == 1:
             raise
     time.sleep(1.0)
-    return open_driver(attempts - 1)
+    return open_driver(device, attempts - 1)
 
 
 def take(camera: Any, collector: Collector, options: argparse.Namespace) -> int:
@@ -49,8 +56,8 @@ def take(camera: Any, collector: Collector, options: argparse.Namespace) -> int:
     _status, packet = next(camera)
     if packet is None:
         return 0
-    for trigger in packet.trigger_events if packet.trigger_events is not None else ():
-        collector.add_trigger(int(trigger["t"]), KINDS[int(trigger["polarity"])])
+    if packet.trigger_events is not None:
+        collect_triggers(packet.trigger_events, collector)
     if options.imu and packet.imu_events is not None:
         collect_imu(packet.imu_events, collector)
     for frame in packet.frames if options.frames and packet.frames is not None else ():

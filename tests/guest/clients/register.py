@@ -1,4 +1,4 @@
-"""Writes registers of a DAVIS346 that a driver holds, as a second program may: control requests need no interface.
+"""Writes registers of a camera of iniVation that a driver holds, as a second program may: requests need no interface.
 
 neuromorphic_drivers (0.18.2) has no setting for the external input and leaves its detector off, so on a real camera too
 its triggers stay empty unless somebody else switches the detector on. usbfs takes a request as (linux/usbdevice_fs.h)
@@ -20,16 +20,17 @@ USBDEVFS_CONTROL = 0xC0185500
 REQUEST = struct.Struct("@BBHHHIP")
 REGISTER = 0xBF
 TIMEOUT_MS = 1000
+CAMERAS = ("152a", "841a"), ("152a", "8419")  # DAVIS346, DVXplorer
 
 
 def camera_node() -> Path:
-    """The device file of the first DAVIS346 on the bus."""
+    """The device file of the first camera on the bus."""
     for device in Path("/sys/bus/usb/devices").iterdir():
         vendor, product = device / "idVendor", device / "idProduct"
-        if vendor.exists() and (vendor.read_text().strip(), product.read_text().strip()) == ("152a", "841a"):
+        if vendor.exists() and (vendor.read_text().strip(), product.read_text().strip()) in CAMERAS:
             bus, number = (int((device / name).read_text()) for name in ("busnum", "devnum"))
             return Path(f"/dev/bus/usb/{bus:03}/{number:03}")
-    raise FileNotFoundError("no DAVIS346 on the bus")
+    raise FileNotFoundError("no camera on the bus")
 
 
 def write_registers(module: int, addresses: tuple[int, ...], value: int) -> None:

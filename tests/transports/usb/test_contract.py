@@ -3,8 +3,7 @@
 import pytest
 
 from evstim.testing.fake_usb import FakeUsbBus
-from evstim.testing.usb_contract import Plugged, UsbContract
-from firmware_protocol.davis346 import Davis346Settings
+from evstim.testing.usb_contract import DVXPLORER, Plugged, UsbContract
 from tests.transports.usb.gadget_port import GadgetBench, PortHost
 from transports.usb.loopback import DirectHost
 from transports.usb.pyusb_host import PyusbHost
@@ -48,16 +47,32 @@ class TestGadget(UsbContract):
         self.bench.close()
 
     def plug(self, device, timeout_s):
-        port = self.bench.plug(device, Davis346Settings(serial="00000042").descriptors())
+        port = self.bench.plug(device, self.camera.settings.descriptors())
         return Plugged(_Unplugged(self.bench, port, timeout_s), self.bench.call)
 
 
 class TestFakeBus(UsbContract):
     def plug(self, device, timeout_s):
-        bus = FakeUsbBus(device, Davis346Settings(serial="00000042").descriptors())
-        return Plugged(PyusbHost.find(0x152A, 0x841A, bus, timeout_s), bus.call)
+        bus = FakeUsbBus(device, self.camera.settings.descriptors())
+        return Plugged(PyusbHost.find(0x152A, self.camera.product, bus, timeout_s), bus.call)
 
 
 class TestLoopback(UsbContract):
     def plug(self, device, timeout_s):
         return Plugged(DirectHost(device), lambda function, *args: function(*args))
+
+
+class TestDvxplorerOnUsbip(TestUsbip):
+    camera = DVXPLORER
+
+
+class TestDvxplorerOnGadget(TestGadget):
+    camera = DVXPLORER
+
+
+class TestDvxplorerOnFakeBus(TestFakeBus):
+    camera = DVXPLORER
+
+
+class TestDvxplorerOnLoopback(TestLoopback):
+    camera = DVXPLORER

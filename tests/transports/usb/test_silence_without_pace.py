@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerSettings
 from firmware_protocol.events import empty_events
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from transports.faults.script import FaultPlan
@@ -63,6 +64,7 @@ async def reports_of(camera, fault):
 
 CAMERAS = {
     "davis346": lambda: Davis346(Davis346Settings(start_delay_us=0)),
+    "dvxplorer": lambda: Dvxplorer(DvxplorerSettings(start_delay_us=0)),
     "evk4": lambda: Evk4(Evk4Settings(serial="1", start_delay_us=0)),
 }
 

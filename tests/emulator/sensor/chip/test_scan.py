@@ -126,3 +126,25 @@ def test_a_pixel_is_busy_from_the_read_of_its_column_on():
     events = np.concatenate([readout.push(found, END_NS), readout.finish()])
     assert events["t"].tolist() == [16, 48]
     assert (readout.lost_busy, readout.lost_at_readout, readout.read_out) == (2, 2, 2)
+
+
+def test_the_time_of_a_scan_can_change_between_two_steps():
+    sensor = Sensor(parameters(), 0)
+    assert sensor.adjustable["scan_us"] == SCAN_NS / 1000
+    readout = ScanReadOut(parameters())
+    again = np.arange(0, 50 * SCAN_NS, 1000)
+    pixel = np.full(len(again), 5)
+    first = readout.push(crossings(again, pixel, pixel > 0), 50 * SCAN_NS)
+    readout.set_scan_us(3 * SCAN_NS / 1000)
+    later = readout.push(crossings(again + 50 * SCAN_NS, pixel, pixel > 0), 100 * SCAN_NS)
+    assert set(np.diff(first["t"]).tolist()) == {SCAN_NS // 1000}
+    assert set(np.diff(later["t"]).tolist()) == {3 * SCAN_NS // 1000}
+    with pytest.raises(ValueError, match="above 0"):
+        sensor.adjust("scan_us", 0.0)
+
+
+def test_an_arbiter_has_no_time_of_a_scan():
+    sensor = Sensor(dataclasses.replace(PRESETS["davis346"], width=8, height=8), 0)
+    assert "scan_us" not in sensor.adjustable
+    with pytest.raises(ValueError, match="cannot be changed"):
+        sensor.adjust("scan_us", 100.0)

@@ -1,0 +1,203 @@
+"""Decoder of DVXplorer word streams: bytes in any pieces to events, edges, inertial samples and a count of faults.
+
+`words` describes the layout. The meaning follows libcaer 3.3.15 (dvxplorer.c): a column or a group outside the array
+hides the pixels up to the next good one; time is unrolled in 64 bits; a reset sets it to zero and leaves the column.
+
+Inertial samples are sent in the unit's own axes: y, x, z, for accelerometer and gyroscope alike.
+
+The decoder is compiled: one pass counts pixels and other words, the next writes the records into arrays of that size,
+with its whole state in local variables, which the compiler keeps in registers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_protocol.compiled import kernel
+from firmware_protocol.davis346.blocks import ImuReader, is_imu
+from firmware_protocol.davis346.decoder import SPECIAL_EVENT, Decoded, WordFaults
+from firmware_protocol.davis346.words import KIND, LOW_BITS, MAX_STEPS, MISC8, TIMESTAMP, WORD, WRAP, WRAP_BITS, Words
+from firmware_protocol.dvxplorer.words import (
+    ADDRESSES,
+    COLUMN,
+    COLUMN_BITS,
+    FARTHEST,
+    GROUP_1,
+    GROUP_2,
+    OFF_BIT,
+    ROWS_OF_GROUP,
+    entry,
+)
+from firmware_protocol.events import empty_events
+from firmware_protocol.evt.words import EVENT_BYTES, put_short, put_time
+from firmware_protocol.imu_samples import AXES_ON_THE_WIRE
+
+__all__ = ["GroupDecoder"]
+
+
+_Bytes = npt.NDArray[np.uint8]
+_Int64s = npt.NDArray[np.int64]
+
+# Content of a state: time, column and groups in force (-1: none), columns and groups of the array, and the numbers of
+# words with a column outside, a group outside, and a time that does not increase.
+_TIME, _COLUMN, _GROUP_1, _GROUP_2, _COLUMNS, _GROUPS, _BAD_COLUMN, _BAD_GROUP, _BAD_TIME = range(9)
+_NONE = np.int64(-1)
+
+# Compiled code holds plain numbers.
+_TIMESTAMP, _LOW_BITS, _WRAP, _WRAP_BITS, _MAX_STEPS = TIMESTAMP, LOW_BITS, WRAP, WRAP_BITS, MAX_STEPS
+_KIND, _RESET = KIND, 1
+
+_INPUT_MARKS = (2, 3, 4, 16, 17)
+_KNOWN_SPECIALS = (1, *_INPUT_MARKS, 5, 7)
+_MISC10 = 0x6000
+
+
+@entry
+def count_items(words: Words) -> tuple[int, int]:
+    """Return the numbers of pixels and of words of other kinds, specials and misc, in (n,) words."""
+    pixels, others = 0, 0
+    for word in words:
+        kind = word & _KIND
+        bits = np.int64(word & 0xFF if kind in (GROUP_1, GROUP_2) else 0)
+        bits -= bits >> 1 & 0x55
+        bits = (bits & 0x33) + (bits >> 2 & 0x33)
+        pixels += int((bits & 0xF) + (bits >> 4))
+        others += kind in (0, 0x5000, 0x6000)
+    return pixels, others
+
+
+@entry
+def read_words(words: Words, state: _Int64s, events: _Bytes, others: _Int64s) -> int:
+    """Write the records of all (n,) words; return the number of events.
+
+    Parameters
+    ----------
+    words
+        Words in stream order.
+    state
+        (9,) with the layout above, updated.
+    events
+        (13 m,) bytes of room for EVENT records, m the number of pixels.
+    others
+        (k, 3): word, its time, and the number of events before it; k words of other kinds.
+    """
+    time_us, column, first, second = state[_TIME], state[_COLUMN], state[_GROUP_1], state[_GROUP_2]
+    columns, groups, at, at_other = state[_COLUMNS], state[_GROUPS], 0, 0
+    for word in words:
+        kind, value = word & _KIND, int(word & 0xFFF)
+        if kind in (GROUP_1, GROUP_2):
+            group = first if kind == GROUP_1 else second
+            if column >= 0 and group >= 0:
+                at = _put_pixels(events, at, time_us, column, group * ROWS_OF_GROUP | value << 16)
+        elif word >= _WRAP:
+            later = _time_after(time_us, word)
+            state[_BAD_TIME] += later <= time_us and (time_us > 0 or later < 0)
+            time_us = later
+        elif kind == ADDRESSES:
+            first = np.int64(value & 0x3F)
+            second = first - (value >> 6 & FARTHEST) if value & 0x800 else first + (value >> 6 & FARTHEST)
+            state[_BAD_GROUP] += first >= groups or second < 0 or second >= groups
+            first = first if first < groups else _NONE
+            second = second if second < groups else _NONE
+        elif kind == COLUMN:
+            column = np.int64(value & COLUMN_BITS)
+            state[_BAD_COLUMN] += column >= columns
+            column = column if column < columns else _NONE
+        else:
+            time_us *= word != _RESET
+            others[at_other, 0], others[at_other, 1], others[at_other, 2] = word, time_us, at // EVENT_BYTES
+            at_other += 1
+    state[_TIME], state[_COLUMN], state[_GROUP_1], state[_GROUP_2] = time_us, column, first, second
+    return at // EVENT_BYTES
+
+
+@kernel
+def _time_after(before_us: int, word: int) -> int:
+    """Return the time that a timestamp or a wrap sets."""
+    base = before_us >> _WRAP_BITS << _WRAP_BITS
+    return base + (word & _LOW_BITS) if word >= _TIMESTAMP else base + ((word & _MAX_STEPS) << _WRAP_BITS)
+
+
+@kernel
+def _put_pixels(events: _Bytes, at: int, time_us: int, x: int, rows: int) -> int:
+    """Write an EVENT record for each pixel; return the place of the next one.
+
+    `rows`: the first row, and from bit 16 on the word of pixels.
+    """
+    row, bits, on = rows & 0xFFFF, rows >> 16 & 0xFF, not rows >> 16 & OFF_BIT
+    while bits:
+        if bits & 1:
+            put_time(events, at, time_us)
+            put_short(events, at + 8, x)
+            put_short(events, at + 10, row)
+            events[np.uint64(at + 12)] = on
+            at += EVENT_BYTES
+        bits >>= 1
+        row += 1
+    return at
+
+
+class GroupDecoder:
+    """Decoder of a stream of DVXplorer words; it keeps its state between pieces.
+
+    Parameters
+    ----------
+    size
+        (width, height) of the array.
+
+    Attributes
+    ----------
+    faults
+        Counts of words that an intact stream never contains.
+    """
+
+    def __init__(self, size: tuple[int, int] = (640, 480)) -> None:
+        self._state = np.array([0, -1, -1, -1, size[0], size[1] // ROWS_OF_GROUP, 0, 0, 0], np.int64)
+        self._odd = b""
+        self._imu = ImuReader()
+        self._resets = 0
+        self.faults = WordFaults()
+        self.feed(b"")  # compiles the kernels now, not while words wait
+
+    @property
+    def time_us(self) -> int:
+        """Device time of the last timestamp or wrap."""
+        return int(self._state[_TIME])
+
+    def feed(self, data: bytes) -> Decoded:
+        """Decode the next bytes of the stream; any bytes give a result."""
+        data = self._odd + data if self._odd else data
+        even = len(data) & ~1
+        self._odd = bytes(data[even:])
+        words = np.frombuffer(data, WORD, even // 2)
+        n_pixels, n_others = count_items(words)
+        events, others = empty_events(n_pixels), np.empty((n_others, 3), np.int64)
+        self._state[_BAD_COLUMN:] = 0
+        n_events = read_words(words, self._state, events.view(np.uint8), others)
+        self._count_faults(others[:, 0])
+        seldom, times_us = others[:, 0].astype(WORD), others[:, 1]
+        imu = self._imu.feed(seldom, times_us)
+        imu["sample"]["counts"] = imu["sample"]["counts"][:, AXES_ON_THE_WIRE]
+        self._resets += int(np.count_nonzero(seldom == _RESET))
+        return Decoded(events[:n_events], _specials(others), (), imu, self._resets)
+
+    def _count_faults(self, others: _Int64s) -> None:
+        specials = others[others < COLUMN]
+        misc = others[others >= MISC8]
+        known_misc = is_imu(misc.astype(WORD))
+        self.faults += WordFaults(
+            row_outside=int(self._state[_BAD_GROUP]),
+            column_outside=int(self._state[_BAD_COLUMN]),
+            time_not_increasing=int(self._state[_BAD_TIME]),
+            unknown_special=int(np.count_nonzero(~np.isin(specials, _KNOWN_SPECIALS))),
+            unknown_misc=int(np.count_nonzero(~known_misc)),
+        )
+
+
+def _specials(others: _Int64s) -> npt.NDArray[np.void]:
+    """Return the (m,) SPECIAL_EVENT records of marks and resets."""
+    chosen = others[np.isin(others[:, 0], (_RESET, *_INPUT_MARKS))]
+    specials = np.empty(len(chosen), SPECIAL_EVENT)
+    specials["code"], specials["t"], specials["index"] = chosen.T
+    return specials
