@@ -11,21 +11,21 @@ recording of one camera, in unknown light.
     size                       346 x 260 [1]                640 x 480 [2]                1280 x 720 [3]
     thresholds, ln             0.283 / 0.262 [4]            0.25 / 0.25 estimate         0.223 / 0.223 [3], ln 1.25
     mismatch                   3.5 % [5]                    3.5 % estimate as [5]        12 % [18]
-    dark current, relative     0.001 estimate               0.001 estimate               0.001 estimate
+    dark current, relative     0.001 estimate               0.001 estimate               0.009 [24]
     photoreceptor              one pole                     one pole                     large signals [17]
-    corner at reference        3 kHz at 1 klux [6]          3 kHz estimate as [6]        3 kHz at 0.1695 W/m2 [17]
+    corner at reference        3 kHz at 1 klux [6]          3 kHz estimate as [6]        3 kHz at 0.1644 W/m2 [17]
     corner, least and most     3 Hz / 3 kHz [6] [7]         3 Hz / 3 kHz as davis346     3 Hz as davis346 / 30 kHz [17]
     source follower            286 Hz [8]                   none: no value found         4.35 kHz [17]
     leak and its spread        0.0007 Hz [9], 30 % [10]     0.001 Hz, 30 % estimate      0: see background
     parasitic leak             0.0018 Hz at light 1 [9]     0.002 Hz estimate            0: see background
-    noise, rms                 0.05 [11]                    0: no value found            0.0445 [24]
-    its pole, spread           286 Hz [8], none             none                         2.7 kHz, 22 % [24]
+    noise, rms                 0.05 [11]                    0: no value found            0.045 [24]
+    its pole, spread           286 Hz [8], none             none                         1.9 kHz, 15 % [24]
     background                 none: leak and noise         none                         0.0033 Hz, tail [12]
     refractory                 3.4 us [4]                   100 us estimate [13]         20 us [18]
     read-out                   arbiter                      scan, 197.28 us [14]         arbiter
     time of an event           80 ns (12 Mev/s) [15]        2.2 ns (450 Mev/s) [16]      0.33 ns [19]
     time of a row              80 ns estimate               none                         127 ns [19]
-    delay of an event          none                         none                         1.2 us ON, 0.4 us OFF [17]
+    delay of an event          none                         none                         1.2 us ON, 1.4 us OFF [17]
     late events                none                         none                         0.05 % by 3 ms [20]
 
     [1] libcaer, DAVIS346: 346 x 260.
@@ -62,7 +62,7 @@ recording of one camera, in unknown light.
         ON and OFF latencies follow light, and only the large-signal law has both. Only threshold over corner is
         determined: the threshold is [3]. No bound of the corner is seen; 30 kHz lies above all that was measured. In
         bright light latencies depend more on the threshold, and less on the light, than one pole allows: a second pole
-        of 37 us explains that, and leaves 1 us and less of constant delay. With a delay alone (19 and 24 us) 43 of 50
+        of 37 us explains that, and leaves about 1 us of constant delay. With a delay alone (19 and 24 us) 43 of 50
         medians are within 10 %, with the second pole 47. Its light 1 is `IMX636_W_M2`.
     [18] The same: latencies spread from 0.4 to 1.8 of the median in a region. The mismatch explains a part of the slow
         ones; noise before the true event makes fast ones. A wider spread of thresholds would give single pixels much
@@ -73,7 +73,10 @@ recording of one camera, in unknown light.
         bus, of 1.06 Gev/s [3], limits.
     [20] An estimate: the same measurement has a few pixels that come milliseconds late.
     [24] Fitted to the same camera (column "opposite", `evstim validate`): pixels that fire against the edge within half
-        a second at 0.006 to 0.4 W/m2. Uncertain in the dark, where that camera fires some twenty times as often.
+        a second, at 0.006 to 0.4 W/m2 and in the dark between. Noise has the bandwidth of the photoreceptor, so that
+        its rate in the dark gives the dark current: with 0.001 the rate would be a fifteenth of that. One camera, at
+        an unknown temperature; another one (recording [12]) fires at 0.0033 Hz in unknown light, which this noise has
+        from light 4 on.
 
 Other chips of Prophesee, of which less is public:
 
@@ -253,7 +256,7 @@ class SensorParameters:
                 raise ValueError(f"defects.{name}: [{x}, {y}] must lie within {self.width} x {self.height} pixels")
 
 
-IMX636_W_M2 = 0.1695
+IMX636_W_M2 = 0.1644
 """Irradiance on the chip at 680 nm that is light 1 of the preset imx636, W/m2."""
 
 _IMX636_BACKGROUND = BackgroundParameters(
@@ -300,14 +303,15 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             threshold_on=0.223,
             threshold_off=0.223,
             mismatch=0.12,
+            dark_current_relative=0.009,
             photoreceptor="large_signal",
             corner_max_hz=30_000.0,
             source_follower_hz=4350.0,
             leak_hz=0.0,
             refractory_us=20.0,
             readout=ReadoutParameters(event_ns=0.33, row_ns=127),
-            jitter=JitterParameters(latency_us=1.2, off_latency_us=0.4, late_share=0.0005, late_us=3000.0),
-            noise=NoiseParameters(rms=0.0445, corner_hz=2700.0, spread=0.22, history_s=100.0),
+            jitter=JitterParameters(latency_us=1.2, off_latency_us=1.4, late_share=0.0005, late_us=3000.0),
+            noise=NoiseParameters(rms=0.045, corner_hz=1900.0, spread=0.15, history_s=100.0),
             background=_IMX636_BACKGROUND,
         ),
         "gen31": SensorParameters(

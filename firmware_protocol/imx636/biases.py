@@ -54,7 +54,7 @@ class BiasSlopes:
     """
 
     diff_on: float = 0.0148
-    diff_off: float = 0.0263
+    diff_off: float = 0.0254
     diff_off_above: float = 0.0117
     fo: float = 0.012
     refr: float = 0.05

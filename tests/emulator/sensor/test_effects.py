@@ -73,7 +73,7 @@ def test_presets_switch_on_what_recordings_show_and_nothing_else(preset):
     on = {name for name in EFFECTS if getattr(p, name) != getattr(plain, name)}
     on |= {"background"} if p.background != plain.background else set()
     background = {name: {"background"} for name in ("gen31", "genx320")}
-    assert on == ({"davis346": {"noise"}, "imx636": {"background", "jitter"}} | background).get(preset, set())
+    assert on == ({"davis346": {"noise"}, "imx636": {"background", "jitter", "noise"}} | background).get(preset, set())
 
 
 def test_a_rig_gives_effects_as_tables():
