@@ -25,6 +25,7 @@ METHODS = {
     "array": (PixelArray, PLAIN),
     "array without second pole": (PixelArray, dataclasses.replace(PLAIN, source_follower_hz=0.0)),
     "grid": (NoisyPixels, dataclasses.replace(PLAIN, noise=NoiseParameters(0.02, 300.0, "grid"))),
+    "large signal": (PixelArray, dataclasses.replace(PLAIN, photoreceptor="large_signal")),
     "circuit": (CircuitPixels, dataclasses.replace(PLAIN, photoreceptor="circuit")),
     "pangu": (Pangu, PLAIN),
 }
@@ -51,7 +52,7 @@ def test_a_step_ends_and_its_crossings_are_the_leak_times_the_light(method, ligh
         assert listed + pixels.lost_in_pixel - before >= 4 * PIXELS * 2**32
 
 
-@pytest.mark.parametrize("method", ["array", "array without second pole", "grid", "large signal"])
+@pytest.mark.parametrize("method", ["array", "array without second pole", "grid", "large signal", "circuit"])
 @pytest.mark.parametrize("bright", [1e7, 1e30, np.inf])
 def test_a_pixel_that_a_flash_has_left_sees_as_before(method, bright):
     """Half of the pixels see a flash of 2 ms; 200 ms later all see light double, in the dark of no leak to speak of."""

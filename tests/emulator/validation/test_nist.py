@@ -19,7 +19,7 @@ from emulator.evaluation.validation.nist import (
     statistics,
     table,
 )
-from emulator.sensor.parameters import BackgroundParameters, JitterParameters
+from emulator.sensor.parameters import BackgroundParameters, JitterParameters, NoiseParameters
 from emulator.sensor.presets import IMX636_W_M2, PRESETS, ReadoutParameters
 from firmware_protocol.events import EVENT
 
@@ -58,13 +58,15 @@ def test_first_events_after_an_edge_count_by_pixel_and_by_key():
 def test_latencies_of_a_plain_pixel_are_those_of_its_law():
     p = dataclasses.replace(
         regions(), mismatch=0.0, source_follower_hz=0.0, jitter=JitterParameters(), background=BackgroundParameters(),
-        readout=ReadoutParameters(event_ns=0.001, row_ns=0), random_start=False,
+        noise=NoiseParameters(), readout=ReadoutParameters(event_ns=0.001, row_ns=0), random_start=False,
     )  # fmt: skip
     edges = pulsed(p, 0.0457, 1, cycles=1)
     late_us = first_latencies(edges.after(int(edges.on_us[0])), int(edges.on_us[0]), True)
     assert late_us.size == 99 * 11
-    expected_us = 1e6 * 0.223 / (2 * math.pi * 3000 * (0.0457 / IMX636_W_M2 + 0.001))
-    assert late_us == pytest.approx(expected_us, abs=1.5)
+    dark, bright = p.dark_current_relative, 0.0457 / IMX636_W_M2 + p.dark_current_relative
+    # w = e^-V follows w' + K i w = K: from 1 / dark to e^-0.223 / dark
+    shares = (1 / dark - 1 / bright) / (math.exp(-0.223) / dark - 1 / bright)
+    assert late_us == pytest.approx(1e6 * math.log(shares) / (2 * math.pi * 3000 * bright), abs=1.5)
 
 
 def test_validate_writes_a_page_and_prints_the_counts(tmp_path, capsys, monkeypatch):

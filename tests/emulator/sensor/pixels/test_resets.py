@@ -190,6 +190,7 @@ def constants(on_us, off_us, contrast_per_e=0.0714):
         chord=False,
         unseen_share=f(0.5),
         refine=False,
+        large=False,
         far=False,
         on_delay=on_us * 1e-6,
         off_delay=off_us * 1e-6,
