@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from emulator.scene.video.video import VideoParameters as VideoScene
     from emulator.sensor.parameters import (
         BackgroundParameters,
+        ComparatorParameters,
         DefectParameters,
         FrameParameters,
         ImagerParameters,
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
         KickParameters,
         NoiseParameters,
         RadiationParameters,
+        ResetParameters,
         TemperatureParameters,
     )
     from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
@@ -170,6 +172,7 @@ __all__ = [
     "ClockSettings",
     "ClockStep",
     "Clouds",
+    "ComparatorParameters",
     "ControlStall",
     "DavisReceiver",
     "DeadBus",
@@ -234,6 +237,7 @@ __all__ = [
     "RepeatedDatagrams",
     "RepeatedEvents",
     "RepeatedFrames",
+    "ResetParameters",
     "Ridge",
     "Rig",
     "RigError",
@@ -311,6 +315,7 @@ _NAMES = {
     "emulator.scene.terrain.table": ("Heightmap", "Ridge"),
     "emulator.sensor.parameters": (
         "BackgroundParameters",
+        "ComparatorParameters",
         "DefectParameters",
         "FrameParameters",
         "ImagerParameters",
@@ -319,6 +324,7 @@ _NAMES = {
         "KickParameters",
         "NoiseParameters",
         "RadiationParameters",
+        "ResetParameters",
         "TemperatureParameters",
     ),
     "emulator.sensor.presets": ("PRESETS", "ReadoutParameters", "SensorParameters"),

@@ -41,6 +41,7 @@ from typing import Any, Literal
 __all__ = [
     "DARK_DOUBLES_EVERY_K",
     "LEAK_DOUBLES_EVERY_K",
+    "MOST_LATENCY_US",
     "REFERENCE_CELSIUS",
     "BackgroundParameters",
     "ComparatorParameters",
@@ -82,6 +83,9 @@ def check_finite(owner: Any, unbounded: tuple[str, ...] = ()) -> None:
 
 REFERENCE_CELSIUS = 20.0
 """Temperature at which the parameters of a sensor hold."""
+
+MOST_LATENCY_US = 100_000
+"""Longest mean delay of an event."""
 
 LEAK_DOUBLES_EVERY_K, DARK_DOUBLES_EVERY_K = 9.0, 8.0
 """Rise in temperature that doubles the leak of a junction, and the dark current."""
@@ -265,7 +269,7 @@ class JitterParameters:
 
     def __post_init__(self) -> None:
         for name in ("latency_us", "off_latency_us", "deviation_us"):
-            check(self, name, 0, 100_000)
+            check(self, name, 0, MOST_LATENCY_US)
         check(self, "late_us", 1, 1_000_000)
         for name in ("late_share", "leak_share"):
             check(self, name, 0, 1)

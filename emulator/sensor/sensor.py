@@ -363,10 +363,14 @@ class Sensor:
 
     @property
     def adjustable(self) -> dict[str, float]:
-        """Fields of `parameters` and of their read-out that `adjust` can change, with their present values."""
+        """Fields of `parameters`, their read-out and jitter that `adjust` can change, with their present values."""
         fixed = {"leak_hz"} if self._leaks is not None else set()  # it has its own course
         fields = {name: value for name, value in self.pixels.adjustable.items() if name not in fixed}
-        return {**fields, "scan_us": self._readout.scan_us} if isinstance(self._readout, ScanReadOut) else fields
+        if isinstance(self._readout, ScanReadOut):
+            fields["scan_us"] = self._readout.scan_us
+        if self._jitter is not None:
+            fields["off_latency_us"] = self._jitter.off_latency_us
+        return fields
 
     def adjust(self, name: str, value: float) -> None:
         """Set one of `adjustable` from now on; noise of the grade "points" follows from the same time on.
@@ -380,7 +384,12 @@ class Sensor:
             raise ValueError(f"{name} cannot be changed while this sensor runs")
         if name == "scan_us" and isinstance(self._readout, ScanReadOut):
             self._readout.set_scan_us(value)
-            return
+        elif name == "off_latency_us" and self._jitter is not None:
+            self._jitter.set_off_latency(value)
+        else:
+            self._adjust_pixels(name, value)
+
+    def _adjust_pixels(self, name: str, value: float) -> None:
         self.pixels.adjust(name, value)
         if name == "refractory_us":
             self._set_refractory(value)

@@ -2,6 +2,7 @@
 
     threshold_on         e^(diff_on      x steps of diff_on)
     threshold_off        e^(diff_off     x steps of diff_off); above the factory's value diff_off_above
+    off_latency_us       e^(off_delay    x steps of diff_off)
     refractory_us    1 / (1 + refr       x steps of refr)
     corner_max_hz         1 + fo         x steps of fo; source_follower_hz if the sensor has a source follower
 
@@ -14,8 +15,10 @@ No formula is public. Basis of the model:
                     faster changes, a higher refr is a shorter dead time
     diff_on,        fitted to latencies that NIST measured on a camera of this family at seven pairs of biases (doi
     diff_off        10.1109/tim.2025.3623767; digitised, see `evstim validate`), by the law of the photoreceptor:
-                    thresholds by latency, from diff_on -63 to 70 and diff_off -25 to 47. Beyond, the latency of OFF
-                    events has a part that no threshold explains, and the exponentials are extrapolated
+                    thresholds by latency, from diff_on -63 to 70 and diff_off -25 to 47; beyond, extrapolated
+    off_delay       the same: the latency of OFF events has a part that does not depend on light, of about 30, 190 and
+                    1300 us at diff_off 47, 95 and 142: an exponential. The comparator of OFF events, whose current
+                    falls as its threshold rises, explains that
     fo, refr        registers are current DACs. The corner of a follower is proportional to its current and a dead time
                     inverse, as in jAER's formulas (IEEE 7962235); so a slope is one over the factory's value, 83 and 20
                     (those in neuromorphic_drivers). Assumed: current is proportional to the register
@@ -47,15 +50,18 @@ class BiasSlopes:
         Of the logarithm of the ON and the OFF contrast threshold, 0 to 1; `diff_off` holds below the factory's value.
     diff_off_above
         The same of the OFF contrast threshold above the factory's value.
+    off_delay
+        Of the logarithm of the delay of OFF events, a step of diff_off, where the sensor has such a delay.
     fo
         Of the low-pass corner frequency, as a share, 0 to 1: one over the factory's value of the register.
     refr
         Of the inverse of the refractory period, as a share, 0 to 1: one over the factory's value of the register.
     """
 
-    diff_on: float = 0.0148
+    diff_on: float = 0.015
     diff_off: float = 0.0254
     diff_off_above: float = 0.0117
+    off_delay: float = 0.042
     fo: float = 0.012
     refr: float = 0.05
 
@@ -75,10 +81,13 @@ class BiasModel:
     low_pass
         Parameter that bias fo changes: the fixed pole after the photoreceptor, or, if the sensor has none, the
         photoreceptor's corner frequency in bright light.
+    has_delay
+        True: the sensor delays its OFF events, by a time that diff_off changes.
     """
 
     slopes: BiasSlopes = field(default_factory=BiasSlopes)
     low_pass: Literal["corner_max_hz", "source_follower_hz"] = "corner_max_hz"
+    has_delay: bool = False
 
     def factors(self, steps: Mapping[str, int]) -> dict[str, float]:
         """Return the factors that are not 1, by parameter, for biases by name in steps from the factory's value."""
@@ -87,6 +96,7 @@ class BiasModel:
         factors = {
             "threshold_on": math.exp(slopes.diff_on * steps.get("diff_on", 0)),
             "threshold_off": math.exp((slopes.diff_off if off < 0 else slopes.diff_off_above) * off),
+            "off_latency_us": math.exp(slopes.off_delay * off) if self.has_delay else 1.0,
             "refractory_us": 1 / faster if faster > 0 else MOST_FACTOR,
             self.low_pass: 1 + slopes.fo * steps.get("fo", 0),
         }

@@ -80,8 +80,12 @@ def table(name: str) -> tuple[Row, ...]:
 
 def at_biases(p: SensorParameters, diff_on: int, diff_off: int) -> SensorParameters:
     """Return an IMX636 with biases that many steps from the factory's."""
-    factors = BiasModel().factors({"diff_on": diff_on, "diff_off": diff_off})
-    return dataclasses.replace(p, **{name: getattr(p, name) * factor for name, factor in factors.items()})
+    factors = BiasModel(has_delay=True).factors({"diff_on": diff_on, "diff_off": diff_off})
+    delay = factors.pop("off_latency_us", 1.0)
+    jitter = dataclasses.replace(p.jitter, off_latency_us=p.jitter.off_latency_us * delay)
+    return dataclasses.replace(
+        p, jitter=jitter, **{name: getattr(p, name) * factor for name, factor in factors.items()}
+    )
 
 
 @dataclass(frozen=True, slots=True)

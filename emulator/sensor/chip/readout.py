@@ -39,7 +39,7 @@ from emulator.sensor.chip.sources import LONGEST_NS, Pending, Window, new_pendin
 from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, lane, log_compilation
 from emulator.sensor.numerics.elementary import lowest_bit
 from emulator.sensor.numerics.keyed import Purpose, high, low, normal_from, root_of, stream, unit, word
-from emulator.sensor.parameters import JitterParameters
+from emulator.sensor.parameters import MOST_LATENCY_US, JitterParameters
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined, unpacked
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events, copy_events
@@ -496,11 +496,13 @@ class Jitter:
     ----------
     waiting : int
         Events that have not left.
+    off_latency_us : float
+        Mean delay of OFF events.
     """
 
     def __init__(self, parameters: JitterParameters, seed: int, pixels: int) -> None:
         deviation = math.sqrt(math.log1p((parameters.deviation_us / parameters.latency_us) ** 2))
-        off_us = parameters.off_latency_us or parameters.latency_us
+        self.off_latency_us = off_us = parameters.off_latency_us or parameters.latency_us
         on, off = (math.log(us * 1000) - deviation**2 / 2 for us in (parameters.latency_us, off_us))
         nothing = np.zeros(pixels, np.int64)
         self._delays = _Delays(
@@ -522,6 +524,13 @@ class Jitter:
         self._delays.events[:], self._delays.last_ns[:] = 0, t_ns
         self._pending, self.waiting = new_pending(), 0
         self._t_ns = t_ns
+
+    def set_off_latency(self, latency_us: float) -> None:
+        """Set the mean delay of OFF events that cross from now on, above 0; raises ValueError."""
+        if not 0 < latency_us <= MOST_LATENCY_US:
+            raise ValueError(f"off_latency_us must be above 0 and at most {MOST_LATENCY_US}, got {latency_us}")
+        longer = math.log(latency_us / self.off_latency_us)
+        self._delays, self.off_latency_us = self._delays._replace(off=self._delays.off + longer), latency_us
 
     def step(self, crossings: Crossings, t_ns: int) -> Crossings:
         """Add the crossings of a step, and return the events that leave before its end, `t_ns`."""

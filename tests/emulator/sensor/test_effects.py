@@ -78,7 +78,7 @@ def test_presets_switch_on_what_recordings_show_and_nothing_else(preset):
 
 def test_a_rig_gives_effects_as_tables():
     sensor = parse_rig(RIG, "rig.toml", "rig").camera.sensor
-    assert sensor.noise == NoiseParameters(rms=0.06)
+    assert sensor.noise == dataclasses.replace(PRESETS["davis346"].noise, rms=0.06)
     assert sensor.defects == DefectParameters(hot_pixels=((3, 4), (345, 259)), dead_share=0.01)
     assert sensor.parasitic_hz_at_reference == 0.2
 

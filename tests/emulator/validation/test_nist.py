@@ -33,7 +33,7 @@ def test_the_tables_hold_every_condition_and_their_origin():
 
 def test_biases_change_the_thresholds_alone():
     p = at_biases(PRESETS["imx636"], -42, 47)
-    assert p.threshold_on == pytest.approx(0.223 * math.exp(-42 * 0.0148))
+    assert p.threshold_on == pytest.approx(0.223 * math.exp(-42 * 0.015))
     assert p.threshold_off == pytest.approx(0.223 * math.exp(47 * 0.0117))
     nominal = dataclasses.replace(p, threshold_on=0.223, threshold_off=0.223)
     assert nominal == PRESETS["imx636"]

@@ -45,6 +45,14 @@ def test_the_low_pass_is_the_source_follower_where_there_is_one():
     assert BiasModel(SLOPES, "source_follower_hz").factors({"fo": 40}) == {"source_follower_hz": pytest.approx(2.0)}
 
 
+def test_the_delay_of_off_events_follows_diff_off_where_there_is_one():
+    """Latencies that do not depend on light, read from NIST's charts: 260 us at diff_off 95 and 1360 us at 142."""
+    model = BiasModel(has_delay=True)
+    late = [model.factors({"diff_off": steps})["off_latency_us"] for steps in (95, 142)]
+    assert late[1] / late[0] == pytest.approx(1300 / 190, rel=0.15)
+    assert "off_latency_us" not in model.factors({"diff_on": 95})
+
+
 def test_the_default_slopes_are_those_whose_source_is_named():
     defaults = BiasSlopes()
     assert 1 / defaults.fo == pytest.approx(BIASES["fo"][1], rel=0.01)
@@ -64,11 +72,11 @@ def test_biases_without_effect_are_told_with_the_reason():
 
 @given(st.dictionaries(st.sampled_from(sorted(BIASES)), st.integers(-255, 255)), st.floats(0, 1))
 def test_any_registers_and_slopes_give_factors_within_the_range(steps, slope):
-    model = BiasModel(BiasSlopes(slope, slope, slope, slope, slope))
+    model = BiasModel(BiasSlopes(slope, slope, slope, slope, slope, slope), has_delay=True)
     assert all(LEAST_FACTOR <= factor <= MOST_FACTOR for factor in model.factors(steps).values())
 
 
-@pytest.mark.parametrize("name", ["diff_on", "diff_off", "diff_off_above", "fo", "refr"])
+@pytest.mark.parametrize("name", ["diff_on", "diff_off", "diff_off_above", "off_delay", "fo", "refr"])
 @pytest.mark.parametrize("value", [-0.001, 1.001, float("nan"), float("inf")])
 def test_slopes_that_cannot_be_are_refused_by_name(name, value):
     with pytest.raises(ValueError, match=f"^{name} must be 0 to 1"):

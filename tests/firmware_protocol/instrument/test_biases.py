@@ -1,5 +1,7 @@
 """Biases that telecommands set: whose numbers they are, what they do to the sensor, and what is refused."""
 
+import math
+
 import pytest
 
 from firmware_protocol.davis346.biases import BIASES as DAVIS_BIASES
@@ -21,7 +23,7 @@ def test_an_imx636_follows_by_its_slopes_and_tells_what_has_no_effect():
     assert (biases.factors, biases.without_effect) == ({}, {})
     biases.set(4, 0x66 + 100)
     biases.set(3, 1)
-    assert biases.factors == {"threshold_on": pytest.approx(1.63)}
+    assert biases.factors == {"threshold_on": pytest.approx(math.exp(1.5))}
     assert list(biases.without_effect) == ["hpf"]
 
 

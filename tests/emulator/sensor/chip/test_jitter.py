@@ -127,3 +127,18 @@ def test_a_share_of_the_events_is_late_by_an_exponential_time():
     late = late_us[late_us > 1]
     assert late.size / n == pytest.approx(0.1, rel=0.1)
     assert stats.kstest(late, "expon", args=(0, 3000)).pvalue > ALPHA
+
+
+def test_a_changed_delay_of_off_events_holds_from_then_on_and_keeps_their_order():
+    times = np.array([0, 10 * MS, 20 * MS, 20 * MS + 1 * US])
+    events = Crossings(times, np.array([1, 1, 2, 2], np.uint32), np.array([False, True, False, True]))
+    jitter = Jitter(JitterParameters(latency_us=7.0, off_latency_us=11.0), 1, PIXELS)
+    jitter.reset(0)
+    first = jitter.step(Crossings(times[:2], events.pixel[:2], events.on[:2]), 15 * MS)
+    jitter.set_off_latency(1100.0)
+    later = jitter.step(Crossings(times[2:], events.pixel[2:], events.on[2:]), 60 * MS)
+    assert first.t_ns.tolist() == pytest.approx([11 * US, 10 * MS + 7 * US], abs=2)
+    assert later.t_ns.tolist() == pytest.approx([20 * MS + 1100 * US] * 2, abs=2)
+    assert later.on.tolist() == [False, True]
+    with pytest.raises(ValueError, match="off_latency_us must be above 0"):
+        jitter.set_off_latency(0.0)
