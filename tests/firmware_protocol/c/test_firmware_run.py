@@ -43,7 +43,7 @@ def evstim_run(rig):
 
 @pytest.mark.parametrize(
     ("letter", "profile", "speed_px_s"),
-    [("c", "ccsds-cobs", 0.1), ("s", "ccsds-slip", 0.3)],
+    [("c", "ccsds-cobs", 0.2), ("s", "ccsds-slip", 1.0)],
     ids=["cobs, all fits", "slip, too much for the line"],
 )
 def test_the_microcontroller_gets_what_was_sent(tmp_path, letter, profile, speed_px_s):
