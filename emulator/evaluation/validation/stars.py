@@ -133,7 +133,8 @@ def _camera(rig_name: str) -> Observatory:
     rig = load_rig(rig_name)
     scene = rig.scene
     assert isinstance(scene, StarsParameters)
-    return Observatory(rig.camera.sensor, rig.camera.lens, scene, rig.run.step_us * 1000)
+    chip = "gen31" if rig.camera.model == "gen31" else "imx636"
+    return Observatory(rig.camera.sensor, rig.camera.lens, scene, rig.run.step_us * 1000, chip)
 
 
 def _limits(camera: Observatory, seed: int, fields: int) -> Limits:
