@@ -10,7 +10,7 @@ G's own this is exact; `reference_lux` of the lens is then the illuminance by su
 known as an irradiance at one wavelength, as that of the preset imx636 is, `sunlight_lux` converts it:
 
     electrons of the Sun     10^(0.4 (25.6874 + 26.90)) / 0.7278 a second and m2, in Gaia's G
-    electrons at 680 nm      0.716 for each photon        zero point, aperture, passband: Riello et al. 2021, A&A 649, A3
+    electrons at 680 nm      0.716 for each photon      zero point, aperture, passband: Riello et al. 2021, A&A 649, A3
 
 A drawn field is a cap of the sky with stars at random, in numbers of the mean sky or as a ladder:
 
@@ -81,7 +81,7 @@ def sky_radiance_w_m2_sr(mag_arcsec2: float) -> float:
 
 
 def sunlight_lux(irradiance_680_w_m2: float) -> float:
-    """Return the illuminance by sunlight, lx, that is worth an irradiance of 680 nm, W/m2, to a pixel that sees as G."""
+    """Return the illuminance by sunlight, lx, that is worth an irradiance of 680 nm, W/m2; the pixel sees as G."""
     sun_electrons = 10 ** (0.4 * (_G_ZERO_MAG - SUN_G)) / _GAIA_APERTURE_M2
     electrons = irradiance_680_w_m2 / _PHOTON_680_J * _G_SHARE_680
     return electrons / sun_electrons * SUN_W_M2 * LUMENS_A_WATT
