@@ -59,7 +59,6 @@ def test_the_rigs_drift_as_the_recording_did():
 
 @pytest.mark.system
 def test_bright_stars_are_found_and_those_below_the_dark_current_are_not():
-    pytest.importorskip("sep", reason="the extra stars is not installed")
     background = BackgroundParameters(hz=0.1)
     effects = {"background": background, "noise": NoiseParameters(), "dark_current_relative": 0.001}
     sensor = dataclasses.replace(PRESETS["imx636"], width=320, height=240, **effects)

