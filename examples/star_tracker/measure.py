@@ -26,9 +26,9 @@ import evstim
 
 __all__ = ["Measured", "errors_arcsec", "main", "measure", "recorded", "true_attitude"]
 
-RATES_DEG_S = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+RATES_DEG_S = (0.1, 0.2, 0.5, 1.0, 2.0)
 MOVE_PX = 10.0
-WINDOWS = 20
+WINDOWS = 8
 SETTLE_PX = 15.0  # motion before the first window
 NOISES_HZ = {"preset": None, "noise of 0.15 Hz": 0.15}
 """Noise events of a pixel, Hz: the preset's, and those of a recording under the night sky (docs/star-tracker.md)."""

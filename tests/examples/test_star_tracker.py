@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 import evstim
 from emulator.trajectory.building import build_trajectories
 
-pytest.importorskip("tetra3rs", reason="the extra stars is not installed")
 FOLDER = Path(__file__).parents[2] / "examples/star_tracker"
 SIZE = (320, 240)
 

