@@ -192,6 +192,7 @@ _LATENCY_WAIT_TAUS = 15
 _MOST_PIXELS = 0.9
 
 _NOISE_STEP_S = 0.1
+_SETTLED_S = 30.0
 _NODES = 9
 _FLICKER = math.log(10)
 _PARTS = 8  # of half a period
@@ -218,8 +219,11 @@ def noise_law(p: SensorParameters, series: str, a: float, light: float, for_s: f
 
 
 def _with_noise(p: SensorParameters, noise_rms: float) -> SensorParameters:
-    """Return the sensor with that noise and no leak, so that all it sends in still light is noise."""
-    noise = dataclasses.replace(p.noise, rms=noise_rms)
+    """Return the sensor with that noise and no leak, so that all it sends in still light is noise.
+
+    Noise has acted before: references at random phases would add a burst, which the law's lasting rate leaves out.
+    """
+    noise = dataclasses.replace(p.noise, rms=noise_rms, history_s=max(p.noise.history_s, _SETTLED_S))
     return dataclasses.replace(p, noise=noise, leak_hz=0.0, parasitic_hz_at_reference=0.0)
 
 

@@ -143,7 +143,7 @@ _Floats = npt.NDArray[np.float64]
 
 _FOLLOWERS = np.uint64(1 << 32)  # of a primary: first index of the numbers that they draw
 _MOST_FOLLOWERS = 1024
-_BEFORE_WAITS = 6.0  # time before the start, in longest mean waits
+_BEFORE_WAITS = 16.0  # time before the start, in mean lengths of a chain of followers: e^-16 of the chains are longer
 
 
 class _Constants(NamedTuple):
@@ -252,7 +252,8 @@ class BackgroundEvents(SlottedEvents):
             on_pair_factor=b.on_pair_factor,
             on_wait_factor=b.on_wait_factor,
         )
-        self._before_ns = round(_BEFORE_WAITS * b.pair_us * 1000 * max(1.0, b.on_wait_factor))
+        chain_us = b.pair_us * max(1.0, b.on_wait_factor) / (1 - b.again_share)  # at most exponential, with this mean
+        self._before_ns = round(_BEFORE_WAITS * chain_us * 1000) if b.pair_share or b.hot_pair_share else 0
         super().__init__(p.width * p.height)
 
     def reset(self, t_ns: int) -> None:

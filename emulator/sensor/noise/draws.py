@@ -15,6 +15,8 @@ with one access to memory:
     levels   (pixels, 4) float32: OFFSET of the reference from that of the pixels' method, SEEN, the level of the
              comparator when it was read, DRIFT of it by leak in ln units a second, and the candidate's RATE in Hz
     limits   (pixels, 3) float32: the thresholds, infinite for dead pixels; the noise's rms over that of the sensor
+    crossed  (pixels,) uint32: crossings of the pixel's own until now, which key their random numbers: the times of the
+             crossings in float32 differ by nanoseconds with the steps
     place    (pixels,) uint8: bits of the lists that a pixel is in
     counts   (COUNTS,) int64: see `Count`
 """
@@ -69,6 +71,7 @@ OFFSET, SEEN, DRIFT, RATE = range(4)
 _SCALE = 2
 
 _NEAR, _WINDOW, _MOVED = (np.uint8(bit) for bit in (1, 2, 4))
+_LOOKED = np.uint8(8)  # since the last crossing, within its step
 _LEAST_HZ = 2.0**-5  # of candidates: a level that moves without crossings is read again as often as this
 _UNREADABLE_HZ = 64.0  # of candidates in light that is not finite, so that finite light is noticed
 _MARGIN = 1.25
@@ -114,6 +117,7 @@ class PixelNoise(NamedTuple):
     times: _Int64s
     levels: _Float32s
     limits: _Float32s
+    crossed: npt.NDArray[np.uint32]
     place: npt.NDArray[np.uint8]
 
 
@@ -253,33 +257,55 @@ def _crossed(pixel: int, on: bool, t_ns: int, w: Setting, s: PixelNoise) -> bool
     offset, step = s.levels[pixel, OFFSET], s.limits[pixel, 0] if on else -s.limits[pixel, 1]
     s.levels[pixel, SEEN], s.times[pixel, READ], s.times[pixel, CROSSED] = 0, t_ns, t_ns
     early = offset * step > step * step / 2
+    s.crossed[pixel] += np.uint32(1)
+    s.place[pixel] &= ~_LOOKED
     if early:
         s.levels[pixel, OFFSET] = offset - step
     elif c.refractory_ns > 0:
-        bits = word(stream(c.root_of_looks, pixel), _TWO * t_ns + 1)
+        bits = word(stream(c.root_of_looks, pixel), _TWO * np.int64(s.crossed[pixel]) + 1)
         s.levels[pixel, OFFSET] = _set_again(0.0, _figures(w.light[pixel], s.limits[pixel, _SCALE], c), c, bits)
     else:
         s.levels[pixel, OFFSET] = 0
     return not early
 
 
+@kernel
+def _run_and_look(pixel: int, times_ns: tuple[int, int], w: Setting, s: PixelNoise, out: Packed, n: int) -> int:
+    """Run a pixel's candidates before a crossing at the second of two times; return as `_run`.
+
+    After the crossing before, it is looked at in the next window, if that is not before the first of the times.
+    """
+    opened_ns, until_ns = times_ns
+    if s.place[pixel] & (_MOVED | _LOOKED) == _MOVED:
+        look_ns = (s.times[pixel, CROSSED] // WINDOW_NS + 1) * WINDOW_NS
+        if opened_ns <= look_ns < until_ns:
+            n = _run(pixel, look_ns, w, s, out, n)
+            if s.times[pixel, NEXT] < look_ns:
+                return n
+            _draw_again(pixel, look_ns, w, s)
+            s.place[pixel] |= _LOOKED
+    return _run(pixel, until_ns, w, s, out, n)
+
+
 @cached_entry
 def cross(
-    crossings: _Events, w: Setting, s: PixelNoise, lists: Lists, out: Packed, fires: npt.NDArray[np.bool_]
-) -> bool:
+    crossings: _Events, opened_ns: int, w: Setting, s: PixelNoise, lists: Lists,
+    out: tuple[Packed, npt.NDArray[np.bool_]],
+) -> bool:  # fmt: skip
     """Apply the pixels' own crossings from the DONE one on, each after its pixel's earlier candidates.
 
-    Writes which of them fire. Returns False where `out` is full: call again with more room.
+    `opened_ns` is the end of the last window that was opened: a pixel that crosses again after the next one's start is
+    looked at there first, as it would be in short steps. Writes which of the crossings fire. Returns False where the
+    events are too many for `out`: call again with more room.
     """
-    (t_ns, pixels, on), counts = crossings, lists.counts
+    (t_ns, pixels, on), counts, (packed, fires) = crossings, lists.counts, out
     n = counts[Count.FOUND]
     for k in range(counts[Count.DONE], t_ns.size):
         pixel = np.int64(pixels[k])
+        n = _run_and_look(pixel, (opened_ns, t_ns[k]), w, s, packed, n)
         if s.times[pixel, NEXT] < t_ns[k]:
-            n = _run(pixel, t_ns[k], w, s, out, n)
-            if s.times[pixel, NEXT] < t_ns[k]:
-                counts[Count.FOUND], counts[Count.DONE] = n, k
-                return False
+            counts[Count.FOUND], counts[Count.DONE] = n, k
+            return False
         fires[k] = _crossed(pixel, on[k], t_ns[k], w, s)
         if not s.place[pixel] & _MOVED:
             s.place[pixel] |= _MOVED
@@ -287,6 +313,19 @@ def cross(
             counts[Count.MOVED] += 1
     counts[Count.FOUND], counts[Count.DONE] = n, NONE
     return True
+
+
+@kernel
+def _draw_again(pixel: int, window_ns: int, w: Setting, s: PixelNoise) -> None:
+    """Draw a pixel's candidate again at a window's start, if their rate has changed."""
+    limits, c = (np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])), w.constants
+    level = s.levels[pixel, OFFSET] - _seen(window_ns, pixel, s)
+    on_hz, off_hz = _rates(level, limits, _figures(w.light[pixel], s.limits[pixel, _SCALE], c), w.table)
+    hz = _candidates_hz(on_hz + off_hz)
+    if hz != s.levels[pixel, RATE] and limits[0] <= _LARGEST:
+        s.levels[pixel, RATE] = hz
+        bits = word(stream(c.root_of_looks, pixel), _TWO * window_ns)
+        s.times[pixel, NEXT] = window_ns + _wait_ns(low(bits), hz)
 
 
 @kernel
@@ -305,24 +344,19 @@ def look_again(
 ) -> None:
     """Draw the candidates of `moved` pixels again at the first of two times, a window's start.
 
-    `read` are their levels and drifts at the second time.
-
-    Those that have come to rest leave the list.
+    `read` are their levels and drifts at the second time. Those that have come to rest leave the list; those that cross
+    later in the step are left for a later window.
     """
-    (window_ns, t_ns), light, c, table = times_ns, w.light, w.constants, w.table
-    counts, remaining = lists.counts, NONE
+    (window_ns, t_ns), counts, remaining = times_ns, lists.counts, NONE
     for k in range(counts[Count.MOVED]):
         pixel = lists.moved[k]
+        if s.times[pixel, CROSSED] >= window_ns:
+            lists.moved[remaining] = pixel
+            remaining += 1
+            continue
         moved = _read(pixel, t_ns, read[0][k], read[1][k], s)
-        limits = np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])
-        level = s.levels[pixel, OFFSET] - _seen(window_ns, pixel, s)
-        on_hz, off_hz = _rates(level, limits, _figures(light[pixel], s.limits[pixel, _SCALE], c), table)
-        hz = _candidates_hz(on_hz + off_hz)
-        if hz != s.levels[pixel, RATE] and s.limits[pixel, 0] <= _LARGEST:
-            s.levels[pixel, RATE] = hz
-            bits = word(stream(c.root_of_looks, pixel), _TWO * window_ns)
-            s.times[pixel, NEXT] = window_ns + _wait_ns(low(bits), hz)
-        if abs(moved) > _RESTING * limits[0] or s.times[pixel, CROSSED] >= window_ns:
+        _draw_again(pixel, window_ns, w, s)
+        if abs(moved) > _RESTING * s.limits[pixel, 0]:
             lists.moved[remaining] = pixel
             remaining += 1
         else:

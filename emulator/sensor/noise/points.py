@@ -117,9 +117,12 @@ class NoiseEvents:
         pixels = thresholds.shape[-1]
         self._pixel_bits = max(1, (pixels - 1).bit_length())
         self._table = passage_table()
-        limits = np.empty((pixels, 3), np.float32)
         self._state = PixelNoise(
-            np.zeros((pixels, 3), np.int64), np.zeros((pixels, 4), np.float32), limits, np.zeros(pixels, np.uint8)
+            np.zeros((pixels, 3), np.int64),
+            np.zeros((pixels, 4), np.float32),
+            np.empty((pixels, 3), np.float32),
+            np.zeros(pixels, np.uint32),
+            np.zeros(pixels, np.uint8),
         )
         near, window, moved, self._due = (np.zeros(pixels, np.int64) for _ in range(4))
         self._lists = Lists(near, window, moved, np.zeros(len(Count), np.int64))
@@ -137,6 +140,7 @@ class NoiseEvents:
         """Start at `t_ns`, with the pixels' levels of that time and the light of the first step."""
         self._state.times[:] = t_ns
         self._state.levels[:] = 0
+        self._state.crossed[:] = 0
         self._t_ns, self._history_ns = t_ns, self._before_start_ns
         self._start_again()
 
@@ -183,7 +187,9 @@ class NoiseEvents:
         self._start(light)
         fires = np.empty(len(crossings), np.bool_)
         arrays, setting = (crossings.t_ns, crossings.pixel, crossings.on), self._setting(light)
-        while not cross(arrays, setting, self._state, self._lists, self._packed(self._t_ns), fires):
+        while not cross(
+            arrays, self._window_end_ns, setting, self._state, self._lists, (self._packed(self._t_ns), fires)
+        ):
             self._more_keys()
         if fires.all():
             return crossings

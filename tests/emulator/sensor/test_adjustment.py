@@ -1,7 +1,9 @@
 """Figures that change while a sensor runs, beside closed forms and beside sensors that had them from the start."""
 
 import dataclasses
+import math
 
+import numba
 import numpy as np
 import pytest
 
@@ -151,18 +153,48 @@ def _noise_events(sensor: Sensor, ends_ms: tuple[int, ...]) -> np.ndarray:
     return np.concatenate([sensor.expose(LightFrame(end * _STEP_NS, _light(0.05))) for end in ends_ms])
 
 
+@numba.njit
+def _followed(phases: np.ndarray, first: tuple, second: tuple, edges: np.ndarray, seed: int) -> np.ndarray:
+    """Events before each edge of pixels whose thresholds change at the first; deviations and time constants."""
+    np.random.seed(seed)
+    counts, step = np.zeros(edges.size + 1), 0.01
+    decay, kick = math.exp(-step), math.sqrt(-math.expm1(-2 * step))
+    for phase in phases:
+        x, reference, t = np.random.normal(), -phase * first[0], 0.0
+        while t < edges[-1]:
+            on, off = first if t < edges[0] else second
+            y = x * decay + kick * np.random.normal()
+            t += step
+            up, down = reference + on, reference - off
+            if y >= up or (y > down and np.random.random() < math.exp(-max(0.0, (up - x) * (up - y)) / step)):
+                y = up
+            elif y <= down or np.random.random() < math.exp(-max(0.0, (x - down) * (y - down)) / step):
+                y = down
+            if y == up or y == down:
+                counts[np.searchsorted(edges, t)] += 1
+                reference = y
+            x = y
+    return counts
+
+
+@pytest.mark.system
 @pytest.mark.parametrize("off", [0.2, 0.35])
 def test_noise_follows_a_changed_threshold(off):
-    changed, always = Sensor(_NOISY, 7), Sensor(dataclasses.replace(_NOISY, threshold_off=off), 7)
-    for sensor in (changed, always):
-        sensor.reset(LightFrame(0, _light(0.05)))
-    before = len(_noise_events(changed, (500, 1000, 1505)))  # in the middle of a window of noise
+    """As a process in fine steps, which keeps its levels: for seconds they are not those of the new threshold alone."""
+    changed, end_ms = Sensor(_NOISY, 7), 6505
+    changed.reset(LightFrame(0, _light(0.05)))
+    found = [len(_noise_events(changed, (500, 1000, 1505)))]  # in the middle of a window of noise
     changed.adjust("threshold_off", off)
-    _noise_events(always, (1505,))
-    ends = tuple(range(1605, 6505, 100))
-    found, wanted = len(_noise_events(changed, ends)), len(_noise_events(always, ends))
-    assert found == pytest.approx(wanted, rel=0.1)
-    assert abs(np.log(found / 4.9 / (before / 1.505))) > 0.5
+    found += [len(_noise_events(changed, tuple(range(1605, end_ms + 1, 100))))]
+
+    hz = _NOISY.corner_hz_at_reference * (0.05 + _NOISY.dark_current_relative)
+    passed = _NOISY.source_follower_hz / (_NOISY.source_follower_hz + hz)
+    sigma, per_s = 0.08 * math.sqrt(passed), 2 * math.pi * hz * passed
+    first, second = ((_NOISY.threshold_on / sigma, one / sigma) for one in (_NOISY.threshold_off, off))
+    phases = np.random.default_rng(1).random(_NOISY.width * _NOISY.height)
+    wanted = _followed(phases, first, second, np.array([1.505, end_ms * 1e-3]) * per_s, 3)
+    # within 5 %, and 4 standard errors of counts that spread from pixel to pixel as if events came in groups of ten
+    assert found == pytest.approx(wanted[:2], rel=0.05 + 4 * math.sqrt(2 * 10 / wanted[:2].min()))
 
 
 def test_noise_after_a_change_does_not_depend_on_the_steps():
