@@ -205,8 +205,8 @@ def test_noise_counts_both_polarities_and_fades_in_bright_light():
     p = with_(mismatch=0.0)
     (dim,), (bright,) = (noise_light(p, "x", 0.08, light, 10.0) for light in (0.01, 10.0))
     assert dim.y == pytest.approx(dim.model, rel=4 * math.sqrt(2 / (dim.model * 10.0 * PIXELS)) + 0.01)
-    # The law gives none. Of references at random phases those near a threshold fire once: with z = 4.2 deviations passed
-    # after 30 s, the next 10 s reach 0.024 ln(40 / 30) / z further at both, 0.0012 of 0.27, which is 0.0006 Hz.
+    # The law gives none. Of references at random phases those near a threshold fire once: with z = 4.2 deviations
+    # passed after 30 s, the next 10 s reach 0.024 ln(40 / 30) / z further at both, 0.0012 of 0.27: 0.0006 Hz.
     assert bright.y < 0.001
 
 
