@@ -87,8 +87,8 @@ class Camera:
     def bias_model(self) -> BiasModel:
         """Model of the effects of an IMX636's biases on this sensor."""
         slopes = self.bias_slopes or BiasSlopes()
-        low_pass = "source_follower_hz" if self.sensor.source_follower_hz else "corner_max_hz"
-        return BiasModel(slopes, low_pass, self.sensor.jitter.latency_us > 0)
+        has_delay = self.sensor.jitter.latency_us > 0
+        return BiasModel(slopes, "source_follower_hz" if self.sensor.source_follower_hz else "corner_max_hz", has_delay)
 
 
 @dataclass(frozen=True)

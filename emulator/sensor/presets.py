@@ -63,8 +63,8 @@ recording of one camera, in unknown light.
         determined: the threshold is [3]. No bound of the corner is seen; 30 kHz lies above all that was measured. In
         bright light latencies depend more on the threshold, and less on the light, than one pole allows: a second pole
         of 37 us explains that, and leaves 1 us of constant delay to ON events. OFF events have a delay that rises with
-        diff_off as an exponential, to 1.2 ms at 142, in any light: the comparator's, as its current falls. 48 to 49 of the 50
-        medians up to biases (+35, +47) are within 10 %. Its light 1 is `IMX636_W_M2`.
+        diff_off as an exponential, to 1.2 ms at 142, in any light: the comparator's, as its current falls. 48 or 49
+        of the 50 medians, by the seed, up to biases (+35, +47) are within 10 %. Its light 1 is `IMX636_W_M2`.
     [18] The same: latencies spread from 0.4 to 1.8 of the median in a region. The mismatch explains a part of the slow
         ones; noise before the true event makes fast ones. A wider spread of thresholds would give single pixels much
         more noise than was seen in bright light, and a spread of the pixels' gains costs a pass over each frame. The
@@ -76,8 +76,9 @@ recording of one camera, in unknown light.
     [24] Fitted to the same camera (column "opposite", `evstim validate`): pixels that fire against the edge within half
         a second, at 0.006 to 0.4 W/m2 and in the dark between. Noise has the bandwidth of the photoreceptor, so that
         its rate in the dark gives the dark current: with 0.001 the rate would be a fifteenth of that. One camera, at
-        an unknown temperature; another one (recording [12]) fires at 0.0038 Hz in unknown light, all taken as background:
-        noise adds 0.056 Hz to it at light 1, 0.0025 Hz at 2 and 0.0002 Hz from 4 on, by simulation.
+        an unknown temperature: one under the night sky agrees better with a chip 25 K colder (`evstim validate stars`).
+        Recording [12] has 0.0038 Hz in unknown light, all taken as background: noise adds 0.056 Hz to it at light 1,
+        0.0025 Hz at 2 and 0.0002 Hz from 4 on, by simulation.
 
 Other chips of Prophesee, of which less is public:
 

@@ -284,7 +284,7 @@ def _run_and_look(pixel: int, times_ns: tuple[int, int], w: Setting, s: PixelNoi
                 return n
             _draw_again(pixel, look_ns, w, s)
             s.place[pixel] |= _LOOKED
-    return _run(pixel, until_ns, w, s, out, n)
+    return int(_run(pixel, until_ns, w, s, out, n))
 
 
 @cached_entry
