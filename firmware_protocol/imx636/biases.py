@@ -58,7 +58,7 @@ class BiasSlopes:
         Of the inverse of the refractory period, as a share, 0 to 1: one over the factory's value of the register.
     """
 
-    diff_on: float = 0.015
+    diff_on: float = 0.0149
     diff_off: float = 0.0254
     diff_off_above: float = 0.0117
     off_delay: float = 0.042

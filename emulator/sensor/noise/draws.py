@@ -73,6 +73,7 @@ _SCALE = 2
 _NEAR, _WINDOW, _MOVED = (np.uint8(bit) for bit in (1, 2, 4))
 _LOOKED = np.uint8(8)  # since the last crossing, within its step
 _LEAST_HZ = 2.0**-5  # of candidates: a level that moves without crossings is read again as often as this
+_LEAST_DRIFT = 1e-9  # ln units a second: slower leaks leave all of the history
 _UNREADABLE_HZ = 64.0  # of candidates in light that is not finite, so that finite light is noticed
 _MARGIN = 1.25
 _RESTING = 0.02  # change of level between two windows, in thresholds, below which it is at rest
@@ -223,19 +224,24 @@ def _run(pixel: int, until_ns: int, w: Setting, s: PixelNoise, out: Packed, n: i
 
 
 @cached_entry
-def begin(t_ns: int, w: Setting, s: PixelNoise) -> None:
-    """Draw the first candidates of all pixels at a time; levels have been read."""
+def begin(t_ns: int, history_ns: int, w: Setting, s: PixelNoise) -> None:
+    """Draw the first candidates of all pixels, `history_ns` before a time; levels have been read for this time.
+
+    A leak has moved the levels in that time: it is no longer than the leak takes for half a threshold.
+    """
     light, c, table = w.light, w.constants, w.table
     for pixel in range(light.size):
         if s.limits[pixel, 0] > _LARGEST:
             s.times[pixel, NEXT] = NEVER_NS
             continue
         limits = np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])
-        level = s.levels[pixel, OFFSET] - _seen(t_ns, pixel, s)
+        leak = max(abs(np.float64(s.levels[pixel, DRIFT])), _LEAST_DRIFT)
+        start_ns = t_ns - min(history_ns, int(0.5e9 * limits[0] / leak))
+        level = s.levels[pixel, OFFSET] - _seen(start_ns, pixel, s)
         on_hz, off_hz = _rates(level, limits, _figures(light[pixel], s.limits[pixel, _SCALE], c), table)
         hz = _candidates_hz(on_hz + off_hz) if abs(light[pixel]) <= _LARGEST else _UNREADABLE_HZ
         s.levels[pixel, RATE] = hz
-        s.times[pixel, NEXT] = t_ns + _wait_ns(low(word(stream(c.root_of_looks, pixel), t_ns)), hz)
+        s.times[pixel, NEXT] = start_ns + _wait_ns(low(word(stream(c.root_of_looks, pixel), start_ns)), hz)
 
 
 @cached_entry
@@ -243,11 +249,8 @@ def settle(until_ns: int, w: Setting, s: PixelNoise) -> None:
     """Run the candidates of all pixels before a time without events: what they leave is the pixels' levels."""
     out = Packed(np.empty(64, np.uint64), NONE, NONE)
     for pixel in range(w.light.size):
-        drift = s.levels[pixel, DRIFT]
-        s.levels[pixel, DRIFT] = 0
         while s.times[pixel, NEXT] < until_ns:
             _run(pixel, until_ns, w, s, out, NONE)
-        s.levels[pixel, DRIFT] = drift
 
 
 @kernel

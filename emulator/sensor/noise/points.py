@@ -165,7 +165,7 @@ class NoiseEvents:
             return
         self._started = True
         setting = self._setting(light)
-        begin(self._t_ns - self._history_ns, setting, self._state)
+        begin(self._t_ns, self._history_ns, setting, self._state)
         if self._history_ns:
             settle(self._t_ns, setting, self._state)
             self._history_ns = 0

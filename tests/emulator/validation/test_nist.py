@@ -31,11 +31,12 @@ def test_the_tables_hold_every_condition_and_their_origin():
     assert all(row["median_lo"] <= row["median_us"] <= row["median_hi"] for row in rows)
 
 
-def test_biases_change_the_thresholds_alone():
+def test_biases_change_the_thresholds_and_the_delay_of_off_events_alone():
     p = at_biases(PRESETS["imx636"], -42, 47)
-    assert p.threshold_on == pytest.approx(0.223 * math.exp(-42 * 0.015))
+    assert p.threshold_on == pytest.approx(0.223 * math.exp(-42 * 0.0149))
     assert p.threshold_off == pytest.approx(0.223 * math.exp(47 * 0.0117))
-    nominal = dataclasses.replace(p, threshold_on=0.223, threshold_off=0.223)
+    assert p.jitter.off_latency_us == pytest.approx(PRESETS["imx636"].jitter.off_latency_us * math.exp(47 * 0.042))
+    nominal = dataclasses.replace(p, threshold_on=0.223, threshold_off=0.223, jitter=PRESETS["imx636"].jitter)
     assert nominal == PRESETS["imx636"]
 
 
