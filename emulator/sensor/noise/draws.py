@@ -356,6 +356,7 @@ def look_again(
         if s.times[pixel, CROSSED] >= window_ns:
             lists.moved[remaining] = pixel
             remaining += 1
+            _put_near(pixel, window_ns, s, lists)  # looked at before its crossing, its candidate may be in this window
             continue
         moved = _read(pixel, t_ns, read[0][k], read[1][k], s)
         _draw_again(pixel, window_ns, w, s)
