@@ -3,7 +3,7 @@
 The protocol: a red LED switches on and off in front of the bare sensor, half a second each. After each edge, until the
 next one, the first event of the edge's polarity gives a pixel's latency: ON after the LED switches on, OFF after it
 switches off. Noise before the true event counts. Nine regions of 11 x 11 pixels are measured, each alone; their pixels
-are told apart by x + 10 y, so that some share a key, of which the first event counts. Statistics over a region are
+are numbered by x + 10 y, so that some share a key, of which the first event counts. Statistics over a region are
 taken per edge, then their mean over edges; the first cycle is left out.
 
 Here the nine regions lie side by side in one array, 11 pixels high, so that the read-out has as many rows to pick as in

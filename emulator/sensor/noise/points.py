@@ -1,4 +1,4 @@
-"""Noise events as a point process that knows each pixel's level: drawn by their rate, at a cost that follows events.
+"""Noise events as a point process by the level of each pixel: drawn by their rate, at a cost that follows events.
 
 The rate of a pixel's noise events depends on where its reference lies beside the signal. After an event the reference
 is at the comparator's voltage of that time; when the signal then stops near a threshold, or a run starts at a random
