@@ -419,6 +419,8 @@ class Sensor:
         self._t_ns = frame.t_ns
         if self._noise is not None:
             crossings = self._noise.take(crossings, seen.light.reshape(-1))
+        if self._kicks is not None:
+            crossings = self._kicks.without_silent(crossings)
         return self._with_others(crossings, seen.light, self.pixels.settled_ns)
 
     def _kicked(self, seen: LightFrame) -> Crossings:
