@@ -46,7 +46,8 @@ recording of one camera, in unknown light.
     [10] v2e's usual spread of leak rates between pixels.
     [11] Recording [9]: at level 0 to 10 the still half has 2 events of 1900 pixels, no more than its leak, so that
         noise adds less than 0.001 Hz there: up to 0.05. Farther up the law rises steeply (0.055: 0.002 Hz, 0.06: 0.02,
-        0.086: 4.5). 0.043 to 0.073 were measured at another chip's comparator (Graca 2024, fig. 2.13).
+        0.086: 4.5). 0.043 to 0.073 were measured at another chip's comparator (Graca 2024, fig. 2.13). It is too strong
+        beside row kicks since noise follows levels: 0.015 agrees better (`evstim validate davis346_street`).
     [12] One recording (EVK4, 10.8 s, shipped with the sources of the Python package faery), pixels of low activity:
         0.0033 Hz in pixels of at most 4 events, 17 % of first events ON; OFF followed by ON after 1.26 s, ON by OFF
         after 2.6 s (medians); a tail of 1e-4 of the pixels with 5 to 1447 events, half of them ON. Shares and waits of

@@ -66,7 +66,7 @@ def background(seed: int) -> Findings:
     dim_hz = max(sum(rates_hz(p, lux / _LUX_AT_REFERENCE, seed)) for lux in (0.1, 1.0, 10.0, 50.0))
     data.append(
         Datum("dim light, shot noise of another DAVIS346", 10.0, dim_hz, "Hz a pixel", "factor", float("nan"),
-              "its light and biases are not stated; the recording behind the preset has 0.0082 Hz in the dark")
+              "its light and biases are not stated; still pixels of the recording have 0.0004 Hz in the dark")
     )  # fmt: skip
     return Findings(
         name="background",

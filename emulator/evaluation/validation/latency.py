@@ -68,11 +68,11 @@ def latency(seed: int) -> Findings:
     data = tuple(_median(row, _ours(row, seed)) for row in rows)
     remarks = (
         "diff_on and diff_off move together; other biases stay at the factory's values.",
-        "Unit of light, second pole, constant delay and exponents of the biases were fitted to these medians: "
+        "Unit of light, second pole, delays and exponents of the biases were fitted to these medians: "
         "agreement shows that the law of the pixel can follow them, not that it predicts them.",
-        "From diff_off +47 on, the real latency to OFF events in bright light hardly follows the light: 71 us "
-        "remain at +47, 257 us at +95 and 1.4 ms at +142. No pixel whose speed follows the light has that. A slow tail "
-        "of the LED or of the photodiode would; the preset has none, so its OFF events come too early there.",
+        "From diff_off +47 on, a part of the real latency to OFF events does not follow the light: about 30 us at +47, "
+        "190 us at +95 and 1.3 ms at +142. The preset has a delay of OFF events that rises with diff_off as an "
+        "exponential, as that of a comparator whose current falls; it was fitted to these values.",
         _OPEN,
     )
     return Findings(
