@@ -155,7 +155,7 @@ def _lit(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s
 
 
 def _read_out(sensor: SensorParameters) -> None:
-    """Read out one event of each pixel of a sensor with these effects."""
+    """Read out one event of each pixel of a sensor with these effects, then noise alone, where there is any."""
     from emulator.light import LightFrame
     from emulator.sensor.pixels.array import PixelArray
     from emulator.sensor.pixels.crossings import Crossings
@@ -163,13 +163,15 @@ def _read_out(sensor: SensorParameters) -> None:
 
     class OneEvent(PixelArray):
         def step(self, frame: LightFrame) -> Crossings:
-            self.state.t_ns = frame.t_ns
-            pixel = np.arange(frame.light.size, dtype=np.uint32)
+            first, self.state.t_ns = self.state.t_ns == 0, frame.t_ns
+            pixel = np.arange(frame.light.size if first else 0, dtype=np.uint32)
             return Crossings(np.full(pixel.size, frame.t_ns - 1, np.int64), pixel, pixel < pixel.size // 2)
 
-    is_grid = bool(sensor.noise.rms) and sensor.noise.grade == "grid"
+    loud = 0.3 * sensor.threshold_on if sensor.noise.rms else 0.0  # so that there are noise events by the end
+    sensor = dataclasses.replace(sensor, noise=dataclasses.replace(sensor.noise, rms=loud))
+    is_grid = bool(loud) and sensor.noise.grade == "grid"
     one = Sensor(sensor, 0) if is_grid else Sensor(sensor, 0, OneEvent)
-    light = np.full((_HEIGHT, _WIDTH), 0.02, np.float32)  # so dim that noise, where there is any, has events by the end
+    light = np.full((_HEIGHT, _WIDTH), 0.02, np.float32)
     one.reset(LightFrame(0, light))
     for t_ns in (1_000_000, 50_000_000, 5_000_000_000):
         one.expose(LightFrame(t_ns, light, np.zeros_like(light)))
