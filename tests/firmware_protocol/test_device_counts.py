@@ -14,7 +14,7 @@ from firmware_protocol.imx636.triton2 import Triton2
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.telecommands import SetBias
-from transports.usb.cameras import Evk4Host
+from transports.usb.cameras import TreuzellHost
 from transports.usb.loopback import DirectHost
 
 
@@ -33,7 +33,7 @@ def davis():
 
 def evk4():
     camera = Evk4(Evk4Settings(start_delay_us=0))
-    Evk4Host(DirectHost(camera)).start()
+    TreuzellHost(DirectHost(camera)).start()
     return camera, lambda: camera.read(1, 512)
 
 
@@ -80,7 +80,7 @@ def write_davis():
 
 def write_evk4():
     camera = Evk4()
-    host = Evk4Host(DirectHost(camera))
+    host = TreuzellHost(DirectHost(camera))
     return camera, lambda: host.write_register(0x1000, 0x11A1_0504)
 
 

@@ -14,8 +14,8 @@ from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346.biases import BIASES, CoarseFine, sensor_factors
 from firmware_protocol.dvxplorer import Dvxplorer
-from firmware_protocol.imx636.biases import BiasModel
 from firmware_protocol.packets.telecommands import SetBias
+from firmware_protocol.prophesee.biases import BiasModel
 from firmware_protocol.usb.device import SetupPacket
 from transports.link.report import CameraSettings
 

@@ -13,7 +13,7 @@ from tests.transports.usb.gadget_port import PACKET_BYTES, PATIENCE_S, GadgetBen
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import UsbStall
-from transports.usb.cameras import Evk4Host
+from transports.usb.cameras import TreuzellHost
 from transports.usb.davis_host import DavisHost
 from transports.usb.host import StallError, StreamSettings, TransferTimeout
 
@@ -183,7 +183,7 @@ def test_an_evk4_is_asked_and_answers_on_its_own_endpoints(bench):
     camera = Evk4(Evk4Settings(serial="0badcafe", start_delay_us=0))
     port = bench.plug(camera, camera.descriptors(Speed.SUPER))
     host = PortHost(port, PATIENCE_S)
-    driver = Evk4Host(host)
+    driver = TreuzellHost(host)
     assert driver.info.serial == "0BADCAFE"
     driver.start()
     events = event_stream(1000)
