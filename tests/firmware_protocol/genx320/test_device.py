@@ -71,7 +71,7 @@ def test_nothing_leaves_before_all_three_gates_are_open(missing):
 def test_the_octets_of_the_reference():
     camera, _ = running()
     camera.offer(events_of((1_000_000, 64, 100, True), (1_000_000, 67, 100, True)))
-    assert octets(camera).hex() == "0000000000000080" "00000000093d0080" "0900000064000210"
+    assert octets(camera).hex() == "000000000000008000000000093d00800900000064000210"
     assert camera.counters == Fates(offered=2, delivered=2)
 
 
@@ -163,7 +163,9 @@ def test_what_is_ready_is_reported():
 
 def test_biases_are_absolute_and_act():
     camera, host = running()
-    host.write((0x1104, 0x1101_0000 | 35), (0x110C, 0x1101_0000 | 18), (0x1114, 0x1309_0000 | 30), (0x1004, 0x1301_0011))
+    host.write(
+        (0x1104, 0x1101_0000 | 35), (0x110C, 0x1101_0000 | 18), (0x1114, 0x1309_0000 | 30), (0x1004, 0x1301_0011)
+    )
     assert camera.biases["diff_on"] == 35
     assert camera.sensor_factors == {
         "threshold_on": pytest.approx(math.exp(10 * 0.0298)),

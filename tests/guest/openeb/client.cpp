@@ -2,8 +2,9 @@
 //
 //     client COUNT TIMEOUT_S OUT.bin [FORMAT [VENDOR PRODUCT]]
 //
-// FORMAT is EVT3 or EVT21; VENDOR and PRODUCT, in hexadecimal digits, are those of a board that OpenEB does not list
-// itself, and that its maker opens by a plug-in of its own. The anti-flicker filter is switched on.
+// FORMAT is EVT3, EVT21, or EVT2 of a GenX320; VENDOR and PRODUCT, in hexadecimal digits, are those of a board that OpenEB does not list
+// itself, and that its maker opens by a plug-in of its own. The anti-flicker filter is switched on; so are, of a
+// GenX320, the noise filter, the crop with a new origin, the rate control and the mask of a pixel.
 //
 // Writes each event as t (int64, us), x, y (uint16), polarity (uint8), 13 bytes, to OUT.bin, has OpenEB record the same
 // stream to OUT.bin.raw, and prints what it saw as JSON.
@@ -21,10 +22,16 @@
 #include "metavision/hal/device/device.h"
 #include "metavision/hal/facilities/i_antiflicker_module.h"
 #include "metavision/hal/facilities/i_camera_synchronization.h"
+#include "metavision/hal/facilities/i_digital_crop.h"
+#include "metavision/hal/facilities/i_digital_event_mask.h"
+#include "metavision/hal/facilities/i_erc_module.h"
 #include "metavision/hal/facilities/i_event_decoder.h"
+#include "metavision/hal/facilities/i_event_rate_activity_filter_module.h"
 #include "metavision/hal/facilities/i_events_stream.h"
 #include "metavision/hal/facilities/i_events_stream_decoder.h"
+#include "metavision/hal/facilities/i_geometry.h"
 #include "metavision/hal/facilities/i_hal_software_info.h"
+#include "metavision/hal/facilities/i_hw_identification.h"
 #include "metavision/hal/facilities/i_ll_biases.h"
 #include "metavision/hal/facilities/i_monitoring.h"
 #include "metavision/hal/facilities/i_plugin_software_info.h"
@@ -38,7 +45,8 @@ using namespace Metavision;
 
 namespace {
 
-constexpr int window_x = 200, window_y = 100, window_width = 800, window_height = 500;
+const I_ROI::Window large_window(200, 100, 800, 500), small_window(50, 40, 200, 250);
+constexpr std::uint32_t masked_x = 100, masked_y = 120, events_in_100_us = 20;
 
 void append(std::FILE *out, const EventCD &event) {
     const std::int64_t t       = event.t;
@@ -68,6 +76,16 @@ std::string number_or_null(Value value) {
     } catch (const std::exception &) { // a Gen4.1 has no thermometer and no dead time
         return "null";
     }
+}
+
+bool select_on_genx320(Device &device) {
+    auto *noise = device.get_facility<I_EventRateActivityFilterModule>();
+    auto *crop  = device.get_facility<I_DigitalCrop>();
+    auto *rate  = device.get_facility<I_ErcModule>();
+    bool done   = noise->enable(true) && noise->is_enabled();
+    done        = crop->set_window_region({60, 50, 239, 279}, true) && crop->enable(true) && done;
+    done        = rate->set_cd_event_count(events_in_100_us) && rate->enable(true) && rate->is_enabled() && done;
+    return device.get_facility<I_DigitalEventMask>()->get_pixel_masks()[0]->set_mask(masked_x, masked_y, true) && done;
 }
 
 std::int64_t read_events(Device &device, std::int64_t count, double timeout_s, std::FILE *out) {
@@ -117,11 +135,16 @@ int main(int argc, char **argv) {
         auto *biases = device->get_facility<I_LL_Biases>();
         biases->set("bias_diff_on", biases->get("bias_diff_on") + 25);
         auto *roi = device->get_facility<I_ROI>();
-        roi->set_window(I_ROI::Window(window_x, window_y, window_width, window_height));
+        const bool is_small = device->get_facility<I_Geometry>()->get_width() == 320;
+        roi->set_window(is_small ? small_window : large_window);
         roi->enable(true);
         auto *anti_flicker = device->get_facility<I_AntiFlickerModule>();
         anti_flicker->enable(true);
         const bool is_filtered = anti_flicker->is_enabled(); // a Gen4.1's stop switches it off
+        if (is_small && !select_on_genx320(*device)) {
+            std::cerr << "a selection was refused\n";
+            return 1;
+        }
         auto *monitoring = device->get_facility<I_Monitoring>();
         std::FILE *out   = std::fopen(argv[3], "wb");
         auto *stream     = device->get_facility<I_EventsStream>();
@@ -133,6 +156,7 @@ int main(int argc, char **argv) {
         std::fclose(out);
         stream->stop_log_raw_data();
         std::cout << "{\"serial\": \"" << serials.front() << "\", \"events\": " << seen
+                  << ", \"sensor\": \"" << device->get_facility<I_HW_Identification>()->get_sensor_info().name_ << "\""
                   << ", \"bias_diff_on\": " << biases->get("bias_diff_on")
                   << ", \"word_bytes\": " << int(device->get_facility<I_EventsStreamDecoder>()->get_raw_event_size_bytes())
                   << ", \"anti_flicker\": " << (is_filtered ? "true" : "false")
