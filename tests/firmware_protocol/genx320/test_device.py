@@ -119,7 +119,7 @@ def test_edges_come_from_power_on_until_the_host_switches_them_off():
     seen = by_the_tables(octets(camera), "evt21")[1]
     assert [(t, kind) for t, kind, _, _ in seen.tolist()] == [(50, EdgeKind.RISING), (60, EdgeKind.FALLING)]
     for off in ((0x7040, 0xC1FF), (0x0608, 0x0421_4EA2 & ~(1 << 14))):
-        camera, host = running(off)
+        camera, _ = running(off)
         camera.offer_edges(edges)
         assert camera.counters.edges.ignored == 2
 
@@ -133,7 +133,7 @@ def test_a_silence_carries_the_time_in_each_form():
 
 
 def test_the_thermometer_the_light_meter_and_the_dead_time():
-    camera, host = opened(surroundings=Surroundings(celsius=21.6, lux=250.0, dead_time_us=120.0))
+    _, host = opened(surroundings=Surroundings(celsius=21.6, lux=250.0, dead_time_us=120.0))
     host.write((0x004C, 0x0020_4E24))
     assert host.register(0x0050) & 1 << 11
     assert abs((host.register(0x0050) & 0x3FF) * 0.216 - 54 - 21.6) < 0.11
@@ -149,7 +149,7 @@ def test_the_thermometer_the_light_meter_and_the_dead_time():
 
 
 def test_what_is_ready_is_reported():
-    camera, host = opened()
+    _, host = opened()
     assert host.register(0xC0C4) == 0
     host.write((0x00B8, 1), (0xD0C4, 4), (0xF008, 0x7020_0200), (0x6014, 4), (0x0034, 0b1011))
     assert host.register(0xC0C4) == 4
