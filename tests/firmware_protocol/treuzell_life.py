@@ -1,4 +1,7 @@
-"""The whole life of a camera on one of Prophesee's boards, told at random: every event and edge has exactly one fate, and the words say the events."""
+"""The whole life of a camera on one of Prophesee's boards, told at random.
+
+Every event and edge has exactly one fate, and the words say the events.
+"""
 
 import numpy as np
 from evk4_requests import DATA, START, STOP, Host

@@ -113,7 +113,7 @@ def test_another_format_amid_a_stream_drops_what_waits():
 def test_edges_come_from_power_on_until_the_host_switches_them_off():
     edges = np.zeros(2, EDGE)
     edges["t"], edges["kind"] = [50, 60], [EdgeKind.RISING, EdgeKind.FALLING]
-    camera, host = running()
+    camera, _ = running()
     camera.offer_edges(edges)
     camera.advance(100)
     seen = by_the_tables(octets(camera), "evt21")[1]
