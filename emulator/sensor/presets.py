@@ -45,9 +45,10 @@ recording of one camera, in unknown light.
         (Nozaki and Delbruck 2017, from memory; Guo and Delbruck, DND21).
     [10] v2e's usual spread of leak rates between pixels.
     [11] Recording [9]: noise fires no still pixel, at level 0 to 10 neither (2 events of 1900 pixels, no more than the
-        leak's), so that it is below 0.05; and it takes few events from the row kicks of frames, which come at a
-        steady time in the frame (share .98), so that it is below 0.015 (`evstim validate davis346_street`, three seeds:
-        of 16 values 11 to 14 are alike with 0.02, 13 to 15 with 0.015, 15 or 16 with 0.01 and without noise). 0.043 to 0.073 were measured at another chip's comparator (Graca 2024, fig. 2.13).
+        leak's), so that it is below 0.05; and it takes few events from the row kicks of frames, which come at a steady
+        time in the frame (share .98), so that it is below 0.015: with 0.02, 0.015, 0.01 and 0 at least 11, 13, 15 and
+        15 of the 16 values of `evstim validate davis346_street` are alike, for three seeds. 0.043 to 0.073 were
+        measured at another chip's comparator (Graca 2024, fig. 2.13).
     [12] One recording (EVK4, 10.8 s, shipped with the sources of the Python package faery), pixels of low activity:
         0.0033 Hz in pixels of at most 4 events, 17 % of first events ON; OFF followed by ON after 1.26 s, ON by OFF
         after 2.6 s (medians); a tail of 1e-4 of the pixels with 5 to 1447 events, half of them ON. Shares and waits of
