@@ -56,7 +56,7 @@ def test_the_quiet_test_rejects_no_step_that_fires(touching, large):
     for block in range(blocks):
         here = slice(block * BLOCK, (block + 1) * BLOCK)
         lit = light[here], slope[here]
-        may_fire[here] = _may_fire(fields[:, here].astype(np.float32), lit, at_reference[block * BLOCK], (h, since), large)
+        may_fire[here] = _may_fire(fields[:, here], lit, at_reference[block * BLOCK], (h, since), large)
     assert fires.sum() > 20_000
     assert np.all(may_fire[fires] == 1)
     plain = (np.abs(u1 - u0 - (a0 + a1) / 2) < 0.04) & (np.abs(a0 - a1) < 0.4)  # others are may_fire for their light
