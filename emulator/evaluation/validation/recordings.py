@@ -62,8 +62,8 @@ def davis346(seed: int) -> Findings:
         ),
         tuple(data),
         (
-            "Leak, kicks and noise of the preset were fitted to this recording: the distances show how well the model can"
-            " follow it, not what another camera does.",
+            "Leak, kicks and noise of the preset were fitted to this recording: the distances show how well the model"
+            " can follow it, not what another camera does.",
             "Where pixels of level 0 to 10 are still, they fire no more than brighter ones; the higher rate that was"
             " reported for such pixels, with a third of OFF events, is that of motion near them.",
             "The light of moving pixels between two frames is not known, so their rates are not compared.",
