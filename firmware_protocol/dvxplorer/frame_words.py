@@ -242,7 +242,7 @@ class FrameEncoder:
         return int(write_times(until_us // _MS_US, self._state, out))
 
 
-# Content of a decoder's state: time of the last time word and of the frame, column (-1: none), size of the array,
+# Content of a decoder's state: time of the last time word, of the frame, and column (-1: none), size of the array,
 # numbers of words with a column outside, a group outside, and a time that goes back.
 _BASE, _NOW, _AT_X, _WIDTH, _ROWS, _BAD_COLUMN, _BAD_GROUP, _BAD_TIME = range(8)
 
@@ -272,13 +272,16 @@ def read_frames(words: FrameWords, state: _State, events: _Bytes) -> int:
             x = word & 0x3FF
             state[_BAD_COLUMN] += x >= state[_WIDTH]
             state[_AT_X] = x if x < state[_WIDTH] else _NONE
-            if word & _FIRST:
+            if word & _FIRST and state[_BASE] >= 0:
                 now_us = state[_BASE] + (word >> _SUB_SHIFT & 0x3FF)
                 state[_BAD_TIME] += now_us <= state[_NOW]
                 state[_NOW] = now_us
         elif word & _TIME:
             span = np.int64(1 << _TIME_BITS)
-            steps = ((word & span - 1) - state[_BASE] // _MS_US) % span
+            ms = word & span - 1
+            if state[_BASE] < 0:
+                state[_BASE] = ms * _MS_US
+            steps = (ms - state[_BASE] // _MS_US) % span
             state[_BAD_TIME] += steps >= span >> 1
             state[_BASE] += (steps if steps < span >> 1 else steps - span) * _MS_US
     return at // EVENT_BYTES
@@ -322,7 +325,7 @@ class FrameDecoder:
     """
 
     def __init__(self, size: tuple[int, int] = (640, 480)) -> None:
-        self._state = np.array([0, -1, -1, size[0], size[1] // 8, 0, 0, 0], np.int64)
+        self._state = np.array([-1, -1, -1, size[0], size[1] // 8, 0, 0, 0], np.int64)
         self._odd = b""
         self.faults = WordFaults()
         self.feed(b"")  # compiles the kernels now, not while words wait
@@ -330,7 +333,7 @@ class FrameDecoder:
     @property
     def time_us(self) -> int:
         """Device time of the last word of a time or of a frame."""
-        return int(max(self._state[_BASE], self._state[_NOW]))
+        return int(max(self._state[_BASE], self._state[_NOW], 0))
 
     def feed(self, data: bytes) -> Decoded:
         """Decode the next bytes of the stream; any bytes give a result."""
