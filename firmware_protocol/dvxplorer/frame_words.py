@@ -27,6 +27,7 @@ import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of, kernel
 from firmware_protocol.davis346.decoder import SPECIAL_EVENT, Decoded, WordFaults
+from firmware_protocol.dvxplorer.words import LOWEST_BIT
 from firmware_protocol.events import Events, bytes_of, empty_events
 from firmware_protocol.evt.words import EVENT_BYTES, put_short, put_time, short_at, time_at
 
@@ -35,7 +36,7 @@ __all__ = ["FRAME_WORD", "FrameDecoder", "FrameEncoder", "FrameTimes", "in_wire_
 FRAME_WORD = np.dtype("<u4")
 FrameWords = npt.NDArray[np.uint32]
 
-entry = entry_of("firmware_protocol.dvxplorer.frame_words", "firmware_protocol.evt")
+entry = entry_of("firmware_protocol.dvxplorer", "firmware_protocol.evt")
 
 _Bytes = npt.NDArray[np.uint8]
 _State = npt.NDArray[np.int64]
@@ -297,16 +298,13 @@ def _put_groups(word: int, state: _State, events: _Bytes, at: int) -> int:
         state[_BAD_GROUP] += bits != 0 and group >= state[_ROWS]
         if state[_AT_X] < 0 or state[_NOW] < 0 or group >= state[_ROWS]:
             continue
-        y = group * 8
         while bits:
-            if bits & 1:
-                put_time(events, at, state[_NOW])
-                put_short(events, at + 8, state[_AT_X])
-                put_short(events, at + 10, y)
-                events[np.uint64(at + 12)] = 1 - off
-                at += EVENT_BYTES
-            bits >>= 1
-            y += 1
+            put_time(events, at, state[_NOW])
+            put_short(events, at + 8, state[_AT_X])
+            put_short(events, at + 10, group * 8 + LOWEST_BIT[np.uint64(bits)])
+            events[np.uint64(at + 12)] = 1 - off
+            at += EVENT_BYTES
+            bits &= bits - 1
     return at
 
 
