@@ -21,7 +21,7 @@ from emulator.tables.registry import Registry
 from emulator.tables.typed_table import KeyPath, TableError, convert_kind, unknown
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo
 from firmware_protocol.davis346.registers import driver_imu_settings
-from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerSettings
+from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, DvxplorerSettings
 from firmware_protocol.dvxplorer import registers as dvxplorer_registers
 from firmware_protocol.genx320 import registers as genx320_registers
 from firmware_protocol.genx320.biases import SLOPES as GENX320_SLOPES
@@ -226,6 +226,24 @@ def _dvxplorer(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     return partial(Dvxplorer, settings)
 
 
+def _dvxplorer_micro(bcd_device: int, camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
+    settings = DvxplorerMicroSettings(
+        serial=camera.serial,
+        bcd_device=bcd_device,
+        speed=Speed[camera.speed.upper()],
+        fifo_bytes=camera.fifo_bytes,
+        start_delay_us=round(usb.start_delay_ms * 1000),
+        imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
+    )
+    return partial(DvxplorerMicro, settings)
+
+
+def _micro(bcd_device: int) -> CameraModel:
+    """Return the model of a DVXplorer Micro with a version of its device."""
+    usb = UsbModel((640, 480), partial(_dvxplorer_micro, bcd_device), has_groups=True, imu_units=("bmi160",))
+    return CameraModel(PRESETS["dvxplorer_micro"], CHIPS["dvxplorer_micro"], usb)
+
+
 def _evk4(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     sensor = camera.sensor
     settings = Evk4Settings(
@@ -264,7 +282,8 @@ CAMERA_MODELS: Mapping[str, CameraModel] = {
         CHIPS["dvxplorer_micro"],
         UsbModel((640, 480), _dvxplorer, has_groups=True, imu_units=("bmi160",)),
     ),
-    "dvxplorer_micro": CameraModel(PRESETS["dvxplorer_micro"], CHIPS["dvxplorer_micro"]),
+    "dvxplorer_micro": _micro(0x040A),
+    "dvxplorer_micro_firmware9": _micro(0x0409),
     "imx636": CameraModel(PRESETS["imx636"], CHIPS["imx636"], bias_slopes=_SLOPES),
     **dict.fromkeys(
         BOARDS,

@@ -3,9 +3,9 @@
 `receive` counts, digests and records the events of a camera until it is stopped or unplugged.
 
 `TreuzellHost` is the driver of Prophesee's boards on any `UsbHost`: an EVK4, its siblings, and the board with a
-GenX320; those of a DAVIS346 and a DVXplorer are in `davis_host` and `dvxplorer_host`. The order of its registers is
-that of OpenEB's and neuromorphic_drivers' start and stop. The long initialisation between the two, which powers the
-chip, is omitted: the emulated camera needs none.
+GenX320; those of a DAVIS346 and a DVXplorer are in `davis_host`, `dvxplorer_host` and `micro_host`. The order of its
+registers is that of OpenEB's and neuromorphic_drivers' start and stop. The long initialisation between the two, which
+powers the chip, is omitted: the emulated camera needs none.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ from transports.usb.host import (
     UnsuitableDevice,
     UsbHost,
 )
+from transports.usb.micro_host import CX3, MicroHost
 from transports.usb.pyusb_host import PyusbHost
 
 __all__ = [
@@ -208,9 +209,14 @@ class TreuzellHost(CameraHost[TreuzellInfo]):
         return events
 
 
+def _dvxplorer(host: UsbHost) -> CameraHost[Any]:
+    """Return the driver of a DVXplorer: both models have one product number."""
+    return MicroHost(host) if host.identity.bcd_device >> 8 == CX3 else DvxplorerHost(host)
+
+
 CAMERAS: Mapping[tuple[int, int], Callable[[UsbHost], CameraHost[Any]]] = {
     (DAVIS_VENDOR, DAVIS_PRODUCT): DavisHost,
-    (DAVIS_VENDOR, DVXPLORER_PRODUCT): DvxplorerHost,
+    (DAVIS_VENDOR, DVXPLORER_PRODUCT): _dvxplorer,
     **dict.fromkeys(sorted(EVK4_IDS), TreuzellHost),
 }
 """Drivers by (vendor, product)."""
