@@ -32,7 +32,7 @@ from emulator.report.page import BLUE, INK, RED, panels, save
 from emulator.rig.loading import load_rig
 from emulator.scene.stars.skies import stars_per_deg2, sunlight_lux
 from emulator.scene.stars.table import StarsParameters
-from emulator.sensor.parameters import BackgroundParameters, NoiseParameters
+from emulator.sensor.parameters import REFERENCE_CELSIUS, BackgroundParameters, NoiseParameters, TemperatureParameters
 from emulator.sensor.presets import IMX636_W_M2
 
 __all__ = ["stars"]
@@ -46,7 +46,7 @@ AMOS_SHARE = np.array([
 
 _AMOS = {10: 7.48, 50: 9.06, 90: 10.13}
 _AMOS_NOISE_HZ = 0.15
-_COLD = "dark current x 1/9 (0.001)"
+_WARM = f"chip at {REFERENCE_CELSIUS:g} degrees, as for NIST's camera"
 _NOISY = f"noise of {_AMOS_NOISE_HZ:g} Hz, half of it ON"
 _GEN3_V, _SUN_V_MINUS_G = 9.8, 0.16
 _BOUND_MAG = 0.3
@@ -225,8 +225,8 @@ def _lens(**changes: Any) -> Change:
     return lambda camera: dataclasses.replace(camera, lens=dataclasses.replace(camera.lens, **changes))
 
 
-def _dark_current(factor: float) -> Change:
-    return lambda camera: _sensor(dark_current_relative=factor * camera.sensor.dark_current_relative)(camera)
+def _noise(**changes: float) -> Change:
+    return lambda camera: _sensor(noise=dataclasses.replace(camera.sensor.noise, **changes))(camera)
 
 
 def _thresholds(factor: float) -> Change:
@@ -237,11 +237,17 @@ def _thresholds(factor: float) -> Change:
 
 _VARIANTS: dict[str, Change] = {
     _NOISY: _sensor(background=BackgroundParameters(hz=_AMOS_NOISE_HZ), noise=NoiseParameters()),
-    _COLD: _dark_current(1 / 9),
-    f"{_COLD}, {_NOISY}": lambda camera: _VARIANTS[_NOISY](_dark_current(1 / 9)(camera)),
+    _WARM: _sensor(temperature=TemperatureParameters()),
+    f"{_WARM}, {_NOISY}": lambda camera: _VARIANTS[_NOISY](_VARIANTS[_WARM](camera)),
     "no noise but the background": _sensor(noise=NoiseParameters()),
-    "thresholds x 1.5": _thresholds(1.5),
+    "noise and thresholds alike in all pixels": lambda camera: _sensor(mismatch=0.0)(_noise(spread=0.0)(camera)),
+    "thresholds x 1.25": _thresholds(1.25),
+    "thresholds x 0.8": _thresholds(0.8),
+    "blur 0.5 px, transmission 0.85": _lens(blur_px=0.5, transmission=0.85),
     "blur 1.2 px": _lens(blur_px=1.2),
+    "sky 1 mag darker": lambda camera: dataclasses.replace(
+        camera, scene=dataclasses.replace(camera.scene, sky_w_m2_sr=camera.scene.sky_w_m2_sr / 2.512)
+    ),
     "light unit x 1.3": lambda camera: _lens(reference_lux=1.3 * camera.lens.reference_lux)(camera),
 }
 """Changes of one named parameter, within what is plausible."""
