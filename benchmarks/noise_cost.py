@@ -8,9 +8,9 @@ Both sensors see the same light frames, 1 ms apart, and read their events out:
     flicker    all light changes by 1e-4 in each step, and nothing fires but noise: no pixel is skipped
     moving     a grating of contrast 0.5 drifts by 200 pixels a second through a fifth of the rows
 
-A line has the median over blocks of 64 steps of processor time (of the thread) and of wall time, the ratio of the medians
-with the quartiles of the blocks' own ratios, and the events a second of both. On a machine with other work only the
-ratios of processor times mean something.
+A line has the medians over blocks of 64 steps of processor time (of the thread) and of wall time, the ratio of the
+medians with the quartiles of the blocks' own ratios, and the events a second of both. On a machine with other work only
+the ratios of processor times mean something.
 """
 
 from __future__ import annotations
@@ -83,8 +83,8 @@ def _print(what: str, spent: npt.NDArray[np.float64]) -> None:
     low, high = np.quantile(spent[:, 0, 0] / spent[:, 1, 0], (0.25, 0.75))
     rates = spent[:, :, 2].mean(0) / (STEPS * STEP_NS * 1e-9)
     print(
-        f"{what} processor {cpu[0]:7.1f} and {cpu[1]:7.1f} us a step, ratio {cpu[0] / cpu[1]:.2f} ({low:.2f} to {high:.2f});"
-        f" wall ratio {wall[0] / wall[1]:.2f}; {rates[0]:.3g} and {rates[1]:.3g} events/s",
+        f"{what} processor {cpu[0]:7.1f} and {cpu[1]:7.1f} us a step, ratio {cpu[0] / cpu[1]:.2f}"
+        f" ({low:.2f} to {high:.2f}); wall ratio {wall[0] / wall[1]:.2f}; {rates[0]:.3g} and {rates[1]:.3g} events/s",
         flush=True,
     )
 

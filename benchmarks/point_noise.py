@@ -49,35 +49,38 @@ P = SensorParameters(
     leak_hz=0.0,
     refractory_us=3.4,
 )
+P_REFRACTORY = P.refractory_us * 1e-6 / TAU_S
 MEAN = (P.threshold_on + P.threshold_off) / 2
 
 Floats = npt.NDArray[np.float64]
 
 
 @numba.njit  # type: ignore[untyped-decorator]
-def _followed(on: Floats, off: Floats, start: Floats, rise: tuple[float, float], ends: Floats) -> Floats:
+def _followed(
+    on: Floats, off: Floats, start: Floats, course: tuple[float, float, Floats], random: np.random.Generator
+) -> Floats:
     """Return the events of each pixel before each end and after the last one, (pixels, ends).
 
     Lengths are in deviations of the noise, times in time constants. `start` is the signal above the first reference
-    without noise, `rise` the slope of the signal and its time. A window begins where the one before ends; events before
-    `ends[0]` do not count.
+    without noise; `course` has the slope of the signal, its time, and the ends of the windows: one begins where the one
+    before ends, and events before the first end do not count.
     """
+    slope, rise_end, ends = course
     counts = np.zeros((on.size, ends.size - 1))
     decay, kick = np.exp(-STEP), np.sqrt(-np.expm1(-2 * STEP))
     again = np.exp(-P_REFRACTORY)
     blind = np.sqrt(1 - again * again)
-    slope, rise_end = rise
     for pixel in range(on.size):
-        noise = np.random.normal()
+        noise = random.normal()
         reference, t, v = -start[pixel], 0.0, noise
         while t < ends[-1]:
-            noise = noise * decay + kick * np.random.normal()
+            noise = noise * decay + kick * random.normal()
             t += STEP
             w = noise + slope * min(t, rise_end)
             up, down, event = reference + on[pixel], reference - off[pixel], -1
-            if w >= up or (v < up and np.random.random() < math.exp(-(up - v) * (up - w) / STEP)):
+            if w >= up or (v < up and random.random() < math.exp(-(up - v) * (up - w) / STEP)):
                 event = 1
-            elif w <= down or (v > down and np.random.random() < math.exp(-(v - down) * (w - down) / STEP)):
+            elif w <= down or (v > down and random.random() < math.exp(-(v - down) * (w - down) / STEP)):
                 event = 0
             if event >= 0:
                 k = np.searchsorted(ends, t) - 1
@@ -85,20 +88,12 @@ def _followed(on: Floats, off: Floats, start: Floats, rise: tuple[float, float],
                     counts[pixel, k] += 1
                 t_reset = t + P_REFRACTORY
                 signal = slope * min(t, rise_end)
-                noise = ((up if event else down) - signal) * again + blind * np.random.normal()
+                noise = ((up if event else down) - signal) * again + blind * random.normal()
                 t = t_reset
                 w = noise + slope * min(t, rise_end)
                 reference = w
             v = w
     return counts
-
-
-P_REFRACTORY = P.refractory_us * 1e-6 / TAU_S
-
-
-@numba.njit  # type: ignore[untyped-decorator]
-def _seed(seed: int) -> None:
-    np.random.seed(seed)
 
 
 def noisy(ratio: float, **changes: object) -> SensorParameters:
@@ -112,8 +107,8 @@ def reference(p: SensorParameters, rise: float, begin_s: float) -> Floats:
     start = drawn.phase * drawn.on if p.random_start else np.zeros(len(drawn.on))
     ends = np.concatenate([[begin_s], begin_s + EDGES_S]) / TAU_S
     slope = rise / sigma / (RISE_S / TAU_S)
-    _seed(3)
-    return np.asarray(_followed(drawn.on / sigma, drawn.off / sigma, start / sigma, (slope, RISE_S / TAU_S), ends))
+    course = slope, RISE_S / TAU_S, ends
+    return np.asarray(_followed(drawn.on / sigma, drawn.off / sigma, start / sigma, course, np.random.default_rng(3)))
 
 
 def of_sensor(p: SensorParameters, rise: float, begin_s: float) -> Floats:
@@ -159,7 +154,8 @@ def main(pixels: str = "4000") -> None:
 def _print(what: str, ours: Floats, true: Floats) -> None:
     begin_s = 0.0
     for k, end_s in enumerate(EDGES_S):
-        means, errors = zip(*((one[:, k].mean(), one[:, k].std() / math.sqrt(len(one))) for one in (ours, true)))
+        means = [one[:, k].mean() for one in (ours, true)]
+        errors = [one[:, k].std() / math.sqrt(len(one)) for one in (ours, true)]
         line = f"{what}  {begin_s:g} to {end_s:<6g} {means[0]:10.5g} {means[1]:10.5g}"
         if min(means) > 0:
             quotient = means[0] / means[1]

@@ -100,7 +100,8 @@ class TemperatureParameters:
 
     Attributes
     ----------
-    celsius : temperature of the chip, degrees Celsius; `leak_hz`, `dark_current_relative` and `corner_min_hz` hold at 20.
+    celsius : temperature of the chip, degrees Celsius; `leak_hz`, `dark_current_relative` and `corner_min_hz` hold at
+        20.
     """
 
     celsius: float = REFERENCE_CELSIUS
