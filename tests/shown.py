@@ -8,7 +8,7 @@ A test declares what it shows beside its assertions, and has that cell of the pa
     @pytest.mark.shows("davis346", "{driver.name}", "opens", "events")
 
 Camera and client are keys of docs/device_matrix.py. Names in braces are the test's parameters. A run replaces the
-outcomes of the tests that it collected, and keeps those of others with their date.
+outcomes of the tests that it ran, and keeps those of others with their date; a test that never ran is "not run".
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ REASON_CHARACTERS = 160
 
 Row = dict[str, Any]
 _rows: dict[str, list[Row]] = {}
+_collected: dict[str, list[Row]] = {}
 
 
 def declared(item: pytest.Item) -> list[Row]:
@@ -58,6 +59,7 @@ def pytest_itemcollected(item: pytest.Item) -> None:
     """Put the declarations into the reports, which come from other processes where tests run in parallel."""
     if rows := declared(item):
         item.user_properties.append((PROPERTY, rows))
+        _collected[item.nodeid] = [row | of_test(item.nodeid, "skipped", "not in the run") for row in rows]
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
@@ -66,21 +68,27 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     if rows is None or (report.when != "call" and report.passed):
         return
     outcome, reason = outcome_of(report)
+    _rows[report.nodeid] = [row | of_test(report.nodeid, outcome, reason) for row in rows]
+
+
+def of_test(name: str, outcome: str, reason: str) -> Row:
+    """Return the part of a row that its test gives."""
     date = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
-    test = {"test": report.nodeid, "outcome": outcome, "reason": reason, "date": date}
-    _rows[report.nodeid] = [row | test for row in rows]
+    return {"test": name, "outcome": outcome, "reason": reason, "date": date}
 
 
 def pytest_sessionfinish() -> None:
     """Write the outcomes into the file that EVSTIM_MATRIX names."""
-    if FILE and _rows and "PYTEST_XDIST_WORKER" not in os.environ:
-        write(Path(FILE), _rows)
+    if FILE and _collected and "PYTEST_XDIST_WORKER" not in os.environ:
+        write(Path(FILE), _rows, _collected)
 
 
-def write(file: Path, rows: dict[str, list[Row]]) -> None:
-    """Replace in a file the rows of these tests, and keep the others."""
-    kept = json.loads(file.read_text()) if file.exists() else []
-    merged = [row for row in kept if row["test"] not in rows] + [row for test in rows.values() for row in test]
+def write(file: Path, rows: dict[str, list[Row]], collected: dict[str, list[Row]]) -> None:
+    """Replace in a file the rows of the tests that ran, and keep the others; add those collected that it lacks."""
+    kept = [row for row in (json.loads(file.read_text()) if file.exists() else []) if row["test"] not in rows]
+    lacking = collected.keys() - rows.keys() - {row["test"] for row in kept}
+    added = [*rows.values(), *(collected[name] for name in lacking)]
+    merged = kept + [row for test in added for row in test]
     merged.sort(key=lambda row: (row["camera"], row["client"], row["test"], row["what"]))
     lines = ",\n".join(json.dumps(row) for row in merged)
     file.write_text(f"[\n{lines}\n]\n")

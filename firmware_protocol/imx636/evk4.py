@@ -31,8 +31,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+import numpy as np
+
 from firmware_protocol.device.items import Numbers
-from firmware_protocol.events import Events
+from firmware_protocol.events import EdgeKind, Edges, Events
 from firmware_protocol.evt.evt2 import Evt2Encoder
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.evt.words import Coder
@@ -159,6 +161,8 @@ class Evk4Settings(UsbCameraSettings):
         Effect of the biases on the sensor.
     board
         The board: its identity and its sensor.
+    pulse_us
+        Length of a pulse at the trigger input.
     """
 
     bcd_device: int = 0x0309
@@ -167,6 +171,7 @@ class Evk4Settings(UsbCameraSettings):
     surroundings: Surroundings = field(default_factory=Surroundings)
     biases: BiasModel = field(default_factory=BiasModel)
     board: BoardModel = BOARDS["evk4"]
+    pulse_us: int = 100
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -325,6 +330,18 @@ class Evk4(Imx636Camera[UsbOutflow], UsbCamera):
     @property
     def _bias_steps(self) -> Mapping[str, int]:
         return self._registers.bias_steps
+
+    def _put_edges(self, edges: Edges) -> None:
+        """Queue edges that the input has detected; a pulse is two of them, the second one due when it ends."""
+        is_pulse = edges["kind"] == EdgeKind.PULSE
+        begins, ends = edges.copy(), edges[is_pulse]
+        begins["kind"][is_pulse] = EdgeKind.RISING
+        ends["kind"] = EdgeKind.FALLING
+        ends["t"] += np.uint64(self.settings.pulse_us)
+        self._fates.edges.added += len(ends)
+        both = np.concatenate([begins, ends])
+        both["seq"] = 0  # of the source of triggers; a word has no room for it
+        super()._put_edges(both[np.argsort(both["t"], kind="stable")])
 
     def _select(self, events: Events) -> Selected:
         return self._selection.apply(events, self._epoch_us)

@@ -137,6 +137,7 @@ def test_a_run_replaces_the_outcomes_of_its_tests_alone(tmp_path):
     file = tmp_path / "outcomes.json"
     base = {"camera": "evk4", "client": "nd", "what": ["opens"]}
     first, other = ({**base, "test": name, "outcome": "passed"} for name in ("a", "b"))
-    shown.write(file, {"a": [first], "b": [other]})
-    shown.write(file, {"a": [first | {"outcome": "failed"}]})
-    assert [row["outcome"] for row in json.loads(file.read_text())] == ["failed", "passed"]
+    third = {**base, "test": "c", "outcome": "skipped"}
+    shown.write(file, {"a": [first], "b": [other]}, {})
+    shown.write(file, {"a": [first | {"outcome": "failed"}]}, {"b": [other | {"outcome": "skipped"}], "c": [third]})
+    assert [row["outcome"] for row in json.loads(file.read_text())] == ["failed", "passed", "skipped"]

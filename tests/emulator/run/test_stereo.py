@@ -70,6 +70,8 @@ def test_the_second_camera_is_another_one_at_its_place():
         ("[second_camera]\nlinks = []\n", "links must name"),
         ('[second_camera]\nlinks = ["left", "right"]\n', "the first camera needs a link too"),
         ('[second_camera]\nlinks = ["right"]\nserial = ""\n', "serial"),
+        ('[second_camera]\nlinks = ["right"]\nmodel = "evk5"\n', "second_camera.model: 'evk5'"),
+        ('[second_camera]\nlinks = ["right"]\nmodel = "evk4"\nserial = "R2D2"\n', "second_camera.serial"),
         ('[second_camera]\nlinks = ["right"]\nq_first_from_second = [1, 1, 0, 0]\n', "q_first_from_second"),
         ('[second_camera]\nlinks = ["right"]\noffset_m = [nan, 0, 0]\n', "offset_m"),
     ],
@@ -142,3 +144,33 @@ def test_the_second_sensor_follows_the_biases_of_its_own_hosts_alone():
     assert sensor.adjustable["threshold_on"] == 0.2
     view.follow({"right": CameraSettings(0, "register", {"threshold_on": 2.0})})
     assert sensor.adjustable["threshold_on"] == 0.4
+
+
+OTHER = SECOND.replace("offset_m", 'model = "evk4"\noffset_m')
+PULSES = '[trigger]\nperiod_ms = 100.0\nkind = "pulse"\npulse_us = 300\n'
+
+
+def test_a_camera_of_another_family_has_its_own_sensor_and_no_parts_of_the_first():
+    scene = SCENE.replace('"ideal"', '"dvxplorer"').replace("[camera.lens]", '[camera.imu]\nunit = "bmi160"\n[camera.lens]')
+    second = second_rig(rig(OTHER, scene)).camera
+    assert (second.model, second.size, second.imu) == ("evk4", (1280, 720), None)
+    assert second.sensor == CAMERA_MODELS["evk4"].sensor
+    with pytest.raises(RigError, match="same model"):
+        rig(OTHER, scene + "tolerance_us = 100.0\n")
+
+
+@pytest.mark.system
+def test_cameras_of_two_families_see_one_point_and_one_pulse_at_the_same_times(tmp_path, capsys):
+    """A DVXplorer and an EVK4: both see the point pass at 8 m / 100 m a second, and each edge in the same microsecond."""
+    file = tmp_path / "my.toml"
+    file.write_text(SCENE.replace('"ideal"', '"dvxplorer"') + PULSES + OTHER + LINKS)
+    assert _main(["run", str(file), "--record", str(tmp_path / "seen.npz"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["balanced"]
+    angles, edges = {}, {}
+    for name, width in (("left", 640), ("right", 1280)):
+        events, resets = load_record(tmp_path / f"seen-{name}.npz")
+        x, t = np.histogram2d(*(events[resets[-1] :][axis].astype(float) for axis in ("x", "t")), bins=(width, 20))[0], 0
+        focal_px = width / 2 / math.tan(math.radians(12.5))
+        angles[name] = x, focal_px, t
+        edges[name], _ = load_edges(tmp_path / f"seen-{name}.npz")
+    assert edges

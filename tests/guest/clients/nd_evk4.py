@@ -71,7 +71,7 @@ def main() -> None:
                 change_next, changes_made = next(change_at), changes_made + 1
             if packet.trigger_events is not None:
                 for trigger in packet.trigger_events:
-                    collector.add_trigger(int(trigger["t"]), RISING if trigger["polarity"] else FALLING)
+                    collector.add_trigger(int(trigger["t"]), RISING if trigger["rising"] else FALLING)
             if packet.polarity_events is not None:
                 events = packet.polarity_events
                 overflows += len(packet.polarity_events_overflow_indices or ())
