@@ -43,7 +43,13 @@ def second_rig(rig: Rig) -> Rig:
     links = tuple(link for link in rig.links if carries_second(rig, link.name))
     run = dataclasses.replace(rig.run, seed=seed)
     return dataclasses.replace(
-        rig, camera=_second_model(rig.camera, second), links=links, run=run, scene=_moved(rig, second), trigger=None, second_camera=None
+        rig,
+        camera=_second_model(rig.camera, second),
+        links=links,
+        run=run,
+        scene=_moved(rig, second),
+        trigger=None,
+        second_camera=None,
     )
 
 
