@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from emulator.sensor.presets import PRESETS
 from firmware_protocol.events import EDGE, EVENT, Edges
 from tests.guest.attachment import EVK4, Attachment
 from tests.guest.comparison import assert_same
@@ -248,7 +249,7 @@ def test_openeb_sees_every_event_of_its_window(guest: Guest, tmp_path: Path, one
     assert abs(about["lux"] - 100) <= 1  # the driver cuts fractions off
     if one.has_thermometer:
         assert abs(about["celsius"] - 20) <= 1
-        assert about["dead_time_us"] == 100
+        assert about["dead_time_us"] == PRESETS["imx636"].refractory_us
     seen = np.fromfile(guest.results / out, EVENT)
     assert len(seen) >= EVENTS
     delivered = rig.delivered

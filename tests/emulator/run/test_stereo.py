@@ -163,9 +163,9 @@ def test_a_camera_of_another_family_has_its_own_sensor_and_no_parts_of_the_first
         rig(OTHER, scene + "tolerance_us = 100.0\n")
 
 
-def angle_at_half_a_second(events, width):
+def angle_at_a_quarter_second(events, width):
     """Return the horizontal angle of what moves, in rad: the mean place of the ON events in the busiest cells."""
-    on = events[events["on"] & (np.abs(events["t"].astype(float) - 0.5e6) < 0.05e6)]
+    on = events[events["on"] & (np.abs(events["t"].astype(float) - 0.25e6) < 0.02e6)]
     cell = on["x"] // 16 + 1000 * (on["y"] // 16).astype(int)
     counts = np.bincount(cell)
     busy = on[counts[cell] > counts.max() / 2]
@@ -174,18 +174,21 @@ def angle_at_half_a_second(events, width):
 
 @pytest.mark.system
 def test_cameras_of_two_families_see_one_point_and_the_same_pulses(tmp_path, capsys):
-    """A DVXplorer, and an EVK4 1 m to its right; the point is before the first one at 100 m. A pixel is 0.7 mrad."""
+    """A DVXplorer, and an EVK4 1 m to its right; the point, at 100 m, is then 2 m to the left of the first one.
+
+    It moves by 3 mrad while its events are taken, and a pixel is 0.7 mrad.
+    """
     file = tmp_path / "my.toml"
-    shorter = SCENE.replace("seconds = 1.0", "seconds = 0.6").replace("step_us = 2000", "step_us = 5000")
+    shorter = SCENE.replace("seconds = 1.0", "seconds = 0.3").replace("step_us = 2000", "step_us = 5000")
     file.write_text(shorter.replace('"ideal"', '"dvxplorer"') + PULSES + OTHER + LINKS)
     assert _main(["run", str(file), "--record", str(tmp_path / "seen.npz"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["balanced"]
     angles, edges = {}, {}
     for name, width in (("left", 640), ("right", 1280)):
         events, resets = load_record(tmp_path / f"seen-{name}.npz")
-        angles[name] = angle_at_half_a_second(events[resets[-1] :], width)
+        angles[name] = angle_at_a_quarter_second(events[resets[-1] :], width)
         edges[name] = [edge for edge in load_edges(tmp_path / f"seen-{name}.npz")[0] if edge["kind"] != EdgeKind.PULSE]
-    assert angles["left"] == pytest.approx(0.0, abs=0.002)
-    assert angles["right"] == pytest.approx(-1.0 / 100.0, abs=0.002)
-    times = [t for k in range(1, 6) for t in (100_000 * k, 100_000 * k + 300)]
+    assert angles["left"] == pytest.approx(-2.0 / 100.0, abs=0.003)
+    assert angles["right"] == pytest.approx(-3.0 / 100.0, abs=0.003)
+    times = [t for k in (1, 2) for t in (100_000 * k, 100_000 * k + 300)]
     assert [int(edge["t"]) for edge in edges["left"]] == [int(edge["t"]) for edge in edges["right"]] == times

@@ -53,12 +53,12 @@ def main() -> None:
     discovered = [device.serial for device in nd.list_devices()]
     running, overflows = True, 0
     told = configuration(masks=options.masks, limit=options.limit)
-    changes = changed(told) if options.settings else iter(())
+    changes = list(changed(told)) if options.settings else []
     change_at = count(0, options.count // 20)  # all changes are made in the first 17 of 20 parts
     change_next, changes_made = next(change_at), 0
     with nd.open(told, iterator_timeout=0.1) as camera:
         seen = {"serial": camera.serial(), "name": camera.name().value, "connection": camera.connection().value}
-        while running and not collector.done:
+        while running and (changes or not collector.done):
             try:
                 _status, packet = next(camera)
             except RuntimeError:  # the camera was unplugged
@@ -66,8 +66,8 @@ def main() -> None:
                 continue
             if packet is None:
                 continue
-            if collector.counts["events"] > change_next and (change := next(changes, None)) is not None:
-                camera.update_configuration(change)
+            if collector.counts["events"] > change_next and changes:
+                camera.update_configuration(changes.pop(0))
                 change_next, changes_made = next(change_at), changes_made + 1
             if packet.trigger_events is not None:
                 for trigger in packet.trigger_events:

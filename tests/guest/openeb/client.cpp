@@ -82,7 +82,7 @@ void set_window(Device &device, int width) {
 void change(Device &device, int step) {
     auto *biases = device.get_facility<I_LL_Biases>();
     if (step == 1 || step == 2) {
-        const int by = step == 1 ? 1 : -1;
+        const int by = step == 1 ? -1 : 1; // downwards, as a Gen4.1 cannot go further up from where it is
         for (const auto *name : {"bias_diff_on", "bias_diff_off", "bias_fo", "bias_refr"}) {
             biases->set(name, biases->get(name) + by);
         }

@@ -13,6 +13,7 @@ from transports.usb.usbip.client import UsbipHost
 CYCLES = 100
 ATTEMPTS = 1000  # the server may still be at the end of the last connection
 EVENTS = 50
+MODELS = [name for name, one in CAMERA_MODELS.items() if one.usb is not None and name != "ideal"]
 FIELDS = ["t", "x", "y", "on"]
 
 
