@@ -12,4 +12,4 @@ pytestmark = pytest.mark.system
 @pytest.mark.socket
 def test_a_killed_process_breaks_no_promise(tmp_path):
     draw = random.Random(5)
-    assert {kill_once(draw, tmp_path) for _ in range(3)} <= {"link", "session"}
+    assert {kill_once(draw, tmp_path) for _ in range(2)} <= {"link", "session"}

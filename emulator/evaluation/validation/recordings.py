@@ -62,9 +62,8 @@ def davis346(seed: int) -> Findings:
         ),
         tuple(data),
         (
-            "Leak, kicks and noise of the preset were fitted to this recording, the noise before it followed the level"
-            " of each pixel. It is too strong now: it fires pixels before a kick does. With `noise.rms` 0.015 in place"
-            " of 0.05, 15 of these 16 values are alike.",
+            "Leak, kicks and noise of the preset were fitted to this recording: the distances show how well the model"
+            " can follow it, not what another camera does.",
             "Where pixels of level 0 to 10 are still, they fire no more than brighter ones; the higher rate that was"
             " reported for such pixels, with a third of OFF events, is that of motion near them.",
             "The light of moving pixels between two frames is not known, so their rates are not compared.",

@@ -71,11 +71,10 @@ def test_a_receiver_that_differs_is_a_failure(received):
 
 @pytest.mark.system
 @pytest.mark.socket
-@pytest.mark.parametrize("size", SIZES, ids=lambda size: size.name)
-def test_a_whole_run_is_measured(size, tmp_path):
+def test_a_whole_run_is_measured(tmp_path):
     rig = tmp_path / "board.toml"
     rig.write_text(BOARD)
-    speed = measure_speed(variant_of(str(rig), size), Span(stream_s=0.5, wall_s=60.0))
+    speed = measure_speed(variant_of(str(rig), SIZES[0]), Span(stream_s=0.5, wall_s=60.0))
     assert speed.stream_s == pytest.approx(0.5)
     assert 0 < speed.factor < 1000
     assert speed.events > 100

@@ -2,7 +2,8 @@
 
 The reference follows the noise voltage in steps of a hundredth of its time constant and shares nothing with the
 emulator. Counts are compared within 5 %, the target, and 3.9 standard errors of both, found from the spread between
-pixels: a law within 5 % fails with a probability of 1e-4. The seeds are fixed.
+pixels: a law within 5 % fails with a probability of 1e-4. The seeds are fixed. `benchmarks/point_noise.py` has more
+thresholds and longer times.
 """
 
 import dataclasses
@@ -23,7 +24,7 @@ from emulator.sensor.sensor import Sensor
 Z, TARGET = stats.norm.isf(1e-4 / 2), 0.05
 F_N = 150.0
 TAU_S = 1 / (2 * math.pi * F_N)
-EDGES_S = np.array([0.1, 1.0, 3.0])
+EDGES_S = np.array([0.1, 1.0])
 STEP = 0.01
 P = SensorParameters(
     width=40, height=30, threshold_on=0.283, threshold_off=0.262, mismatch=0.035, corner_hz_at_reference=300.0,
@@ -98,18 +99,18 @@ def assert_alike(found, expected):
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("a", [1.6, 2.5, 4.0, 4.83, 7.15])
+@pytest.mark.parametrize("a", [1.6, 4.83, 7.15])
 def test_after_a_reset_at_random_phases(a):
     drawn = draw(P, 1)
     expected = truth(a, drawn.phase * drawn.on)
-    frames = [light(LIT, t) for t in (0.0, 0.02, 0.1, 1.0, 3.0)]
+    frames = [light(LIT, t) for t in (0.0, 0.02, 0.1, 1.0)]
     found = events_of(noisy(a), 1, frames, 0.0)
     assert expected[:, 0].sum() > 200
     assert_alike(found, expected)
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("a", [1.6, 2.5, 4.0, 4.83])
+@pytest.mark.parametrize("a", [2.5, 4.0])
 def test_against_the_grid_after_a_reset_at_random_phases(a):
     frames, edges_s = [light(LIT, t) for t in (0.0, 0.02, 0.1, 0.5)], np.array([0.1, 0.5])
     found = events_of(noisy(a), 1, frames, 0.0, edges_s)
@@ -117,8 +118,7 @@ def test_against_the_grid_after_a_reset_at_random_phases(a):
 
 
 @pytest.mark.system
-@pytest.mark.parametrize("a", [2.5, 4.0, 4.83])
-@pytest.mark.parametrize("over", [0.35, 0.75])
+@pytest.mark.parametrize(("a", "over"), [(4.83, 0.35), (2.5, 0.75)])
 def test_after_events_of_a_signal_that_stops_between_two_thresholds(a, over):
     """Light rises by some thresholds in 20 ms, and stops: the last event left the reference below the light."""
     p = noisy(a, corner_hz_at_reference=300.0, mismatch=0.0, random_start=False)
@@ -188,6 +188,6 @@ def test_a_start_after_noise_has_acted_has_no_burst():
 
 def test_pixels_with_more_noise_fire_more_often():
     p = dataclasses.replace(noisy(4.0), noise=dataclasses.replace(noisy(4.0).noise, spread=0.2, history_s=5.0))
-    counts = events_of(p, 1, [light(LIT, t) for t in (0.0, 3.0)], 0.0).sum(1)
-    even = events_of(noisy(4.0), 1, [light(LIT, t) for t in (0.0, 3.0)], 0.0).sum(1)
+    counts = events_of(p, 1, [light(LIT, t) for t in (0.0, 1.0)], 0.0).sum(1)
+    even = events_of(noisy(4.0), 1, [light(LIT, t) for t in (0.0, 1.0)], 0.0).sum(1)
     assert counts.max() > 3 * even.max()
