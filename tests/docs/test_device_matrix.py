@@ -106,7 +106,10 @@ def test_the_clients_have_the_versions_that_the_tests_install():
 def item(*marks, **parameters):
     found = [SimpleNamespace(args=mark) for mark in marks]
     return SimpleNamespace(
-        callspec=SimpleNamespace(params=parameters), iter_markers=lambda _: iter(found), user_properties=[]
+        nodeid="tests/a.py::test_b",
+        callspec=SimpleNamespace(params=parameters),
+        iter_markers=lambda _: iter(found),
+        user_properties=[],
     )
 
 
@@ -116,10 +119,13 @@ def report(outcome, when="call", nodeid="tests/a.py::test_b", longrepr=None):
     return SimpleNamespace(nodeid=nodeid, when=when, longrepr=longrepr, user_properties=[("shows", rows)], **states)
 
 
-def test_a_declaration_is_filled_with_the_parameters_of_the_test():
+def test_a_declaration_is_filled_with_the_parameters_of_the_test(monkeypatch):
+    monkeypatch.setattr(shown, "_collected", {})
     one = item(("davis346", "{driver.name}", "opens", "events"), driver=SimpleNamespace(name="dv2"))
     shown.pytest_itemcollected(one)
     assert one.user_properties == [("shows", [{"camera": "davis346", "client": "dv2", "what": ["opens", "events"]}])]
+    ((row,),) = shown._collected.values()
+    assert (row["test"], row["outcome"]) == ("tests/a.py::test_b", "skipped")
 
 
 def test_a_test_that_fails_in_its_call_or_after_it_is_no_success(monkeypatch):
