@@ -254,6 +254,7 @@ def _evk4(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
         surroundings=Surroundings(celsius=sensor.temperature.celsius, dead_time_us=sensor.refractory_us),
         biases=camera.bias_model,
         board=BOARDS[camera.model],
+        pulse_us=Evk4Settings.pulse_us if usb.pulse_us is None else usb.pulse_us,
     )
     return partial(Evk4, settings)
 

@@ -324,12 +324,14 @@ class Verdict:
 
 @dataclass(frozen=True)
 class SecondCamera:
-    """A second camera of the same model, mounted beside the first; its clock is the slave of the first one's.
+    """A second camera, mounted beside the first one on its clock.
 
     Attributes
     ----------
     links
         Names of the links that carry it; the others carry the first camera.
+    model
+        Name of a camera, with its own sensor's preset; without it, the first camera's model, sensor and parts.
     serial
         Its serial number, up to 8 characters.
     offset_m
@@ -339,6 +341,7 @@ class SecondCamera:
     """
 
     links: tuple[str, ...]
+    model: str = ""
     serial: str = "00000347"
     offset_m: tuple[float, float, float] = (0.1, 0.0, 0.0)
     q_first_from_second: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)

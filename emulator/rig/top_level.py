@@ -184,7 +184,20 @@ def _second_camera(table: object, rig: Mapping[str, Any]) -> SecondCamera:
             raise TableError(unknown(name, names), ("second_camera", "links"))
     if set(second.links) == set(names):
         raise TableError("the first camera needs a link too", ("second_camera", "links"))
+    if second.model:
+        _check_second_model(second, rig)
     return second
+
+
+def _check_second_model(second: SecondCamera, rig: Mapping[str, Any]) -> None:
+    """Raise TableError for a model that does not exist, does not take the serial number, or has steps of its own."""
+    try:
+        _camera({"model": second.model, "serial": second.serial}, rig)
+    except TableError as error:
+        raise TableError(str(error), ("second_camera", *error.path[1:])) from error
+    if rig["run"].tolerance_us and second.model != rig["camera"].model:
+        message = "with run.tolerance_us, which selects steps for one sensor, both cameras need the same model"
+        raise TableError(message, ("second_camera", "model"))
 
 
 def _trigger(table: object, rig: Mapping[str, Any]) -> Trigger:

@@ -28,8 +28,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
+import numpy as np
+
 from firmware_protocol.device.items import Numbers
-from firmware_protocol.events import Events
+from firmware_protocol.events import EdgeKind, Edges, Events
 from firmware_protocol.evt.evt2 import Evt2Encoder
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.evt.words import Coder
@@ -260,12 +262,15 @@ class TreuzellSettings(UsbCameraSettings):
         Build time of the firmware.
     biases
         Effect of the biases on the sensor.
+    pulse_us
+        Length of a pulse at the trigger input.
     """
 
     bcd_device: int = 0x0309
     release: int = 0x03_0900
     build_unix_s: int = 1_700_000_000
     biases: BiasModel = field(default_factory=BiasModel)
+    pulse_us: int = 100
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -439,6 +444,18 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
     @property
     def _bias_steps(self) -> Mapping[str, int]:
         return self._registers.bias_steps
+
+    def _put_edges(self, edges: Edges) -> None:
+        """Queue edges that the input has detected; a pulse is two of them, the second one due when it ends."""
+        is_pulse = edges["kind"] == EdgeKind.PULSE
+        begins, ends = edges.copy(), edges[is_pulse]
+        begins["kind"][is_pulse] = EdgeKind.RISING
+        ends["kind"] = EdgeKind.FALLING
+        ends["t"] += np.uint64(self.settings.pulse_us)
+        self._fates.edges.added += len(ends)
+        both = np.concatenate([begins, ends])
+        both["seq"] = 0  # of the source of triggers; a word has no room for it
+        super()._put_edges(both[np.argsort(both["t"], kind="stable")])
 
     def _select(self, events: Events) -> Selected:
         return self._selection.apply(events, self._epoch_us)
