@@ -19,6 +19,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
+from typing import Any
 
 import numba
 import numpy as np
@@ -55,7 +56,7 @@ MEAN = (P.threshold_on + P.threshold_off) / 2
 Floats = npt.NDArray[np.float64]
 
 
-@numba.njit  # type: ignore[untyped-decorator]
+@numba.njit(nogil=True)
 def _followed(
     on: Floats, off: Floats, start: Floats, course: tuple[float, float, Floats], random: np.random.Generator
 ) -> Floats:
@@ -96,7 +97,7 @@ def _followed(
     return counts
 
 
-def noisy(ratio: float, **changes: object) -> SensorParameters:
+def noisy(ratio: float, **changes: Any) -> SensorParameters:
     """Return a sensor of which the mean threshold is `ratio` deviations of the noise."""
     return dataclasses.replace(P, noise=NoiseParameters(MEAN / ratio, CORNER_HZ), **changes)
 

@@ -7,6 +7,7 @@ two halves of the recording. `data/SOURCES.md` names the recordings.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -139,7 +140,7 @@ def _leaps(events: Events, _: StillLight) -> _Array:
     return np.hypot(*(np.diff(ordered[name].astype(np.float64)) for name in ("x", "y")))
 
 
-_SAMPLES = {
+_SAMPLES: dict[str, Callable[[Events, StillLight], _Array]] = {
     "gaps between successive events": lambda events, _: np.diff(np.sort(events["t"].astype(np.int64))),
     "events in 10 ms": lambda events, _: np.bincount((events["t"] // 10_000).astype(int), minlength=236),
     "time in the frame, of the own row": _phase_us,
@@ -359,8 +360,8 @@ def _draw_quiet(halves: list[dict[str, _Array]], ours: dict[str, _Array], stem: 
     figure, every = panels(len(_KINDS) + 1, 3, (3.8, 3.0))
     for (axes,), kind in zip(every, _KINDS, strict=False):
         real = np.concatenate([half[kind] for half in halves])
-        _cumulative(axes, real * 1e-6, color=INK, label="recording")
-        _cumulative(axes, ours[kind] * 1e-6, color=BLUE, label="ours")
+        _cumulative(axes, real.astype(np.float64) * 1e-6, color=INK, label="recording")
+        _cumulative(axes, ours[kind].astype(np.float64) * 1e-6, color=BLUE, label="ours")
         first, second = kind.upper().split("_")
         axes.set(xlabel=f"interval from {first} to {second}, s", ylabel="share of values up to x", ylim=(0, 1.02))
     (axes,) = every[-1]

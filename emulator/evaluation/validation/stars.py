@@ -225,7 +225,7 @@ def _lens(**changes: Any) -> Change:
     return lambda camera: dataclasses.replace(camera, lens=dataclasses.replace(camera.lens, **changes))
 
 
-def _noise(**changes: float) -> Change:
+def _noise(**changes: Any) -> Change:
     return lambda camera: _sensor(noise=dataclasses.replace(camera.sensor.noise, **changes))(camera)
 
 
