@@ -223,6 +223,7 @@ class Evk4(Imx636Camera[UsbOutflow], UsbCamera):
         self.settings = settings = settings or Evk4Settings()
         super().__init__(settings.size, settings.biases, UsbOutflow(0, settings.fifo_bytes))
         self._standard = StandardControl(settings.descriptors())
+        self._pulse_us = settings.pulse_us
         board = settings.board
         self._kind = bytes((board.kind, 0))
         self._registers = Registers(settings.surroundings, settings.biases, board.chip)
@@ -337,7 +338,7 @@ class Evk4(Imx636Camera[UsbOutflow], UsbCamera):
         begins, ends = edges.copy(), edges[is_pulse]
         begins["kind"][is_pulse] = EdgeKind.RISING
         ends["kind"] = EdgeKind.FALLING
-        ends["t"] += np.uint64(self.settings.pulse_us)
+        ends["t"] += np.uint64(self._pulse_us)
         self._fates.edges.added += len(ends)
         both = np.concatenate([begins, ends])
         both["seq"] = 0  # of the source of triggers; a word has no room for it
