@@ -187,8 +187,9 @@ def test_cameras_of_two_families_see_one_point_and_the_same_pulses(tmp_path, cap
     for name, width in (("left", 640), ("right", 1280)):
         events, resets = load_record(tmp_path / f"seen-{name}.npz")
         angles[name] = angle_at_a_quarter_second(events[resets[-1] :], width)
-        edges[name] = [edge for edge in load_edges(tmp_path / f"seen-{name}.npz")[0] if edge["kind"] != EdgeKind.PULSE]
+        seen = load_edges(tmp_path / f"seen-{name}.npz")[0]
+        edges[name] = [int(edge["t"]) for edge in seen if edge["kind"] != EdgeKind.PULSE and edge["t"] < 300_000]
     assert angles["left"] == pytest.approx(-2.0 / 100.0, abs=0.003)
     assert angles["right"] == pytest.approx(-3.0 / 100.0, abs=0.003)
     times = [t for k in (1, 2) for t in (100_000 * k, 100_000 * k + 300)]
-    assert [int(edge["t"]) for edge in edges["left"]] == [int(edge["t"]) for edge in edges["right"]] == times
+    assert edges["left"] == edges["right"] == times

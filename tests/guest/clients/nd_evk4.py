@@ -58,6 +58,8 @@ def main() -> None:
     change_next, changes_made = next(change_at), 0
     with nd.open(told, iterator_timeout=0.1) as camera:
         seen = {"serial": camera.serial(), "name": camera.name().value, "connection": camera.connection().value}
+        # Before any update: the driver's own thread writes it with no lock, and takes answers that others wait for.
+        seen |= {"celsius": camera.temperature_celsius(), "light": camera.illuminance()}
         while running and (changes or not collector.done):
             try:
                 _status, packet = next(camera)
@@ -77,8 +79,6 @@ def main() -> None:
                 overflows += len(packet.polarity_events_overflow_indices or ())
                 collector.add(events["t"], events["x"], events["y"], events["on"])
         if running:
-            # Before the update: the driver's own thread writes it with no lock, and takes answers that others wait for.
-            seen |= {"celsius": camera.temperature_celsius(), "light": camera.illuminance()}
             told.biases.diff_on = 0x70
             camera.update_configuration(told)
         # Before the camera is closed: after an unplugging, closing may end the process (see environments.py).
