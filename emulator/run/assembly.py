@@ -246,7 +246,9 @@ def build_session(
     readings = ReadingSources(reading_sources(rig, scene, sensor), own)
     session = Session(frames, sensor, steps, setups, clock, readings)
     if rig.second_camera is not None:
-        session.join(_second_view(second_rig(rig), parameters, setups))
+        second = second_rig(rig)
+        same = second.camera.model == rig.camera.model
+        session.join(_second_view(second, parameters if same else second.camera.sensor, setups))
     return session
 
 

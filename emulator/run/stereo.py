@@ -10,8 +10,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 from emulator.light import SceneFrames
+from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.loading import Rig, RigError
-from emulator.rig.tables import SecondCamera
+from emulator.rig.tables import Camera, SecondCamera
 from emulator.run.changes import BiasFollowing, Changes
 from emulator.run.outcome import Ledger, LinkLedger
 from emulator.run.readings import ReadingSources, StepOutput
@@ -39,11 +40,32 @@ def second_rig(rig: Rig) -> Rig:
     second = rig.second_camera
     assert second is not None
     seed = rig.run.seed + 1
-    camera = dataclasses.replace(rig.camera, serial=second.serial)
     links = tuple(link for link in rig.links if carries_second(rig, link.name))
     run = dataclasses.replace(rig.run, seed=seed)
     return dataclasses.replace(
-        rig, camera=camera, links=links, run=run, scene=_moved(rig, second), trigger=None, second_camera=None
+        rig,
+        camera=_second_model(rig.camera, second),
+        links=links,
+        run=run,
+        scene=_moved(rig, second),
+        trigger=None,
+        second_camera=None,
+    )
+
+
+def _second_model(first: Camera, second: SecondCamera) -> Camera:
+    """Return the first camera with another serial number, or one of another model with the same lens and connector."""
+    if second.model in ("", first.model):
+        return dataclasses.replace(first, serial=second.serial)
+    return dataclasses.replace(
+        first,
+        model=second.model,
+        serial=second.serial,
+        sensor=CAMERA_MODELS[second.model].sensor,
+        imu=None,
+        frames=None,
+        bias_slopes=None,
+        activity_filter=False,
     )
 
 

@@ -49,6 +49,7 @@ def cycled(
     return Turns(rig, selected(request, "driver"), cycle)
 
 
+@pytest.mark.shows("davis346", "{driver.name}", "cycles")
 @pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
 def test_it_is_closed_in_the_midst_of_all_streams_again_and_again(
     cycled: Turns[Driver, Finished], driver: Driver

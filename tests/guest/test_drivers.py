@@ -32,6 +32,7 @@ def since_last_reset(delivered: Delivered) -> Events:
     return delivered.events[delivered.resets[-1] :]
 
 
+@pytest.mark.shows("davis346", "{driver.name}", "opens", "events", "unplugged")
 @pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
 def test_every_event_is_seen_until_the_camera_is_unplugged_and_that_is_noticed(
     guest: Guest, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path

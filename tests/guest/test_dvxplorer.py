@@ -1,6 +1,7 @@
 """Three unmodified drivers open a DVXplorer that is not there, on a real Linux kernel's USB, and see all its streams.
 
-Every event, trigger and inertial sample, at its time. By default a second of device time; at length:
+Every event, trigger and inertial sample, at its time, also while settings change and after the cable was pulled. By
+default a second of device time; at length:
 
     EVSTIM_DVXPLORER_EVENTS=1e6 python -m pytest tests/guest/test_dvxplorer.py
 """
@@ -11,16 +12,21 @@ import dataclasses
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.guest.all_streams import assert_same_streams
+from firmware_protocol.events import Events
+from tests.guest.all_streams import COLUMNS, assert_same_streams
 from tests.guest.attachment import DVXPLORER, Attachment
+from tests.guest.comparison import assert_same
 from tests.guest.environments import DRIVERS, Driver
 from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
 from tests.guest.streaming import Seen, Streaming
 
 EVENTS = round(float(os.environ.get("EVSTIM_DVXPLORER_EVENTS", "3e5")))
+FEWER_EVENTS = 20_000
+LEAST_CHANGES = 9  # of a driver, those that set a value back included
 TIMEOUT_S = 240.0 + EVENTS / 5000
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(TIMEOUT_S + 960)]
@@ -56,17 +62,55 @@ def as_others(driver: Driver, seen: Seen) -> Seen:
     return dataclasses.replace(seen, imu=seen.imu[:, SWAPPED]) if driver.name == "nd" else seen
 
 
+@pytest.mark.shows("dvxplorer", "{driver.name}", "opens", "events", "imu", "triggers", "settings")
+@pytest.mark.shows("dvxplorer", "{driver.name}", "unplugged", "plugged again")
 @pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
 def test_every_stream_is_seen_as_it_was_delivered(
     guest: Guest, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path
 ) -> None:
+    """The cable is pulled while the driver streams; then it opens the camera again, and changes settings."""
     options = ("--imu", "--triggers", *(("--device", "inivation_dvxplorer") if driver.name == "nd" else ()))
-    with RunningRig(tmp_path, text=RIG) as rig, Attachment(guest, rig.port, model=DVXPLORER) as camera:
-        assert camera.device["bcdDevice"] == "0309"
-        python = driver_pythons[driver.name]
-        seen = as_others(driver, Streaming(guest, driver, python, EVENTS, *options, timeout_s=TIMEOUT_S).wait())
+    python = driver_pythons[driver.name]
+    client = dataclasses.replace(driver, name=f"dvxplorer_{driver.name}")
+    with RunningRig(tmp_path, text=RIG) as rig:
+        with Attachment(guest, rig.port, model=DVXPLORER):
+            streaming = Streaming(guest, driver, python, FEWER_EVENTS, *options, "--on", timeout_s=TIMEOUT_S)
+            streaming.wait_until_started()
+        cut = streaming.wait()
+        with Attachment(guest, rig.port, model=DVXPLORER) as camera:
+            assert camera.device["bcdDevice"] == "0309"
+            seen = as_others(driver, Streaming(guest, client, python, EVENTS, *options, timeout_s=TIMEOUT_S).wait())
+    assert cut.about["running"] is False
+    assert len(cut.events) >= FEWER_EVENTS
     assert any("DVX00042" in found for found in seen.about["discovered"])
+    assert {change["name"]: change["error"] for change in seen.about["changes"] if change["error"]} == {}
+    assert len(seen.about["changes"]) >= LEAST_CHANGES
     assert len(seen.events) >= EVENTS
     assert_same_streams(driver, seen, rig.delivered)
     assert rig.summary["balanced"], rig.summary
     assert rig.summary["links"]["usbip"]["edges"]["balanced"], rig.summary
+
+
+MICRO = RIG.replace('"dvxplorer"', '"dvxplorer_micro"').replace(RIG[RIG.index("[trigger]") : RIG.index("[run]")], "")
+
+
+def by_column(events: Events) -> Events:
+    """Return events in the order in which dv-processing hands over those of one column: all OFF events come first."""
+    return events[np.lexsort((events["y"], events["on"], events["x"], events["t"]))]
+
+
+def test_a_micro_is_seen_as_it_was_delivered(guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path) -> None:
+    """Its library stamps an inertial sample when it arrives, so only the values are compared."""
+    driver = DRIVERS[0]
+    with RunningRig(tmp_path, text=MICRO) as rig, Attachment(guest, rig.port, model=DVXPLORER) as camera:
+        assert camera.device["bcdDevice"] == "040a"
+        seen = Streaming(guest, driver, driver_pythons["dv2"], EVENTS, "--imu", timeout_s=TIMEOUT_S).wait()
+    delivered = rig.delivered
+    assert any("DVX00042" in found for found in seen.about["discovered"])
+    assert len(seen.events) >= EVENTS
+    events = delivered.events[delivered.resets[-1] :]
+    assert_same(seen.events, by_column(events), offset_us=int(seen.events["t"][0]) - int(events["t"][0]))
+    values = np.column_stack([delivered.imu[name] for name in COLUMNS]).astype(np.float64)
+    assert len(seen.imu) >= 100
+    np.testing.assert_allclose(seen.imu, values[: len(seen.imu)], rtol=4e-7, atol=1e-9)
+    assert rig.summary["balanced"], rig.summary

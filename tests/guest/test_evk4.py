@@ -16,14 +16,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from firmware_protocol.events import EVENT
+from emulator.sensor.presets import PRESETS
+from firmware_protocol.events import EDGE, EVENT, Edges
 from tests.guest.attachment import EVK4, Attachment
 from tests.guest.comparison import assert_same
 from tests.guest.environments import EVENTCV, ND_EVK3, ND_EVK4
 from tests.guest.gige_run import looped_1280x720
 from tests.guest.known_ramp import apart_us, expected_us, save_frames
 from tests.guest.machine import Guest
-from tests.guest.running_rig import RunningRig
+from tests.guest.running_rig import Delivered, RunningRig
 from tests.guest.streaming import Seen, Streaming
 from tests.guest.turns import Turns, selected
 from transports.recording.evt_file import EvtReader
@@ -55,6 +56,10 @@ speed = "{speed}"
 start_delay_ms = 3000.0   # neuromorphic_drivers must have started all its transfers; a guest on a busy machine is slow
 [camera.sensor.temperature]
 celsius = 20.0
+[trigger]
+period_ms = 10.0
+kind = "pulse"
+pulse_us = 300
 [run]
 step_us = 1000
 max_late_ms = 0
@@ -119,7 +124,7 @@ def turns(request: pytest.FixtureRequest, guest: Guest, tmp_path_factory: pytest
     looped(folder)
     rig = RunningRig(folder, text=RIG)
     programs = {
-        "nd": lambda: streamed(guest, request.getfixturevalue("driver_pythons")["nd"], rig, EVENTS),
+        "nd": lambda: streamed(guest, request.getfixturevalue("driver_pythons")["nd"], rig, EVENTS, "--settings"),
         "eventcv": lambda: read_region(guest, request.getfixturevalue("eventcv_python"), rig),
     }
     return Turns(rig, selected(request, "program"), lambda program: programs[program]())
@@ -130,6 +135,7 @@ def read_region(guest: Guest, python: Path, rig: RunningRig) -> Seen:
         return Streaming(guest, EVENTCV, python, FEWER_EVENTS, "--roi", timeout_s=TIMEOUT_S).wait()
 
 
+@pytest.mark.shows("evk4", "{program}", "opens", "events", "triggers", "settings")
 @pytest.mark.parametrize("program", ["nd"])
 def test_every_event_delivered_is_seen(turns: Turns[str, Seen], program: str) -> None:
     seen = turns.result(program)
@@ -138,8 +144,19 @@ def test_every_event_delivered_is_seen(turns: Turns[str, Seen], program: str) ->
     assert seen.about["overflows"] == 0
     assert abs(seen.about["celsius"] - 20.0) < 0.19
     assert len(seen.events) >= EVENTS
-    assert_same(seen.events, turns.delivered(program).events, offset_us=0)
+    assert seen.about["changes"] == 17  # 13 biases, 3 masks, and back
+    delivered = turns.delivered(program)
+    assert_same(seen.events, delivered.events, offset_us=0)
+    assert_same_triggers(seen.triggers, delivered)
     assert turns.rig.summary["balanced"], turns.rig.summary
+
+
+def assert_same_triggers(triggers: Edges, delivered: Delivered) -> None:
+    """Assert that the edges of at least ten pulses were seen at their times; the last may still be on their way."""
+    edges = delivered.edges[delivered.edge_resets[-1] :][: len(triggers)]
+    assert len(edges) >= 20
+    assert triggers["t"].tolist() == edges["t"].tolist()
+    assert triggers["kind"].tolist() == edges["kind"].tolist()
 
 
 def test_masks_and_the_rate_control_hide_what_the_driver_names_at_high_speed(
@@ -175,6 +192,7 @@ def test_biases_that_the_driver_writes_move_thresholds_and_refractory_period(
     assert rig.summary["balanced"], rig.summary
 
 
+@pytest.mark.shows("evk4", "{program}", "opens", "events")
 @pytest.mark.parametrize("program", ["eventcv"])
 def test_a_library_with_an_older_driver_inside_sees_every_event_of_its_region(
     turns: Turns[str, Seen], program: str
@@ -211,6 +229,7 @@ OPENED = [
 ]
 
 
+@pytest.mark.shows("{one.model}", "openeb", "opens", "events", "triggers", "settings")
 @pytest.mark.skipif(not OPENEB, reason="EVSTIM_OPENEB_CLIENT names no program; tests/guest/openeb/Makefile builds it")
 @pytest.mark.parametrize("one", OPENED, ids=str)
 def test_openeb_sees_every_event_of_its_window(guest: Guest, tmp_path: Path, one: Opened) -> None:
@@ -230,13 +249,16 @@ def test_openeb_sees_every_event_of_its_window(guest: Guest, tmp_path: Path, one
     assert abs(about["lux"] - 100) <= 1  # the driver cuts fractions off
     if one.has_thermometer:
         assert abs(about["celsius"] - 20) <= 1
-        assert about["dead_time_us"] == 100
+        assert about["dead_time_us"] == PRESETS["imx636"].refractory_us
     seen = np.fromfile(guest.results / out, EVENT)
     assert len(seen) >= EVENTS
     delivered = rig.delivered
     sent = delivered.events[delivered.resets[-1] :]
     assert_same(seen, sent, offset_us=0)
     assert (seen["x"].min(), seen["x"].max(), seen["y"].min(), seen["y"].max()) == (200, 999, 100, 599)
+    assert about["changed"] is True
+    triggers = np.array([(t, 2 if on else 3, 0, 0) for t, on in about["triggers"]], EDGE)
+    assert_same_triggers(triggers, delivered)
     recorded = EvtReader(guest.results / f"{out}.raw", None)
     assert recorded.facts == Facts((1280, 720), {"EVT3": "evt3", "EVT21": "evt21-legacy"}[one.form])
     assert_same(np.concatenate([part.events for part in recorded.parts()]), sent, offset_us=0)
@@ -244,6 +266,7 @@ def test_openeb_sees_every_event_of_its_window(guest: Guest, tmp_path: Path, one
 
 
 LISTED = {
+    "evk4": (ND_EVK4, EVK4, "Prophesee", "EVK4"),
     "silkyevcam_hd": (ND_EVK4, ("31f7", "0003"), "CenturyArks", "SilkyEvCam HD v03.09.00C"),
     "silkyevcam_hd_lite": (ND_EVK4, ("31f7", "0004"), "CenturyArks", "SilkyEvCam HD Lite v03.09.01C"),
     "ueye_xcp_e": (ND_EVK4, ("1409", "8e00"), "IDS Imaging Development Systems GmbH", "UE-39B0XCP"),
@@ -253,16 +276,25 @@ LISTED = {
 SIBLINGS_EVENTS = 20_000
 
 
+@pytest.mark.shows("{model}", "nd", "opens", "events", "unplugged", "plugged again")
 @pytest.mark.parametrize("model", LISTED)
 def test_a_driver_sees_every_event_of_a_sibling(
     guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path, model: str
 ) -> None:
+    """The cable is pulled while the driver streams; then it opens the camera again."""
     driver, usb_id, *strings = LISTED[model]
     looped(tmp_path)
-    with RunningRig(tmp_path, text=rig_of(model)) as rig, Attachment(guest, rig.port, model=usb_id) as camera:
-        assert [camera.device["manufacturer"], camera.device["product"]] == strings
-        streaming = Streaming(guest, driver, driver_pythons["nd"], SIBLINGS_EVENTS, timeout_s=TIMEOUT_S)
-        seen = streaming.wait()
+    more = (guest, driver, driver_pythons["nd"], SIBLINGS_EVENTS)
+    with RunningRig(tmp_path, text=rig_of(model)) as rig:
+        with Attachment(guest, rig.port, model=usb_id) as camera:
+            assert [camera.device["manufacturer"], camera.device["product"]] == strings
+            streaming = Streaming(*more, "--on", timeout_s=TIMEOUT_S)
+            streaming.wait_until_started()
+        cut = streaming.wait()
+        with Attachment(guest, rig.port, model=usb_id):
+            seen = Streaming(*more, timeout_s=TIMEOUT_S).wait()
+    assert cut.about["running"] is False
+    assert len(cut.events) >= SIBLINGS_EVENTS
     assert seen.about["serial"] == "0BADCAFE"
     assert seen.about["discovered"] == ["0BADCAFE"]
     assert len(seen.events) >= SIBLINGS_EVENTS

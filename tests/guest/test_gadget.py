@@ -75,6 +75,9 @@ def assert_turns(camera: GadgetCamera, turns: list[tuple[Driver, Seen]]) -> None
     assert camera.told.get("error") is None
 
 
+@pytest.mark.shows("davis346", "dv2", "opens", "events", "frames", "imu", "triggers")
+@pytest.mark.shows("davis346", "dv1", "opens", "events", "frames", "imu", "triggers")
+@pytest.mark.shows("davis346", "nd", "opens", "events", "frames", "imu", "triggers")
 def test_each_driver_sees_all_streams_and_opens_the_camera_again(port: Guest, driver_pythons: dict[str, Path]) -> None:
     turns = []
     with GadgetCamera(port, "--streams", looped=Looped(300_000, STREAMS_GAP_US)) as camera:
@@ -89,6 +92,7 @@ def test_each_driver_sees_all_streams_and_opens_the_camera_again(port: Guest, dr
     assert all(len(seen.imu_t) for _, seen in turns[1::2])
 
 
+@pytest.mark.shows("davis346", "dv2", "unplugged", "plugged again")
 def test_a_camera_whose_controller_is_taken_away_is_gone_and_comes_again(
     port: Guest, driver_pythons: dict[str, Path]
 ) -> None:
@@ -130,6 +134,7 @@ def test_drivers_take_turns_at_high_speed(port: Guest, driver_pythons: dict[str,
     assert_turns(camera, turns)
 
 
+@pytest.mark.shows("evk4", "nd", "opens", "events")
 def test_an_evk4_is_read_event_by_event(port: Guest, driver_pythons: dict[str, Path]) -> None:
     looped = looped_1280x720(300_000)
     looped.events["t"] *= 10

@@ -69,6 +69,7 @@ def _read(python, address, count, octets, out, openings=1, buffer_octets=0):
     return json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.shows("triton2", "nd", "opens", "events")
 @pytest.mark.parametrize("octets", [1400, 9000])
 def test_every_event_is_exact(tmp_path, run, address, driver_pythons, octets):
     told = _read(driver_pythons["nd"], address, EVENTS, octets, tmp_path / "seen.npz")
@@ -99,6 +100,7 @@ def test_the_demo_shows_the_driver_reading_every_event():
     assert comparison["received"] > 1000
 
 
+@pytest.mark.shows("triton2", "nd", "cycles")
 def test_the_camera_can_be_opened_again_and_again(tmp_path, run, address, driver_pythons):
     told = _read(driver_pythons["nd"], address, 20_000, 1400, tmp_path / "seen.npz", OPENINGS)
     summary, delivered = run.stop()

@@ -48,6 +48,7 @@ def _move(address):
     return json.loads(done.stdout.splitlines()[-1])["fault"]
 
 
+@pytest.mark.shows("triton2", "aravis", "plugged again")
 def test_aravis_searches_and_finds_it_at_the_new_address(start):
     with OwnNetwork() as network:
         start(inside=network.inside)
@@ -66,6 +67,7 @@ def _reader(python, address, count, out):
     return subprocess.Popen([*where_libusb_starts(), *arguments], **pipes)
 
 
+@pytest.mark.shows("triton2", "nd", "unplugged", "plugged again")
 def test_neuromorphic_drivers_loses_it_and_opens_it_again(tmp_path, start, driver_pythons):
     here = free_loopback_address(GVCP_PORT)
     there = here.rpartition(".")[0] + ".253"

@@ -67,6 +67,7 @@ def _decoded(path):
     return events
 
 
+@pytest.mark.shows("triton2", "aravis", "opens", "events")
 def test_aravis_finds_reads_and_writes(network, camera, tmp_path):
     assert "Lucid Vision Labs-TRT009S-E-00000346 (127.0.0.1)" in _run(network, "arv-tool-0.8")
     seen = tmp_path / "seen"
@@ -106,6 +107,7 @@ def test_aravis_has_lost_packets_sent_again(network, camera, tmp_path):
     assert len(np.setdiff1d(events, delivered)) == 0
 
 
+@pytest.mark.shows("triton2", "viva", "opens", "events", "triggers")
 def test_viva_genicam_finds_reads_and_writes(network, camera, tmp_path):
     try:
         python = VIVA.python(CACHE)

@@ -27,6 +27,7 @@ def test_usbip_lists_the_camera(guest: Guest, rig: RunningRig) -> None:
     assert "(152a:841a)" in listing
 
 
+@pytest.mark.shows("davis346", "linux", "opens")
 def test_the_kernel_reads_its_descriptors(guest: Guest, rig: RunningRig) -> None:
     with Attachment(guest, rig.port) as camera:
         device = camera.device
@@ -44,6 +45,7 @@ def test_a_camera_taken_is_refused_to_a_second_host(guest: Guest, rig: RunningRi
         assert len(usb_bus(guest, cameras=1)["devices"]) == 1
 
 
+@pytest.mark.shows("davis346", "linux", "unplugged", "plugged again")
 def test_it_can_be_plugged_in_again_and_again(guest: Guest, rig: RunningRig) -> None:
     serials = []
     for _ in range(CYCLES):

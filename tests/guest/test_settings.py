@@ -31,6 +31,7 @@ pytestmark = [
 ]
 
 
+@pytest.mark.shows("davis346", "{driver.name}", "settings")
 @pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
 def test_every_setting_is_changed_while_all_streams_run(
     guest: Guest, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path

@@ -36,6 +36,7 @@ FRAME_US = {"dv1": 40_000, "dv2": 20_000 + round(2 * 260 * 35.25)}
 LAYOUTS = {"dv2": "upright", "dv1": "turned", "nd": "upright"}
 
 
+@pytest.mark.shows("davis346", "{driver.name}", "opens", "events", "frames", "imu", "triggers")
 @pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
 def test_every_stream_is_seen_as_it_was_delivered(
     guest: Guest, driver: Driver, driver_pythons: dict[str, Path], tmp_path: Path

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from emulator.cli.app import _main
+from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.loading import RigError, load_rig, parse_rig
 from emulator.rig.tables import SecondCamera
 from emulator.run.assembly import link_setups
@@ -16,8 +17,9 @@ from emulator.run.stereo import SecondView, second_rig
 from emulator.trajectory.building import MountedPath, build_trajectory
 from emulator.trajectory.parameters import SpinPath
 from emulator.trajectory.pose import differences
+from firmware_protocol.events import EdgeKind
 from transports.link.report import CameraSettings
-from transports.recording.record import load_record
+from transports.recording.record import load_edges, load_record
 
 SCENE = """
 [scene]
@@ -70,6 +72,8 @@ def test_the_second_camera_is_another_one_at_its_place():
         ("[second_camera]\nlinks = []\n", "links must name"),
         ('[second_camera]\nlinks = ["left", "right"]\n', "the first camera needs a link too"),
         ('[second_camera]\nlinks = ["right"]\nserial = ""\n', "serial"),
+        ('[second_camera]\nlinks = ["right"]\nmodel = "evk5"\n', "second_camera.model: 'evk5'"),
+        ('[second_camera]\nlinks = ["right"]\nmodel = "evk4"\nserial = "R2D2"\n', "second_camera.serial"),
         ('[second_camera]\nlinks = ["right"]\nq_first_from_second = [1, 1, 0, 0]\n', "q_first_from_second"),
         ('[second_camera]\nlinks = ["right"]\noffset_m = [nan, 0, 0]\n', "offset_m"),
     ],
@@ -142,3 +146,49 @@ def test_the_second_sensor_follows_the_biases_of_its_own_hosts_alone():
     assert sensor.adjustable["threshold_on"] == 0.2
     view.follow({"right": CameraSettings(0, "register", {"threshold_on": 2.0})})
     assert sensor.adjustable["threshold_on"] == 0.4
+
+
+OTHER = SECOND.replace("offset_m", 'model = "evk4"\noffset_m')
+PULSES = '[trigger]\nperiod_ms = 100.0\nkind = "pulse"\npulse_us = 300\n'
+
+
+def test_a_camera_of_another_family_has_its_own_sensor_and_no_parts_of_the_first():
+    scene = SCENE.replace('"ideal"', '"dvxplorer"').replace(
+        "[camera.lens]", '[camera.imu]\nunit = "bmi160"\n[camera.lens]'
+    )
+    second = second_rig(rig(OTHER, scene)).camera
+    assert (second.model, second.size, second.imu) == ("evk4", (1280, 720), None)
+    assert second.sensor == CAMERA_MODELS["evk4"].sensor
+    with pytest.raises(RigError, match="same model"):
+        rig(OTHER, scene + "tolerance_us = 100.0\n")
+
+
+def angle_at_a_quarter_second(events, width):
+    """Return the horizontal angle of what moves, in rad: the mean place of the ON events in the busiest cells."""
+    on = events[events["on"] & (np.abs(events["t"].astype(float) - 0.25e6) < 0.02e6)]
+    cell = on["x"] // 16 + 1000 * (on["y"] // 16).astype(int)
+    counts = np.bincount(cell)
+    busy = on[counts[cell] > counts.max() / 2]
+    return math.atan((busy["x"].mean() - (width - 1) / 2) * math.tan(math.radians(12.5)) / (width / 2))
+
+
+@pytest.mark.system
+def test_cameras_of_two_families_see_one_point_and_the_same_pulses(tmp_path, capsys):
+    """A DVXplorer, and an EVK4 1 m to its right; the point, at 100 m, is then 2 m to the left of the first one.
+
+    It moves by 3 mrad while its events are taken, and a pixel is 0.7 mrad.
+    """
+    file = tmp_path / "my.toml"
+    shorter = SCENE.replace("seconds = 1.0", "seconds = 0.3").replace("step_us = 2000", "step_us = 5000")
+    file.write_text(shorter.replace('"ideal"', '"dvxplorer"') + PULSES + OTHER + LINKS)
+    assert _main(["run", str(file), "--record", str(tmp_path / "seen.npz"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["balanced"]
+    angles, edges = {}, {}
+    for name, width in (("left", 640), ("right", 1280)):
+        events, resets = load_record(tmp_path / f"seen-{name}.npz")
+        angles[name] = angle_at_a_quarter_second(events[resets[-1] :], width)
+        edges[name] = [edge for edge in load_edges(tmp_path / f"seen-{name}.npz")[0] if edge["kind"] != EdgeKind.PULSE]
+    assert angles["left"] == pytest.approx(-2.0 / 100.0, abs=0.003)
+    assert angles["right"] == pytest.approx(-3.0 / 100.0, abs=0.003)
+    times = [t for k in (1, 2) for t in (100_000 * k, 100_000 * k + 300)]
+    assert [int(edge["t"]) for edge in edges["left"]] == [int(edge["t"]) for edge in edges["right"]] == times

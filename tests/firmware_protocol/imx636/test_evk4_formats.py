@@ -77,8 +77,10 @@ def test_edges_and_silence_are_in_the_words():
     camera.advance(30_000_000)
     data = b"".join(octets(camera))
     seen = by_the_tables(data, "evt21-legacy")[1]
-    assert seen["t"].tolist() == [50, 60, 70, 70]
+    assert seen["t"].tolist() == [50, 60, 70, 170]
     assert seen["kind"].tolist() == [EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.RISING, EdgeKind.FALLING]
+    edges = camera.counters.edges
+    assert (edges.offered, edges.added, edges.delivered) == (3, 1, 4)
     highs = np.frombuffer(data, "<u4")[::2][-3:] & 0x0FFF_FFFF
     assert highs[-1] == 30_000_000 >> 6  # time high alone carries the time
 

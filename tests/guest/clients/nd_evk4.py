@@ -1,8 +1,14 @@
-"""neuromorphic_drivers reads a Prophesee EVK4; with --masks some rows, columns and pixels are masked."""
+"""neuromorphic_drivers reads a Prophesee EVK4; with --masks some rows, columns and pixels are masked.
+
+With --settings it changes each bias and each mask while it streams, and sets all back.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import fields, replace
 from importlib.metadata import version
+from itertools import count
 
 import neuromorphic_drivers as nd
 from collecting import Collector, arguments, parser
@@ -26,18 +32,33 @@ def configuration(*, masks: bool, limit: int) -> evk4.Configuration:
     return told
 
 
+def changed(told: evk4.Configuration) -> Iterator[evk4.Configuration]:
+    """Each bias and each mask changed alone, and at the last the configuration as it was."""
+    for bias in fields(evk4.Biases):
+        value = getattr(told.biases, bias.name) + 1
+        yield replace(told, biases=replace(told.biases, **{bias.name: value}))
+    masked = configuration(masks=True, limit=0)
+    for name in ("x_mask", "y_mask", "pixel_mask"):
+        yield replace(told, **{name: getattr(masked, name)})
+    yield told
+
+
 def main() -> None:
     asked = parser()
     asked.add_argument("--masks", action="store_true", help="mask rows, columns and a pixel")
     asked.add_argument("--limit", type=int, default=0, help="events per 200 us that the rate control lets by")
+    asked.add_argument("--settings", action="store_true", help="change biases and masks while it streams")
     options = arguments(asked)
     collector = Collector(options)
     discovered = [device.serial for device in nd.list_devices()]
     running, overflows = True, 0
     told = configuration(masks=options.masks, limit=options.limit)
+    changes = list(changed(told)) if options.settings else []
+    change_at = count(0, options.count // 20)  # all changes are made in the first 17 of 20 parts
+    change_next, changes_made = next(change_at), 0
     with nd.open(told, iterator_timeout=0.1) as camera:
         seen = {"serial": camera.serial(), "name": camera.name().value, "connection": camera.connection().value}
-        while running and not collector.done:
+        while running and (changes or not collector.done):
             try:
                 _status, packet = next(camera)
             except RuntimeError:  # the camera was unplugged
@@ -45,9 +66,12 @@ def main() -> None:
                 continue
             if packet is None:
                 continue
+            if collector.counts["events"] > change_next and changes:
+                camera.update_configuration(changes.pop(0))
+                change_next, changes_made = next(change_at), changes_made + 1
             if packet.trigger_events is not None:
                 for trigger in packet.trigger_events:
-                    collector.add_trigger(int(trigger["t"]), RISING if trigger["polarity"] else FALLING)
+                    collector.add_trigger(int(trigger["t"]), RISING if trigger["rising"] else FALLING)
             if packet.polarity_events is not None:
                 events = packet.polarity_events
                 overflows += len(packet.polarity_events_overflow_indices or ())
@@ -59,6 +83,7 @@ def main() -> None:
             camera.update_configuration(told)
         # Before the camera is closed: after an unplugging, closing may end the process (see environments.py).
         seen |= {"version": version("neuromorphic_drivers"), "discovered": discovered, "overflows": overflows}
+        seen["changes"] = changes_made
         collector.report(running=running, **seen)
 
 

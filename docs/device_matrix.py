@@ -1,0 +1,326 @@
+"""Write matrix.md, cameras and unmodified clients, from the outcomes of tests: python docs/device_matrix.py
+
+The outcomes are in device_matrix.json, written by a run of the tests (see tests/shown.py). A camera is one record of
+CAMERAS, a client one of CLIENTS; both the page and the outcomes are in the repository, and a test keeps them together.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+PAGE = Path(__file__).with_name("matrix.md")
+OUTCOMES = Path(__file__).with_name("device_matrix.json")
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column: its heading, and the word of a cell whose test passed."""
+
+    heading: str
+    shown: str = "shown"
+
+
+COLUMNS = {
+    "opens": Column("opens"),
+    "events": Column("events", "exact"),
+    "frames": Column("frames", "exact"),
+    "imu": Column("IMU", "exact"),
+    "triggers": Column("triggers", "exact"),
+    "settings": Column("settings while streaming"),
+    "unplugged": Column("unplugged while streaming"),
+    "plugged again": Column("plugged again"),
+    "cycles": Column("opened again and again"),
+}
+
+
+@dataclass(frozen=True)
+class Client:
+    """A program of others: its name and version."""
+
+    name: str
+    version: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.version}".strip()
+
+
+CLIENTS = {
+    "dv2": Client("dv-processing", "2.0.4"),
+    "dv1": Client("dv-processing (libcaer inside)", "1.7.9"),
+    "nd": Client("neuromorphic_drivers", "0.18.2"),
+    "eventcv": Client("EventCV (neuromorphic_drivers 0.17 inside)", "1.0.8"),
+    "openeb": Client("OpenEB (HAL and Treuzell plugin)", "5.1.1"),
+    "aravis": Client("Aravis", "of Debian, 0.8"),
+    "viva": Client("viva-genicam", "0.10.0"),
+    "linux": Client("Linux kernel and Debian's usbip"),
+}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera of the page.
+
+    Attributes
+    ----------
+    name
+        Heading of its table.
+    clients
+        Keys of CLIENTS in the order of the rows.
+    lacks
+        Columns that the camera does not have.
+    limits
+        By client and column, the reason why the client cannot do it with any such camera.
+    remarks
+        By client and column, a note to what is shown.
+    hardware
+        Inferred or not public: where a real camera may differ.
+    """
+
+    name: str
+    clients: tuple[str, ...]
+    lacks: tuple[str, ...] = ()
+    limits: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    remarks: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    hardware: tuple[str, ...] = ()
+
+
+_KERNEL_ONLY = dict.fromkeys(
+    [("linux", column) for column in ("events", "frames", "imu", "triggers", "settings", "cycles")],
+    "the kernel lists and attaches the camera; it does not read it",
+)
+_NO_PLUGIN = "the maker's own plug-in is not public; OpenEB's own driver is given the camera's vendor and product"
+_SILKY_AND_IDS = {("openeb", "opens"): _NO_PLUGIN}
+_IMX636_LACKS = ("frames", "imu")
+
+CAMERAS = {
+    "davis346": Camera(
+        "DAVIS346",
+        ("dv2", "dv1", "nd", "linux"),
+        limits=_KERNEL_ONLY,
+        remarks={
+            ("nd", "triggers"): "the driver has no setting for the detector of the external input; the test writes "
+            "its registers beside the driver",
+            ("nd", "settings"): "a change of the region of interest stops the frames; the test starts them "
+            "beside the driver",
+            ("dv2", "settings"): "without the three calls that lose data or do not return, "
+            "see [drivers](drivers.md#changed-while-streaming)",
+        },
+        hardware=(
+            "The clock of its logic (104 MHz in register 6.3) and the two endpoints' numbers are assumed; "
+            "drivers take any.",
+            "It sends from the start, without the silence of `camera.start_delay_ms`: neuromorphic_drivers can then "
+            "reorder the first buffers.",
+            "The size of the cells of its background filter is not published.",
+        ),
+    ),
+    "evk4": Camera(
+        "Prophesee EVK4 HD",
+        ("nd", "eventcv", "openeb"),
+        lacks=_IMX636_LACKS,
+        hardware=(
+            "Device release, version numbers, intervals and power of a shipped camera are not public.",
+            "It repeats the high word of the time every 16 µs; here a word is sent when it changes, and every 4096 µs.",
+            "Factory values of the biases differ a little from camera to camera.",
+            "It sends at once after the start: neuromorphic_drivers can then reorder the first buffers.",
+        ),
+    ),
+    "silkyevcam_hd": Camera(
+        "CenturyArks SilkyEvCam HD",
+        ("nd", "openeb"),
+        _IMX636_LACKS,
+        remarks=_SILKY_AND_IDS,
+        hardware=("As the EVK4; CenturyArks' own plug-in may compare more than the two open drivers do.",),
+    ),
+    "silkyevcam_hd_lite": Camera(
+        "CenturyArks SilkyEvCam HD Lite",
+        ("nd", "openeb"),
+        _IMX636_LACKS,
+        remarks=_SILKY_AND_IDS,
+        hardware=("Its sensor (IMX646) is inferred, and the factory values of its biases are not public.",),
+    ),
+    "ueye_xcp_e": Camera(
+        "IDS uEye XCP-E",
+        ("nd", "openeb"),
+        _IMX636_LACKS,
+        remarks=_SILKY_AND_IDS,
+        hardware=("As the EVK4; the maker's own software may compare more.",),
+    ),
+    "ueye_xls_e": Camera(
+        "IDS uEye XLS-E",
+        ("nd", "openeb"),
+        _IMX636_LACKS,
+        hardware=("Its product number, kind and sensor are inferred.",),
+    ),
+    "evk3_hd": Camera(
+        "Prophesee EVK3 HD",
+        ("nd", "openeb"),
+        _IMX636_LACKS,
+        hardware=("Its strings are inferred; its pixels are the IMX636's here, a Gen4.1's own are not public.",),
+    ),
+    "dvxplorer": Camera(
+        "DVXplorer",
+        ("dv2", "dv1", "nd"),
+        lacks=("frames",),
+        remarks={
+            ("nd", "imu"): "the driver exchanges the first two axes of the gyroscope; the test puts them back",
+            ("nd", "triggers"): "the driver has no setting for the detector; the test writes its registers "
+            "beside the driver",
+        },
+        hardware=(
+            "Strings, power, the interval of endpoint 81 and the bits of the orientation register are not public.",
+            "The bit that marks the start of a scan, and how busy columns lengthen a scan, are inferred.",
+            "The size of a step of the contrast thresholds is assumed: 7.3 % of the default.",
+            "In a mode with a fixed read-out time it loses events that do not fit a scan; here the scan takes longer.",
+        ),
+    ),
+    "triton2": Camera(
+        "LUCID Triton2 EVS (GigE Vision)",
+        ("nd", "aravis", "viva"),
+        lacks=_IMX636_LACKS,
+        remarks={
+            (client, column): "its address changes, which is how a network camera is lost and found"
+            for client in ("nd", "aravis")
+            for column in ("unplugged", "plugged again")
+        },
+        hardware=(
+            "Time limits of its control channel (3000 ms, at least 500 ms), its hardware address and the speed of "
+            "its link (1000 Mbit/s here, the family has 2500) are inferred.",
+            "LUCID's Arena SDK is not public and was not run.",
+        ),
+    ),
+}
+
+NOT_RUN = (
+    ("libcaer 3.3.15 by itself", "DAVIS346, DVXplorer", "dv-processing 1.7.9 has it inside"),
+    ("DV, jAER", "DAVIS346, DVXplorer", "programs with a graphical surface"),
+    ("libcaer_driver, metavision_driver (ROS)", "all on USB", "need ROS; they use libcaer and OpenEB"),
+    ("Metavision SDK", "EVK4, EVK3 HD", "closed; OpenEB is its open part"),
+    ("plug-ins of CenturyArks and IDS", "their cameras", "closed"),
+    ("Arena SDK", "Triton2 EVS", "closed"),
+)
+
+_HEAD = """# Cameras and clients
+
+This page shows, for each camera and each unmodified client, the tests that passed. It is written by
+`docs/device_matrix.py` from `docs/device_matrix.json`, which a run of the tests writes:
+
+```sh
+EVSTIM_MATRIX=docs/device_matrix.json python -m pytest -m guest --timeout 900
+python docs/device_matrix.py
+```
+
+| cell | meaning |
+|---|---|
+| exact | every value that the client returned was compared with what left the camera, and is equal |
+| shown | a test of it passed |
+| **fails** | a test of it failed in the run; the reason stands below the table |
+| not run | a test exists, and was skipped in the run |
+| not in the client | the client cannot do this with any such camera |
+| not tried | no test exists |
+| – | the camera does not have it |
+
+A number is that of the test below the table; a letter is that of a note. The run took place on {dates}. The clients run
+on a Linux kernel's USB in a guest that QEMU emulates ([how to attach a camera](drivers.md)), those of GigE Vision on
+the host's own network. No real camera was at hand: a client that accepts this one may behave otherwise with a real
+camera, see the list below each table."""
+
+
+def cell_word(column: str, outcomes: Iterable[str]) -> str:
+    """Return the word of a cell from the outcomes of its tests: it is green only if none failed and one passed."""
+    found = set(outcomes)
+    if "failed" in found:
+        return "**fails**"
+    return COLUMNS[column].shown if "passed" in found else "not run"
+
+
+class _Table:
+    """A camera's table, with its tests numbered and its notes lettered in the order of their first cells."""
+
+    def __init__(self, camera: Camera, rows: Sequence[Row]) -> None:
+        self._camera, self._rows = camera, rows
+        self._tests: dict[str, list[Row]] = {}
+        self._notes: list[str] = []
+
+    def text(self) -> str:
+        headings = ["client", *(column.heading for column in COLUMNS.values())]
+        lines = [f"## {self._camera.name}", "", _line(headings), "|---" * len(headings) + "|"]
+        for client in self._camera.clients:
+            lines.append(_line([str(CLIENTS[client]), *(self._cell(client, column) for column in COLUMNS)]))
+        lines += ["", *self._list_of_tests(), "", *self._list_of_notes()]
+        lines += ["A real camera may differ:", "", *(f"- {one}" for one in self._camera.hardware)]
+        return "\n".join(lines)
+
+    def _cell(self, client: str, column: str) -> str:
+        rows = [row for row in self._rows if row["client"] == client and column in row["what"]]
+        if rows:
+            numbers = dict.fromkeys(self._number(row) for row in rows)
+            marks = [str(number) for number in numbers] + self._letters(self._camera.remarks.get((client, column)))
+            return f"{cell_word(column, (row['outcome'] for row in rows))} ({', '.join(marks)})"
+        if column in self._camera.lacks:
+            return "–"
+        if reason := self._camera.limits.get((client, column)):
+            return f"not in the client ({self._letters(reason)[0]})"
+        return "not tried"
+
+    def _number(self, row: Row) -> int:
+        """Return the number of a test; its parameters share one."""
+        name = row["test"].partition("[")[0]
+        rows = self._tests.setdefault(name, [])
+        if all(row["test"] != known["test"] for known in rows):
+            rows.append(row)
+        return list(self._tests).index(name) + 1
+
+    def _letters(self, note: str | None) -> list[str]:
+        if note is None:
+            return []
+        if note not in self._notes:
+            self._notes.append(note)
+        return [chr(ord("a") + self._notes.index(note))]
+
+    def _list_of_tests(self) -> list[str]:
+        return [f"{k}. `{name}`{_of_parameters(rows)}" for k, (name, rows) in enumerate(self._tests.items(), 1)]
+
+    def _list_of_notes(self) -> list[str]:
+        notes = [f"- {chr(ord('a') + k)}: {note}" for k, note in enumerate(self._notes)]
+        return [*notes, ""] if notes else []
+
+
+def _of_parameters(rows: Sequence[Row]) -> str:
+    """Return the parameters of a test, and the reason of each that did not pass."""
+    named = [row["test"].partition("[")[2].removesuffix("]") for row in rows]
+    passed = [name for name, row in zip(named, rows, strict=True) if row["outcome"] == "passed" and name]
+    text = f" [{', '.join(passed)}]" if passed else ""
+    for name, row in zip(named, rows, strict=True):
+        if row["outcome"] != "passed":
+            state = {"failed": "failed", "skipped": "not run"}[row["outcome"]]
+            text += f"; {f'[{name}] ' if name else ''}{state}: {row['reason'].replace('|', '/')}"
+    return text
+
+
+def _line(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def page(rows: Sequence[Row]) -> str:
+    """Return the page of these outcomes."""
+    dates = sorted({row["date"] for row in rows})
+    span = " to ".join(dict.fromkeys([*dates[:1], *dates[-1:]]))
+    tables = [_Table(camera, [row for row in rows if row["camera"] == key]).text() for key, camera in CAMERAS.items()]
+    not_run = ["## Not run", "", _line(("client", "cameras", "reason")), "|---|---|---|", *map(_line, NOT_RUN)]
+    return "\n\n".join([_HEAD.replace("{dates}", span), *tables, "\n".join(not_run)]) + "\n"
+
+
+def load() -> list[Row]:
+    """Return the outcomes in the repository."""
+    rows: list[Row] = json.loads(OUTCOMES.read_text(encoding="utf-8"))
+    return rows
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(load()), encoding="utf-8")
