@@ -82,10 +82,10 @@ if TYPE_CHECKING:
     from firmware_protocol.can_frames.dbc import Identifiers
     from firmware_protocol.device.clock import ClockSettings, ClockStep
     from firmware_protocol.events import EDGE, EVENT
-    from firmware_protocol.imx636.biases import BiasSlopes
     from firmware_protocol.instrument.settings import InstrumentSettings
     from firmware_protocol.network_streams.coders import PictureSettings
     from firmware_protocol.packets.profile import Profile
+    from firmware_protocol.prophesee.biases import BiasSlopes
     from firmware_protocol.receiver.can import CanReceiver, CanReceiverSettings
     from firmware_protocol.receiver.clock_estimator import ClockEstimate, ClockEstimator
     from firmware_protocol.receiver.davis import DavisReceiver
@@ -349,7 +349,7 @@ _NAMES = {
     "firmware_protocol.can_frames.dbc": ("Identifiers",),
     "firmware_protocol.device.clock": ("ClockSettings", "ClockStep"),
     "firmware_protocol.events": ("EDGE", "EVENT"),
-    "firmware_protocol.imx636.biases": ("BiasSlopes",),
+    "firmware_protocol.prophesee.biases": ("BiasSlopes",),
     "firmware_protocol.instrument.settings": ("InstrumentSettings",),
     "firmware_protocol.network_streams.coders": ("PictureSettings",),
     "firmware_protocol.packets.profile": ("Profile",),

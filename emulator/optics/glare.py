@@ -4,9 +4,9 @@
 
 g is the veiling glare index of ISO 9358: the light in the image of a small black area within a uniform bright field,
 over that of the field. What is scattered is missing in the image, so a uniform field and the mean stay as they are.
-Published lenses lie between 0.5 and 5 %: below 1 % is very good, 2 to 3 % usual (from memory; Imatest's page on veiling
-glare describes the measurement). Left out: the halo around a bright light, ghost images, and light from beyond the
-edge of the image.
+Usual lenses are taken to lie between 0.5 and 5 %, good ones below 1 %: not verified, no public table was found
+(imatest.com/docs/veilingglare describes the measurement). Left out: the halo around a bright light, ghost images, and
+light from beyond the edge of the image.
 
 The veil follows the light exactly at each frame, with its time derivative. Between two frames the mean is the cubic
 through both values and derivatives, so the light of a single pixel there is off by at most g D h^4 / 384 for a step h,

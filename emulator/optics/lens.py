@@ -105,7 +105,7 @@ class LensParameters:
         Tangential distortion.
     veiling_glare
         Share of the light that the lens scatters evenly over the image (veiling glare index, ISO 9358): 0.01 to 0.05
-        for usual lenses. Every change of light then changes all pixels, so none can be skipped.
+        for usual lenses (not verified). Every change of light then changes all pixels, so none can be skipped.
     """
 
     field_of_view_deg: float = 25.0

@@ -21,12 +21,16 @@ from emulator.tables.registry import Registry
 from emulator.tables.typed_table import KeyPath, TableError, convert_kind, unknown
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo
 from firmware_protocol.davis346.registers import driver_imu_settings
-from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerSettings
+from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, DvxplorerSettings
 from firmware_protocol.dvxplorer import registers as dvxplorer_registers
+from firmware_protocol.genx320 import registers as genx320_registers
+from firmware_protocol.genx320.biases import SLOPES as GENX320_SLOPES
+from firmware_protocol.genx320.device import Genx320, Genx320Settings
 from firmware_protocol.imu_samples import BMI160, ImuSettings
 from firmware_protocol.imx636.boards import BOARDS
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.imx636.registers import Surroundings
+from firmware_protocol.prophesee.biases import BiasSlopes
 from firmware_protocol.usb.device import Speed, UsbCamera
 from transports.faults.kinds import Fault
 from transports.link.kind import LinkKind, LinkParameters
@@ -163,12 +167,15 @@ class CameraModel:
     ----------
     gige
         Whether it is a GigE Vision device.
+    bias_slopes
+        Effects of its biases where a rig gives none, if `camera.bias_slopes` may change them.
     """
 
     sensor: SensorParameters
     chip: Chip
     usb: UsbModel | None = None
     gige: bool = False
+    bias_slopes: BiasSlopes | None = None
 
     @property
     def is_imx636(self) -> bool:
@@ -219,6 +226,24 @@ def _dvxplorer(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     return partial(Dvxplorer, settings)
 
 
+def _dvxplorer_micro(bcd_device: int, camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
+    settings = DvxplorerMicroSettings(
+        serial=camera.serial,
+        bcd_device=bcd_device,
+        speed=Speed[camera.speed.upper()],
+        fifo_bytes=camera.fifo_bytes,
+        start_delay_us=round(usb.start_delay_ms * 1000),
+        imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
+    )
+    return partial(DvxplorerMicro, settings)
+
+
+def _micro(bcd_device: int) -> CameraModel:
+    """Return the model of a DVXplorer Micro with a version of its device."""
+    usb = UsbModel((640, 480), partial(_dvxplorer_micro, bcd_device), has_groups=True, imu_units=("bmi160",))
+    return CameraModel(PRESETS["dvxplorer_micro"], CHIPS["dvxplorer_micro"], usb)
+
+
 def _evk4(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     sensor = camera.sensor
     settings = Evk4Settings(
@@ -234,6 +259,21 @@ def _evk4(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     return partial(Evk4, settings)
 
 
+def _genx320(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
+    sensor = camera.sensor
+    settings = Genx320Settings(
+        serial=camera.serial,
+        speed=Speed[camera.speed.upper()],
+        fifo_bytes=camera.fifo_bytes,
+        start_delay_us=round(usb.start_delay_ms * 1000),
+        surroundings=genx320_registers.Surroundings(sensor.temperature.celsius, dead_time_us=sensor.refractory_us),
+        biases=camera.bias_model,
+    )
+    return partial(Genx320, settings)
+
+
+_SLOPES = BiasSlopes()
+
 CAMERA_MODELS: Mapping[str, CameraModel] = {
     "davis346": CameraModel(
         PRESETS["davis346"], CHIPS["davis346"], UsbModel((346, 260), _davis346, imu_units=_DAVIS_UNITS)
@@ -243,14 +283,23 @@ CAMERA_MODELS: Mapping[str, CameraModel] = {
         CHIPS["dvxplorer_micro"],
         UsbModel((640, 480), _dvxplorer, has_groups=True, imu_units=("bmi160",)),
     ),
-    "dvxplorer_micro": CameraModel(PRESETS["dvxplorer_micro"], CHIPS["dvxplorer_micro"]),
-    "imx636": CameraModel(PRESETS["imx636"], CHIPS["imx636"]),
+    "dvxplorer_micro": _micro(0x040A),
+    "dvxplorer_micro_firmware9": _micro(0x0409),
+    "imx636": CameraModel(PRESETS["imx636"], CHIPS["imx636"], bias_slopes=_SLOPES),
     **dict.fromkeys(
-        BOARDS, CameraModel(PRESETS["imx636"], CHIPS["imx636"], UsbModel((1280, 720), _evk4, has_evt=True))
+        BOARDS,
+        CameraModel(
+            PRESETS["imx636"], CHIPS["imx636"], UsbModel((1280, 720), _evk4, has_evt=True), bias_slopes=_SLOPES
+        ),
     ),
-    "triton2": CameraModel(PRESETS["imx636"], CHIPS["imx636"], gige=True),
+    "triton2": CameraModel(PRESETS["imx636"], CHIPS["imx636"], gige=True, bias_slopes=_SLOPES),
     "gen31": CameraModel(PRESETS["gen31"], CHIPS["gen31"]),
-    "genx320": CameraModel(PRESETS["genx320"], CHIPS["genx320"]),
+    "genx320": CameraModel(
+        PRESETS["genx320"],
+        CHIPS["genx320"],
+        UsbModel((320, 320), _genx320, has_evt=True),
+        bias_slopes=GENX320_SLOPES,
+    ),
     "ideal": CameraModel(PRESETS["ideal"], CHIPS["davis346"], UsbModel((346, 260), _davis346, imu_units=_DAVIS_UNITS)),
 }
 """Camera models by the name that rigs write."""

@@ -11,7 +11,7 @@ from emulator.sensor.parameters import FrameParameters, ImuParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.device.clock import ClockSettings
 from firmware_protocol.events import EdgeKind
-from firmware_protocol.imx636.biases import BiasModel, BiasSlopes
+from firmware_protocol.prophesee.biases import BiasModel, BiasSlopes
 from transports.link.edges import EdgeTiming, EdgeTrain
 
 __all__ = ["Camera", "Method", "Run", "SecondCamera", "Trigger", "TriggerEdges", "Verdict"]
@@ -29,7 +29,7 @@ class Camera:
     model
         Name of a camera: its sensor's size, pixels and read-out, and its connector.
     serial
-        Serial number that the host reads, up to 8 characters; of an "evk4" and its siblings, hexadecimal digits.
+        Serial number that the host reads, up to 8 characters; of Prophesee's cameras on USB, hexadecimal digits.
     speed
         USB speed: "super" or "high".
     layout
@@ -53,7 +53,8 @@ class Camera:
     frames
         The active pixels of a DAVIS346: with this table the camera takes frames when its host requests them.
     bias_slopes
-        Effect of a step of each bias of an IMX636: model "evk4", "triton2" or "imx636"; without it, the defaults.
+        Effect of a step of each bias of an IMX636 (model "evk4", "triton2", "imx636") or a GenX320 ("genx320");
+        without it, the defaults; those of a GenX320 are in its page.
     """
 
     model: str = "davis346"
@@ -85,7 +86,7 @@ class Camera:
 
     @property
     def bias_model(self) -> BiasModel:
-        """Model of the effects of an IMX636's biases on this sensor."""
+        """Model of the effects of a Prophesee sensor's biases on this sensor."""
         slopes = self.bias_slopes or BiasSlopes()
         has_delay = self.sensor.jitter.latency_us > 0
         return BiasModel(slopes, "source_follower_hz" if self.sensor.source_follower_hz else "corner_max_hz", has_delay)

@@ -17,6 +17,7 @@ from emulator.rig.kinds import (
     CAMERA_MODELS,
     LINKS,
     SCENES,
+    CameraModel,
     UsbModel,
     UsbSettings,
     convert_fault,
@@ -39,6 +40,7 @@ from emulator.tables.typed_table import (
     table_type,
     unknown,
 )
+from firmware_protocol.prophesee.biases import BiasSlopes
 from transports.faults.kinds import Fault
 from transports.link.kind import CameraFacts, LinkParameters, Unsuitable
 
@@ -131,10 +133,10 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
     if model not in CAMERA_MODELS:
         raise TableError(unknown(str(model), list(CAMERA_MODELS)), (*path, "model"))
     own = {k: v for k, v in table.items() if k != "sensor"}
-    camera = convert(own, Camera, path)
+    camera = convert(_with_slopes(own, CAMERA_MODELS[model]), Camera, path)
     camera = dataclasses.replace(camera, sensor=_sensor(table.get("sensor", {}), CAMERA_MODELS[model].sensor))
-    if camera.bias_slopes is not None and not CAMERA_MODELS[model].is_imx636:
-        able = " or ".join(name for name, one in CAMERA_MODELS.items() if one.is_imx636)
+    if camera.bias_slopes is not None and CAMERA_MODELS[model].bias_slopes is None:
+        able = " or ".join(name for name, one in CAMERA_MODELS.items() if one.bias_slopes is not None)
         raise TableError(f"biases of a {model} have no slopes: leave it out, or take {able}", (*path, "bias_slopes"))
     usb = CAMERA_MODELS[model].usb
     if usb is not None:
@@ -144,6 +146,14 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
         except ValueError as error:
             raise TableError(str(error), (*path, "serial")) from error
     return camera
+
+
+def _with_slopes(table: dict[str, Any], model: CameraModel) -> dict[str, Any]:
+    """Return the table of a camera with the slopes of the model's biases that it leaves out."""
+    slopes = table.get("bias_slopes", {})
+    if model.bias_slopes in (None, BiasSlopes()) or not isinstance(slopes, dict):
+        return table
+    return {**table, "bias_slopes": dataclasses.asdict(model.bias_slopes) | slopes}
 
 
 def _check_imu(camera: Camera, usb: UsbModel) -> None:

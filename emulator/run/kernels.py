@@ -255,10 +255,10 @@ def _code_evt() -> None:
 
 
 def _code_groups() -> None:
-    """Compile the coder and the decoder of a DVXplorer's words."""
-    from firmware_protocol.dvxplorer import GroupDecoder, GroupEncoder
+    """Compile the coders and the decoders of both DVXplorers' words."""
+    from firmware_protocol.dvxplorer import DvxplorerMicro, FrameDecoder, GroupDecoder, GroupEncoder
 
-    GroupEncoder((_WIDTH, _HEIGHT)), GroupDecoder()
+    GroupEncoder((_WIDTH, _HEIGHT)), GroupDecoder(), DvxplorerMicro(), FrameDecoder()
 
 
 def _filter_activity() -> None:

@@ -100,7 +100,8 @@ class TemperatureParameters:
 
     Attributes
     ----------
-    celsius : temperature of the chip, degrees Celsius; `leak_hz` and `dark_current_relative` hold at 20.
+    celsius : temperature of the chip, degrees Celsius; `leak_hz`, `dark_current_relative` and `corner_min_hz` hold at
+        20.
     """
 
     celsius: float = REFERENCE_CELSIUS
@@ -285,7 +286,9 @@ class ComparatorParameters:
     """Delay of the comparators, which depends on the slope of the signal and on the polarity; see `pixels.comparator`.
 
     No camera's times are published. An estimate for the DAVIS346 at its default biases: an output node of 10 fF swings
-    by 1 V at the bias currents that its drivers set, 387 nA for ON and 0.19 nA for OFF, in 0.03 us and 53 us.
+    by 1 V at the bias currents that its drivers set, 387 nA for ON and 0.19 nA for OFF, in 0.03 us and 53 us. The
+    currents are libcaer's (github.com/ros-event-camera/libcaer, davis_common.h and davis.c): coarse 5 of 387.5 nA, fine
+    255 of 255; coarse 4 of 48.437 nA, fine 1. Node and swing are not published.
 
     Attributes
     ----------

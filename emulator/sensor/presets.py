@@ -78,7 +78,8 @@ recording of one camera, in unknown light.
     [24] Fitted to the same camera (column "opposite", `evstim validate`): pixels that fire against the edge within half
         a second, at 0.006 to 0.4 W/m2 and in the dark between. Noise has the bandwidth of the photoreceptor, so that
         its rate in the dark gives the dark current: with 0.001 the rate would be a fifteenth of that. One camera, at
-        an unknown temperature: one under the night sky agrees better with a chip 25 K colder (`evstim validate stars`).
+        an unknown temperature that stands for the 20 degrees at which parameters hold: a camera under the night sky
+        agrees better with a chip 32 K colder, so rigs of the night sky have -12 degrees (`evstim validate stars`).
         Recording [12] has 0.0038 Hz in unknown light, all taken as background: noise adds 0.056 Hz to it at light 1,
         0.0025 Hz at 2 and 0.0002 Hz from 4 on, by simulation.
 

@@ -8,7 +8,7 @@ one of them finds the same camera at the others. Subclass and let pytest collect
             bus = FakeUsbBus(device, self.camera.settings.descriptors())
             return Plugged(PyusbHost.find(0x152A, self.camera.product, bus, timeout_s), bus.call)
 
-The camera is a DAVIS346; `camera = DVXPLORER` in the class makes it a DVXplorer.
+The camera is a DAVIS346; `camera = DVXPLORER` in the class makes it a DVXplorer, DVXPLORER_MICRO one with a CX3.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from evstim.testing.link_contract import event_stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.davis346.fx3 import Fx3Camera
 from firmware_protocol.davis346.settings import Fx3Settings
-from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerSettings
+from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, DvxplorerSettings
 from firmware_protocol.events import Events
 from firmware_protocol.usb.device import SetupPacket, UsbDevice
 from transports.faults.faulty_device import FaultyDevice
@@ -34,8 +34,9 @@ from transports.faults.usb import ControlStall, ShortTransfers, SlowControl, Usb
 from transports.usb.davis_host import DavisHost, Fx3Host
 from transports.usb.dvxplorer_host import DvxplorerHost
 from transports.usb.host import StallError, StreamSettings, TransferTimeout, UsbHost
+from transports.usb.micro_host import MicroHost
 
-__all__ = ["DAVIS346", "DVXPLORER", "ContractCamera", "Plugged", "UsbContract"]
+__all__ = ["DAVIS346", "DVXPLORER", "DVXPLORER_MICRO", "ContractCamera", "Plugged", "UsbContract"]
 
 _T = TypeVar("_T")
 
@@ -80,6 +81,8 @@ class ContractCamera:
 _SERIAL = "00000042"
 DAVIS346 = ContractCamera(Davis346Settings(serial=_SERIAL, start_delay_us=0), Davis346, DavisHost, 5)
 DVXPLORER = ContractCamera(DvxplorerSettings(serial=_SERIAL, start_delay_us=0), Dvxplorer, DvxplorerHost, 20)
+_MICRO = DvxplorerMicroSettings(serial=_SERIAL, start_delay_us=0, bcd_device=0x0409, has_frames=False)
+DVXPLORER_MICRO = ContractCamera(_MICRO, DvxplorerMicro, MicroHost, 20)
 
 
 @dataclass(frozen=True)

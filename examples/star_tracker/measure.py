@@ -28,7 +28,7 @@ __all__ = ["Measured", "errors_arcsec", "main", "measure", "recorded", "true_att
 
 RATES_DEG_S = (0.1, 0.2, 0.5, 1.0, 2.0)
 MOVE_PX = 10.0
-WINDOWS = 8
+WINDOWS = 20
 SETTLE_PX = 15.0  # motion before the first window
 NOISES_HZ = {"preset": None, "noise of 0.15 Hz": 0.15}
 """Noise events of a pixel, Hz: the preset's, and those of a recording under the night sky (docs/star-tracker.md)."""

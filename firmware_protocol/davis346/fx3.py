@@ -29,20 +29,20 @@ from __future__ import annotations
 
 import struct
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from firmware_protocol.davis346.blocks import Marks, join_marks, no_marks
+from firmware_protocol.davis346.blocks import Block, Marks, join_marks, no_marks
 from firmware_protocol.davis346.filters import Passed
 from firmware_protocol.davis346.inputs import ExternalInput, InputSettings, ReadingInput
 from firmware_protocol.davis346.registers import Module, RegisterFile, RunGate
 from firmware_protocol.davis346.settings import DATA_ENDPOINT, Fx3Settings
-from firmware_protocol.davis346.stream import EventStream
+from firmware_protocol.davis346.stream import Late
 from firmware_protocol.device.fates import Fates
-from firmware_protocol.device.items import Numbers, ReadingKind, Readings
+from firmware_protocol.device.items import ItemEncoder, Numbers, ReadingKind, Readings
 from firmware_protocol.events import Edges, Events, copy_events, empty_events
 from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.device import RequestKind, SetupPacket, Stall, Transfer, UsbCamera
@@ -88,11 +88,42 @@ class _Statistics(Protocol):
         """Write the counts since power-on into the registers."""
 
 
+class _Stream(ItemEncoder[Transfer], Protocol):
+    """Data path after the gate; see `EventStream`."""
+
+    epoch_us: int
+
+    @property
+    def free_words(self) -> int:
+        """Free room for words of events."""
+
+    @property
+    def room_until_us(self) -> int:
+        """Stream time up to which it can advance now without dropping anything."""
+
+    def room_beside(self, reserved_words: int) -> int:
+        """Return the number of events that certainly fit beside `reserved_words`."""
+        ...
+
+    def start_time(self, now_us: int) -> None:
+        """Begin device time at zero for a reader in its initial state; drop the queue."""
+
+    def reset_time(self, now_us: int) -> None:
+        """Begin device time at zero, with a reset word in the stream."""
+
+    def put(self, events: Events, marks: Marks | None = None, blocks: Sequence[Block] = ()) -> Late:
+        """Queue items in stream time, at least one in all; return those that found no room."""
+        ...
+
+    def advance(self, now_us: int) -> None:
+        """Queue the words of time due at stream time `now_us`."""
+
+
 @dataclass(frozen=True)
 class Parts:
     """Parts in which one model differs from another."""
 
-    stream: EventStream
+    stream: _Stream
     filters: _Filters
     readings: ReadingInput
     statistics: _Statistics

@@ -24,7 +24,7 @@ from collections.abc import Callable
 
 from firmware_protocol.davis346.biases import LEAST_FACTOR, MOST_FACTOR
 
-__all__ = ["STEP", "sensor_factors", "without_effect"]
+__all__ = ["STEP", "level_factors", "sensor_factors", "without_effect"]
 
 
 STEP = 0.073
@@ -52,6 +52,11 @@ def sensor_factors(chip: Callable[[int], int], scan_us: float) -> dict[str, floa
     """
     on = min(chip(_ON), _MOST_CURRENT) + _RANGE_LEVELS * bool(chip(_RANGES) & _ON_RANGE)
     off = _MOST_CURRENT - min(chip(_OFF), _MOST_CURRENT) + _RANGE_LEVELS * (not chip(_LEVELS) & _OFF_LEVEL)
+    return level_factors(on, off, scan_us)
+
+
+def level_factors(on: int, off: int, scan_us: float) -> dict[str, float]:
+    """Return the factors that are not 1, by sensor parameter, of ON and OFF levels (0 to 17) and a period of a scan."""
     levels = {"threshold_on": on, "threshold_off": off}
     factors = {name: 1 + STEP * (v - _DEFAULT_LEVEL) for name, v in levels.items()}
     factors["scan_us"] = min(max(scan_us / _DEFAULT_SCAN_US, LEAST_FACTOR), MOST_FACTOR)

@@ -31,7 +31,7 @@ from firmware_protocol.dvxplorer.registers import AREA_WORDS, SIZE, Chip, ChipSt
 from firmware_protocol.dvxplorer.words import ROWS_OF_GROUP, GroupEncoder
 from firmware_protocol.events import Events
 
-__all__ = ["ChipFilters", "ChipStatistics"]
+__all__ = ["ChipFilters", "ChipStatistics", "polarity_format", "sampled"]
 
 
 Mask = npt.NDArray[np.bool_]
@@ -41,6 +41,11 @@ _NO_AREA, _NO_SUBSAMPLING = 1 << 1, 1 << 2
 _BLOCK = 32
 _KEPT_OF = {1: (1, 2), 2: (2, 4), 3: (1, 4), 4: (4, 8), 7: (1, 8)}
 _CROP_NAMES = 9
+
+
+def polarity_format(mode: int) -> int:
+    """Return the bits of the format register of a polarity mode: 0 both, 1 all are ON, 2 ON only, 3 OFF only."""
+    return (0, _FLATTEN, _ON_ONLY, _OFF_ONLY)[mode]
 
 
 class ChipFilters:
@@ -69,7 +74,7 @@ class ChipFilters:
         digital, ratio, *crop = values[: 2 + _CROP_NAMES]
         columns, rows = _cropped(crop)
         if not digital & _NO_SUBSAMPLING:
-            columns, rows = columns & _sampled(ratio & 7, SIZE[0]), rows & _sampled(ratio >> 3 & 7, SIZE[1])
+            columns, rows = columns & sampled(ratio & 7, SIZE[0]), rows & sampled(ratio >> 3 & 7, SIZE[1])
         self._columns, self._rows = columns[::-1].copy(), rows[::-1].copy()
         blocks = None if digital & _NO_AREA else _blocks(values[2 + _CROP_NAMES :])
         self._blocks = None if blocks is None or blocks.all() else blocks
@@ -117,7 +122,7 @@ def _cropped(crop: list[int]) -> tuple[Mask, Mask]:
     return columns, rows.ravel()
 
 
-def _sampled(code: int, pixels: int) -> Mask:
+def sampled(code: int, pixels: int) -> Mask:
     """Return a mask of the pixels of a line that a code of sub-sampling sends."""
     kept, period = _KEPT_OF.get(code, (1, 1))
     sent: Mask = np.arange(pixels) % period < kept

@@ -41,7 +41,7 @@ Sources: libcaer 3.3.15 (dvxplorer.h, dvxplorer.c), neuromorphic-drivers 0.16.1,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -69,9 +69,11 @@ __all__ = [
     "chip_of",
     "driver_imu_settings",
     "imu_settings",
+    "imu_settings_of",
     "registers",
     "run_gate",
     "scan_us",
+    "system_registers",
 ]
 
 
@@ -196,7 +198,7 @@ def registers(system: SystemInfo = SYSTEM, imu_unit: int = 0) -> Iterator[Regist
     yield from declare(Module.EXTERNAL_INPUT, external_input(system.logic_clock_mhz), note="logic clock cycles")
     for address, name, default in _CHIP:
         yield Register(Module.BIAS, address, name, default, bits=8)
-    yield from _system(system)
+    yield from system_registers(system)
     yield from usb_registers(system)
     for statistic in ChipStatistic:
         module, upper = statistic.value
@@ -204,7 +206,8 @@ def registers(system: SystemInfo = SYSTEM, imu_unit: int = 0) -> Iterator[Regist
         yield from declare(module, halves, fixed, "half of a 64-bit counter")
 
 
-def _system(info: SystemInfo) -> Iterator[Register]:
+def system_registers(info: SystemInfo) -> Iterator[Register]:
+    """Return the registers of system information."""
     rows: Rows = (
         (0, "LOGIC_VERSION", info.logic_version),
         (1, "CHIP_IDENTIFIER", info.chip_id),
@@ -268,10 +271,15 @@ _SMALLEST_GYROSCOPE_RANGE = 4
 
 def imu_settings(values: RegisterFile, *, words: bool) -> ImuSettings:
     """Return the settings in the registers; `words`: true while the data path runs."""
-    unit, _, *parts = (values.read(Module.IMU, k) for k in range(5))
-    if unit != BMI160:
+    if values.read(Module.IMU, 0) != BMI160:
         return ImuSettings()
-    a_rate, a_filter, a_range, g_rate, g_filter, g_range = (values.read(Module.IMU, k) for k in range(5, 11))
+    return imu_settings_of([values.read(Module.IMU, k) for k in range(2, 11)], words=words)
+
+
+def imu_settings_of(codes: Sequence[int], *, words: bool) -> ImuSettings:
+    """Return the settings of a BMI160 in nine numbers as those of registers 2 to 10 of module 3."""
+    *parts, a_rate, a_filter, a_range, g_rate, g_filter, g_range = codes
+    unit = BMI160
     accelerometer, gyroscope, temperature = map(bool, parts)
     rates = [_ACCELEROMETER.rate_hz(a_rate)] * accelerometer + [_GYROSCOPE.rate_hz(g_rate)] * gyroscope
     per_ms, divider = _rate(max(rates, default=_ACCELEROMETER.rate_hz(a_rate)))

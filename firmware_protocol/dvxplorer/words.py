@@ -64,6 +64,8 @@ COLUMN_BITS = 0x3FF
 OFF_BIT = 0x100
 FARTHEST = 31  # groups from group 1 to group 2
 ROWS_OF_GROUP = 8
+LOWEST_BIT = np.array([0, *(np.log2(mask & -mask) for mask in range(1, 256))], np.uint8)
+"""Number of the lowest bit that is set in a byte."""
 
 entry = entry_of("firmware_protocol.dvxplorer", "firmware_protocol.evt", "firmware_protocol.davis346.words")
 

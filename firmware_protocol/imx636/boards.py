@@ -32,37 +32,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from firmware_protocol.imx636.registers import GEN41, IMX636, IMX646, Chip
+from firmware_protocol.prophesee.usb import BoardIdentity
 
 __all__ = ["BOARDS", "BoardModel"]
 
 
 @dataclass(frozen=True)
-class BoardModel:
-    """Identity of a board.
+class BoardModel(BoardIdentity):
+    """Identity of a board, and its sensor.
 
     Attributes
     ----------
-    title
-        Its name for people.
-    usb_id
-        (vendor, product).
-    manufacturer, product
-        String descriptors.
-    kind
-        Kind of board, as the vendor request reports it.
     chip
         Its sensor.
-    short_frames
-        True if hosts write registers by frames without a size (see `treuzell`).
     """
 
-    title: str
-    usb_id: tuple[int, int]
-    manufacturer: str
-    product: str
-    kind: int = 0x31
     chip: Chip = IMX636
-    short_frames: bool = False
 
 
 _PROPHESEE, _SILKY, _SILKY_LITE, _UEYE = (0x04B4, 0x00F5), (0x31F7, 0x0003), (0x31F7, 0x0004), (0x1409, 0x8E00)

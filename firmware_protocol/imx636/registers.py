@@ -24,7 +24,7 @@ Other registers only store their value, 8000 among them: words leave in the orde
 Addresses from 0 to FFFC and from 400000 to 400FFC exist. There is no EVT2: the format has one bit. Rows count from the
 top, as in EVT3 and OpenEB; neuromorphic_drivers counts those of masks from the bottom.
 
-The effect of the biases on the pixels is in `imx636.biases`.
+The effect of the biases on the pixels is in `prophesee.biases`.
 
 A Gen4.1, the sensor before the IMX636, has the same registers as far as hosts use them, and other biases.
 
@@ -46,7 +46,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.imx636.biases import BiasModel
+from firmware_protocol.prophesee.biases import BiasModel
 
 __all__ = [
     "BIASES",

@@ -2,69 +2,19 @@
 
 Row and column masks take effect together when bit 5 of the array control is written; masked pixels at once.
 
-Event rate control: the first events of each period of the sensor's clock leave it, the others do not.
+The event rate control is that of `prophesee.selection`.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import Events
 from firmware_protocol.imx636.registers import PIXEL_MASKS, SIZE, Address, Registers
+from firmware_protocol.prophesee.selection import Mask, RateControl, Selected, unpacked
 
-__all__ = ["RateControl", "Selected", "Selection"]
-
-
-_Mask = npt.NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Selected:
-    """Events (n,) EVENT that pass, and the numbers of the others, by reason."""
-
-    events: Events
-    outside: int
-    beyond_rate: int
-
-
-class RateControl:
-    """Limit of the events in each period of the device's clock."""
-
-    def __init__(self, period_us: int) -> None:
-        self._period_us, self._most = period_us, 0
-        self._period, self._seen = -1, 0
-        self.on = False
-
-    def turn(self, on: int) -> None:
-        """Switch it on or off."""
-        self.on = bool(on)
-
-    def set_period_us(self, period_us: int) -> None:
-        """Set the length of a period."""
-        self._period_us = period_us
-
-    def set_most(self, events: int) -> None:
-        """Set the number of events that pass in a period."""
-        self._most = events
-
-    def selected(self, events: Events, wanted: Events, epoch_us: int) -> Selected:
-        """Return the part that passes of the `wanted` ones of `events`, both sorted; the clock was 0 at `epoch_us`."""
-        passing = wanted[self._passing(wanted, epoch_us)] if self.on else wanted
-        return Selected(passing, len(events) - len(wanted), len(wanted) - len(passing))
-
-    def _passing(self, events: Events, epoch_us: int) -> _Mask:
-        """Return a mask of the events (n,) EVENT, sorted, that pass, (n,) bool: the first ones of each period."""
-        if not len(events):
-            return np.zeros(0, np.bool_)
-        periods = (events["t"].astype(np.int64) - epoch_us) // self._period_us
-        ranks = np.arange(len(periods)) - np.searchsorted(periods, periods)
-        if periods[0] == self._period:
-            ranks[periods == self._period] += self._seen
-        self._period, self._seen = int(periods[-1]), int(ranks[-1]) + 1
-        return ranks < self._most
+__all__ = ["Selection"]
 
 
 _MASKS_ON, _TAKE_OVER, _KEEP_INSIDE = 1 << 1, 1 << 5, 1 << 6
@@ -103,7 +53,7 @@ class Selection:
         wanted = events[~self._hidden(events)] if self._hides or len(self._pixels) else events
         return self._rate.selected(events, wanted, epoch_us)
 
-    def _hidden(self, events: Events) -> _Mask:
+    def _hidden(self, events: Events) -> Mask:
         hidden = np.zeros(len(events), np.bool_)
         if self._hides:
             rows, columns = self._rows[events["y"]], self._columns[events["x"]]
@@ -120,9 +70,8 @@ class Selection:
             self._rows = self._mask(Address.ROWS, SIZE[1])
         self._hides = bool(control & _MASKS_ON) and bool(self._columns.any() or self._rows.any())
 
-    def _mask(self, address: int, pixels: int) -> _Mask:
-        words = self._registers.words(address, -(-pixels // 32)).astype("<u4")
-        return np.unpackbits(words.view(np.uint8), count=pixels, bitorder="little").astype(np.bool_)
+    def _mask(self, address: int, pixels: int) -> Mask:
+        return unpacked(self._registers.words(address, -(-pixels // 32)), pixels)
 
     def _set_rate(self) -> None:
         state, period_us, events, on, drops = (self._registers[address] for address in _RATE)

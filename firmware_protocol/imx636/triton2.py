@@ -36,8 +36,6 @@ from firmware_protocol.gige.control import (
 from firmware_protocol.gige.gvcp import Resend, Status
 from firmware_protocol.gige.gvsp import BLOCK_OCTETS, Block, removed, test_packet
 from firmware_protocol.gige.registers import DO_NOT_FRAGMENT, TEST_PACKET, Memory, Register, Rule, packet_size
-from firmware_protocol.imx636.camera import LONGEST_GAP_US, Imx636Camera, Outflow, OutflowLimits
-from firmware_protocol.imx636.selection import RateControl, Selected
 from firmware_protocol.imx636.triton2_registers import (
     ACQUISITION_START,
     ACQUISITION_STOP,
@@ -56,6 +54,8 @@ from firmware_protocol.imx636.triton2_registers import (
     triton2_areas,
     triton2_rules,
 )
+from firmware_protocol.prophesee.camera import LONGEST_GAP_US, Outflow, OutflowLimits, PropheseeCamera
+from firmware_protocol.prophesee.selection import RateControl, Selected
 
 __all__ = ["Extra", "Outgoing", "RangeSelection", "Triton2"]
 
@@ -145,7 +145,7 @@ class BlockOutflow(Outflow[Outgoing]):
         return block
 
 
-class Triton2(Imx636Camera[BlockOutflow]):
+class Triton2(PropheseeCamera[BlockOutflow]):
     """The camera. `offer` takes events, `advance` the passing of stream time, `obey` orders.
 
     Attributes

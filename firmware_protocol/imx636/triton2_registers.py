@@ -42,7 +42,7 @@ from firmware_protocol.gige.description import (
 )
 from firmware_protocol.gige.gvsp import BLOCK_OCTETS
 from firmware_protocol.gige.registers import DeviceIdentity, Rule, between, no_value, standard_areas, standard_rules
-from firmware_protocol.imx636.biases import BiasModel
+from firmware_protocol.prophesee.biases import BiasModel
 
 __all__ = [
     "ACQUISITION_START",

@@ -15,9 +15,9 @@ from typing import Literal
 
 from firmware_protocol.davis346.biases import BIASES as DAVIS_BIASES
 from firmware_protocol.davis346.biases import sensor_factors
-from firmware_protocol.imx636.biases import BiasModel
 from firmware_protocol.imx636.registers import BIASES as IMX_BIASES
 from firmware_protocol.instrument.queue import Policy, QueueBounds, Selection
+from firmware_protocol.prophesee.biases import BiasModel
 
 __all__ = ["DavisBiases", "Imx636Biases", "InstrumentSettings", "SensorBiases"]
 

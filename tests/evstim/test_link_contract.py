@@ -153,6 +153,10 @@ class TestEvk4OnLoopback(TestLoopback):
     camera = Camera(model="evk4", sensor=PRESETS["imx636"], start_delay_ms=0.0)
 
 
+class TestGenx320OnLoopback(TestLoopback):
+    camera = Camera(model="genx320", sensor=PRESETS["genx320"], start_delay_ms=0.0)
+
+
 @pytest.mark.system
 class TestSerial(LinkContract):
     parameters = SerialLink(baud=12_000_000, instrument=PATIENT)

@@ -9,12 +9,13 @@ from instrument_ground import Ground, stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.events import EdgeKind, empty_edges
+from firmware_protocol.genx320.device import Genx320, Genx320Settings
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.imx636.triton2 import Triton2
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.telecommands import SetBias
-from transports.usb.cameras import Evk4Host
+from transports.usb.cameras import TreuzellHost
 from transports.usb.loopback import DirectHost
 
 
@@ -33,7 +34,13 @@ def davis():
 
 def evk4():
     camera = Evk4(Evk4Settings(start_delay_us=0))
-    Evk4Host(DirectHost(camera)).start()
+    TreuzellHost(DirectHost(camera)).start()
+    return camera, lambda: camera.read(1, 512)
+
+
+def genx320():
+    camera = Genx320(Genx320Settings(start_delay_us=0))
+    TreuzellHost(DirectHost(camera)).start()
     return camera, lambda: camera.read(1, 512)
 
 
@@ -53,10 +60,11 @@ def plain():
     return camera, lambda: camera.take(100)
 
 
-@pytest.mark.parametrize("make", [davis, evk4, triton2, instrument, plain])
+@pytest.mark.parametrize("make", [davis, evk4, genx320, triton2, instrument, plain])
 def test_counts_are_those_of_the_counters(make):
     camera, take = make()
     events = stream(1000)
+    events["x"] %= 320
     for step in (
         lambda: camera.offer(events[:500]),
         lambda: camera.advance(5000),
@@ -80,7 +88,7 @@ def write_davis():
 
 def write_evk4():
     camera = Evk4()
-    host = Evk4Host(DirectHost(camera))
+    host = TreuzellHost(DirectHost(camera))
     return camera, lambda: host.write_register(0x1000, 0x11A1_0504)
 
 
@@ -105,13 +113,13 @@ def test_a_request_that_changes_settings_changes_their_version(make):
     assert camera.settings_version != before
 
 
-@pytest.mark.parametrize("make", [davis, evk4, triton2, instrument, plain])
+@pytest.mark.parametrize("make", [davis, evk4, genx320, triton2, instrument, plain])
 def test_a_camera_whose_data_a_host_reads_is_not_at_rest(make):
     camera, _ = make()
     assert not camera.at_rest
 
 
-@pytest.mark.parametrize("kind", [Davis346, Evk4, Triton2])
+@pytest.mark.parametrize("kind", [Davis346, Evk4, Genx320, Triton2])
 def test_a_camera_without_a_host_is_at_rest(kind):
     assert kind().at_rest
 

@@ -12,10 +12,13 @@ import dataclasses
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tests.guest.all_streams import assert_same_streams
+from firmware_protocol.events import Events
+from tests.guest.all_streams import COLUMNS, assert_same_streams
 from tests.guest.attachment import DVXPLORER, Attachment
+from tests.guest.comparison import assert_same
 from tests.guest.environments import DRIVERS, Driver
 from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
@@ -86,3 +89,28 @@ def test_every_stream_is_seen_as_it_was_delivered(
     assert_same_streams(driver, seen, rig.delivered)
     assert rig.summary["balanced"], rig.summary
     assert rig.summary["links"]["usbip"]["edges"]["balanced"], rig.summary
+
+
+MICRO = RIG.replace('"dvxplorer"', '"dvxplorer_micro"').replace(RIG[RIG.index("[trigger]") : RIG.index("[run]")], "")
+
+
+def by_column(events: Events) -> Events:
+    """Return events in the order in which dv-processing hands over those of one column: all OFF events come first."""
+    return events[np.lexsort((events["y"], events["on"], events["x"], events["t"]))]
+
+
+def test_a_micro_is_seen_as_it_was_delivered(guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path) -> None:
+    """Its library stamps an inertial sample when it arrives, so only the values are compared."""
+    driver = DRIVERS[0]
+    with RunningRig(tmp_path, text=MICRO) as rig, Attachment(guest, rig.port, model=DVXPLORER) as camera:
+        assert camera.device["bcdDevice"] == "040a"
+        seen = Streaming(guest, driver, driver_pythons["dv2"], EVENTS, "--imu", timeout_s=TIMEOUT_S).wait()
+    delivered = rig.delivered
+    assert any("DVX00042" in found for found in seen.about["discovered"])
+    assert len(seen.events) >= EVENTS
+    events = delivered.events[delivered.resets[-1] :]
+    assert_same(seen.events, by_column(events), offset_us=int(seen.events["t"][0]) - int(events["t"][0]))
+    values = np.column_stack([delivered.imu[name] for name in COLUMNS]).astype(np.float64)
+    assert len(seen.imu) >= 100
+    np.testing.assert_allclose(seen.imu, values[: len(seen.imu)], rtol=4e-7, atol=1e-9)
+    assert rig.summary["balanced"], rig.summary

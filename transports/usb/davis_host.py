@@ -136,8 +136,8 @@ class Fx3Host(CameraHost[DavisInfo]):
     product: ClassVar[int]
     firmware: ClassVar[int]
     patch: ClassVar[int]
-    stop_writes: ClassVar[tuple[Entry, ...]]
-    start_writes: ClassVar[tuple[Entry, ...]]
+    stop_writes: tuple[Entry, ...]
+    start_writes: tuple[Entry, ...]
 
     def __init__(self, host: UsbHost) -> None:
         super().__init__(host)

@@ -77,7 +77,9 @@ USBIP = LinkKind(
     serves="usb",
     endpoint=_usbip_endpoint,
     faults=USB_FAULTS,
-    listener=Listener("usb", "Read a DAVIS346, a DVXplorer or an EVK4 on USB.", "emulator.cli.listen.cameras:listen"),
+    listener=Listener(
+        "usb", "Read a DAVIS346, a DVXplorer, an EVK4 or a GenX320 on USB.", "emulator.cli.listen.cameras:listen"
+    ),
     check=_check_model,
     listens_on=lambda link: (link.host, link.port) if link.port else None,
     needs=lambda link: (VHCI,),

@@ -33,7 +33,7 @@ def listen(
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Read a DAVIS346, a DVXplorer or an EVK4, real or emulated, and count the received data. Ctrl-C ends it.
+    """Read a DAVIS346, a DVXplorer, an EVK4 or a GenX320, real or emulated, and count its data. Ctrl-C ends it.
 
     Parameters
     ----------

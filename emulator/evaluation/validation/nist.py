@@ -27,7 +27,7 @@ from emulator.light import LightFrame
 from emulator.sensor.presets import IMX636_W_M2, PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import Events
-from firmware_protocol.imx636.biases import BiasModel
+from firmware_protocol.prophesee.biases import BiasModel
 
 __all__ = [
     "NIST",

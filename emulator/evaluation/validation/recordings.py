@@ -7,8 +7,11 @@ two halves of the recording. `data/SOURCES.md` names the recordings.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +19,7 @@ from scipy import stats
 
 from emulator.evaluation.characterise.still_light import StillLight, still_events
 from emulator.evaluation.validation.findings import Datum, Findings, Kind, Source
+from emulator.report.page import BLUE, INK, figure_legend, panels, save
 from emulator.sensor.chip.sources import BackgroundEvents
 from emulator.sensor.parameters import KickParameters
 from emulator.sensor.presets import PRESETS
@@ -68,6 +72,7 @@ def davis346(seed: int) -> Findings:
             " reported for such pixels, with a third of OFF events, is that of motion near them.",
             "The light of moving pixels between two frames is not known, so their rates are not compared.",
         ),
+        partial(_draw_street, real, ours, seen),
     )
 
 
@@ -115,14 +120,7 @@ def _still_distances(real: Events, ours: Events, seen: StillLight) -> list[Datum
     halves = [real[(real["x"] + real["y"]) % 2 == k] for k in (0, 1)]
     return [
         _separable(name, *(of(events, seen) for events in (real, ours, *halves)))
-        for name, of in {
-            "counts of the pixels": _counts,
-            "gaps between successive events": lambda events, _: np.diff(np.sort(events["t"].astype(np.int64))),
-            "events in 10 ms": lambda events, _: np.bincount((events["t"] // 10_000).astype(int), minlength=236),
-            "time in the frame, of the own row": _phase_us,
-            "level of the pixels that fire": _levels,
-            "neighbours: distance to the last event, pixels": _leaps,
-        }.items()
+        for name, of in {"counts of the pixels": _counts, **_SAMPLES}.items()
     ]
 
 
@@ -140,6 +138,15 @@ def _phase_us(events: Events, seen: StillLight) -> _Array:
 def _leaps(events: Events, _: StillLight) -> _Array:
     ordered = events[np.argsort(events["t"], kind="stable")]
     return np.hypot(*(np.diff(ordered[name].astype(np.float64)) for name in ("x", "y")))
+
+
+_SAMPLES: dict[str, Callable[[Events, StillLight], _Array]] = {
+    "gaps between successive events": lambda events, _: np.diff(np.sort(events["t"].astype(np.int64))),
+    "events in 10 ms": lambda events, _: np.bincount((events["t"] // 10_000).astype(int), minlength=236),
+    "time in the frame, of the own row": _phase_us,
+    "level of the pixels that fire": _levels,
+    "neighbours: distance to the last event, pixels": _leaps,
+}
 
 
 def _separable(what: str, real: _Array, ours: _Array, first: _Array, second: _Array) -> Datum:
@@ -256,6 +263,7 @@ def evk4(seed: int) -> Findings:
             "The recording has no frames: light on the pixels, and so noise over light, cannot be compared.",
             "The background alone is simulated; the preset's noise adds less than 0.0005 Hz a pixel from light 4 on.",
         ),
+        partial(_draw_quiet, halves, ours),
     )
 
 
@@ -327,3 +335,39 @@ def _samples(of: dict[str, _Array], names: tuple[str, ...]) -> _Array:
     if names[0] in _KINDS:
         return np.concatenate([of[name] for name in names])
     return np.repeat(np.arange(len(of[names[0]])), of[names[0]].astype(np.int64))
+
+
+def _cumulative(axes: Any, values: _Array, **style: Any) -> None:
+    """Draw the share of the values up to each of them; at most 10^4 of them."""
+    ordered = np.sort(_few(values))
+    axes.step(ordered, np.arange(1, ordered.size + 1) / max(ordered.size, 1), where="post", **style)
+
+
+def _draw_street(real: Events, ours: Events, seen: StillLight, stem: Path) -> list[Path]:
+    """Draw the distributions that are compared, but for the counts: nearly all pixels have none."""
+    titles = [f"{name}{', us' if of is _phase_us or 'gaps' in name else ''}" for name, of in _SAMPLES.items()]
+    figure, every = panels(len(_SAMPLES), 3, (3.8, 3.0))
+    for (axes,), of, title in zip(every, _SAMPLES.values(), titles, strict=True):
+        _cumulative(axes, of(real, seen), color=INK, label="recording")
+        _cumulative(axes, of(ours, seen), color=BLUE, label="ours")
+        axes.set(xlabel=title, ylabel="share of values up to x", ylim=(0, 1.02))
+    figure_legend(figure)
+    return save(figure, stem)
+
+
+def _draw_quiet(halves: list[dict[str, _Array]], ours: dict[str, _Array], stem: Path) -> list[Path]:
+    """Draw the distributions of the intervals by polarities, and the number of pixels over their events."""
+    figure, every = panels(len(_KINDS) + 1, 3, (3.8, 3.0))
+    for (axes,), kind in zip(every, _KINDS, strict=False):
+        real = np.concatenate([half[kind] for half in halves])
+        _cumulative(axes, real.astype(np.float64) * 1e-6, color=INK, label="recording")
+        _cumulative(axes, ours[kind].astype(np.float64) * 1e-6, color=BLUE, label="ours")
+        first, second = kind.upper().split("_")
+        axes.set(xlabel=f"interval from {first} to {second}, s", ylabel="share of values up to x", ylim=(0, 1.02))
+    (axes,) = every[-1]
+    for counts, colour in ((_sum(halves, "counts"), INK), (ours["counts"], BLUE)):
+        above = np.cumsum(counts[::-1].astype(np.int64))[::-1]
+        axes.loglog(np.arange(1, len(above)), above[1:], color=colour)
+    axes.set(xlabel="events of a pixel, at least", ylabel="pixels")
+    figure_legend(figure)
+    return save(figure, stem)

@@ -142,7 +142,8 @@ LEAST_DARK, MOST_DARK = 1e-30, 1e6
 def at_temperature(p: SensorParameters) -> SensorParameters:
     """Return the sensor's parameters at `temperature.celsius`, from those at the reference temperature.
 
-    Hot pixels leak through a junction too, so their rate follows the leak's.
+    Hot pixels leak through a junction too, so their rate follows the leak's. The least corner frequency is that of the
+    dark current, which it follows up to the greatest.
 
     Raises
     ------
@@ -168,6 +169,7 @@ def at_temperature(p: SensorParameters) -> SensorParameters:
         leak_hz=p.leak_hz * leak,
         defects=dataclasses.replace(p.defects, hot_hz=hot_hz),
         dark_current_relative=dark,
+        corner_min_hz=min(p.corner_min_hz * t.dark_factor, p.corner_max_hz),
         temperature=dataclasses.replace(t, celsius=REFERENCE_CELSIUS),
     )
 

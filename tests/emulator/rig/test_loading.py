@@ -18,6 +18,7 @@ from emulator.rig.loading import (
 )
 from emulator.rig.top_level import rig_schema
 from emulator.sensor.presets import PRESETS
+from firmware_protocol.genx320.biases import SLOPES
 
 GOOD = """\
 title = "t"
@@ -252,6 +253,13 @@ def test_slopes_of_biases_are_refused_where_there_are_none_or_they_cannot_be():
         text = IMX636.format(model=model, slopes="", follower_hz=0.0)
         assert f"biases of a {model} have no slopes" in message(text)
     assert "refr must be 0 to 1" in message(IMX636.format(model="evk4", slopes="refr = 2.0", follower_hz=0.0))
+
+
+def test_a_genx320_has_slopes_of_its_own_beside_those_of_the_rig():
+    biases = parse_rig(IMX636.format(model="genx320", slopes="diff_on = 0.01", follower_hz=0.0), "t.toml", "t").camera
+    assert biases.bias_model.slopes == dataclasses.replace(SLOPES, diff_on=0.01)
+    plain = parse_rig(GOOD.replace('"davis346"', '"genx320"'), "t.toml", "t").camera
+    assert plain.bias_model.slopes == SLOPES
 
 
 @pytest.mark.parametrize(("model", "size", "pitch_um"), [("gen31", (640, 480), 15.0), ("genx320", (320, 320), 6.3)])

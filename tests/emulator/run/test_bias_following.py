@@ -14,8 +14,9 @@ from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346.biases import BIASES, CoarseFine, sensor_factors
 from firmware_protocol.dvxplorer import Dvxplorer
-from firmware_protocol.imx636.biases import BiasModel
+from firmware_protocol.genx320.device import Genx320
 from firmware_protocol.packets.telecommands import SetBias
+from firmware_protocol.prophesee.biases import BiasModel
 from firmware_protocol.usb.device import SetupPacket
 from transports.link.report import CameraSettings
 
@@ -147,6 +148,17 @@ def test_what_has_no_effect_is_told_once(caplog):
         "gige: bias hpf has no effect: there is no high-pass",
         "gige: biases have no effect on refractory_us: this source of events cannot change it",
     ]
+
+
+@pytest.mark.parametrize(("address", "value", "towards", "slope"), [(0x1104, 60, 1, 0.0298), (0x110C, 19, -1, 0.0508)])
+def test_thresholds_of_a_genx320_measured_from_events_follow_its_registers(address, value, towards, slope):
+    camera, opened = Genx320(), {0x1104: 25, 0x110C: 28}
+    camera.write_register(address, 0x1101_0000 | value)
+    sensor = Sensor(dataclasses.replace(IDEAL, threshold_on=0.223, threshold_off=0.223), 1)
+    sensor.reset(LightFrame(0, np.full((4, 8), START[towards], np.float32)))
+    BiasFollowing(sensor).follow({"usbip": report(**camera.sensor_factors)})
+    expected = 0.223 * math.exp(slope * (value - opened[address]))
+    assert LN_RAMP / events_of_ramp(sensor, towards) == pytest.approx(expected, rel=0.03)
 
 
 @pytest.mark.parametrize("steps", [-85, -30, 60, 140])

@@ -171,6 +171,7 @@ def test_dark_current_and_hot_pixels_follow_the_temperature():
     p = with_(temperature=TemperatureParameters(celsius=36.0), defects=DefectParameters(hot_share=0.1, hot_hz=4.0))
     warm = at_temperature(p)
     assert warm.dark_current_relative == pytest.approx(4 * p.dark_current_relative)
+    assert warm.corner_min_hz == pytest.approx(4 * p.corner_min_hz)
     assert warm.defects.hot_hz == pytest.approx(4 * 2 ** (16 / 9))
     assert at_temperature(warm) == warm
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from firmware_protocol.imx636.boards import BOARDS
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.usb.device import SetupPacket
-from transports.usb.cameras import CAMERAS, Evk4Host, driver_of
+from transports.usb.cameras import CAMERAS, TreuzellHost, driver_of
 from transports.usb.loopback import DirectHost
 
 # Strings in the library of neuromorphic_drivers 0.18.2; ids and kinds in the source of 0.16.1 and issue 5.
@@ -63,7 +63,7 @@ def test_openeb_finds_its_sensor(name):
 def test_it_streams_to_our_own_driver(name):
     camera = board(name)
     host = driver_of(DirectHost(camera))
-    assert isinstance(host, Evk4Host)
+    assert isinstance(host, TreuzellHost)
     assert BOARDS[name].title in host.model.split(" or ")
     host.write_register(0x7000, 0x0007_0003)  # as another program left it
     host.start()

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
-from firmware_protocol.imx636.treuzell import Frame
+from firmware_protocol.prophesee.treuzell import Frame
 from firmware_protocol.usb.device import SetupPacket, Stall
 
 

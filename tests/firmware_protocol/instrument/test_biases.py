@@ -5,10 +5,10 @@ import math
 import pytest
 
 from firmware_protocol.davis346.biases import BIASES as DAVIS_BIASES
-from firmware_protocol.imx636.biases import BiasModel
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import DavisBiases, Imx636Biases
 from firmware_protocol.packets.telecommands import SetBias
+from firmware_protocol.prophesee.biases import BiasModel
 
 FACTORY = {0: 0x7C, 1: 0x53, 3: 0, 4: 0x66, 5: 0x4D, 6: 0x49, 7: 0x5B, 8: 0x14, 16: 0x8C, 17: 0x7C, 18: 0x94}
 

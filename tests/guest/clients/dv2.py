@@ -47,7 +47,8 @@ def open_camera(options: argparse.Namespace) -> dv.io.camera.DAVIS:
 
 def take(camera: dv.io.camera.DAVIS, collector: Collector, options: argparse.Namespace) -> None:
     """Take one packet of each stream that is asked for, or wait for a moment."""
-    collect_triggers(camera, collector)
+    if hasattr(camera, "getNextTriggerBatch"):  # a DVXplorer Micro has no external input
+        collect_triggers(camera, collector)
     if options.imu:
         collect_imu(camera, collector)
     if options.frames and (frame := camera.getNextFrame()) is not None:
@@ -74,9 +75,9 @@ def main() -> None:
         "name": camera.getCameraName(),
         "serial": camera.getSerialNumber(),
         "resolution": list(resolution),
-        "logic": camera.getLogicVersion(),
+        "logic": camera.getLogicVersion() if hasattr(camera, "getLogicVersion") else None,
         "speed": str(camera.getConnectionSpeed()),
-        "master": camera.isMaster(),
+        "master": camera.isMaster() if hasattr(camera, "isMaster") else None,
         "running": camera.isRunning(),
     }
     del camera

@@ -2,9 +2,10 @@
 //
 //     client COUNT TIMEOUT_S OUT.bin [FORMAT [VENDOR PRODUCT]]
 //
-// FORMAT is EVT3 or EVT21; VENDOR and PRODUCT, in hexadecimal digits, are those of a board that OpenEB does not list
-// itself, and that its maker opens by a plug-in of its own. The anti-flicker filter and the
-// trigger input are switched on; four biases and the window are changed and set back while it streams.
+// FORMAT is EVT3, EVT21, or EVT2 of a GenX320; VENDOR and PRODUCT, in hexadecimal digits, are those of a board that OpenEB
+// does not list itself, and that its maker opens by a plug-in of its own. The anti-flicker filter and the trigger input
+// are switched on; so are, of a GenX320, the noise filter, the crop with a new origin, the rate control and the mask of a
+// pixel. Of the others four biases and the window are changed and set back while they stream.
 //
 // Writes each event as t (int64, us), x, y (uint16), polarity (uint8), 13 bytes, to OUT.bin, has OpenEB record the same
 // stream to OUT.bin.raw, and prints what it saw as JSON.
@@ -23,10 +24,16 @@
 #include "metavision/hal/device/device.h"
 #include "metavision/hal/facilities/i_antiflicker_module.h"
 #include "metavision/hal/facilities/i_camera_synchronization.h"
+#include "metavision/hal/facilities/i_digital_crop.h"
+#include "metavision/hal/facilities/i_digital_event_mask.h"
+#include "metavision/hal/facilities/i_erc_module.h"
 #include "metavision/hal/facilities/i_event_decoder.h"
+#include "metavision/hal/facilities/i_event_rate_activity_filter_module.h"
 #include "metavision/hal/facilities/i_events_stream.h"
 #include "metavision/hal/facilities/i_events_stream_decoder.h"
+#include "metavision/hal/facilities/i_geometry.h"
 #include "metavision/hal/facilities/i_hal_software_info.h"
+#include "metavision/hal/facilities/i_hw_identification.h"
 #include "metavision/hal/facilities/i_ll_biases.h"
 #include "metavision/hal/facilities/i_monitoring.h"
 #include "metavision/hal/facilities/i_plugin_software_info.h"
@@ -42,7 +49,8 @@ using namespace Metavision;
 
 namespace {
 
-constexpr int window_x = 200, window_y = 100, window_width = 800, window_height = 500;
+const I_ROI::Window large_window(200, 100, 800, 500), small_window(50, 40, 200, 250);
+constexpr std::uint32_t masked_x = 100, masked_y = 120, events_in_100_us = 20;
 
 void append(std::FILE *out, const EventCD &event) {
     const std::int64_t t       = event.t;
@@ -74,8 +82,18 @@ std::string number_or_null(Value value) {
     }
 }
 
+bool select_on_genx320(Device &device) {
+    auto *noise = device.get_facility<I_EventRateActivityFilterModule>();
+    auto *crop  = device.get_facility<I_DigitalCrop>();
+    auto *rate  = device.get_facility<I_ErcModule>();
+    bool done   = noise->enable(true) && noise->is_enabled();
+    done        = crop->set_window_region({60, 50, 239, 279}, true) && crop->enable(true) && done;
+    done        = rate->set_cd_event_count(events_in_100_us) && rate->enable(true) && rate->is_enabled() && done;
+    return device.get_facility<I_DigitalEventMask>()->get_pixel_masks()[0]->set_mask(masked_x, masked_y, true) && done;
+}
+
 void set_window(Device &device, int width) {
-    device.get_facility<I_ROI>()->set_window(I_ROI::Window(window_x, window_y, width, window_height));
+    device.get_facility<I_ROI>()->set_window(I_ROI::Window(large_window.x, large_window.y, width, large_window.height));
 }
 
 // Makes the next change of settings, of a bias and of the window, when the stream has come so far; the last is undone.
@@ -87,11 +105,12 @@ void change(Device &device, int step) {
             biases->set(name, biases->get(name) + by);
         }
     } else {
-        set_window(device, step == 3 ? window_width / 2 : window_width);
+        set_window(device, step == 3 ? large_window.width / 2 : large_window.width);
     }
 }
 
-std::int64_t read_events(Device &device, std::int64_t count, double timeout_s, std::FILE *out, std::string &triggers) {
+std::int64_t read_events(Device &device, std::int64_t count, double timeout_s, std::FILE *out, std::string &triggers,
+                         int changes) {
     auto *edges = device.get_facility<I_EventDecoder<EventExtTrigger>>();
     edges->add_event_buffer_callback([&](const EventExtTrigger *begin, const EventExtTrigger *end) {
         for (; begin != end; ++begin) {
@@ -115,12 +134,12 @@ std::int64_t read_events(Device &device, std::int64_t count, double timeout_s, s
         if (data) {
             decoder->decode(data.data(), data.data() + data.size());
         }
-        if (steps_done < 4 && seen > (steps_done + 1) * count / 6) {
+        if (steps_done < changes && seen > (steps_done + 1) * count / 6) {
             change(device, ++steps_done);
         }
     }
     stream->stop();
-    return steps_done == 4 ? seen : 0;
+    return steps_done == changes ? seen : 0;
 }
 
 } // namespace
@@ -147,12 +166,17 @@ int main(int argc, char **argv) {
         }
         auto *biases = device->get_facility<I_LL_Biases>();
         biases->set("bias_diff_on", biases->get("bias_diff_on") + 25);
-        set_window(*device, window_width);
+        const bool is_small = device->get_facility<I_Geometry>()->get_width() == 320;
+        device->get_facility<I_ROI>()->set_window(is_small ? small_window : large_window);
         device->get_facility<I_ROI>()->enable(true);
         device->get_facility<I_TriggerIn>()->enable(I_TriggerIn::Channel::Main);
         auto *anti_flicker = device->get_facility<I_AntiFlickerModule>();
         anti_flicker->enable(true);
         const bool is_filtered = anti_flicker->is_enabled(); // a Gen4.1's stop switches it off
+        if (is_small && !select_on_genx320(*device)) {
+            std::cerr << "a selection was refused\n";
+            return 1;
+        }
         auto *monitoring = device->get_facility<I_Monitoring>();
         std::FILE *out   = std::fopen(argv[3], "wb");
         auto *stream     = device->get_facility<I_EventsStream>();
@@ -161,10 +185,11 @@ int main(int argc, char **argv) {
             return 1;
         }
         std::string triggers;
-        const auto seen  = read_events(*device, std::atoll(argv[1]), std::atof(argv[2]), out, triggers);
+        const auto seen  = read_events(*device, std::atoll(argv[1]), std::atof(argv[2]), out, triggers, is_small ? 0 : 4);
         std::fclose(out);
         stream->stop_log_raw_data();
         std::cout << "{\"serial\": \"" << serials.front() << "\", \"events\": " << seen
+                  << ", \"sensor\": \"" << device->get_facility<I_HW_Identification>()->get_sensor_info().name_ << "\""
                   << ", \"bias_diff_on\": " << biases->get("bias_diff_on")
                   << ", \"changed\": " << (seen ? "true" : "false") << ", \"triggers\": [" << triggers << "]"
                   << ", \"word_bytes\": " << int(device->get_facility<I_EventsStreamDecoder>()->get_raw_event_size_bytes())

@@ -8,12 +8,12 @@ import pytest
 
 from firmware_protocol.events import EVENT
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
-from firmware_protocol.imx636.treuzell import Frame, Property
+from firmware_protocol.prophesee.treuzell import Frame, Property
 from firmware_protocol.usb.device import Identity, Speed
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import UsbSilence
-from transports.usb.cameras import Evk4Host, driver_of, first_on_the_bus
+from transports.usb.cameras import TreuzellHost, driver_of, first_on_the_bus
 from transports.usb.host import DeviceAbsent, PeerBroken, StallError, StreamSettings, TransferTimeout, UnsuitableDevice
 from transports.usb.loopback import DirectHost
 from transports.usb.pyusb_host import PyusbHost
@@ -57,7 +57,7 @@ def test_it_tells_who_the_camera_is(camera):
 
 
 def test_every_event_arrives(camera):
-    host = Evk4Host(DirectHost(camera))
+    host = TreuzellHost(DirectHost(camera))
     camera.advance(500)
     host.start()
     events = random_events(20_000)
@@ -73,7 +73,7 @@ def test_every_event_arrives(camera):
 
 @pytest.mark.socket
 def test_every_event_arrives_over_usbip(camera, served_camera):
-    host = Evk4Host(UsbipHost.attach(port=served_camera.server.port, timeout_s=120))
+    host = TreuzellHost(UsbipHost.attach(port=served_camera.server.port, timeout_s=120))
     host.start(StreamSettings(transfers=4))
     events = random_events(20_000)
     served_camera.call(lambda: (camera.offer(events), served_camera.server.pump()))
@@ -139,7 +139,7 @@ def test_an_endpoint_that_is_none_stalls_over_usbip(served_camera):
 
 
 def test_a_request_that_fails_is_told(camera):
-    host = Evk4Host(DirectHost(camera))
+    host = TreuzellHost(DirectHost(camera))
     with pytest.raises(PeerBroken, match="READ_REGISTERS failed"):
         host.read_register(0x10_0000)
     assert host.request(Property.DEVICES) == struct.pack("<I", 1)
@@ -151,7 +151,7 @@ def test_a_camera_that_knows_no_property_is_told():
             super().write(endpoint, bytes(Frame(0x99)))
 
     with pytest.raises(PeerBroken, match="RELEASE is not known"):
-        Evk4Host(DirectHost(Ignorant(SETTINGS)))
+        TreuzellHost(DirectHost(Ignorant(SETTINGS)))
 
 
 def test_a_camera_that_says_nothing_times_out(camera):
@@ -163,7 +163,7 @@ def test_a_camera_that_says_nothing_times_out(camera):
 
 def test_old_firmware_and_other_devices_are_refused():
     with pytest.raises(UnsuitableDevice, match="030701"):
-        Evk4Host(DirectHost(Evk4(dataclasses.replace(SETTINGS, release=0x030701))))
+        TreuzellHost(DirectHost(Evk4(dataclasses.replace(SETTINGS, release=0x030701))))
 
     class Other(Evk4):
         identity = Identity(0x1234, 0x5678, 0, Speed.SUPER)
@@ -171,4 +171,4 @@ def test_old_firmware_and_other_devices_are_refused():
     with pytest.raises(UnsuitableDevice, match="1234:5678"):
         driver_of(DirectHost(Other(SETTINGS)))
     with pytest.raises(UnsuitableDevice, match="not an EVK4"):
-        Evk4Host(DirectHost(Other(SETTINGS)))
+        TreuzellHost(DirectHost(Other(SETTINGS)))

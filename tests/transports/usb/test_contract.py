@@ -3,7 +3,7 @@
 import pytest
 
 from evstim.testing.fake_usb import FakeUsbBus
-from evstim.testing.usb_contract import DVXPLORER, Plugged, UsbContract
+from evstim.testing.usb_contract import DVXPLORER, DVXPLORER_MICRO, Plugged, UsbContract
 from tests.transports.usb.gadget_port import GadgetBench, PortHost
 from transports.usb.loopback import DirectHost
 from transports.usb.pyusb_host import PyusbHost
@@ -76,3 +76,19 @@ class TestDvxplorerOnFakeBus(TestFakeBus):
 
 class TestDvxplorerOnLoopback(TestLoopback):
     camera = DVXPLORER
+
+
+class TestMicroOnUsbip(TestUsbip):
+    camera = DVXPLORER_MICRO
+
+
+class TestMicroOnGadget(TestGadget):
+    camera = DVXPLORER_MICRO
+
+
+class TestMicroOnFakeBus(TestFakeBus):
+    camera = DVXPLORER_MICRO
+
+
+class TestMicroOnLoopback(TestLoopback):
+    camera = DVXPLORER_MICRO

@@ -1,16 +1,18 @@
 """The driver of the DVXplorer: identity, streams with samples and edges, unplugging in every state, other devices."""
 
 import dataclasses
+import random
 
 import numpy as np
 import pytest
 
 from evstim.testing.link_contract import event_stream
 from firmware_protocol.device.items import ReadingKind
-from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerSettings
+from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, DvxplorerSettings
 from firmware_protocol.dvxplorer.registers import SYSTEM
 from firmware_protocol.events import EDGE
 from firmware_protocol.imu_samples import no_samples
+from firmware_protocol.usb.device import SetupPacket, Stall
 from transports.usb.cameras import driver_of
 from transports.usb.davis_host import DavisHost
 from transports.usb.dvxplorer_host import DvxplorerHost
@@ -74,11 +76,22 @@ def test_each_driver_refuses_the_other_camera_and_old_ones():
         driver_of(DirectHost(Dvxplorer(old)))
 
 
+def micro(**changes):
+    return DvxplorerMicro(DvxplorerMicroSettings(serial="00000042", start_delay_us=0, imu_unit=3, **changes))
+
+
+CAMERAS = {
+    "dvxplorer": lambda: Dvxplorer(SETTINGS),
+    "micro": lambda: micro(),
+    "micro_firmware9": lambda: micro(bcd_device=0x0409),
+}
+
+
 def begun(camera, until):
     """A host that goes as far as `until`: 0 attached, 1 configured, 2 started, 3 started and reading."""
     host = DirectHost(camera)
     if until:
-        driver = DvxplorerHost(host)
+        driver = driver_of(host)
         if until > 1:
             driver.start(StreamSettings(edges=True, imu=True))
         if until > 2:
@@ -87,9 +100,10 @@ def begun(camera, until):
     return host
 
 
+@pytest.mark.parametrize("model", CAMERAS)
 @pytest.mark.parametrize("until", range(4))
-def test_a_cable_pulled_in_any_state_leaves_clear_counts_and_the_next_host_starts(until):
-    camera = Dvxplorer(SETTINGS)
+def test_a_cable_pulled_in_any_state_leaves_clear_counts_and_the_next_host_starts(model, until):
+    camera = CAMERAS[model]()
     host = begun(camera, until)
     now_us = camera.now_us
     camera.offer_readings(ReadingKind.IMU, samples(5, now_us + 10))
@@ -103,12 +117,50 @@ def test_a_cable_pulled_in_any_state_leaves_clear_counts_and_the_next_host_start
     assert fates.edges.balanced
     assert fates.readings["imu"].balanced
     assert fates.queued == 0
-    again = DvxplorerHost(DirectHost(camera))
+    again = driver_of(DirectHost(camera))
     again.start()
     shown = event_stream(50, camera.now_us)
     camera.offer(shown)
     assert len(again.read(0.0)) == 50
     assert camera.counters.balanced
+
+
+@pytest.mark.parametrize("model", CAMERAS)
+def test_hosts_one_after_another_read_all_that_is_sent(model):
+    """A hundred of each model ran once."""
+    camera = CAMERAS[model]()
+    read = 0
+    for _ in range(5):
+        host = driver_of(DirectHost(camera))
+        host.start(StreamSettings(imu=True))
+        camera.offer(event_stream(40, camera.now_us + 1))
+        camera.advance(camera.now_us + 3000)
+        read += len(host.read(0.0))
+        host.close()
+    assert (read, camera.counters.delivered, camera.counters.queued) == (200, 200, 0)
+    assert camera.counters.balanced
+
+
+@pytest.mark.parametrize("model", CAMERAS)
+def test_hostile_requests_change_no_count(model):
+    """Requests of any kind, every other one well formed, to any register; a million of them ran once."""
+    camera, rng, refused = CAMERAS[model](), random.Random(1), 0
+    DirectHost(camera).configure()
+    for k in range(1000):
+        length = rng.choice((0, 4, 6, 8, 2))
+        fields = rng.choice((0x40, 0xC0, rng.randrange(256))), rng.choice((0xBF, 0xC2, 0xC6, 0xC8, rng.randrange(256)))
+        place = rng.choice((0, 1, 3, 4, 5, 6, 9)), rng.choice((rng.randrange(32), 0x3000 + rng.randrange(0x400)))
+        setup = SetupPacket(*fields, *place, length)
+        try:
+            assert len(camera.control(setup, b"" if setup.is_in else rng.randbytes(length))) <= length
+        except Stall:
+            refused += 1
+        if k % 50 == 0:
+            camera.offer(event_stream(5, camera.now_us + 1))
+            assert camera.counters.balanced
+    assert 0 < refused < 1000
+    info = driver_of(DirectHost(camera)).info
+    assert (info.serial, info.size) == ("00000042", (640, 480))
 
 
 def test_the_bus_is_searched_for_it(monkeypatch):
@@ -122,3 +174,24 @@ def test_the_bus_is_searched_for_it(monkeypatch):
 
     monkeypatch.setattr(PyusbHost, "find", find)
     assert first_on_the_bus() == (0x152A, 0x8419)
+
+
+def test_a_micro_is_identified_by_its_hardware_and_its_samples_get_the_time_of_the_stream():
+    camera = micro()
+    host = driver_of(DirectHost(camera))
+    assert (host.model, host.info.firmware, host.info.serial) == ("DVXplorer Micro", 10, "00000042")
+    host.start(StreamSettings(imu=True))
+    camera.offer_readings(ReadingKind.IMU, moved := samples(3, camera.now_us + 1))
+    camera.offer(shown := event_stream(1000))
+    camera.advance(20_000)
+    parts = []
+    while (part := host.read(0.0)) is not None:
+        parts.append(part)
+    seen, felt = np.concatenate(parts), host.take_imu()
+    assert sorted(seen[["x", "y", "on"]].tolist()) == sorted(shown[["x", "y", "on"]].tolist())
+    assert (felt["scale"].tolist(), felt["counts"].tolist()) == (moved["scale"].tolist(), moved["counts"].tolist())
+    assert set(felt["t"].tolist()) == {20_000}
+    assert host.faults.total == 0
+    old = dataclasses.replace(camera.settings, bcd_device=0x0407)
+    with pytest.raises(UnsuitableDevice, match="firmware version 7; at least 8"):
+        driver_of(DirectHost(DvxplorerMicro(old)))

@@ -5,6 +5,7 @@ import pytest
 
 from evstim.testing.link_contract import event_stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
+from firmware_protocol.genx320.device import Genx320, Genx320Settings
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.usb.device import SetupPacket, Speed, Transfer
 from firmware_protocol.usb.functionfs import EventKind
@@ -13,7 +14,7 @@ from tests.transports.usb.gadget_port import PACKET_BYTES, PATIENCE_S, GadgetBen
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import UsbStall
-from transports.usb.cameras import Evk4Host
+from transports.usb.cameras import TreuzellHost
 from transports.usb.davis_host import DavisHost
 from transports.usb.host import StallError, StreamSettings, TransferTimeout
 
@@ -179,14 +180,16 @@ def test_a_halt_while_a_transfer_waits_comes_after_it(bench, camera):
     assert len(host.bulk_in(2, 65536)) > 0
 
 
-def test_an_evk4_is_asked_and_answers_on_its_own_endpoints(bench):
-    camera = Evk4(Evk4Settings(serial="0badcafe", start_delay_us=0))
+@pytest.mark.parametrize("make", [lambda: Evk4(Evk4Settings(serial="0badcafe", start_delay_us=0)),
+                                  lambda: Genx320(Genx320Settings(serial="0badcafe", start_delay_us=0))])  # fmt: skip
+def test_a_board_of_prophesees_is_asked_and_answers_on_its_own_endpoints(bench, make):
+    camera = make()
     port = bench.plug(camera, camera.descriptors(Speed.SUPER))
     host = PortHost(port, PATIENCE_S)
-    driver = Evk4Host(host)
+    driver = TreuzellHost(host)
     assert driver.info.serial == "0BADCAFE"
     driver.start()
-    events = event_stream(1000)
+    events = event_stream(1000, size=(320, 260))
     bench.call(show, camera, events)
     received = driver.read(PATIENCE_S)
     assert np.array_equal(received, events[: len(received)])

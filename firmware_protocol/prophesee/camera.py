@@ -1,4 +1,4 @@
-"""Parts that all cameras with an IMX636 share: gate, selection, queue, fates, biases.
+"""Parts that all cameras with a sensor of Prophesee's share: gate, selection, queue, fates, biases.
 
     array --offer-------> gate -> selection -> Outflow -> words of the link
     input --offer_edges-> gate -------------->
@@ -30,10 +30,10 @@ from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import Items, Numbers
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events, join_events
 from firmware_protocol.evt.words import Coder
-from firmware_protocol.imx636.biases import BiasModel
-from firmware_protocol.imx636.selection import Selected
+from firmware_protocol.prophesee.biases import BiasModel
+from firmware_protocol.prophesee.selection import Selected
 
-__all__ = ["LONGEST_GAP_US", "Imx636Camera", "Outflow", "OutflowLimits", "before"]
+__all__ = ["LONGEST_GAP_US", "Outflow", "OutflowLimits", "PropheseeCamera", "before"]
 
 
 LONGEST_GAP_US = 1_000_000  # between words, without time words of a silence in between
@@ -180,8 +180,8 @@ class Outflow(ABC, Generic[_Taken]):
 _Out = TypeVar("_Out", bound=Outflow[Items])
 
 
-class Imx636Camera(EventDevice, Generic[_Out]):
-    """A camera with an IMX636; `_outflow` is that of the present run of the sensor.
+class PropheseeCamera(EventDevice, Generic[_Out]):
+    """A camera with a sensor of Prophesee's; `_outflow` is that of the present run of the sensor.
 
     Parameters
     ----------

@@ -1,0 +1,1 @@
+"""Camera with Prophesee's GenX320 on USB."""

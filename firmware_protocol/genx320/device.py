@@ -1,0 +1,86 @@
+"""USB device model of Prophesee's board with a GenX320: the Treuzell protocol of the EVK4, another sensor.
+
+The USB side, with its endpoints, is `prophesee.usb`; the registers are in `registers`, the effect of the biases on the
+pixels in `biases`.
+
+Run gate: events leave while the pixels run (register 0000 bit 10), the output is enabled (9028 bit 1 is 0) and time
+runs (9008 bit 0). Words are EVT2.1 from power-on; EVT2 or EVT3 if the host sets it (7044).
+
+Sources: OpenEB 5.1.1, whose drivers require the ids, the interface, `Chip.compatible`, the chip's register and a
+release from 03.08.00 on. Inferred: the strings and the name of the sensor, which OpenEB does not compare; the kind of
+board, which for other boards is OpenEB's number of the system (EVK3 with a GenX320 in production: 3B).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from firmware_protocol.genx320.biases import SLOPES
+from firmware_protocol.genx320.registers import SIZE, Registers, Surroundings
+from firmware_protocol.genx320.selection import Selection
+from firmware_protocol.prophesee.biases import BiasModel
+from firmware_protocol.prophesee.usb import BoardIdentity, TreuzellCamera, TreuzellSettings
+
+__all__ = ["BOARD", "CHIP_NAMES", "Genx320", "Genx320Settings"]
+
+
+_TRAIL = 0xD000, 0xD008, 0xD00C
+
+
+@dataclass(frozen=True)
+class _Names:
+    name: str
+    compatible: tuple[str, ...]
+
+
+BOARD = BoardIdentity("EVK3 GenX320", (0x04B4, 0x00F5), "Prophesee", "EVK3", kind=0x3B)
+CHIP_NAMES = _Names("CX3 GenX320 Event-Based Camera", ("psee,cx3_genx320",))
+"""The board's identity, and the sensor's names."""
+
+
+@dataclass(frozen=True)
+class Genx320Settings(TreuzellSettings):
+    """Settings of a camera.
+
+    Attributes
+    ----------
+    biases
+        Effect of the biases on the sensor.
+    surroundings
+        Readings of the sensor's own instruments.
+    """
+
+    biases: BiasModel = field(default_factory=lambda: BiasModel(SLOPES))
+    surroundings: Surroundings = field(default_factory=Surroundings)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the sensor, pixels."""
+        return SIZE
+
+    @property
+    def identity_of_board(self) -> BoardIdentity:
+        """Identity of the board."""
+        return BOARD
+
+    @property
+    def chip_names(self) -> _Names:
+        """Names of the sensor."""
+        return CHIP_NAMES
+
+
+class Genx320(TreuzellCamera):
+    """The camera; see `prophesee.usb.TreuzellCamera`."""
+
+    def __init__(self, settings: Genx320Settings | None = None) -> None:
+        settings = settings or Genx320Settings()
+        registers = Registers(settings.surroundings, settings.biases)
+        super().__init__(settings, registers, Selection(registers))
+
+    @property
+    def without_effect(self) -> Mapping[str, str]:
+        """Settings that hosts changed without an effect here, each with the reason."""
+        control, one, other = (self.read_register(address) for address in _TRAIL)
+        trail = {"trail_filter": "it is not modelled"} if control & 5 == 1 and (one | other) & 1 else {}
+        return {**super().without_effect, **trail}

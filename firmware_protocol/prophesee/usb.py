@@ -1,0 +1,471 @@
+"""USB side of Prophesee's boards, which the EVK4, its siblings and the board with a GenX320 share.
+
+Requests come on one bulk endpoint, answers and events leave on two others:
+
+    host --bulk 02--> write ----> Board --> registers --> selection, run gate, biases, form of the words
+         <-bulk 82--- read 2 <--- answers
+    array ----------> offer ----> selection -> UsbOutflow --bulk 81--> read 1: EVT3, EVT2.1 or EVT2
+
+Opening the run gate begins a stream; closing it drops waiting events, and so does another form of the words. Device
+time is zero when the sensor's time starts.
+
+Vendor request on endpoint 0, without which neuromorphic_drivers does not list a camera:
+
+    C0  bRequest 72, wValue 0, wIndex 0     2 bytes, the first the kind of board: 31 an EVK4
+
+A camera is not safe for concurrent use: one thread at a time may call it. During a silence, words carry the time every
+4096 us.
+
+Sources of the descriptors: the checks of OpenEB 5.1.1 and neuromorphic_drivers. Device version, release and build date
+of a shipped camera are not public: those here are new enough for both.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal, Protocol
+
+import numpy as np
+
+from firmware_protocol.device.items import Numbers
+from firmware_protocol.events import EdgeKind, Edges, Events
+from firmware_protocol.evt.evt2 import Evt2Encoder
+from firmware_protocol.evt.evt3 import Evt3Encoder
+from firmware_protocol.evt.words import Coder
+from firmware_protocol.prophesee.biases import BiasModel
+from firmware_protocol.prophesee.camera import LONGEST_GAP_US, Outflow, OutflowLimits, PropheseeCamera
+from firmware_protocol.prophesee.selection import Selected
+from firmware_protocol.prophesee.treuzell import Board, BoardFacts
+from firmware_protocol.usb.control import Recipient, StandardControl
+from firmware_protocol.usb.descriptors import (
+    BULK_PACKET,
+    OTHER_SPEED,
+    Configuration,
+    DescriptorSet,
+    DeviceDescriptor,
+    Endpoint,
+    Interface,
+    TransferType,
+)
+from firmware_protocol.usb.device import (
+    Identity,
+    RequestKind,
+    SetupPacket,
+    Speed,
+    Stall,
+    Transfer,
+    UsbCamera,
+    UsbCameraSettings,
+)
+
+__all__ = [
+    "ANSWER_ENDPOINT",
+    "DATA_ENDPOINT",
+    "REQUEST_ENDPOINT",
+    "BoardIdentity",
+    "ChipNames",
+    "ChipRegisters",
+    "ChipSelection",
+    "Form",
+    "TreuzellCamera",
+    "TreuzellSettings",
+    "UsbOutflow",
+]
+
+
+Form = Literal["evt3", "evt2", "evt21", "evt21-legacy"]
+"""Form of the words: see `evt.words` and `evt.evt2`."""
+
+_SILENCE_US = 4096  # a high part of the time
+_FEWEST_EVENTS = 16  # made into words together, also for a host that requests less
+_MOST_EDGES = 1024
+_FIFO_BYTES_PER_EVENT = 6
+_WORD_BYTES = {"evt3": 2, "evt2": 4, "evt21": 8, "evt21-legacy": 8}
+_EVENT_BYTES = {"evt3": 8, "evt2": 8, "evt21": 16, "evt21-legacy": 16}  # at most: with its time
+
+
+class UsbOutflow(Outflow[Transfer]):
+    """Outflow to a bulk endpoint: one stream of words, cut into transfers of any length.
+
+    Attributes
+    ----------
+    form
+        Form of the words.
+
+    Parameters
+    ----------
+    width
+        Columns of the array.
+    """
+
+    def __init__(self, epoch_us: int, fifo_bytes: int, form: Form, width: int) -> None:
+        limits = OutflowLimits(fifo_bytes // _FIFO_BYTES_PER_EVENT, _MOST_EDGES, _SILENCE_US)
+        encoder: Coder = (
+            Evt3Encoder(width=width, origin_us=epoch_us) if form == "evt3" else Evt2Encoder(form, origin_us=epoch_us)
+        )
+        super().__init__(encoder, epoch_us, limits)
+        self.form = form
+        self._word_bytes, self._event_bytes = _WORD_BYTES[form], _EVENT_BYTES[form]
+        self._cut: Transfer | None = None  # the rest of words beyond the length that the host requested
+
+    @property
+    def waiting(self) -> Numbers:
+        """See `ItemEncoder.waiting`."""
+        waiting = super().waiting
+        return waiting if self._cut is None else waiting.plus(self._cut.numbers)
+
+    def take(self, now_us: int, room: int) -> Transfer | None:
+        """Remove up to `room` octets of words; None if there is nothing to send yet."""
+        if room < self._word_bytes:
+            return None
+        whole = self._cut or self._next(now_us, room)
+        if whole is None or len(whole.data) <= room:
+            self._cut = None
+            return whole
+        end = room - room % self._word_bytes
+        self._cut = replace(whole, data=whole.data[end:])
+        return Transfer(epoch_us=whole.epoch_us, data=whole.data[:end])
+
+    def clear(self) -> None:
+        """See `ItemEncoder.clear`."""
+        super().clear()
+        self._cut = None
+
+    def _next(self, now_us: int, max_bytes: int) -> Transfer | None:
+        first_us = self._due_us(now_us)
+        if first_us is not None:
+            return self._words(first_us, now_us, max_bytes)
+        words = self._silence_words(now_us)
+        return Transfer(epoch_us=self.epoch_us, data=words) if words else None
+
+    def _words(self, first_us: int, now_us: int, max_bytes: int) -> Transfer:
+        until_us = min(now_us, first_us + LONGEST_GAP_US)
+        room = max(max_bytes // self._event_bytes - 2, _FEWEST_EVENTS)
+        events = self._taken(until_us + 1, room)
+        edges = self._due_edges(int(events["t"][-1]) if len(events) == room else until_us)
+        words = self._encoder.encode(events, edges)
+        self._reach(events, edges)
+        return Transfer(events, edges, self.epoch_us, data=words)
+
+
+ANSWER_ENDPOINT = 0x82
+REQUEST_ENDPOINT = 0x02
+DATA_ENDPOINT = 0x81
+
+_INTERFACE_CLASS = (0xFF, 0x19, 0)
+
+
+@dataclass(frozen=True)
+class BoardIdentity:
+    """Identity of a board.
+
+    Attributes
+    ----------
+    title
+        Its name for people.
+    usb_id
+        (vendor, product).
+    manufacturer, product
+        String descriptors.
+    kind
+        Kind of board, as the vendor request reports it.
+    short_frames
+        True if hosts write registers by frames without a size (see `treuzell`).
+    """
+
+    title: str
+    usb_id: tuple[int, int]
+    manufacturer: str
+    product: str
+    kind: int = 0x31
+    short_frames: bool = False
+
+
+class ChipNames(Protocol):
+    """Names of a sensor."""
+
+    @property
+    def name(self) -> str:
+        """Name for people."""
+
+    @property
+    def compatible(self) -> tuple[str, ...]:
+        """Names by which OpenEB finds the driver."""
+
+
+class ChipRegisters(Protocol):
+    """The registers of a sensor, and their effects."""
+
+    def power_on(self) -> None:
+        """Set every register to its power-on value."""
+
+    def read(self, address: int) -> int:
+        """Return a register's value; raises LookupError."""
+
+    def write(self, address: int, value: int) -> None:
+        """Write a register, and apply its effect within the sensor; raises LookupError."""
+
+    @property
+    def bias_steps(self) -> Mapping[str, int]:
+        """Steps of each bias away from the factory's value, by Prophesee's names."""
+
+    @property
+    def currents(self) -> dict[str, int]:
+        """Values of the biases, by Prophesee's names."""
+
+    @property
+    def form(self) -> Form:
+        """Form of the words that leave the sensor."""
+
+    @property
+    def time_runs(self) -> bool:
+        """True if the sensor's clock runs."""
+
+    @property
+    def running(self) -> bool:
+        """True if events leave the sensor."""
+
+    @property
+    def has_trigger(self) -> bool:
+        """True if the trigger input is on."""
+
+
+class ChipSelection(Protocol):
+    """The part of the events that the registers select."""
+
+    def reset(self) -> None:
+        """Return to the power-on state."""
+
+    def written(self, address: int) -> None:
+        """Apply the effect of a register that was just written."""
+
+    def apply(self, events: Events, epoch_us: int) -> Selected:
+        """Return the part that passes of events (n,) EVENT, sorted; the sensor's clock was zero at `epoch_us`."""
+
+
+@dataclass(frozen=True)
+class TreuzellSettings(UsbCameraSettings):
+    """Settings of a camera on one of these boards.
+
+    Attributes
+    ----------
+    serial
+        1 to 8 hexadecimal digits.
+    fifo_bytes
+        Room for events that wait for the host, at 6 bytes each: time, row and column.
+    release
+        Firmware version, 0x00MMmmpp; OpenEB refuses below 0x030800.
+    build_unix_s
+        Build time of the firmware.
+    biases
+        Effect of the biases on the sensor.
+    pulse_us
+        Length of a pulse at the trigger input.
+    """
+
+    bcd_device: int = 0x0309
+    release: int = 0x03_0900
+    build_unix_s: int = 1_700_000_000
+    biases: BiasModel = field(default_factory=BiasModel)
+    pulse_us: int = 100
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 1 <= len(self.serial) <= 8 or set(self.serial) - set("0123456789abcdefABCDEF"):
+            raise ValueError(f"the serial of this camera has 1 to 8 hexadecimal digits, got {self.serial!r}")
+        if self.fifo_bytes < 1024:
+            raise ValueError(f"fifo_bytes must be at least 1024, got {self.fifo_bytes}")
+
+    @property
+    @abstractmethod
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the sensor, pixels."""
+
+    @property
+    @abstractmethod
+    def identity_of_board(self) -> BoardIdentity:
+        """Identity of the board."""
+
+    @property
+    @abstractmethod
+    def chip_names(self) -> ChipNames:
+        """Names of the sensor."""
+
+    @property
+    def identity(self) -> Identity:
+        """The camera as a host's bus lists it."""
+        vendor, product = self.identity_of_board.usb_id
+        return Identity(vendor, product, self.bcd_device, self.speed, interfaces=(_INTERFACE_CLASS,))
+
+    def descriptors(self) -> DescriptorSet:
+        """Return all descriptors at the camera's speed."""
+        board, other = self.identity_of_board, OTHER_SPEED.get(self.speed)
+        return DescriptorSet(
+            device=DeviceDescriptor(self.speed, *board.usb_id, self.bcd_device, strings=(1, 2, 0)),
+            configuration=_configuration(self.speed),
+            strings={1: board.manufacturer, 2: board.product},
+            other_speed=_configuration(other) if other else None,
+        )
+
+    def facts(self) -> BoardFacts:
+        """Return what the board reports of itself."""
+        names, short_frames = self.chip_names, self.identity_of_board.short_frames
+        serial = int(self.serial, 16)
+        return BoardFacts(serial, self.release, self.build_unix_s, names.name, names.compatible, short_frames)
+
+
+def _configuration(speed: Speed) -> Configuration:
+    """Return the configuration; OpenEB requires these three endpoints in this order."""
+    addresses = (ANSWER_ENDPOINT, REQUEST_ENDPOINT, DATA_ENDPOINT)
+    endpoints = tuple(Endpoint(each, TransferType.BULK, BULK_PACKET[speed], burst=15) for each in addresses)
+    return Configuration(speed, (Interface(endpoints, interface_class=_INTERFACE_CLASS),))
+
+
+_BOARD_KIND = 0x72
+_IN = 0x80
+_MOST_ANSWERS = 64
+
+
+class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
+    """The camera. `offer` takes events, `advance` the passing of stream time; the other methods are the USB side."""
+
+    data_endpoint = DATA_ENDPOINT & 15
+    settings: TreuzellSettings
+
+    def __init__(self, settings: TreuzellSettings, registers: ChipRegisters, selection: ChipSelection) -> None:
+        self.settings = settings
+        self._registers, self._selection = registers, selection
+        super().__init__(settings.size, settings.biases, self._new_outflow(0))
+        self._pulse_us = settings.pulse_us
+        self._standard = StandardControl(settings.descriptors())
+        self._kind = bytes((settings.identity_of_board.kind, 0))
+        self._board = Board(settings.facts(), self)
+        self._answers: deque[bytes] = deque()
+        self._was_running = False
+
+    @property
+    def streaming(self) -> bool:
+        """True while events offered now would go to the host."""
+        return self._running and self._now_us >= self._silence_end_us
+
+    @property
+    def at_rest(self) -> bool:
+        """True while the sensor is stopped."""
+        return not self._running
+
+    @property
+    def horizon_us(self) -> int:
+        """During the silence after the start its end; otherwise without limit."""
+        silent = self._now_us < self.silent_until_us
+        return self._silence_end_us if silent else super().horizon_us
+
+    @property
+    def biases(self) -> dict[str, int]:
+        """Values of the biases, by Prophesee's names, as the host set them."""
+        return self._registers.currents
+
+    def control(self, setup: SetupPacket, data: bytes) -> bytes:
+        """Execute one control transfer; see `UsbDevice.control` and the module's description."""
+        if setup.kind is RequestKind.STANDARD:
+            return self._standard.control(setup, data)
+        wanted = (RequestKind.VENDOR, Recipient.DEVICE, True, _BOARD_KIND)
+        if (setup.kind, setup.recipient, setup.is_in, setup.request) != wanted:
+            raise Stall
+        return self._kind[: setup.length]
+
+    def write(self, endpoint: int, data: bytes) -> None:
+        """Process a request; it stalls while 64 answers wait for a host that does not read them."""
+        self._standard.require(endpoint)
+        if endpoint != REQUEST_ENDPOINT or len(self._answers) >= _MOST_ANSWERS:
+            raise Stall
+        self._answers.append(self._board.answer(data))
+
+    def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
+        """Return an answer from endpoint 2, or words from endpoint 1."""
+        self._standard.require(endpoint | _IN)
+        if endpoint | _IN == ANSWER_ENDPOINT:
+            return self._answer(max_bytes)
+        assert endpoint | _IN == DATA_ENDPOINT
+        if not self.streaming:
+            return None
+        return self._taken(self._outflow.take(self._now_us, max_bytes))
+
+    def read_register(self, address: int) -> int:
+        """Return the value that a host reads from the sensor; raises LookupError if there is no register."""
+        return self._registers.read(address)
+
+    def write_register(self, address: int, value: int) -> None:
+        """Execute a host's write to the sensor; raises LookupError if there is no register."""
+        self._settings_version += 1
+        had_time = self._registers.time_runs
+        self._registers.write(address, value)
+        self._selection.written(address)
+        if self._registers.time_runs and not had_time:
+            self._epoch_us = self._now_us
+        if self._registers.running != self._was_running:
+            self._turn()
+        elif self._registers.form != self._outflow.form:
+            self._drop_waiting()
+
+    def _turn(self) -> None:
+        """Begin a stream, or end it."""
+        self._drop_waiting()
+        self._was_running = self._registers.running
+        if self._was_running:
+            self._silence_end_us = self._now_us + self.settings.start_delay_us
+
+    def _power_on(self) -> None:
+        self._settings_version += 1
+        self._standard.power_on()
+        self._registers.power_on()
+        self._selection.reset()
+        self._answers.clear()
+        self._was_running = False
+        self._drop_waiting()
+
+    def _drop_waiting(self) -> None:
+        self._flush(self._outflow)
+        self._outflow = self._new_outflow(self._epoch_us)
+        self._flushes += 1
+
+    def _new_outflow(self, epoch_us: int) -> UsbOutflow:
+        return UsbOutflow(epoch_us, self.settings.fifo_bytes, self._registers.form, self.settings.size[0])
+
+    @property
+    def _running(self) -> bool:
+        return self._registers.running
+
+    @property
+    def _detects(self) -> bool:
+        return self._registers.running and self._registers.has_trigger
+
+    @property
+    def _bias_steps(self) -> Mapping[str, int]:
+        return self._registers.bias_steps
+
+    def _put_edges(self, edges: Edges) -> None:
+        """Queue edges that the input has detected; a pulse is two of them, the second one due when it ends."""
+        is_pulse = edges["kind"] == EdgeKind.PULSE
+        begins, ends = edges.copy(), edges[is_pulse]
+        begins["kind"][is_pulse] = EdgeKind.RISING
+        ends["kind"] = EdgeKind.FALLING
+        ends["t"] += np.uint64(self.settings.pulse_us)
+        self._fates.edges.added += len(ends)
+        both = np.concatenate([begins, ends])
+        both["seq"] = 0  # of the source of triggers; a word has no room for it
+        super()._put_edges(both[np.argsort(both["t"], kind="stable")])
+
+    def _select(self, events: Events) -> Selected:
+        return self._selection.apply(events, self._epoch_us)
+
+    def _answer(self, max_bytes: int) -> Transfer | None:
+        """Return the oldest answer; of one that is too long, the first part, and the rest next time."""
+        if not self._answers or max_bytes < 1:
+            return None
+        answer = self._answers.popleft()
+        if len(answer) > max_bytes:
+            self._answers.appendleft(answer[max_bytes:])
+        return Transfer(epoch_us=self._epoch_us, data=answer[:max_bytes])

@@ -1,0 +1,295 @@
+"""The DVXplorer Micro: its words, frames, registers, samples, filters, and any order of use."""
+
+import struct
+
+import numpy as np
+import pytest
+from dvxplorer_host import scans, scattered, streams
+from frame_reader import FrameReader
+from hypothesis import given, settings, stateful
+from hypothesis import strategies as st
+
+from firmware_protocol.device.items import ReadingKind
+from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, FrameDecoder
+from firmware_protocol.dvxplorer.frame_stream import sample_of
+from firmware_protocol.events import EVENT
+from firmware_protocol.imu_samples import no_samples
+from firmware_protocol.usb.device import SetupPacket, Stall
+
+OUT, IN = 0x40, 0xC0
+RUN = (1, 3, 1)
+
+
+class Host:
+    """A host of firmware 10, or of an older one."""
+
+    def __init__(self, camera):
+        self.camera = camera
+        self.bytes = 8 if camera.settings.has_new_firmware else 4
+        camera.attached()
+        camera.control(SetupPacket(0, 9, 1, 0, 0), b"")
+
+    def write(self, module, address, value):
+        setup = SetupPacket(OUT, 0xBF, module, address, self.bytes)
+        self.camera.control(setup, value.to_bytes(self.bytes, "big"))
+
+    def read(self, module, address):
+        return int.from_bytes(self.camera.control(SetupPacket(IN, 0xBF, module, address, self.bytes), b""), "big")
+
+    def request(self, request):
+        self.camera.control(SetupPacket(OUT, request, 0, 0, 0), b"")
+
+    def take(self, max_bytes=8192):
+        """All transfers that the camera has now."""
+        transfers = []
+        while (transfer := self.camera.read(2, max_bytes)) is not None:
+            self.camera.sent(transfer)
+            transfers.append(transfer)
+        return transfers
+
+
+def running(*writes, **changes):
+    camera = DvxplorerMicro(DvxplorerMicroSettings(start_delay_us=0, **changes))
+    host = Host(camera)
+    for one in (RUN if camera.settings.has_new_firmware else (5, 0x3000, 2), *writes):
+        host.write(*one)
+    return camera, host
+
+
+def seen(host, events, max_bytes=8192):
+    """What a strict reader finds in the stream of events, and the record of it."""
+    host.camera.offer(events)
+    host.camera.advance(int(events["t"][-1]) + 5000)
+    transfers = host.take(max_bytes)
+    reader = FrameReader().feed(b"".join(one.data for one in transfers))
+    assert reader.wrong == []
+    record = np.concatenate([one.events for one in transfers])
+    assert reader.events == record.tolist()
+    decoder = FrameDecoder()
+    assert np.array_equal(np.concatenate([decoder.feed(one.data).events for one in transfers]), record)
+    assert decoder.faults.total == 0
+    return reader, record
+
+
+@given(events=streams(max_size=60), frames=st.booleans(), max_bytes=st.sampled_from([4, 7, 512, 8192]))
+@settings(max_examples=60)
+def test_any_stream_is_read_as_it_was_recorded(events, frames, max_bytes):
+    if not len(events):
+        return
+    _, host = running(has_frames=frames)
+    _, record = seen(host, events, max_bytes)
+    shown = sorted(map(tuple, events[["x", "y", "on"]].tolist()))
+    assert sorted(map(tuple, record[["x", "y", "on"]].tolist())) == shown
+
+
+def test_a_scan_is_one_frame_with_the_time_of_its_first_event():
+    events = scans(20_000)
+    _, host = running()
+    reader, record = seen(host, events)
+    scan = events["t"].astype(int) // 197
+    first = np.flatnonzero(np.diff(scan, prepend=-1))
+    assert reader.frames == events["t"][first].tolist()
+    assert np.array_equal(np.unique(record["t"]), events["t"][first])
+
+
+def test_without_frames_no_time_is_changed():
+    events = scans(3000)
+    _, host = running(has_frames=False)
+    reader, record = seen(host, events)
+    assert reader.frames == sorted(set(events["t"].tolist()))
+    order = np.lexsort((events["y"], events["on"], events["y"] >> 3, events["x"], events["t"]))
+    assert np.array_equal(record, events[order])
+
+
+def test_both_polarities_of_a_group_share_a_word():
+    events = np.array([(10, 5, 8 * 3 + k, k % 2 == 0) for k in range(4)] + [(10, 5, 480 - 1, True)], EVENT)
+    _, host = running()
+    host.camera.offer(events)
+    (transfer,) = host.take()
+    words = np.frombuffer(transfer.data, "<u4").tolist()
+    off, on = 0b1010, 0b0101
+    assert words[-3:] == [
+        1 << 26 | 5 | 10 << 11 | 1 << 21,
+        1 << 31 | 3 << 18 | 1 << 16 | on << 8 | off,
+        1 << 31 | 59 << 18 | 0x80,
+    ]
+
+
+def test_time_words_come_each_millisecond_and_wrap_after_22_bits():
+    camera, host = running()
+    camera.advance(50_000)
+    reader = FrameReader().feed(b"".join(one.data for one in host.take()))
+    assert (reader.wrong, reader.ms) == ([], 50)
+    before = ((1 << 22) - 2) * 1000
+    camera.advance(before)
+    decoder = FrameDecoder()
+    for transfer in host.take():
+        decoder.feed(transfer.data)
+    events = scattered(20, before, step_us=501)
+    camera.offer(events)
+    data = b"".join(one.data for one in host.take())
+    assert np.any(np.frombuffer(data, "<u4") == 1 << 27)
+    assert decoder.feed(data).events["t"][-1] == events["t"][-1]
+    assert decoder.faults.total == 0
+
+
+def test_the_two_firmwares_have_registers_of_their_own():
+    _, new = running()
+    assert (new.read(1, 0), new.read(1, 13), new.read(1, 14), new.read(3, 5)) == (640, 8, 9, 11)
+    with pytest.raises(Stall):
+        new.camera.control(SetupPacket(IN, 0xBF, 1, 0, 4), b"")
+    with pytest.raises(Stall):
+        new.camera.control(SetupPacket(OUT, 0xBF, 1, 3, 4), bytes(4))
+    with pytest.raises(Stall):
+        new.camera.control(SetupPacket(OUT, 0xC2, 1, 0, 6), bytes((1, 3, 0, 0, 0, 0)))
+    _, old = running(bcd_device=0x0409)
+    assert (old.read(6, 0), old.read(6, 7), old.read(1, 2), old.camera.streaming) == (18, 4, 3, True)
+    with pytest.raises(Stall):
+        old.request(0xC7)
+
+
+def test_the_flash_memory_has_the_configuration_and_survives_a_cable():
+    camera, host = running((1, 14, 3), (3, 7, 8))
+    host.request(0xC7)
+    again = Host(camera)
+    assert (again.read(1, 14), again.read(1, 3)) == (9, 0)
+    again.request(0xC8)
+    assert (again.read(1, 14), again.read(3, 7), again.read(1, 3)) == (3, 8, 0)
+
+
+def test_thresholds_and_rates_act_as_those_of_a_dvxplorer():
+    camera, host = running((1, 14, 17), (1, 15, 0), (1, 13, 7))
+    other = Dvxplorer()
+    for address, value in ((0x0B, 6), (0x1C, 8), (0x12, 0x7F), (0x1E, 8)):
+        other.control(SetupPacket(OUT, 0xBF, 5, address, 4), value.to_bytes(4, "big"))
+    assert camera.sensor_factors["threshold_on"] == other.sensor_factors["threshold_on"] == pytest.approx(1.584)
+    assert camera.sensor_factors["threshold_off"] == other.sensor_factors["threshold_off"] == pytest.approx(0.343)
+    assert camera.sensor_factors["scan_us"] == pytest.approx(499 / 199)
+    host.write(1, 13, 0)
+    assert camera.scan_us == 10_000
+
+
+@pytest.mark.parametrize(
+    ("writes", "chosen"),
+    [
+        ([(1, 4, 1)], lambda e: e["x"] >= 0),
+        ([(1, 4, 2)], lambda e: e["on"]),
+        ([(1, 4, 3)], lambda e: ~e["on"]),
+        ([(1, 5, 1), (1, 6, 3)], lambda e: (e["x"] % 2 == 0) & (e["y"] % 4 == 0)),
+        (
+            [(1, 19, 100), (1, 20, 50), (1, 21, 200), (1, 22, 30), (1, 23, 1)],
+            lambda e: (e["x"] // 100 >= 1) & (e["x"] < 300) & (e["y"] >= 50) & (e["y"] < 80),
+        ),
+        ([(1, 19, 100)], lambda e: e["x"] >= 0),
+        ([(1, 16, 2), (1, 17, 14), (1, 18, 1)], lambda e: (e["x"] // 32 != 2) | (e["y"] // 32 != 14)),
+    ],
+)
+def test_registers_select_events_in_the_user_s_frame(writes, chosen):
+    events = scattered(5000)
+    camera, host = running(*writes, has_frames=False)
+    _, record = seen(host, events)
+    expected = events[chosen(events)]
+    assert record[["t", "x", "y"]].tolist() == expected[["t", "x", "y"]].tolist()
+    assert camera.counters.not_selected == len(events) - len(expected)
+    assert camera.counters.balanced
+
+
+def samples(n, start_us=0):
+    out = no_samples(n)
+    out["t"], out["scale"] = start_us + np.arange(n) * 1250, 0xEA
+    out["counts"] = np.arange(7 * n).reshape(n, 7) - 20
+    return out
+
+
+def test_samples_leave_at_the_interrupt_endpoint_when_their_time_has_come():
+    camera, _ = running((3, 2, 1), (3, 3, 1), (3, 4, 1), imu_unit=3)
+    assert camera.reading_settings(ReadingKind.IMU)[:3] == (1, 3, 0xEA)
+    shown = samples(5, 100)
+    camera.offer_readings(ReadingKind.IMU, shown)
+    assert camera.read(1, 64) is None
+    camera.advance(3000)
+    taken = [camera.read(1, 64) for _ in range(3)]
+    assert camera.read(1, 64) is None
+    fields = struct.unpack("<BB7h", taken[1].data)
+    assert fields == (1, 0xEA, *shown["counts"][1][[4, 5, 6, 0, 1, 2, 3]].tolist())
+    assert sample_of(taken[2].data, 2600).tobytes() == shown[2:3].tobytes()
+    for one in taken:
+        camera.sent(one)
+    camera.detached()
+    fates = camera.counters.readings["imu"]
+    assert (fates.delivered, fates.flushed, fates.balanced) == (3, 2, True)
+
+
+def test_the_oldest_samples_go_where_no_host_reads_them():
+    camera, _ = running((3, 2, 1), imu_unit=3)
+    camera.offer_readings(ReadingKind.IMU, samples(40))
+    camera.advance(100_000)
+    fates = camera.counters.readings["imu"]
+    assert (fates.dropped_fifo, fates.queued, fates.balanced) == (24, 16, True)
+
+
+class Life(stateful.RuleBasedStateMachine):
+    """A camera under any sequence of events, samples, time, requests and reads.
+
+    Reads are of whole columns: a host that flushes the data path in the middle of one loses its frame.
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.camera, self.host = running((3, 2, 1), fifo_bytes=1024, imu_unit=3)
+        self.reader = FrameReader()
+        self.t_us = 0
+
+    @stateful.rule(n=st.integers(1, 300), step_us=st.sampled_from([0, 1, 40, 1000, 70_000]), seed=st.integers(0, 9))
+    def offer(self, n, step_us, seed):
+        events = scattered(n, self.t_us, step_us, seed)
+        self.camera.offer(events)
+        self.t_us = int(events["t"][-1])
+
+    @stateful.rule(n=st.integers(1, 20))
+    def offer_samples(self, n):
+        self.camera.offer_readings(ReadingKind.IMU, samples(n, self.t_us))
+
+    @stateful.rule(step_us=st.sampled_from([1, 999, 30_000, 5_000_000]))
+    def advance(self, step_us):
+        self.t_us += step_us
+        self.camera.advance(self.t_us)
+
+    @stateful.rule(max_bytes=st.sampled_from([3, 1024, 8192]), is_good=st.booleans())
+    def read(self, max_bytes, is_good):
+        transfer = self.camera.read(2, max_bytes)
+        if transfer is not None:
+            (self.camera.sent if is_good else self.camera.lost)(transfer)
+            self.reader.feed(transfer.data)
+        if (sample := self.camera.read(1, 64)) is not None:
+            self.camera.sent(sample)
+
+    @stateful.rule(address=st.integers(4, 25), value=st.sampled_from([0, 1, 3, 8, 200]))
+    def write(self, address, value):
+        self.host.write(1, address, value)
+
+    @stateful.rule(runs=st.integers(0, 1))
+    def run(self, runs):
+        if runs != self.host.read(1, 3):
+            self.reader = FrameReader()
+        self.host.write(1, 3, runs)
+
+    @stateful.rule(request=st.sampled_from([0xC6, 0xC7, 0xC8, 0xB1]))
+    def ask(self, request):
+        self.host.request(request)
+
+    @stateful.rule()
+    def unplug(self):
+        self.camera.detached()
+        self.host, self.reader = Host(self.camera), FrameReader()
+
+    @stateful.invariant()
+    def everything_has_one_fate_and_the_reader_finds_no_fault(self):
+        counters = self.camera.counters
+        assert counters.balanced
+        assert all(one.balanced for one in counters.readings.values())
+        assert self.reader.wrong == []
+
+
+Life.TestCase.settings = settings(stateful_step_count=30, max_examples=30)
+test_any_life_of_a_micro_balances = Life.TestCase
