@@ -452,7 +452,7 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
         begins, ends = edges.copy(), edges[is_pulse]
         begins["kind"][is_pulse] = EdgeKind.RISING
         ends["kind"] = EdgeKind.FALLING
-        ends["t"] += np.uint64(self.settings.pulse_us)
+        ends["t"] += np.uint64(self._pulse_us)
         self._fates.edges.added += len(ends)
         both = np.concatenate([begins, ends])
         both["seq"] = 0  # of the source of triggers; a word has no room for it
