@@ -267,6 +267,7 @@ def _genx320(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
         fifo_bytes=camera.fifo_bytes,
         start_delay_us=round(usb.start_delay_ms * 1000),
         surroundings=genx320_registers.Surroundings(sensor.temperature.celsius, dead_time_us=sensor.refractory_us),
+        pulse_us=Genx320Settings.pulse_us if usb.pulse_us is None else usb.pulse_us,
         biases=camera.bias_model,
     )
     return partial(Genx320, settings)

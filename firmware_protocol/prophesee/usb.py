@@ -339,6 +339,7 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
         self.settings = settings
         self._registers, self._selection = registers, selection
         super().__init__(settings.size, settings.biases, self._new_outflow(0))
+        self._pulse_us = settings.pulse_us
         self._standard = StandardControl(settings.descriptors())
         self._kind = bytes((settings.identity_of_board.kind, 0))
         self._board = Board(settings.facts(), self)
@@ -451,7 +452,7 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
         begins, ends = edges.copy(), edges[is_pulse]
         begins["kind"][is_pulse] = EdgeKind.RISING
         ends["kind"] = EdgeKind.FALLING
-        ends["t"] += np.uint64(self.settings.pulse_us)
+        ends["t"] += np.uint64(self._pulse_us)
         self._fates.edges.added += len(ends)
         both = np.concatenate([begins, ends])
         both["seq"] = 0  # of the source of triggers; a word has no room for it
