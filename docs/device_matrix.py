@@ -179,6 +179,32 @@ CAMERAS = {
             "In a mode with a fixed read-out time it loses events that do not fit a scan; here the scan takes longer.",
         ),
     ),
+    "dvxplorer_micro": Camera(
+        "DVXplorer Micro (firmware 10)",
+        ("dv2", "dv1", "nd"),
+        lacks=("frames", "triggers"),
+        limits={
+            ("dv1", "opens"): "it requests a reset of the time, which libcaer refuses for a CX3: a real one does not open either",
+            ("nd", "opens"): "it has no reader of the 32-bit words",
+        },
+        remarks={("dv2", "imu"): "values; the library stamps a sample when it arrives"},
+        hardware=(
+            "All events of a read-out get the time of its first event: that it is the first one is inferred.",
+            "Size of an area block and the phase of sub-sampling are inferred; firmware 9 was not read by libcaer here.",
+        ),
+    ),
+    "genx320": Camera(
+        "Prophesee GenX320 (board with a CX3)",
+        ("openeb", "nd"),
+        lacks=_IMX636_LACKS,
+        limits={("nd", "opens"): "it has no driver for this sensor"},
+        hardware=(
+            "Strings, kind of board and power-on values of the sold sensor are inferred.",
+            "How windows and latches act on each other, the period of the noise filter and what the anti-flicker filter"
+            " counts as a period are inferred; slopes of the biases are assumed.",
+            "The rate control passes the first events of a period; how the sensor spreads its losses is not public.",
+        ),
+    ),
     "triton2": Camera(
         "LUCID Triton2 EVS (GigE Vision)",
         ("nd", "aravis", "viva"),

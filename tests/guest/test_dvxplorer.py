@@ -99,6 +99,7 @@ def by_column(events: Events) -> Events:
     return events[np.lexsort((events["y"], events["on"], events["x"], events["t"]))]
 
 
+@pytest.mark.shows("dvxplorer_micro", "dv2", "opens", "events", "imu")
 def test_a_micro_is_seen_as_it_was_delivered(guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path) -> None:
     """Its library stamps an inertial sample when it arrives, so only the values are compared."""
     driver = DRIVERS[0]

@@ -50,6 +50,7 @@ def looped(folder: Path, count: int = 1_000_000) -> None:
     looped.save(folder / "looped.npz")
 
 
+@pytest.mark.shows("genx320", "openeb", "opens", "events")
 @pytest.mark.parametrize("form", FORMS)
 def test_openeb_sees_every_event_that_its_settings_select(guest: Guest, tmp_path: Path, form: str) -> None:
     """Its own discovery, device, bias, window, masks, crop, filters, rate control, monitoring, stream and decoder."""
