@@ -184,13 +184,13 @@ CAMERAS = {
         ("dv2", "dv1", "nd"),
         lacks=("frames", "triggers"),
         limits={
-            ("dv1", "opens"): "it requests a reset of the time, which libcaer refuses for a CX3: a real one does not open either",
+            ("dv1", "opens"): "it requests a reset of the time, which libcaer refuses for a CX3, real ones included",
             ("nd", "opens"): "it has no reader of the 32-bit words",
         },
         remarks={("dv2", "imu"): "values; the library stamps a sample when it arrives"},
         hardware=(
             "All events of a read-out get the time of its first event: that it is the first one is inferred.",
-            "Size of an area block and the phase of sub-sampling are inferred; firmware 9 was not read by libcaer here.",
+            "Size of an area block and phase of sub-sampling are inferred; firmware 9 was not read by libcaer here.",
         ),
     ),
     "genx320": Camera(
