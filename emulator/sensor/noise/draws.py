@@ -74,6 +74,7 @@ _NEAR, _WINDOW, _MOVED = (np.uint8(bit) for bit in (1, 2, 4))
 _LOOKED = np.uint8(8)  # since the last crossing, within its step
 _LEAST_HZ = 2.0**-5  # of candidates: a level that moves without crossings is read again as often as this
 _LEAST_DRIFT = 1e-9  # ln units a second: slower leaks leave all of the history
+_FAR = 8.0  # deviations of a threshold from which the rate is below the least one at any bandwidth up to 1e9 Hz
 _UNREADABLE_HZ = 64.0  # of candidates in light that is not finite, so that finite light is noticed
 _MARGIN = 1.25
 _RESTING = 0.02  # change of level between two windows, in thresholds, below which it is at rest
@@ -199,6 +200,8 @@ def _set_again(level: float, noise: tuple[float, float], c: Constants, bits: np.
 def _run(pixel: int, until_ns: int, w: Setting, s: PixelNoise, out: Packed, n: int) -> int:
     """Run a pixel's candidates before a time; return the number of events in `out`, which may be full."""
     c, table, keys = w.constants, w.table, out.keys
+    if s.times[pixel, NEXT] >= until_ns:
+        return n
     base, noise = stream(c.root, pixel), _figures(w.light[pixel], s.limits[pixel, _SCALE], c)
     limits = np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])
     t_ns = s.times[pixel, NEXT]
@@ -322,9 +325,12 @@ def cross(
 def _draw_again(pixel: int, window_ns: int, w: Setting, s: PixelNoise) -> None:
     """Draw a pixel's candidate again at a window's start, if their rate has changed."""
     limits, c = (np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])), w.constants
-    level = s.levels[pixel, OFFSET] - _seen(window_ns, pixel, s)
-    on_hz, off_hz = _rates(level, limits, _figures(w.light[pixel], s.limits[pixel, _SCALE], c), w.table)
-    hz = _candidates_hz(on_hz + off_hz)
+    level, scale = s.levels[pixel, OFFSET] - _seen(window_ns, pixel, s), s.limits[pixel, _SCALE]
+    if min(limits[0] + level, limits[1] - level) > _FAR * c.rms * scale:
+        hz = _LEAST_HZ  # most pixels in motion: neither their light nor the table is needed
+    else:
+        on_hz, off_hz = _rates(level, limits, _figures(w.light[pixel], scale, c), w.table)
+        hz = _candidates_hz(on_hz + off_hz)
     if hz != s.levels[pixel, RATE] and limits[0] <= _LARGEST:
         s.levels[pixel, RATE] = hz
         bits = word(stream(c.root_of_looks, pixel), _TWO * window_ns)

@@ -48,6 +48,8 @@ position_m = [0.5, 0.5, -2.0]
 width = 64
 height = 48
 leak_hz = 5.0
+[camera.sensor.noise]
+rms = 0.05
 [camera.sensor.radiation]
 hits_per_cm2_s = 1000.0
 [run]

@@ -188,6 +188,7 @@ def test_a_start_after_noise_has_acted_has_no_burst():
 
 def test_pixels_with_more_noise_fire_more_often():
     p = dataclasses.replace(noisy(4.0), noise=dataclasses.replace(noisy(4.0).noise, spread=0.2, history_s=5.0))
-    counts = events_of(p, 1, [light(LIT, t) for t in (0.0, 1.0)], 0.0).sum(1)
-    even = events_of(noisy(4.0), 1, [light(LIT, t) for t in (0.0, 1.0)], 0.0).sum(1)
+    frames, until_s = [light(LIT, t) for t in (0.0, 3.0)], np.array([3.0])
+    counts = events_of(p, 1, frames, 0.0, until_s).sum(1)
+    even = events_of(noisy(4.0), 1, frames, 0.0, until_s).sum(1)
     assert counts.max() > 3 * even.max()
