@@ -32,6 +32,8 @@ direction = [0.0, 0.0, -1.0]
 [camera.lens]
 field_of_view_deg = 40.0
 f_number = 1.4
+[camera.sensor.noise]
+rms = 0.06            # most events of these 50 ms
 [run]
 step_us = 5000
 [[links]]
