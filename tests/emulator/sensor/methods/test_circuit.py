@@ -68,9 +68,7 @@ def ramp(before, after, over_s):
 
 
 @pytest.mark.system
-@pytest.mark.parametrize(
-    ("before", "after"), [(0.0, 1.0), (1.0, 0.0), (0.01, 0.1), (0.1, 0.01), (0.5, 1.0), (1.0, 0.5), (0.0, 0.01)]
-)
+@pytest.mark.parametrize(("before", "after"), [(0.0, 1.0), (1.0, 0.0), (0.01, 0.1), (1.0, 0.5)])
 def test_steps_of_light_have_the_events_of_a_fine_integration(before, after):
     light, log_light = ramp(before, after, 1e-3)
     found, expected = events(light, [1, *[4.0] * 30]), truth(log_light, 0.121)
