@@ -253,10 +253,10 @@ def begin(t_ns: int, history_ns: int, w: Setting, s: PixelNoise) -> None:
 
 
 @cached_entry
-def settle(until_ns: int, w: Setting, s: PixelNoise) -> None:
-    """Run the candidates of all pixels before a time without events: what they leave is the pixels' levels."""
+def settle(first: int, last: int, until_ns: int, w: Setting, s: PixelNoise) -> None:
+    """Run the candidates of pixels first to last - 1 before a time without events: they leave the pixels' levels."""
     out = Packed(np.empty(64, np.uint64), NONE, NONE)
-    for pixel in range(w.light.size):
+    for pixel in range(first, last):
         while s.times[pixel, NEXT] < until_ns:
             _run(pixel, until_ns, w, s, out, NONE)
 

@@ -25,6 +25,8 @@ period for the signal.
 from __future__ import annotations
 
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
 
 import numpy as np
@@ -64,6 +66,7 @@ _Pixels = npt.NDArray[np.int64]
 _FASTEST_HZ = 1e9
 _NO_POLE_HZ = 1e300
 _KEYS = 1024
+_PART = 1 << 14  # pixels that a thread settles at once
 _NOTHING_READ = np.empty(0, np.float32), np.empty(0, np.float32)
 
 
@@ -167,12 +170,22 @@ class NoiseEvents:
         setting = self._setting(light)
         begin(self._t_ns, self._history_ns, setting, self._state)
         if self._history_ns:
-            settle(self._t_ns, setting, self._state)
+            self._settle(setting)
             self._history_ns = 0
         window_ns = self._t_ns // WINDOW_NS * WINDOW_NS
         open_horizon(window_ns, self._state, self._lists)
         open_window(window_ns, self._state, self._lists)
         self._window_end_ns = window_ns + WINDOW_NS
+
+    def _settle(self, setting: Setting) -> None:
+        """Run the noise of the time before the start, by all cores: a noisy 720p sensor has 10^8 events in 100 s."""
+        pixels = self._state.place.size
+        cuts = range(0, pixels, _PART)
+        cores = len(os.sched_getaffinity(0))
+        with ThreadPoolExecutor(cores, thread_name_prefix="noise") as pool:
+            parts = [pool.submit(settle, k, min(k + _PART, pixels), self._t_ns, setting, self._state) for k in cuts]
+        for part in parts:
+            part.result()
 
     def take(self, crossings: Crossings, light: _Float32s) -> Crossings:
         """Return those of a step's crossings that fire: the others are events that noise made before.
