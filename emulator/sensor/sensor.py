@@ -331,11 +331,14 @@ class Sensor:
         self._t_ns = frame.t_ns
         if self._leaks is not None:
             self._leaks.follow(self._t_ns)
-        self.pixels.reset(self._imager.see(LightFrame(frame.t_ns, frame.light)))  # at rest: no derivative
+        seen = self._imager.see(LightFrame(frame.t_ns, frame.light))  # at rest: no derivative
+        self.pixels.reset(seen)
         if self._kicks is not None:
             self._kicks.reset()
         for source in self._sources:
             source.reset(self._t_ns)
+        if self._noise is not None:
+            self._noise.begin(seen.light.reshape(-1))
         if self._jitter is not None:
             self._jitter.reset(self._t_ns)
         self._remember(frame.light)

@@ -45,6 +45,8 @@ mismatch = 0.0
 corner_hz_at_reference = inf
 corner_max_hz = inf
 dark_current_relative = 1e-6
+[camera.sensor.noise]
+rms = 0.0
 [camera.sensor.background]
 hz = 0.0
 hot_share = 0.0

@@ -55,8 +55,8 @@ __all__ = [
     "Packed",
     "PixelNoise",
     "Setting",
-    "begin",
     "cross",
+    "draw_first",
     "due",
     "fire",
     "insert",
@@ -232,7 +232,7 @@ def _run(pixel: int, until_ns: int, w: Setting, s: PixelNoise, out: Packed, n: i
 
 
 @cached_entry
-def begin(t_ns: int, history_ns: int, w: Setting, s: PixelNoise) -> None:
+def draw_first(t_ns: int, history_ns: int, w: Setting, s: PixelNoise) -> None:
     """Draw the first candidates of all pixels, `history_ns` before a time; levels have been read for this time.
 
     A leak has moved the levels in that time: it is no longer than the leak takes for half a threshold.

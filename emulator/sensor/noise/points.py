@@ -41,8 +41,8 @@ from emulator.sensor.noise.draws import (
     Packed,
     PixelNoise,
     Setting,
-    begin,
     cross,
+    draw_first,
     due,
     fire,
     insert,
@@ -140,7 +140,7 @@ class NoiseEvents:
         self._state.limits[:, 2] = noise_scale(parameters, self._seed) if parameters.noise.spread else 1
 
     def reset(self, t_ns: int) -> None:
-        """Start at `t_ns`, with the pixels' levels of that time and the light of the first step."""
+        """Start at `t_ns`, with the pixels' levels of that time and the light of `begin`, or else of the first step."""
         self._state.times[:] = t_ns
         self._state.levels[:] = 0
         self._state.crossed[:] = 0
@@ -163,12 +163,19 @@ class NoiseEvents:
         self._model(parameters, thresholds)
         self._start_again()
 
+    def begin(self, light: _Float32s) -> None:
+        """Find the levels that noise has left by the start, in its light, (pixels,) float32: ahead of the first step.
+
+        Without it the first step does this in its own light, and takes seconds where there is much noise.
+        """
+        self._start(light)
+
     def _start(self, light: _Float32s) -> None:
         if self._started:
             return
         self._started = True
         setting = self._setting(light)
-        begin(self._t_ns, self._history_ns, setting, self._state)
+        draw_first(self._t_ns, self._history_ns, setting, self._state)
         if self._history_ns:
             self._settle(setting)
             self._history_ns = 0

@@ -25,6 +25,7 @@ def cycle(client: ModuleType, timeout_s: float) -> float:
     options = Namespace(
         triggers=True, imu=True, frames=True, packet_ms=0, count=sys.maxsize, timeout=timeout_s,
         output=Path("/tmp/cycling.npz"), aedat4=None, on=False, until=None, attempts=1,
+        device="inivation_davis346",
     )  # fmt: skip
     collector = Collector(options)
     camera = client.open_camera(options)
