@@ -7,6 +7,7 @@ interface, so nothing of the camera's own is used to read them.
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from pathlib import Path
@@ -24,6 +25,7 @@ CLIENT = Path(__file__).with_name("clients") / "nd_gige_biases.py"
 SECONDS = 2.0
 THRESHOLD, REFRACTORY_US = 0.2, 2000.0
 ROUNDING_US = 2
+ON_SLOPE, OFF_SLOPE, OFF_SLOPE_ABOVE = 0.0149, 0.01, 0.0117  # of the preset, but for the second, which the rig sets
 RIG = """
 title = "light whose logarithm goes up and down on straight lines"
 [scene]
@@ -74,6 +76,10 @@ def run(tmp_path, address):
     run.kill()
 
 
+def of_biases(exponent):
+    return expected_us(THRESHOLD * math.exp(exponent), REFRACTORY_US)
+
+
 def test_thresholds_and_refractory_period_follow_what_the_driver_writes(tmp_path, run, address, driver_pythons):
     sets = [{}, {"diff_on": 100, "diff_off": -35}, {"diff_on": -85, "diff_off": 80}, {"refr": -10}, {"hpf": 50}]
     asked = [str(driver_pythons["nd"]), str(CLIENT), address, str(SECONDS), str(tmp_path / "seen.npz")]
@@ -86,8 +92,8 @@ def test_thresholds_and_refractory_period_follow_what_the_driver_writes(tmp_path
         measured = [[apart_us(seen[str(k)], on=on) for on in (True, False)] for k in range(len(sets))]
     expected = [
         [expected_us(THRESHOLD, REFRACTORY_US)] * 2,
-        [expected_us(THRESHOLD * 1.63, REFRACTORY_US), expected_us(THRESHOLD * 0.65, REFRACTORY_US)],
-        [expected_us(THRESHOLD * 0.4645, REFRACTORY_US), expected_us(THRESHOLD * 1.8, REFRACTORY_US)],
+        [of_biases(ON_SLOPE * 100), of_biases(OFF_SLOPE * -35)],
+        [of_biases(ON_SLOPE * -85), of_biases(OFF_SLOPE_ABOVE * 80)],
         [expected_us(THRESHOLD, 2 * REFRACTORY_US)] * 2,
         [expected_us(THRESHOLD, REFRACTORY_US)] * 2,
     ]
