@@ -5,7 +5,7 @@ diff 51, diff_off 28, refr 10) all factors are 1. `prophesee.biases` has the for
 
     directions      those of Prophesee's page "Biases", which holds for all its sensors: a higher diff_on, diff_off is a
                     higher threshold, a higher fo passes faster changes, a higher refr is a shorter dead time. OpenMV's
-                    guide to its presets agrees on the first three, and says the opposite of refr
+                    guide to its presets agrees on the first three, and states the opposite of refr
     diff_on,        twice the IMX636's slopes, which were fitted to a measurement: assumed is that 7 bits here span the
     diff_off        range of 8 bits there
     fo, refr        one over the value at open, as for the IMX636: assumed is a current proportional to the register
