@@ -376,7 +376,7 @@ def look_again(
     (window_ns, t_ns), counts, remaining = times_ns, lists.counts, NONE
     for k in range(counts[Count.MOVED]):
         pixel = lists.moved[k]
-        _request(lists.moved[min(k + _AHEAD, lists.moved.size - 1)], w, s)
+        _request(lists.moved[min(k + _AHEAD, counts[Count.MOVED] - 1)], w, s)
         if s.times[pixel, CROSSED] >= window_ns:
             lists.moved[remaining] = pixel
             remaining += 1

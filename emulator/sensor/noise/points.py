@@ -25,8 +25,6 @@ period for the signal.
 from __future__ import annotations
 
 import math
-import os
-from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol
 
 import numpy as np
@@ -56,6 +54,7 @@ from emulator.sensor.noise.passages import passage_table
 from emulator.sensor.numerics.keyed import Purpose, root_of
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings
 from emulator.sensor.presets import SensorParameters
+from emulator.threads import ThreadPool, available_threads
 
 __all__ = ["NoiseEvents"]
 
@@ -168,9 +167,6 @@ class NoiseEvents:
 
         Without it the first step does this in its own light, and takes seconds where there is much noise.
         """
-        self._start(light)
-
-    def _start(self, light: _Float32s) -> None:
         if self._started:
             return
         self._started = True
@@ -187,12 +183,16 @@ class NoiseEvents:
     def _settle(self, setting: Setting) -> None:
         """Run the noise of the time before the start, by all cores: a noisy 720p sensor has 10^8 events in 100 s."""
         pixels = self._state.place.size
-        cuts = range(0, pixels, _PART)
-        cores = len(os.sched_getaffinity(0))
-        with ThreadPoolExecutor(cores, thread_name_prefix="noise") as pool:
-            parts = [pool.submit(settle, k, min(k + _PART, pixels), self._t_ns, setting, self._state) for k in cuts]
-        for part in parts:
-            part.result()
+
+        def settle_part(part: int, _: int) -> None:
+            first = part * _PART
+            settle(first, min(first + _PART, pixels), self._t_ns, setting, self._state)
+
+        pool = ThreadPool(available_threads())
+        try:
+            pool.each(settle_part, -(-pixels // _PART))
+        finally:
+            pool.close()
 
     def take(self, crossings: Crossings, light: _Float32s) -> Crossings:
         """Return those of a step's crossings that fire: the others are events that noise made before.
@@ -204,7 +204,7 @@ class NoiseEvents:
         """
         if not len(crossings):
             return crossings
-        self._start(light)
+        self.begin(light)
         fires = np.empty(len(crossings), np.bool_)
         arrays, setting = (crossings.t_ns, crossings.pixel, crossings.on), self._setting(light)
         while not cross(
@@ -223,7 +223,7 @@ class NoiseEvents:
         """Return a step's `crossings` with the noise events up to, and without, `t_ns` among them."""
         if t_ns <= self._t_ns:
             return crossings
-        self._start(light)
+        self.begin(light)
         t0_ns = self._t_ns
         while self._t_ns < t_ns:
             if self._t_ns >= self._window_end_ns:

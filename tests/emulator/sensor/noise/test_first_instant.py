@@ -186,6 +186,15 @@ def test_a_start_after_noise_has_acted_has_no_burst():
     assert fresh > 20 * max(settled, 1)
 
 
+def test_noise_before_the_start_acts_in_the_light_of_the_reset():
+    """The first step ends in light that is no number, in which no noise acts."""
+    noise = dataclasses.replace(noisy(4.83).noise, history_s=100.0)
+    frames = [light(LIT, 0.0), light(np.nan, 1e-8), light(LIT, 2e-8), light(LIT, 0.1)]
+    p = dataclasses.replace(noisy(4.83), noise=noise)
+    fresh = events_of(noisy(4.83), 1, frames, 0.0, np.array([0.1])).sum()
+    assert fresh > 20 * max(events_of(p, 1, frames, 0.0, np.array([0.1])).sum(), 1)
+
+
 def test_pixels_with_more_noise_fire_more_often():
     p = dataclasses.replace(noisy(4.0), noise=dataclasses.replace(noisy(4.0).noise, spread=0.2, history_s=5.0))
     frames, until_s = [light(LIT, t) for t in (0.0, 3.0)], np.array([3.0])
