@@ -118,8 +118,9 @@ class CanEndpoint(Endpoint):
             slot.bus.babble(now_ns)
         self._follow_the_master(now_ns)
         slot = self._slots[self._active]
-        self._set_listeners(slot.up and slot.bus.has_listeners)
-        if not (slot.up and slot.bus.has_listeners):
+        present = slot.up and slot.bus.has_listeners  # once: it changes with time
+        self._set_listeners(present)
+        if not present:
             return
         self._urgent += self._node.due(now_ns)
         try:

@@ -4,6 +4,7 @@ import asyncio
 import socket
 from dataclasses import replace
 from functools import partial
+from itertools import chain, repeat
 
 import numpy as np
 import pytest
@@ -128,6 +129,32 @@ def test_at_the_end_of_a_run_what_counts_as_delivered_has_been_received(carriage
     assert told.delivered == heard.events
     assert told.delivered + told.dropped + told.camera.flushed == n
     assert heard.digest == told.digest
+
+
+def test_a_listener_that_appears_within_a_tick_connects_the_instrument_before_the_first_frame(monkeypatch):
+    """A client settles between two readings of the clock in one tick."""
+    answers = chain([False], repeat(True))
+    monkeypatch.setattr("transports.can_bus.endpoint._DRAIN_TURNS", 20)
+    monkeypatch.setattr("transports.can_bus.served._CLOSE_TURNS", 20)
+    monkeypatch.setattr(ServedBus, "has_listeners", property(lambda self: next(answers)))
+
+    async def first_frame():
+        ring, clock = EventRing(100), FakeClock(10**9)
+        device = partial(Instrument, (346, 260), InstrumentSettings())
+        link = Link(LinkSetup("can", ring, device, CanFactory(PARAMETERS)), clock)
+        await link.endpoint.start()
+        for carries in (False, True):
+            link.tick()
+            clock.advance(10**6)
+            assert bool(link.endpoint.use.carried) is carries
+        ring.start(FREE_RUNNING)
+        ring.push(events(100))
+        ring.publish(10**7)
+        link.tick()
+        await link.close()
+        return link.report(final=True).camera.not_running
+
+    assert asyncio.run(first_frame()) == 0
 
 
 def test_what_cannot_leave_in_time_is_counted_as_dropped(monkeypatch):
