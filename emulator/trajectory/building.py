@@ -38,10 +38,12 @@ from emulator.trajectory.parameters import (
     KeyframePath,
     LivePath,
     OrbitPath,
+    SpicePath,
     SpinPath,
     TrajectoryParameters,
 )
 from emulator.trajectory.pose import OPENGL_FROM_CAMERA, Fixed, Pose, Timescale, Trajectory, TrajectoryError
+from emulator.trajectory.spice import SpiceTrajectory
 
 __all__ = ["HasCameraPath", "MountedPath", "build_trajectories", "build_trajectory", "read_path"]
 
@@ -172,11 +174,14 @@ def build_trajectory(p: TrajectoryParameters | MountedPath) -> Trajectory:
             return _looking(recorded, p.look_at_m, p.up, _spread(*span_ns))
         case LivePath():
             return _received(p, 0, {})
-        case MountedPath() | BasiliskPath():
+        case MountedPath() | BasiliskPath() | SpicePath():
             return _derived(p)
 
 
-def _derived(p: MountedPath | BasiliskPath) -> Trajectory:
+def _derived(p: MountedPath | BasiliskPath | SpicePath) -> Trajectory:
+    if isinstance(p, SpicePath):
+        path = SpiceTrajectory(p)
+        return path if p.camera_frame else Looking(path, (0.0, 0.0, 0.0), p.up, path.instants_ns)
     if isinstance(p, BasiliskPath):
         return simulated_path(p)
     mounting = Pose(np.array(p.offset_m), np.array(p.q_path_from_body))

@@ -25,6 +25,7 @@ __all__ = [
     "KeyframePath",
     "LivePath",
     "OrbitPath",
+    "SpicePath",
     "SpinPath",
     "TrajectoryParameters",
 ]
@@ -338,7 +339,52 @@ class BasiliskPath:
             raise ValueError("give one of camera, spacecraft and body: its object in the simulation")
 
 
+@dataclass(frozen=True)
+class SpicePath:
+    """A camera's path from SPICE kernels; the world is `frame` with the target at its origin.
+
+    Attributes
+    ----------
+    kernels
+        SPK, CK, FK, LSK, SCLK and PCK files beside the rig file, in the order of loading.
+    observer, target
+        NAIF names or ids, for instance "-82" and "MOON".
+    frame
+        Axes of the world, for instance "J2000" or "IAU_MOON".
+    camera_frame
+        Frame of the camera: x right, y down, z along the boresight. Empty: the camera looks at the target.
+    start_utc
+        Time 0, for instance "2004-06-11T19:00:00".
+    duration_s
+        Length of the path, which the kernels must cover.
+    aberration
+        Correction of the target's place, as SPICE names it.
+    up
+        Direction that is up in the image where the camera looks at the target.
+    """
+
+    kind: ClassVar[str] = "spice"
+    kernels: tuple[RigFile, ...] = ()
+    observer: str = ""
+    target: str = ""
+    frame: str = "J2000"
+    camera_frame: str = ""
+    start_utc: str = ""
+    duration_s: float = 1.0
+    aberration: Literal["NONE", "LT", "LT+S", "CN", "CN+S"] = "NONE"
+    up: _Triple = _UP
+
+    def __post_init__(self) -> None:
+        _require_finite(self)
+        _require_direction(self, "up")
+        for name in ("kernels", "observer", "target", "frame", "start_utc"):
+            if not getattr(self, name):
+                raise ValueError(f"{name} is missing")
+        if not 1e-3 <= self.duration_s <= 1e9:
+            raise ValueError(f"duration_s is {self.duration_s:g}: it must be 0.001 to 1e9")
+
+
 TrajectoryParameters = (
-    FixedPath | KeyframePath | OrbitPath | SpinPath | DescentPath | FilePath | LivePath | BasiliskPath
+    FixedPath | KeyframePath | OrbitPath | SpinPath | DescentPath | FilePath | LivePath | BasiliskPath | SpicePath
 )
 """Any of them, as the type of a key in a scene's table."""
