@@ -67,6 +67,7 @@ if TYPE_CHECKING:
         KeyframePath,
         LivePath,
         OrbitPath,
+        SpicePath,
         SpinPath,
     )
     from emulator.trajectory.pose import from_basilisk as attitude_from_basilisk
@@ -257,6 +258,7 @@ __all__ = [
     "SerialReceiver",
     "ShortTransfers",
     "SlowControl",
+    "SpicePath",
     "SpinPath",
     "StaleData",
     "Stall",
@@ -338,6 +340,7 @@ _NAMES = {
         "KeyframePath",
         "LivePath",
         "OrbitPath",
+        "SpicePath",
         "SpinPath",
     ),
     "evstim.deliveries": ("Delivery",),

@@ -187,8 +187,12 @@ def beside(value: T, folder: Path) -> T:
     changed: dict[str, Any] = {}
     for name, annotation in types.items():
         old = getattr(value, name)
-        is_file = annotation is RigFile and (folder / old).is_file()
-        new = RigFile(str(folder / old)) if is_file else beside(old, folder)
+        if annotation == tuple[RigFile, ...]:
+            found = tuple(str(folder / one) if (folder / one).is_file() else one for one in old)
+            new = old if found == old else found
+        else:
+            is_file = annotation is RigFile and (folder / old).is_file()
+            new = RigFile(str(folder / old)) if is_file else beside(old, folder)
         if new is not old:
             changed[name] = new
     return dataclasses.replace(value, **changed) if changed else value

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from emulator.tables.typed_table import beside
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.parameters import SpicePath
 from emulator.trajectory.pose import Trajectory, TrajectoryError
@@ -80,7 +81,7 @@ def test_the_frame_of_the_camera_is_that_of_spice(kernels: tuple[str, ...]) -> N
         ({"duration_s": 900.0}, "cover 2020-01-01T11:58"),
         ({"observer": "NOBODY"}, "NOBODY"),
         ({"frame": "NOWHERE"}, "NOWHERE"),
-        ({"start_utc": "soon"}, "soon"),
+        ({"start_utc": "soon"}, "UNPARSEDTIME"),
     ],
 )
 def test_what_the_kernels_lack_is_named(kernels: tuple[str, ...], changed: dict[str, object], message: str) -> None:
@@ -94,6 +95,11 @@ def test_a_missing_or_damaged_kernel_is_named(kernels: tuple[str, ...], tmp_path
     Path(kernels[2]).write_bytes(b"DAF/SPK " + b"\xff" * 2000)
     with pytest.raises(TrajectoryError, match="SPICE"):
         fly_by(kernels)
+
+
+def test_kernels_lie_beside_the_rig(kernels: tuple[str, ...], tmp_path: Path) -> None:
+    p = SpicePath(kernels=("made.tls", "none.bsp"), observer="-900", target="SUN", start_utc="2020-01-01")  # type: ignore[arg-type]
+    assert beside(p, tmp_path).kernels == (kernels[0], "none.bsp")
 
 
 def test_two_sets_of_kernels_do_not_disturb_each_other(kernels: tuple[str, ...]) -> None:
