@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, FrameDecoder
 from firmware_protocol.dvxplorer.frame_stream import sample_of
+from firmware_protocol.dvxplorer.frame_words import in_wire_order
 from firmware_protocol.events import EVENT
 from firmware_protocol.imu_samples import no_samples
 from firmware_protocol.usb.device import SetupPacket, Stall
@@ -99,6 +100,25 @@ def test_without_frames_no_time_is_changed():
     assert reader.frames == sorted(set(events["t"].tolist()))
     order = np.lexsort((events["y"], events["on"], events["y"] >> 3, events["x"], events["t"]))
     assert np.array_equal(record, events[order])
+
+
+@pytest.mark.parametrize(("per_time", "columns"), [(1, 640), (3, 640), (39, 640), (40, 640), (900, 640), (900, 1)])
+def test_the_order_on_the_wire_is_that_of_a_sort_by_time_column_group_polarity_and_row(per_time, columns):
+    events = scattered(4000, 5, seed=per_time)
+    events["t"] = 5 + np.arange(4000) // per_time
+    events["x"] %= columns
+    sorted_at = np.lexsort((events["y"], events["on"], events["y"] >> 3, events["x"], events["t"]))
+    ordered = in_wire_order(events, (640, 480))
+    assert ordered.tobytes() == events[sorted_at].tobytes()
+    assert in_wire_order(ordered, (640, 480)) is ordered
+
+
+@pytest.mark.parametrize(("at", "wrong"), [("t", "sorted by time"), ("x", "outside"), ("y", "outside")])
+def test_events_outside_or_back_in_time_have_no_order(at, wrong):
+    events = scattered(100, 5)
+    events[at][-1] = 0 if at == "t" else 640
+    with pytest.raises(ValueError, match=wrong):
+        in_wire_order(events, (640, 480))
 
 
 def test_both_polarities_of_a_group_share_a_word():
