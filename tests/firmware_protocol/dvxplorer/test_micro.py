@@ -189,6 +189,18 @@ def test_thresholds_and_rates_act_as_those_of_a_dvxplorer():
     assert camera.scan_us == 10_000
 
 
+@pytest.mark.parametrize(("code", "interval", "period_us"), [(4, 24950, 500), (5, 9950, 200), (6, 4950, 100)])
+def test_a_lossy_rate_has_exactly_its_period_on_both_models(code, interval, period_us):
+    camera, _ = running((1, 13, code))
+    older, _ = running(
+        *((5, address, value) for address, value in ((0x325C, 1), (0x3240, 0), (0x3241, 0), (0x3242, 1))),
+        *((5, 0x325D + k, interval >> 8 * (1 - k) & 255) for k in range(2)),
+        bcd_device=0x0409,
+    )
+    assert camera.scan_us == older.scan_us == period_us
+    assert camera.sensor_factors["scan_us"] == pytest.approx(older.sensor_factors["scan_us"])
+
+
 @pytest.mark.parametrize(
     ("writes", "chosen"),
     [
