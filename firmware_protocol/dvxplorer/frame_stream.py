@@ -108,7 +108,7 @@ class FrameStream:
         ordered = in_wire_order(events, self._size)
         fitting = ordered[: self.room_beside(0)]
         if len(fitting):
-            fitting = copy_events(fitting) if fitting is events else fitting
+            fitting = copy_events(fitting) if ordered is events else fitting
             self._times.put(fitting, self.period_us)
             self._queue.append(fitting)
             self._queued += len(fitting)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, FrameDecoder
-from firmware_protocol.dvxplorer.frame_stream import sample_of
+from firmware_protocol.dvxplorer.frame_stream import FrameStream, sample_of
 from firmware_protocol.dvxplorer.frame_words import in_wire_order
 from firmware_protocol.events import EVENT
 from firmware_protocol.imu_samples import no_samples
@@ -111,6 +111,13 @@ def test_the_order_on_the_wire_is_that_of_a_sort_by_time_column_group_polarity_a
     ordered = in_wire_order(events, (640, 480))
     assert ordered.tobytes() == events[sorted_at].tobytes()
     assert in_wire_order(ordered, (640, 480)) is ordered
+
+
+def test_the_times_of_frames_are_not_written_into_the_caller_s_events():
+    stream, events = FrameStream((640, 480), 1024), np.array([(10, 5, 5, True), (20, 9, 5, True)], EVENT)
+    stream.period_us = 197.0
+    stream.put(events)
+    assert events["t"].tolist() == [10, 20]
 
 
 @pytest.mark.parametrize(("at", "wrong"), [("t", "sorted by time"), ("x", "outside"), ("y", "outside")])
