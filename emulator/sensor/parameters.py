@@ -169,8 +169,9 @@ class NoiseParameters:
         its bandwidth to f corner / (corner + f).
     spread : log-normal spread of the rms between pixels (standard deviation of its logarithm; the median is `rms`): a
         few pixels fire far more often than the others, as on real chips.
-    history_s : time for which noise has acted before the start, s, in the first light: without it, references at random
-        phases make a burst of events, as after a reset of the whole chip. Points only.
+    history_s : longest time for which noise has acted before the start, s, in the first light; each pixel takes as much
+        of it as its level needs to settle. Without it, references at random phases make a burst of events, as after a
+        reset of the whole chip. Points only.
     grade : "points" draws noise events by their rate, at a cost that follows their number; "grid" follows the voltage
         of each pixel on a fine grid of time, for sensors of some thousand pixels and for comparison.
     """

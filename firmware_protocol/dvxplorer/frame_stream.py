@@ -27,7 +27,7 @@ from firmware_protocol.davis346.stream import Late
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import Numbers, Reading, ReadingKind, count_kinds
 from firmware_protocol.dvxplorer.frame_words import FRAME_WORD, FrameEncoder, FrameTimes, in_wire_order
-from firmware_protocol.events import Events, empty_events, join_events
+from firmware_protocol.events import Events, copy_events, empty_events, join_events
 from firmware_protocol.imu_samples import IMU_SAMPLE, ImuSamples, ImuSettings
 from firmware_protocol.usb.device import Transfer
 
@@ -108,7 +108,7 @@ class FrameStream:
         ordered = in_wire_order(events, self._size)
         fitting = ordered[: self.room_beside(0)]
         if len(fitting):
-            fitting = fitting.copy() if fitting is events else fitting
+            fitting = copy_events(fitting) if ordered is events else fitting
             self._times.put(fitting, self.period_us)
             self._queue.append(fitting)
             self._queued += len(fitting)

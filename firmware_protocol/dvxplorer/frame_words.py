@@ -40,11 +40,15 @@ entry = entry_of("firmware_protocol.dvxplorer", "firmware_protocol.evt")
 
 _Bytes = npt.NDArray[np.uint8]
 _State = npt.NDArray[np.int64]
+_Keys = npt.NDArray[np.int32]
+_Counts = npt.NDArray[np.int32]
 
 _GROUPS, _TIME, _COLUMN, _FIRST = 1 << 31, 1 << 27, 1 << 26, 1 << 21
 _SUB_SHIFT, _TIME_BITS, _FARTHEST = 11, 22, 31
 _MS_US = 1000
 _MOST_TIMES = 1024  # time words one by one; a longer gap, a second without a reader, has one
+_DIGITS, _DIGIT_BITS, _DIGIT = 3, 7, 127  # of a key, and the largest value of one
+_FEW = 40  # events of one time that are sorted by insertion
 _MOST_OF_COLUMN = 64  # words: one of the column, and one for each of 60 groups
 
 # Typed, so that a kernel is compiled once; numpy's types are no int for a checker.
@@ -65,27 +69,90 @@ def _key(events: _Bytes, at: int) -> int:
 
 
 @entry
-def order_keys(events: _Bytes, size: tuple[int, int], keys: npt.NDArray[np.int64]) -> int:
-    """Write the order on the wire of (13 n,) bytes of events into `keys`, (n,).
+def sort_keys(events: _Bytes, size: tuple[int, int], keys: _Keys, counts: _Counts) -> int:
+    """Write the keys of (13 n,) bytes of events into keys[0], (2, n), those of each time in order.
 
-    Returns 0 if they are in this order, 1 if not, and a negative number for an event outside the array or back in time.
+    Returns 0 if the events are in this order already, 1 if not, and a negative number for an event outside the array or
+    back in time. `counts` is room for the sort, (3, 128).
+
+    Events come sorted by time, so only those of one time change places, and the other 20 bits are their whole order. A
+    time in order, as each single event, costs a comparison an event; few events are sorted by insertion, many digit by
+    digit without comparisons, and a digit that all share, as the column of a scan, costs no pass. Events with one time
+    and one key are equal, so `put_keys` makes the events of keys and reads none in a random order.
     """
-    before, last_us, first_us, is_unsorted = _NONE, _ZERO, _ZERO, 0
-    for k in range(len(keys)):
+    begin, last_us, before, is_unsorted, result = _ZERO, _ZERO, _NONE, _ZERO, _ZERO
+    count = keys.shape[1]
+    for k in range(count):
         at = k * EVENT_BYTES
         t, x = time_at(events, at), short_at(events, at + 8)
         if x >= size[0] or short_at(events, at + 10) >= size[1]:
             return _OUTSIDE
-        if k == 0:
-            first_us = t
-        elif t < last_us:
-            return _BACKWARDS
-        last_us = t
-        keys[k] = (t - first_us) << 20 | x << 10 | _key(events, at)
-        if keys[k] < before:
-            is_unsorted = 1
-        before = keys[k]
-    return is_unsorted
+        if t != last_us or k == 0:
+            if k and t < last_us:
+                return _BACKWARDS
+            if is_unsorted:
+                _sort(keys, begin, k, counts)
+            begin, last_us, before, is_unsorted = k, t, _NONE, _ZERO
+        key = x << 10 | _key(events, at)
+        keys[0, np.uint64(k)] = key
+        is_unsorted |= key < before
+        result |= is_unsorted
+        before = key
+    if is_unsorted:
+        _sort(keys, begin, count, counts)
+    return int(result)
+
+
+@kernel
+def _sort(keys: _Keys, begin: int, end: int, counts: _Counts) -> None:
+    """Sort keys[0] from `begin` to `end`; keys[1] is room."""
+    if end - begin < _FEW:
+        for k in range(begin + 1, end):
+            key, to = keys[0, np.uint64(k)], k
+            while to > begin and keys[0, np.uint64(to - 1)] > key:
+                keys[0, np.uint64(to)] = keys[0, np.uint64(to - 1)]
+                to -= 1
+            keys[0, np.uint64(to)] = key
+    else:
+        _sort_by_digits(keys, begin, end, counts)
+
+
+@kernel
+def _sort_by_digits(keys: _Keys, begin: int, end: int, counts: _Counts) -> None:
+    """Sort keys by three digits, the lowest first; all three are counted in one pass."""
+    counts[:] = 0
+    for k in range(begin, end):
+        key = keys[0, np.uint64(k)]
+        for digit in range(_DIGITS):
+            counts[np.uint64(digit), np.uint64(key >> _DIGIT_BITS * digit & _DIGIT)] += 1
+    side = _ZERO
+    for digit in range(_DIGITS):
+        shift = _DIGIT_BITS * digit
+        if counts[np.uint64(digit), np.uint64(keys[0, np.uint64(begin)] >> shift & _DIGIT)] == end - begin:
+            continue
+        place = begin
+        for value in range(_DIGIT + 1):
+            place, counts[digit, value] = place + counts[digit, value], place
+        for k in range(begin, end):
+            key = keys[np.uint64(side), np.uint64(k)]
+            own = np.uint64(key >> shift & _DIGIT)
+            keys[np.uint64(1 - side), np.uint64(counts[np.uint64(digit), own])] = key
+            counts[np.uint64(digit), own] += 1
+        side = 1 - side
+    if side:
+        for k in range(begin, end):
+            keys[0, np.uint64(k)] = keys[1, np.uint64(k)]
+
+
+@entry
+def put_keys(events: _Bytes, keys: _Keys, out: _Bytes) -> None:
+    """Write the events of keys[0], (2, n), with the times of (13 n,) bytes of `events`, into `out`, (13 n,)."""
+    for k in range(keys.shape[1]):
+        at, key = k * EVENT_BYTES, int(keys[0, np.uint64(k)])
+        put_time(out, at, time_at(events, at))
+        put_short(out, at + 8, key >> 10)
+        put_short(out, at + 10, key >> 1 & 0x1F8 | key & 7)
+        out[np.uint64(at + 12)] = key >> 3 & 1
 
 
 @entry
@@ -150,20 +217,27 @@ def _put_times(ms: int, state: _State, out: FrameWords, written: int) -> int:
 
 @kernel
 def _put_column(events: _Bytes, at: int, out: FrameWords, written: int) -> tuple[int, int]:
-    """Write the groups of one column; return the places after its last event and its last word."""
+    """Write the groups of one column; return the places after its last event and its last word.
+
+    Each part is read once, and the third only where it decides whether the first two share a word.
+    """
     t, x = time_at(events, at), short_at(events, at + 8)
     group, off, mask, at = _part(events, at, t, x)
-    while mask:
-        second, second_off, second_mask, after = _part(events, at, t, x)
+    second, second_off, second_mask, after = _part(events, at, t, x)
+    while second_mask:
         third = _part(events, after, t, x)
-        is_pair = second_mask != 0 and second - group <= _FARTHEST and (second == group or third[0] != second)
-        if not is_pair:
-            out[np.uint64(written)] = _GROUPS | group << 18 | off << 16 | mask
-            group, off, mask, at = second, second_off, second_mask, after
-        else:
+        if second - group <= _FARTHEST and (second == group or third[0] != second):
             pair = second_off << 17 | off << 16 | second_mask << 8 | mask
             out[np.uint64(written)] = _GROUPS | (second - group) << 26 | group << 18 | pair
             group, off, mask, at = third
+            second, second_off, second_mask, after = _part(events, at, t, x)
+        else:
+            out[np.uint64(written)] = _GROUPS | group << 18 | off << 16 | mask
+            group, off, mask, at = second, second_off, second_mask, after
+            second, second_off, second_mask, after = third
+        written += 1
+    if mask:
+        out[np.uint64(written)] = _GROUPS | group << 18 | off << 16 | mask
         written += 1
     return at, written
 
@@ -184,12 +258,19 @@ def _part(events: _Bytes, at: int, t: int, x: int) -> tuple[int, int, int, int]:
 
 
 def in_wire_order(events: Events, size: tuple[int, int]) -> Events:
-    """Return (n,) EVENT, sorted by time, in the order on the wire; raises ValueError for others."""
-    keys = np.empty(len(events), np.int64)
-    order = order_keys(bytes_of(events), size, keys)
+    """Return (n,) EVENT, sorted by time, in the order on the wire; raises ValueError for others.
+
+    These are `events` themselves if they are in this order.
+    """
+    keys, given = np.empty((2, len(events)), np.int32), bytes_of(events)
+    order = sort_keys(given, size, keys, np.empty((_DIGITS, _DIGIT + 1), np.int32))
     if order < 0:
         raise ValueError("an event lies outside the array" if order == _OUTSIDE else "events must be sorted by time")
-    return events[np.argsort(keys, kind="stable")] if order else events
+    if not order:
+        return events
+    ordered = empty_events(len(events))
+    put_keys(given, keys, bytes_of(ordered))
+    return ordered
 
 
 class FrameTimes:

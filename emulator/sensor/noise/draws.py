@@ -77,7 +77,9 @@ _SCALE = 2
 _NEAR, _WINDOW, _MOVED = (np.uint8(bit) for bit in (1, 2, 4))
 _LOOKED = np.uint8(8)  # since the last crossing, within its step
 _LEAST_HZ = 2.0**-5  # of candidates: a level that moves without crossings is read again as often as this
+_LEAST_RATE_HZ = 1e-6  # of events, in a division
 _LEAST_DRIFT = 1e-9  # ln units a second: slower leaks leave all of the history
+_SETTLED = 5.0  # longest mean stays of a level after which its start makes one percent
 _FAR = 8.0  # deviations of a threshold from which the rate is below the least one at any bandwidth up to 1e9 Hz
 _AHEAD = 8  # pixels whose state is requested from memory before it is needed
 _UNREADABLE_HZ = 64.0  # of candidates in light that is not finite, so that finite light is noticed
@@ -235,7 +237,10 @@ def _run(pixel: int, until_ns: int, w: Setting, s: PixelNoise, out: Packed, n: i
 def draw_first(t_ns: int, history_ns: int, w: Setting, s: PixelNoise) -> None:
     """Draw the first candidates of all pixels, `history_ns` before a time; levels have been read for this time.
 
-    A leak has moved the levels in that time: it is no longer than the leak takes for half a threshold.
+    A leak has moved the levels in that time: it is no longer than the leak takes for half a threshold. Nor is it longer
+    than some mean stays at the level where events are rarest, which is the time in which a pixel's level settles: the
+    many events of the noisiest pixels after it would change nothing. It must not end with some number of events: levels
+    just after an event are not those of a random time.
     """
     light, c, table = w.light, w.constants, w.table
     for pixel in range(light.size):
@@ -244,9 +249,11 @@ def draw_first(t_ns: int, history_ns: int, w: Setting, s: PixelNoise) -> None:
             continue
         limits = np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])
         leak = max(abs(np.float64(s.levels[pixel, DRIFT])), _LEAST_DRIFT)
-        start_ns = t_ns - min(history_ns, int(0.5e9 * limits[0] / leak))
+        noise = _figures(light[pixel], s.limits[pixel, _SCALE], c)
+        rarest_hz = max(sum(_rates((limits[1] - limits[0]) / 2, limits, noise, table)), _LEAST_RATE_HZ)
+        start_ns = t_ns - int(min(np.float64(history_ns), 0.5e9 * limits[0] / leak, _SETTLED * 1e9 / rarest_hz))
         level = s.levels[pixel, OFFSET] - _seen(start_ns, pixel, s)
-        on_hz, off_hz = _rates(level, limits, _figures(light[pixel], s.limits[pixel, _SCALE], c), table)
+        on_hz, off_hz = _rates(level, limits, noise, table)
         hz = _candidates_hz(on_hz + off_hz) if abs(light[pixel]) <= _LARGEST else _UNREADABLE_HZ
         s.levels[pixel, RATE] = hz
         s.times[pixel, NEXT] = start_ns + _wait_ns(low(word(stream(c.root_of_looks, pixel), start_ns)), hz)

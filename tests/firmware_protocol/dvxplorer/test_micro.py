@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, FrameDecoder
-from firmware_protocol.dvxplorer.frame_stream import sample_of
+from firmware_protocol.dvxplorer.frame_stream import FrameStream, sample_of
+from firmware_protocol.dvxplorer.frame_words import in_wire_order
 from firmware_protocol.events import EVENT
 from firmware_protocol.imu_samples import no_samples
 from firmware_protocol.usb.device import SetupPacket, Stall
@@ -101,6 +102,32 @@ def test_without_frames_no_time_is_changed():
     assert np.array_equal(record, events[order])
 
 
+@pytest.mark.parametrize(("per_time", "columns"), [(1, 640), (3, 640), (39, 640), (40, 640), (900, 640), (900, 1)])
+def test_the_order_on_the_wire_is_that_of_a_sort_by_time_column_group_polarity_and_row(per_time, columns):
+    events = scattered(4000, 5, seed=per_time)
+    events["t"] = 5 + np.arange(4000) // per_time
+    events["x"] %= columns
+    sorted_at = np.lexsort((events["y"], events["on"], events["y"] >> 3, events["x"], events["t"]))
+    ordered = in_wire_order(events, (640, 480))
+    assert ordered.tobytes() == events[sorted_at].tobytes()
+    assert in_wire_order(ordered, (640, 480)) is ordered
+
+
+def test_the_times_of_frames_are_not_written_into_the_caller_s_events():
+    stream, events = FrameStream((640, 480), 1024), np.array([(10, 5, 5, True), (20, 9, 5, True)], EVENT)
+    stream.period_us = 197.0
+    stream.put(events)
+    assert events["t"].tolist() == [10, 20]
+
+
+@pytest.mark.parametrize(("at", "wrong"), [("t", "sorted by time"), ("x", "outside"), ("y", "outside")])
+def test_events_outside_or_back_in_time_have_no_order(at, wrong):
+    events = scattered(100, 5)
+    events[at][-1] = 0 if at == "t" else 640
+    with pytest.raises(ValueError, match=wrong):
+        in_wire_order(events, (640, 480))
+
+
 def test_both_polarities_of_a_group_share_a_word():
     events = np.array([(10, 5, 8 * 3 + k, k % 2 == 0) for k in range(4)] + [(10, 5, 480 - 1, True)], EVENT)
     _, host = running()
@@ -167,6 +194,18 @@ def test_thresholds_and_rates_act_as_those_of_a_dvxplorer():
     assert camera.sensor_factors["scan_us"] == pytest.approx(499 / 199)
     host.write(1, 13, 0)
     assert camera.scan_us == 10_000
+
+
+@pytest.mark.parametrize(("code", "interval", "period_us"), [(4, 24950, 500), (5, 9950, 200), (6, 4950, 100)])
+def test_a_lossy_rate_has_exactly_its_period_on_both_models(code, interval, period_us):
+    camera, _ = running((1, 13, code))
+    older, _ = running(
+        *((5, address, value) for address, value in ((0x325C, 1), (0x3240, 0), (0x3241, 0), (0x3242, 1))),
+        *((5, 0x325D + k, interval >> 8 * (1 - k) & 255) for k in range(2)),
+        bcd_device=0x0409,
+    )
+    assert camera.scan_us == older.scan_us == period_us
+    assert camera.sensor_factors["scan_us"] == pytest.approx(older.sensor_factors["scan_us"])
 
 
 @pytest.mark.parametrize(

@@ -186,6 +186,16 @@ def test_a_start_after_noise_has_acted_has_no_burst():
     assert fresh > 20 * max(settled, 1)
 
 
+@pytest.mark.parametrize("a", [3.0, 4.0])
+def test_a_start_after_noise_has_acted_has_the_rate_of_later_times(a):
+    """Levels have settled, though each pixel's noise ran only as long as its own level takes for that."""
+    p = dataclasses.replace(noisy(a), noise=dataclasses.replace(noisy(a).noise, spread=0.1, history_s=1000.0))
+    frames, edges_s = [light(LIT, t) for t in (0.0, 0.2, 10.0, 10.2)], np.array([0.2, 10.0, 10.2])
+    found = events_of(p, 1, frames, 0.0, edges_s)
+    assert found[:, 2].sum() > 300
+    assert_alike(found[:, :1], found[:, 2:])
+
+
 def test_noise_before_the_start_acts_in_the_light_of_the_reset():
     """The first step ends in light that is no number, in which no noise acts."""
     noise = dataclasses.replace(noisy(4.83).noise, history_s=100.0)
