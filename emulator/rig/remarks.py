@@ -18,8 +18,9 @@ from emulator.sensor.noise.law import beyond_the_law, corner_hz
 from emulator.sensor.presets import SensorParameters
 from emulator.tables.typed_table import RigFile, field_types
 from emulator.trajectory.building import read_path
-from emulator.trajectory.parameters import BasiliskPath, FilePath
+from emulator.trajectory.parameters import BasiliskPath, FilePath, SpicePath
 from emulator.trajectory.pose import TrajectoryError
+from emulator.trajectory.spice import read_spice
 
 __all__ = ["OpenedFile", "open_files", "remarks"]
 
@@ -93,18 +94,21 @@ def open_files(rig: Rig) -> list[OpenedFile]:
     """Open every file that the rig names, and read its trajectories; raises RigError with the key."""
     opened = []
     for where, table in _tables(rig.scene, "scene"):
-        is_read = isinstance(table, FilePath)
+        is_read = isinstance(table, FilePath | SpicePath)
         for name, annotation in field_types(type(table)).items():
             value = getattr(table, name)
-            if annotation is RigFile and value:
-                path = find_shape(value) if isinstance(table, BodyTable) else Path(value)
+            files = value if annotation == tuple[RigFile, ...] else [value] if annotation is RigFile and value else []
+            for file in files:
+                path = find_shape(file) if isinstance(table, BodyTable) else Path(file)
                 size = _open(f"{rig.name}: {where}.{name}", path)
                 opened.append(OpenedFile(f"{where}.{name}", str(path), size, is_read))
-        if isinstance(table, FilePath):
-            try:
+        try:
+            if isinstance(table, FilePath):
                 read_path(table)
-            except TrajectoryError as error:
-                raise RigError(f"{rig.name}: {where}: {error}") from error
+            elif isinstance(table, SpicePath):
+                read_spice(table)
+        except TrajectoryError as error:
+            raise RigError(f"{rig.name}: {where}: {error}") from error
     return opened
 
 

@@ -43,7 +43,7 @@ from emulator.trajectory.parameters import (
     TrajectoryParameters,
 )
 from emulator.trajectory.pose import OPENGL_FROM_CAMERA, Fixed, Pose, Timescale, Trajectory, TrajectoryError
-from emulator.trajectory.spice import SpiceTrajectory
+from emulator.trajectory.spice import read_spice
 
 __all__ = ["HasCameraPath", "MountedPath", "build_trajectories", "build_trajectory", "read_path"]
 
@@ -180,8 +180,8 @@ def build_trajectory(p: TrajectoryParameters | MountedPath) -> Trajectory:
 
 def _derived(p: MountedPath | BasiliskPath | SpicePath) -> Trajectory:
     if isinstance(p, SpicePath):
-        path = SpiceTrajectory(p)
-        return path if p.camera_frame else Looking(path, (0.0, 0.0, 0.0), p.up, path.instants_ns)
+        path = read_spice(p)
+        return path if p.camera_frame else Looking(path, (0.0, 0.0, 0.0), p.up, _spread(*path.span_ns))
     if isinstance(p, BasiliskPath):
         return simulated_path(p)
     mounting = Pose(np.array(p.offset_m), np.array(p.q_path_from_body))
