@@ -44,8 +44,8 @@ def drawing(python: Path, program: str, port: int) -> Iterator[None]:
 @pytest.mark.parametrize(
     ("rig", "program", "package"),
     [
-        ("tumbling.toml", "tumbling_mujoco.py", "mujoco>=3.2,<4"),
-        ("orbit.toml", "orbit_mitsuba.py", "mitsuba>=3.5,<4"),
+        ("tumbling.toml", "tumbling_mujoco.py", "mujoco>=3.2,<4 numpy"),
+        ("orbit.toml", "orbit_mitsuba.py", "mitsuba>=3.5,<4 numpy"),
     ],
 )
 def test_a_driver_reads_every_event_of_a_renderer(
