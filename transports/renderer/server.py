@@ -245,8 +245,10 @@ class RendererConnection:
         pixels = 0 if self.hello.shared else self._slots[draw.slot].size
         try:
             length = self._stream.expect(Type.IMAGE, Image.OCTETS + pixels, until_s)
+        except RendererEnded:
+            raise
         except RendererError as error:
-            raise type(error)(f"{error} (image {draw.number}, within {timeout_s:g} s)") from error
+            raise RendererError(f"{error} (image {draw.number}, within {timeout_s:g} s)") from error
         if length != Image.OCTETS + pixels:
             raise MessageError(f"an image has {length - Image.OCTETS} octets of pixels, not {pixels}")
         head = Image.parse(self._stream.read(Image.OCTETS, until_s))
