@@ -117,9 +117,23 @@ struct evstim_renderer_image {
 
 enum { EVSTIM_R_HELLO = 1, EVSTIM_R_CAMERA, EVSTIM_R_READY, EVSTIM_R_DRAW, EVSTIM_R_IMAGE, EVSTIM_R_END };
 
+/* Add a text to the reason, as much of it as there is room for. */
+static inline void evstim_r_add(struct evstim_renderer *r, const char *text)
+{
+    size_t used = strlen(r->reason), room = sizeof r->reason - 1 - used, count = strlen(text);
+    count = count < room ? count : room;
+    memcpy(r->reason + used, text, count);
+    r->reason[used + count] = '\0';
+}
+
 static inline int evstim_r_fail(struct evstim_renderer *r, int code, const char *what, const char *why)
 {
-    snprintf(r->reason, sizeof r->reason, "%s%s%s", what, why ? ": " : "", why ? why : "");
+    r->reason[0] = '\0';
+    evstim_r_add(r, what);
+    if (why != NULL) {
+        evstim_r_add(r, ": ");
+        evstim_r_add(r, why);
+    }
     return code;
 }
 
@@ -360,6 +374,8 @@ static inline int evstim_r_camera(struct evstim_renderer *r)
     r->has_pose = has_pose != 0;
     if (r->width - 1u > 65534u || r->height - 1u > 65534u || r->slots - 1u > 65534u)
         return evstim_r_fail(r, EVSTIM_RENDERER_MESSAGE, "the camera has no size, or no slots", NULL);
+    if (octets == 0 || octets > SIZE_MAX / r->slots)
+        return evstim_r_fail(r, EVSTIM_RENDERER_MESSAGE, "the slots have a size that no memory has", NULL);
     r->slot_octets = (size_t)octets;
     code = evstim_r_memory(r, (const char *)body + 40);
     if (code == EVSTIM_RENDERER_GOOD && evstim_r_planes(r, r->memory, &image) != r->slot_octets)
