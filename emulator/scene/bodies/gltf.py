@@ -82,7 +82,7 @@ def _parsed(text: bytes) -> _Object:
     version = str(_member(document, "asset").get("version", ""))
     if not version.startswith("2"):
         raise SceneError(f"is of glTF version {version[:20]!r}: version 2 is read")
-    for name in document.get("extensionsRequired", []):
+    for name in _list(document, "extensionsRequired"):
         if not str(name).startswith(_KNOWN_EXTENSIONS):
             raise SceneError(f"requires the extension {str(name)[:60]}, which is not known here: export it without")
     return document
@@ -99,6 +99,13 @@ def _items(owner: _Object, key: str) -> list[_Object]:
     value = owner.get(key, [])
     if not isinstance(value, list) or not all(isinstance(one, dict) for one in value):
         raise SceneError(f"{key} is no list of objects")
+    return value
+
+
+def _list(owner: _Object, key: str) -> list[Any]:
+    value = owner.get(key, [])
+    if not isinstance(value, list):
+        raise SceneError(f"{key} is no list")
     return value
 
 
@@ -156,7 +163,7 @@ class _File:
             raise SceneError(f"has {len(raw)} nodes: at most {_MOST_NODES} are read")
         nodes = [self._node(node, k) for k, node in enumerate(raw)]
         for k, node in enumerate(raw):
-            for child in node.get("children", []):
+            for child in _list(node, "children"):
                 n = _number({"children": child}, "children", None, len(raw), f"node {k}")
                 if nodes[n]["parent"] >= 0 or n == k:
                     raise SceneError(f"node {n} has two parents, or is its own: the nodes must be a tree")
@@ -188,9 +195,9 @@ class _File:
         shown = set(range(len(nodes)))
         if scenes:
             scene = _number(self._document, "scene", 0, len(scenes), "the file")
-            roots = scenes[scene].get("nodes", [])
-            roots = {_number({"nodes": n}, "nodes", None, len(nodes), f"scene {scene}") for n in roots}
-            shown = {k for k in shown if _root(k, nodes) in roots}
+            roots = _list(scenes[scene], "nodes")
+            numbers = {_number({"nodes": n}, "nodes", None, len(nodes), f"scene {scene}") for n in roots}
+            shown = {k for k in shown if _root(k, nodes) in numbers}
         count = len(_items(self._document, "meshes"))
         return [(k, _number(raw[k], "mesh", None, count, f"node {k}")) for k in sorted(shown) if "mesh" in raw[k]]
 
@@ -243,7 +250,7 @@ class _File:
         surface = _member(material, "pbrMetallicRoughness")
         if any(key.endswith("Texture") for key in (*surface, *material)):
             self._notes["textures are left out: the factors of the materials count"] = None
-        if any(material.get("emissiveFactor", [])) or _member(material, "extensions"):
+        if any(_list(material, "emissiveFactor")) or _member(material, "extensions"):
             self._notes["emission and extensions of materials are left out"] = None
         if material.get("alphaMode", "OPAQUE") != "OPAQUE":
             self._notes["transparent materials are drawn opaque"] = None
@@ -300,7 +307,7 @@ class _File:
         a = accessors[_number({"accessor": number}, "accessor", None, len(accessors), where)]
         if "sparse" in a or "bufferView" not in a:
             raise SceneError(f"{where}: sparse or compressed data: export it without")
-        kind = _TYPES.get(a.get("componentType", 0))
+        kind = _TYPES.get(_number(a, "componentType", None, 1 << 16, where))
         if kind is None or _WIDTHS.get(str(a.get("type"))) != width:
             raise SceneError(
                 f"{where}: {str(a.get('type'))[:20]} of {a.get('componentType')!s:.20} does not belong here"
