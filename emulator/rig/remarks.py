@@ -96,7 +96,8 @@ def open_files(rig: Rig) -> list[OpenedFile]:
     """Open every file that the rig names, and read its trajectories; raises RigError with the key."""
     opened = []
     for where, table in _tables(rig.scene, "scene"):
-        is_read = isinstance(table, FilePath | SpicePath)
+        is_model = isinstance(table, BodyTable) and Path(table.shape).suffix.lower() in MODEL_READERS
+        is_read = is_model or isinstance(table, FilePath | SpicePath)
         for name, annotation in field_types(type(table)).items():
             value = getattr(table, name)
             files = value if annotation == tuple[RigFile, ...] else [value] if annotation is RigFile and value else []
@@ -104,7 +105,7 @@ def open_files(rig: Rig) -> list[OpenedFile]:
                 path = find_shape(file) if isinstance(table, BodyTable) else Path(file)
                 size = _open(f"{rig.name}: {where}.{name}", path)
                 opened.append(OpenedFile(f"{where}.{name}", str(path), size, is_read))
-        if isinstance(table, BodyTable) and Path(table.shape).suffix.lower() in MODEL_READERS:
+        if isinstance(table, BodyTable) and is_model:
             _read_model(f"{rig.name}: {where}.shape", Path(table.shape))
         try:
             if isinstance(table, FilePath):

@@ -3,8 +3,8 @@
     python make_model.py [FOLDER]
 
 writes spacecraft.glb into FOLDER, by default beside this file. The node "panel" is a child of "bus" and turns about x
-once in 20 s. A glTF file is JSON and a block of octets (Khronos, glTF 2.0 specification); Blender and CAD programs write
-the same, with more in it.
+once in 20 s. A glTF file is JSON and a block of octets (Khronos, glTF 2.0 specification); Blender and CAD programs
+write the same, with more in it.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 A facet's outside is the side from which its corners run counter-clockwise. Lengths are metres. The formats are the
 plate tables of the Planetary Data System (`.tab`) and Wavefront OBJ, see `mesh_files`, and every surface format that
-trimesh reads (STL, PLY, ...), in a child process, see `guarded_reader`; for glTF see `models`. Textures and materials are ignored, but
-for `usemtl albedo_A` of OBJ files; split vertices are joined again.
+trimesh reads (STL, PLY, ...), in a child process, see `guarded_reader`; for glTF see `models`. Textures and
+materials are ignored, but for `usemtl albedo_A` of OBJ files; split vertices are joined again.
 
     bad input                                   what happens
     no file, unreadable, no facet               SceneError
