@@ -1,4 +1,4 @@
-"""Bodies of model files, glTF 2.0: each node with a mesh becomes a body, and animations of nodes become its path.
+"""Bodies of model files, glTF 2.0 and USD: a node with a mesh becomes a body, an animation of nodes its path.
 
     in the file                                 in the scene
     x, y, z in metres (glTF: y is up)           x, y, z of the body's frame, times units_m; its axes are the file's
@@ -40,14 +40,18 @@ from emulator.scene.files import read_in_child
 from emulator.trajectory.joints import Joint, JointPath, Track
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
 from emulator.trajectory.pose import Pose
+from transports.guarded_reader import Limits
 
 __all__ = ["MODEL_READERS", "Bodies", "law_of", "load_bodies", "read_model"]
 
 
+_USD = "emulator.scene.bodies.usd:read_usd"
+_USD_BYTES = 2 << 30  # address space that its library and its threads take
+
 MODEL_READERS = {
     ".glb": "emulator.scene.bodies.gltf:read_gltf",
     ".gltf": "emulator.scene.bodies.gltf:read_gltf",
-}
+} | dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), _USD)
 """The function that reads a model in the child process, by the file's suffix."""
 
 _MOST_PARTS = 256
@@ -124,7 +128,11 @@ class Model:
 
 def read_model(path: Path) -> Model:
     """Read a model file in a child process; raises SceneError with its name."""
-    arrays = read_in_child(MODEL_READERS[path.suffix.lower()], path)
+    reader, limits = MODEL_READERS[path.suffix.lower()], None
+    if reader == _USD and path.is_file():
+        usual = Limits.of(path)
+        limits = Limits(usual.memory_bytes + _USD_BYTES, usual.cpu_s)
+    arrays = read_in_child(reader, path, limits)
     header = json.loads(arrays.pop("header").tobytes())
     parts = header["parts"]
     if not parts:

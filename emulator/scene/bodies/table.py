@@ -124,7 +124,8 @@ class BodyTable:
     shape
         A file, or the name of a shipped model: 'eros007790', 'eros022540', 'itokawa_49152', or a part of the
         rendezvous target: 'target_bus', 'target_panel', 'target_ring', 'target_plate', 'target_marks';
-        or 'globe', a ball of radius 1. Each node of a glTF file (`.glb`, `.gltf`) becomes a body.
+        or 'globe', a ball of radius 1. Each node with a mesh of a glTF or USD file becomes a
+        body.
     units_m
         The shape's unit of length in metres; 1000 for kilometres.
     path

@@ -288,3 +288,54 @@ def _read_or_refuse(tmp_path_factory, octets):
     for part in header["parts"]:
         assert np.isfinite(found[part["vertices"]]).all()
         assert found[part["faces"]].max(initial=-1) < len(found[part["vertices"]])
+
+
+USD = """#usda 1.0
+(
+    metersPerUnit = 0.01
+    startTimeCode = 24
+    endTimeCode = 72
+    timeCodesPerSecond = 24
+    upAxis = "Z"
+)
+def Xform "craft" {
+    double3 xformOp:translate = (100, 0, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+    def Mesh "bus" {
+        int[] faceVertexCounts = [3, 3, 3, 3]
+        int[] faceVertexIndices = [0, 2, 1, 0, 1, 3, 1, 2, 3, 0, 3, 2]
+        point3f[] points = [(0, 0, 0), (100, 0, 0), (0, 100, 0), (0, 0, 100)]
+    }
+    def Mesh "panel" {
+        double3 xformOp:translate.timeSamples = { 24: (0, 0, 0), 72: (0, 200, 0) }
+        float3 xformOp:rotateXYZ.timeSamples = { 24: (0, 0, 0), 72: (90, 0, 360) }
+        uniform token[] xformOpOrder = ["xformOp:translate", "xformOp:rotateXYZ"]
+        int[] faceVertexCounts = [4]
+        int[] faceVertexIndices = [0, 1, 2, 3]
+        point3f[] points = [(0, 0, 0), (100, 0, 0), (100, 50, 0), (0, 50, 0)]
+    }
+}
+"""
+
+
+def test_a_usd_stage_moves_as_its_samples_say(tmp_path):
+    pytest.importorskip("pxr", reason="usd-core")
+    (tmp_path / "stage.usda").write_text(USD)
+    tables, meshes, paths = loaded(tmp_path / "stage.usda")
+    assert [table.name for table in tables] == ["craft", "craft/panel"]
+    np.testing.assert_allclose(meshes[0].vertices.max(axis=0), [2, 1, 1])
+    assert len(meshes[1].faces) == 2
+    for t_s in (0.0, 0.37, 1.0, 1.9):
+        pose = paths[1].pose(round(t_s * S))
+        turn = Rotation.from_euler("xyz", [45 * t_s, 0, 180 * t_s], degrees=True)
+        np.testing.assert_allclose(pose.position_m, [1, t_s, 0], atol=1e-6)
+        np.testing.assert_allclose(pose.world_from_body, turn.as_matrix(), atol=3e-5)
+
+
+def test_a_bad_usd_stage_is_refused(tmp_path):
+    pytest.importorskip("pxr", reason="usd-core")
+    (tmp_path / "bad.usda").write_text("#usda 1.0\ndef Mesh {")
+    (tmp_path / "counts.usda").write_text(USD.replace("[3, 3, 3, 3]", "[3, 3, 3, 1000000000]"))
+    for name, says in (("bad.usda", "cannot be read"), ("counts.usda", "do not fit")):
+        with pytest.raises(SceneError, match=says):
+            loaded(tmp_path / name)
