@@ -128,6 +128,7 @@ class NavigatingComputer:
     def __init__(self, pilot: Pilot, window: Window, estimator: MotionEstimator, log: TextIO) -> None:
         self._pilot, self._window, self._estimator, self._log = pilot, window, estimator, log
         self._samples_late_s = math.inf
+        self._seen_s = _SETTLED_S
 
     def complete(self, turn: int, syncs: int, now_s: float) -> bool:
         """Return True when the bus has brought all samples of a turn, or has had time for them."""
@@ -160,7 +161,8 @@ class NavigatingComputer:
     def _note(self, now_s: float, seen: Motion | None, more: dict[str, object]) -> None:
         now = self._pilot.filter.now
         row: dict[str, object] = {"t_s": now_s, "estimate_s": self._pilot.filter.newest * PERIOD_S}
-        row |= {"lost": self._pilot.uses_events and not (seen and seen.reliable)}
+        self._seen_s = now_s if seen and seen.reliable else self._seen_s
+        row |= {"lost": self._pilot.uses_events and now_s - self._seen_s > _SILENT_S}
         if seen and seen.reliable:
             row |= {"at_s": seen.at_s, "down_1_s": seen.down, "east_1_s": seen.east, "south_1_s": seen.south}
             row |= {"gain": seen.gain, "events": seen.events}

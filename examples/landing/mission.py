@@ -11,7 +11,7 @@ import argparse
 import json
 import math
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -212,36 +212,39 @@ class SensingSpacecraft:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds of a landing: speeds, m/s; tilt at contact, and slope of the ground under the feet, degrees; place, m."""
+    """Bounds of a landing: speeds, m/s; tilt at contact, degrees; place, m. Of the site: slope, degrees; rock, m."""
 
     vertical_m_s: float = 1.0
     horizontal_m_s: float = 0.5
     tilt_deg: float = 5.0
-    slope_deg: float = 12.0
     place_m: float = 25.0
+    slope_deg: float = 12.0
+    rock_m: float = 0.4
 
 
 def judgement(end: TouchDown, ground_m: Height, bounds: Bounds | None = None) -> dict[str, object]:
     """Return the figures of a landing, `beyond` (names of those over their bound) and `soft` (none, and on the ground).
 
-    `rock_m` is the highest ground between the feet above their plane; it is no bound.
+    `site_good`: slope of the ground under the feet and the highest rock between them are within theirs. Nothing on board
+    looks for a good site, so it is no part of `soft`.
     """
     x, y, _ = end.state.position_m.tolist()
     slope_deg, rock_m = _site(ground_m, x, y)
+    bounds = bounds or Bounds()
     figures = {
         "vertical_m_s": end.vertical_m_s,
         "horizontal_m_s": end.horizontal_m_s,
         "tilt_deg": math.degrees(math.acos(min(1.0, float(matrix(end.state.attitude)[2, 2])))),
-        "slope_deg": slope_deg,
         "place_m": math.hypot(x, y),
     }
-    most = asdict(bounds or Bounds())
-    beyond = [name for name, value in figures.items() if not value < most[name]]
-    return figures | {"rock_m": rock_m, "beyond": beyond, "soft": end.touched and not beyond}
+    beyond = [name for name, value in figures.items() if not value < getattr(bounds, name)]
+    site = {"slope_deg": slope_deg, "rock_m": rock_m}
+    site_good = slope_deg < bounds.slope_deg and rock_m < bounds.rock_m
+    return figures | site | {"site_good": site_good, "beyond": beyond, "soft": end.touched and not beyond}
 
 
 def _site(ground_m: Height, x_m: float, y_m: float) -> tuple[float, float]:
-    """Return the slope of the plane through the ground under four feet, degrees, and the rock above it, m."""
+    """Return the slope of the plane through the ground under four feet, degrees, and the highest ground above it, m."""
     heights = [ground_m(x_m + a * _FEET_M, y_m + b * _FEET_M) for a, b in ((1, 0), (0, 1), (-1, 0), (0, -1))]
     east, north = (heights[0] - heights[2]) / (2 * _FEET_M), (heights[1] - heights[3]) / (2 * _FEET_M)
     middle, over = sum(heights) / 4, 0.0
