@@ -155,7 +155,9 @@ class NavigatingComputer:
                 seen = self._estimator.estimate(rays, guess, 0.01 + 0.5 * abs(guess.down))
                 pilot.take_motion(seen, now_s - since_s)
         command = pilot.command_m_s2(now_s + period_s)
-        self._note(now_s, seen, {"window_s": window_s, "compute_ms": (time.monotonic_ns() - began_ns) * 1e-6} | (more or {}))
+        self._note(
+            now_s, seen, {"window_s": window_s, "compute_ms": (time.monotonic_ns() - began_ns) * 1e-6} | (more or {})
+        )
         return command
 
     def _note(self, now_s: float, seen: Motion | None, more: dict[str, object]) -> None:

@@ -223,7 +223,10 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=None)
     parser.add_argument("--real-time", action="store_true")
     parser.add_argument(
-        "--navigation", choices=[*NAVIGATIONS, "given"], default=None, help="given: attitude from the simulation, no IMU"
+        "--navigation",
+        choices=[*NAVIGATIONS, "given"],
+        default=None,
+        help="given: attitude from the simulation, no IMU",
     )
     parser.add_argument("--lead-us", type=int, default=0, help="instead of the rig's")
     parser.add_argument("--attach", nargs=3, metavar=("CAN_PORT", "POSE_PORT", "SERIAL"), default=None)

@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 from divergence import Motion
-from frames import unpack_attitude, unpack_command, pack_command
+from frames import pack_command, unpack_attitude, unpack_command
 from guidance import Law
 from navigation import Known
 from pilot import Pilot, PilotSettings
@@ -223,13 +223,13 @@ class Bounds:
 
 
 def judgement(end: TouchDown, ground_m: Height, bounds: Bounds | None = None) -> dict[str, object]:
-    """Return the figures of a landing, `beyond` (names of those over their bound) and `soft` (none, and on the ground).
+    """Return the figures of a landing, `beyond` (names of those over their bound) and `soft` (none, and touched).
 
-    `site_good`: slope of the ground under the feet and the highest rock between them are within theirs. Nothing on board
-    looks for a good site, so it is no part of `soft`.
+    `site_good`: slope of the ground under the feet and the highest rock between them are within theirs. Nothing on
+    board looks for a good site, so it is no part of `soft`.
     """
     x, y, _ = end.state.position_m.tolist()
-    slope_deg, rock_m = _site(ground_m, x, y)
+    slope_deg, rock_m = map(float, _site(ground_m, x, y))
     bounds = bounds or Bounds()
     figures = {
         "vertical_m_s": end.vertical_m_s,
@@ -240,7 +240,7 @@ def judgement(end: TouchDown, ground_m: Height, bounds: Bounds | None = None) ->
     beyond = [name for name, value in figures.items() if not value < getattr(bounds, name)]
     site = {"slope_deg": slope_deg, "rock_m": rock_m}
     site_good = slope_deg < bounds.slope_deg and rock_m < bounds.rock_m
-    return figures | site | {"site_good": site_good, "beyond": beyond, "soft": end.touched and not beyond}
+    return figures | site | {"site_good": bool(site_good), "beyond": beyond, "soft": bool(end.touched and not beyond)}
 
 
 def _site(ground_m: Height, x_m: float, y_m: float) -> tuple[float, float]:

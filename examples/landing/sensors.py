@@ -25,7 +25,17 @@ import numpy as np
 from frames import PUSH, PUSH_M_S, RANGE, STAR, TURN, TURN_RAD, pack_attitude, pack_range, pack_vector
 from vehicle import Lander, State, Vector, matrix, product
 
-__all__ = ["PERIOD_S", "Altimeter", "Draws", "Inertial", "SensorErrors", "Sensors", "StarTracker", "turn_of", "vector_of"]
+__all__ = [
+    "PERIOD_S",
+    "Altimeter",
+    "Draws",
+    "Inertial",
+    "SensorErrors",
+    "Sensors",
+    "StarTracker",
+    "turn_of",
+    "vector_of",
+]
 
 PERIOD_S = 0.02
 _ARC_S = math.pi / 648_000
