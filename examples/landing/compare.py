@@ -4,8 +4,8 @@
 
 A flight's number is its seed: start, errors of vehicle and sensors, ground (one of four, 3 degrees of slope, boulders
 on 3 % of it), the Sun's elevation, the camera's thresholds. Flights that have a row in FOLDER/rows.jsonl are not flown
-again; `--flights 0` only prints. Blind flights and those with the altimeter alone need no camera (mission.py); the others are
-those of fly.py, over the real serial line, bus and poses, one at a time.
+again; `--flights 0` only prints. Blind flights and those with the altimeter alone need no camera (mission.py); the
+others are those of fly.py, over the real serial line, bus and poses, one at a time.
 """
 
 from __future__ import annotations

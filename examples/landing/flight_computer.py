@@ -265,7 +265,7 @@ def main() -> None:
     ):
         flying: Callable[..., None] = fly_real_time if arguments.real_time else fly_lockstep
         if arguments.navigation:
-            pilot = Pilot(Known(**json.loads(arguments.known)), PilotSettings(arguments.navigation, lens.size[0] / 2))
+            pilot = Pilot(Known(**json.loads(arguments.known)), _settings(arguments, lens))
             computer: FlightComputer | NavigatingComputer = NavigatingComputer(pilot, window, _estimator(lens), log)
             links = Links(arguments.serial, bus, lambda number: 0.0, pilot.take)
         else:
@@ -277,6 +277,11 @@ def main() -> None:
             flying(links, window, computer, _failing(arguments.crash_at, arguments.hang_at))
         except (KeyboardInterrupt, can.CanError) as end:
             print(f"flight computer: {end}", file=sys.stderr)
+
+
+def _settings(arguments: argparse.Namespace, lens: Lens) -> PilotSettings:
+    """Return the settings of a pilot."""
+    return PilotSettings(arguments.navigation, lens.size[0] / 2, _TURN_S, arguments.delay_s)
 
 
 def _guidance(arguments: argparse.Namespace, lens: Lens) -> PredictingGuidance:
@@ -310,6 +315,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--height", type=float, help="from navigation, m")
     parser.add_argument("--velocity", type=float, nargs=3, help="the same, m/s")
     parser.add_argument("--navigation", choices=NAVIGATIONS, help="with the vehicle's own sensors")
+    parser.add_argument("--delay-s", type=float, default=PilotSettings.delay_s, help="with --navigation")
     parser.add_argument("--known", help="with --navigation: the start, JSON of navigation.Known")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--log", type=Path, required=True)

@@ -2,12 +2,14 @@
 
     python fly.py [--height 300] [--seed 1] [--terrain 8] [--rig landing.toml] [--out DIR] [--real-time]
 
-The seed draws the start (speeds, place), the errors of navigation and engine, the camera's noise. In DIR: truth.csv
+By default the vehicle flies with its own sensors and the camera's events (`--navigation events`; also blind, altimeter,
+both, or given: the exact attitude from the simulation, as in real time). The seed draws the start (speeds, place), the
+errors of navigation, sensors, mass, gravity and engine, the camera's noise. In DIR: truth.csv
 (the vehicle), computer.jsonl (the computer's turns), summary.json (the camera's run), verdict.json; in real time
 latency.json too. With --attach CAN_PORT POSE_PORT SERIAL the camera runs already: so `evstim campaign` uses it.
 `--fault crash@12` and others: see faults.py; `--table faults.toml` adds tables to the rig, such as [[faults]].
 
-Exit codes: 0 landed below 1 m/s; 1 not; 2 wrong use or wrong rig; 3 something did not start.
+Exit codes: 0 landed within the bounds (given: below 1 m/s); 1 not; 2 wrong use or wrong rig; 3 something did not start.
 """
 
 from __future__ import annotations
@@ -27,9 +29,9 @@ from connection import Connection
 from faults import Fault, Faults
 from guidance import Law
 from latency import latencies
-from mission import Mission, SensingSpacecraft, judgement
+from mission import Mission, SensingSpacecraft, fly_without_camera, judgement
 from outcome import verdict
-from pilot import NAVIGATIONS
+from pilot import NAVIGATIONS, PilotSettings
 from processes import Ended, Ends, NotStarted, bus_of, camera, computer
 from real_time import STEP_S, RealTimeSpacecraft
 from sensors import SensorErrors, Sensors
@@ -85,12 +87,13 @@ class Flight:
     real_time: bool = False
     limits: Limits = USUAL
     navigation: str = ""
+    delay_s: float = PilotSettings.delay_s
 
     @property
     def of_computer(self) -> list[str]:
         """Arguments of the flight computer."""
         real_time = ["--real-time", "--attitude-s", str(STEP_S)] if self.real_time else []
-        return [*self.faults.of_computer, *real_time]
+        return [*self.faults.of_computer, *real_time, "--delay-s", str(self.delay_s)]
 
 
 def fly(height_m: float, flight: Flight, camera_ended: Ended = lambda: "") -> tuple[TouchDown, Height]:
@@ -112,7 +115,7 @@ def fly(height_m: float, flight: Flight, camera_ended: Ended = lambda: "") -> tu
         connection = Connection(bus, ("127.0.0.1", ends.pose_port), trouble, flight.faults)
         if flight.navigation:
             sensors = Sensors(SensorErrors(), mission.lander, flight.seed, ground)
-            vehicle = SensingSpacecraft(mission, connection, sensors, limits=flight.limits)
+            vehicle = SensingSpacecraft(mission, connection, sensors, flight.delay_s, flight.limits)
             return vehicle.land(ground, record), ground
         if not flight.real_time:
             return Spacecraft(start.lander, start.state, connection, flight.limits).land(ground, record), ground
@@ -159,7 +162,12 @@ def main() -> int:
     rig.write_text(_rig_text(arguments, ends))
     faults = Faults(arguments.fault, arguments.seed)
     limits = Limits(arguments.answer_s, arguments.longest_s)
-    flight = Flight(ends, arguments.seed, out, faults, arguments.real_time, limits, _navigation(arguments))
+    navigation = arguments.navigation or ("given" if arguments.real_time else "events")
+    if arguments.real_time and navigation != "given":
+        print("fly.py: in real time only --navigation given flies; leave out one of both", file=sys.stderr)
+        return 2
+    navigation = "" if navigation == "given" else navigation
+    flight = Flight(ends, arguments.seed, out, faults, arguments.real_time, limits, navigation, arguments.delay_s)
     try:
         with ExitStack() as stack:
             camera_ended: Ended = lambda: ""  # noqa: E731
@@ -170,15 +178,15 @@ def main() -> int:
         print(f"\n{error}", file=sys.stderr)
         return error.code
     judged = judgement(end, ground) if flight.navigation else {}
+    if flight.navigation and arguments.compare:
+        judged["others"] = {name: _other(name, arguments.height, flight, ground) for name in ("blind", "altimeter")}
     return _report(end, flight, judged, arguments.result)
 
 
-def _navigation(arguments: argparse.Namespace) -> str:
-    """Return the navigation of a flight; "" where the attitude is given."""
-    name: str = arguments.navigation or ("given" if arguments.real_time else "events")
-    if arguments.real_time and name != "given":
-        raise SystemExit("fly.py: --real-time flies with --navigation given alone; leave out one of both")
-    return "" if name == "given" else name
+def _other(navigation: str, height_m: float, flight: Flight, ground: Height) -> dict[str, object]:
+    """Return the judgement of the same start flown with another navigation, without a camera."""
+    end = fly_without_camera(height_m, flight.seed, PilotSettings(navigation, delay_s=flight.delay_s), ground)
+    return {"touched": end.touched, "t_s": end.t_s} | judgement(end, ground)
 
 
 def _rig_text(arguments: argparse.Namespace, ends: Ends) -> str:
@@ -226,8 +234,12 @@ def _arguments() -> argparse.Namespace:
         "--navigation",
         choices=[*NAVIGATIONS, "given"],
         default=None,
-        help="given: attitude from the simulation, no IMU",
+        help="given: exact attitude, no IMU",
     )
+    parser.add_argument(
+        "--delay-s", type=float, default=PilotSettings.delay_s, help="of a command, s; not in real time"
+    )
+    parser.add_argument("--compare", action="store_true", help="fly the start blind and with an altimeter too")
     parser.add_argument("--lead-us", type=int, default=0, help="instead of the rig's")
     parser.add_argument("--attach", nargs=3, metavar=("CAN_PORT", "POSE_PORT", "SERIAL"), default=None)
     parser.add_argument("--record", type=Path, default=None, help="write the events to this .npz")

@@ -10,7 +10,7 @@ accelerometer, bias of the gyroscope; 15 errors in that order, the attitude's in
     events         (v_east, -v_north, -v_up) / p_z in the middle of a window: three numbers, 1/s
 
 Events give a speed over a height, and the accelerometer gives changes of that speed in m/s: while the vehicle brakes,
-both follow, the scale too. The unknown part of gravity is a bias of the accelerometer for a vehicle that stands upright.
+both follow, the scale too. For an upright vehicle the unknown part of gravity is a bias of the accelerometer.
 
 Measurements are older than the newest sample of the IMU: 0.2 s from the star tracker, half a window from events. The
 filter keeps its state before each period of the last seconds, takes a measurement at its own time, and steps through

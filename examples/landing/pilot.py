@@ -4,7 +4,7 @@
     a_east = -c (v_east - w_east),  w = -place / 20 s, limited; the same to the north
 
 Height, speed and place are those of the filter (navigation.py), predicted for the time at which the command acts from
-the commands that were sent. D* and k are those of `guidance.Law`. Below `final_m` the vehicle falls slowly and straight.
+the commands that were sent. D* and k are those of `guidance.Law`. Below `final_m` the vehicle falls slowly, straight.
 """
 
 from __future__ import annotations

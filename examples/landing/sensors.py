@@ -6,13 +6,13 @@
     altimeter       slant range along the body's -z to the ground: (1 + scale) range + white
 
 All errors are numbers of a seed: white noise is keyed by (seed, purpose, sample), a constant by (seed, purpose), and a
-drift is a first-order Gauss-Markov sequence of the samples from zero on, x' = f x + sqrt(1 - f^2) s n with f = exp(-period
-/ correlation time). A sample therefore depends on the true motion and on its own number, not on the step of the
-dynamics, or on what was read before it.
+drift is a first-order Gauss-Markov sequence of the samples from zero on, x' = f x + sqrt(1 - f^2) s n with f =
+exp(-period / correlation time). A sample therefore depends on the true motion and on its own number, not on the step of
+the dynamics, or on what was read before it.
 
-The defaults are rounded from data sheets of the class: a tactical MEMS unit (0.15 degree per root hour, 0.5 degree per
-hour; 0.06 m/s per root hour, bias 0.5 mg of the Earth), a small star tracker (20 arc-seconds across, 100 about its boresight), a
-laser altimeter for a small lander (0.3 m + 0.3 % of the range).
+The defaults are assumptions, of the order of tactical MEMS units (0.15 degree per root hour, bias 5, drift 0.5 degree
+per hour; 0.06 m/s per root hour, bias 0.5 mg of the Earth), of small star trackers (20 arc-seconds across, 100 about
+the boresight), and of small altimeters (0.3 m + 0.3 % of the range).
 """
 
 from __future__ import annotations

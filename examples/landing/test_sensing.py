@@ -57,7 +57,7 @@ def test_a_sample_does_not_depend_on_what_was_read_before() -> None:
 
 
 def test_a_sample_does_not_depend_on_the_step_of_the_dynamics() -> None:
-    """A period in one call or in two, to a hundredth of the frame's unit; and the push is thrust over mass, the turn that of the attitude."""
+    """A period in one call or in two, to a hundredth of the frame's unit; push and turn are the true ones."""
     command, unit = np.array([0.1, -0.05, 2.0]), sensors()
     whole = advance(Lander(), ROLLING, command, PERIOD_S)
     halves = advance(Lander(), advance(Lander(), ROLLING, command, PERIOD_S / 2), command, PERIOD_S / 2)
