@@ -74,6 +74,10 @@ navigation; all have IMU and star tracker, "events" has no altimeter. The interv
 figures are median / 90 % / most of the flights that touched down.
 
 {table}
+
+These are few flights: the counts are those of the rows, and the same command flies more, up to a hundred of each. Without
+the camera nothing on board measures the speed along the ground, so its error of the start, and what the accelerometer's
+bias adds, remain to the end. A Doppler radar or a velocimeter, which would measure it too, is not compared.
 """
 
 
