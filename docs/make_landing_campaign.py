@@ -75,7 +75,7 @@ figures are median / 90 % / most of the flights that touched down.
 
 {table}
 
-These are few flights: the counts are those of the rows, and the same command flies more, up to a hundred of each. Without
+These are few flights: the same command flies more, up to a hundred of each. Without
 the camera nothing on board measures the speed along the ground, so its error of the start, and what the accelerometer's
 bias adds, remain to the end. A Doppler radar or a velocimeter, which would measure it too, is not compared.
 """
