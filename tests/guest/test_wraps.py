@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from firmware_protocol.events import Events
+from tests.guest.all_streams import place_of
 from tests.guest.attachment import Attachment
 from tests.guest.comparison import assert_same
 from tests.guest.environments import DRIVERS, Driver
@@ -25,6 +27,7 @@ from tests.hostile.looped import Follower, Looped
 HOURS = float(os.environ.get("EVSTIM_WRAP_HOURS", "0.61"))
 GAP_US = 20_000
 COUNT = round(HOURS * 3.6e9) // GAP_US
+MOST_DISCARDED = COUNT // 5
 PACKET_MS = 60_000
 TIMEOUT_S = 300.0 + 120.0 * HOURS
 
@@ -83,12 +86,26 @@ def turns(
     return Turns(rig, selected(request, "driver"), read)
 
 
+def begun(driver: Driver, seen: Events, delivered: Events) -> tuple[Events, int]:
+    """Return the events that a driver saw from its start on, and the index of the first one in `delivered`.
+
+    iniVation's libraries discard what arrives within some 0.1 s of their start, and in this run that is minutes. The
+    first event that they keep may then have the row of a discarded one.
+    """
+    if not driver.adds_host_time or (seen["x"][:100] == delivered["x"][:100]).all():
+        return seen, 0
+    return seen[1:], place_of(seen[1:], delivered)
+
+
 @pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
 def test_every_time_is_exact_across_the_wraps(turns: Turns[Driver, Seen], looped: Looped, driver: Driver) -> None:
     seen, delivered = turns.result(driver), turns.delivered(driver).events
     assert len(seen.events) >= COUNT, seen.about
     first_us, last_us = (int(seen.events["t"][k]) for k in (0, -1))
     assert last_us - first_us > 1 << 31
-    assert_same(seen.events, delivered, offset_us=first_us - int(delivered["t"][0]) if driver.adds_host_time else 0)
-    Follower(looped).take(seen.events)
+    events, place = begun(driver, seen.events, delivered)
+    assert place < MOST_DISCARDED
+    offset_us = int(events["t"][0]) - int(delivered["t"][place]) if driver.adds_host_time else 0
+    assert_same(events, delivered[place:], offset_us=offset_us)
+    Follower(looped).take(events)
     assert turns.rig.summary["balanced"], turns.rig.summary
