@@ -1,10 +1,16 @@
 """Write the page on the campaign of landings, and its picture:  python docs/make_landing_campaign.py FOLDER
 
-FOLDER is that of `evstim campaign examples/landing/campaign.toml`; some runs may be missing.
+FOLDER is that of `evstim campaign examples/landing/campaign.toml`; some runs may be missing. The page's last part, on
+flights with the vehicle's own sensors, is replaced by
+
+    python docs/make_landing_campaign.py --sensors FOLDER
+
+with the folder of `python examples/landing/compare.py FOLDER`.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -28,7 +34,8 @@ TEXT = """# A hundred landings
 
 This page gives the results of a campaign of a hundred landings. `python docs/make_landing_campaign.py FOLDER` made it
 from the rows of `evstim campaign examples/landing/campaign.toml`. [The landing](landing.md) describes a single one,
-[Campaigns](campaigns.md) the meaning of the figures.
+[Campaigns](campaigns.md) the meaning of the figures. The flights have the attitude from the simulation
+(`--navigation given`); those with sensors are [at the end](#with-the-vehicles-own-sensors).
 
 From 1400 to 1600 m, over four grounds, with the Sun 20 to 35 degrees high and thresholds of 0.283 +- 0.03, in lockstep
 over the real serial line, bus and poses. The seed of a run draws its start, the errors of navigation and engine, and
@@ -54,6 +61,23 @@ their rank correlation has no meaning.
 
 A run took {wall_s[0]:.0f} s (median; {wall_s[1]:.0f} to {wall_s[2]:.0f}), two at a time on two cores that had
 other work as well. `evstim campaign again campaign.toml INDEX --record run.npz` flies one again, bit for bit.
+"""
+
+MARKS = "<!-- sensors -->\n", "<!-- end of sensors -->\n"
+SENSORS = """## With the vehicle's own sensors
+
+Made by `python docs/make_landing_campaign.py --sensors FOLDER` from the rows of `python examples/landing/compare.py
+FOLDER`. From {height_m:g} m, in lockstep, with the sensors, errors and bounds of
+[The landing](landing.md#with-the-vehicles-own-sensors): four grounds with slopes of 3 degrees and boulders on 3 % of
+them, the Sun 20 to 35 degrees high, thresholds of 0.283 +- 0.03. One seed is one start and one set of errors for each
+navigation; all have IMU and star tracker, "events" has no altimeter. The interval is that of Clopper and Pearson;
+figures are median / 90 % / most of the flights that touched down.
+
+{table}
+
+These are few flights: the same command flies more, up to a hundred of each. Without
+the camera nothing on board measures the speed along the ground, so its error of the start, and what the accelerometer's
+bias adds, remain to the end. A Doppler radar or a velocimeter, which would measure it too, is not compared.
 """
 
 
@@ -121,9 +145,24 @@ def main(folder: Path) -> None:
     made = Campaign(load_source(FILE))
     check_folder(made, folder)
     rows = read_rows(rows_folder(folder))
-    (PAGE / "landing-campaign.md").write_text(page(made, rows))
+    text = PAGE / "landing-campaign.md"
+    last = MARKS[0] + text.read_text().split(MARKS[0])[1]
+    text.write_text(f"{page(made, rows)}\n{last}")
     draw(made, rows, PAGE / "pictures" / "landing-campaign.png")
 
 
+def write_sensors(folder: Path) -> None:
+    """Replace the part on flights with the vehicle's own sensors."""
+    sys.path.insert(0, str(FILE.parent))
+    from compare import table
+
+    rows = [json.loads(line) for line in (folder / "rows.jsonl").read_text().splitlines()]
+    height_m = max(row["height_m"] for row in rows)
+    made = SENSORS.format(height_m=height_m, table=table([row for row in rows if row["height_m"] == height_m]))
+    text = PAGE / "landing-campaign.md"
+    before, rest = text.read_text().split(MARKS[0])
+    text.write_text(f"{before}{MARKS[0]}\n{made}\n{MARKS[1]}{rest.split(MARKS[1])[1]}")
+
+
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    (write_sensors if sys.argv[1] == "--sensors" else main)(Path(sys.argv[-1]))

@@ -14,7 +14,17 @@ import numpy.typing as npt
 
 from emulator.geometry.camera import Rays, SceneGeometry
 
-__all__ = ["Light", "LightFrame", "MachineLacks", "PixelLight", "Region", "Scene", "SceneError", "SceneFrames"]
+__all__ = [
+    "Light",
+    "LightFrame",
+    "MachineLacks",
+    "PixelLight",
+    "Region",
+    "Scene",
+    "SceneEnded",
+    "SceneError",
+    "SceneFrames",
+]
 
 Light = npt.NDArray[np.float32]
 """(height, width) float32, row 0 on top: radiance relative to the sensor's reference level, linear, >= 0."""
@@ -89,6 +99,10 @@ class SceneError(Exception):
 
 class MachineLacks(SceneError):
     """A scene is valid, but the machine lacks software to draw it; the message names the missing package."""
+
+
+class SceneEnded(SceneError):
+    """A scene has come to its regular end: there is no more light to draw."""
 
 
 class Scene(ABC):

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from emulator.scene.bodies.table import BodiesParameters as BodiesScene
     from emulator.scene.bodies.table import BodyTable as Body
     from emulator.scene.checkerboard.table import CheckerboardParameters as CheckerboardScene
+    from emulator.scene.external.table import ExternalParameters as ExternalScene
     from emulator.scene.stars.skies import DrawnField
     from emulator.scene.stars.table import MovingPoint
     from emulator.scene.stars.table import StarsParameters as StarsScene
@@ -183,6 +184,7 @@ __all__ = [
     "DrawnField",
     "EmptyTransfers",
     "ErrorFrames",
+    "ExternalScene",
     "FifoOverflow",
     "FileLink",
     "FilePath",
@@ -426,6 +428,7 @@ _SOURCES = {name: module for module, names in _NAMES.items() for name in names} 
     "CheckerboardScene": "emulator.scene.checkerboard.table:CheckerboardParameters",
     "StarsScene": "emulator.scene.stars.table:StarsParameters",
     "TerrainScene": "emulator.scene.terrain.table:TerrainParameters",
+    "ExternalScene": "emulator.scene.external.table:ExternalParameters",
     "Ros2Scene": "emulator.scene.video.ros2_images:Ros2ImageParameters",
     "VideoScene": "emulator.scene.video.video:VideoParameters",
     "attitude_from_basilisk": "emulator.trajectory.pose:from_basilisk",

@@ -38,7 +38,7 @@ _MIB = 1 << 20
 _WALL_FACTOR = 10  # a busy machine gives the child a tenth of a processor
 _READ_BYTES = 1 << 20
 _MOST_TEXT = 400  # a damaged file may bring pages of text
-_EXTRAS = {"PIL": "report", "faery": "files", "av": "files"}
+_EXTRAS = {"PIL": "report", "faery": "files", "av": "files", "pxr": "usd"}
 _OWN = ("evstim", "emulator", "transports", "firmware_protocol")
 
 

@@ -43,15 +43,15 @@ from transports.recording.record import load_record
 __all__ = ["DemoReader", "demo", "fly_landing", "reader_of"]
 
 
-_HEIGHT_M = 60.0
+_HEIGHT_M = 500.0
 _PARENTS = Path(__file__).parents
 
 
 def fly_landing(*, as_json: bool) -> int:
     """Fly one landing, its descent on stderr; return the exit code."""
     out = Path(tempfile.mkdtemp(prefix="evstim-landing-"))
-    status.print(f"a lander falls from {_HEIGHT_M:g} m, guided by events; about 30 s of flight; files in {out}")
-    command = [sys.executable, str(_program()), "--height", str(_HEIGHT_M), "--out", str(out)]
+    status.print(f"a lander falls from {_HEIGHT_M:g} m, guided by events; about 65 s of flight; files in {out}")
+    command = [sys.executable, str(_program()), "--height", str(_HEIGHT_M), "--compare", "--out", str(out)]
     code = subprocess.run(command, stdout=sys.stderr, check=False).returncode
     file = out / "verdict.json"
     if not file.exists():
@@ -75,12 +75,25 @@ def _program() -> Path:
 
 def _print(verdict: dict[str, Any]) -> None:
     if verdict["touched"]:
-        console.print(f"touchdown after {verdict['t_s']:.1f} s at {verdict['vertical_m_s']:.2f} m/s down")
+        console.print(f"with events: {_ended(verdict)}")
+    for name, other in verdict.get("others", {}).items():
+        console.print(f"same start, {_OTHERS[name]}: {_ended(other)}")
     if "error_median" in verdict:
         console.print(f"divergence from events: {100 * verdict['error_median']:.1f} % off in the median")
     for sentence in verdict["why"]:
         console.print(sentence, markup=False)
-    console.print("good" if verdict["soft"] else "NOT GOOD: below 1 m/s is a landing")
+    console.print("good" if verdict["soft"] else "NOT GOOD: not a landing within the bounds")
+
+
+_OTHERS = {"blind": "by its IMU and star tracker alone", "altimeter": "with an altimeter in place of the camera"}
+
+
+def _ended(verdict: dict[str, Any]) -> str:
+    """Return the figures of one end."""
+    text = f"touchdown after {verdict['t_s']:.1f} s at {verdict['vertical_m_s']:.2f} m/s down"
+    if "horizontal_m_s" in verdict:
+        text += f", {verdict['horizontal_m_s']:.2f} m/s along the ground, {verdict['place_m']:.1f} m from the site"
+    return text if verdict.get("touched", True) else f"no touchdown within {verdict['t_s']:.0f} s"
 
 
 _START = "import json, sys; sys.path[:] = json.loads(sys.argv.pop(1)); from emulator.cli import main; main()"
@@ -136,7 +149,7 @@ def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Annotated[bool, Pa
     ----------
     rig
         Path of a rig file, or the name of a shipped one; it needs a usbip or a gige link. Or `landing`: a landing from
-        60 m, guided by events, is flown instead.
+        500 m, guided by events, is flown instead.
     seconds
         Time for which the second process reads.
     json

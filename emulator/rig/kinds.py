@@ -84,6 +84,7 @@ SCENES: Registry[SceneKind] = Registry(
         "stars": "emulator.scene.stars.table:STARS",
         "video": "emulator.scene.video.video:VIDEO",
         "ros2": "emulator.scene.video.ros2_images:ROS2_IMAGES",
+        "external": "emulator.scene.external.table:EXTERNAL",
         "recording": "emulator.playback.recording:RECORDING",
     },
 )

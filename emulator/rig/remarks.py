@@ -11,8 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from emulator.light import SceneError
 from emulator.rig.loading import Rig, RigError
 from emulator.scene.bodies.mesh import find_shape
+from emulator.scene.bodies.models import MODEL_READERS, read_model
 from emulator.scene.bodies.table import BodyTable
 from emulator.sensor.noise.law import beyond_the_law, corner_hz
 from emulator.sensor.presets import SensorParameters
@@ -94,7 +96,8 @@ def open_files(rig: Rig) -> list[OpenedFile]:
     """Open every file that the rig names, and read its trajectories; raises RigError with the key."""
     opened = []
     for where, table in _tables(rig.scene, "scene"):
-        is_read = isinstance(table, FilePath | SpicePath)
+        is_model = isinstance(table, BodyTable) and Path(table.shape).suffix.lower() in MODEL_READERS
+        is_read = is_model or isinstance(table, FilePath | SpicePath)
         for name, annotation in field_types(type(table)).items():
             value = getattr(table, name)
             files = value if annotation == tuple[RigFile, ...] else [value] if annotation is RigFile and value else []
@@ -102,6 +105,8 @@ def open_files(rig: Rig) -> list[OpenedFile]:
                 path = find_shape(file) if isinstance(table, BodyTable) else Path(file)
                 size = _open(f"{rig.name}: {where}.{name}", path)
                 opened.append(OpenedFile(f"{where}.{name}", str(path), size, is_read))
+        if isinstance(table, BodyTable) and is_model:
+            _read_model(f"{rig.name}: {where}.shape", Path(table.shape))
         try:
             if isinstance(table, FilePath):
                 read_path(table)
@@ -110,6 +115,13 @@ def open_files(rig: Rig) -> list[OpenedFile]:
         except TrajectoryError as error:
             raise RigError(f"{rig.name}: {where}: {error}") from error
     return opened
+
+
+def _read_model(where: str, path: Path) -> None:
+    try:
+        read_model(path)
+    except SceneError as error:
+        raise RigError(f"{where}: {error}") from error
 
 
 def _open(where: str, path: Path) -> int | None:

@@ -125,6 +125,8 @@ class RunResult:
     ----------
     changes, changes_beyond
         Changes from outside, and the number of further ones that are not listed.
+    scene_trouble
+        Reason why the scene gave no more light before the end of the run; "" if it did.
     """
 
     sim_seconds: float
@@ -143,6 +145,7 @@ class RunResult:
     max_late_share: float = 1.0
     changes: tuple[Change, ...] = ()
     changes_beyond: int = 0
+    scene_trouble: str = ""
 
     @property
     def late_share(self) -> float:
@@ -177,7 +180,7 @@ class RunResult:
             link.error is None and link.edges_balanced and link.readings_balanced for link in links
         )
         sound = sound and not any(link.file_troubles for link in links)
-        return sound and not self.too_late
+        return sound and not self.too_late and not self.scene_trouble
 
 
 @dataclass(frozen=True)
@@ -213,6 +216,8 @@ def good(judgements: tuple[Judgement, ...]) -> bool:
 def _always(result: RunResult) -> Iterator[Judgement]:
     imbalance = result.ledger.imbalance
     yield Judgement("ledger", not imbalance, "balanced" if not imbalance else f"off by {imbalance} events")
+    if result.scene_trouble:
+        yield Judgement("scene", good=False, finding=result.scene_trouble)
     for name, link in result.links.items():
         trouble = [link.error] if link.error is not None else []
         trouble += [] if link.edges_balanced else ["edges without a fate"]

@@ -27,7 +27,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from emulator.light import Light, SceneFrames
+from emulator.light import Light, SceneEnded, SceneError, SceneFrames
 from emulator.plan.step_control import StepSource
 from emulator.run.changes import BiasFollowing, Change, Changes
 from emulator.run.link_process import LinkProcess
@@ -146,6 +146,7 @@ class Session:
         self._t_ns = 0
         self._lateness = Lateness()
         self._stopping = False
+        self._scene_trouble = ""
         self._on_events: Callable[[Events], None] = lambda _: None
         self._lockstep: Lockstep | None = None
         self._drive: Drive | None = None
@@ -254,6 +255,7 @@ class Session:
             max_late_share=schedule.max_late_share,
             changes=self._changes.listed,
             changes_beyond=self._changes.beyond,
+            scene_trouble=self._scene_trouble,
         )
 
     def _open_links(self) -> None:
@@ -290,12 +292,31 @@ class Session:
             elif not self._may_go_on(goes_on):
                 break
             due_ns, begun_ns = origin_ns + self._t_ns, self._clock.now_ns()
-            self._step(rule, schedule, goes_on)
+            if not self._stepped(rule, schedule, goes_on):
+                break
             if schedule.paced:
                 ready_ns = self._clock.now_ns()
                 self._lateness.add(ready_ns - due_ns, rule.stretch, lead_ns)
                 rule.follow(ready_ns - due_ns, ready_ns - begun_ns)
             goes_on()
+
+    def _stepped(self, rule: StepRule, schedule: Schedule, goes_on: Callable[[], bool]) -> bool:
+        """Do one step; False where the scene has no light for it: the events so far have their fates."""
+        try:
+            self._step(rule, schedule, goes_on)
+        except SceneError as error:
+            self._scene_trouble = self._trouble_of(error, schedule)
+            log.info("the scene ends at %g s: %s", self._t_ns * 1e-9, error)
+            return False
+        return True
+
+    def _trouble_of(self, error: SceneError, schedule: Schedule) -> str:
+        """Return the reason for the verdict; "" for the regular end of a scene in a run without an end of its own."""
+        if not isinstance(error, SceneEnded):
+            return str(error)
+        if schedule.duration_ns is None:
+            return ""
+        return f"{error} after {self._t_ns * 1e-9:g} of {schedule.duration_ns * 1e-9:g} s"
 
     @property
     def _goes_on(self) -> bool:

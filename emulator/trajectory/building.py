@@ -26,6 +26,7 @@ from emulator.trajectory.basilisk import simulated_path
 from emulator.trajectory.ccsds_file import CcsdsPath, parse_aem, parse_oem
 from emulator.trajectory.descent import Descent
 from emulator.trajectory.flight_file import Samples, parse_flight, parse_table
+from emulator.trajectory.joints import Jointed, JointPath
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.live import LivePoses, PoseReceiver, ReceivedPath, close_receivers
 from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt
@@ -140,7 +141,7 @@ _Triple = tuple[float, float, float]
 _MEASURED = 1024  # instants at which a path's turning is measured
 
 
-def build_trajectories(paths: Sequence[TrajectoryParameters]) -> list[Trajectory]:
+def build_trajectories(paths: Sequence[TrajectoryParameters | JointPath]) -> list[Trajectory]:
     """Return the trajectories of a scene's camera and bodies, in this order; raises as `build_trajectory`."""
     receivers: dict[tuple[str, int], PoseReceiver] = {}
     built: list[Trajectory] = []
@@ -153,7 +154,7 @@ def build_trajectories(paths: Sequence[TrajectoryParameters]) -> list[Trajectory
     return built
 
 
-def build_trajectory(p: TrajectoryParameters | MountedPath) -> Trajectory:
+def build_trajectory(p: TrajectoryParameters | MountedPath | JointPath) -> Trajectory:
     """Return the trajectory of a rig's table; raises TrajectoryError, and OSError where a port is not available."""
     match p:
         case FixedPath():
@@ -174,11 +175,13 @@ def build_trajectory(p: TrajectoryParameters | MountedPath) -> Trajectory:
             return _looking(recorded, p.look_at_m, p.up, _spread(*span_ns))
         case LivePath():
             return _received(p, 0, {})
-        case MountedPath() | BasiliskPath() | SpicePath():
+        case MountedPath() | BasiliskPath() | SpicePath() | JointPath():
             return _derived(p)
 
 
-def _derived(p: MountedPath | BasiliskPath | SpicePath) -> Trajectory:
+def _derived(p: MountedPath | BasiliskPath | SpicePath | JointPath) -> Trajectory:
+    if isinstance(p, JointPath):
+        return Jointed(p)
     if isinstance(p, SpicePath):
         path = read_spice(p)
         return path if p.camera_frame else Looking(path, (0.0, 0.0, 0.0), p.up, _spread(*path.span_ns))

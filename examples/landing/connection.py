@@ -9,7 +9,7 @@ from collections.abc import Callable
 import can
 import numpy as np
 from faults import Faults
-from frames import ATTITUDE, COMMAND, SYNC, pack_attitude, unpack_command
+from frames import ATTITUDE, COMMAND, ESTIMATE, SYNC, pack_attitude, unpack_command
 from vehicle import State, product
 
 from firmware_protocol.pose_message import PoseMessage
@@ -38,6 +38,7 @@ class Connection:
         self._faults = faults or Faults()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._counter = 0
+        self._estimate = b""
 
     def pose(self, t_s: float, state: State) -> None:
         """Send the pose of the camera at a stream time."""
@@ -52,6 +53,11 @@ class Connection:
         if not self._faults.loses_frame(t_s):
             self._send(ATTITUDE, pack_attitude(state.attitude, number))
 
+    def frame(self, t_s: float, identifier: int, data: bytes) -> None:
+        """Send a frame of a sensor."""
+        if not self._faults.loses_frame(t_s):
+            self._send(identifier, data)
+
     def sync(self, counter: bytes = b"") -> None:
         """Send a SYNC."""
         self._send(SYNC, counter)
@@ -64,9 +70,16 @@ class Connection:
         end_s = time.monotonic() + limit_s
         while (left_s := end_s - time.monotonic()) > 0 and not self.trouble():
             message = self.receive(min(left_s, _POLL_S))
+            if message is not None and message.arbitration_id == ESTIMATE:
+                self._estimate = bytes(message.data)
             if message is not None and message.arbitration_id == COMMAND:
                 return None if self._faults.loses_frame(t_s) else unpack_command(bytes(message.data))
         raise TimeoutError
+
+    def answer(self, t_s: float, limit_s: float) -> tuple[np.ndarray, int, bytes] | None:
+        """Return the next command, its turn, and the data of the newest estimate; see `command`."""
+        answer = self.command(t_s, limit_s)
+        return None if answer is None else (*answer, self._estimate)
 
     def receive(self, timeout_s: float) -> can.Message | None:
         """Return the next frame of the bus, if one comes in time."""

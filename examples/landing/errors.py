@@ -21,7 +21,7 @@ def divergence_errors(out: Path) -> dict[str, float]:
     """
     truth = np.genfromtxt(out / "truth.csv", delimiter=",", names=True)
     rows = [json.loads(line) for line in (out / "computer.jsonl").read_text().splitlines()]
-    seen = {row["at_s"]: row["down_1_s"] for row in rows if math.isfinite(row["gain"])}
+    seen = {row["at_s"]: row["down_1_s"] for row in rows if math.isfinite(row.get("gain", math.inf)) and "at_s" in row}
     at_s, down = np.array(list(seen)), np.array(list(seen.values()))
     height_m = np.interp(at_s, truth["t_s"], truth["z_m"] - truth["ground_m"])
     wanted = height_m > _LEAST_M

@@ -31,10 +31,13 @@ import numpy as np
 from divergence import Motion, MotionEstimator, Rays
 from guidance import Law
 from links import Edge, Links
+from navigation import Known
+from pilot import NAVIGATIONS, Pilot, PilotSettings
 from prediction import PredictingGuidance
+from sensors import PERIOD_S
 from window import Lens, Window
 
-__all__ = ["FlightComputer", "fly_lockstep", "fly_real_time"]
+__all__ = ["FlightComputer", "NavigatingComputer", "fly_lockstep", "fly_real_time"]
 
 _MARGIN_PX = 60.0  # for a tilt of 10 degrees
 _TURN_S = 0.2  # in lockstep a command acts a turn after its SYNC
@@ -45,6 +48,9 @@ _BIN_US = 1000
 _SILENT_S = 1.0
 _LATE_S = 0.5  # a camera whose events are older does not keep up, and no descent begins
 _EDGE_S = 2.0  # wall time after a SYNC when the camera is queried: it may be slow, or its line dead
+_PERIODS = round(_TURN_S / PERIOD_S)
+_SETTLED_S = 0.5  # before it, events show the camera's start and not the ground
+_SAMPLES_S = 1.0  # wall time after a SYNC: samples that have not come are lost
 _JOINED_S = 0.5  # the served bus sends no frames to a new client for a quarter of a second
 
 
@@ -70,6 +76,14 @@ class FlightComputer:
         from_us, counts = self._window.counts(_BIN_US)
         standing = {"from_us": from_us, "bin_us": _BIN_US, "counts": counts.tolist()}
         Path(self._log.name).with_name("standing.json").write_text(json.dumps(standing))
+
+    def complete(self, turn: int, syncs: int, now_s: float) -> bool:
+        """Return True when the bus has brought all that belongs to a turn."""
+        return syncs > turn or self._window.attitude_s >= now_s - 1e-6
+
+    def frames(self) -> list[tuple[int, bytes]]:
+        """Return frames that are sent before a command: none."""
+        return []
 
     def took(self, seconds: float) -> None:
         """Report the time of the last command from its turn until it was sent."""
@@ -98,7 +112,70 @@ class FlightComputer:
         print(json.dumps(row | more), file=self._log, flush=True)
 
 
-def fly_lockstep(links: Links, window: Window, computer: FlightComputer, fails: Callable[[float], None]) -> None:
+class NavigatingComputer:
+    """One descent with the vehicle's own sensors, in lockstep.
+
+    A SYNC follows the samples of its turn, and its edge is at the turn's beginning: events are those until then.
+
+    Parameters
+    ----------
+    pilot : of the vehicle.
+    window : newest events.
+    estimator : of the motion.
+    log : takes a line of JSON for each turn.
+    """
+
+    def __init__(self, pilot: Pilot, window: Window, estimator: MotionEstimator, log: TextIO) -> None:
+        self._pilot, self._window, self._estimator, self._log = pilot, window, estimator, log
+        self._samples_late_s = math.inf
+        self._seen_s = _SETTLED_S
+
+    def complete(self, turn: int, syncs: int, now_s: float) -> bool:
+        """Return True when the bus has brought all samples of a turn, or has had time for them."""
+        if syncs <= turn:
+            self._samples_late_s = math.inf
+            return False
+        self._samples_late_s = min(self._samples_late_s, time.monotonic() + _SAMPLES_S)
+        return self._pilot.filter.newest >= (turn + 1) * _PERIODS - 1 or time.monotonic() > self._samples_late_s
+
+    def frames(self) -> list[tuple[int, bytes]]:
+        """Return the estimate, which is sent before a command."""
+        return [self._pilot.estimate()]
+
+    def turn(self, now_s: float, period_s: float = _TURN_S, more: dict[str, object] | None = None) -> np.ndarray:
+        """Return the acceleration wanted from the events until `now_s` and the samples of the turn since."""
+        began_ns, pilot = time.monotonic_ns(), self._pilot
+        window_s, seen = pilot.window_s(now_s), None
+        since_s = max(now_s - window_s, _SETTLED_S)
+        if pilot.uses_events and now_s > since_s:
+            self._window.replace_attitudes(pilot.attitudes(since_s))
+            rays = self._window.rays(since_s, now_s)
+            if len(rays) >= _LEAST_EVENTS:
+                guess = pilot.motion((since_s + now_s) / 2)
+                seen = self._estimator.estimate(rays, guess, 0.01 + 0.5 * abs(guess.down))
+                pilot.take_motion(seen, now_s - since_s)
+        command = pilot.command_m_s2(now_s + period_s)
+        self._note(
+            now_s, seen, {"window_s": window_s, "compute_ms": (time.monotonic_ns() - began_ns) * 1e-6} | (more or {})
+        )
+        return command
+
+    def _note(self, now_s: float, seen: Motion | None, more: dict[str, object]) -> None:
+        now = self._pilot.filter.now
+        row: dict[str, object] = {"t_s": now_s, "estimate_s": self._pilot.filter.newest * PERIOD_S}
+        self._seen_s = now_s if seen and seen.reliable else self._seen_s
+        row |= {"lost": self._pilot.uses_events and now_s - self._seen_s > _SILENT_S}
+        if seen and seen.reliable:
+            row |= {"at_s": seen.at_s, "down_1_s": seen.down, "east_1_s": seen.east, "south_1_s": seen.south}
+            row |= {"gain": seen.gain, "events": seen.events}
+        row |= {"position_m": now.position_m.tolist(), "velocity_m_s": now.velocity_m_s.tolist()}
+        row |= {"attitude": now.attitude.tolist(), "sigma": np.sqrt(np.diag(now.covariance)).tolist()}
+        print(json.dumps(row | more), file=self._log, flush=True)
+
+
+def fly_lockstep(
+    links: Links, window: Window, computer: FlightComputer | NavigatingComputer, fails: Callable[[float], None]
+) -> None:
     """Answer each SYNC, without end."""
     turn, received_s = 0, math.inf
     while True:
@@ -113,14 +190,17 @@ def fly_lockstep(links: Links, window: Window, computer: FlightComputer, fails: 
             links.complete(window, now_us)  # a camera that is only slow has sent its edge by then
             edge = _edge_of(links, turn)
         now_us = edge.t_us if edge else now_us
-        if links.syncs <= turn and window.attitude_s < now_us * 1e-6 - 1e-6:
+        if not computer.complete(turn, links.syncs, now_us * 1e-6):
             continue
         if edge:
             links.complete(window)
         turn, received_s = turn + 1, math.inf
         fails(now_us * 1e-6)
         more = {"events_lost": links.lost, "edge": edge is not None}
-        links.send(computer.turn(now_us * 1e-6, more=more), turn)
+        command = computer.turn(now_us * 1e-6, more=more)
+        for frame in computer.frames():
+            links.send_frame(*frame)
+        links.send(command, turn)
 
 
 def _edge_of(links: Links, turn: int) -> Edge | None:
@@ -177,23 +257,37 @@ def main() -> None:
     """Fly until the program is ended; the log is complete at each turn."""
     arguments = _arguments()
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)  # it warns of frames that TCP cut in two
-    lens = Lens()
-    known = Law(), arguments.height, np.array(arguments.velocity), lens.size[0] / 2
-    guidance = PredictingGuidance(*known, delay_s=_FIRST_DELAY_S if arguments.real_time else _TURN_S)
-    window, port = Window(lens, arguments.seed), arguments.can_port
+    lens, port = Lens(), arguments.can_port
+    window = Window(lens, arguments.seed)
     with (
         arguments.log.open("w") as log,
         can.Bus(interface="socketcand", channel="can0", host="127.0.0.1", port=port) as bus,
     ):
-        computer = FlightComputer(guidance, window, _estimator(lens), log)
-        links = Links(arguments.serial, bus, _attitude_time(arguments.attitude_s, window))
+        flying: Callable[..., None] = fly_real_time if arguments.real_time else fly_lockstep
+        if arguments.navigation:
+            pilot = Pilot(Known(**json.loads(arguments.known)), _settings(arguments, lens))
+            computer: FlightComputer | NavigatingComputer = NavigatingComputer(pilot, window, _estimator(lens), log)
+            links = Links(arguments.serial, bus, lambda number: 0.0, pilot.take)
+        else:
+            computer = FlightComputer(_guidance(arguments, lens), window, _estimator(lens), log)
+            links = Links(arguments.serial, bus, _attitude_time(arguments.attitude_s, window))
         time.sleep(_JOINED_S)
         print("ready", flush=True)
-        flying = fly_real_time if arguments.real_time else fly_lockstep
         try:
             flying(links, window, computer, _failing(arguments.crash_at, arguments.hang_at))
         except (KeyboardInterrupt, can.CanError) as end:
             print(f"flight computer: {end}", file=sys.stderr)
+
+
+def _settings(arguments: argparse.Namespace, lens: Lens) -> PilotSettings:
+    """Return the settings of a pilot."""
+    return PilotSettings(arguments.navigation, lens.size[0] / 2, _TURN_S, arguments.delay_s)
+
+
+def _guidance(arguments: argparse.Namespace, lens: Lens) -> PredictingGuidance:
+    """Return the guidance of a flight whose attitude is given."""
+    known = Law(), arguments.height, np.array(arguments.velocity), lens.size[0] / 2
+    return PredictingGuidance(*known, delay_s=_FIRST_DELAY_S if arguments.real_time else _TURN_S)
 
 
 def _attitude_time(step_s: float, window: Window) -> Callable[[int], float]:
@@ -218,8 +312,11 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--serial", required=True)
     parser.add_argument("--can-port", type=int, default=29536)
-    parser.add_argument("--height", type=float, required=True)
-    parser.add_argument("--velocity", type=float, nargs=3, required=True)
+    parser.add_argument("--height", type=float, help="from navigation, m")
+    parser.add_argument("--velocity", type=float, nargs=3, help="the same, m/s")
+    parser.add_argument("--navigation", choices=NAVIGATIONS, help="with the vehicle's own sensors")
+    parser.add_argument("--delay-s", type=float, default=PilotSettings.delay_s, help="with --navigation")
+    parser.add_argument("--known", help="with --navigation: the start, JSON of navigation.Known")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--log", type=Path, required=True)
     parser.add_argument("--real-time", action="store_true")

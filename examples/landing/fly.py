@@ -2,12 +2,14 @@
 
     python fly.py [--height 300] [--seed 1] [--terrain 8] [--rig landing.toml] [--out DIR] [--real-time]
 
-The seed draws the start (speeds, place), the errors of navigation and engine, the camera's noise. In DIR: truth.csv
+By default the vehicle flies with its own sensors and the camera's events (`--navigation events`; also blind, altimeter,
+both, or given: the exact attitude from the simulation, as in real time). The seed draws the start (speeds, place), the
+errors of navigation, sensors, mass, gravity and engine, the camera's noise. In DIR: truth.csv
 (the vehicle), computer.jsonl (the computer's turns), summary.json (the camera's run), verdict.json; in real time
 latency.json too. With --attach CAN_PORT POSE_PORT SERIAL the camera runs already: so `evstim campaign` uses it.
 `--fault crash@12` and others: see faults.py; `--table faults.toml` adds tables to the rig, such as [[faults]].
 
-Exit codes: 0 landed below 1 m/s; 1 not; 2 wrong use or wrong rig; 3 something did not start.
+Exit codes: 0 landed within the bounds (given: below 1 m/s); 1 not; 2 wrong use or wrong rig; 3 something did not start.
 """
 
 from __future__ import annotations
@@ -17,9 +19,9 @@ import json
 import re
 import sys
 import tempfile
-from collections.abc import Callable
-from contextlib import ExitStack
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -27,9 +29,12 @@ from connection import Connection
 from faults import Fault, Faults
 from guidance import Law
 from latency import latencies
+from mission import Mission, SensingSpacecraft, fly_without_camera, judgement
 from outcome import verdict
+from pilot import NAVIGATIONS, PilotSettings
 from processes import Ended, Ends, NotStarted, bus_of, camera, computer
 from real_time import STEP_S, RealTimeSpacecraft
+from sensors import SensorErrors, Sensors
 from spacecraft import USUAL, Limits, Spacecraft, TouchDown
 from vehicle import GRAVITY_M_S2, Lander, State
 
@@ -38,7 +43,7 @@ from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import build_ground
 
 _HERE = Path(__file__).parent
-_COLUMNS = "t_s,x_m,y_m,z_m,ground_m,vx_m_s,vy_m_s,vz_m_s,thrust_n,mass_kg"
+_COLUMNS = "t_s,x_m,y_m,z_m,ground_m,vx_m_s,vy_m_s,vz_m_s,thrust_n,mass_kg,qw,qx,qy,qz"
 
 Height = Callable[[float, float], float]
 
@@ -66,9 +71,9 @@ class Start:
         return cls(state, lander, height_m * draw.uniform(0.9, 1.1), tuple(known.tolist()))
 
     @property
-    def known(self) -> tuple[float, ...]:
-        """Height and velocity."""
-        return self.known_height_m, *self.known_velocity_m_s
+    def known(self) -> list[str]:
+        """Arguments of the flight computer."""
+        return ["--height", str(self.known_height_m), "--velocity", *map(str, self.known_velocity_m_s)]
 
 
 @dataclass(frozen=True)
@@ -81,40 +86,59 @@ class Flight:
     faults: Faults
     real_time: bool = False
     limits: Limits = USUAL
+    navigation: str = ""
+    delay_s: float = PilotSettings.delay_s
 
     @property
     def of_computer(self) -> list[str]:
         """Arguments of the flight computer."""
         real_time = ["--real-time", "--attitude-s", str(STEP_S)] if self.real_time else []
-        return [*self.faults.of_computer, *real_time]
+        return [*self.faults.of_computer, *real_time, "--delay-s", str(self.delay_s)]
 
 
-def fly(start: Start, flight: Flight, camera_ended: Ended = lambda: "") -> TouchDown:
-    """Fly a landing whose camera runs already, and return its end; its files are in `flight.out`."""
+def fly(height_m: float, flight: Flight, camera_ended: Ended = lambda: "") -> tuple[TouchDown, Height]:
+    """Fly a landing whose camera runs already; return its end and the ground. Its files are in `flight.out`."""
     out, ends = flight.out, flight.ends
     ground = ground_of(out / "landing.toml")
+    start = Start.drawn(height_m, flight.seed)
+    mission = Mission.drawn(height_m, flight.seed)
+    known = ["--navigation", flight.navigation, "--known", json.dumps(asdict(mission.known))]
     with ExitStack() as stack:
         bus = stack.enter_context(bus_of(ends))
-        ended = stack.enter_context(computer(ends, start.known, flight.seed, out, flight.of_computer))
-        truth = stack.enter_context((out / "truth.csv").open("w"))
-        truth.write(_COLUMNS + "\n")
-
-        def record(t_s: float, state: State) -> None:
-            x, y, z = state.position_m.tolist()
-            figures = (t_s, x, y, z, ground(x, y), *state.velocity_m_s, state.thrust_n, state.mass_kg)
-            print(",".join(f"{one:.6g}" for one in figures), file=truth, flush=True)
-            print(f"\r{t_s:6.1f} s  {z:8.1f} m  {state.velocity_m_s[2]:7.2f} m/s", end="")
+        known = known if flight.navigation else start.known
+        ended = stack.enter_context(computer(ends, known, flight.seed, out, flight.of_computer))
+        record = stack.enter_context(_recorded(out / "truth.csv", ground))
 
         def trouble() -> str:
             return camera_ended() or ended()
 
         connection = Connection(bus, ("127.0.0.1", ends.pose_port), trouble, flight.faults)
+        if flight.navigation:
+            sensors = Sensors(SensorErrors(), mission.lander, flight.seed, ground)
+            vehicle = SensingSpacecraft(mission, connection, sensors, flight.delay_s, flight.limits)
+            return vehicle.land(ground, record), ground
         if not flight.real_time:
-            return Spacecraft(start.lander, start.state, connection, flight.limits).land(ground, record)
+            return Spacecraft(start.lander, start.state, connection, flight.limits).land(ground, record), ground
         spacecraft = RealTimeSpacecraft(start.lander, start.state, connection, flight.limits)
         end = spacecraft.land(ground, record)
         (out / "spacecraft.json").write_text(json.dumps(spacecraft.times.as_json()))
-        return end
+        return end, ground
+
+
+@contextmanager
+def _recorded(file: Path, ground: Height) -> Iterator[Callable[[float, State], None]]:
+    """Give a function that writes times and states to a file, and prints them."""
+    with file.open("w") as truth:
+        truth.write(_COLUMNS + "\n")
+
+        def record(t_s: float, state: State) -> None:
+            x, y, z = state.position_m.tolist()
+            figures = (t_s, x, y, z, ground(x, y), *state.velocity_m_s, state.thrust_n, state.mass_kg)
+            figures += tuple(state.attitude)
+            print(",".join(f"{one:.6g}" for one in figures), file=truth, flush=True)
+            print(f"\r{t_s:6.1f} s  {z:8.1f} m  {state.velocity_m_s[2]:7.2f} m/s", end="")
+
+        yield record
 
 
 def ground_of(rig: Path) -> Height:
@@ -138,17 +162,31 @@ def main() -> int:
     rig.write_text(_rig_text(arguments, ends))
     faults = Faults(arguments.fault, arguments.seed)
     limits = Limits(arguments.answer_s, arguments.longest_s)
-    flight = Flight(ends, arguments.seed, out, faults, arguments.real_time, limits)
+    navigation = arguments.navigation or ("given" if arguments.real_time else "events")
+    if arguments.real_time and navigation != "given":
+        print("fly.py: in real time only --navigation given flies; leave out one of both", file=sys.stderr)
+        return 2
+    navigation = "" if navigation == "given" else navigation
+    flight = Flight(ends, arguments.seed, out, faults, arguments.real_time, limits, navigation, arguments.delay_s)
     try:
         with ExitStack() as stack:
             camera_ended: Ended = lambda: ""  # noqa: E731
             if not arguments.attach:
                 camera_ended = stack.enter_context(camera(rig, arguments.seed, out, arguments.record))
-            end = fly(Start.drawn(arguments.height, arguments.seed), flight, camera_ended)
+            end, ground = fly(arguments.height, flight, camera_ended)
     except NotStarted as error:
         print(f"\n{error}", file=sys.stderr)
         return error.code
-    return _report(end, flight, arguments.result)
+    judged = judgement(end, ground) if flight.navigation else {}
+    if flight.navigation and arguments.compare:
+        judged["others"] = {name: _other(name, arguments.height, flight, ground) for name in ("blind", "altimeter")}
+    return _report(end, flight, judged, arguments.result)
+
+
+def _other(navigation: str, height_m: float, flight: Flight, ground: Height) -> dict[str, object]:
+    """Return the judgement of the same start flown with another navigation, without a camera."""
+    end = fly_without_camera(height_m, flight.seed, PilotSettings(navigation, delay_s=flight.delay_s), ground)
+    return {"touched": end.touched, "t_s": end.t_s} | judgement(end, ground)
 
 
 def _rig_text(arguments: argparse.Namespace, ends: Ends) -> str:
@@ -160,9 +198,10 @@ def _rig_text(arguments: argparse.Namespace, ends: Ends) -> str:
     return ends.rig("\n".join([text, *(table.read_text() for table in arguments.table)]))
 
 
-def _report(end: TouchDown, flight: Flight, result: Path | None) -> int:
-    """Write and print the result of a flight; return the exit code."""
-    out, judged = flight.out, verdict(end, flight.out, flight.faults.frames_lost)
+def _report(end: TouchDown, flight: Flight, own: dict[str, object], result: Path | None) -> int:
+    """Write and print the result of a flight, with its `judgement` where it has one; return the exit code."""
+    out, judged = flight.out, verdict(end, flight.out, flight.faults.frames_lost) | own
+    judged["navigation"] = flight.navigation or "given"
     print(f"\n{_headline(end, soft=bool(judged['soft']))}; files in {out}")
     for sentence in judged["why"]:
         print(f"  {sentence}")
@@ -191,6 +230,16 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--table", type=Path, action="append", default=[], help="more tables for the rig; repeat")
     parser.add_argument("--out", type=Path, default=None)
     parser.add_argument("--real-time", action="store_true")
+    parser.add_argument(
+        "--navigation",
+        choices=[*NAVIGATIONS, "given"],
+        default=None,
+        help="given: exact attitude, no IMU",
+    )
+    parser.add_argument(
+        "--delay-s", type=float, default=PilotSettings.delay_s, help="of a command, s; not in real time"
+    )
+    parser.add_argument("--compare", action="store_true", help="fly the start blind and with an altimeter too")
     parser.add_argument("--lead-us", type=int, default=0, help="instead of the rig's")
     parser.add_argument("--attach", nargs=3, metavar=("CAN_PORT", "POSE_PORT", "SERIAL"), default=None)
     parser.add_argument("--record", type=Path, default=None, help="write the events to this .npz")

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 _HERE = Path(__file__).parent
-_ALL = "--height 20 --seed 3 --longest-s 32 --answer-s 60"
+_ALL = "--navigation given --height 20 --seed 3 --longest-s 32 --answer-s 60"
 FLIGHTS = {
     "none": "",
     "lost_bytes": "--table faults_of_links/lost_bytes.toml",

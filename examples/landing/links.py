@@ -57,10 +57,17 @@ class Links:
     port : path of the serial line.
     bus : the CAN bus.
     attitude_s : time of an attitude by its number.
+    sensors : receives identifier and data of each frame, those of the vehicle's own sensors among them.
     """
 
-    def __init__(self, port: str, bus: can.BusABC, attitude_s: Callable[[int], float]) -> None:
-        self._path, self._bus, self._attitude_s = port, bus, attitude_s
+    def __init__(
+        self,
+        port: str,
+        bus: can.BusABC,
+        attitude_s: Callable[[int], float],
+        sensors: Callable[[int, bytes], None] = lambda identifier, data: None,
+    ) -> None:
+        self._path, self._bus, self._attitude_s, self._sensors = port, bus, attitude_s, sensors
         self._port: int | None = None
         self._receiver = SerialReceiver("ccsds-cobs")
         self._received = 0
@@ -101,6 +108,7 @@ class Links:
             self._read_serial(window)
         while (message := self._bus.recv(0)) is not None:
             self.syncs += message.arbitration_id == SYNC
+            self._sensors(message.arbitration_id, bytes(message.data))
             if message.arbitration_id == ATTITUDE:
                 q, number = unpack_attitude(bytes(message.data))
                 window.add_attitude(self._attitude_s(number), q)
@@ -108,6 +116,10 @@ class Links:
     def send(self, command: np.ndarray, turn: int) -> None:
         """Send a command."""
         self._send(COMMAND, pack_command(command, turn))
+
+    def send_frame(self, identifier: int, data: bytes) -> None:
+        """Send a frame."""
+        self._send(identifier, data)
 
     def send_edge(self, edge: Edge) -> None:
         """Send the time of a SYNC's edge."""

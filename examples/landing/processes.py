@@ -87,14 +87,14 @@ def bus_of(ends: Ends) -> Iterator[can.BusABC]:
 
 
 @contextmanager
-def computer(ends: Ends, known: tuple[float, ...], seed: int, out: Path, more: Sequence[str] = ()) -> Iterator[Ended]:
-    """Run the flight computer until the block ends; `known` is height and velocity from navigation.
+def computer(ends: Ends, known: Sequence[str], seed: int, out: Path, more: Sequence[str] = ()) -> Iterator[Ended]:
+    """Run the flight computer until the block ends; `known` are the arguments with the state from navigation.
 
     Gives a function that reports its end; raises NotStarted.
     """
     command = [sys.executable, str(_HERE / "flight_computer.py"), "--seed", str(seed), *more]
     command += ["--serial", ends.serial, "--can-port", str(ends.can_port), "--log", str(out / "computer.jsonl")]
-    command += ["--height", str(known[0]), "--velocity", *map(str, known[1:])]
+    command += known
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             if process.stdout is None or process.stdout.readline().strip() != "ready":

@@ -16,13 +16,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["GRAVITY_M_S2", "Lander", "State", "advance", "matrix", "product"]
+__all__ = ["GRAVITY_M_S2", "NO_TURN", "Lander", "State", "advance", "matrix", "product"]
 
 Vector = npt.NDArray[np.float64]
 
 GRAVITY_M_S2 = 1.62
 _G0_M_S2 = 9.80665
 _STEP_S = 0.01
+NO_TURN = np.array([1.0, 0.0, 0.0, 0.0])
 _LEAST_UP = 0.3  # beside the horizontal part of the wanted acceleration: a tilt of 73 degrees at most
 
 
@@ -38,6 +39,8 @@ class Lander:
     inertia_kg_m2 : about the three axes of the body.
     bandwidth_rad_s, damping, torque_nm : of the attitude loop.
     thrust_scale : thrust given for thrust wanted; its error is unknown to the guidance.
+    mass_error_kg : mass that the engine's control assumes, less the true one: it gives that mass times acceleration.
+    gravity_m_s2 : the true one, (east, north, up); guidance assumes GRAVITY_M_S2 downwards.
     """
 
     thrust_n: tuple[float, float] = (400.0, 4000.0)
@@ -48,6 +51,8 @@ class Lander:
     damping: float = 0.8
     torque_nm: float = 200.0
     thrust_scale: float = 1.0
+    mass_error_kg: float = 0.0
+    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -GRAVITY_M_S2)
 
 
 @dataclass(frozen=True)
@@ -85,11 +90,14 @@ def matrix(q: Vector) -> Vector:
     )
 
 
-def advance(lander: Lander, state: State, command_m_s2: Vector, seconds: float) -> State:
-    """Return the state `seconds` later under a constant command, (3,) in the world, gravity's not included."""
+def advance(lander: Lander, state: State, command_m_s2: Vector, seconds: float, error: Vector = NO_TURN) -> State:
+    """Return the state `seconds` later under a constant command, (3,) in the world, gravity's not included.
+
+    `error` is the turn from the true attitude to the one that the attitude loop uses, a unit quaternion in the body.
+    """
     steps = max(1, round(seconds / _STEP_S))
     h = seconds / steps
-    y, wanted = state.packed(), _wanted(lander, state, command_m_s2)
+    y, wanted = state.packed(), _wanted(lander, state, command_m_s2, error)
     for _ in range(steps):
         a = _derivative(lander, y, *wanted)
         b = _derivative(lander, y + h / 2 * a, *wanted)
@@ -100,15 +108,15 @@ def advance(lander: Lander, state: State, command_m_s2: Vector, seconds: float) 
     return State.unpacked(y)
 
 
-def _wanted(lander: Lander, state: State, command_m_s2: Vector) -> tuple[float, Vector]:
-    """Return thrust, N, and attitude that give an acceleration."""
+def _wanted(lander: Lander, state: State, command_m_s2: Vector, error: Vector) -> tuple[float, Vector]:
+    """Return thrust, N, and attitude that give an acceleration, if mass and attitude are as the vehicle assumes."""
     up = max(float(command_m_s2[2]), _LEAST_UP * float(np.hypot(*command_m_s2[:2])), 1e-3)
     wanted = np.array([command_m_s2[0], command_m_s2[1], up])
     size = float(np.linalg.norm(wanted))
-    thrust_n = float(np.clip(state.mass_kg * size, *lander.thrust_n)) * lander.thrust_scale
+    thrust_n = float(np.clip((state.mass_kg + lander.mass_error_kg) * size, *lander.thrust_n)) * lander.thrust_scale
     x, y, z = wanted / size
     q = np.array([1 + z, -y, x, 0.0])  # the shortest turn of z to that direction
-    return thrust_n, q / np.linalg.norm(q)
+    return thrust_n, product(q / np.linalg.norm(q), error * (1, -1, -1, -1))
 
 
 def _derivative(lander: Lander, y: Vector, thrust_wanted_n: float, attitude_wanted: Vector) -> Vector:
@@ -117,10 +125,16 @@ def _derivative(lander: Lander, y: Vector, thrust_wanted_n: float, attitude_want
     error = 2 * _difference(attitude_wanted, q)
     torque = -inertia * (lander.bandwidth_rad_s**2 * error + 2 * lander.damping * lander.bandwidth_rad_s * w)
     torque = np.clip(torque, -lander.torque_nm, lander.torque_nm)
-    acceleration = matrix(q)[:, 2] * thrust_n / mass_kg - (0.0, 0.0, GRAVITY_M_S2)
-    turning = (torque - np.cross(w, inertia * w)) / inertia
+    acceleration = matrix(q)[:, 2] * thrust_n / mass_kg + lander.gravity_m_s2
+    turning = (torque - _cross(w, inertia * w)) / inertia
     rest = ((thrust_wanted_n - thrust_n) / lander.lag_s, -thrust_n / (lander.isp_s * _G0_M_S2))
     return np.concatenate([velocity, acceleration, product(q, np.array([0.0, *w])) / 2, turning, rest])
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    """Return the cross product of two vectors; numpy's takes longer than the rest of a derivative."""
+    (ax, ay, az), (bx, by, bz) = a, b
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def _difference(wanted: Vector, q: Vector) -> Vector:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,6 +63,10 @@ class Window:
         """Take the next attitude."""
         self._attitudes.append((t_s, matrix(q_world_from_body)))
         del self._attitudes[:-200]
+
+    def replace_attitudes(self, attitudes: Iterable[tuple[float, Floats]]) -> None:
+        """Take times, s, and attitudes, world from body, in the place of all earlier ones."""
+        self._attitudes = [(t_s, matrix(q)) for t_s, q in attitudes]
 
     def counts(self, bin_us: int) -> tuple[int, npt.NDArray[np.int64]]:
         """Return the time of the oldest event, us, and the number of each bin of `bin_us` since then, (n,)."""

@@ -2,6 +2,8 @@
 
 The library itself is `evstim.h` and `evstim_*.c` in this folder; `mps2_an385/` holds a complete firmware with it for an
 emulated Cortex-M3 board. docs/firmware.md describes their use.
+
+`evstim_renderer.h` stands alone: the client for external renderers on POSIX systems (docs/renderers.md).
 """
 
 from __future__ import annotations

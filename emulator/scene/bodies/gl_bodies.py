@@ -107,10 +107,10 @@ class GlBodies(Scene):
     """
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole) -> None:
-        self._p, self._pinhole = parameters, pinhole
         self._world = world = BodyWorld(parameters, pinhole)
+        self._p, self._pinhole = world.parameters, pinhole
         self._sun = unit(parameters.sun.direction)
-        self._casters = [k for k, body in enumerate(parameters.bodies) if body.throws_shadow]
+        self._casters = [k for k, body in enumerate(self._p.bodies) if body.throws_shadow]
         self._parts = [_Part(mesh, box_corners(mesh.vertices)) for mesh in world.meshes]
         self._render_target = RenderTarget(pinhole.size, parameters.samples)
         self._shadows: ShadowMap | None = None

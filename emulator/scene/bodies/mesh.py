@@ -2,8 +2,8 @@
 
 A facet's outside is the side from which its corners run counter-clockwise. Lengths are metres. The formats are the
 plate tables of the Planetary Data System (`.tab`) and Wavefront OBJ, see `mesh_files`, and every surface format that
-trimesh reads (STL, PLY, GLB, ...), in a child process, see `guarded_reader`. Textures and materials are ignored, but
-for `usemtl albedo_A` of OBJ files; split vertices are joined again.
+trimesh reads (STL, PLY, ...), in a child process, see `guarded_reader`; for glTF see `models`. Textures and
+materials are ignored, but for `usemtl albedo_A` of OBJ files; split vertices are joined again.
 
     bad input                                   what happens
     no file, unreadable, no facet               SceneError
@@ -129,7 +129,9 @@ def load_mesh(path: Path, units_m: float = 1000.0) -> Mesh:
         raise SceneError(f"{path}: {error}") from error
 
 
-def build_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike, albedo: _Points | None = None) -> Mesh:
+def build_mesh(
+    vertices: npt.ArrayLike, faces: npt.ArrayLike, albedo: _Points | None = None, *, turns: bool = True
+) -> Mesh:
     """Check, clean and complete a surface.
 
     Parameters
@@ -137,6 +139,7 @@ def build_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike, albedo: _Points | 
     vertices : (n, 3) metres.
     faces : (m, 3) vertex numbers from 0.
     albedo : (m,) relative albedo of each facet.
+    turns : True: a surface that is inside out is turned; false: the corners are in the right order.
     """
     points = np.asarray(vertices, np.float64).reshape(-1, 3)
     corners = np.asarray(faces, np.int64).reshape(-1, 3)
@@ -147,7 +150,7 @@ def build_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike, albedo: _Points | 
         raise SceneError("no facet has any area: nothing to draw")
     dropped, corners = int((~valid).sum()), corners[valid]
     open_edges = _count_open_edges(corners)
-    inside_out = bool(_signed_volume(points, corners) < 0)
+    inside_out = turns and bool(_signed_volume(points, corners) < 0)
     if inside_out:
         corners = corners[:, ::-1]
     used, corners = np.unique(corners, return_inverse=True)

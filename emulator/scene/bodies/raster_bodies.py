@@ -171,6 +171,7 @@ class RasterBodies(Scene):
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole, threads: int = 1) -> None:
         self._world = world = BodyWorld(parameters, pinhole)
+        parameters = world.parameters
         bodies = range(len(world.meshes))
         pixel_m = min(map(self._nearest_m, bodies)) / pinhole.focal_px
         self._sharp = with_narrow_penumbras(parameters, world.meshes, LONGEST_PX * pixel_m)

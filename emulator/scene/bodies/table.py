@@ -124,7 +124,8 @@ class BodyTable:
     shape
         A file, or the name of a shipped model: 'eros007790', 'eros022540', 'itokawa_49152', or a part of the
         rendezvous target: 'target_bus', 'target_panel', 'target_ring', 'target_plate', 'target_marks';
-        or 'globe', a ball of radius 1.
+        or 'globe', a ball of radius 1. Each node with a mesh of a glTF or USD file becomes a
+        body.
     units_m
         The shape's unit of length in metres; 1000 for kilometres.
     path
@@ -139,6 +140,10 @@ class BodyTable:
         True: normals are interpolated over facets, as for ground; false: each facet is flat, as for foil and boxes.
     throws_shadow
         True: it casts shadows on itself and on others.
+    animation
+        Name of the one animation of a glTF file that moves its nodes; empty: all of them.
+    repeat
+        True: the animation begins again at its end.
     """
 
     name: str = ""
@@ -150,6 +155,8 @@ class BodyTable:
     detail: Detail = field(default_factory=Bare)
     smooth: bool = True
     throws_shadow: bool = True
+    animation: str = ""
+    repeat: bool = False
 
     def __post_init__(self) -> None:
         if not self.shape:

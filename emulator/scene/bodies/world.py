@@ -20,7 +20,8 @@ import numpy.typing as npt
 from emulator.geometry.attitude import Vector
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
-from emulator.scene.bodies.mesh import Mesh, find_shape, load_mesh
+from emulator.scene.bodies.mesh import Mesh
+from emulator.scene.bodies.models import load_bodies
 from emulator.scene.bodies.regolith import coarser, detailed, facet_size_m
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.building import build_trajectories, build_trajectory
@@ -155,7 +156,8 @@ class BodyWorld:
 
     Attributes
     ----------
-    parameters, pinhole : as given.
+    parameters : as given, with a body for each node of a model file.
+    pinhole : as given.
     time : stream time to scene time.
     camera : the camera's path.
     meshes : the shape of each body, with its detail.
@@ -170,19 +172,15 @@ class BodyWorld:
     """
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole) -> None:
-        self.parameters, self.pinhole = parameters, pinhole
+        bodies = load_bodies(parameters)
+        self.parameters, self.pinhole = bodies.parameters, pinhole
+        parameters, self.meshes, self._notes = bodies.parameters, bodies.meshes, bodies.notes
         self.time = Timescale(parameters.time_scale)
         try:
             self.camera, *paths = build_trajectories([parameters.camera, *(b.path for b in parameters.bodies)])
-            self.meshes = [load_mesh(find_shape(body.shape), body.units_m) for body in parameters.bodies]
             self.placed = [self._placed(k, path) for k, path in enumerate(paths)]
         except (TrajectoryError, OSError) as error:
             raise SceneError(f"scene: {error}") from error
-        self._notes = [
-            f"{body.shape}: {warning}"
-            for body, mesh in zip(parameters.bodies, self.meshes, strict=True)
-            for warning in mesh.warnings
-        ]
         self.arrangement = Arrangement(self.camera, self.placed, self.time)
         self.ranges_m = self.arrangement.ranges_m
         self.meshes = [

@@ -11,12 +11,15 @@ __all__ = ["python_with"]
 
 
 def python_with(package, variable, folder):
-    """Return a Python that has `package`; skip, with the reason, where it can neither be found nor installed."""
+    """Return a Python that has `package`; skip, with the reason, where it can neither be found nor installed.
+
+    `package` may name several, with spaces between.
+    """
     if named := os.environ.get(variable):
         return Path(named)
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
     python = folder / "bin" / "python"
-    install = [sys.executable, "-m", "pip", "--python", folder, "install", "--no-compile", "--quiet", package]
+    install = [sys.executable, "-m", "pip", "--python", folder, "install", "--no-compile", "--quiet", *package.split()]
     done = subprocess.run(install, capture_output=True, text=True)
     if done.returncode:
         pytest.skip(

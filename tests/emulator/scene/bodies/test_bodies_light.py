@@ -14,7 +14,7 @@ from emulator.gl.render_target import Rectangle
 from emulator.light import SceneError
 from emulator.photometry.reflectance import SUN_W_M2, LommelSeeliger, Sun, henyey_greenstein
 from emulator.scene.bodies import gl_bodies as bodies_module
-from emulator.scene.bodies import world as world_module
+from emulator.scene.bodies import models as models_module
 from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
@@ -59,7 +59,7 @@ def ball(tmp_path_factory):
 @pytest.fixture(scope="module", autouse=True)
 def each_shape_is_read_once():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(world_module, "load_mesh", functools.cache(load_mesh))
+        patch.setattr(models_module, "load_mesh", functools.cache(load_mesh))
         yield
 
 

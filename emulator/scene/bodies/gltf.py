@@ -1,0 +1,412 @@
+"""Reader of glTF 2.0 files, `.gltf` and `.glb`: nodes, triangles, materials and animations, with bounds checked.
+
+Source: Khronos, glTF 2.0 Specification (ISO/IEC 12113). It runs in a child process, see `guarded_reader`.
+
+Read: buffers in the file, as base64 and beside it; accessors of every component type; triangles, strips and fans;
+translation, rotation, scale and matrices of nodes; base colour, metallic and roughness factors; linear and cubic
+animations of translation and rotation.
+
+Left out, with a note: textures, vertex colours, emission and other properties of materials; points and lines; skins and
+morph targets, which are drawn at rest. Refused: sparse or compressed accessors, required extensions that are not known,
+stepped animations, animations of scale or weights.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import struct
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.light import SceneError
+
+__all__ = ["read_gltf"]
+
+_MOST_BYTES = 1 << 28
+_MOST_NODES = 10_000
+_MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
+_KNOWN_EXTENSIONS = ("KHR_mesh_quantization", "KHR_materials_", "KHR_texture_transform", "KHR_lights_punctual")
+_TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB, ITU-R BT.709
+_FLAT_COSINE = 0.9998  # normals within a degree of the facet's
+
+_Array = npt.NDArray[Any]
+_Object = dict[str, Any]
+
+
+def read_gltf(path: Path) -> dict[str, _Array]:
+    """Return a `header` (JSON as octets: nodes, parts, channels, notes) and the arrays that it names; see `models`."""
+    if path.stat().st_size > _MOST_BYTES:
+        raise SceneError(f"has more than {_MOST_BYTES >> 20} MiB")
+    data = path.read_bytes()
+    text, binary = _chunks(data) if data[:4] == b"glTF" else (data, None)
+    return _File(_parsed(text), binary, path.parent).contents()
+
+
+def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
+    """Return the JSON and the binary chunk of a GLB file."""
+    if len(data) < 20:
+        raise SceneError(f"is cut off: a GLB file has at least 20 bytes, this one {len(data)}")
+    _, version, length = struct.unpack_from("<III", data)
+    if version != 2:
+        raise SceneError(f"is of glTF version {version}: version 2 is read")
+    if length > len(data):
+        raise SceneError(f"is cut off: its header announces {length} bytes, and there are {len(data)}")
+    found: dict[int, bytes] = {}
+    at = 12
+    while at + 8 <= length:
+        size, kind = struct.unpack_from("<II", data, at)
+        if at + 8 + size > length:
+            raise SceneError(f"the chunk at byte {at} announces {size} bytes, which go beyond the end of the file")
+        found.setdefault(kind, data[at + 8 : at + 8 + size])
+        at += 8 + size
+    if _JSON not in found:
+        raise SceneError("has no JSON chunk")
+    return found[_JSON], found.get(_BIN)
+
+
+def _parsed(text: bytes) -> _Object:
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise SceneError(f"its JSON cannot be read: {error}") from None
+    if not isinstance(document, dict):
+        raise SceneError("its JSON is no object")
+    version = str(_member(document, "asset").get("version", ""))
+    if not version.startswith("2"):
+        raise SceneError(f"is of glTF version {version[:20]!r}: version 2 is read")
+    for name in _list(document, "extensionsRequired"):
+        if not str(name).startswith(_KNOWN_EXTENSIONS):
+            raise SceneError(f"requires the extension {str(name)[:60]}, which is not known here: export it without")
+    return document
+
+
+def _member(owner: _Object, key: str) -> _Object:
+    value = owner.get(key, {})
+    if not isinstance(value, dict):
+        raise SceneError(f"{key} is no object")
+    return value
+
+
+def _items(owner: _Object, key: str) -> list[_Object]:
+    value = owner.get(key, [])
+    if not isinstance(value, list) or not all(isinstance(one, dict) for one in value):
+        raise SceneError(f"{key} is no list of objects")
+    return value
+
+
+def _list(owner: _Object, key: str) -> list[Any]:
+    value = owner.get(key, [])
+    if not isinstance(value, list):
+        raise SceneError(f"{key} is no list")
+    return value
+
+
+def _number(owner: _Object, key: str, default: int | None, below: int, where: str) -> int:
+    """Return a whole number from 0, below `below`."""
+    value = owner.get(key, default)
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < below:
+        raise SceneError(f"{where}: {key} is {str(value)[:40]}: it must be a whole number of 0 to {below - 1}")
+    return value
+
+
+def _floats(owner: _Object, key: str, default: list[float], where: str) -> list[float]:
+    value = owner.get(key, default)
+    is_list = isinstance(value, list) and len(value) == len(default)
+    if not is_list or not all(isinstance(one, int | float) and abs(one) < 1e15 for one in value):
+        raise SceneError(f"{where}: {key} must be {len(default)} finite numbers")
+    return [float(one) for one in value]
+
+
+class _File:
+    """Contents of a parsed file."""
+
+    def __init__(self, document: _Object, binary: bytes | None, folder: Path) -> None:
+        self._document, self._binary, self._folder = document, binary, folder
+        self._buffers: dict[int, bytes] = {}
+        self._arrays: dict[str, _Array] = {}
+        self._notes: dict[str, None] = {}
+
+    def contents(self) -> dict[str, _Array]:
+        """Return the header and the arrays."""
+        nodes = self._nodes()
+        meshes: dict[int, list[_Object]] = {}
+        parts = []
+        for k, mesh in self._meshes_of_nodes(nodes):
+            if mesh not in meshes:
+                meshes[mesh] = self._primitives(mesh)
+            parts += [{"node": k, **part} for part in meshes[mesh]]
+        animations = [
+            {"name": str(one.get("name", f"animation {k}"))[:80], "channels": self._channels(one, k, len(nodes))}
+            for k, one in enumerate(_items(self._document, "animations"))
+        ]
+        header = {"nodes": nodes, "parts": parts, "animations": animations, "notes": list(self._notes)}
+        return {"header": np.frombuffer(json.dumps(header).encode(), np.uint8), **self._arrays}
+
+    def _keep(self, array: _Array) -> str:
+        name = f"a{len(self._arrays)}"
+        self._arrays[name] = array
+        return name
+
+    # --- nodes
+
+    def _nodes(self) -> list[_Object]:
+        raw = _items(self._document, "nodes")
+        if len(raw) > _MOST_NODES:
+            raise SceneError(f"has {len(raw)} nodes: at most {_MOST_NODES} are read")
+        nodes = [self._node(node, k) for k, node in enumerate(raw)]
+        for k, node in enumerate(raw):
+            for child in _list(node, "children"):
+                n = _number({"children": child}, "children", None, len(raw), f"node {k}")
+                if nodes[n]["parent"] >= 0 or n == k:
+                    raise SceneError(f"node {n} has two parents, or is its own: the nodes must be a tree")
+                nodes[n]["parent"] = k
+        _require_tree([node["parent"] for node in nodes])
+        return nodes
+
+    def _node(self, node: _Object, k: int) -> _Object:
+        where = f"node {k}"
+        if "skin" in node:
+            self._notes["skins are drawn at rest"] = None
+        x, y, z, w = _floats(node, "rotation", [0.0, 0.0, 0.0, 1.0], where)
+        if not 1e-3 < x * x + y * y + z * z + w * w < 1e3:
+            raise SceneError(f"{where}: rotation is no unit quaternion")
+        found: _Object = {
+            "name": str(node.get("name") or where)[:80],
+            "parent": -1,
+            "translation": _floats(node, "translation", [0.0, 0.0, 0.0], where),
+            "rotation": [w, x, y, z],
+            "scale": _floats(node, "scale", [1.0, 1.0, 1.0], where),
+        }
+        if "matrix" in node:
+            found["matrix"] = np.reshape(_floats(node, "matrix", [0.0] * 16, where), (4, 4)).T.tolist()
+        return found
+
+    def _meshes_of_nodes(self, nodes: list[_Object]) -> list[tuple[int, int]]:
+        """Return the nodes of the scene with a mesh, and its number."""
+        raw, scenes = _items(self._document, "nodes"), _items(self._document, "scenes")
+        shown = set(range(len(nodes)))
+        if scenes:
+            scene = _number(self._document, "scene", 0, len(scenes), "the file")
+            roots = _list(scenes[scene], "nodes")
+            numbers = {_number({"nodes": n}, "nodes", None, len(nodes), f"scene {scene}") for n in roots}
+            shown = {k for k in shown if _root(k, nodes) in numbers}
+        count = len(_items(self._document, "meshes"))
+        return [(k, _number(raw[k], "mesh", None, count, f"node {k}")) for k in sorted(shown) if "mesh" in raw[k]]
+
+    # --- shapes
+
+    def _primitives(self, mesh: int) -> list[_Object]:
+        found = []
+        for n, primitive in enumerate(_items(_items(self._document, "meshes")[mesh], "primitives")):
+            where = f"mesh {mesh}, primitive {n}"
+            mode = _number(primitive, "mode", 4, 7, where)
+            if mode < 4:
+                self._notes["points and lines are left out"] = None
+                continue
+            found.append(self._primitive(primitive, mode, where))
+        return found
+
+    def _primitive(self, primitive: _Object, mode: int, where: str) -> _Object:
+        attributes = _member(primitive, "attributes")
+        if "targets" in primitive:
+            self._notes["morph targets are drawn at rest"] = None
+        if "COLOR_0" in attributes:
+            self._notes["colours of vertices are left out"] = None
+        points = self._accessor(attributes.get("POSITION"), 3, f"{where}, POSITION").astype(np.float64)
+        if not np.isfinite(points).all():
+            raise SceneError(f"{where}: a vertex is not finite")
+        order = np.arange(len(points))
+        if "indices" in primitive:
+            order = self._accessor(primitive["indices"], 1, f"{where}, indices").ravel().astype(np.int64)
+            if len(order) and order.max() >= len(points):
+                raise SceneError(f"{where}: an index is {order.max()}, and there are {len(points)} vertices")
+        faces = _triangles(order, mode)
+        normals = None
+        if "NORMAL" in attributes:
+            normals = self._accessor(attributes["NORMAL"], 3, f"{where}, NORMAL").astype(np.float64)
+            if len(normals) != len(points):
+                raise SceneError(f"{where}: {len(normals)} normals for {len(points)} vertices")
+        return {
+            "vertices": self._keep(points),
+            "faces": self._keep(faces),
+            "is_flat": _is_flat(points, faces, normals),
+            "material": self._material(primitive, where),
+        }
+
+    def _material(self, primitive: _Object, where: str) -> _Object | None:
+        """Return luminance of the base colour, metallic and roughness, each 0 to 1; None: no material."""
+        if "material" not in primitive:
+            return None
+        materials = _items(self._document, "materials")
+        material = materials[_number(primitive, "material", None, len(materials), where)]
+        surface = _member(material, "pbrMetallicRoughness")
+        if any(key.endswith("Texture") for key in (*surface, *material)):
+            self._notes["textures are left out: the factors of the materials count"] = None
+        if any(_list(material, "emissiveFactor")) or _member(material, "extensions"):
+            self._notes["emission and extensions of materials are left out"] = None
+        if material.get("alphaMode", "OPAQUE") != "OPAQUE":
+            self._notes["transparent materials are drawn opaque"] = None
+        colour = _floats(surface, "baseColorFactor", [1.0, 1.0, 1.0, 1.0], where)
+        shares = {
+            "luminance": float(_LUMINANCE @ colour[:3]),
+            "metallic": _floats({"m": [surface.get("metallicFactor", 1.0)]}, "m", [1.0], where)[0],
+            "roughness": _floats({"r": [surface.get("roughnessFactor", 1.0)]}, "r", [1.0], where)[0],
+        }
+        if not all(0 <= share <= 1 + 1e-6 for share in shares.values()):
+            raise SceneError(f"{where}: the factors of its material must be 0 to 1")
+        return {key: min(share, 1.0) for key, share in shares.items()}
+
+    # --- animations
+
+    def _channels(self, animation: _Object, k: int, nodes: int) -> list[_Object]:
+        samplers, found = _items(animation, "samplers"), []
+        for n, channel in enumerate(_items(animation, "channels")):
+            where = f"animation {k}, channel {n}"
+            target = _member(channel, "target")
+            if "node" not in target:
+                continue
+            node = _number(target, "node", None, nodes, where)
+            sampler = samplers[_number(channel, "sampler", None, len(samplers), where)]
+            found.append({"node": node, **self._track(sampler, str(target.get("path"))[:20], where)})
+        return found
+
+    def _track(self, sampler: _Object, path: str, where: str) -> _Object:
+        if path not in ("translation", "rotation"):
+            raise SceneError(f"{where}: {path} is animated: bodies are rigid; animate translation and rotation")
+        interpolation = str(sampler.get("interpolation", "LINEAR"))[:20]
+        if interpolation not in ("LINEAR", "CUBICSPLINE"):
+            raise SceneError(f"{where}: interpolation {interpolation} jumps: export it as LINEAR or CUBICSPLINE")
+        times = self._accessor(sampler.get("input"), 1, f"{where}, input").ravel().astype(np.float64)
+        width = 3 if path == "translation" else 4
+        values = self._accessor(sampler.get("output"), width, f"{where}, output").astype(np.float64)
+        each = 3 if interpolation == "CUBICSPLINE" else 1
+        if not len(times) or len(values) != each * len(times):
+            raise SceneError(f"{where}: {len(times)} times and {len(values)} values do not fit")
+        if not (np.isfinite(times).all() and np.isfinite(values).all() and (np.diff(times) > 0).all()):
+            raise SceneError(f"{where}: its times must increase, and all its numbers be finite")
+        if times[0] < 0 or times[-1] > 1e9:
+            raise SceneError(f"{where}: its times must be 0 to 1e9 s")
+        values = values.reshape(len(times), each, width)
+        if path == "rotation":
+            values = _unit_quaternions(np.roll(values, 1, axis=2), each // 2, where)
+        return {"path": path, "times": self._keep(times), "values": self._keep(values)}
+
+    # --- bytes
+
+    def _accessor(self, number: object, width: int, where: str) -> _Array:
+        """Return the numbers of an accessor, (count, width); normalised ones are 0 to 1 or -1 to 1."""
+        accessors, views = _items(self._document, "accessors"), _items(self._document, "bufferViews")
+        a = accessors[_number({"accessor": number}, "accessor", None, len(accessors), where)]
+        if "sparse" in a or "bufferView" not in a:
+            raise SceneError(f"{where}: sparse or compressed data: export it without")
+        kind = _TYPES.get(_number(a, "componentType", None, 1 << 16, where))
+        if kind is None or _WIDTHS.get(str(a.get("type"))) != width:
+            raise SceneError(
+                f"{where}: {str(a.get('type'))[:20]} of {a.get('componentType')!s:.20} does not belong here"
+            )
+        view = views[_number(a, "bufferView", None, len(views), where)]
+        data = self._view(view, where)
+        size = np.dtype(kind).itemsize * width
+        stride = _number(view, "byteStride", size, 253, where) if "byteStride" in view else size
+        start, count = _number(a, "byteOffset", 0, 1 << 40, where), _number(a, "count", None, 1 << 40, where)
+        if stride < size or (count and start + (count - 1) * stride + size > len(data)):
+            raise SceneError(f"{where}: {count} items do not fit into the {len(data)} bytes of their buffer view")
+        rows = np.ndarray((count, width), kind, data, start, (stride, np.dtype(kind).itemsize)).copy()
+        if a.get("normalized") and rows.dtype.kind in "iu":
+            return np.maximum(rows / np.iinfo(rows.dtype).max, -1.0)
+        return rows
+
+    def _view(self, view: _Object, where: str) -> bytes:
+        count = len(_items(self._document, "buffers"))
+        data = self._buffer(_number(view, "buffer", None, count, where))
+        start, length = (_number(view, key, 0, 1 << 40, where) for key in ("byteOffset", "byteLength"))
+        if start + length > len(data):
+            raise SceneError(f"{where}: its buffer view ends at byte {start + length} of {len(data)}")
+        return data[start : start + length]
+
+    def _buffer(self, k: int) -> bytes:
+        if k not in self._buffers:
+            uri = _items(self._document, "buffers")[k].get("uri")
+            data = self._binary if uri is None else self._loaded(str(uri), k)
+            if data is None:
+                raise SceneError(f"buffer {k} has no data")
+            self._buffers[k] = data
+        return self._buffers[k]
+
+    def _loaded(self, uri: str, k: int) -> bytes:
+        if uri.startswith("data:"):
+            head, _, text = uri.partition(",")
+            try:
+                return base64.b64decode(text if head.endswith(";base64") else "?", validate=True)
+            except binascii.Error:
+                raise SceneError(f"buffer {k} is no base64 text") from None
+        path = (self._folder / unquote(uri)).resolve()
+        if "://" in uri or not path.is_relative_to(self._folder.resolve()):
+            raise SceneError(f"buffer {k} is {uri[:80]!r}: files are read from the model's own folder alone")
+        if not path.is_file():
+            raise SceneError(f"buffer {k} is the file {uri[:80]!r}, which is missing")
+        if path.stat().st_size > _MOST_BYTES:
+            raise SceneError(f"buffer {k} has more than {_MOST_BYTES >> 20} MiB")
+        return path.read_bytes()
+
+
+def _require_tree(parents: list[int]) -> None:
+    """Raise SceneError where nodes are in a circle."""
+    reaches_root = [parent < 0 for parent in parents]
+    for k in range(len(parents)):
+        way: list[int] = []
+        while not reaches_root[k]:
+            if len(way) > len(parents):
+                raise SceneError(f"node {k} is its own ancestor: the nodes must be a tree")
+            way.append(k)
+            k = parents[k]
+        for n in way:
+            reaches_root[n] = True
+
+
+def _root(k: int, nodes: list[_Object]) -> int:
+    while nodes[k]["parent"] >= 0:
+        k = nodes[k]["parent"]
+    return k
+
+
+def _triangles(order: _Array, mode: int) -> _Array:
+    """Return (m, 3) corners of a list (4), a strip (5) or a fan (6) of triangles."""
+    if mode == 4:
+        return np.asarray(order[: len(order) // 3 * 3].reshape(-1, 3))
+    if len(order) < 3:
+        return np.zeros((0, 3), np.int64)
+    if mode == 6:
+        return np.stack([order[1:-1], order[2:], np.full(len(order) - 2, order[0])], axis=1)
+    strip = np.stack([order[:-2], order[1:-1], order[2:]], axis=1)
+    strip[1::2] = strip[1::2][:, [0, 2, 1]]
+    return strip
+
+
+def _is_flat(points: _Array, faces: _Array, normals: _Array | None) -> bool:
+    """Return whether each facet is to be drawn flat: without normals, or with those of the facets."""
+    if normals is None or not len(faces):
+        return True
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    facet = np.cross(b - a, c - a)
+    lengths = np.linalg.norm(facet, axis=1)[:, None] * np.linalg.norm(normals[faces], axis=2)
+    with np.errstate(all="ignore"):
+        cosines = np.einsum("mj,mkj->mk", facet, normals[faces]) / lengths
+    return not bool((cosines < _FLAT_COSINE).any())
+
+
+def _unit_quaternions(values: _Array, middle: int, where: str) -> _Array:
+    lengths = np.linalg.norm(values[:, middle], axis=1)
+    if ((lengths < 0.9) | (lengths > 1.1)).any():
+        raise SceneError(f"{where}: a rotation is no unit quaternion")
+    if values.shape[1] == 1:
+        values = values / lengths[:, None, None]
+    return np.asarray(values)

@@ -1,0 +1,327 @@
+"""Bodies of model files, glTF 2.0 and USD: a node with a mesh becomes a body, an animation of nodes its path.
+
+    in the file                                 in the scene
+    x, y, z in metres (glTF: y is up)           x, y, z of the body's frame, times units_m; its axes are the file's
+    a node with a mesh                          a body NAME/NODE, one for each material of it
+    a node that moves, or is below such a one   the same, on a path of joints, see `emulator.trajectory.joints`
+    scale, also uneven, and still transforms    in the vertices; but above a moving node scale must be even
+    time 0 of the animation                     time 0 of the scene; before the first key and after the last it rests
+
+Bodies that do not move against each other are fixed to the first of them, so they cast shadows as one. The still ones
+come first and follow the body's own path; the moving ones are fixed to them.
+
+Materials become the laws of reflection `glossy`, with the luminance Y of the (linear) base colour, M metallic and R
+roughness (glTF 2.0, appendix B; Karis 2013 for the exponent of Blinn's lobe from Trowbridge and Reitz's width R^2):
+
+    albedo = Y (1 - M)      shine = 0.04 (1 - M) + Y M      sharpness = 2 / R^4 - 2, held between 1 and 1e5
+
+A node without a material, and every node where the rig's `reflectance` is not the default, has that of the rig.
+Fresnel's brightening at grazing angles and the shadowing of roughness are left out, so a rough metal (R above 0.84) is
+a wide lobe about the mirror's direction.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.geometry.attitude import matrix_of, quaternion_of
+from emulator.light import SceneError
+from emulator.photometry.reflectance import Glossy, LommelSeeliger, Reflectance
+from emulator.scene.bodies.mesh import Mesh, build_mesh, find_shape, load_mesh
+from emulator.scene.bodies.table import BodiesParameters, BodyTable
+from emulator.scene.files import read_in_child
+from emulator.trajectory.joints import Joint, JointPath, Track
+from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
+from emulator.trajectory.pose import Pose
+from transports.guarded_reader import Limits
+
+__all__ = ["MODEL_READERS", "Bodies", "law_of", "load_bodies", "read_model"]
+
+
+_USD = "emulator.scene.bodies.usd:read_usd"
+_USD_BYTES = 2 << 30  # address space that its library and its threads take
+
+MODEL_READERS = {
+    ".glb": "emulator.scene.bodies.gltf:read_gltf",
+    ".gltf": "emulator.scene.bodies.gltf:read_gltf",
+} | dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), _USD)
+"""The function that reads a model in the child process, by the file's suffix."""
+
+_MOST_PARTS = 256
+_MOST_FACETS = 4_000_000
+_EVEN = 1e-6
+_DIELECTRIC = 0.04
+
+_Floats = npt.NDArray[np.float64]
+_Array = npt.NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """The bodies of a scene with their shapes.
+
+    Attributes
+    ----------
+    parameters : the scene's, with a body for each node of a model.
+    meshes : of each body.
+    notes : remarks on what was left out of the models, and on faults of the shapes.
+    """
+
+    parameters: BodiesParameters
+    meshes: list[Mesh]
+    notes: list[str]
+
+
+def load_bodies(parameters: BodiesParameters) -> Bodies:
+    """Return the bodies of a scene, each node of a model file as one; raises SceneError."""
+    tables: list[BodyTable] = []
+    meshes: list[Mesh] = []
+    notes: list[str] = []
+    names = [body.name for body in parameters.bodies if body.name]
+    for body in parameters.bodies:
+        path = find_shape(body.shape)
+        if path.suffix.lower() in MODEL_READERS:
+            model = read_model(path)
+            found = _bodies(body, model, _unused(body.name or path.stem, names, is_given=bool(body.name)))
+            notes += [f"{body.shape}: {note}" for note in model.header["notes"]]
+        else:
+            mesh = load_mesh(path, body.units_m)
+            found = [(body, mesh)]
+            notes += [f"{body.shape}: {warning}" for warning in mesh.warnings]
+        tables += [table for table, _ in found]
+        meshes += [mesh for _, mesh in found]
+    return Bodies(replace(parameters, bodies=tuple(tables)), meshes, notes)
+
+
+def _unused(name: str, names: list[str], *, is_given: bool) -> str:
+    number, found = 1, name
+    while not is_given and found in names:
+        number += 1
+        found = f"{name} {number}"
+    names.append(found)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A model file as its reader returns it.
+
+    Attributes
+    ----------
+    path : the file.
+    header : nodes (name, parent, translation, rotation with the scalar first, scale, perhaps matrix), parts (node,
+        vertices, faces, is_flat, material), animations (name, channels), notes.
+    arrays : by the names in the header.
+    """
+
+    path: Path
+    header: dict[str, Any]
+    arrays: dict[str, _Array]
+
+
+def read_model(path: Path) -> Model:
+    """Read a model file in a child process; raises SceneError with its name."""
+    reader, limits = MODEL_READERS[path.suffix.lower()], None
+    if reader == _USD and path.is_file():
+        usual = Limits.of(path)
+        limits = Limits(usual.memory_bytes + _USD_BYTES, usual.cpu_s)
+    arrays = read_in_child(reader, path, limits)
+    header = json.loads(arrays.pop("header").tobytes())
+    parts = header["parts"]
+    if not parts:
+        raise SceneError(f"{path}: no node of it has a mesh of triangles")
+    facets = sum(len(arrays[part["faces"]]) for part in parts)
+    if len(parts) > _MOST_PARTS or facets > _MOST_FACETS:
+        raise SceneError(
+            f"{path}: {len(parts)} nodes and materials with {facets} facets: at most {_MOST_PARTS} with "
+            f"{_MOST_FACETS} are drawn; join or leave out some"
+        )
+    return Model(path, header, arrays)
+
+
+def law_of(material: dict[str, float]) -> Glossy:
+    """Return the law of reflection of a material: luminance, metallic and roughness, each 0 to 1."""
+    luminance, metallic = material["luminance"], material["metallic"]
+    width2 = max(material["roughness"], 0.01) ** 4
+    shine = _DIELECTRIC * (1 - metallic) + luminance * metallic
+    return Glossy(luminance * (1 - metallic), shine, min(max(2 / width2 - 2, 1.0), 1e5))
+
+
+def _bodies(body: BodyTable, model: Model, name: str) -> list[tuple[BodyTable, Mesh]]:
+    """Return the bodies of a model: the still ones first, then those of each joint."""
+    tracks, period_s = _tracks(body, model)
+    groups: dict[tuple[int, ...], list[int]] = {}
+    for number, part in enumerate(model.header["parts"]):
+        moving = tuple(k for k in _ancestry(part["node"], model) if k in tracks)
+        groups.setdefault(moving, []).append(number)
+    found: list[tuple[BodyTable, Mesh]] = []
+    for moving in sorted(groups):
+        joints, frame = _joints(moving, model, tracks, body.units_m)
+        first = replace(body, name=_named(name, model, groups[moving][0])) if found else replace(body, name=name)
+        if moving:
+            first = _moving(first, model, JointPath(joints, period_s), name if () in groups else "")
+        for number in groups[moving]:
+            part = model.header["parts"][number]
+            own = first if number == groups[moving][0] else _fixed_to(first, _named(name, model, number))
+            below = [k for k in _ancestry(part["node"], model) if not moving or k not in _until(moving[-1], model)]
+            found.append((replace(own, **_surface(body, part)), _mesh(model, part, frame @ _chain(below, model))))
+    return found
+
+
+def _moving(first: BodyTable, model: Model, path: JointPath, root: str) -> BodyTable:
+    """Return the table of a joint's first body, fixed to the model's still body `root`, if there is one."""
+    if root:
+        return replace(first, path=cast(TrajectoryParameters, path), fixed_to=root)
+    still = first.path
+    if not isinstance(still, FixedPath) or still.look_at_m is not None:
+        raise SceneError(
+            f"{model.path}: every node of it moves, so its body can have no path of kind {still.kind!r}: add a node "
+            "with a mesh that does not move, or give the body a fixed place"
+        )
+    base = Pose(np.array(still.position_m), np.array(still.q_world_from_body))
+    return replace(first, path=cast(TrajectoryParameters, replace(path, base=base)))
+
+
+def _fixed_to(first: BodyTable, name: str) -> BodyTable:
+    return replace(first, name=name, path=FixedPath(), fixed_to=first.name)
+
+
+def _named(name: str, model: Model, number: int) -> str:
+    """Return the name of a part: the model's, the node's and, where parts would share it, a number."""
+    nodes, parts = model.header["nodes"], model.header["parts"]
+    label = nodes[parts[number]["node"]]["name"]
+    same = sum(nodes[part["node"]]["name"] == label for part in parts[:number])
+    return f"{name}/{label} {same + 1}" if same else f"{name}/{label}"
+
+
+def _surface(body: BodyTable, part: dict[str, Any]) -> dict[str, Any]:
+    law: Reflectance = body.reflectance
+    if part["material"] and law == LommelSeeliger():
+        law = law_of(part["material"])
+    return {"reflectance": law, "smooth": body.smooth and not part["is_flat"]}
+
+
+def _mesh(model: Model, part: dict[str, Any], matrix: _Floats) -> Mesh:
+    """Return a part's shape in its body's frame; its winding, which gives the outside, is taken from the file."""
+    points = model.arrays[part["vertices"]] @ matrix[:3, :3].T + matrix[:3, 3]
+    faces = model.arrays[part["faces"]]
+    try:
+        return build_mesh(points, faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else faces, turns=False)
+    except SceneError as error:
+        name = model.header["nodes"][part["node"]]["name"]
+        raise SceneError(f"{model.path}: node {name!r}: {error}") from error
+
+
+def _ancestry(node: int, model: Model) -> list[int]:
+    """Return the nodes from the root to a node."""
+    found = []
+    while node >= 0:
+        found.append(node)
+        node = model.header["nodes"][node]["parent"]
+    return found[::-1]
+
+
+def _until(node: int, model: Model) -> frozenset[int]:
+    return frozenset(_ancestry(node, model))
+
+
+def _chain(nodes: Sequence[int], model: Model) -> _Floats:
+    """Return the product of the transforms of nodes that stand still, (4, 4)."""
+    matrix = np.eye(4)
+    for k in nodes:
+        matrix = matrix @ _local(model.header["nodes"][k])
+    return matrix
+
+
+def _local(node: dict[str, Any]) -> _Floats:
+    if "matrix" in node:
+        return np.asarray(node["matrix"], np.float64)
+    matrix = np.eye(4)
+    matrix[:3, :3] = matrix_of(_unit(node["rotation"])) * node["scale"]
+    matrix[:3, 3] = node["translation"]
+    return matrix
+
+
+def _unit(q: Sequence[float]) -> _Floats:
+    return np.asarray(np.array(q) / np.linalg.norm(q))
+
+
+_Tracks = dict[int, dict[str, Track]]
+
+
+def _tracks(body: BodyTable, model: Model) -> tuple[_Tracks, float]:
+    """Return the tracks of each node that moves, and the period in seconds, 0 where nothing repeats."""
+    animations = model.header["animations"]
+    names = [one["name"] for one in animations]
+    if body.animation and body.animation not in names:
+        raise SceneError(f"{model.path}: no animation {body.animation!r}: it has {', '.join(names) or 'none'}")
+    found: _Tracks = {}
+    for one in animations:
+        for channel in one["channels"] if body.animation in ("", one["name"]) else ():
+            node = model.header["nodes"][channel["node"]]
+            if channel["path"] in found.setdefault(channel["node"], {}) or "matrix" in node:
+                why = "has a matrix" if "matrix" in node else f"is moved twice: choose one `animation` of {names}"
+                raise SceneError(f"{model.path}: node {node['name']!r} {why}")
+            found[channel["node"]][channel["path"]] = _track(model, channel)
+    every = [track for tracks in found.values() for track in tracks.values()]
+    if not body.repeat or not every:
+        return found, 0.0
+    period_s = max(float(track.times_s[-1]) for track in every)
+    if period_s < 1e-6 or not all(_closes(track) for track in every):
+        raise SceneError(f"{model.path}: its animation ends elsewhere than it begins, so it cannot `repeat`")
+    return found, period_s
+
+
+def _track(model: Model, channel: dict[str, Any]) -> Track:
+    times_s, values = model.arrays[channel["times"]], model.arrays[channel["values"]]
+    if values.shape[1] == 1:
+        return Track(times_s, values[:, 0])
+    return Track(times_s, values[:, 1], values[:, [0, 2]])
+
+
+def _closes(track: Track) -> bool:
+    first, last = track.values[0], track.values[-1]
+    off = min(np.abs(first - last).max(), np.abs(first + last).max() if len(first) == 4 else np.inf)
+    return bool(off <= 1e-4 * max(1.0, np.abs(track.values).max()))
+
+
+def _joints(moving: Sequence[int], model: Model, tracks: _Tracks, units_m: float) -> tuple[tuple[Joint, ...], _Floats]:
+    """Return the joints of a chain of moving nodes, and the scale of what is fixed to the last of them, (4, 4)."""
+    nodes, joints = model.header["nodes"], []
+    frame, at = np.diag([units_m, units_m, units_m, 1.0]), -1
+    for k in moving:
+        ancestry = _ancestry(k, model)
+        frame = frame @ _chain(ancestry[ancestry.index(at) + 1 if at >= 0 else 0 : -1], model)
+        fixed, scale = _split(frame, nodes[k]["name"], model)
+        still = {
+            "translation": Track(np.zeros(1), np.array([nodes[k]["translation"]])),
+            "rotation": Track(np.zeros(1), _unit(nodes[k]["rotation"])[None]),
+        }
+        own = still | tracks[k]
+        joints.append(Joint(fixed, _scaled(own["translation"], scale), own["rotation"]))
+        frame, at = np.diag([*(scale * np.array(nodes[k]["scale"])), 1.0]), k
+    return tuple(joints), frame
+
+
+def _split(frame: _Floats, name: str, model: Model) -> tuple[Pose, float]:
+    """Return a transform as a pose and an even scale that comes before it."""
+    linear = frame[:3, :3]
+    determinant = float(np.linalg.det(linear))
+    scale = float(np.cbrt(determinant))
+    if not scale > 0 or np.abs(linear.T @ linear / scale**2 - np.eye(3)).max() > _EVEN:
+        raise SceneError(
+            f"{model.path}: the scale above the moving node {name!r} is uneven, mirrored or 0: it would bend what "
+            "moves; apply the scale to the vertices"
+        )
+    return Pose(frame[:3, 3], quaternion_of(linear / scale)), scale
+
+
+def _scaled(track: Track, scale: float) -> Track:
+    return Track(track.times_s, track.values * scale, None if track.tangents is None else track.tangents * scale)

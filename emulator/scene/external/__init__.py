@@ -1,0 +1,1 @@
+"""Scenes that an external renderer draws."""

@@ -1,0 +1,317 @@
+"""The scene that an external renderer draws: its images at their times, and the light between two of them.
+
+A light frame of time t needs the images around t. Requested images stand on a grid of `period_ms` from time 0; those
+that come next are requested in advance. A time before the present images, as the probe of a plan uses, starts again at
+the image of the grid before it: the renderer then gets an earlier time. Pushed images only go forward.
+
+Images stay in the slots that they came in, and are read there: no copy. Light of integers is converted by a table.
+
+The first image that is not finite, has negative light, or is not later than the one before ends the run, and so does
+a renderer that ends, or gives no image within `timeout_s`: the events until then have their fates. An END without a
+reason is the regular end of the run.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import deque
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.geometry.camera import Pinhole
+from emulator.light import Light, PixelLight, Scene, SceneEnded, SceneError
+from emulator.scene.external.joining import Joined, Pair, TimedImage, compile_kernels, front_motion
+from emulator.scene.external.table import ExternalParameters
+from emulator.trajectory.building import build_trajectory
+from emulator.trajectory.pose import Timescale, Trajectory, TrajectoryError
+from firmware_protocol.compiled import entry_of
+from firmware_protocol.renderer.messages import Camera, Hello, Levels, MessageError, Response
+from transports.renderer.server import Drawn, RendererConnection, RendererEnded, RendererError, RendererServer
+
+__all__ = ["External", "ExternalOnPath", "ImageQueue", "open_external", "slots_of"]
+
+_LOG = logging.getLogger(__name__)
+_SRGB_KNEE = 0.04045
+_MOST = 1e9
+_MOST_RATE = 3e38
+_KEPT = 6
+
+_entry = entry_of(__name__, _nrt=False)
+
+
+@_entry
+def _first_invalid(values: npt.NDArray[np.float32], low: float, high: float) -> int:
+    """Return the index of the first value outside low to high, or NaN; -1 without."""
+    for k in range(values.size):
+        if not low <= values[k] <= high:
+            return k
+    return -1
+
+
+_BOUNDS = {
+    "light": (0.0, _MOST),
+    "motion": (-_MOST, _MOST),
+    "depth": (0.0, math.inf),
+    "rate": (-_MOST_RATE, _MOST_RATE),
+}
+
+
+def _light_table(hello: Hello) -> npt.NDArray[np.float32] | None:
+    """Return the light of each integer level, white 1; None for floats."""
+    if hello.levels is Levels.FLOAT32:
+        return None
+    share = np.arange(1 << 8 * hello.levels.octets) / hello.white
+    if hello.response is Response.SRGB:
+        share = np.where(share <= _SRGB_KNEE, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return share.astype(np.float32)
+
+
+class ImageQueue:
+    """The images of a connection in the order of their times.
+
+    Those since the last light frame stay, at most `_KEPT`, for single pixels at times in between.
+
+    Parameters
+    ----------
+    connection : to the renderer, with `slots_of(p)` slots.
+    path : of the camera, or None.
+
+    Attributes
+    ----------
+    taken : number of images received.
+    bound_px_s : bound on motion of the newest one; infinite where it has none.
+    """
+
+    def __init__(self, connection: RendererConnection, p: ExternalParameters, path: Trajectory | None = None) -> None:
+        self._connection, self._p = connection, p
+        self._path, self._time = path, Timescale(p.time_scale)
+        self._table = _light_table(connection.hello)
+        self._images: deque[tuple[TimedImage, Drawn]] = deque()
+        self._next_ns = self._last_ns = 0
+        self._zero_ns: int | None = None
+        self.taken = 0
+        self.bound_px_s = math.inf
+
+    @property
+    def name(self) -> str:
+        """Name that the renderer gave."""
+        return self._connection.hello.name
+
+    def around(self, t_ns: int) -> Pair:
+        """Return the images around `t_ns`, and receive those that are missing; raises SceneError."""
+        try:
+            self._go_to(t_ns)
+        except RendererEnded as error:
+            raise SceneEnded(str(error)) from error
+        except (RendererError, MessageError) as error:
+            self.close(str(error))
+            raise SceneError(f"renderer {self.name!r}: {error}") from error
+        self._last_ns = t_ns
+        return self.pair(t_ns)
+
+    def pair(self, t_ns: int) -> Pair:
+        """Return those of the present images that are around `t_ns`, or the nearest one twice."""
+        images = [image for image, _ in self._images]
+        later = next((k for k, image in enumerate(images) if image.t_ns >= t_ns), len(images) - 1)
+        return images[max(later - 1, 0)], images[later]
+
+    def close(self, reason: str = "") -> None:
+        """End the connection; a second call does nothing."""
+        self._images.clear()
+        self._connection.close(reason)
+
+    def _go_to(self, t_ns: int) -> None:
+        if self._images and t_ns < self._images[0][0].t_ns:
+            self._restart(t_ns)
+        if not self._images and not self._pushed:
+            self._next_ns = t_ns // self._p.period_ns * self._p.period_ns
+        while not self._images or self._images[-1][0].t_ns < t_ns:
+            self._receive()
+        self._request(self._p.ahead)
+
+    @property
+    def _pushed(self) -> bool:
+        return self._p.images == "pushed"
+
+    def _restart(self, t_ns: int) -> None:
+        """Leave all images, to begin again at `t_ns`."""
+        if self._pushed:
+            if self.taken == len(self._images):  # none came before: the first image stands before its time
+                return
+            raise RendererError(
+                f"time {t_ns} ns was needed again, which pushed images cannot give: set no tolerance_us"
+            )
+        while self._connection.requested:
+            self._connection.release(self._connection.receive(self._p.timeout_s))
+        while self._images:
+            self._connection.release(self._images.pop()[1])
+
+    def _receive(self) -> None:
+        """Receive the next image, and give the slots of those back that no light frame needs."""
+        while len(self._images) > 1 and (self._images[1][0].t_ns <= self._last_ns or len(self._images) >= _KEPT):
+            self._connection.release(self._images.popleft()[1])
+        self._request(max(1, self._p.ahead))
+        drawn = self._connection.receive(self._p.timeout_s)
+        self._images.append((self._checked(drawn), drawn))
+        self.taken += 1
+        bound = drawn.head.motion_bound_px_s
+        self.bound_px_s = math.inf if math.isnan(bound) else bound
+
+    def _request(self, count: int) -> None:
+        """Have `count` images requested, as far as slots are free."""
+        while self._connection.requested < count and self._connection.free:
+            if self._pushed:
+                self._connection.request()
+                continue
+            self._connection.request(self._next_ns, self._pose(self._next_ns))
+            self._next_ns += self._p.period_ns
+
+    def _pose(self, t_ns: int) -> tuple[float, ...] | None:
+        if self._path is None:
+            return None
+        pose = self._path.pose(self._time.scene_ns(t_ns))
+        return (*pose.position_m.tolist(), *pose.q_world_from_body.tolist())
+
+    def _checked(self, drawn: Drawn) -> TimedImage:
+        """Return an image with linear light and its stream time; raises RendererError."""
+        planes = dict(drawn.planes)
+        if self._table is not None:
+            planes["light"] = self._table[planes["light"]]
+        for name, plane in planes.items():
+            if (k := _first_invalid(plane.reshape(-1), *_BOUNDS[name])) >= 0:
+                row, column = divmod(k // (2 if name == "motion" else 1), plane.shape[1])
+                raise RendererError(
+                    f"image {drawn.head.number}: {name} is {plane.reshape(-1)[k]:g} in row {row}, column {column}: it "
+                    f"must be {_BOUNDS[name][0]:g} to {_BOUNDS[name][1]:g}"
+                )
+        t_ns = self._stream_ns(drawn)
+        if self._images and t_ns <= self._images[-1][0].t_ns:
+            raise RendererError(
+                f"image {drawn.head.number} is of {drawn.head.t_ns} ns, not later than the one before: times must go on"
+            )
+        if "motion" in planes:
+            planes["motion"] = front_motion(planes["motion"], planes.get("depth"))
+        return TimedImage(t_ns, **planes)
+
+    def _stream_ns(self, drawn: Drawn) -> int:
+        if not self._pushed:
+            return drawn.head.t_ns
+        if self._zero_ns is None:
+            self._zero_ns = drawn.head.t_ns - round(self._p.delay_ms * 1e6)
+        return drawn.head.t_ns - self._zero_ns
+
+
+def slots_of(p: ExternalParameters) -> int:
+    """Return the number of slots for all images that are present or requested."""
+    return _KEPT + max(1, p.ahead)
+
+
+class External(Scene):
+    """The images of a renderer through `pinhole`, in units of radiance; made by `open_external`.
+
+    Parameters
+    ----------
+    white_w_m2_sr : radiance of the value 1.
+    threads : number of threads that draw; 0: by the machine.
+    """
+
+    def __init__(self, images: ImageQueue, pinhole: Pinhole, white_w_m2_sr: float, threads: int = 0) -> None:
+        self._pinhole, self._images = pinhole, images
+        self._joined = Joined(pinhole.size, white_w_m2_sr, threads)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self._pinhole.size
+
+    @property
+    def motion_bound_px_s(self) -> float:
+        """The bound of the newest image; infinite where the renderer gives none."""
+        return self._images.bound_px_s
+
+    @property
+    def renderer(self) -> str | None:
+        """The name that the renderer gave."""
+        return self._images.name or None
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Images received."""
+        return {"images": self._images.taken}
+
+    def light(self, t_ns: int, out: Light) -> None:
+        """Write the light at `t_ns`; raises SceneError."""
+        self._joined.write(self._images.around(t_ns), t_ns, out)
+
+    @property
+    def has_rate(self) -> bool:
+        """True: the light between two images is in closed form."""
+        return True
+
+    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
+        """Write the light at `t_ns` and its time derivative; raises SceneError."""
+        self._joined.write(self._images.around(t_ns), t_ns, light, rate)
+
+    @property
+    def pixel_light(self) -> PixelLight:
+        """Light of single pixels since the last light frame."""
+        return lambda t_ns, pixels: self._joined.pixels(self._images.pair(t_ns), t_ns, pixels)
+
+    def close(self) -> None:
+        """End the connection and the threads."""
+        self._images.close()
+        self._joined.close()
+
+
+class ExternalOnPath(External):
+    """The same with a path of the camera, which an inertial unit follows too."""
+
+    def __init__(
+        self, images: ImageQueue, pinhole: Pinhole, p: ExternalParameters, path: Trajectory, threads: int = 0
+    ) -> None:
+        super().__init__(images, pinhole, p.white_w_m2_sr, threads)
+        self._path, self._time = path, Timescale(p.time_scale)
+
+    @property
+    def camera_path(self) -> Trajectory:
+        """The camera's path, on the scene's time."""
+        return self._path
+
+    @property
+    def path_time(self) -> Timescale:
+        """Stream time to scene time."""
+        return self._time
+
+
+def open_external(p: ExternalParameters, pinhole: Pinhole, threads: int = 0) -> External:
+    """Return the scene, once its renderer has connected; raises SceneError."""
+    compile_kernels()
+    try:
+        path = None if p.camera is None else build_trajectory(p.camera)
+    except (TrajectoryError, OSError) as error:
+        raise SceneError(f"scene.camera: {error}") from error
+    images = ImageQueue(_connected(p, pinhole), p, path)
+    if path is None:
+        return External(images, pinhole, p.white_w_m2_sr, threads)
+    return ExternalOnPath(images, pinhole, p, path, threads)
+
+
+def _connected(p: ExternalParameters, pinhole: Pinhole) -> RendererConnection:
+    period_ns = 0 if p.images == "pushed" else p.period_ns
+    wanted = Camera(pinhole.size, pinhole.focal_px, period_ns, slots_of(p), 0, has_pose=p.camera is not None)
+    try:
+        server = RendererServer(p.host, p.port, p.allow)
+        _LOG.info("waiting for a renderer on %s port %d, up to %g s", p.host, p.port, p.wait_s)
+        connection = server.accept(wanted, p.wait_s)
+    except OSError as error:
+        raise SceneError(f"scene: {p.host} port {p.port}: {error.strerror or error}") from error
+    if connection is None:
+        refused = f"; refused: {'; '.join(server.refusals[-3:])}" if server.refusals else ""
+        raise SceneError(
+            f"no renderer connected to {p.host} port {p.port} within {p.wait_s:g} s (scene.wait_s){refused}; start one "
+            "that uses evstim.renderer, or see docs/renderers.md"
+        )
+    return connection

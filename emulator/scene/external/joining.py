@@ -1,0 +1,361 @@
+"""Light between two images of an external renderer, and its time derivative, by the best that the images have.
+
+    images alone   a straight line of the light of each pixel
+    rate           a cubic through light and rate of both images, in each pixel (Hermite)
+    motion         each visible point moves; light is that of the point in both images
+    both           the cubic where a point moves up to three pixels from one image to the next, else motion
+
+With motion, light of a pixel p at time t, a share s of the way from image 0 to image 1, is
+
+    (1 - s) image0(q0) + s image1(q1)
+
+q0 and q1 are the places in the images of the point that is at p at time t. It moves at a constant acceleration, from
+its velocity in image 0 to that in image 1; q0 and q1 follow in a few steps of a fixed point. Between pixels an image is
+the Catmull-Rom cubic, held within the four pixels around the place, so that it makes no darkness below the darkest and
+no light above the brightest. The time derivative is that of the same formula.
+
+An image that shows nothing which moves to p is left out: the surface appears or disappears in between. Where the images
+give different surfaces, one that both of them show is in front of one that only one shows, because this one is hidden
+in the other. If both are shown twice, the nearer one is in front, by depth, or else the faster one. If none is, both
+are mixed by s. So light has no step at the time of an image.
+
+A pixel at an edge has the light of both surfaces and the velocity of one. So each pixel has the velocity of the nearest
+point among itself and its eight neighbours (the fastest without depth): an edge moves with the surface in front.
+Shadows move across the surface that they fall on, so motion places their edges worse than other ones; a rate does not.
+
+The kernels are fast because each pixel is independent and pixels that do not move are joined in place; threads share
+the rows.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.light import Light
+from emulator.threads import ThreadPool, available_threads
+from firmware_protocol.compiled import entry_of, kernel
+
+__all__ = ["Joined", "Pair", "TimedImage", "compile_kernels", "front_motion"]
+
+_entry = entry_of(__name__, _nrt=False)
+_Floats = npt.NDArray[np.float32]
+_NONE = np.zeros((0, 0), np.float32)
+_NO_MOTION = np.zeros((0, 0, 2), np.float32)
+_MANY_PX = 50_000
+_ROWS = 16  # a thread's share of the work at a time
+_STEPS = 3
+_CLOSE_PX = 0.25
+_SAME_PX = 1.0
+_SAME_SHARE = 0.3
+_RATE_PX = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class TimedImage:
+    """One image.
+
+    Attributes
+    ----------
+    t_ns : stream time.
+    light : (height, width) float32.
+    motion : (height, width, 2) float32, px/s, of `front_motion`; None where it is not known.
+    depth : (height, width) float32, m; None where it is not known.
+    rate : (height, width) float32, 1/s; None where it is not known.
+    """
+
+    t_ns: int
+    light: _Floats
+    motion: _Floats | None = None
+    depth: _Floats | None = None
+    rate: _Floats | None = None
+
+
+Pair = tuple[TimedImage, TimedImage]
+"""The images around a time; the same one twice where light stands still."""
+
+
+def front_motion(motion: _Floats, depth: _Floats | None) -> _Floats:
+    """Return, for each pixel, the velocity of the nearest point among 3 x 3 pixels; without depth, the greatest."""
+    out = np.empty_like(motion)
+    _write_front(motion, _NONE if depth is None else depth, out)
+    return out
+
+
+@_entry
+def _write_front(motion: _Floats, depth: _Floats, out: _Floats) -> None:
+    rows, columns = motion.shape[0], motion.shape[1]
+    for row in range(rows):
+        for column in range(columns):
+            best, at_row, at_column = -math.inf, row, column
+            for y in range(max(row - 1, 0), min(row + 2, rows)):
+                for x in range(max(column - 1, 0), min(column + 2, columns)):
+                    merit = -depth[y, x] if depth.size else motion[y, x, 0] ** 2 + motion[y, x, 1] ** 2
+                    if merit > best:
+                        best, at_row, at_column = merit, y, x
+            out[row, column, 0] = motion[at_row, at_column, 0]
+            out[row, column, 1] = motion[at_row, at_column, 1]
+
+
+class Joined:
+    """Writer of the light between two images of `size` = (width, height) px.
+
+    Parameters
+    ----------
+    white : factor of the light.
+    threads : number of threads that draw; 0: by the machine and the size.
+    """
+
+    def __init__(self, size: tuple[int, int], white: float = 1.0, threads: int = 0) -> None:
+        self._rows, self._white = size[1], white
+        self._pool = ThreadPool(threads or (available_threads() if size[0] * size[1] > _MANY_PX else 1))
+
+    def write(self, pair: Pair, t_ns: int, light: Light, rate: Light | None = None) -> None:
+        """Write the light at `t_ns`, and its derivative, (height, width) each; outside the images, the nearest one."""
+        planes, terms = _planes(pair), self._terms(pair, t_ns)
+        rates, write = _NONE if rate is None else rate, _write_moved if _moves(pair) else _write_standing
+
+        def share(k: int, _: int) -> None:
+            write(planes, terms, (k * _ROWS, min((k + 1) * _ROWS, self._rows)), light, rates)
+
+        self._pool.each(share, -(-self._rows // _ROWS))
+
+    def pixels(self, pair: Pair, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Floats, _Floats]:
+        """Return light and derivative of the pixels row * width + column, (n,) each."""
+        light, rate = np.empty(pixels.size, np.float32), np.empty(pixels.size, np.float32)
+        listed = _listed_moved if _moves(pair) else _listed_standing
+        listed(_planes(pair), self._terms(pair, t_ns), pixels, light, rate)
+        return light, rate
+
+    def close(self) -> None:
+        """End the threads; a second call does nothing."""
+        self._pool.close()
+
+    def _terms(self, pair: Pair, t_ns: int) -> tuple[float, float, float]:
+        """Return seconds from the first image to `t_ns`, and to the second one, both 0 at a standstill; and white."""
+        apart_ns = pair[1].t_ns - pair[0].t_ns
+        t_ns = min(max(t_ns - pair[0].t_ns, 0), max(apart_ns, 0))
+        return t_ns * 1e-9, max(apart_ns, 0) * 1e-9, self._white
+
+
+def _moves(pair: Pair) -> bool:
+    return pair[0].motion is not None and pair[1].motion is not None
+
+
+def _planes(pair: Pair) -> tuple[_Floats, ...]:
+    """Return light, motion, depth and rate of both images, empty where they are not known."""
+    before, after = pair
+    depths, rates = _both(before.depth, after.depth), _both(before.rate, after.rate)
+    if before.motion is None or after.motion is None:
+        return (before.light, after.light, _NO_MOTION, _NO_MOTION, *depths, *rates)
+    return (before.light, after.light, before.motion, after.motion, *depths, *rates)
+
+
+def _both(before: _Floats | None, after: _Floats | None) -> tuple[_Floats, _Floats]:
+    return (_NONE, _NONE) if before is None or after is None else (before, after)
+
+
+@kernel
+def _bounded(value: float, most: int) -> int:
+    """Return the index below `value`, 0 to `most`; 0 for a NaN."""
+    return int(min(max(value, 0.0), most)) if value == value else 0
+
+
+@kernel
+def _taps(f: float) -> tuple[float, float, float, float]:
+    return (
+        ((-0.5 * f + 1.0) * f - 0.5) * f, (1.5 * f - 2.5) * f * f + 1.0,
+        ((-1.5 * f + 2.0) * f + 0.5) * f, (0.5 * f - 0.5) * f * f,
+    )  # fmt: skip
+
+
+@kernel
+def _slopes(f: float) -> tuple[float, float, float, float]:
+    return (-1.5 * f + 2.0) * f - 0.5, (4.5 * f - 5.0) * f, (-4.5 * f + 4.0) * f + 0.5, (1.5 * f - 1.0) * f
+
+
+@kernel
+def _sampled(image: _Floats, y: float, x: float) -> tuple[float, float, float]:
+    """Return the value at a point, and its derivatives along rows and columns; at (r, c) the value of that pixel."""
+    last_row, last_column = image.shape[0] - 1, image.shape[1] - 1
+    row, column = _bounded(y, last_row), _bounded(x, last_column)
+    fy, fx = min(max(y - row, 0.0), 1.0), min(max(x - column, 0.0), 1.0)
+    ty, tx, dy, dx = _taps(fy), _taps(fx), _slopes(fy), _slopes(fx)
+    value = down = across = 0.0
+    low, high = math.inf, -math.inf
+    for j in range(4):
+        r = min(max(row + j - 1, 0), last_row)
+        line = slope = 0.0
+        for i in range(4):
+            c = min(max(column + i - 1, 0), last_column)
+            sample = image[r, c]
+            line += tx[i] * sample
+            slope += dx[i] * sample
+            if 1 <= i <= 2 and 1 <= j <= 2:
+                low, high = min(low, sample), max(high, sample)
+        value += ty[j] * line
+        down += dy[j] * line
+        across += ty[j] * slope
+    return min(max(value, low), high), down, across
+
+
+@kernel
+def _differ(vx: float, vy: float, wx: float, wy: float, apart_s: float) -> bool:
+    """Return whether two velocities are those of different surfaces; one surface turns, or comes nearer."""
+    apart = math.hypot(vx - wx, vy - wy)
+    return apart * apart_s > _SAME_PX and apart > _SAME_SHARE * (math.hypot(vx, vy) + math.hypot(wx, wy))
+
+
+@kernel
+def _at(front: _Floats, y: float, x: float) -> tuple[float, float]:
+    """Return the velocity, along x and y, of the pixel at a point; its index is that of its middle."""
+    row, column = _bounded(y + 0.5, front.shape[0] - 1), _bounded(x + 0.5, front.shape[1] - 1)
+    return front[row, column, 0], front[row, column, 1]
+
+
+@kernel
+def _source(own: _Floats, other: _Floats, y: float, x: float, guess: Any, terms: Any) -> Any:
+    """Return the point of one image that is at (y, x) at the time, and its velocity then.
+
+    Also the error of the path in px, and whether the other image shows the point too.
+
+    `terms` are seconds from the image to the time and to the other image, both negative from the later one. The point
+    moves at a constant acceleration, from its velocity in one image to that in the other.
+    """
+    t_s, apart_s = terms
+    vx, vy = guess
+    wx, wy = vx, vy
+    error, in_both = 0.0, True
+    for _ in range(_STEPS):
+        bend = 0.5 * t_s / apart_s
+        at_x, at_y = x - t_s * (vx + (wx - vx) * bend), y - t_s * (vy + (wy - vy) * bend)
+        new_x, new_y = _at(own, at_y, at_x)
+        wx, wy = _at(other, at_y + 0.5 * apart_s * (new_y + wy), at_x + 0.5 * apart_s * (new_x + wx))
+        in_both = not _differ(new_x, new_y, wx, wy, abs(apart_s))
+        if not in_both:  # the other image shows another surface there
+            wx, wy = new_x, new_y
+        error = (abs(new_x - vx) + abs(new_y - vy)) * abs(t_s)
+        vx, vy = new_x, new_y
+    bend = t_s / apart_s
+    at_x, at_y = x - t_s * (vx + 0.5 * (wx - vx) * bend), y - t_s * (vy + 0.5 * (wy - vy) * bend)
+    return at_y, at_x, vy + (wy - vy) * bend, vx + (wx - vx) * bend, error, in_both
+
+
+@kernel
+def _found(own: _Floats, other: _Floats, depth: _Floats, at: Any, guesses: Any, terms: Any) -> Any:
+    """Return point, velocity, distance and rank of the surface of an image that is at the pixel at the time.
+
+    Ranks: 0 there is none, 1 the other image does not show it, 2 it does.
+    """
+    best = (at[0], at[1], 0.0, 0.0, math.inf, 0)
+    for guess in guesses:
+        y, x, vy, vx, error, in_both = _source(own, other, at[0], at[1], guess, terms)
+        if not error <= _CLOSE_PX:
+            continue
+        far, rank = -math.hypot(vx, vy), 2 if in_both else 1
+        if depth.size:
+            far = depth[_bounded(y + 0.5, depth.shape[0] - 1), _bounded(x + 0.5, depth.shape[1] - 1)]
+        if rank > best[5] or (rank == best[5] and far < best[4]):
+            best = (y, x, vy, vx, far, rank)
+    return best
+
+
+@kernel
+def _joined(a: float, b: float, slope_a: float, slope_b: float, terms: Any) -> tuple[float, float]:
+    """Return value and derivative of the cubic through two values with slopes, a line where these are not known."""
+    t_s, apart_s, _ = terms
+    s, line = t_s / apart_s, (b - a) / apart_s
+    if slope_a != slope_a or slope_b != slope_b:
+        return a + (b - a) * s, line
+    bend_a, bend_b = slope_a - line, slope_b - line
+    # the line, and a cubic that is 0 at both ends with the slopes that are left
+    value = a + (b - a) * s + apart_s * s * (1 - s) * (bend_a * (1 - s) - bend_b * s)
+    return value, line + bend_a * (1 - s) * (1 - 3 * s) + bend_b * s * (3 * s - 2)
+
+
+@kernel
+def _standing(planes: Any, terms: Any, row: int, column: int) -> tuple[float, float]:
+    """Return light and derivative of a pixel in place."""
+    first, last, _, _, _, _, rate0, rate1 = planes
+    if terms[1] == 0.0:
+        return first[row, column], 0.0
+    slopes = (rate0[row, column], rate1[row, column]) if rate0.size else (math.nan, math.nan)
+    value, slope = _joined(first[row, column], last[row, column], slopes[0], slopes[1], terms)
+    return (value, slope) if value >= 0.0 else (0.0, 0.0)
+
+
+@kernel
+def _moved(planes: Any, terms: Any, row: int, column: int) -> tuple[float, float]:
+    """Return light and derivative of a pixel by the motion of the points that it shows."""
+    first, last, front0, front1, depth0, depth1, rate, _ = planes
+    t_s, apart_s, _ = terms
+    v0, v1 = (front0[row, column, 0], front0[row, column, 1]), (front1[row, column, 0], front1[row, column, 1])
+    moved_px = apart_s * max(math.hypot(v0[0], v0[1]), math.hypot(v1[0], v1[1]))
+    if moved_px == 0.0 or (rate.size and moved_px <= _RATE_PX):
+        return _standing(planes, terms, row, column)
+    at, guesses = (row, column), (v0, v1)
+    y0, x0, vy0, vx0, far0, rank0 = _found(front0, front1, depth0, at, guesses, (t_s, apart_s))
+    y1, x1, vy1, vx1, far1, rank1 = _found(front1, front0, depth1, at, guesses, (t_s - apart_s, -apart_s))
+    share = t_s / apart_s
+    if rank0 and rank1 and _differ(vx0, vy0, vx1, vy1, apart_s):
+        if rank0 != rank1:
+            share = 0.0 if rank0 > rank1 else 1.0
+        elif rank0 == 2:
+            share = 0.0 if far0 <= far1 else 1.0
+    elif rank0 != rank1 and not (rank0 and rank1):
+        share = 0.0 if rank0 else 1.0
+    value0, down0, across0 = _sampled(first, y0, x0)
+    value1, down1, across1 = _sampled(last, y1, x1)
+    slope = -(1 - share) * (down0 * vy0 + across0 * vx0) - share * (down1 * vy1 + across1 * vx1)
+    if 0.0 < share < 1.0:
+        slope += (value1 - value0) / apart_s
+    return (1 - share) * value0 + share * value1, slope
+
+
+@_entry
+def _write_standing(planes: Any, terms: Any, rows: Any, light: Light, rate: Light) -> None:
+    for row in range(rows[0], rows[1]):
+        for column in range(light.shape[1]):
+            value, slope = _standing(planes, terms, row, column)
+            light[row, column] = value * terms[2]
+            if rate.size:
+                rate[row, column] = slope * terms[2]
+
+
+@_entry
+def _write_moved(planes: Any, terms: Any, rows: Any, light: Light, rate: Light) -> None:
+    for row in range(rows[0], rows[1]):
+        for column in range(light.shape[1]):
+            value, slope = _moved(planes, terms, row, column)
+            light[row, column] = value * terms[2]
+            if rate.size:
+                rate[row, column] = slope * terms[2]
+
+
+@_entry
+def _listed_standing(planes: Any, terms: Any, pixels: npt.NDArray[np.int64], light: _Floats, rate: _Floats) -> None:
+    for k in range(pixels.size):
+        row, column = divmod(pixels[k], planes[0].shape[1])
+        value, slope = _standing(planes, terms, row, column)
+        light[k], rate[k] = value * terms[2], slope * terms[2]
+
+
+@_entry
+def _listed_moved(planes: Any, terms: Any, pixels: npt.NDArray[np.int64], light: _Floats, rate: _Floats) -> None:
+    for k in range(pixels.size):
+        row, column = divmod(pixels[k], planes[0].shape[1])
+        value, slope = _moved(planes, terms, row, column)
+        light[k], rate[k] = value * terms[2], slope * terms[2]
+
+
+def compile_kernels() -> None:
+    """Compile all kernels, or read them from disk, before a run needs them."""
+    still, pixel, joined = np.zeros((1, 1), np.float32), np.zeros(1, np.int64), Joined((1, 1), threads=1)
+    for motion in (None, front_motion(np.zeros((1, 1, 2), np.float32), None)):
+        image = TimedImage(0, still, motion)
+        joined.write((image, image), 0, still.copy(), still.copy())
+        joined.pixels((image, image), 0, pixel)

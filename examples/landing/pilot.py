@@ -1,0 +1,173 @@
+"""The pilot of a vehicle with sensors of its own: frames of the bus and motions from events in, commands out.
+
+    a_up   = D*^2 h (half of it where thrust limits the divergence) + k (s - D* h) + g       s: speed downwards
+    a_east = -c (v_east - w_east),  w = -place / 20 s, limited; the same to the north
+
+Height, speed and place are those of the filter (navigation.py), predicted for the time at which the command acts from
+the commands that were sent. D* and k are those of `guidance.Law`. Below `final_m` the vehicle falls slowly, straight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from divergence import Motion
+from frames import (
+    ESTIMATE,
+    PUSH,
+    PUSH_M_S,
+    RANGE,
+    STAR,
+    TURN,
+    TURN_RAD,
+    nearest_number,
+    pack_attitude,
+    unpack_attitude,
+    unpack_range,
+    unpack_vector,
+)
+from guidance import Law
+from navigation import Filter, Known, of_events, of_range, of_star
+from sensors import PERIOD_S, SensorErrors
+from vehicle import GRAVITY_M_S2, Vector
+
+__all__ = ["NAVIGATIONS", "Pilot", "PilotSettings"]
+
+NAVIGATIONS = {
+    "blind": frozenset[str](),
+    "altimeter": frozenset({"altimeter"}),
+    "events": frozenset({"events"}),
+    "both": frozenset({"altimeter", "events"}),
+}
+"""Sensors beside IMU and star tracker, by the name of the navigation."""
+
+_ENGINE_S = 0.1
+_PLACE_1_S, _SIDEWAYS_1_S, _MOST_SIDEWAYS_M_S = 0.05, 0.3, 1.5
+_MOST_TILT = 0.05
+_LEAST_M = 1.0
+_RELATIVE, _LEAST_DOWN_1_S, _LEAST_ASIDE_1_S = 0.025, 0.0007, 0.001
+_RELIEF_M = 0.5
+
+
+@dataclass(frozen=True)
+class PilotSettings:
+    """Settings of a pilot.
+
+    Attributes
+    ----------
+    navigation : a name of NAVIGATIONS.
+    edge_px : as of `guidance.Guidance`.
+    turn_s, delay_s : from one command to the next; from the newest sample of a turn until its command acts.
+    law, errors : of the descent and of the sensors, as the designer knows them.
+    """
+
+    navigation: str
+    edge_px: float = 173.0
+    turn_s: float = 0.2
+    delay_s: float = 0.1
+    law: Law = field(default_factory=Law)
+    errors: SensorErrors = field(default_factory=SensorErrors)
+
+
+class Pilot:
+    """One descent.
+
+    Parameters
+    ----------
+    known : state from navigation at the start.
+    settings : of the pilot.
+    """
+
+    def __init__(self, known: Known, settings: PilotSettings) -> None:
+        self._settings, self._used = settings, NAVIGATIONS[settings.navigation]
+        self.filter = Filter(known, settings.errors)
+        self._turn = np.zeros(3)
+        self._sent: deque[tuple[float, Vector]] = deque([(-math.inf, np.array([0.0, 0.0, GRAVITY_M_S2]))], maxlen=20)
+
+    @property
+    def uses_events(self) -> bool:
+        """True when events belong to the navigation."""
+        return "events" in self._used
+
+    def take(self, identifier: int, data: bytes) -> None:
+        """Take a frame of the bus; raises ValueError for one of a wrong length."""
+        errors, newest = self._settings.errors, self.filter.newest
+        if identifier == TURN:
+            self._turn, _ = unpack_vector(data, TURN_RAD)
+        elif identifier == PUSH:
+            push, number = unpack_vector(data, PUSH_M_S)
+            self.filter.sample(nearest_number(number, newest), self._turn, push)
+        elif identifier == STAR:
+            q, number = unpack_attitude(data)
+            self.filter.measure(nearest_number(number, newest), of_star(q, errors))
+        elif identifier == RANGE and "altimeter" in self._used:
+            range_m, number = unpack_range(data)
+            self.filter.measure(nearest_number(number, newest), of_range(range_m, errors, _RELIEF_M))
+
+    def take_motion(self, motion: Motion, window_s: float) -> None:
+        """Take the motion of a window of events."""
+        if "events" not in self._used or not motion.reliable:
+            return
+        sigma = _RELATIVE * abs(motion.down) + np.array([_LEAST_ASIDE_1_S, _LEAST_ASIDE_1_S, _LEAST_DOWN_1_S])
+        variance = sigma**2 * max(1.0, window_s / self._settings.turn_s)
+        seen = np.array([motion.east, motion.south, motion.down])
+        self.filter.measure(round(motion.at_s / PERIOD_S), of_events(seen, variance))
+
+    def motion(self, at_s: float) -> Motion:
+        """Return the motion over height that the filter has for a time: the estimator begins there."""
+        then = self.filter.at(round(at_s / PERIOD_S))
+        east, north, up = (then.velocity_m_s / max(float(then.position_m[2]), _LEAST_M)).tolist()
+        return Motion(east, -north, -up, math.inf, at_s, 0)
+
+    def window_s(self, now_s: float) -> float:
+        """Length of the next window of events."""
+        law, seen = self._settings.law, self.motion(now_s)
+        speed_px_s = self._settings.edge_px * max(abs(seen.down), math.hypot(seen.east, seen.south), 1e-3)
+        return float(np.clip(law.window_px / speed_px_s, *law.window_s))
+
+    def command_m_s2(self, now_s: float) -> Vector:
+        """Return the acceleration wanted when the command of now acts, (east, north, up), gravity's not included."""
+        acts_s = now_s + self._settings.delay_s
+        position, velocity = self._predicted(acts_s + _ENGINE_S)
+        command = wanted_m_s2(self._settings.law, position, velocity)
+        self._sent.append((acts_s, command))
+        return command
+
+    def attitudes(self, since_s: float) -> list[tuple[float, Vector]]:
+        """Return times, s, and attitudes, world from body, from a time until the newest sample, every second one."""
+        first = max(round(since_s / PERIOD_S) - 2, 0)
+        numbers = range(self.filter.newest, max(first, self.filter.oldest) - 1, -2)
+        return [(k * PERIOD_S, self.filter.at(k).attitude) for k in reversed(numbers)]
+
+    def estimate(self) -> tuple[int, bytes]:
+        """Return the frame with the newest attitude."""
+        return ESTIMATE, pack_attitude(self.filter.now.attitude, self.filter.newest)
+
+    def _predicted(self, until_s: float) -> tuple[Vector, Vector]:
+        """Return position and velocity at a time, from the commands that act until then."""
+        now, t_s = self.filter.now, self.filter.newest * PERIOD_S
+        position, velocity = now.position_m, now.velocity_m_s
+        while t_s < until_s - 1e-9:
+            step_s = min(PERIOD_S, until_s - t_s)
+            acting = [command for acts_s, command in self._sent if acts_s + _ENGINE_S <= t_s + 1e-9]
+            change = ((acting or [self._sent[0][1]])[-1] - (0.0, 0.0, GRAVITY_M_S2)) * step_s
+            position, velocity = position + (velocity + change / 2) * step_s, velocity + change
+            t_s += step_s
+        return position, velocity
+
+
+def wanted_m_s2(law: Law, position_m: Vector, velocity_m_s: Vector) -> Vector:
+    """Return the acceleration of the law at a place, (3,), gravity's not included."""
+    height_m = max(float(position_m[2]), _LEAST_M)
+    wanted = law.wanted_1_s(height_m)
+    limited = wanted < law.divergence_1_s
+    steady = wanted**2 * height_m * (0.5 if limited else 1.0) * (height_m > law.final_m)
+    up = max(steady + law.gain_1_s * (-velocity_m_s[2] - wanted * height_m) + GRAVITY_M_S2, 0.1)
+    to_place = -_PLACE_1_S * position_m[:2] * (height_m > law.final_m)
+    to_place *= min(1.0, _MOST_SIDEWAYS_M_S / max(float(np.hypot(*to_place)), 1e-9))
+    aside = _SIDEWAYS_1_S * (to_place - velocity_m_s[:2])
+    aside *= min(1.0, _MOST_TILT * up / max(float(np.hypot(*aside)), 1e-9))
+    return np.array([*aside, up])

@@ -1,0 +1,1 @@
+"""Messages of external renderers."""

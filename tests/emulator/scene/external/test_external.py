@@ -1,0 +1,222 @@
+"""The scene of an external renderer, with the client library in a thread: times, pushed images, and bad ones."""
+
+import math
+import threading
+from contextlib import contextmanager, suppress
+
+import numpy as np
+import pytest
+
+from emulator.geometry.camera import Pinhole
+from emulator.light import SceneEnded, SceneError
+from emulator.scene.external.external import open_external
+from emulator.scene.external.table import ExternalParameters
+from emulator.trajectory.parameters import FixedPath
+from evstim.renderer import Images, Renderer, RendererRefused
+from tests.free_ports import free_port
+
+pytestmark = pytest.mark.socket
+
+_PLAIN = Images()
+PINHOLE = Pinhole(6, 4, 100.0)
+LONG_S = 60.0
+
+
+class Drawing:
+    """A renderer in a thread: image k has the light of `light(t_s, k)`, and `change(image, k)` spoils it.
+
+    Attributes
+    ----------
+    times : of the requests, ms.
+    """
+
+    def __init__(self, port, light, images=_PLAIN, times_ms=None, change=None):
+        self.times, self.poses = [], []
+        self._work = port, light, images, times_ms, change
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _run(self):
+        port, light, images, times_ms, change = self._work
+        address = f"127.0.0.1:{port}"
+        with suppress(RendererRefused, OSError, ValueError), Renderer(address, images, name="test") as renderer:
+            for k, image in enumerate(renderer):
+                if times_ms is not None and k == len(times_ms):
+                    renderer.end()
+                    return
+                t_ns = image.t_ns if image.t_ns is not None else round(times_ms[k] * 1e6)
+                self.times.append(t_ns / 1e6)
+                self.poses.append(image.pose)
+                image.light[:] = light(t_ns * 1e-9, k)
+                for plane in (image.motion, image.depth, image.rate):
+                    if plane is not None:
+                        plane[:] = 0
+                if change:
+                    change(image, k)
+                image.send(t_ns=None if image.t_ns is not None else t_ns)
+
+    def join(self):
+        self._thread.join(LONG_S)
+        assert not self._thread.is_alive()
+
+
+@contextmanager
+def scene_of(light, parameters=None, **drawing):
+    port = free_port()
+    p = ExternalParameters(port=port, white_w_m2_sr=2.0, timeout_s=LONG_S, wait_s=LONG_S, **(parameters or {}))
+    renderer = Drawing(port, light, **drawing)
+    scene = open_external(p, PINHOLE)
+    try:
+        yield scene, renderer
+    finally:
+        scene.close()
+        renderer.join()
+
+
+def lit(scene, t_ms):
+    light, rate = np.zeros((4, 6), np.float32), np.zeros((4, 6), np.float32)
+    scene.light_and_rate(round(t_ms * 1e6), light, rate)
+    assert (light == light[0, 0]).all()
+    return float(light[0, 0]), float(rate[0, 0])
+
+
+def test_light_between_the_images_of_the_grid():
+    with scene_of(lambda t_s, _: 100 * t_s**2, {"period_ms": 10.0, "ahead": 0}) as (scene, renderer):
+        assert lit(scene, 0) == (0, 0)
+        light, rate = lit(scene, 15)
+        assert light == pytest.approx(2 * 100 * (0.01**2 + 0.02**2) / 2)
+        assert rate == pytest.approx(2 * 100 * (0.02**2 - 0.01**2) / 0.01)
+        assert lit(scene, 20)[0] == pytest.approx(2 * 100 * 0.02**2)
+        assert renderer.times == [0, 10, 20]
+        assert scene.counts == {"images": 3}
+        assert scene.renderer == "test"
+
+
+def test_images_are_requested_in_advance():
+    with scene_of(lambda t_s, _: t_s, {"ahead": 3}) as (scene, renderer):
+        lit(scene, 0)
+        lit(scene, 10)
+    assert renderer.times[:5] == [0, 10, 20, 30, 40]
+
+
+def test_a_time_before_starts_again_there():
+    with scene_of(lambda t_s, _: t_s, {"ahead": 2}) as (scene, renderer):
+        assert lit(scene, 105)[0] == pytest.approx(2 * 0.105)
+        assert lit(scene, 31)[0] == pytest.approx(2 * 0.031)
+    assert renderer.times[0] == 100
+    assert 30 in renderer.times
+
+
+def test_single_pixels_are_known_since_the_last_light_frame():
+    """A step over three images: their light is that of each, not of a line over the step."""
+    with scene_of(lambda t_s, _: 1 + math.sin(300 * t_s)) as (scene, _):
+        lit(scene, 2)
+        lit(scene, 32)
+        for t_ms, expected in ((10, 1 + math.sin(3)), (20, 1 + math.sin(6)), (5, 1 + math.sin(3) / 2)):
+            light, _ = scene.pixel_light(round(t_ms * 1e6), np.array([0, 23]))
+            np.testing.assert_allclose(light, 2 * expected, rtol=1e-5)
+
+
+def test_long_steps_do_not_run_out_of_slots():
+    with scene_of(lambda t_s, _: t_s) as (scene, _):
+        for t_ms in (0, 500, 501, 2000):
+            assert lit(scene, t_ms)[0] == pytest.approx(2e-3 * t_ms)
+
+
+@pytest.mark.parametrize(("levels", "white", "srgb"), [("uint8", 200, False), ("uint16", 1023, True)])
+def test_integer_levels_are_light(levels, white, srgb):
+    """sRGB by IEC 61966-2-1: half of white is 0.2140 of its light."""
+    with scene_of(lambda *_: white // 2, images=Images(levels, white, srgb)) as (scene, _):
+        share = white // 2 / white
+        expected = ((share + 0.055) / 1.055) ** 2.4 if srgb else share
+        assert lit(scene, 3)[0] == pytest.approx(2 * expected, rel=1e-6)
+
+
+def test_pushed_images_begin_at_the_delay():
+    pushed = {"images": "pushed", "delay_ms": 5.0}
+    with scene_of(lambda _, k: k, pushed, times_ms=[700, 704, 712]) as (scene, _):
+        assert lit(scene, 0)[0] == 0  # before the first one: that one
+        assert lit(scene, 5)[0] == 0
+        assert lit(scene, 7)[0] == pytest.approx(2 * 0.5)
+        assert lit(scene, 15)[0] == pytest.approx(2 * 1.75)
+        with pytest.raises(SceneEnded):
+            lit(scene, 18)
+
+
+def test_pushed_images_cannot_go_back():
+    with scene_of(lambda _, k: k, {"images": "pushed"}, times_ms=range(0, 5000, 10)) as (scene, _):
+        lit(scene, 2000)
+        with pytest.raises(SceneError, match="pushed images cannot give"):
+            lit(scene, 10)
+
+
+def test_times_that_do_not_go_on_are_an_error():
+    with (
+        scene_of(lambda _, k: k, {"images": "pushed"}, times_ms=[0, 10, 10, 20]) as (scene, _),
+        pytest.raises(SceneError, match="not later than the one before"),
+    ):
+        lit(scene, 15)
+
+
+@pytest.mark.parametrize(
+    ("layer", "value"),
+    [
+        ("light", math.nan),
+        ("light", -1e-3),
+        ("light", math.inf),
+        ("motion", math.nan),
+        ("depth", -1),
+        ("rate", math.inf),
+    ],
+)
+def test_an_image_with_a_bad_number_ends_the_scene(layer, value):
+    def spoil(image, k):
+        if k == 1:
+            getattr(image, layer)[2, 3] = value
+
+    layers = Images(motion=True, depth=True, rate=True)
+    with scene_of(lambda *_: 1, images=layers, change=spoil) as (scene, _):
+        lit(scene, 0)
+        with pytest.raises(SceneError, match=f"image 1: {layer} is .* in row 2, column 3"):
+            lit(scene, 3)
+
+
+def test_an_infinite_depth_is_the_sky():
+    def sky(image, _):
+        image.depth[:] = math.inf
+
+    with scene_of(lambda *_: 1, images=Images(motion=True, depth=True), change=sky) as (scene, _):
+        assert lit(scene, 3) == (2, 0)
+
+
+def test_a_renderer_that_fails_ends_the_scene_with_its_reason():
+    def fail(_, k):
+        if k == 2:
+            raise ValueError("the scene file is gone")
+
+    with scene_of(lambda *_: 1, {"ahead": 0}, change=fail) as (scene, _):
+        lit(scene, 5)
+        with pytest.raises(SceneError, match="ValueError: the scene file is gone"):
+            lit(scene, 15)
+
+
+def test_the_pose_of_the_path_is_sent():
+    with scene_of(lambda *_: 1, {"camera": FixedPath()}) as (scene, renderer):
+        lit(scene, 0)
+        assert scene.camera_path is not None
+    np.testing.assert_allclose(renderer.poses[0].position_m, FixedPath().position_m)
+
+
+def test_no_renderer_is_an_error_that_says_what_to_do():
+    p = ExternalParameters(port=free_port(), wait_s=0.1)
+    with pytest.raises(SceneError, match=r"no renderer connected to 127.0.0.1 port \d+ within 0.1 s"):
+        open_external(p, PINHOLE)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"port": 0}, {"period_ms": 0.0}, {"ahead": 17}, {"host": "0.0.0.0"}, {"white_w_m2_sr": math.nan},
+              {"images": "pushed", "camera": FixedPath()}],
+)  # fmt: skip
+def test_parameters_out_of_range_are_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong)) if len(wrong) == 1 else "camera"):
+        ExternalParameters(**wrong)

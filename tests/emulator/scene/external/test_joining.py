@@ -1,0 +1,163 @@
+"""Light between two images: closed forms of moving smooth patterns, edges in front of a background, and agreement."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from emulator.scene.external.joining import Joined, Pair, TimedImage, front_motion
+
+_SIZE = (48, 40)
+_T_NS = 10_000_000
+_Floats = npt.NDArray[np.float32]
+
+
+def _places() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    rows, columns = np.mgrid[: _SIZE[1], : _SIZE[0]]
+    return rows + 0.5, columns + 0.5
+
+
+def _blob(row: float, column: float, sigma_px: float = 4.0) -> _Floats:
+    rows, columns = _places()
+    squared = (rows - row) ** 2 + (columns - column) ** 2
+    return np.asarray(1 + np.exp(-squared / (2 * sigma_px**2)), np.float32)
+
+
+def _flow(x_px_s: float, y_px_s: float) -> _Floats:
+    return np.tile(np.array([x_px_s, y_px_s], np.float32), (_SIZE[1], _SIZE[0], 1))
+
+
+def _written(pair: Pair, t_ns: int, threads: int = 1) -> tuple[_Floats, _Floats]:
+    joined = Joined(_SIZE, threads=threads)
+    light, rate = np.zeros(_SIZE[::-1], np.float32), np.zeros(_SIZE[::-1], np.float32)
+    joined.write(pair, t_ns, light, rate)
+    joined.close()
+    return light, rate
+
+
+def test_images_alone_are_joined_by_a_line() -> None:
+    a, b = np.full(_SIZE[::-1], 1, np.float32), np.full(_SIZE[::-1], 3, np.float32)
+    light, rate = _written((TimedImage(0, a), TimedImage(_T_NS, b)), _T_NS // 4)
+    np.testing.assert_allclose(light, 1.5, rtol=1e-6)
+    np.testing.assert_allclose(rate, 200, rtol=1e-6)
+
+
+def test_rates_give_the_cubic_of_hermite() -> None:
+    """A cubic in time is its own interpolant."""
+    ones = np.ones(_SIZE[::-1], np.float32)
+
+    def cubic(s: float) -> tuple[float, float]:
+        return 5 + 2 * s - 3 * s**2 + 1.5 * s**3, (2 - 6 * s + 4.5 * s**2) / (_T_NS * 1e-9)
+
+    images = [TimedImage(k * _T_NS, ones * cubic(k)[0], rate=ones * cubic(k)[1]) for k in (0, 1)]
+    light, rate = _written((images[0], images[1]), int(0.3 * _T_NS))
+    np.testing.assert_allclose(light, cubic(0.3)[0], rtol=1e-5)
+    np.testing.assert_allclose(rate, cubic(0.3)[1], rtol=1e-4)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.5, 0.9, 1.0])
+def test_motion_moves_a_smooth_pattern(share: float) -> None:
+    """A blob moves 6.7 px from one image to the next, and keeps its form.
+
+    Only its top may be cut, to the brightest of the four pixels around it: at most 0.7 px away, 0.5 / (2 * 16) lower.
+    """
+    flow = _flow(600.0, -300.0)
+    pair = TimedImage(0, _blob(22, 20), flow), TimedImage(_T_NS, _blob(19, 26), flow)
+    light, rate = _written(pair, round(share * _T_NS))
+    truth = _blob(22 - 3 * share, 20 + 6 * share)
+    np.testing.assert_allclose(light, truth, atol=0.016)
+    assert np.abs(light - truth).mean() < 2e-4
+    rows, columns = _places()
+    slope = (truth - 1) * (600 * (columns - 20 - 6 * share) - 300 * (rows - 22 + 3 * share)) / 16
+    np.testing.assert_allclose(rate, slope, atol=0.04 * np.abs(slope).max())
+
+
+def test_a_point_that_accelerates_is_followed() -> None:
+    """From 500 to 800 px/s it moves 6.5 px, and half way in time 2.875 px, not 3.25."""
+    pair = TimedImage(0, _blob(20, 20), _flow(500, 0)), TimedImage(_T_NS, _blob(20, 26.5), _flow(800, 0))
+    light, _ = _written(pair, _T_NS // 2)
+    np.testing.assert_allclose(light, _blob(20, 22.875), atol=0.016)
+
+
+def _disc(column: float, v_px_s: float, t_ns: int, *, with_depth: bool) -> TimedImage:
+    """Return a disc of light 5 and radius 8 px in front of a background of stripes that stands still."""
+    rows, columns = _places()
+    cover = np.clip(8.5 - np.hypot(rows - 20, columns - column), 0, 1)
+    light = cover * 5 + (1 - cover) * (1 + 0.5 * np.sin(columns))
+    inside = cover >= 0.5
+    motion = np.where(inside[..., None], np.array([v_px_s, 0.0]), 0.0)
+    depth = np.where(inside, 10.0, 100.0).astype(np.float32) if with_depth else None
+    motion = motion.astype(np.float32)
+    return TimedImage(t_ns, light.astype(np.float32), front_motion(motion, depth), depth)
+
+
+@pytest.mark.parametrize("with_depth", [True, False])
+def test_an_object_hides_and_uncovers_what_is_behind_it(with_depth: bool) -> None:
+    images = [_disc(18 + 10 * k, 1000.0, k * _T_NS, with_depth=with_depth) for k in (0, 1)]
+    truth = _disc(23, 1000.0, 0, with_depth=False).light
+    light, _ = _written((images[0], images[1]), _T_NS // 2)
+    line, _ = _written((TimedImage(0, images[0].light), TimedImage(_T_NS, images[1].light)), _T_NS // 2)
+    wrong, without = np.abs(light - truth), np.abs(line - truth)
+    assert np.count_nonzero(without > 0.5) > 60
+    rows, columns = _places()
+    at_edge = np.abs(np.hypot(rows - 20, columns - 23) - 8) < 2.6  # pixels that have light of both surfaces
+    assert np.count_nonzero(without[~at_edge] > 0.5) > 30
+    np.testing.assert_allclose(light[~at_edge], truth[~at_edge], atol=0.05)
+    assert wrong.mean() < 0.25 * without.mean()
+
+
+def test_light_has_no_step_at_the_time_of_an_image() -> None:
+    images = [_disc(20 + 5 * k, 500.0, k * _T_NS, with_depth=False) for k in (0, 1, 2)]
+    before, _ = _written((images[0], images[1]), _T_NS)
+    after, _ = _written((images[1], images[2]), _T_NS)
+    np.testing.assert_allclose(before, images[1].light, atol=1e-5)
+    np.testing.assert_allclose(after, images[1].light, atol=1e-5)
+
+
+def test_the_derivative_is_that_of_the_light() -> None:
+    images = [_disc(20 + 5 * k, 500.0, k * _T_NS, with_depth=True) for k in (0, 1)]
+    pair = images[0], images[1]
+    light, rate = _written(pair, 3_000_000)
+    later, _ = _written(pair, 3_010_000)
+    difference = (later.astype(np.float64) - light) / 1e-5
+    agree = np.abs(difference - rate) < 0.05 * np.abs(rate).max()
+    assert agree.mean() > 0.97  # not where a surface appears within the 10 us
+
+
+def test_single_pixels_and_threads_give_the_same_light() -> None:
+    images = [_disc(20 + 5 * k, 500.0, k * _T_NS, with_depth=True) for k in (0, 1)]
+    pair, t_ns = (images[0], images[1]), 3_333_333
+    light, rate = _written(pair, t_ns)
+    again = _written(pair, t_ns, threads=3)
+    np.testing.assert_array_equal(light, again[0])
+    pixels = np.arange(0, _SIZE[0] * _SIZE[1], 7)
+    values, slopes = Joined(_SIZE).pixels(pair, t_ns, pixels)
+    np.testing.assert_array_equal(values, light.reshape(-1)[pixels])
+    np.testing.assert_array_equal(slopes, rate.reshape(-1)[pixels])
+
+
+def test_motion_out_of_every_bound_stays_within_the_image() -> None:
+    light = np.random.default_rng(1).random(_SIZE[::-1], np.float32)
+    wild = np.random.default_rng(2).choice([-1e9, 1e9, 3e8, 0.0], (*_SIZE[::-1], 2)).astype(np.float32)
+    out, _ = _written((TimedImage(0, light, wild), TimedImage(_T_NS, light, -wild)), _T_NS // 3)
+    assert (out >= light.min()).all()
+    assert (out <= light.max()).all()
+
+
+def test_the_white_light_is_a_factor() -> None:
+    image = TimedImage(0, np.full(_SIZE[::-1], 0.5, np.float32))
+    joined, out = Joined(_SIZE, white=30.0), np.zeros(_SIZE[::-1], np.float32)
+    joined.write((image, image), 5, out)
+    np.testing.assert_array_equal(out, 15.0)
+
+
+def test_front_motion_is_that_of_the_nearest_neighbour() -> None:
+    motion, depth = np.zeros((5, 5, 2), np.float32), np.full((5, 5), np.inf, np.float32)
+    motion[2, 2], depth[2, 2] = (7.0, 1.0), 3.0
+    out = front_motion(motion, depth)
+    assert (out[1:4, 1:4] == (7.0, 1.0)).all()
+    assert (out[0] == 0).all()
+    motion[2, 3] = 100.0, 0.0  # faster, and farther away
+    assert tuple(front_motion(motion, depth)[2, 2]) == (7.0, 1.0)
+    assert tuple(front_motion(motion, None)[2, 2]) == (100.0, 0.0)

@@ -1,0 +1,1 @@
+"""Carriers of external renderers' images: a socket, and memory shared on one machine."""
