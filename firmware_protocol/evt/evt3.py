@@ -191,7 +191,7 @@ def _may_be_vector(events: _Bytes, at: int) -> bool:
     differences |= short_at(events, other + 10) ^ short_at(events, at + 10)
     differences |= (short_at(events, other + 8) ^ short_at(events, at + 8)) // _WINDOW_PX
     differences |= (events[np.uint64(other + 12)] != 0) ^ (events[np.uint64(at + 12)] != 0)
-    return differences == 0
+    return bool(differences == 0)
 
 
 @kernel
