@@ -17,8 +17,8 @@ written.
 
 Sources: docs.prophesee.ai, "EVT 2.0 Format" and "EVT 2.1 Format"; OpenEB 5.1.1, evt21_event_types.h.
 
-The kernels are compiled. The encoder makes one pass over the records and allocates nothing. The decoder makes one pass
-that counts events and edges, and one that writes the records.
+The kernels are compiled. The encoder makes one pass over the records, in runs of events as in `evt3`, and allocates
+nothing. The decoder makes one pass that counts events and edges, and one that writes the records.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ from firmware_protocol.evt.words import (
     LAST,
     LIMIT_PX,
     MUST_OPEN,
+    ORIGIN,
     OUTSIDE,
     WINDOW_PX,
     Coder,
@@ -50,7 +51,9 @@ from firmware_protocol.evt.words import (
     kernel,
     next_high,
     next_time,
+    run_end,
     short_at,
+    time_at,
     window,
 )
 
@@ -128,11 +131,11 @@ def write_evt2(events: _Bytes, edges: _Bytes, mask: int, state: _State, out: _Wo
             written = _put(out, written, mask, _HIGH | state[HIGH_SENT] & 0xFFFFFFF, 0)
             state[MUST_OPEN] = high != state[HIGH_SENT]
             continue
-        state[LAST] = t
-        low = (t & 0x3F) << 22
-        written = _put_edge(edges, mask, low, state, out, written) if is_edge else _put_event(
-            events, mask, low, state, out, written
-        )  # fmt: skip
+        if is_edge:
+            state[LAST] = t
+            written = _put_edge(edges, mask, (t & 0x3F) << 22, state, out, written)
+        else:
+            written = _put_events(events, run_end(t, _LOW_BITS, edges, state), mask, state, out, written)
         if written < 0:
             return OUTSIDE
     return written
@@ -160,18 +163,25 @@ def _put_edge(edges: _Bytes, mask: int, low: int, state: _State, out: _Words, wr
 
 
 @kernel
-def _put_event(events: _Bytes, mask: int, low: int, state: _State, out: _Words, written: int) -> int:
-    """Write the next event, or all events of one mask; return a negative number for one outside."""
-    at = state[AT_EVENT] * EVENT_BYTES
-    x, y, on = short_at(events, at + 8), short_at(events, at + 10), events[np.uint64(at + 12)] != 0
-    if (x | y) >= _LIMIT_PX:
-        return OUTSIDE
-    bits, count, column = 0, 1, x
-    if mask != NO_MASK:
-        column = x - x % _WINDOW_PX
-        bits, count = window(events, at, column)
-    state[AT_EVENT] += count
-    return _put(out, written, mask, (_ON if on else 0) | low | column << 11 | y, bits)
+def _put_events(events: _Bytes, until: int, mask: int, state: _State, out: _Words, written: int) -> int:
+    """Write the events up to the time `until`, or as many as fit; return a negative number for one outside."""
+    at, origin, last = state[AT_EVENT] * EVENT_BYTES, state[ORIGIN], state[LAST]
+    while at < len(events) and written <= len(out) - _MOST_WORDS:
+        t = time_at(events, at) - origin
+        if t < last or t > until:
+            break
+        last = t
+        x, y, on = short_at(events, at + 8), short_at(events, at + 10), events[np.uint64(at + 12)] != 0
+        if (x | y) >= _LIMIT_PX:
+            return OUTSIDE
+        bits, count, column = 0, 1, x
+        if mask != NO_MASK:
+            column = x - x % _WINDOW_PX
+            bits, count = window(events, at, column)
+        at += count * EVENT_BYTES
+        written = _put(out, written, mask, (_ON if on else 0) | (t & 0x3F) << 22 | column << 11 | y, bits)
+    state[AT_EVENT], state[LAST] = at // EVENT_BYTES, last
+    return written
 
 
 _ON_KIND, _HIGH_KIND, _TRIGGER_KIND = ON, HIGH, TRIGGER

@@ -4,10 +4,11 @@ Events of the same time, row and polarity whose columns rise within one window o
 multiple of 32, become four words (0x3, 0x4, 0x4, 0x5) if they are five or more. So every reader gets them in the order
 in which they were given.
 
-The encoder is a compiled kernel: one pass over the records, without allocation. It is fast because the low part of the
-time, the row and the column are always stored, and the index of the next word advances only if they were needed. For
-scattered events, a branch for each would be mispredicted about once an event, which costs more than all the rest. One
-record decides whether a vector may begin: the fourth after the present one.
+The encoder is a compiled kernel: one pass over the records, without allocation. It is fast because the events up to
+the next high part or edge are written by a loop that keeps its state in processor registers: one comparison of the time
+with the end of this run stands for all the tests of faults, high parts and edges. The low part of the time, the row and
+the column are always stored, and the index of the next word advances only if they were needed. One record decides by
+one branch whether a vector may begin: the fourth after the present one.
 
 The decoder is compiled too: one pass counts events and edges, the next writes the records into an array of exactly
 that size. Counting is a sum without branches, so it costs little compared with a buffer that grows; the second pass
@@ -32,6 +33,7 @@ from firmware_protocol.evt.words import (
     LAST,
     LIMIT_PX,
     MUST_OPEN,
+    ORIGIN,
     OUTSIDE,
     ROW_SENT,
     TIME_SENT,
@@ -45,8 +47,9 @@ from firmware_protocol.evt.words import (
     next_time,
     put_short,
     put_time,
-    same_group,
+    run_end,
     short_at,
+    time_at,
     window,
 )
 
@@ -112,11 +115,10 @@ def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _
             written = _put_high(high, state, out, written)
             if high != state[HIGH_SENT]:
                 continue
-        state[LAST] = t
-        out[np.uint64(written)] = _LOW | t & 0xFFF
-        written += t != state[TIME_SENT]
-        state[TIME_SENT] = t
-        written = _put_edge(edges, state, out, written) if is_edge else _put_events(events, width, state, out, written)
+        if is_edge:
+            written = _put_edge(edges, t, state, out, written)
+        else:
+            written = _put_events(events, run_end(t, _BITS, edges, state), width, state, out, written)
         if written < 0:
             return OUTSIDE
     return written
@@ -133,8 +135,11 @@ def _put_high(high: int, state: _State, out: _Words, written: int) -> int:
 
 
 @kernel
-def _put_edge(edges: _Bytes, state: _State, out: _Words, written: int) -> int:
-    """Write an edge, or both edges of a pulse."""
+def _put_edge(edges: _Bytes, t: int, state: _State, out: _Words, written: int) -> int:
+    """Write an edge at `t`, or both edges of a pulse."""
+    out[np.uint64(written)] = _LOW | t & 0xFFF
+    written += t != state[TIME_SENT]
+    state[LAST] = state[TIME_SENT] = t
     at = state[AT_EDGE] * EDGE_BYTES
     kind, word = edges[np.uint64(at + 8)], _TRIGGER | int(edges[np.uint64(at + 9)] & 0xF) << 8
     state[AT_EDGE] += 1
@@ -144,24 +149,49 @@ def _put_edge(edges: _Bytes, state: _State, out: _Words, written: int) -> int:
 
 
 @kernel
-def _put_events(events: _Bytes, width: int, state: _State, out: _Words, written: int) -> int:
-    """Write the next event, or all events of one vector; return a negative number for one outside."""
-    at = state[AT_EVENT] * EVENT_BYTES
-    x, y, on = short_at(events, at + 8), short_at(events, at + 10), events[np.uint64(at + 12)] != 0
-    if (x | y) >= _LIMIT_PX:
-        return OUTSIDE
-    out[np.uint64(written)] = _ROW | y
-    written += y != state[ROW_SENT]
-    state[ROW_SENT] = y
-    base = x - x % _WINDOW_PX
-    if base + _WINDOW_PX <= width and same_group(events, at, at + (_FEWEST - 1) * EVENT_BYTES, base):
-        bits, count = window(events, at, base)
+def _put_events(events: _Bytes, until: int, width: int, state: _State, out: _Words, written: int) -> int:
+    """Write the events up to the time `until`, or as many as fit; return a negative number for one outside."""
+    at, t_before, row_before = state[AT_EVENT] * EVENT_BYTES, state[TIME_SENT], state[ROW_SENT]
+    origin, last = state[ORIGIN], state[LAST]
+    t = time_at(events, at) - origin
+    while last <= t <= until:
+        x, y, on = short_at(events, at + 8), short_at(events, at + 10), events[np.uint64(at + 12)] != 0
+        if (x | y) >= _LIMIT_PX:
+            return OUTSIDE
+        out[np.uint64(written)] = _LOW | t & 0xFFF
+        written += t != t_before
+        out[np.uint64(written)] = _ROW | y
+        written += y != row_before
+        last, t_before, row_before = t, t, y
+        base = x - x % _WINDOW_PX
+        bits, count = 0, 0
+        if base + _WINDOW_PX <= width and _may_be_vector(events, at):
+            bits, count = window(events, at, base)
         if count >= _FEWEST:
-            state[AT_EVENT] += count
-            return _put_vector(base, on, bits, out, written)
-    out[np.uint64(written)] = _SINGLE | on << 11 | x
-    state[AT_EVENT] += 1
-    return written + 1
+            written = _put_vector(base, on, bits, out, written)
+            at += count * EVENT_BYTES
+        else:
+            out[np.uint64(written)] = _SINGLE | on << 11 | x
+            written += 1
+            at += EVENT_BYTES
+        if at >= len(events) or written > len(out) - _MOST_WORDS:
+            break
+        t = time_at(events, at) - origin
+    state[AT_EVENT], state[LAST], state[TIME_SENT], state[ROW_SENT] = at // EVENT_BYTES, last, t_before, row_before
+    return written
+
+
+@kernel
+def _may_be_vector(events: _Bytes, at: int) -> bool:
+    """Return true if the fourth record after `at` has its time, row, polarity and window."""
+    other = at + (_FEWEST - 1) * EVENT_BYTES
+    if other >= len(events):
+        return False
+    differences = time_at(events, other) ^ time_at(events, at)
+    differences |= short_at(events, other + 10) ^ short_at(events, at + 10)
+    differences |= (short_at(events, other + 8) ^ short_at(events, at + 8)) // _WINDOW_PX
+    differences |= (events[np.uint64(other + 12)] != 0) ^ (events[np.uint64(at + 12)] != 0)
+    return bool(differences == 0)
 
 
 @kernel

@@ -77,7 +77,7 @@ __all__ = [
     "next_time",
     "put_short",
     "put_time",
-    "same_group",
+    "run_end",
     "short_at",
     "time_at",
     "window",
@@ -200,6 +200,14 @@ def edge_is_next(events: _Bytes, edges: _Bytes, state: _State) -> bool:
         return False
     at_event = state[AT_EVENT] * EVENT_BYTES
     return at_event >= len(events) or time_at(edges, at) <= time_at(events, at_event)
+
+
+@kernel
+def run_end(t: int, low_bits: int, edges: _Bytes, state: _State) -> int:
+    """Return the last time of events from `t` on with its high part and before the next edge."""
+    end = t | (1 << low_bits) - 1
+    at = state[AT_EDGE] * EDGE_BYTES
+    return int(min(end, time_at(edges, at) - state[ORIGIN] - 1)) if at < len(edges) else end
 
 
 @kernel
