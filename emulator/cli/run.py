@@ -267,6 +267,10 @@ def _worst(latencies: list[LatencySummary]) -> LatencySummary:
     return max(measured, key=lambda latency: latency.p99 or 0.0, default=LatencySummary())
 
 
+# Rules whose finding no other line of the summary has.
+_SHOWN = ("verdict.", "scene")
+
+
 def print_summary(rig: Rig, result: RunResult) -> None:
     """Print the summary of a run, for people."""
     ledger = result.ledger
@@ -303,7 +307,7 @@ def print_summary(rig: Rig, result: RunResult) -> None:
         console.print(line, markup=False)
     for line in lateness_lines(rig, result):
         console.print(line)
-    for broken in (one for one in judge(rig.verdict, result) if not one.good and one.rule.startswith("verdict.")):
+    for broken in (one for one in judge(rig.verdict, result) if not one.good and one.rule.startswith(_SHOWN)):
         console.print(f"NOT GOOD: {broken.rule}: {broken.finding}", markup=False)
     console.print("ledger: balanced" if ledger.balanced else f"ledger: OFF BY {ledger.imbalance} EVENTS")
 

@@ -147,8 +147,8 @@ class _Stream:
         self._socket = peer
 
     def send(self, octets: bytes) -> None:
-        self._socket.settimeout(_SEND_S)
         try:
+            self._socket.settimeout(_SEND_S)
             self._socket.sendall(octets)
         except OSError as error:
             raise RendererError(f"a request could not be sent: {error}") from error
@@ -161,8 +161,8 @@ class _Stream:
 
     def read_into(self, target: memoryview, until_s: float) -> None:
         while target:
-            self._socket.settimeout(max(until_s - time.monotonic(), 1e-3))
             try:
+                self._socket.settimeout(max(until_s - time.monotonic(), 1e-3))
                 count = self._socket.recv_into(target)
             except TimeoutError:
                 raise RendererError("nothing more came in time") from None
@@ -232,7 +232,7 @@ class RendererConnection:
         return len(self._requested)
 
     def request(self, t_ns: int = ANY_TIME, pose: tuple[float, ...] | None = None) -> None:
-        """Request the image of `t_ns`, seen from `pose`, into a free slot; raises RendererError."""
+        """Request the image of `t_ns`, seen from `pose`, into a free slot; raises RendererError, also when closed."""
         slot = self._free.popleft()
         draw = Draw(self._count, t_ns, slot) if pose is None else Draw(self._count, t_ns, slot, pose)
         self._count += 1

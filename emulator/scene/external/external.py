@@ -26,6 +26,7 @@ from emulator.light import Light, PixelLight, Scene, SceneEnded, SceneError
 from emulator.scene.external.joining import Joined, Pair, TimedImage, compile_kernels, front_motion
 from emulator.scene.external.table import ExternalParameters
 from emulator.trajectory.building import build_trajectory
+from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.pose import Timescale, Trajectory, TrajectoryError
 from firmware_protocol.compiled import entry_of
 from firmware_protocol.renderer.messages import Camera, Hello, Levels, MessageError, Response
@@ -285,6 +286,16 @@ class ExternalOnPath(External):
         """Stream time to scene time."""
         return self._time
 
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Images received, and poses where the path is live."""
+        return {**super().counts, **live_counts(self._path)}
+
+    def close(self) -> None:
+        """End the connection and the threads, and close the port of a live path."""
+        super().close()
+        close_receivers(self._path)
+
 
 def open_external(p: ExternalParameters, pinhole: Pinhole, threads: int = 0) -> External:
     """Return the scene, once its renderer has connected; raises SceneError."""
@@ -293,7 +304,11 @@ def open_external(p: ExternalParameters, pinhole: Pinhole, threads: int = 0) -> 
         path = None if p.camera is None else build_trajectory(p.camera)
     except (TrajectoryError, OSError) as error:
         raise SceneError(f"scene.camera: {error}") from error
-    images = ImageQueue(_connected(p, pinhole), p, path)
+    try:
+        images = ImageQueue(_connected(p, pinhole), p, path)
+    except BaseException:
+        close_receivers(*([] if path is None else [path]))
+        raise
     if path is None:
         return External(images, pinhole, p.white_w_m2_sr, threads)
     return ExternalOnPath(images, pinhole, p, path, threads)

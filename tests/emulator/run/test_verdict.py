@@ -48,6 +48,9 @@ def test_what_no_rule_forgives():
     assert broken(Verdict(), off) == ["ledger"]
     dead = dataclasses.replace(RESULT, links={"usb": dataclasses.replace(LINK, error="its process died")})
     assert broken(Verdict(), dead) == ["link usb"]
+    dark = dataclasses.replace(RESULT, scene_trouble="the renderer closed the connection")
+    assert broken(Verdict(), dark) == ["scene"]
+    assert not dark.good
     late = dataclasses.replace(RESULT, lateness=Lateness(), max_late_us=1000.0)
     late.lateness.add(2_000_000, 1)
     assert broken(Verdict(), late) == ["in real time"]

@@ -45,6 +45,13 @@ def test_the_report_has_the_advice_of_the_terminal(share, page, capsys):
     assert all(f"<p>{line}</p>" in text for line in advice)
 
 
+def test_the_terminal_and_the_report_have_the_reason_why_a_scene_ended(page, capsys):
+    dark = dataclasses.replace(RESULT, scene_trouble="the renderer closed the connection")
+    print_summary(load_rig("checkerboard"), dark)
+    assert "NOT GOOD: scene: the renderer closed the connection" in capsys.readouterr().out
+    assert "the renderer closed the connection" in page(dark)
+
+
 def test_late_steps_are_counted_in_the_report(page):
     late = dataclasses.replace(RESULT, lateness=Lateness())
     late.lateness.add(2_000_000, 1)

@@ -1,6 +1,7 @@
 """The scene of an external renderer, with the client library in a thread: times, pushed images, and bad ones."""
 
 import math
+import socket
 import threading
 from contextlib import contextmanager, suppress
 
@@ -11,7 +12,7 @@ from emulator.geometry.camera import Pinhole
 from emulator.light import SceneEnded, SceneError
 from emulator.scene.external.external import open_external
 from emulator.scene.external.table import ExternalParameters
-from emulator.trajectory.parameters import FixedPath
+from emulator.trajectory.parameters import FixedPath, LivePath
 from evstim.renderer import Images, Renderer, RendererRefused
 from tests.free_ports import free_port
 
@@ -205,6 +206,36 @@ def test_the_pose_of_the_path_is_sent():
         lit(scene, 0)
         assert scene.camera_path is not None
     np.testing.assert_allclose(renderer.poses[0].position_m, FixedPath().position_m)
+
+
+def free_udp_port():
+    with socket.socket(type=socket.SOCK_DGRAM) as one:
+        one.bind(("127.0.0.1", 0))
+        return one.getsockname()[1]
+
+
+def is_free(port):
+    with socket.socket(type=socket.SOCK_DGRAM) as one:
+        try:
+            one.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True
+
+
+def test_a_live_path_is_counted_and_its_port_closed_with_the_scene():
+    port = free_udp_port()
+    with scene_of(lambda *_: 1, {"camera": LivePath(port=port)}) as (scene, _):
+        assert not is_free(port)
+        assert "poses taken" in scene.counts
+    assert is_free(port)
+
+
+def test_the_port_of_a_live_path_is_closed_where_no_renderer_connects():
+    port = free_udp_port()
+    with pytest.raises(SceneError, match="no renderer connected"):
+        open_external(ExternalParameters(port=free_port(), wait_s=0.1, camera=LivePath(port=port)), PINHOLE)
+    assert is_free(port)
 
 
 def test_no_renderer_is_an_error_that_says_what_to_do():
