@@ -14,7 +14,7 @@ import sys
 from importlib.metadata import version
 from typing import IO, cast
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, Group
 
 from emulator.cli.output import (
     BAD_VERDICT,
@@ -22,6 +22,7 @@ from emulator.cli.output import (
     WRONG_USE,
     Failure,
     break_lines,
+    console,
     guard_stdout,
     help_console,
     log_handler,
@@ -42,56 +43,94 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,  # it would exit with 130, without a message
 )
-# By name, so that a command imports only its own modules: numba and GL would slow `evstim rigs` down.
-for verb, module, summary in (
-    ("run", "run", "Run a rig: render its scene, simulate its sensor, serve its links."),
-    ("vizard", "vizard", "Run a rig in step with a Basilisk simulation, which sends poses and requests images."),
-    ("dynamics", "dynamics", "Fly an FMU: its poses go to a running rig, its inputs come from a file or a CAN bus."),
-    ("record", "record", "Record the events of a rig to a file: AEDAT4, EVT3, HDF5, a ROS bag, ..."),
-    ("convert", "convert", "Convert a recording of events to another format."),
-    ("info", "info", "Show the format and the content of a recording of events."),
-    ("recover", "convert", "Save the readable part of a recording that was cut."),
-    ("demo", "demo", "Run a rig, read its camera over USB/IP in a second process, and compare every event."),
-    ("check", "rigs", "Check a rig file without running it."),
-    ("plan", "plan", "Show the plan of a run: step, effects and expected load."),
-    ("fault", "fault", "Inject a fault into a link of a running rig."),
-    ("trigger", "fault", "Give the camera of a running rig an edge, or reset its clock."),
-    ("rigs", "rigs", "List the rigs that are installed with evstim."),
-    ("dbc", "listen.can", "Write the DBC file of a rig's CAN link."),
-    ("export", "export", "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark."),
-    ("schema", "rigs", "Print the JSON Schema of rig files."),
-    ("picture", "picture", "Write a PNG of a rig: its light and its events."),
-    ("characterise", "characterise", "Measure a simulated sensor with the methods of a laboratory."),
-    ("validate", "validate", "Repeat public measurements of real cameras on the simulated sensors."),
-    ("doctor", "doctor", "Show which parts this machine has and lacks, with the command that adds each."),
-):
-    app.command(f"emulator.cli.{module}:{verb}", name=verb, help=summary)
-app.register_install_completion_command()
-app.command(
-    "emulator.cli.listen.cameras:verbs",
-    name="listen",
-    help="Read a camera, real or emulated: on USB (the default), a serial line or a CAN bus.",
-)
-app.command(
-    "emulator.cli.accuracy:verbs",
-    name="accuracy",
-    help="Measure accuracy against speed, where each method fails, and other simulators on the same scenes.",
-)
-app.command(
-    "emulator.cli.bench:verbs",
-    name="bench",
-    help="Measure the speeds that the documentation quotes.",
-)
-app.command(
-    "emulator.cli.gadget:verbs",
-    name="gadget",
-    help="Make or remove the USB gadget for a camera on a real cable, at a machine with a USB device port.",
-)
-app.command(
-    "emulator.cli.campaign:verbs",
-    name="campaign",
-    help="Run a rig many times over sampled parameters, and report on the table of all runs.",
-)
+# Module by name, so that a command imports only its own modules: numba and GL would slow `evstim rigs` down.
+_COMMANDS = {
+    "Run and read": (
+        ("demo", "demo:demo", "Run a rig, read its camera over USB/IP in a second process, and compare every event."),
+        ("run", "run:run", "Run a rig: render its scene, simulate its sensor, serve its links."),
+        (
+            "listen",
+            "listen.cameras:verbs",
+            "Read a camera, real or emulated: on USB (the default), a serial line or a CAN bus.",
+        ),
+        ("picture", "picture:picture", "Write a PNG of a rig: its light and its events."),
+        ("doctor", "doctor:doctor", "Show which parts this machine has and lacks, with the command that adds each."),
+    ),
+    "Rigs": (
+        ("rigs", "rigs:rigs", "List the rigs that are installed with evstim."),
+        ("check", "rigs:check", "Check a rig file without running it."),
+        ("plan", "plan:plan", "Show the plan of a run: step, effects and expected load."),
+        ("schema", "rigs:schema", "Print the JSON Schema of rig files."),
+    ),
+    "While a rig runs": (
+        ("fault", "fault:fault", "Inject a fault into a link of a running rig."),
+        ("trigger", "fault:trigger", "Give the camera of a running rig an edge, or reset its clock."),
+        (
+            "dynamics",
+            "dynamics:dynamics",
+            "Fly an FMU: its poses go to a running rig, its inputs come from a file or a CAN bus.",
+        ),
+        (
+            "vizard",
+            "vizard:vizard",
+            "Run a rig in step with a Basilisk simulation, which sends poses and requests images.",
+        ),
+    ),
+    "Recordings": (
+        ("record", "record:record", "Record the events of a rig to a file: AEDAT4, EVT3, HDF5, a ROS bag, ..."),
+        ("info", "info:info", "Show the format and the content of a recording of events."),
+        ("convert", "convert:convert", "Convert a recording of events to another format."),
+        ("recover", "convert:recover", "Save the readable part of a recording that was cut."),
+    ),
+    "Measure": (
+        (
+            "campaign",
+            "campaign:verbs",
+            "Run a rig many times over sampled parameters, and report on the table of all runs.",
+        ),
+        (
+            "accuracy",
+            "accuracy:verbs",
+            "Measure accuracy against speed, where each method fails, and other simulators on the same scenes.",
+        ),
+        ("characterise", "characterise:characterise", "Measure a simulated sensor with the methods of a laboratory."),
+        ("validate", "validate:validate", "Repeat public measurements of real cameras on the simulated sensors."),
+        ("bench", "bench:verbs", "Measure the speeds that the documentation quotes."),
+    ),
+    "Connect": (
+        (
+            "gadget",
+            "gadget:verbs",
+            "Make or remove the USB gadget for a camera on a real cable, at a machine with a USB device port.",
+        ),
+        ("dbc", "listen.can:dbc", "Write the DBC file of a rig's CAN link."),
+        ("export", "export:export", "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark."),
+    ),
+}
+_TASKS = """\
+evstim emulates an event camera: it renders a scene, simulates the sensor, and sends its events over the camera's links.
+
+  evstim demo                      a camera, a program that reads it, and every event compared
+  evstim run eros --serve          a camera on USB/IP, with a live page in the browser, until Ctrl-C
+  evstim listen                    the events that it sends, in a second terminal
+  evstim record eros eros.aedat4   the events as a file
+  evstim check my.toml             a rig file of your own; `evstim rigs` lists the installed ones
+
+All commands: evstim --help. Parts that this machine lacks: evstim doctor."""
+
+
+def _add_commands() -> None:
+    for sort_key, (title, commands) in enumerate(_COMMANDS.items()):
+        group = Group(title, sort_key=sort_key)
+        for verb, target, summary in commands:
+            app.command(f"emulator.cli.{target}", name=verb, help=summary, group=group)
+
+
+_add_commands()
+_OPTIONS = Group("Options", sort_key=len(_COMMANDS))
+app.register_install_completion_command(group=_OPTIONS)
+for flag in ("--help", "--version"):
+    app[flag].group = (_OPTIONS,)
 
 
 def main() -> None:
@@ -132,6 +171,9 @@ def _exit_code(tokens: list[str], as_json: bool, boxed: bool) -> int:
 
     `boxed`: wrong use is printed by cyclopts, in a box.
     """
+    if not tokens:
+        console.print(_TASKS, highlight=False, markup=False, soft_wrap=True)
+        return GOOD
     if as_json and "--version" in tokens:
         print_json({"name": "evstim", "version": version("evstim")})
         return GOOD

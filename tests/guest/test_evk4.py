@@ -275,7 +275,7 @@ LISTED = {
     "ueye_xls_e": (ND_EVK4, ("1409", "8e00"), "IDS Imaging Development Systems GmbH", "UE-39B2XLS"),
     "evk3_hd": (ND_EVK3, EVK4, "Prophesee", "EVK3"),
 }
-SIBLINGS_EVENTS = 20_000
+SIBLINGS_EVENTS = round(float(os.environ.get("EVSTIM_SIBLINGS_EVENTS", "2e4")))
 
 
 @pytest.mark.shows("{model}", "nd", "opens", "events", "unplugged", "plugged again")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.cli.app import _main
+from emulator.cli.app import _COMMANDS, _main
 from emulator.cli.doctor import _sentence
 from emulator.rig.loading import load_rig
 from emulator.run.expected_speed import ExpectedSpeed, StepCost
@@ -54,11 +54,23 @@ def rig(tmp_path):
     return path
 
 
-def test_every_verb_tells_what_it_does(capsys):
-    verbs = "run demo listen check plan rigs schema picture accuracy characterise doctor bench export"
-    for verb in verbs.split():
-        assert _main([verb, "--help"]) == 0
-        assert verb in capsys.readouterr().out
+def test_every_command_loads_and_has_help(capsys):
+    names = [name for commands in _COMMANDS.values() for name, *_ in commands]
+    assert _main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    for name in names:
+        assert f"\n  {name}: " in shown
+        assert _main([name, "--help"]) == 0
+        assert f"evstim {name}" in capsys.readouterr().out
+
+
+def test_without_arguments_five_tasks_are_shown_and_each_is_a_command(capsys):
+    assert _main([]) == 0
+    shown = capsys.readouterr().out
+    tasks = [line.split() for line in shown.splitlines() if line.startswith("  evstim ")]
+    assert len(tasks) == 5
+    assert {task[1] for task in tasks} <= {name for commands in _COMMANDS.values() for name, *_ in commands}
+    assert "evstim --help" in shown
 
 
 def test_rigs_and_their_json(capsys):
