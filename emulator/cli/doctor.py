@@ -25,6 +25,7 @@ def doctor(
     /,
     *,
     prepare: Annotated[bool, Parameter(negative="")] = False,
+    every: Annotated[bool, Parameter(name="--all", negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Show which parts this machine has and lacks, with the command that adds each missing part.
@@ -35,6 +36,8 @@ def doctor(
         Path of a rig file, or the name of a shipped one: show its needs, and measure whether it runs in real time.
     prepare
         Compile the kernels of this rig, or of all shipped rigs, so that no run has to.
+    every
+        Show each part that this machine has on a line of its own, with its version and its use.
     json
         Print one JSON object as the last line on stdout.
     """
@@ -47,7 +50,7 @@ def doctor(
     if json:
         print_json({"findings": findings})
     else:
-        _print(findings)
+        _print(findings, every=every)
     return GOOD
 
 
@@ -101,10 +104,21 @@ def _sentence(rig: Rig, speed: RealTimeSpeed | None) -> str:
     )
 
 
-def _print(findings: list[Finding]) -> None:
-    width = max((len(finding.name) for finding in findings), default=0)
-    for finding in findings:
-        mark = Text("yes" if finding.good else " no", style="green" if finding.good else "yellow")
-        console.print(mark, f" {finding.name:{width}}  {finding.detail}  (for {finding.needed_for})", sep="")
-        if finding.fix:
-            console.print(f"     {'':{width}}  fix: {finding.fix}", markup=False)
+def _print(findings: Sequence[Finding], *, every: bool) -> None:
+    """Print a part to a line, with the command that adds it; unless `every`, one line names all that are there."""
+    listed = [finding for finding in findings if every or not finding.good]
+    width = max((len(finding.name) for finding in listed), default=0)
+    if not every:
+        there = ", ".join(finding.name for finding in findings if finding.good)
+        console.print(f"there: {there} (`evstim doctor --all` has their versions)", markup=False, highlight=False)
+    if not listed:
+        console.print("nothing is missing")
+    for finding in listed:
+        _print_part(finding, width)
+
+
+def _print_part(finding: Finding, width: int) -> None:
+    mark = Text("yes" if finding.good else " no", style="green" if finding.good else "yellow")
+    console.print(mark, f" {finding.name:{width}}  {finding.detail}  (for {finding.needed_for})", sep="")
+    if finding.fix:
+        console.print(f"     {'':{width}}  fix: {finding.fix}", markup=False)

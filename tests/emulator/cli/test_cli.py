@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from emulator.cli import doctor
 from emulator.cli.app import _COMMANDS, _main
 from emulator.cli.doctor import _sentence
 from emulator.rig.loading import load_rig
@@ -20,6 +21,7 @@ from emulator.run.keeping_up import RealTimeSpeed
 from emulator.scene.bodies.mesh import load_mesh
 from firmware_protocol.events import EVENT
 from transports.link.deliveries import digest_of
+from transports.needs import Finding
 
 EVSTIM = [sys.executable, "-c", "from emulator.cli import main; main()"]
 DEMO = """
@@ -110,6 +112,29 @@ def test_doctor_names_the_extra_of_a_package_that_is_missing(monkeypatch, capsys
     monkeypatch.setattr("transports.needs.importlib.metadata.version", missing)
     assert _main(["doctor"]) == 0
     assert capsys.readouterr().out.count("pip install '.[report]'") == 2
+
+
+def finding(name, fix=None):
+    return Finding(name, good=fix is None, detail=f"version of {name}", needed_for="a test", fix=fix)
+
+
+def test_doctor_is_short_where_all_is_well_and_names_what_is_missing(monkeypatch, capsys):
+    parts = [finding(f"part{k}") for k in range(25)]
+    monkeypatch.setattr(doctor, "examine", lambda: parts)
+    assert _main(["doctor"]) == 0
+    shown = capsys.readouterr().out
+    assert len(shown.splitlines()) <= 5
+    assert "nothing is missing" in shown
+    assert all(part.name in shown for part in parts)
+    parts.append(finding("vcan", fix="modprobe vcan"))
+    assert _main(["doctor"]) == 0
+    shown = capsys.readouterr().out
+    assert " no vcan" in shown
+    assert "fix: modprobe vcan" in shown
+    assert "nothing is missing" not in shown
+    assert _main(["doctor", "--all"]) == 0
+    shown = capsys.readouterr().out
+    assert all(part.detail in shown for part in parts)
 
 
 @pytest.mark.system
