@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from emulator.cli.output import LACKING, WRONG_USE, Failure, status
 from emulator.light import MachineLacks, SceneError
@@ -124,7 +124,7 @@ def prepared(parts: Sequence[Part]) -> int:
         return 0
     names = ", ".join(part.name for part in missing)
     status.print(f"compiling, once on this machine: {names}", markup=False)
-    columns = TextColumn("compiling"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn()
+    columns = TextColumn("compiling"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("left")
     with Progress(*columns, console=status, transient=True, disable=not status.is_terminal) as bar:
         task = bar.add_task("compiling", total=1.0)
         printed: set[str] = set()
@@ -133,9 +133,15 @@ def prepared(parts: Sequence[Part]) -> int:
             bar.update(task, completed=state.share)
             for name in [] if status.is_terminal else [n for n in state.ended if n not in printed]:
                 printed.add(name)
-                status.print(f"compiled: {name} ({len(state.ended)} of {len(missing)})", markup=False)
+                left = _time_left(bar.tasks[0].time_remaining)
+                status.print(f"compiled: {name} ({len(state.ended)} of {len(missing)}){left}", markup=False)
 
         failed = prepare(missing, show)
     if failed:
         status.print(f"not compiled ahead: {', '.join(failed)}; that happens during the run", markup=False)
     return len(missing)
+
+
+def _time_left(seconds: float | None) -> str:
+    """Return the end of a line of progress; None is not known yet."""
+    return f", about {seconds:.0f} s left" if seconds else ""

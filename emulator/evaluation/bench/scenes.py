@@ -6,7 +6,8 @@ pixels. Without slopes a step takes one frame, and interpolates log light linear
 several times fewer steps for the same accuracy. Each result is the median of runs of about a second, after a warm-up
 that compiles and settles.
 
-`Drawing` times a light frame drawn by GL: GL selects the renderer, often a software one; `evstim doctor --all` lists them.
+`Drawing` times a light frame drawn by GL: GL selects the renderer, often a software one.
+`evstim doctor --all` lists them.
 
 `ScenesAlike` compares steps in scenes with about the same number of events, in different pixels, on 346 x 260 pixels;
 each frame has its time derivative, as in a run, which for a jump between two frames is zero. The result is the time of

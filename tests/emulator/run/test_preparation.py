@@ -6,6 +6,7 @@ from functools import partial
 
 import pytest
 
+from emulator.cli import checks
 from emulator.raster import Renderer
 from emulator.rig.loading import load_rig, shipped_rigs
 from emulator.run import kernels as preparation
@@ -93,3 +94,21 @@ def test_nothing_is_prepared_where_numba_is_told_not_to_compile(notes, monkeypat
     assert uncompiled([DECODER]) == [DECODER]
     monkeypatch.setattr(preparation.config, "DISABLE_JIT", 1)
     assert uncompiled([DECODER]) == []
+
+
+def test_each_line_of_progress_in_a_pipe_has_the_time_left(monkeypatch, capsys):
+    now_s = [0.0]
+    monkeypatch.setattr(checks.status, "get_time", lambda: now_s[0])
+    monkeypatch.setattr(checks, "uncompiled", list)
+
+    def compile_evenly(parts, show):
+        """A tenth of the work each second, and the parts one after the other."""
+        for k in range(1, 11):
+            now_s[0] = float(k)
+            show(preparation.Preparation(tuple(part.name for part in parts[: k * len(parts) // 10]), k / 10))
+        return []
+
+    monkeypatch.setattr(checks, "prepare", compile_evenly)
+    assert checks.prepared([Part("first", 5.0, os.getpid), Part("second", 5.0, os.getpid)]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[1:] == ["compiled: first (1 of 2), about 5 s left", "compiled: second (2 of 2)"]
