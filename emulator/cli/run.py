@@ -23,6 +23,7 @@ from emulator.cli.run_summary import (
     quantile_text,
     timing_json,
     timing_lines,
+    verdict_line,
 )
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.light import Scene
@@ -307,9 +308,11 @@ def print_summary(rig: Rig, result: RunResult) -> None:
         console.print(line, markup=False)
     for line in lateness_lines(rig, result):
         console.print(line)
-    for broken in (one for one in judge(rig.verdict, result) if not one.good and one.rule.startswith(_SHOWN)):
+    rules = judge(rig.verdict, result)
+    for broken in (one for one in rules if not one.good and one.rule.startswith(_SHOWN)):
         console.print(f"NOT GOOD: {broken.rule}: {broken.finding}", markup=False)
     console.print("ledger: balanced" if ledger.balanced else f"ledger: OFF BY {ledger.imbalance} EVENTS")
+    console.print(verdict_line(rules), markup=False)
 
 
 def _syncs(result: RunResult) -> str:

@@ -20,7 +20,7 @@ from emulator.cli.output import LACKING, WRONG_USE, Failure, console
 from emulator.rig.loading import Rig
 from emulator.run.kernels import TRUTH, Part
 from emulator.run.link_process import traced
-from emulator.run.outcome import LinkLedger, RunResult
+from emulator.run.outcome import Judgement, LinkLedger, RunResult
 from emulator.run.truth.source import SUFFIXES, TruthRefused, check_truth
 from firmware_protocol.device.fates import Counts
 from transports.faults.script import FaultRecord
@@ -39,6 +39,7 @@ __all__ = [
     "quantile_text",
     "timing_json",
     "timing_lines",
+    "verdict_line",
 ]
 
 
@@ -105,6 +106,14 @@ def quantile_text(value_us: float | None) -> str:
 
 _STRETCHED_SHARE = 0.01  # fewer longer steps than this change no result
 _REPORTED_LATENESS_US = 1000.0
+
+
+def verdict_line(rules: Sequence[Judgement]) -> str:
+    """Return the last line of a summary: whether the run was good, else the rules that it broke."""
+    broken = [one.rule for one in rules if not one.good]
+    if not broken:
+        return f"good: {len(rules)} of {len(rules)} rules kept"
+    return f"NOT GOOD: {len(broken)} of {len(rules)} rules broken: {', '.join(broken)}"
 
 
 def lateness_lines(rig: Rig, result: RunResult) -> list[str]:

@@ -52,6 +52,15 @@ def test_the_terminal_and_the_report_have_the_reason_why_a_scene_ended(page, cap
     assert "the renderer closed the connection" in page(dark)
 
 
+def test_the_last_line_of_the_summary_is_the_verdict(capsys):
+    last = {}
+    dark = dataclasses.replace(RESULT, scene_trouble="the renderer closed the connection")
+    for name, result in (("good", RESULT), ("dark", dark)):
+        print_summary(load_rig("checkerboard"), result)
+        last[name] = capsys.readouterr().out.splitlines()[-1]
+    assert last == {"good": "good: 1 of 1 rules kept", "dark": "NOT GOOD: 1 of 2 rules broken: scene"}
+
+
 def test_late_steps_are_counted_in_the_report(page):
     late = dataclasses.replace(RESULT, lateness=Lateness())
     late.lateness.add(2_000_000, 1)
