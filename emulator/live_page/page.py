@@ -105,6 +105,7 @@ def describe(rig: Rig) -> dict[str, Any]:
         "camera": rig.camera.model,
         "size": [width, height],
         "pace": rig.run.pace,
+        "limits": {"late_ms": rig.run.max_late_ms, "late_share": rig.run.max_late_share},
         "links": {link.name: {"kind": link.kind, "faults": list(faults_of(link))} for link in rig.links},
     }
 
@@ -142,10 +143,12 @@ def ledger_table(status: RunStatus) -> dict[str, Any]:
 
 
 def _fates(report: LinkReport, read_out: int) -> dict[str, Any]:
+    no_host = 0 if report.camera is None else report.camera.not_running
     parts = {
         "delivered": report.delivered,
         "on_the_way": read_out - report.delivered - report.dropped - report.dropped_in_device,
-        "dropped_in_device": report.dropped_in_device,
+        "no_host": no_host,
+        "dropped_in_device": report.dropped_in_device - no_host,
         "dropped": report.dropped,
     }
     return {"whole": read_out, "parts": parts}

@@ -6,7 +6,7 @@ const ON = [0xd5, 0x5e, 0x00], OFF = [0x00, 0x72, 0xb2];
 const PARTS = {
   read_out: ["read out", "#009e73"], pending: ["pending", "#f0e442"], lost_at_readout: ["lost at the read-out", "#e69f00"],
   lost_in_pixel: ["lost in the pixel", "#56b4e9"], delivered: ["delivered", "#009e73"], on_the_way: ["on the way", "#f0e442"],
-  dropped_in_device: ["dropped in the camera", "#cc79a7"], dropped: ["dropped by the link", "#d55e00"],
+  no_host: ["no host was reading", "#5a6674"], dropped_in_device: ["dropped in the camera", "#cc79a7"], dropped: ["dropped by the link", "#d55e00"],
 };
 const SLIDERS = {
   threshold_on: ["ON threshold", "ln", 0.03, 1.5], threshold_off: ["OFF threshold", "ln", 0.03, 1.5],
@@ -143,17 +143,41 @@ function figures() {
   if (!cpu || now - cpu.now > 5) cpu = {now, used: status.page_cpu_s, load: cpu ? load : null};
   numbers({
     "stream time": `${status.t_s.toFixed(2)} s`, "real-time factor": status.real_time_factor.toFixed(2),
-    "steps late": late.frames_late, "worst lateness": `${(late.worst_gap_us / 1000).toFixed(1)} ms`,
+    "steps late": late.frames_late, "worst lateness": duration(late.worst_gap_us),
     "longer steps": late.steps_stretched, "pictures drawn": status.frames,
     viewers: status.viewers, "page's processor": cpu.load === null ? "..." : `${(100 * cpu.load).toFixed(1)} % of a core`,
   });
-  course.push({rate: status.events_per_s, p50: p[0], p99: p[1]});
+  course.push({rate: status.events_per_s, p50: p[0], p99: p[1], t_s: status.t_s});
   if (course.length > 600) course.shift();
-  $("rate-now").textContent = si(status.events_per_s);
-  $("latency-now").textContent = p[1] === null ? "" : `${Math.round(p[0])} / ${Math.round(p[1])}`;
-  chart($("rate"), [["rate", "#56b4e9", []]]);
-  chart($("latency"), [["p50", "#56b4e9", []], ["p99", "#e69f00", [4, 3]]]);
-  ledger(); links();
+  $("rate-now").textContent = `${si(status.events_per_s)}/s`;
+  $("latency-now").textContent = p[1] === null ? "" : `${duration(p[0])}, ${duration(p[1])}`;
+  chart($("rate"), [["rate", "#56b4e9", []]], (rate) => `${si(rate)}/s`, "no event yet");
+  chart($("latency"), [["p50", "#56b4e9", []], ["p99", "#e69f00", [4, 3]]], duration, "no event has left a link yet");
+  ledger(); links(); health();
+}
+
+// State of the run: why it is bad, else late in the last second, else in time. The rules are those of its verdict.
+let lateBefore = [];
+
+function health() {
+  const late = status.lateness, {late_ms, late_share} = about.limits, paced = about.pace === "realtime" && late_ms > 0;
+  const broken = Object.entries(status.links).filter(([, link]) => link.error).map(([name]) => `link ${name}`);
+  if (document.querySelector("#ledger [data-sound=false]")) broken.push("ledger");
+  if (paced && late.worst_gap_us > 1e3 * late_ms) broken.push(`worst step ${duration(late.worst_gap_us)} late`);
+  if (paced && late.frames_late > late_share * status.frames) broken.push(`${share(late.frames_late, status.frames)} of the steps late`);
+  lateBefore.push(late.frames_late);
+  const fresh = late.frames_late - lateBefore[0];
+  if (lateBefore.length > 10) lateBefore.shift();
+  const [text, kind] = broken.length ? [`bad: ${broken.join(", ")}`, "bad"]
+    : paced && fresh ? [`late: ${fresh} of the last steps`, "late"] : [paced ? "in time" : "no rule broken", "good"];
+  $("health").textContent = text; $("health").className = kind;
+}
+
+function share(part, whole) { return `${Number((100 * part / Math.max(whole, 1)).toPrecision(2))} %`; }
+
+function duration(us) {
+  for (const [unit, size] of [["s", 1e6], ["ms", 1e3]]) if (us >= size) return `${Number((us / size).toPrecision(3))} ${unit}`;
+  return `${Math.round(us)} us`;
 }
 
 function numbers(table) {
@@ -170,14 +194,23 @@ function si(value) {
   return value.toFixed(0);
 }
 
-function chart(target, lines) {
-  const ctx = target.getContext("2d"), {width, height} = target;
-  const most = Math.max(1e-9, ...course.flatMap((row) => lines.map(([name]) => row[name] || 0)));
-  ctx.clearRect(0, 0, width, height);
+function chart(target, lines, text, reason) {
+  const ctx = target.getContext("2d"), {clientWidth: width, clientHeight: height} = target, left = 58, top = 6, base = height - 16;
+  [target.width, target.height] = [width * devicePixelRatio, height * devicePixelRatio];
+  ctx.scale(devicePixelRatio, devicePixelRatio);
+  const found = course.flatMap((row) => lines.map(([name]) => row[name])).filter((value) => value);
+  const most = Math.max(1e-9, ...found), shown = (course.length - 1) / 600 * (width - left);
+  ctx.font = "11px system-ui, sans-serif"; ctx.fillStyle = "#a8b0ba"; ctx.strokeStyle = "#3a4552"; ctx.lineWidth = 1; ctx.setLineDash([]);
+  ctx.beginPath(); ctx.moveTo(left, top); ctx.lineTo(left, base); ctx.lineTo(width, base); ctx.stroke();
+  if (!found.length) { ctx.textAlign = "center"; ctx.fillText(reason, (left + width) / 2, (top + base) / 2 + 4); return; }
+  ctx.textAlign = "right";
+  ctx.fillText(text(most), left - 4, top + 6); ctx.fillText("0", left - 4, base);
+  ctx.fillText(`${course.at(-1).t_s.toFixed(0)} s`, width, height - 2);
+  if (shown > 90) { ctx.textAlign = "left"; ctx.fillText(`${course[0].t_s.toFixed(0)} s`, width - shown, height - 2); }
   ctx.lineWidth = 1.5;
   for (const [name, colour, dashes] of lines) {
     ctx.strokeStyle = colour; ctx.setLineDash(dashes); ctx.beginPath();
-    course.forEach((row, k) => { if (row[name] !== null) ctx.lineTo(width - (course.length - k) * width / 600, height - 3 - (height - 6) * row[name] / most); });
+    course.forEach((row, k) => { if (row[name] !== null) ctx.lineTo(width - (course.length - 1 - k) * (width - left) / 600, base - (base - top) * row[name] / most); });
     ctx.stroke();
   }
 }
@@ -214,7 +247,7 @@ function links() {
   const rows = Object.entries(status.links).map(([name, link]) => {
     const row = document.createElement("div"), more = document.createElement("span");
     row.className = "link";
-    more.textContent = ` ${link.state}${link.address ? ` at ${link.address}` : ""}, ${link.faults} faults, ${link.edges} triggers`;
+    more.textContent = ` ${link.state}${link.address && !link.state.includes(link.address) ? ` at ${link.address}` : ""}, ${link.faults} faults, ${link.edges} triggers`;
     row.append(name, more);
     if (link.error) { const bad = document.createElement("div"); bad.className = "bad"; bad.textContent = link.error; row.append(bad); }
     return row;

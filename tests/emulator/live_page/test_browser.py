@@ -111,6 +111,11 @@ def test_a_click_injects_a_fault_and_a_slider_changes_the_rate(folder, tmp_path)
         browser.until("document.querySelectorAll('#ledger .head').length === 2")
         assert browser.value("document.querySelector('#ledger .head').dataset.sound") == "true"
 
+        health = browser.value(
+            "[document.querySelector('#health').className, document.querySelector('#health').textContent]"
+        )
+        assert health[1].startswith({"good": "in time", "late": "late: ", "bad": "bad: "}[health[0]])
+
         browser.click("#fault-serial-bit_flips")
         browser.until("document.querySelector('#answer').textContent === 'bit_flips on serial'")
         browser.until("document.querySelector('#links').textContent.includes('1 faults')")

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from emulator.live_page.page import Rates, ledger_table, status_table
 from emulator.run.outcome import RunStatus
 from emulator.run.pacing import Lateness
+from firmware_protocol.device.fates import Fates
 from transports.link.report import LinkReport
 
 _count = st.integers(0, 10**12)
@@ -34,6 +35,14 @@ def test_parts_add_up(pending, pixel, readout, read_out, links):
 def test_an_event_with_two_fates_shows_as_a_negative_part():
     table = ledger_table(_status(read_out=5, raised=5, links={"a": LinkReport("open", delivered=6)}))
     assert table["links"]["a"]["parts"]["on_the_way"] == -1
+
+
+def test_events_before_a_host_reads_are_apart_from_those_that_the_camera_drops():
+    camera = Fates(offered=100, not_running=70, dropped_fifo=20, delivered=10)
+    parts = ledger_table(
+        _status(read_out=100, raised=100, links={"a": LinkReport("open", delivered=10, camera=camera)})
+    )["links"]["a"]["parts"]
+    assert parts == {"delivered": 10, "on_the_way": 0, "no_host": 70, "dropped_in_device": 20, "dropped": 0}
 
 
 def test_rates_are_those_of_the_last_second():
