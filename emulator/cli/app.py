@@ -111,7 +111,7 @@ _TASKS = """\
 evstim emulates an event camera: it renders a scene, simulates the sensor, and sends its events over the camera's links.
 
   evstim demo                      a camera, a program that reads it, and every event compared
-  evstim run eros --serve          a camera on USB/IP, with a live page in the browser, until Ctrl-C
+  evstim run eros                  a camera on USB/IP, until Ctrl-C; with --serve also a live page in the browser
   evstim listen                    the events that it sends, in a second terminal
   evstim record eros eros.aedat4   the events as a file
   evstim check my.toml             a rig file of your own; `evstim rigs` lists the installed ones
