@@ -164,7 +164,8 @@ class ShownRun:
     def take(self, events: Events) -> None:
         """Show the events of a step."""
         if self._page is not None:
-            self._page.show(events, self._session.light, self._session.t_ns // 1000)
+            session = self._session
+            self._page.show(events, session.light, session.t_ns // 1000, session.last_readings)
 
     def renew(self, status: RunStatus) -> None:
         """Show the state of the run."""

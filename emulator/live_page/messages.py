@@ -16,6 +16,7 @@ From the browser: JSON texts, one object each, with `do`.
     {"do": "seen", "number": N}                 the last message has been shown, so another may come
     {"do": "adjust", "name": NAME, "value": X}  a sensor parameter
     {"do": "inject", "fault": {table}}          as in a rig
+    {"do": "undo", "change": N}                 the change with this number in the list of changes
     {"do": "trigger"} {"do": "pause"} {"do": "step"} {"do": "resume"}
 
 Commands are carried out in the session's own thread.
@@ -45,6 +46,8 @@ from urllib.parse import urlsplit
 import numpy as np
 import numpy.typing as npt
 
+from emulator.live_page.controls import ChangeList
+from emulator.run.changes import Change
 from emulator.run.outcome import RunStatus
 from transports.faults.kinds import Fault
 from transports.network import is_loopback
@@ -147,11 +150,13 @@ def _checked(message: dict[str, Any]) -> dict[str, Any]:
             return {"do": "seen", "number": number}
         case {"do": "adjust", "name": str(name), "value": int() | float() as value} if _is_number(value):
             return {"do": "adjust", "name": name, "value": float(value)}
+        case {"do": "undo", "change": int(change)} if not isinstance(change, bool):
+            return {"do": "undo", "change": change}
         case {"do": "inject", "fault": dict(fault)}:
             return {"do": "inject", "fault": fault}
         case {"do": str(order)} if order in _ORDERS:
             return {"do": order}
-    raise BadMessage("known are hello, seen, adjust, inject, trigger, pause, step and resume")
+    raise BadMessage("known are hello, seen, adjust, inject, undo, trigger, pause, step and resume")
 
 
 def _is_number(value: float) -> bool:
@@ -177,7 +182,12 @@ class RunningSession(Protocol):
         """Sensor parameters that can change, with their present values."""
         ...
 
-    def adjust(self, name: str, value: float) -> None:
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """Changes from outside so far, in the order in which they came."""
+        ...
+
+    def adjust(self, name: str, value: float, *, undo: bool = False) -> None:
         """Change a parameter from the next step on; raises ValueError."""
 
     def inject(self, fault: Fault) -> None:
@@ -185,7 +195,7 @@ class RunningSession(Protocol):
 
 
 Inject = Callable[[dict[str, Any], RunStatus], dict[str, Any]]
-"""Answer to a request that injects a fault, as `FaultInjection.answer`."""
+"""Answer to a request that begins or ends a fault, as `FaultInjection.answer`."""
 
 
 class ViewerCommands:
@@ -218,6 +228,7 @@ class ViewerCommands:
         self._trigger = trigger
         self._triggers = 0
         self._can_pause = can_pause
+        self._changes = ChangeList(session)
         self.status: RunStatus | None = None
         self.paused = False
         self._steps = 0
@@ -230,6 +241,7 @@ class ViewerCommands:
             "triggers": self._triggers,
             "can_pause": self._can_pause,
             "paused": self.paused,
+            **self._changes.table({} if self.status is None else self.status.links),
         }
 
     def carry_out(self, command: dict[str, Any]) -> dict[str, Any]:
@@ -253,6 +265,8 @@ class ViewerCommands:
                 return {"did": f"{name} = {value:g}"}
             case {"do": "inject", "fault": fault}:
                 return self._injected(fault)
+            case {"do": "undo", "change": number}:
+                return self._undone(number)
             case {"do": "trigger"}:
                 return self._triggered()
             case {"do": "pause" | "step" | "resume" as order}:
@@ -264,6 +278,17 @@ class ViewerCommands:
             raise ValueError("the run has not begun")
         answer = self._inject({"request": "inject", "fault": fault}, self.status)
         return answer if "error" in answer else {"did": f"{fault.get('kind')} on {answer['link']}"}
+
+    def _undone(self, number: int) -> dict[str, Any]:
+        if self.status is None:
+            raise ValueError("the run has not begun")
+        change = self._changes.reversible(number, self.status.links)
+        if not change.fault:
+            assert change.before is not None
+            self._session.adjust(change.what, change.before, undo=True)
+            return {"did": f"{change.what} = {change.before:.4g} again"}
+        answer = self._inject({"request": "end", "link": change.link, "number": change.fault}, self.status)
+        return answer if "error" in answer else {"did": f"end of {answer['kind']} on {answer['link']}"}
 
     def _triggered(self) -> dict[str, Any]:
         if self._trigger is None:

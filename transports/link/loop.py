@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from transports.link.process import Link
 
-__all__ = ["Happen", "InjectFault", "LinkLoop", "Stop"]
+__all__ = ["EndFault", "Happen", "InjectFault", "LinkLoop", "Stop"]
 
 
 _REPORT_PERIOD_NS = 100_000_000
@@ -60,6 +60,14 @@ class InjectFault:
     """Request of the session to begin a fault now, of a kind that this link can have; `by`: name of the requester."""
 
     fault: Fault
+    by: str = ""
+
+
+@dataclass(frozen=True)
+class EndFault:
+    """Request of the session to end the fault with this number on its link; `by`: name of the requester."""
+
+    number: int
     by: str = ""
 
 
@@ -199,7 +207,7 @@ class LinkLoop:
 
     def _obey(self) -> None:
         """Execute an order of the session."""
-        order: Stop | InjectFault | Happen = self._control.recv()
+        order: Stop | InjectFault | EndFault | Happen = self._control.recv()
         if isinstance(order, Stop):
             self._drain_ns, self._last_ns = int(order.drain_s * 1e9), self._clock.now_ns()
             self._loop.remove_reader(self._control.fileno())
@@ -207,6 +215,8 @@ class LinkLoop:
             self._link.attend()
             if isinstance(order, InjectFault):
                 self._link.inject(order.fault, order.by)
+            elif isinstance(order, EndFault):
+                self._link.end_fault(order.number, order.by)
             else:
                 self._link.happen(order.kind, order.by)
         self._wake_at(self._clock.now_ns())

@@ -252,7 +252,14 @@ class Link:
     def inject(self, fault: Fault, by: str = "") -> None:
         """Begin a fault, on behalf of `by`."""
         self.endpoint.inject(fault)
-        self._watch.add(Occurrence(self._feed.reached_us, by, f"fault {fault.kind}"))
+        number = self.endpoint.faults[-1].number
+        self._watch.add(Occurrence(self._feed.reached_us, by, f"fault {fault.kind}", number))
+
+    def end_fault(self, number: int, by: str = "") -> None:
+        """End a fault on behalf of `by`; one that is over already is left as it is."""
+        if self.endpoint.end_fault(number):
+            kind = next(one.kind for one in self.endpoint.faults if one.number == number)
+            self._watch.add(Occurrence(self._feed.reached_us, by, f"end of fault {kind}", number))
 
     def happen(self, kind: EdgeKind | None, by: str = "") -> None:
         """Apply an edge to the input now, or reset the clock, on behalf of `by`."""

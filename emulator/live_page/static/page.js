@@ -1,6 +1,10 @@
 "use strict";
 // One WebSocket brings pictures (binary) and tables (JSON); see messages.py. Nothing else is loaded.
 
+import {TimeAxis} from "./axis.js";
+import {showChanges} from "./changes.js";
+import {showFaults} from "./faults.js";
+
 const $ = (id) => document.getElementById(id);
 const ON = [0xd5, 0x5e, 0x00], OFF = [0x00, 0x72, 0xb2];
 const PARTS = {
@@ -45,7 +49,7 @@ function hear(message) {
   if (message.kind === "about") begin(message);
   else if (message.kind === "answer") $("answer").textContent = message.did || message.error;
   else if (message.kind === "ended") { over = true; state("the run has ended", "over"); }
-  else { status = {...status, ...message}; if (message.kind === "status") figures(); controls(); }
+  else { status = {...status, ...message}; if (message.kind === "status") figures(); showChanges($("changes"), $("changes-note"), status, send); controls(); }
 }
 
 function state(text, kind) { $("state").textContent = text; $("state").className = kind; }
@@ -55,14 +59,7 @@ function begin(message) {
   $("name").textContent = document.title = about.name;
   $("title").textContent = about.title;
   state("live", "live");
-  $("faults").replaceChildren(...Object.entries(about.links).flatMap(([link, {faults}]) => faults.map((kind) =>
-    button(`${link}: ${kind.replaceAll("_", " ")}`, () => send({do: "inject", fault: {kind, link}}), `fault-${link}-${kind}`))));
-}
-
-function button(text, act, id) {
-  const made = document.createElement("button");
-  made.textContent = text; made.onclick = act; made.id = id;
-  return made;
+  showFaults($("faults"), about.links, send);
 }
 
 // ---- the picture ----
@@ -132,12 +129,12 @@ function draw(untilUs) {
 
 // ---- figures ----
 
-const course = [];
+const axis = new TimeAxis($("axis"), $("axis-at"), si, duration);
+for (const input of document.querySelectorAll("input[name=span]")) input.onchange = () => axis.show(Number(input.value));
 let cpu = null;
 
 function figures() {
-  const late = status.lateness, p = Object.values(status.links).map((link) => link.latency_us).filter((us) => us[1] !== null)
-    .sort((a, b) => b[1] - a[1])[0] || [null, null];
+  const late = status.lateness;
   const now = performance.now() / 1000;
   const load = cpu && now > cpu.now ? (status.page_cpu_s - cpu.used) / (now - cpu.now) : 0;
   if (!cpu || now - cpu.now > 5) cpu = {now, used: status.page_cpu_s, load: cpu ? load : null};
@@ -147,12 +144,7 @@ function figures() {
     "longer steps": late.steps_stretched, "pictures drawn": status.frames,
     viewers: status.viewers, "page's processor": cpu.load === null ? "..." : `${(100 * cpu.load).toFixed(1)} % of a core`,
   });
-  course.push({rate: status.events_per_s, p50: p[0], p99: p[1], t_s: status.t_s});
-  if (course.length > 600) course.shift();
-  $("rate-now").textContent = `${si(status.events_per_s)}/s`;
-  $("latency-now").textContent = p[1] === null ? "" : `${duration(p[0])}, ${duration(p[1])}`;
-  chart($("rate"), [["rate", "#56b4e9", []]], (rate) => `${si(rate)}/s`, "no event yet");
-  chart($("latency"), [["p50", "#56b4e9", []], ["p99", "#e69f00", [4, 3]]], duration, "no event has left a link yet");
+  axis.renew(status);
   ledger(); links(); health();
 }
 
@@ -192,27 +184,6 @@ function numbers(table) {
 function si(value) {
   for (const [unit, size] of [["M", 1e6], ["k", 1e3]]) if (value >= size) return `${(value / size).toPrecision(3)} ${unit}`;
   return value.toFixed(0);
-}
-
-function chart(target, lines, text, reason) {
-  const ctx = target.getContext("2d"), {clientWidth: width, clientHeight: height} = target, left = 58, top = 6, base = height - 16;
-  [target.width, target.height] = [width * devicePixelRatio, height * devicePixelRatio];
-  ctx.scale(devicePixelRatio, devicePixelRatio);
-  const found = course.flatMap((row) => lines.map(([name]) => row[name])).filter((value) => value);
-  const most = Math.max(1e-9, ...found), shown = (course.length - 1) / 600 * (width - left);
-  ctx.font = "11px system-ui, sans-serif"; ctx.fillStyle = "#a8b0ba"; ctx.strokeStyle = "#3a4552"; ctx.lineWidth = 1; ctx.setLineDash([]);
-  ctx.beginPath(); ctx.moveTo(left, top); ctx.lineTo(left, base); ctx.lineTo(width, base); ctx.stroke();
-  if (!found.length) { ctx.textAlign = "center"; ctx.fillText(reason, (left + width) / 2, (top + base) / 2 + 4); return; }
-  ctx.textAlign = "right";
-  ctx.fillText(text(most), left - 4, top + 6); ctx.fillText("0", left - 4, base);
-  ctx.fillText(`${course.at(-1).t_s.toFixed(0)} s`, width, height - 2);
-  if (shown > 90) { ctx.textAlign = "left"; ctx.fillText(`${course[0].t_s.toFixed(0)} s`, width - shown, height - 2); }
-  ctx.lineWidth = 1.5;
-  for (const [name, colour, dashes] of lines) {
-    ctx.strokeStyle = colour; ctx.setLineDash(dashes); ctx.beginPath();
-    course.forEach((row, k) => { if (row[name] !== null) ctx.lineTo(width - (course.length - 1 - k) * (width - left) / 600, base - (base - top) * row[name] / most); });
-    ctx.stroke();
-  }
 }
 
 function ledger() {
