@@ -155,7 +155,8 @@ class ChangeList:
             return "the value before it is not known"
         newest = self._newest[change.what]
         if newest is not row:
-            return f"{change.what} has changed again at {newest.change.t_ns * 1e-9:.3f} s"
+            how = "set back" if newest.change.by.endswith("undo") else "changed again"
+            return f"{how} at {newest.change.t_ns * 1e-9:.3f} s"
         return ""
 
 

@@ -298,7 +298,8 @@ class FaultInjection:
                 return self._end(link, number, status)
             case {"request": "trigger", "kind": str(kind)}:
                 return self._trigger(kind, message.get("link"))
-        return {"error": "known requests: 'faults', 'inject' with a fault, 'end' with its link and number, 'trigger' with a kind"}
+        known = "'faults', 'inject' with a fault, 'end' with a link and number, 'trigger' with a kind"
+        return {"error": f"known requests: {known}"}
 
     def _faults(self, status: RunStatus) -> Message:
         links: dict[str, Any] = {}

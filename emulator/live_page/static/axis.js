@@ -5,8 +5,8 @@
 import {describe} from "./changes.js";
 
 const MOST_POINTS = 6100;  // ten minutes, ten a second
-const LEFT = 86, BASE = 18;
-const TICKS = [1, 2, 5, 10, 20, 60, 120, 300];
+const LEFT = 86, BASE = 18, ROW = 15, MOST_ROWS = 3;
+const TICKS = [0.2, 0.5, 1, 2, 5, 10, 20, 60, 120, 300];
 
 export class TimeAxis {
   constructor(canvas, readout, si, duration) {
@@ -41,14 +41,15 @@ export class TimeAxis {
   // ---- time ----
 
   get until() { return this.points.at(-1)?.t_s ?? 0; }
-  get from() { return this.until - this.span; }
-  x(t_s) { return LEFT + (t_s - this.from) / this.span * (this.width - LEFT); }
-  time(x) { return Math.min(this.until, Math.max(this.from, 0, this.from + (x - LEFT) / (this.width - LEFT) * this.span)); }
+  get from() { return Math.max(0, this.until - this.span); }
+  get shown() { return Math.min(this.span, Math.max(this.until, 2)); }  // it grows to its length at the start
+  x(t_s) { return LEFT + (t_s - this.from) / this.shown * (this.width - LEFT); }
+  time(x) { return Math.min(this.until, Math.max(this.from, this.from + (x - LEFT) / (this.width - LEFT) * this.shown)); }
 
   key(event) {
     const steps = {ArrowLeft: -1, ArrowRight: 1, PageDown: -10, PageUp: 10}, now = this.at ?? this.until;
-    if (event.key in steps) this.point(Math.min(this.until, Math.max(this.from, 0, now + steps[event.key] * this.span / 120)));
-    else if (event.key === "Home") this.point(Math.max(0, this.from));
+    if (event.key in steps) this.point(Math.min(this.until, Math.max(this.from, now + steps[event.key] * this.shown / 120)));
+    else if (event.key === "Home") this.point(this.from);
     else if (event.key === "End" || event.key === "Escape") this.point(null);
     else return;
     event.preventDefault();
@@ -60,16 +61,18 @@ export class TimeAxis {
 
   lanes() {
     const {axis} = this.status, value = (name) => (one) => one[name], shown = this.points.filter((one) => one.t_s >= this.from - 1);
+    const faults = rows(this.faults.filter((one) => (one.ended_s ?? this.until) >= this.from)
+      .map((one) => ({from: one.began_s, until: one.ended_s ?? this.until, text: `${one.kind.replaceAll("_", " ")} on ${one.link}`})));
     const linked = Object.keys(this.status.links).length;
     return [
       {name: "events", unit: "1/s", high: 64, points: shown, lines: [value("rate")], colours: ["s1"], fill: true, text: (v) => this.si(v), reason: "no event yet"},
-      {name: "latency", unit: "", high: 56, points: shown, lines: [value("p50"), value("p99")], colours: ["s1", "s2"], text: (v) => this.duration(v), reason: linked ? "no event has left a link yet" : "this rig has no link"},
-      {name: "IMU", unit: "deg/s", high: 56, points: shown, lines: [0, 1, 2].map((k) => (one) => one.imu && one.imu[k]), colours: ["s1", "s2", "s3"], signed: true, text: (v) => String(v),
+      {name: "latency", unit: "", high: 56, points: shown, lines: [value("p50"), value("p99")], names: ["p50", "p99"], colours: ["s1", "s2"], text: (v) => this.duration(v), reason: linked ? "no event has left a link yet" : "this rig has no link"},
+      {name: "IMU", unit: "deg/s", high: 56, points: shown, lines: [0, 1, 2].map((k) => (one) => one.imu && one.imu[k]), names: ["x", "y", "z"], colours: ["s1", "s2", "s3"], signed: true, text: (v) => String(v),
         reason: axis.has_imu ? "no host has switched the inertial unit on" : "this camera has no inertial unit"},
       {name: "frames", high: 20, bars: this.frames.map(([start, from, until, end]) => ({from: start, until: end, inner: [from, until]})), colour: "s2",
         reason: axis.has_frames ? "no host has switched frames on" : "this camera reads no frames"},
       {name: "triggers", high: 20, marks: shown.filter((one) => one.edges).map((one) => ({t_s: one.t_s, count: one.edges})), colour: "s3", reason: "no trigger yet"},
-      {name: "faults", high: 24, bars: this.faults.map((one) => ({from: one.began_s, until: one.ended_s ?? this.until, text: one.kind.replaceAll("_", " ")})), colour: "bad", reason: "no fault yet"},
+      {name: "faults", high: 10 + ROW * Math.max(1, ...faults.map((one) => one.row + 1)), bars: faults, colour: "bad", reason: "no fault yet"},
       {name: "changes", high: 24, marks: this.changes.map((one) => ({t_s: one.t_s, text: describe(one).split(":")[0]})), colour: "s4", diamond: true, reason: "no change from outside yet"},
     ];
   }
@@ -86,7 +89,7 @@ export class TimeAxis {
     const pen = this.pen = canvas.getContext("2d");
     pen.scale(scale, scale);
     pen.font = "12px system-ui, sans-serif"; pen.textBaseline = "middle";
-    this.colours = Object.fromEntries(["text", "dim", "line", "s1", "s2", "s3", "s4", "bad"].map((name) => [name, colourOf(canvas, name)]));
+    this.colours = Object.fromEntries(["text", "dim", "line", "s1", "s2", "s3", "s4", "bad", "card"].map((name) => [name, colourOf(canvas, name)]));
     this.ticks(height);
     let top = 4;
     for (const lane of lanes) { this.lane(lane, top); top += lane.high + 10; }
@@ -99,9 +102,10 @@ export class TimeAxis {
   }
 
   ticks(height) {
-    const {pen, colours} = this, most = Math.max(2, (this.width - LEFT) / 90), step = TICKS.find((one) => this.span / one <= most) || 600;
+    const {pen, colours} = this, most = Math.max(2, (this.width - LEFT) / 90), step = TICKS.find((one) => this.shown / one <= most) || 600;
     pen.textAlign = "center";
-    for (let t = Math.ceil(Math.max(0, this.from) / step) * step; t <= this.until; t += step) {
+    for (let k = Math.ceil(this.from / step); k * step <= this.until; k += 1) {
+      const t = Number((k * step).toFixed(1));
       const x = this.x(t);
       pen.strokeStyle = colours.line; pen.lineWidth = 1;
       pen.beginPath(); pen.moveTo(Math.round(x) + 0.5, 0); pen.lineTo(Math.round(x) + 0.5, height - BASE); pen.stroke();
@@ -154,44 +158,45 @@ export class TimeAxis {
       }
     });
     pen.setLineDash([]);
+    (lane.names || []).reduce((x, name, k) => {
+      pen.textAlign = "left"; pen.fillStyle = colours[lane.colours[k]];
+      pen.fillText(name, x, top + 5);
+      return x + pen.measureText(name).width + 10;
+    }, LEFT + 8);
     return [least, most];
   }
 
   bars(lane, top) {
-    const {pen, colours} = this, middle = top + lane.high / 2;
-    let free = -1;
+    const {pen, colours} = this;
     for (const bar of lane.bars) {
       if (bar.until < this.from) continue;
-      const x = this.x(bar.from), wide = Math.max(3, this.x(bar.until) - x);
+      const x = this.x(bar.from), wide = Math.max(bar.inner ? 1 : 3, this.x(bar.until) - x), middle = top + 12 + ROW * (bar.row || 0);
       pen.fillStyle = colours[lane.colour];
       pen.globalAlpha = bar.inner ? 0.4 : 1;
-      pen.fillRect(x, middle - 6, bar.inner ? Math.max(1, wide) : wide, 12);
+      pen.fillRect(x, middle - 6, wide, 12);
       pen.globalAlpha = 1;
       if (bar.inner) pen.fillRect(this.x(bar.inner[0]), middle - 6, Math.max(1, this.x(bar.inner[1]) - this.x(bar.inner[0])), 12);
-      if (bar.text) free = this.label(bar.text, x + wide + 4, middle, free);
+      if (bar.text) this.label(bar.text, x + wide + 5, middle, Math.min(...lane.bars.filter((one) => one.row === bar.row && one.from > bar.from).map((one) => this.x(one.from)), this.width), x);
     }
   }
 
   marks(lane, top) {
-    const {pen, colours} = this, middle = top + lane.high / 2;
-    let free = -1;
-    for (const mark of lane.marks) {
-      if (mark.t_s < this.from) continue;
+    const {pen, colours} = this, middle = top + lane.high / 2, shown = lane.marks.filter((mark) => mark.t_s >= this.from).sort((a, b) => a.t_s - b.t_s);
+    shown.forEach((mark, k) => {
       const x = this.x(mark.t_s);
       pen.fillStyle = colours[lane.colour];
       if (lane.diamond) { pen.beginPath(); pen.moveTo(x, middle - 6); pen.lineTo(x + 6, middle); pen.lineTo(x, middle + 6); pen.lineTo(x - 6, middle); pen.fill(); }
       else pen.fillRect(x - 1, middle - 7, 2, 14);
-      if (mark.text) free = this.label(mark.text, x + 9, middle, free);
-    }
+      if (mark.text) this.label(mark.text, x + 10, middle, k + 1 < shown.length ? this.x(shown[k + 1].t_s) - 8 : this.width);
+    });
   }
 
-  label(text, x, y, free) {  // only where it covers no earlier one
-    const wide = this.pen.measureText(text).width;
-    if (x < free || x < LEFT) return free;
-    this.pen.textAlign = "left"; this.pen.fillStyle = this.colours.text;
-    if (x + wide > this.width) { if (this.width - wide - 4 < free) return free; return free; }
-    this.pen.fillText(text, x, y);
-    return x + wide + 10;
+  // A text where there is room for it, behind its bar or in it.
+  label(text, x, y, until, within = Infinity) {
+    const {pen} = this, wide = pen.measureText(text).width, start = Math.max(within, LEFT) + 5;
+    pen.textAlign = "left";
+    if (x + wide < until && x > LEFT) { pen.fillStyle = this.colours.text; pen.fillText(text, x, y); }
+    else if (start + wide < x - 8) { pen.fillStyle = this.colours.card; pen.fillText(text, start, y + 0.5); }
   }
 
   // ---- cursor ----
@@ -206,7 +211,7 @@ export class TimeAxis {
     if (this.readout.textContent !== text) this.readout.textContent = text;
     if (this.at !== null || !this.spoken || at - this.spoken > 2) {
       this.spoken = at;
-      for (const [name, v] of [["min", Math.max(0, this.from)], ["max", this.until], ["now", at]]) canvas.setAttribute(`aria-value${name}`, v.toFixed(2));
+      for (const [name, v] of [["min", this.from], ["max", this.until], ["now", at]]) canvas.setAttribute(`aria-value${name}`, v.toFixed(2));
       canvas.setAttribute("aria-valuetext", text);
     }
   }
@@ -214,7 +219,7 @@ export class TimeAxis {
   values(at) {
     const near = this.points.reduce((best, one) => Math.abs(one.t_s - at) < Math.abs((best?.t_s ?? -1e9) - at) ? one : best, null);
     if (!near) return "no value yet";
-    const parts = [`${at.toFixed(2)} s`, `${this.si(near.rate)} events/s`], tolerance = this.span / 200;
+    const parts = [`${at.toFixed(2)} s`, `${this.si(near.rate)} events/s`], tolerance = this.shown / 200;
     if (near.p50 !== null) parts.push(`latency p50 ${this.duration(near.p50)}, p99 ${this.duration(near.p99)}`);
     if (near.imu) parts.push(`x ${near.imu[0]}, y ${near.imu[1]}, z ${near.imu[2]} deg/s at ${near.imu_hz.toFixed(0)} Hz`);
     const frame = this.frames.find(([start, , , end]) => start <= at && at <= end);
@@ -227,6 +232,17 @@ export class TimeAxis {
 }
 
 function colourOf(canvas, name) { return getComputedStyle(canvas.parentElement.querySelector(`[data-colour=${name}]`)).color; }
+
+// Bars at the same time in rows of their own, as far as there are rows.
+function rows(bars) {
+  const ends = [];
+  for (const bar of bars.sort((a, b) => a.from - b.from)) {
+    const free = ends.findIndex((end) => end <= bar.from);
+    bar.row = free >= 0 ? free : Math.min(ends.length, MOST_ROWS - 1);
+    ends[bar.row] = Math.max(bar.until, ends[bar.row] ?? 0);
+  }
+  return bars;
+}
 
 function nice(value) {
   if (!(value > 0)) return 1;

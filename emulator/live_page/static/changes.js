@@ -14,7 +14,11 @@ export function showChanges(list, note, status, send) {
   for (const [number, item] of shown) if (!wanted.has(number)) item.remove();
   for (const row of rows) {
     let item = shown.get(row.number);
-    if (!item) { item = entry(row, send); list.prepend(item); }
+    if (!item) {
+      item = entry(row, send);
+      item.t_s = row.t_s;
+      list.insertBefore(item, [...list.children].find((other) => other.t_s <= row.t_s) || null);
+    }
     renew(item, row);
   }
 }

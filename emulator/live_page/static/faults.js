@@ -1,7 +1,8 @@
 "use strict";
 // Menu of the faults of each link. A fault that makes the host lose the camera stands apart, and is confirmed.
 
-const words = (kind) => kind.replaceAll("_", " ");
+const VERBS = {unplugged: "unplug", usb_unplugged: "unplug", ip_change: "change the address", lost_heartbeat: "take control away", link_down: "unplug the cable"};
+const words = (kind) => VERBS[kind] || kind.replaceAll("_", " ");
 
 function made(tag, attributes = {}, ...children) {
   const element = document.createElement(tag);
@@ -66,7 +67,7 @@ function read(link, kind, keys) {
 function confirm(link, kind, fault, send, opener) {
   const keys = made("div", {class: "keys"}, ...fields(fault));
   const dialog = made("dialog", {class: "confirm", "aria-labelledby": "confirm-head", "aria-describedby": "confirm-text"},
-    made("h2", {id: "confirm-head"}, `${words(kind)} on ${link}?`),
+    made("h2", {id: "confirm-head"}, `${link}: ${words(kind)}?`),
     made("p", {id: "confirm-text"}, `${fault.text.replaceAll("`", "")} The host must open the camera again. This cannot be undone.`), keys);
   const cancel = made("button", {type: "button", autofocus: true, onclick: () => dialog.close()}, "cancel");
   const go = made("button", {type: "button", class: "danger", id: "confirm-go"}, words(kind));
