@@ -63,6 +63,7 @@ class TimeAxis:
             if kind == LineKind.END and LineKind.START in self._begun:
                 start_s = self._begun[LineKind.START]
                 self._frames.append([self._begun.get(moment, start_s) for moment in _MOMENTS])
+                self._begun.clear()
 
     def renew(self, status: RunStatus) -> dict[str, Any]:
         """Add a point for a status; return the newest points and frames, and the faults of each link.

@@ -252,7 +252,8 @@ class Link:
     def inject(self, fault: Fault, by: str = "") -> None:
         """Begin a fault, on behalf of `by`."""
         self.endpoint.inject(fault)
-        number = self.endpoint.faults[-1].number
+        faults = self.endpoint.faults
+        number = faults[-1].number if faults else 0
         self._watch.add(Occurrence(self._feed.reached_us, by, f"fault {fault.kind}", number))
 
     def end_fault(self, number: int, by: str = "") -> None:

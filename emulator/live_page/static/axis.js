@@ -102,7 +102,7 @@ export class TimeAxis {
   }
 
   ticks(height) {
-    const {pen, colours} = this, most = Math.max(2, (this.width - LEFT) / 90), step = TICKS.find((one) => this.shown / one <= most) || 600;
+    const {pen, colours} = this, most = Math.max(2, (this.width - LEFT) / 70), step = TICKS.find((one) => this.shown / one <= most) || 600;
     pen.textAlign = "center";
     for (let k = Math.ceil(this.from / step); k * step <= this.until; k += 1) {
       const t = Number((k * step).toFixed(1));

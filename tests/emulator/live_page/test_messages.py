@@ -16,6 +16,7 @@ _COMMANDS = [
     {"do": "seen", "number": 3},
     {"do": "adjust", "name": "leak_hz", "value": 0.5},
     {"do": "inject", "fault": {"kind": "unplugged"}},
+    {"do": "undo", "change": 4},
     {"do": "trigger"},
     {"do": "pause"},
     {"do": "step"},
@@ -85,7 +86,7 @@ _values = st.recursive(
 
 
 @given(
-    st.sampled_from(_COMMANDS), st.dictionaries(st.sampled_from(["do", "name", "value", "number", "fault"]), _values)
+    st.sampled_from(_COMMANDS), st.dictionaries(st.sampled_from(["do", "name", "value", "number", "change", "fault"]), _values)
 )
 def test_fields_of_wrong_types_are_refused(command, changed):
     try:
@@ -95,6 +96,7 @@ def test_fields_of_wrong_types_are_refused(command, changed):
     assert isinstance(parsed.get("value", 0.0), float)
     assert np.isfinite(parsed.get("value", 0.0))
     assert type(parsed.get("number", 0)) is int
+    assert type(parsed.get("change", 0)) is int
     assert isinstance(parsed.get("fault", {}), dict)
 
 
@@ -107,6 +109,9 @@ def test_fields_of_wrong_types_are_refused(command, changed):
         '{"do": "adjust", "name": "leak_hz", "value": 1e999}',
         '{"do": "adjust", "name": "leak_hz", "value": ' + "9" * 400 + "}",
         '{"do": "seen", "number": true}',
+        '{"do": "undo", "change": true}',
+        '{"do": "undo", "change": 1.5}',
+        '{"do": "undo"}',
         '{"do": "explode"}',
         "{}",
         "1",
