@@ -16,13 +16,15 @@ from dataclasses import dataclass
 from typing import Any, Literal, Protocol, get_args, get_origin
 
 from emulator.rig.kinds import known_faults
+from emulator.rig.loading import Rig
 from emulator.run.changes import Change
+from emulator.run.outcome import RunResult, RunStatus, judge
 from emulator.tables.typed_table import field_types
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultRecord
 from transports.link.report import LinkReport
 
-__all__ = ["ChangeList", "fault_menu"]
+__all__ = ["ChangeList", "Repeats", "fault_menu", "totals"]
 
 
 _NOT_IN_THE_MENU = ("link", "at_s")
@@ -183,3 +185,84 @@ def _reason_of_fault(change: Change, record: FaultRecord | None) -> str:
     if record.ended_us is not None:
         return f"over since {record.ended_us / 1e6:.3f} s"
     return ""
+
+
+def totals(run: RunStatus | RunResult) -> dict[str, Any]:
+    """Return the values by which two runs are compared, of a run that goes on or has ended."""
+    ledger = run if isinstance(run, RunStatus) else run.ledger
+    return {
+        "t_s": run.sim_seconds,
+        "raised": ledger.raised,
+        "read_out": ledger.read_out,
+        "frames_late": run.lateness.frames_late,
+        "frames": run.frames,
+        "links": {
+            name: {
+                "delivered": link.delivered,
+                "dropped": link.dropped + link.dropped_in_device,
+                "p50": link.latency.p50,
+                "p99": link.latency.p99,
+            }
+            for name, link in run.links.items()
+        },
+    }
+
+
+_MOST_SEED = 2**63 - 1
+
+
+class Repeats:
+    """Request of a viewer to start the run again with another seed, and the totals of the run before.
+
+    Parameters
+    ----------
+    obstacle
+        Reason why the run cannot be started again; "" where it can.
+
+    Attributes
+    ----------
+    before
+        Seed, totals, verdict and number of changes of the run before; None in the first one.
+    place
+        (port, token) of the page, which the next run keeps; None before the first page.
+    seed
+        Requested seed; None where no viewer has requested a new run.
+    count
+        Number of runs before this one.
+    """
+
+    def __init__(self, obstacle: str = "") -> None:
+        self.obstacle = obstacle
+        self.before: dict[str, Any] | None = None
+        self.place: tuple[int, str] | None = None
+        self.seed: int | None = None
+        self.count = 0
+
+    def request(self, seed: int) -> None:
+        """Request a new run with a seed; raises ValueError where it cannot start, or another one is requested."""
+        if self.obstacle:
+            raise ValueError(f"this run cannot be started again: {self.obstacle}")
+        if self.seed is not None:
+            raise ValueError(f"a run with seed {self.seed} is starting already")
+        if not 0 <= seed <= _MOST_SEED:
+            raise ValueError(f"seed must be 0 to {_MOST_SEED}, got {seed}")
+        self.seed = seed
+
+    def cancel(self) -> None:
+        """Cancel the request, and refuse others: the run ends for good."""
+        self.seed, self.obstacle = None, "it ends"
+
+    def take(self, rig: Rig, result: RunResult) -> int | None:
+        """Return the requested seed, once, and store the totals of the run that has ended."""
+        seed, self.seed = self.seed, None
+        if seed is not None:
+            self.count += 1
+            rules = judge(rig.verdict, result)
+            broken = [one.rule for one in rules if not one.good]
+            self.before = {
+                **totals(result),
+                "seed": rig.run.seed,
+                "verdict": f"not good: {', '.join(broken)}" if broken else f"good: {len(rules)} rules kept",
+                "changes": len(result.changes) + result.changes_beyond,
+            }
+        return seed

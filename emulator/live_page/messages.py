@@ -17,6 +17,8 @@ From the browser: JSON texts, one object each, with `do`.
     {"do": "adjust", "name": NAME, "value": X}  a sensor parameter
     {"do": "inject", "fault": {table}}          as in a rig
     {"do": "undo", "change": N}                 the change with this number in the list of changes
+    {"do": "again", "seed": N}                  stop this run and start it again with this seed
+    {"do": "stop"}                              end the run
     {"do": "trigger"} {"do": "pause"} {"do": "step"} {"do": "resume"}
 
 Commands are carried out in the session's own thread.
@@ -46,7 +48,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import numpy.typing as npt
 
-from emulator.live_page.controls import ChangeList
+from emulator.live_page.controls import ChangeList, Repeats
 from emulator.run.changes import Change
 from emulator.run.outcome import RunStatus
 from transports.faults.kinds import Fault
@@ -71,7 +73,7 @@ MOST_COMMAND_BYTES = 4096
 
 _HEADER = struct.Struct("<4sIHHQQIHH")
 _MAGIC = b"EVP1"
-_ORDERS = frozenset({"trigger", "pause", "step", "resume"})
+_ORDERS = frozenset({"trigger", "pause", "step", "resume", "stop"})
 _Plane = npt.NDArray[np.uint8]
 
 
@@ -152,11 +154,13 @@ def _checked(message: dict[str, Any]) -> dict[str, Any]:
             return {"do": "adjust", "name": name, "value": float(value)}
         case {"do": "undo", "change": int(change)} if not isinstance(change, bool):
             return {"do": "undo", "change": change}
+        case {"do": "again", "seed": int(seed)} if not isinstance(seed, bool):
+            return {"do": "again", "seed": seed}
         case {"do": "inject", "fault": dict(fault)}:
             return {"do": "inject", "fault": fault}
         case {"do": str(order)} if order in _ORDERS:
             return {"do": order}
-    raise BadMessage("known are hello, seen, adjust, inject, undo, trigger, pause, step and resume")
+    raise BadMessage("known are hello, seen, adjust, inject, undo, again, stop, trigger, pause, step and resume")
 
 
 def _is_number(value: float) -> bool:
@@ -176,6 +180,9 @@ class RunningSession(Protocol):
     def stopping(self) -> bool:
         """True after `stop`."""
         ...
+
+    def stop(self) -> None:
+        """End the run after the present step."""
 
     @property
     def adjustable(self) -> dict[str, float]:
@@ -208,6 +215,8 @@ class ViewerCommands:
         None where the rig has a trigger of its own.
     can_pause
         Whether the run may be paused: only one that is not paced, and that no bus drives.
+    repeats
+        Receiver of the request for a new run; None where there can be none.
 
     Attributes
     ----------
@@ -222,6 +231,7 @@ class ViewerCommands:
         trigger: Callable[[int, int], None] | None = None,
         *,
         can_pause: bool = False,
+        repeats: Repeats | None = None,
     ) -> None:
         self._session = session
         self._inject = inject
@@ -229,6 +239,7 @@ class ViewerCommands:
         self._triggers = 0
         self._can_pause = can_pause
         self._changes = ChangeList(session)
+        self._repeats = repeats or Repeats("it was not started by `evstim run`")
         self.status: RunStatus | None = None
         self.paused = False
         self._steps = 0
@@ -241,6 +252,8 @@ class ViewerCommands:
             "triggers": self._triggers,
             "can_pause": self._can_pause,
             "paused": self.paused,
+            "next_seed": self._repeats.seed,
+            "no_repeat": self._repeats.obstacle,
             **self._changes.table({} if self.status is None else self.status.links),
         }
 
@@ -267,6 +280,13 @@ class ViewerCommands:
                 return self._injected(fault)
             case {"do": "undo", "change": number}:
                 return self._undone(number)
+            case {"do": "again", "seed": seed}:
+                self._repeats.request(seed)
+                self._session.stop()
+                return {"did": f"the run starts again with seed {seed}"}
+            case {"do": "stop"}:
+                self._session.stop()
+                return {"did": "the run ends"}
             case {"do": "trigger"}:
                 return self._triggered()
             case {"do": "pause" | "step" | "resume" as order}:

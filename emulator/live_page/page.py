@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from emulator.light import MachineLacks
 from emulator.live_page.axis import TimeAxis
-from emulator.live_page.controls import fault_menu
+from emulator.live_page.controls import Repeats, fault_menu, totals
 from emulator.live_page.messages import Access, Address, ViewerCommands
 from emulator.live_page.process import PageSetup, SharedView, serve_page
 from emulator.rig.kinds import IMU_UNITS, faults_of
@@ -105,6 +105,7 @@ def describe(rig: Rig) -> dict[str, Any]:
     return {
         "name": rig.name,
         "title": rig.title,
+        "seed": rig.run.seed,
         "camera": rig.camera.model,
         "size": [width, height],
         "pace": rig.run.pace,
@@ -123,6 +124,7 @@ def status_table(status: RunStatus, rates: dict[str, float]) -> dict[str, Any]:
         "lateness": status.lateness.as_json(),
         "ledger": ledger_table(status),
         "links": {name: _link(report) for name, report in status.links.items()},
+        "totals": totals(status),
     }
 
 
@@ -208,11 +210,12 @@ class LivePage:
     Attributes
     ----------
     url
-        Address to open in a browser.
+        Address to open in a browser; the page of a run that was started again keeps it.
     """
 
-    def __init__(self, rig: Rig, address: Address, commands: ViewerCommands) -> None:
-        listener, access = _listener(address), Access.for_host(address.host)
+    def __init__(self, rig: Rig, address: Address, commands: ViewerCommands, repeats: Repeats | None = None) -> None:
+        repeats = repeats or Repeats()
+        listener, access = _place(address, repeats)
         self._commands, self._rates = commands, Rates()
         self._view = SharedView(rig.camera.size)
         imu = rig.camera.imu
@@ -222,7 +225,7 @@ class LivePage:
         self.url = _url(listener, access)
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        setup = PageSetup(describe(rig), access, self._view)
+        setup = PageSetup({**describe(rig), "before": repeats.before, "run": repeats.count}, access, self._view)
         self._process = context.Process(
             target=serve_page, args=(setup, listener, theirs), name="evstim live page", daemon=True
         )
@@ -309,6 +312,16 @@ class LivePage:
 def _listener(address: Address) -> socket.socket:
     family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
     return socket.create_server((address.host, address.port), family=family, backlog=128)
+
+
+def _place(address: Address, repeats: Repeats) -> tuple[socket.socket, Access]:
+    """Return listener and access: those of the run before where there was one, so that its viewers come back."""
+    if repeats.place is None:
+        listener, access = _listener(address), Access.for_host(address.host)
+        repeats.place = listener.getsockname()[1], access.token
+        return listener, access
+    port, token = repeats.place
+    return _listener(dataclasses.replace(address, port=port)), Access(token)
 
 
 def _url(listener: socket.socket, access: Access) -> str:

@@ -254,6 +254,7 @@ _FILES = {
     "/axis.js": ("axis.js", "text/javascript"),
     "/changes.js": ("changes.js", "text/javascript"),
     "/faults.js": ("faults.js", "text/javascript"),
+    "/repeats.js": ("repeats.js", "text/javascript"),
     "/page.css": ("page.css", "text/css"),
 }
 _HEADERS = {

@@ -117,6 +117,9 @@ class Changes:
 
 
 class _Session(Protocol):
+    def stop(self) -> None:
+        """See `Session.stop`."""
+
     @property
     def stopping(self) -> bool:
         """See `Session.stopping`."""
@@ -158,6 +161,10 @@ class Operator:
 
     def __init__(self, session: _Session, by: str) -> None:
         self._session, self._by = session, by
+
+    def stop(self) -> None:
+        """End the run after the present step."""
+        self._session.stop()
 
     @property
     def stopping(self) -> bool:

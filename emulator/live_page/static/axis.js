@@ -10,7 +10,7 @@ const TICKS = [0.2, 0.5, 1, 2, 5, 10, 20, 60, 120, 300];
 
 export class TimeAxis {
   constructor(canvas, readout, si, duration) {
-    Object.assign(this, {canvas, readout, si, duration, points: [], frames: [], faults: [], changes: [], span: 60, at: null, status: null});
+    Object.assign(this, {canvas, readout, si, duration, points: [], frames: [], faults: [], changes: [], span: 60, at: null, status: null, before: []});
     canvas.onpointermove = (event) => this.point(this.time(event.offsetX));
     canvas.onpointerdown = (event) => this.point(this.time(event.offsetX));
     canvas.onpointerleave = () => { if (document.activeElement !== canvas) this.point(null); };
@@ -21,11 +21,16 @@ export class TimeAxis {
 
   show(span) { this.span = span; this.draw(); }
 
+  // Another run begins: the rates of the last one stay for comparison.
+  another() { const before = this.points; this.clear(); this.before = before; }
+
   clear() { this.points = []; this.frames = []; this.faults = []; this.changes = []; this.at = null; }
 
   renew(status) {
-    const {axis} = status, last = this.points.at(-1)?.t_s ?? -1, lastFrame = this.frames.at(-1)?.[3] ?? -1;
-    if (axis.points.length && axis.points.at(-1).t_s < last) { this.clear(); return this.renew(status); }
+    const {axis} = status;
+    let last = this.points.at(-1)?.t_s ?? -1;
+    if (axis.points.length && axis.points.at(-1).t_s < last) { this.another(); last = -1; }
+    const lastFrame = this.frames.at(-1)?.[3] ?? -1;
     this.points.push(...axis.points.filter((one) => one.t_s > last));
     this.frames.push(...axis.frames_read.filter((one) => one[3] > lastFrame));
     const known = new Map(this.faults.map((one) => [`${one.link} ${one.number} ${one.began_s}`, one]));
@@ -140,6 +145,12 @@ export class TimeAxis {
     const {pen, colours} = this, values = lane.points.flatMap((one) => lane.lines.map((line) => line(one))).filter((v) => v !== null && v !== undefined);
     const most = nice(Math.max(...values.map(Math.abs))), least = lane.signed ? -most : 0, base = top + lane.high;
     const y = (v) => base - (v - least) / (most - least) * lane.high;
+    if (lane.fill && this.before.length) {
+      pen.strokeStyle = colours.dim; pen.lineWidth = 1; pen.setLineDash([2, 3]); pen.beginPath();
+      for (const one of this.before) if (one.t_s >= this.from && one.t_s <= this.until) pen.lineTo(this.x(one.t_s), y(one.rate));
+      pen.stroke();
+      pen.setLineDash([]); pen.textAlign = "left"; pen.fillStyle = colours.dim; pen.fillText("dotted: the run before", LEFT + 8, top + 5);
+    }
     lane.lines.forEach((line, k) => {
       pen.strokeStyle = colours[lane.colours[k]]; pen.lineWidth = 1.6; pen.setLineDash(k ? [[5, 3], [2, 3]][k - 1] : []);
       pen.beginPath();

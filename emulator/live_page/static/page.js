@@ -4,6 +4,7 @@
 import {TimeAxis} from "./axis.js";
 import {showChanges} from "./changes.js";
 import {showFaults} from "./faults.js";
+import {Repeats} from "./repeats.js";
 
 const $ = (id) => document.getElementById(id);
 const ON = [0xd5, 0x5e, 0x00], OFF = [0x00, 0x72, 0xb2];
@@ -48,14 +49,22 @@ function send(message) { if (socket.readyState === 1) socket.send(JSON.stringify
 function hear(message) {
   if (message.kind === "about") begin(message);
   else if (message.kind === "answer") $("answer").textContent = message.did || message.error;
-  else if (message.kind === "ended") { over = true; state("the run has ended", "over"); }
-  else { status = {...status, ...message}; if (message.kind === "status") figures(); showChanges($("changes"), $("changes-note"), status, send); controls(); }
+  else if (message.kind === "ended") {
+    over = !status || status.next_seed === null;  // else the next run has the same address
+    state(over ? "the run has ended" : "starting again", "over");
+  }
+  else { status = {...status, ...message}; if (message.kind === "status") figures(); showChanges($("changes"), $("changes-note"), status, send);
+    repeats.renew({...status, totals: status.totals && {...status.totals, changes: status.changes_made}}, $("health").textContent);
+    controls();
+  }
 }
 
 function state(text, kind) { $("state").textContent = text; $("state").className = kind; }
 
 function begin(message) {
-  about = message; first = null; retry_ms = 500;
+  if (about && about.run !== message.run) axis.another();
+  about = message; first = null; status = null; retry_ms = 500; lateBefore = [];
+  repeats.begin(about);
   $("name").textContent = document.title = about.name;
   $("title").textContent = about.title;
   state("live", "live");
@@ -131,6 +140,7 @@ function draw(untilUs) {
 
 const axis = new TimeAxis($("axis"), $("axis-at"), si, duration);
 for (const input of document.querySelectorAll("input[name=span]")) input.onchange = () => axis.show(Number(input.value));
+const repeats = new Repeats({seed: $("seed"), go: $("again-go"), stop: $("stop"), why: $("again-why"), table: $("compare")}, {si, duration}, send);
 let cpu = null;
 
 function figures() {

@@ -132,7 +132,7 @@ def _closed_with(client):
 
 def test_the_files_come_and_load_nothing_from_elsewhere():
     with served() as page:
-        for path in ("", "page.js", "axis.js", "changes.js", "faults.js", "page.css"):
+        for path in ("", "page.js", "axis.js", "changes.js", "faults.js", "repeats.js", "page.css"):
             with urllib.request.urlopen(f"http://127.0.0.1:{page.port}/{path}", timeout=60) as answer:
                 text = answer.read().decode()
                 assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
