@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -223,8 +224,7 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
         setups = serving.wired(link_setups(rig, files.record, truth.clock, files.fault_log))
         setups = begin_trace(setups, files.trace)
         session = _session(rig, scene, setups, truth_file)
-        repeats = parts.repeats or Repeats()
-        stop_on_signals(lambda: (repeats.cancel(), session.stop()))
+        stop_on_signals(partial(_stop, session, parts.repeats))
         with (
             fault_injection(rig, Operator(session, "evstim")) as faults,
             serving.page(session) as page,
@@ -250,6 +250,13 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
                     simulation.take(events)
 
             return session.run(dataclasses.replace(schedule(rig), simulation=simulation), report, take)
+
+
+def _stop(session: Session, repeats: Repeats | None) -> None:
+    """End a run, and all that a viewer has requested to follow it."""
+    if repeats is not None:
+        repeats.cancel()
+    session.stop()
 
 
 def _session(rig: Rig, scene: Scene, setups: list[LinkSetup[Any]], truth: Any) -> Session:

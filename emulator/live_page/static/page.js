@@ -62,7 +62,7 @@ function hear(message) {
 function state(text, kind) { $("state").textContent = text; $("state").className = kind; }
 
 function begin(message) {
-  if (about && about.run !== message.run) axis.another();
+  if (about && about.run !== message.run) { axis.another(); size = [0, 0]; }  // stream time begins again
   about = message; first = null; status = null; retry_ms = 500; lateBefore = [];
   repeats.begin(about);
   $("name").textContent = document.title = about.name;

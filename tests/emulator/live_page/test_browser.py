@@ -171,5 +171,10 @@ def test_a_run_that_is_not_paced_can_be_paused_and_stepped_from_the_keyboard(fol
         browser.until(f"{clock} === {held} + 2000")
         _press_space_until(browser, "live")
         browser.until(f"{clock} > {held} + 100000")
+        browser.click("#again-go")  # with seed 2
+        browser.until("document.querySelector('#compare td')?.textContent === '1'")
+        browser.until("document.querySelector('#again-why').textContent === 'This run has seed 2.'")
+        browser.until("document.querySelector('#state').textContent === 'live'")
+        assert browser.value("document.querySelector('#compare').tBodies[0].rows[0].textContent") == "seed12"
         assert browser.errors == []
     assert summary["balanced"]

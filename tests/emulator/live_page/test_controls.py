@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulator.live_page.controls import ChangeList, fault_menu
+from emulator.live_page.controls import ChangeList, Repeats, fault_menu, totals
 from emulator.live_page.messages import ViewerCommands
 from emulator.rig.kinds import known_faults
 from emulator.run.changes import Change, Changes, Operator
-from emulator.run.outcome import RunStatus
+from emulator.run.outcome import Ledger, RunResult, RunStatus
 from emulator.run.pacing import Lateness
 from transports.faults.script import FaultRecord
 from transports.link.report import LinkReport
@@ -20,6 +20,9 @@ class Session:
     """A session that records changes as the real one does."""
 
     stopping = False
+
+    def stop(self):
+        self.stopping = True
 
     def __init__(self):
         self.adjustable = {"threshold_on": 0.3, "leak_hz": 1.0}
@@ -39,7 +42,7 @@ class Session:
 def _commands(session, *links):
     ended = []
 
-    def inject(message, status):
+    def inject(message, _):
         assert message["request"] == "end"
         ended.append((message["link"], message["number"]))
         return {"link": message["link"], "kind": "stall"}
@@ -136,3 +139,44 @@ def test_the_list_is_bounded_and_keeps_its_numbers():
     assert table["changes_made"] == 3000
     assert len(table["changes"]) < 100
     assert [row["number"] for row in table["changes"]][-1] == 2999
+
+
+def _again(commands, seed):
+    return commands.carry_out({"do": "again", "seed": seed})
+
+
+def test_a_run_starts_again_with_one_seed_whoever_else_sends_one():
+    session, repeats = Session(), Repeats()
+    commands = ViewerCommands(Operator(session, "live page"), lambda *_: {}, repeats=repeats)
+    for seed in (-1, 2**63, 10**400):
+        assert "seed must be" in _again(commands, seed)["error"]
+    assert not session.stopping
+    assert "did" in _again(commands, 7)
+    assert session.stopping
+    assert "starting already" in _again(commands, 8)["error"]
+    assert commands.state()["next_seed"] == 7
+
+
+def test_a_run_whose_files_would_be_written_over_is_not_started_again():
+    session, repeats = Session(), Repeats("--record")
+    commands = ViewerCommands(Operator(session, "live page"), lambda *_: {}, repeats=repeats)
+    assert "--record" in _again(commands, 7)["error"]
+    assert not session.stopping
+    assert repeats.take(None, None) is None
+
+
+def test_a_signal_ends_the_run_for_good():
+    repeats = Repeats()
+    repeats.request(7)
+    repeats.cancel()
+    assert repeats.take(None, None) is None
+    with pytest.raises(ValueError, match="it ends"):
+        repeats.request(8)
+
+
+def test_a_run_that_goes_on_has_the_totals_of_one_that_has_ended():
+    links = {"a": LinkReport("open", delivered=5, dropped=2)}
+    status = RunStatus(2.0, 2.0, 3, 7, Lateness(), links, raised=9)
+    result = RunResult(2.0, 2.0, 3, 3, Ledger(9, 1, 1, 7), Lateness(), links)
+    assert totals(status) == totals(result)
+    assert totals(result)["links"]["a"] == {"delivered": 5, "dropped": 2, "p50": None, "p99": None}
