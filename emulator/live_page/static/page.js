@@ -302,6 +302,7 @@ for (const [id, act] of Object.entries(ACTS)) $(id).onclick = act;
 
 const KEYS = {" ": "pause", ".": "step", t: "trigger", s: "picture-file", r: "video", f: "full"};
 document.addEventListener("keydown", (event) => {
+  if (event.target.closest("input:not([type=radio]):not([type=range]), select, dialog")) return;  // typed into a field
   if (event.ctrlKey || event.altKey || event.metaKey || ["BUTTON", "INPUT"].includes(event.target.tagName) && event.key === " ") return;
   if (event.key === "1" || event.key === "2") document.querySelectorAll("input[name=mode]")[event.key - 1].click();
   else if (KEYS[event.key] && !$(KEYS[event.key]).hidden) { event.preventDefault(); ACTS[KEYS[event.key]](); }
