@@ -2,7 +2,7 @@
 
     timer -------------------------------> turn: Link.tick, changes, a report ten times a second
     session --the ring's counter---------> a turn, because events were published that are due before the next one
-    session --Stop, InjectFault, Happen--> acts at once, then a turn
+    session --Stop, InjectFault, ... ---> acts at once, then a turn
     host ----bytes at an input-----------> Link.attend, then a turn, half a millisecond after the last one or later
     host ----bytes to an event loop------> Link.attend before they are processed, then a turn if the camera rested
 

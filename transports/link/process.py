@@ -5,7 +5,7 @@
     EventRing  ---- events, now_us --->  feed: device.offer, device.advance
     ReadingRing --- frames, samples -->        device.offer_readings
                <--- host settings -----        device.reading_settings
-    Connection ---- Stop, InjectFault ->  endpoint: USB/IP server, serial line ...
+    Connection ---- Stop, faults ------>  endpoint: USB/IP server, serial line ...
                <--- CameraSettings ----  changes by hosts, with their stream time (see `report`)
                <--- LinkReport --------  (ten a second, and a last one)
 
