@@ -19,6 +19,9 @@ From the browser: JSON texts, one object each, with `do`.
     {"do": "seen", "number": N}                 the last message has been shown, so another may come
     {"do": "adjust", "name": NAME, "value": X}  a sensor parameter
     {"do": "inject", "fault": {table}}          as in a rig
+    {"do": "undo", "change": N}                 the change with this number in the list of changes
+    {"do": "again", "seed": N}                  stop this run and start it again with this seed
+    {"do": "stop"}                              end the run
     {"do": "trigger"} {"do": "pause"} {"do": "step"} {"do": "resume"}
 
 Commands are carried out in the session's own thread.
@@ -48,6 +51,8 @@ from urllib.parse import urlsplit
 import numpy as np
 import numpy.typing as npt
 
+from emulator.live_page.controls import ChangeList, Repeats
+from emulator.run.changes import Change
 from emulator.run.outcome import RunStatus
 from transports.faults.kinds import Fault
 from transports.network import is_loopback
@@ -74,7 +79,7 @@ MOST_COMMAND_BYTES = 4096
 _HEADER = struct.Struct("<4sIHHQQIHHI")
 _MAGIC = b"EVP2"
 _ACTIVE_BYTES = 6  # place, last and count of a pixel
-_ORDERS = frozenset({"trigger", "pause", "step", "resume"})
+_ORDERS = frozenset({"trigger", "pause", "step", "resume", "stop"})
 _CODE_SHIFT = 15  # bits of a float32 that a light code leaves out
 _MOST_LIGHT = np.float32(1e38)
 
@@ -173,11 +178,15 @@ def _checked(message: dict[str, Any]) -> dict[str, Any]:
             return {"do": "seen", "number": number}
         case {"do": "adjust", "name": str(name), "value": int() | float() as value} if _is_number(value):
             return {"do": "adjust", "name": name, "value": float(value)}
+        case {"do": "undo", "change": int(change)} if not isinstance(change, bool):
+            return {"do": "undo", "change": change}
+        case {"do": "again", "seed": int(seed)} if not isinstance(seed, bool):
+            return {"do": "again", "seed": seed}
         case {"do": "inject", "fault": dict(fault)}:
             return {"do": "inject", "fault": fault}
         case {"do": str(order)} if order in _ORDERS:
             return {"do": order}
-    raise BadMessage("known are hello, seen, adjust, inject, trigger, pause, step and resume")
+    raise BadMessage("known are hello, seen, adjust, inject, undo, again, stop, trigger, pause, step and resume")
 
 
 def _is_number(value: float) -> bool:
@@ -198,12 +207,20 @@ class RunningSession(Protocol):
         """True after `stop`."""
         ...
 
+    def stop(self) -> None:
+        """End the run after the present step."""
+
     @property
     def adjustable(self) -> dict[str, float]:
         """Sensor parameters that can change, with their present values."""
         ...
 
-    def adjust(self, name: str, value: float) -> None:
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """Changes from outside so far, in the order in which they came."""
+        ...
+
+    def adjust(self, name: str, value: float, *, undo: bool = False) -> None:
         """Change a parameter from the next step on; raises ValueError."""
 
     def inject(self, fault: Fault) -> None:
@@ -211,7 +228,7 @@ class RunningSession(Protocol):
 
 
 Inject = Callable[[dict[str, Any], RunStatus], dict[str, Any]]
-"""Answer to a request that injects a fault, as `FaultInjection.answer`."""
+"""Answer to a request that begins or ends a fault, as `FaultInjection.answer`."""
 
 
 class ViewerCommands:
@@ -224,6 +241,8 @@ class ViewerCommands:
         None where the rig has a trigger of its own.
     can_pause
         Whether the run may be paused: only one that is not paced, and that no bus drives.
+    repeats
+        Receiver of the request for a new run; None where there can be none.
 
     Attributes
     ----------
@@ -238,12 +257,15 @@ class ViewerCommands:
         trigger: Callable[[int, int], None] | None = None,
         *,
         can_pause: bool = False,
+        repeats: Repeats | None = None,
     ) -> None:
         self._session = session
         self._inject = inject
         self._trigger = trigger
         self._triggers = 0
         self._can_pause = can_pause
+        self._changes = ChangeList(session)
+        self._repeats = repeats or Repeats("it was not started by `evstim run`")
         self.status: RunStatus | None = None
         self.paused = False
         self._steps = 0
@@ -256,6 +278,9 @@ class ViewerCommands:
             "triggers": self._triggers,
             "can_pause": self._can_pause,
             "paused": self.paused,
+            "next_seed": self._repeats.seed,
+            "no_repeat": self._repeats.obstacle,
+            **self._changes.table({} if self.status is None else self.status.links),
         }
 
     def carry_out(self, command: dict[str, Any]) -> dict[str, Any]:
@@ -279,6 +304,15 @@ class ViewerCommands:
                 return {"did": f"{name} = {value:g}"}
             case {"do": "inject", "fault": fault}:
                 return self._injected(fault)
+            case {"do": "undo", "change": number}:
+                return self._undone(number)
+            case {"do": "again", "seed": seed}:
+                self._repeats.request(seed)
+                self._session.stop()
+                return {"did": f"the run starts again with seed {seed}"}
+            case {"do": "stop"}:
+                self._session.stop()
+                return {"did": "the run ends"}
             case {"do": "trigger"}:
                 return self._triggered()
             case {"do": "pause" | "step" | "resume" as order}:
@@ -290,6 +324,17 @@ class ViewerCommands:
             raise ValueError("the run has not begun")
         answer = self._inject({"request": "inject", "fault": fault}, self.status)
         return answer if "error" in answer else {"did": f"{fault.get('kind')} on {answer['link']}"}
+
+    def _undone(self, number: int) -> dict[str, Any]:
+        if self.status is None:
+            raise ValueError("the run has not begun")
+        change = self._changes.reversible(number, self.status.links)
+        if not change.fault:
+            assert change.before is not None
+            self._session.adjust(change.what, change.before, undo=True)
+            return {"did": f"{change.what} = {change.before:.4g} again"}
+        answer = self._inject({"request": "end", "link": change.link, "number": change.fault}, self.status)
+        return answer if "error" in answer else {"did": f"end of {answer['kind']} on {answer['link']}"}
 
     def _triggered(self) -> dict[str, Any]:
         if self._trigger is None:

@@ -252,6 +252,10 @@ _FILES = {
     "/": ("index.html", "text/html"),
     "/page.js": ("page.js", "text/javascript"),
     "/picture.js": ("picture.js", "text/javascript"),
+    "/axis.js": ("axis.js", "text/javascript"),
+    "/changes.js": ("changes.js", "text/javascript"),
+    "/faults.js": ("faults.js", "text/javascript"),
+    "/repeats.js": ("repeats.js", "text/javascript"),
     "/page.css": ("page.css", "text/css"),
 }
 _HEADERS = {

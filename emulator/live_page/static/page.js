@@ -2,6 +2,10 @@
 // One WebSocket brings pictures (binary) and tables (JSON); see messages.py. Nothing else is loaded.
 
 import * as picture from "./picture.js";
+import {TimeAxis} from "./axis.js";
+import {showChanges} from "./changes.js";
+import {showFaults} from "./faults.js";
+import {Repeats} from "./repeats.js";
 
 const $ = (id) => document.getElementById(id);
 const PARTS = {
@@ -29,6 +33,9 @@ function connect() {
     try {
       if (typeof event.data === "string") hear(JSON.parse(event.data));
       else picture.take(event.data);
+    } catch (error) {
+      if (!(error instanceof SyntaxError)) throw error;
+      picture.damage();
     } finally { send({do: "seen", number: received}); }
   };
   socket.onclose = (event) => {
@@ -43,36 +50,38 @@ function send(message) { if (socket.readyState === 1) socket.send(JSON.stringify
 function hear(message) {
   if (message.kind === "about") begin(message);
   else if (message.kind === "answer") $("answer").textContent = message.did || message.error;
-  else if (message.kind === "ended") { over = true; state("the run has ended", "over"); }
-  else { status = {...status, ...message}; if (message.kind === "status") figures(); controls(); }
+  else if (message.kind === "ended") {
+    over = !status || status.next_seed === null;  // else the next run has the same address
+    state(over ? "the run has ended" : "starting again", "over");
+  }
+  else { status = {...status, ...message}; if (message.kind === "status") figures(); showChanges($("changes"), $("changes-note"), status, send);
+    repeats.renew({...status, totals: status.totals && {...status.totals, changes: status.changes_made}}, $("health").textContent);
+    controls();
+  }
 }
 
 function state(text, kind) { $("state").textContent = text; $("state").className = kind; }
 
 function begin(message) {
-  about = message; first = null; retry_ms = 500;
+  if (about && about.run !== message.run) axis.another();  // stream time begins again
+  about = message; first = null; status = null; retry_ms = 500; lateBefore = [];
   picture.about(about);
+  repeats.begin(about);
   $("name").textContent = document.title = about.name;
   $("title").textContent = about.title;
   state("live", "live");
-  $("faults").replaceChildren(...Object.entries(about.links).flatMap(([link, {faults}]) => faults.map((kind) =>
-    button(`${link}: ${kind.replaceAll("_", " ")}`, () => send({do: "inject", fault: {kind, link}}), `fault-${link}-${kind}`))));
-}
-
-function button(text, act, id) {
-  const made = document.createElement("button");
-  made.textContent = text; made.onclick = act; made.id = id;
-  return made;
+  showFaults($("faults"), about.links, send);
 }
 
 // ---- figures ----
 
-const course = [];
+const axis = new TimeAxis($("axis"), $("axis-at"), si, duration);
+for (const input of document.querySelectorAll("input[name=span]")) input.onchange = () => axis.show(Number(input.value));
+const repeats = new Repeats({seed: $("seed"), go: $("again-go"), stop: $("stop"), why: $("again-why"), table: $("compare")}, {si, duration}, send);
 let cpu = null;
 
 function figures() {
-  const late = status.lateness, p = Object.values(status.links).map((link) => link.latency_us).filter((us) => us[1] !== null)
-    .sort((a, b) => b[1] - a[1])[0] || [null, null];
+  const late = status.lateness;
   const now = performance.now() / 1000;
   const load = cpu && now > cpu.now ? (status.page_cpu_s - cpu.used) / (now - cpu.now) : 0;
   if (!cpu || now - cpu.now > 5) cpu = {now, used: status.page_cpu_s, load: cpu ? load : null};
@@ -82,12 +91,7 @@ function figures() {
     "longer steps": late.steps_stretched, "pictures drawn": status.frames,
     viewers: status.viewers, "page's processor": cpu.load === null ? "..." : `${(100 * cpu.load).toFixed(1)} % of a core`,
   });
-  course.push({rate: status.events_per_s, p50: p[0], p99: p[1], t_s: status.t_s});
-  if (course.length > 600) course.shift();
-  $("rate-now").textContent = `${si(status.events_per_s)}/s`;
-  $("latency-now").textContent = p[1] === null ? "" : `${duration(p[0])}, ${duration(p[1])}`;
-  chart($("rate"), [["rate", "--first", []]], (rate) => `${si(rate)}/s`, "no event yet");
-  chart($("latency"), [["p50", "--first", []], ["p99", "--second", [4, 3]]], duration, "no event has left a link yet");
+  axis.renew(status);
   ledger(); links(); health();
 }
 
@@ -127,29 +131,6 @@ function numbers(table) {
 function si(value) {
   for (const [unit, size] of [["M", 1e6], ["k", 1e3]]) if (value >= size) return `${(value / size).toPrecision(3)} ${unit}`;
   return value.toFixed(0);
-}
-
-function ink(name) { return getComputedStyle(document.documentElement).getPropertyValue(name); }
-
-function chart(target, lines, text, reason) {
-  const ctx = target.getContext("2d"), {clientWidth: width, clientHeight: height} = target, left = 58, top = 6, base = height - 16;
-  [target.width, target.height] = [width * devicePixelRatio, height * devicePixelRatio];
-  ctx.scale(devicePixelRatio, devicePixelRatio);
-  const found = course.flatMap((row) => lines.map(([name]) => row[name])).filter((value) => value);
-  const most = Math.max(1e-9, ...found), shown = (course.length - 1) / 600 * (width - left);
-  ctx.font = "11px system-ui, sans-serif"; ctx.fillStyle = ink("--dim"); ctx.strokeStyle = ink("--line"); ctx.lineWidth = 1; ctx.setLineDash([]);
-  ctx.beginPath(); ctx.moveTo(left, top); ctx.lineTo(left, base); ctx.lineTo(width, base); ctx.stroke();
-  if (!found.length) { ctx.textAlign = "center"; ctx.fillText(reason, (left + width) / 2, (top + base) / 2 + 4); return; }
-  ctx.textAlign = "right";
-  ctx.fillText(text(most), left - 4, top + 6); ctx.fillText("0", left - 4, base);
-  ctx.fillText(`${course.at(-1).t_s.toFixed(0)} s`, width, height - 2);
-  if (shown > 90) { ctx.textAlign = "left"; ctx.fillText(`${course[0].t_s.toFixed(0)} s`, width - shown, height - 2); }
-  ctx.lineWidth = 1.5;
-  for (const [name, colour, dashes] of lines) {
-    ctx.strokeStyle = ink(colour); ctx.setLineDash(dashes); ctx.beginPath();
-    course.forEach((row, k) => { if (row[name] !== null) ctx.lineTo(width - (course.length - 1 - k) * (width - left) / 600, base - (base - top) * row[name] / most); });
-    ctx.stroke();
-  }
 }
 
 function ledger() {
@@ -258,6 +239,7 @@ for (const [id, act] of Object.entries(ACTS)) $(id).onclick = act;
 
 const KEYS = {" ": "pause", ".": "step", t: "trigger", s: "picture-file", r: "video", f: "full"};
 document.addEventListener("keydown", (event) => {
+  if (event.target.closest("input:not([type=radio]):not([type=range]), select, dialog")) return;  // typed into a field
   if (event.ctrlKey || event.altKey || event.metaKey || ["BUTTON", "INPUT"].includes(event.target.tagName) && event.key === " ") return;
   if (event.key === "1" || event.key === "2") document.querySelectorAll("input[name=mode]")[event.key - 1].click();
   else if (KEYS[event.key] && !$(KEYS[event.key]).hidden) { event.preventDefault(); ACTS[KEYS[event.key]](); }

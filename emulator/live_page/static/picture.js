@@ -30,7 +30,7 @@ export function about(message) { sensor = message.size || null; past = []; if (s
 // Show a picture; one that does not have the form in messages.py is counted, and changes nothing.
 export function take(buffer) {
   const read = parsed(buffer);
-  if (!read) { damaged += 1; remarks(); return; }
+  if (!read) return damage();
   fit(read.width, read.height);
   codes = read.codes; untilUs = read.until; every = read.every;
   const {place, last, count, from, until} = read;
@@ -39,12 +39,15 @@ export function take(buffer) {
     polarity[place[k]] = last[k] > 0 ? 1 : -1;
   }
   add(place, count, 1);
-  past.push({place, count, from, until});
+  if (until > from || place.length) past.push({place, count, from, until});
   forget();
   window.lastPictureUs = until;
   expose();
   draw();
 }
+
+// Count a damaged message.
+export function damage() { damaged += 1; remarks(); }
 
 function parsed(buffer) {
   if (buffer.byteLength < HEADER) return null;
@@ -84,7 +87,7 @@ function add(place, count, sign) {
 }
 
 function forget() {
-  while (past.length > MOST_PICTURES || (past.length > 1 && past[0].from < untilUs - windowUs())) {
+  while (past.length > MOST_PICTURES || (past.length > 1 && past[0].until <= untilUs - windowUs())) {
     const {place, count} = past.shift();
     add(place, count, -1);
   }
@@ -163,9 +166,9 @@ function paint({image, words, pen}, strength, withEvents) {
 function remarks() {
   const found = [];
   if (every > 1) found.push(`one event of ${every} is drawn`);
-  if (damaged) found.push(`${damaged} damaged ${damaged > 1 ? "pictures" : "picture"} left out`);
+  if (damaged) found.push(`${damaged} damaged ${damaged > 1 ? "messages" : "message"} left out`);
   put("drawn", found.join(", "));
-  put("white", white ? `white = ${figure(white / 2 ** stops())}${held ? ", held" : ""}` : "no light");
+  put("white", white ? `= ${figure(white / 2 ** stops())}${held ? ", held" : ""}` : "");
 }
 
 function put(id, text) { if ($(id).textContent !== text) $(id).textContent = text; }

@@ -116,9 +116,20 @@ def test_a_click_injects_a_fault_and_a_slider_changes_the_rate(folder, tmp_path)
         )
         assert health[1].startswith({"good": "in time", "late": "late: ", "bad": "bad: "}[health[0]])
 
-        browser.click("#fault-serial-bit_flips")
+        browser.until("document.querySelector('#fault-serial-text').textContent.startsWith('Single inverted bits')")
+        browser.value("document.querySelector('#faults [data-key=for_s]').value = '1000'")
+        browser.value("document.querySelector('#faults [data-key=count]').value = '0'")
+        browser.click("#inject-serial")
         browser.until("document.querySelector('#answer').textContent === 'bit_flips on serial'")
         browser.until("document.querySelector('#links').textContent.includes('1 faults')")
+        browser.until("document.querySelector('#changes .what')?.textContent === 'bit flips on serial: active'")
+        browser.click("#changes button")
+        browser.until("document.querySelector('#changes').textContent.includes('bit flips on serial: over')")
+        browser.click("#fault-serial-unplugged")  # apart, and confirmed: cancelled by the Escape key
+        browser.until("document.querySelector('dialog')?.open")
+        browser.press("Escape", "Escape", 27)
+        browser.until("!document.querySelector('dialog')")
+        assert browser.value("document.activeElement.id") == "fault-serial-unplugged"
         browser.click("#trigger")
         browser.until("document.querySelector('#links').textContent.includes('1 triggers')")
 
@@ -143,7 +154,9 @@ def test_a_click_injects_a_fault_and_a_slider_changes_the_rate(folder, tmp_path)
         assert browser.value("document.documentElement.scrollWidth") <= 390
         assert browser.errors == []
     assert summary["balanced"]
-    assert summary["links"]["serial"]["faults"]
+    (fault,) = summary["links"]["serial"]["faults"]
+    assert (fault["kind"], fault["ended_us"] - fault["began_us"] < 900e6) == ("bit_flips", True)
+    assert [change["what"] for change in summary["changes"]][:2] == ["fault bit_flips", "end of fault bit_flips"]
     assert summary["links"]["serial"]["edges"]["taken"] == 1
 
 
@@ -158,5 +171,10 @@ def test_a_run_that_is_not_paced_can_be_paused_and_stepped_from_the_keyboard(fol
         browser.until(f"{clock} === {held} + 2000")
         _press_space_until(browser, "live")
         browser.until(f"{clock} > {held} + 100000")
+        browser.click("#again-go")  # with seed 2
+        browser.until("document.querySelector('#compare td')?.textContent === '1'")
+        browser.until("document.querySelector('#again-why').textContent === 'This run has seed 2.'")
+        browser.until("document.querySelector('#state').textContent === 'live'")
+        assert browser.value("document.querySelector('#compare').tBodies[0].rows[0].textContent") == "seed12"
         assert browser.errors == []
     assert summary["balanced"]

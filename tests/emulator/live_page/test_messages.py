@@ -24,6 +24,9 @@ _COMMANDS = [
     {"do": "seen", "number": 3},
     {"do": "adjust", "name": "leak_hz", "value": 0.5},
     {"do": "inject", "fault": {"kind": "unplugged"}},
+    {"do": "undo", "change": 4},
+    {"do": "again", "seed": 7},
+    {"do": "stop"},
     {"do": "trigger"},
     {"do": "pause"},
     {"do": "step"},
@@ -111,7 +114,8 @@ _values = st.recursive(
 
 
 @given(
-    st.sampled_from(_COMMANDS), st.dictionaries(st.sampled_from(["do", "name", "value", "number", "fault"]), _values)
+    st.sampled_from(_COMMANDS),
+    st.dictionaries(st.sampled_from(["do", "name", "value", "number", "change", "seed", "fault"]), _values),
 )
 def test_fields_of_wrong_types_are_refused(command, changed):
     try:
@@ -121,6 +125,7 @@ def test_fields_of_wrong_types_are_refused(command, changed):
     assert isinstance(parsed.get("value", 0.0), float)
     assert np.isfinite(parsed.get("value", 0.0))
     assert type(parsed.get("number", 0)) is int
+    assert {type(parsed.get(name, 0)) for name in ("change", "seed")} == {int}
     assert isinstance(parsed.get("fault", {}), dict)
 
 
@@ -133,6 +138,11 @@ def test_fields_of_wrong_types_are_refused(command, changed):
         '{"do": "adjust", "name": "leak_hz", "value": 1e999}',
         '{"do": "adjust", "name": "leak_hz", "value": ' + "9" * 400 + "}",
         '{"do": "seen", "number": true}',
+        '{"do": "undo", "change": true}',
+        '{"do": "undo", "change": 1.5}',
+        '{"do": "undo"}',
+        '{"do": "again", "seed": "1"}',
+        '{"do": "again", "seed": 1e3}',
         '{"do": "explode"}',
         "{}",
         "1",
