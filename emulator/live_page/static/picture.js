@@ -6,6 +6,7 @@ const ON = [255, 140, 26], OFF = [46, 155, 255];  // far apart for colour-blind 
 const WINDOWS_MS = [10, 20, 50, 100, 200, 500, 1000, 2000];
 const MOST_PICTURES = 50, MOST_PIXELS = 1 << 22, HEADER = 40, LARGEST_ZOOM = 32, STEEPEST_STOPS = 8;
 const FULL_COUNT = 5;      // net events of a pixel in full colour
+const ONE_EVENT = 0.35;    // colour of one net event
 const FAINTEST = 0.15;     // colour of an event at the end of the window
 const LEVEL = 0.85;        // of white: the level of the percentile
 const LIT = 1 / 512;       // of the reference: darker pixels are background and do not count for the exposure
@@ -155,7 +156,7 @@ function paint({image, words, pen}, strength, withEvents) {
       if (age < 1) { weight = 1 - (1 - FAINTEST) * age; colour = polarity[i] > 0 ? ON : OFF; }
     } else if (withEvents) {
       const net = sumOn[i] - sumOff[i];
-      if (sumOn[i] + sumOff[i]) { weight = Math.min(1, Math.max(Math.abs(net), 1) / FULL_COUNT); colour = net >= 0 ? ON : OFF; }
+      if (net) { weight = Math.min(1, ONE_EVENT + (1 - ONE_EVENT) * (Math.abs(net) - 1) / (FULL_COUNT - 1)); colour = net > 0 ? ON : OFF; }
     }
     words[i] = 0xff000000 | (ground + weight * (colour[2] - ground)) << 16 | (ground + weight * (colour[1] - ground)) << 8
       | (ground + weight * (colour[0] - ground));
