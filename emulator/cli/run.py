@@ -197,7 +197,7 @@ class RunParts:
     Attributes
     ----------
     reporting, truth
-        Those of the run's files; None: without a report, and as the files say.
+        Those of the run's files; None: without a report, and as in the files.
     simulation
         A simulation with which the run is in step; None: none.
     repeats
