@@ -2,11 +2,14 @@
 
 To the browser: binary pictures (below), and JSON texts with a `kind`.
 
-    picture   "EVP1" | number u32 | width u16 | height u16 | from_us u64 | until_us u64 | events u32 | every u16 | 0 u16
-              | light (height, width) u8 | last (height, width) i8 | count (height, width) u8        little-endian
+    picture   "EVP2" | number u32 | width u16 | height u16 | from_us u64 | until_us u64 | events u32 | every u16 | 0 u16
+              | active u32 | place (active,) u32 | light (height, width) u16 | last (active,) i8 | count (active,) u8
+              little-endian
 
-    light     the scene's light, encoded for a screen, 0 to 255
-    last      0: no event in the interval; else +-1 to +-127: how late in it the last one was, the sign is the polarity
+    light     linear light: the sign bit of a float32 is dropped and the next 16 bits are sent, rounded; so every level
+              is within 0.2 % and the browser can choose the exposure
+    place     the pixels with events in the interval, row * width + column, increasing
+    last      +-1 to +-127: how late in the interval a pixel's last event was, the sign is the polarity
     count     ON events in the low four bits, OFF events in the high four, at most 15 each
     every     only one event in so many is drawn, where there are very many
 
@@ -64,6 +67,8 @@ __all__ = [
     "ViewerCommands",
     "decode_picture",
     "encode_picture",
+    "light_codes",
+    "light_of_codes",
     "parse_address",
     "parse_command",
 ]
@@ -71,10 +76,12 @@ __all__ = [
 
 MOST_COMMAND_BYTES = 4096
 
-_HEADER = struct.Struct("<4sIHHQQIHH")
-_MAGIC = b"EVP1"
+_HEADER = struct.Struct("<4sIHHQQIHHI")
+_MAGIC = b"EVP2"
+_ACTIVE_BYTES = 6  # place, last and count of a pixel
 _ORDERS = frozenset({"trigger", "pause", "step", "resume", "stop"})
-_Plane = npt.NDArray[np.uint8]
+_CODE_SHIFT = 15  # bits of a float32 that a light code leaves out
+_MOST_LIGHT = np.float32(1e38)
 
 
 class BadMessage(ValueError):
@@ -87,8 +94,12 @@ class Picture:
 
     Attributes
     ----------
-    light, count : (height, width) uint8
-    last : (height, width) int8
+    light : (height, width) uint16
+        Codes, as made by `light_codes`.
+    place : (active,) uint32
+        Pixels with events, row * width + column, increasing.
+    last : (active,) int8
+    count : (active,) uint8
     events
         All events of the interval, drawn or not.
     every
@@ -100,9 +111,21 @@ class Picture:
     until_us: int
     events: int
     every: int
-    light: _Plane
+    light: npt.NDArray[np.uint16]
+    place: npt.NDArray[np.uint32]
     last: npt.NDArray[np.int8]
-    count: _Plane
+    count: npt.NDArray[np.uint8]
+
+
+def light_codes(light: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
+    """Return linear light as codes; light that is negative or not a number is 0, infinite light is a large number."""
+    bits = np.fmin(np.fmax(light, np.float32(0)), _MOST_LIGHT).view(np.uint32)
+    return np.asarray((bits + (1 << _CODE_SHIFT - 1)) >> _CODE_SHIFT, np.uint16)
+
+
+def light_of_codes(codes: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:
+    """Return the linear light of codes."""
+    return (codes.astype(np.uint32) << _CODE_SHIFT).view(np.float32)
 
 
 def encode_picture(picture: Picture) -> bytes:
@@ -110,20 +133,23 @@ def encode_picture(picture: Picture) -> bytes:
     height, width = picture.light.shape
     header = _HEADER.pack(
         _MAGIC, picture.number & 0xFFFFFFFF, width, height, picture.from_us, picture.until_us, picture.events,
-        picture.every, 0,
+        picture.every, 0, len(picture.place),
     )  # fmt: skip
-    return b"".join((header, picture.light.tobytes(), picture.last.tobytes(), picture.count.tobytes()))
+    planes = picture.place, picture.light, picture.last, picture.count  # the widest first: all are aligned
+    return b"".join((header, *(plane.tobytes() for plane in planes)))
 
 
 def decode_picture(message: bytes) -> Picture:
     """Return the picture in the bytes of a message; raises BadMessage."""
     if len(message) < _HEADER.size or message[:4] != _MAGIC:
         raise BadMessage("this is no picture")
-    _, number, width, height, from_us, until_us, events, every, _ = _HEADER.unpack_from(message)
-    if len(message) != _HEADER.size + 3 * width * height:
+    _, number, width, height, from_us, until_us, events, every, _, active = _HEADER.unpack_from(message)
+    if len(message) != _HEADER.size + 2 * width * height + _ACTIVE_BYTES * active:
         raise BadMessage(f"a picture of {width} x {height} pixels has another length")
-    planes = np.frombuffer(message, np.uint8, offset=_HEADER.size).reshape(3, height, width)
-    return Picture(number, from_us, until_us, events, every, planes[0], planes[1].view(np.int8), planes[2])
+    place = np.frombuffer(message, np.uint32, active, _HEADER.size)
+    light = np.frombuffer(message, np.uint16, width * height, _HEADER.size + place.nbytes).reshape(height, width)
+    last, count = np.frombuffer(message, np.uint8, offset=len(message) - 2 * active).reshape(2, active)
+    return Picture(number, from_us, until_us, events, every, light, place, last.view(np.int8), count)
 
 
 def parse_command(text: str) -> dict[str, Any]:

@@ -251,6 +251,7 @@ _SEND_S = 10.0
 _FILES = {
     "/": ("index.html", "text/html"),
     "/page.js": ("page.js", "text/javascript"),
+    "/picture.js": ("picture.js", "text/javascript"),
     "/axis.js": ("axis.js", "text/javascript"),
     "/changes.js": ("changes.js", "text/javascript"),
     "/faults.js": ("faults.js", "text/javascript"),

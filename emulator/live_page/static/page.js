@@ -1,13 +1,13 @@
 "use strict";
 // One WebSocket brings pictures (binary) and tables (JSON); see messages.py. Nothing else is loaded.
 
+import * as picture from "./picture.js";
 import {TimeAxis} from "./axis.js";
 import {showChanges} from "./changes.js";
 import {showFaults} from "./faults.js";
 import {Repeats} from "./repeats.js";
 
 const $ = (id) => document.getElementById(id);
-const ON = [0xd5, 0x5e, 0x00], OFF = [0x00, 0x72, 0xb2];
 const PARTS = {
   read_out: ["read out", "#009e73"], pending: ["pending", "#f0e442"], lost_at_readout: ["lost at the read-out", "#e69f00"],
   lost_in_pixel: ["lost in the pixel", "#56b4e9"], delivered: ["delivered", "#009e73"], on_the_way: ["on the way", "#f0e442"],
@@ -18,8 +18,6 @@ const SLIDERS = {
   leak_hz: ["leak", "Hz", 0.01, 50], refractory_us: ["refractory period", "us", 1, 50000],
   corner_max_hz: ["bandwidth", "Hz", 3, 30000],
 };
-const MOST_SUMMED = 50;
-
 let socket, received = 0, about = null, status = null, first = null, retry_ms = 500, over = false;
 
 // ---- connection ----
@@ -34,7 +32,10 @@ function connect() {
     received += 1;
     try {
       if (typeof event.data === "string") hear(JSON.parse(event.data));
-      else if (event.data.byteLength) take(event.data);
+      else picture.take(event.data);
+    } catch (error) {
+      if (!(error instanceof SyntaxError)) throw error;
+      picture.damage();
     } finally { send({do: "seen", number: received}); }
   };
   socket.onclose = (event) => {
@@ -62,78 +63,14 @@ function hear(message) {
 function state(text, kind) { $("state").textContent = text; $("state").className = kind; }
 
 function begin(message) {
-  if (about && about.run !== message.run) { axis.another(); size = [0, 0]; }  // stream time begins again
+  if (about && about.run !== message.run) axis.another();  // stream time begins again
   about = message; first = null; status = null; retry_ms = 500; lateBefore = [];
+  picture.about(about);
   repeats.begin(about);
   $("name").textContent = document.title = about.name;
   $("title").textContent = about.title;
   state("live", "live");
   showFaults($("faults"), about.links, send);
-}
-
-// ---- the picture ----
-
-const canvas = $("picture"), pen = canvas.getContext("2d", {alpha: false});
-let size = [0, 0], image, light, lastUs, polarity, past = [], sumOn, sumOff, pictures = 0;
-
-function fit(width, height) {
-  if (size[0] === width && size[1] === height) return;
-  size = [canvas.width, canvas.height] = [width, height];
-  const n = width * height;
-  image = pen.createImageData(width, height);
-  image.data.fill(255);
-  lastUs = new Float64Array(n).fill(-1e18); polarity = new Int8Array(n);
-  sumOn = new Int32Array(n); sumOff = new Int32Array(n); past = [];
-}
-
-function take(buffer) {
-  const head = new DataView(buffer), width = head.getUint16(8, true), height = head.getUint16(10, true), n = width * height;
-  const from = Number(head.getBigUint64(12, true)), until = Number(head.getBigUint64(20, true));
-  fit(width, height);
-  light = new Uint8Array(buffer, 36, n);
-  const last = new Int8Array(buffer, 36 + n, n), count = new Uint8Array(buffer, 36 + 2 * n, n);
-  for (let i = 0; i < n; i++) if (last[i]) {
-    lastUs[i] = from + (until - from) * Math.abs(last[i]) / 127;
-    polarity[i] = last[i] > 0 ? 1 : -1;
-  }
-  add(count, 1);
-  past.push({count, from});
-  while (past.length > MOST_SUMMED || (past.length > 1 && past[0].from < until - windowUs())) add(past.shift().count, -1);
-  const every = head.getUint16(32, true);
-  $("drawn").textContent = every > 1 ? `(one event of ${every} is drawn)` : "";
-  window.lastPictureUs = until;
-  draw(until);
-  pictures += 1;
-}
-
-function add(count, sign) {
-  for (let i = 0; i < count.length; i++) if (count[i]) {
-    sumOn[i] += sign * (count[i] & 15);
-    sumOff[i] += sign * (count[i] >> 4);
-  }
-}
-
-function windowUs() { return 1e4 * 200 ** Number($("window").value); }  // 10 ms to 2 s
-function mode() { return document.querySelector("input[name=mode]:checked").value; }
-
-function draw(untilUs) {
-  const data = image.data, dim = Number($("light").value), tau = windowUs(), surface = mode() === "surface";
-  for (let i = 0, at = 0; i < light.length; i++, at += 4) {
-    const ground = light[i] * dim;
-    let weight = 0, colour = ON;
-    if (surface) {
-      const age = (untilUs - lastUs[i]) / tau;
-      if (age < 5) { weight = Math.exp(-age); colour = polarity[i] > 0 ? ON : OFF; }
-    } else {
-      const net = sumOn[i] - sumOff[i], all = sumOn[i] + sumOff[i];
-      if (all) { weight = Math.min(1, 0.3 + 0.175 * Math.abs(net || 1)); colour = net >= 0 ? ON : OFF; }
-    }
-    data[at] = ground + weight * (colour[0] - ground);
-    data[at + 1] = ground + weight * (colour[1] - ground);
-    data[at + 2] = ground + weight * (colour[2] - ground);
-  }
-  pen.putImageData(image, 0, 0);
-  $("window-text").textContent = tau < 1e6 ? `${Math.round(tau / 1e3)} ms` : `${(tau / 1e6).toFixed(1)} s`;
 }
 
 // ---- figures ----
@@ -277,7 +214,7 @@ let recorder = null;
 function video() {
   if (recorder) return recorder.stop();
   const parts = [];
-  recorder = new MediaRecorder(canvas.captureStream(25), {videoBitsPerSecond: 8e6});
+  recorder = new MediaRecorder(picture.canvas().captureStream(25), {videoBitsPerSecond: 8e6});
   recorder.ondataavailable = (event) => parts.push(event.data);
   recorder.onstop = () => { recorder = null; $("video").textContent = "record video"; save(new Blob(parts, {type: "video/webm"}), "webm"); };
   recorder.start();
@@ -294,7 +231,7 @@ function save(blob, kind) {
 
 const ACTS = {
   pause: () => send({do: status && status.paused ? "resume" : "pause"}), step: () => send({do: "step"}),
-  trigger: () => send({do: "trigger"}), "picture-file": () => canvas.toBlob((blob) => save(blob, "png")), video,
+  trigger: () => send({do: "trigger"}), "picture-file": () => picture.canvas().toBlob((blob) => save(blob, "png")), video,
   full: () => document.fullscreenElement ? document.exitFullscreen() : $("show").requestFullscreen(),
   reset: () => { for (const [name, value] of Object.entries(first || {})) send({do: "adjust", name, value}); document.activeElement.blur(); },
 };
