@@ -2,8 +2,8 @@
 
 The session never waits for it: the run goes on also after a flood of messages or the death of this process.
 
-Pictures contain linear light, and the pixels with events; the browser makes its colours from them. Events, the light and
-the number of viewers are in memory that the session and the page's process share. Without viewers the session only
+Pictures contain linear light, and the pixels with events; the browser makes its colours from them. Events, the light
+and the number of viewers are in memory that the session and the page's process share. Without viewers the session only
 reads one number a step. Events without room in this memory are not shown; the run's own events go other ways.
 """
 

@@ -176,5 +176,6 @@ def test_a_run_that_is_not_paced_can_be_paused_and_stepped_from_the_keyboard(fol
         browser.until("document.querySelector('#again-why').textContent === 'This run has seed 2.'")
         browser.until("document.querySelector('#state').textContent === 'live'")
         assert browser.value("document.querySelector('#compare').tBodies[0].rows[0].textContent") == "seed12"
-        assert browser.errors == []
+        between = "ERR_CONNECTION_REFUSED"  # the page has tried to connect between the two runs
+        assert [error for error in browser.errors if between not in str(error)] == []
     assert summary["balanced"]
