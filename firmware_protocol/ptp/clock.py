@@ -16,10 +16,10 @@ offset counts for at most 100 us, so that one late message does not move the clo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from statistics import median
 
-__all__ = ["Servo", "Timebase"]
+__all__ = ["Servo", "Timebase", "middle"]
 
 _PPB = 1_000_000_000
 _NS_PER_S = 1_000_000_000
@@ -149,10 +149,16 @@ def _line(samples: list[tuple[int, int]]) -> tuple[float, float]:
     times_s = [(local_ns - samples[0][0]) / _NS_PER_S for local_ns, _ in samples]
     offsets_ns = [offset_ns for _, offset_ns in samples]
     half = len(samples) // 2
-    first_s, second_s = median(times_s[:half]), median(times_s[half:])
-    first_ns, second_ns = median(offsets_ns[:half]), median(offsets_ns[half:])
+    first_s, second_s = middle(times_s[:half]), middle(times_s[half:])
+    first_ns, second_ns = middle(offsets_ns[:half]), middle(offsets_ns[half:])
     slope = (second_ns - first_ns) / (second_s - first_s)
     return slope, second_ns + slope * (times_s[-1] - second_s)
+
+
+def middle(values: Sequence[float]) -> float:
+    """Return the median; `statistics` takes longer to import than a small process should need."""
+    ordered = sorted(values)
+    return (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 
 
 def _limited(rate_ppb: float) -> float:

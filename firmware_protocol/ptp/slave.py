@@ -26,9 +26,8 @@ from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from statistics import median_low
 
-from firmware_protocol.ptp.clock import Servo, Timebase
+from firmware_protocol.ptp.clock import Servo, Timebase, middle
 from firmware_protocol.ptp.messages import (
     Announce,
     DelayResponse,
@@ -170,7 +169,7 @@ class Slave:
 
     @property
     def _delay_ns(self) -> int:
-        return median_low(self._delays_ns) if self._delays_ns else 0
+        return round(middle(self._delays_ns)) if self._delays_ns else 0
 
     def enable(self) -> None:
         """Begin; without effect if the protocol is enabled already and has no fault."""
