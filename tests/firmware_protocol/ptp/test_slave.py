@@ -167,3 +167,9 @@ def test_requests_follow_the_interval_of_the_master():
         network = Network(Master(log_request=log))
         network.run(30)
         assert least < network.slave.counts["ptp delay requests"] < most
+
+
+def test_a_master_can_change_the_rate_by_500_ppm_at_most():
+    network = Network(Master(), ppm=2000.0)
+    network.run(20)
+    assert network.slave.timebase.rate_ppb == -500_000
