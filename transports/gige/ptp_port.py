@@ -25,7 +25,7 @@ from firmware_protocol.ptp.messages import EVENT_PORT, GENERAL_PORT, GROUP
 from firmware_protocol.ptp.slave import PortState, Slave
 from transports.network import AllowList
 
-__all__ = ["PtpPort", "PtpSockets", "ptp_slave"]
+__all__ = ["PtpPort", "PtpSockets", "ptp_slave", "realtime_ahead_ns"]
 
 _LONGEST = 1500
 _AT_A_TIME = 64
@@ -73,7 +73,7 @@ class PtpSockets:
 
     def take(self) -> Iterator[tuple[bytes, int]]:
         """Yield the received datagrams and their times by CLOCK_MONOTONIC, ns; event messages first."""
-        ahead_ns = _realtime_ahead_ns()
+        ahead_ns = realtime_ahead_ns()
         for one, is_event in self._sockets:
             for _ in range(_AT_A_TIME):
                 try:
@@ -99,7 +99,7 @@ class PtpSockets:
             while True:
                 _, control, _, _ = self._event.recvmsg(_LONGEST, _CONTROL_OCTETS, _ERROR_QUEUE)
                 left_ns = _stamp_ns(control)
-        return None if left_ns is None else left_ns - _realtime_ahead_ns()
+        return None if left_ns is None else left_ns - realtime_ahead_ns()
 
     def close(self) -> None:
         """Close the sockets."""
@@ -203,7 +203,7 @@ def ptp_slave(identity: int, domain: int) -> Slave:
     return Slave(identity, domain, random.Random(identity).random)
 
 
-def _realtime_ahead_ns() -> int:
+def realtime_ahead_ns() -> int:
     """Return CLOCK_REALTIME less CLOCK_MONOTONIC, ns: the best of three readings, each between two of the other."""
     best = (1 << 62, 0)
     for _ in range(3):
