@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ import numpy.typing as npt
 
 from firmware_protocol.gige.registers import Register
 from firmware_protocol.receiver.clock_estimator import ClockEstimator
-from transports.gige.host import GigeHost
+from transports.gige.host import CameraGone, GigeHost
 
 __all__ = ["main"]
 
@@ -66,7 +67,7 @@ def main() -> None:
         rig, truth, ready = (Path(folder) / name for name in ("latch.toml", "truth.csv", "ready"))
         rig.write_text(RIG)
         command = [sys.executable, "-c", "from emulator.cli import main; main()", "run", str(rig), "--quiet"]
-        command += ["--seconds", str(seconds + 2), "--truth", str(truth), "--ready-file", str(ready)]
+        command += ["--seconds", str(seconds + 10), "--truth", str(truth), "--ready-file", str(ready)]
         run = subprocess.Popen(command)
         while not ready.exists() and run.poll() is None:
             time.sleep(0.1)
@@ -78,10 +79,11 @@ def main() -> None:
 def _taken(seconds: float) -> list[tuple[int, int, int]]:
     host = GigeHost(ADDRESS, now_ns=time.monotonic_ns)
     end_s, taken = time.monotonic() + seconds, []
-    while time.monotonic() < end_s:
-        taken.append(latched(host))
-        time.sleep(0.1)
-    host.close()
+    with suppress(CameraGone):  # its run has ended
+        while time.monotonic() < end_s:
+            taken.append(latched(host))
+            time.sleep(0.1)
+        host.close()
     return taken
 
 
