@@ -29,7 +29,7 @@ MASTER = """
 [global]
 free_running 1
 masterOnly 1
-logAnnounceInterval -2
+logAnnounceInterval 0
 logSyncInterval -3
 logMinDelayReqInterval -3
 uds_address {uds}

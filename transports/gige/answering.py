@@ -256,8 +256,7 @@ class _Answering:
         refused = Counter({"requests of senders not allowed": self._sockets.refused})
         if self._slave is None or self._ptp is None:
             return self._control.counts + refused
-        refused["ptp messages of senders not allowed"] = self._ptp.refused
-        return self._control.counts + refused + self._slave.counts
+        return self._control.counts + refused + self._slave.counts + self._ptp.counts
 
 
 def _ptp(setup: ControlSetup) -> tuple[Slave, PtpPort] | tuple[None, None]:

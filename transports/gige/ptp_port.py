@@ -18,6 +18,7 @@ import random
 import socket
 import struct
 import time
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 
@@ -47,14 +48,14 @@ class PtpSockets:
 
     Attributes
     ----------
-    refused
-        Number of datagrams of senders that are not allowed.
+    counts
+        Datagrams that were dropped, by reason. The kernel begins to stamp a moment after the sockets are opened.
     """
 
     def __init__(self, host: str, allow: Iterable[str]) -> None:
         self._allow = AllowList(allow)
         self._sockets: list[tuple[socket.socket, bool]] = []
-        self.refused = 0
+        self.counts: Counter[str] = Counter()
         try:
             self._event = self._opened(host, host, EVENT_PORT)
             self._opened(GROUP, host, EVENT_PORT)
@@ -82,10 +83,12 @@ class PtpSockets:
                     break
                 stamp_ns = _stamp_ns(control)
                 if not self._allow.permits(peer[0]):
-                    self.refused += 1
+                    self.counts["ptp messages of senders not allowed"] += 1
                 elif stamp_ns is not None:
                     yield data, stamp_ns - ahead_ns
-                elif not is_event:
+                elif is_event:
+                    self.counts["ptp messages without a time stamp"] += 1
+                else:
                     yield data, time.monotonic_ns()
 
     def send(self, data: bytes) -> None:
@@ -134,7 +137,7 @@ class PtpPort:
         self._slave = slave
         self._host, self._allow = host, allow
         self._sockets: PtpSockets | None = PtpSockets(host, allow)
-        self._refused = 0
+        self._counts: Counter[str] = Counter()
         self._failed_ns = 0
 
     @property
@@ -143,9 +146,9 @@ class PtpPort:
         return [] if self._sockets is None else self._sockets.descriptors
 
     @property
-    def refused(self) -> int:
-        """Number of datagrams of senders that are not allowed."""
-        return self._refused + (0 if self._sockets is None else self._sockets.refused)
+    def counts(self) -> Counter[str]:
+        """Datagrams that were dropped, by reason."""
+        return self._counts if self._sockets is None else self._counts + self._sockets.counts
 
     def turn(self, *, is_mute: bool = False) -> bool:
         """Receive and send what is due; return True if the sockets are others than before.
@@ -178,7 +181,7 @@ class PtpPort:
 
     def _fail(self) -> None:
         if self._sockets is not None:
-            self._refused += self._sockets.refused
+            self._counts += self._sockets.counts
             self._sockets.close()
             self._sockets = None
         self._failed_ns = time.monotonic_ns()
