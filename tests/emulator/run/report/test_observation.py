@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from emulator.run.report import INTERVAL_EDGES_US, Observation, RateSeries
+from emulator.run.report.observation import INTERVAL_EDGES_US, Observation, RateSeries
 from firmware_protocol.events import EVENT
 
 SIZE = (20, 10)
@@ -56,7 +56,7 @@ def test_a_long_run_has_longer_bins_and_no_more_of_them():
         events = np.zeros(3, EVENT)
         events["t"] = second * 1_000_000 + np.array([0, 1, 2])
         events["on"] = [True, False, False]
-        series.add(events)
+        series.take(events)
     assert len(series.events) <= 2000
     assert series.bin_us == 6_400_000
     assert series.events.sum() == 3 * 720

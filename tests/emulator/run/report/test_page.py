@@ -8,7 +8,9 @@ from emulator.cli.run import print_summary
 from emulator.rig.loading import load_rig
 from emulator.run.outcome import Ledger, RunResult, judge
 from emulator.run.pacing import Lateness
-from emulator.run.report import Observation, ReportContent, write_report
+from emulator.run.report.content import ReportContent
+from emulator.run.report.files import write_report
+from emulator.run.report.observation import Observation
 
 RESULT = RunResult(1.0, 1.0, 101, 100, Ledger(0, 0, 0, 0), Lateness())
 
