@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import html
 import math
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -16,7 +17,19 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Axis", "Chart", "Lane", "Mark", "Quantiles", "Share", "number_text", "quantile_chart", "share_bar"]
+__all__ = [
+    "Axis",
+    "Chart",
+    "Lane",
+    "Mark",
+    "Quantiles",
+    "Share",
+    "escaped",
+    "number_text",
+    "printable",
+    "quantile_chart",
+    "share_bar",
+]
 
 Floats = npt.NDArray[np.floating]
 
@@ -26,6 +39,8 @@ _BELOW = 58.0  # ticks and label of the x axis
 _LANE = 46.0
 _LABEL_GAP = 38.0  # between the starts of two labels of marks
 _MOST_MARKS = 400  # drawn in a lane
+_MOST_PLAIN = 1e4  # at the ticks of a logarithmic axis
+_RAISED = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
 _TICKS = (1.0, 2.0, 2.5, 5.0, 10.0)
 
 
@@ -144,7 +159,7 @@ class Chart:
             parts.append(_text((_LEFT - 6, y + 4), _tick_text(value, self._y), "end"))
         middle = (_TOP + self._bottom) / 2
         label = f'<text x="16" y="{middle:.1f}" text-anchor="middle" transform="rotate(-90 16 {middle:.1f})">'
-        return [*parts, _line((_LEFT, _TOP), (_LEFT, self._bottom), "axis"), f"{label}{_escaped(self._y.label)}</text>"]
+        return [*parts, _line((_LEFT, _TOP), (_LEFT, self._bottom), "axis"), f"{label}{escaped(self._y.label)}</text>"]
 
     def _lane(self, lane: Lane, top: float) -> list[str]:
         """Return one lane: its name over a line, on which the marks are."""
@@ -166,8 +181,8 @@ def _thinned(marks: Sequence[Mark]) -> Sequence[Mark]:
 
 
 def _tick_text(value: float, axis: Axis) -> str:
-    if axis.log and not 1e-2 <= value < 1e5:
-        return f"1e{round(math.log10(value))}"
+    if axis.log and not 1e-2 <= axis.low < axis.high <= _MOST_PLAIN:
+        return f"10{str(round(math.log10(value))).translate(_RAISED)}"
     return number_text(round(value, 10))
 
 
@@ -206,6 +221,7 @@ class Quantiles:
     bound_name: str = ""
 
 
+_MOST_NAME = 32  # characters
 _SHAPES = ("circle", "square", "diamond", "triangle")
 
 
@@ -241,12 +257,13 @@ def _quantile_x(axis: Axis, value: float) -> float:
 def _quantile_row(row: Quantiles, axis: Axis, top: float) -> list[str]:
     """Return a name, a line from the least to the largest value with a mark for each, and the bound."""
     y, xs = top + 44, [_quantile_x(axis, value) for _, value in row.values]
-    parts = [_text((2, top + 18), row.name, "start")]
+    name = row.name if len(row.name) <= _MOST_NAME else f"{row.name[:_MOST_NAME]}\u2026"
+    parts = [_text((2, top + 18), name, "start")]
     if row.bound:
         x = _quantile_x(axis, row.bound)
-        bound = f"{row.bound_name} {number_text(row.bound)}"
         parts.append(_line((x, top + 26), (x, y + 14), "bound"))
-        parts.append(_text((x, top + 18), bound, "end" if x > _WIDTH / 2 else "start", "bound-text"))
+        bound = f"{row.bound_name} {number_text(row.bound)}"
+        parts.append(_text((_WIDTH - 4, top + 18), bound, "end", "bound-text"))
     if xs:
         parts.append(_line((min(xs), y), (max(xs), y), "range"))
     parts += [_shape(shape, (x, y)) for shape, x in zip(_SHAPES, xs, strict=False)]
@@ -271,7 +288,7 @@ def _described(row: Quantiles) -> str:
 
 
 def _svg(height: float, description: str, parts: Sequence[str]) -> str:
-    label = _escaped(description)
+    label = escaped(description)
     return f'<svg viewBox="0 0 {_WIDTH:g} {height:g}" role="img" aria-label="{label}">{"".join(parts)}</svg>'
 
 
@@ -286,8 +303,14 @@ def _rect(corner: tuple[float, float], size: tuple[float, float], kind: str) -> 
 
 def _text(at: tuple[float, float], text: str, anchor: str, kind: str = "") -> str:
     name = f' class="{kind}"' if kind else ""
-    return f'<text{name} x="{at[0]:.1f}" y="{at[1]:.1f}" text-anchor="{anchor}">{_escaped(text)}</text>'
+    return f'<text{name} x="{at[0]:.1f}" y="{at[1]:.1f}" text-anchor="{anchor}">{escaped(text)}</text>'
 
 
-def _escaped(text: str) -> str:
-    return html.escape(text)
+def printable(text: str) -> str:
+    """Return a text with spaces in the place of control, format and surrogate characters."""
+    return "".join(" " if unicodedata.category(c).startswith("C") else c for c in text)
+
+
+def escaped(text: str) -> str:
+    """Return a printable text for an element or an attribute."""
+    return html.escape(printable(text))

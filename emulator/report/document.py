@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from emulator.report.charts import number_text
+from emulator.report.charts import escaped, number_text
 
 __all__ = ["Column", "Document", "Section", "Signature", "swatch_legend"]
 
@@ -21,6 +21,8 @@ MOST_ROWS = 100
 """Rows of a table on a page; further ones are counted."""
 
 _MOST_CHARACTERS = 400  # of a cell
+_MOST_SHORT = 20  # rows of a table that stays on one page of paper
+_MOST_NARROW = 3  # columns that stand beside each other on a narrow screen
 _STYLE = Path(__file__).with_name("report_page.css")
 _SYMBOLS = {"good": "\u2714", "bad": "\u2718", "unfinished": "\u25cc"}
 
@@ -35,7 +37,7 @@ class Column:
 
 
 class Section:
-    """A section with a heading, from top to bottom; `wide` ones use the whole width of a wide screen."""
+    """A section with a heading, from top to bottom; `kind` is a class of the style."""
 
     def __init__(self, heading: str, kind: str = "") -> None:
         self._kind = kind
@@ -61,10 +63,15 @@ class Section:
         """
         if not rows:
             return self
-        head = "".join(f'<th scope="col"{_class(column)}>{_text(column.heading)}</th>' for column in columns)
-        body = "".join(f"<tr>{_row(columns, row)}</tr>" for row in rows[:MOST_ROWS])
-        table = f"<table><caption>{_text(caption)}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-        self.element(f'<div class="scroll" role="region" tabindex="0" aria-label="{_text(caption)}">{table}</div>')
+        head = "".join(_head(column) for column in columns)
+        body = "".join(f'<tr role="row">{_row(columns, row)}</tr>' for row in rows[:MOST_ROWS])
+        kind = "stacked" if len(columns) > _MOST_NARROW else "facts"
+        table = f'<table class="{kind}" role="table"><caption>{_text(caption)}</caption>'
+        table += (
+            f'<thead role="rowgroup"><tr role="row">{head}</tr></thead><tbody role="rowgroup">{body}</tbody></table>'
+        )
+        scroll = "scroll short" if len(rows) <= _MOST_SHORT else "scroll"
+        self.element(f'<div class="{scroll}" role="region" tabindex="0" aria-label="{_text(caption)}">{table}</div>')
         more = len(rows) - MOST_ROWS
         return self.text(f"and {more} more, listed in report.json" if more > 0 else "", "note")
 
@@ -100,7 +107,7 @@ class Signature:
 
     def section(self) -> Section:
         """Return the section, with a box for each decision and fields to write in."""
-        made = Section("Review", "signature wide-section")
+        made = Section("Review", "signature whole")
         for line in self.subject:
             made.text(line)
         choices = "".join(
@@ -168,12 +175,18 @@ def _row(columns: Sequence[Column], row: Mapping[str, Any]) -> str:
     return first + "".join(others)
 
 
+def _head(column: Column) -> str:
+    return f'<th scope="col" role="columnheader"{_class(column)}>{_text(column.heading)}</th>'
+
+
 def _cell(column: Column, value: object, *, header: bool) -> str:
+    """Return a cell; its roles stay where a narrow screen stacks the cells of a row."""
+    shown = f' data-name="{_text(column.heading)}"'
     if column.kind == "verdict":
         kind = "good" if value else "bad"
-        return f'<td class="{kind}">{_SYMBOLS[kind]} {"kept" if value else "BROKEN"}</td>'
-    name, scope = ("th", ' scope="row"') if header else ("td", "")
-    return f"<{name}{scope}{_class(column)}>{_value(value)}</{name}>"
+        return f'<td role="cell" class="{kind}"{shown}>{_SYMBOLS[kind]} {"kept" if value else "BROKEN"}</td>'
+    name, role = ("th", 'scope="row" role="rowheader"') if header else ("td", 'role="cell"')
+    return f"<{name} {role}{_class(column)}{shown}>{_value(value)}</{name}>"
 
 
 def _class(column: Column) -> str:
@@ -189,6 +202,5 @@ def _value(value: object) -> str:
 
 
 def _text(text: str) -> str:
-    """Return a text escaped and of bounded length, without control characters."""
-    shown = "".join(c if c.isprintable() else " " for c in text[:_MOST_CHARACTERS])
-    return html.escape(shown + ("\u2026" if len(text) > _MOST_CHARACTERS else ""))
+    """Return a text escaped and of bounded length."""
+    return escaped(text[:_MOST_CHARACTERS] + ("\u2026" if len(text) > _MOST_CHARACTERS else ""))

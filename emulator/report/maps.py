@@ -8,7 +8,6 @@ type 3). Maps have sixteen levels of the colour map cividis, which people with a
 from __future__ import annotations
 
 import base64
-import html
 import math
 import struct
 import zlib
@@ -19,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import Light
+from emulator.report.charts import escaped
 from emulator.report.pictures import OFF_RGB, ON_RGB, white_of
 
 __all__ = ["ColourScale", "count_map", "image_element", "palette_png", "reduced", "scene_picture"]
@@ -54,7 +54,7 @@ def _chunk(name: bytes, data: bytes) -> bytes:
 def image_element(png: bytes, description: str, width: int) -> str:
     """Return an <img> element that holds its own data; `width` is that of the shown pixels."""
     text = base64.b64encode(png).decode()
-    return f'<img width="{width}" alt="{html.escape(description)}" src="data:image/png;base64,{text}">'
+    return f'<img width="{width}" alt="{escaped(description)}" src="data:image/png;base64,{text}">'
 
 
 def reduced(counts: Counts, block: int) -> Counts:
@@ -103,7 +103,7 @@ def count_map(counts: Counts, scale: ColourScale, name: str) -> str:
     description = f"{name}, {width} x {height} pixels, row 0 on top; at most {int(counts.max(initial=0))} in a pixel"
     shown = image_element(palette_png(scale.levels(small), _colours()), description, small.shape[1])
     beside = f"; the largest of {block} x {block} pixels is shown" if block > 1 else ""
-    return f'<figure class="map">{shown}<figcaption>{html.escape(name + beside)}</figcaption></figure>'
+    return f'<figure class="map">{shown}<figcaption>{escaped(name + beside)}</figcaption></figure>'
 
 
 def scene_picture(light: Light, polarity: npt.NDArray[np.int8], caption: str) -> str:
@@ -121,4 +121,4 @@ def scene_picture(light: Light, polarity: npt.NDArray[np.int8], caption: str) ->
     on, off = int((polarity > 0).sum()), int((polarity < 0).sum())
     description = f"light frame at {caption}, {on} pixels with ON events and {off} with OFF events"
     element = image_element(palette_png(pixels, palette), description, light.shape[1])
-    return f"<figure>{element}<figcaption>{html.escape(caption)}</figcaption></figure>"
+    return f"<figure>{element}<figcaption>{escaped(caption)}</figcaption></figure>"

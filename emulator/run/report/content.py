@@ -172,8 +172,8 @@ def _faults(result: RunResult) -> list[Happening]:
     records.sort(key=lambda one: one[0].began_us)
     found = []
     for k, (record, name) in enumerate(records[:_MOST_HAPPENINGS]):
-        until_s = result.sim_seconds if record.ended_us is None else record.ended_us * 1e-6
-        found.append(Happening(f"F{k + 1}", "fault", record.began_us * 1e-6, until_s, name, record.kind, "fault"))
+        until_s = result.sim_seconds if record.ended_us is None else record.ended_us / 1e6
+        found.append(Happening(f"F{k + 1}", "fault", record.began_us / 1e6, until_s, name, record.kind, "fault"))
     return found
 
 
@@ -184,7 +184,7 @@ def _changes(result: RunResult) -> Iterator[Happening]:
         lane: Literal["trigger", "command"] = "trigger" if change.what.startswith("trigger") else "command"
         number[lane] += 1
         values = "" if change.after is None else f" {_figure(change.before)} to {_figure(change.after)}"
-        label, t_s = f"{lane[0].upper()}{number[lane]}", change.t_ns * 1e-9
+        label, t_s = f"{lane[0].upper()}{number[lane]}", change.t_ns / 1e9
         yield Happening(label, lane, t_s, None, change.link, change.what + values, change.by)
 
 
@@ -283,7 +283,12 @@ def pixel_counts(seen: Observation) -> dict[str, Any]:
         "count": every.size,
         "silent": int((every == 0).sum()),
         "busiest": [
-            {"x": int(k % width), "y": int(k // width), "events": int(every.flat[k]), "share": int(every.flat[k]) / total}
+            {
+                "x": int(k % width),
+                "y": int(k // width),
+                "events": int(every.flat[k]),
+                "share": int(every.flat[k]) / total,
+            }
             for k in busiest
             if every.flat[k]
         ],

@@ -12,6 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from xml.etree import ElementTree
 
+from emulator.report.charts import printable
 from emulator.report.page import write_json
 from emulator.rig.loading import Rig
 from emulator.run.outcome import Judgement
@@ -42,16 +43,18 @@ def write_report(of: ReportContent, folder: Path) -> list[Path]:
 
 
 def write_junit(rig: str, judgements: tuple[Judgement, ...], seconds: float, path: Path) -> Path:
-    """Write one test suite named after the rig; return the path."""
+    """Write one test suite named after the rig; return the path. XML has no control characters: they become spaces."""
     failed = sum(not one.good for one in judgements)
     counts = {"tests": str(len(judgements)), "failures": str(failed), "errors": "0", "time": f"{seconds:.3f}"}
     suites = ElementTree.Element("testsuites", counts)
-    suite = ElementTree.SubElement(suites, "testsuite", {"name": f"evstim {rig}", **counts})
+    suite = ElementTree.SubElement(suites, "testsuite", {"name": f"evstim {printable(rig)}", **counts})
     for one in judgements:
-        case = ElementTree.SubElement(suite, "testcase", {"classname": f"evstim.{rig}", "name": one.rule, "time": "0"})
+        name, finding = printable(one.rule), printable(one.finding)
+        about = {"classname": f"evstim.{printable(rig)}", "name": name, "time": "0"}
+        case = ElementTree.SubElement(suite, "testcase", about)
         if one.good:
-            ElementTree.SubElement(case, "system-out").text = one.finding
+            ElementTree.SubElement(case, "system-out").text = finding
         else:
-            ElementTree.SubElement(case, "failure", {"message": one.finding}).text = one.finding
+            ElementTree.SubElement(case, "failure", {"message": finding}).text = finding
     ElementTree.ElementTree(suites).write(path, encoding="utf-8", xml_declaration=True)
     return path

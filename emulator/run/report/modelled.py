@@ -134,7 +134,9 @@ def _effect(decision: Decision, plan: Plan, *, probed: bool) -> Effect:
     else:
         state, why = "left out", "below the tolerance"
     costs = (_finite(decision.cost_us), _finite(decision.cost_share)) if probed else (None, None)
-    return Effect(decision.effect, "modelled" if state == "modelled" else "left out", f"{why}: {decision.bound}", *costs)
+    return Effect(
+        decision.effect, "modelled" if state == "modelled" else "left out", f"{why}: {decision.bound}", *costs
+    )
 
 
 def _finite(value: float | None) -> float | None:

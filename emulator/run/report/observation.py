@@ -132,7 +132,7 @@ class PictureStrip:
         """Take a step that ends at `t_us` with its light (height, width) and its events (n,) EVENT."""
         if t_us < self._next_us - _WINDOW_US:
             return
-        recent = events[events["t"] + _WINDOW_US >= min(self._next_us, t_us)]
+        recent = events[events["t"] + _WINDOW_US >= max(self._next_us, t_us)]
         rows, columns = recent["y"] // self._block, recent["x"] // self._block
         self._polarity[rows, columns] = np.where(recent["on"], 1, -1)
         if t_us >= self._next_us:

@@ -29,6 +29,7 @@ from emulator.run.report.figures import (
 __all__ = ["page_of", "unfinished_page"]
 
 _MOST_FILE_CHARACTERS = 30_000
+_LEAST_SHARE = 1e-9
 _OWN_RULES = ("max_drop", "min_rate_hz", "max_rate_hz", "max_latency_us", "max_undersampled")
 
 
@@ -42,7 +43,7 @@ def page_of(of: ReportContent, json_digest: str) -> Document:
 
 def unfinished_page(rig: str, title: str, began: str) -> Document:
     """Return the page in the place of a report until its run has ended."""
-    words = f"The run that began at {began} has not ended. If it is no longer running, it was killed: it has no verdict."
+    words = f"The run that began at {began} has not ended. If it no longer runs, it was killed: it has no verdict."
     return Document(f"{rig}: report of a run", title, ("unfinished", words))
 
 
@@ -61,9 +62,7 @@ def _sections(of: ReportContent, json_digest: str) -> Iterator[Section]:
 
 
 def _rules(of: ReportContent) -> Section:
-    rows = [
-        {**asdict(one), "bound": None if one.bound is None else f"{one.side} {one.bound:.6g}"} for one in of.rules
-    ]
+    rows = [{**asdict(one), "bound": None if one.bound is None else f"{one.side} {one.bound:.6g}"} for one in of.rules]
     columns = [
         Column("rule", "rule"),
         Column("good", "verdict", "verdict"),
@@ -72,7 +71,7 @@ def _rules(of: ReportContent) -> Section:
         Column("unit", "unit"),
         Column("finding", "finding"),
     ]
-    made = Section("Rules", "wide-section").table("All rules of this run, with figure and bound", columns, rows)
+    made = Section("Rules").table("All rules of this run, with figure and bound", columns, rows)
     unset = [f"verdict.{name}" for name in _OWN_RULES if not any(name in one.rule for one in of.rules)]
     made.text(f"Not judged, because the rig sets no limit: {', '.join(unset)}." if unset else "", "note")
     return made.text(undersampled_advice(of.result.undersampled_share))
@@ -81,11 +80,11 @@ def _rules(of: ReportContent) -> Section:
 def _run(of: ReportContent) -> Section:
     run, result, late, source = of.rig.run, of.result, of.result.lateness, of.rig.source
     began, ended = of.circumstances.began, of.circumstances.ended
-    options = "none" if source is None or not source.options else ", ".join(f"{k} = {v}" for k, v in source.options.items())
+    options = {} if source is None else source.options
     facts = {
         "rig file": "made by a program, no file" if source is None else source.path,
         "SHA-256 of the rig file": None if source is None else source.sha256,
-        "replaced by options": options,
+        "replaced by options": ", ".join(f"{key} = {value}" for key, value in options.items()) or "none",
         "began": None if began is None else f"{began:%Y-%m-%d %H:%M:%S} UTC",
         "ended": None if ended is None else f"{ended:%Y-%m-%d %H:%M:%S} UTC",
         "camera": f"{of.rig.camera.model}, {of.rig.camera.size[0]} x {of.rig.camera.size[1]} pixels",
@@ -104,7 +103,7 @@ def _run(of: ReportContent) -> Section:
 
 def _timeline(of: ReportContent) -> Section:
     marked = happenings(of.result)
-    made = Section("Timeline", "wide-section")
+    made = Section("Timeline")
     chart = timeline(of, marked)
     if not chart:
         return made.text("No event was raised, and nothing happened.")
@@ -151,7 +150,7 @@ def _fault_rows(of: ReportContent) -> Iterator[Mapping[str, Any]]:
 def _ledger(of: ReportContent) -> Section:
     """Return the fate of every event, as bars and as a table."""
     found = fates(of.result)
-    made = Section("Ledger of events", "wide-section")
+    made = Section("Ledger of events")
     balanced = of.result.ledger.balanced
     made.text("Every event has exactly one fate." if balanced else "")
     made.text("" if balanced else f"NOT BALANCED: {of.result.ledger.imbalance} events without a fate, or with two.")
@@ -179,10 +178,11 @@ def _ledger(of: ReportContent) -> Section:
 
 
 def _latency(of: ReportContent) -> Section:
-    made = Section("Links and latency", "wide-section")
+    made = Section("Links and latency")
     if not of.result.links:
         return made.text("This rig has no link.")
     chart = latency_chart(of)
+    made.text("" if chart else "No latency was measured: without pacing, or without a host, none arises.", "note")
     made.chart(chart, "circle: median; square: 99 %; diamond: 99.9 %; triangle: largest. A dashed line is a bound.")
     rows = [
         {
@@ -218,12 +218,14 @@ _LINK_COLUMNS = [
 
 
 def _pictures(of: ReportContent) -> Section:
-    made = Section("Pixels and pictures", "wide-section")
+    made = Section("Pixels and pictures")
     pictures = strip(of.seen)
     made.heading("Pictures of the run")
-    made.text("" if pictures else "No picture was taken: the run was too short, or the report had no light.", "note")
     if pictures:
-        made.text("Light, with the events of the last 40 ms: ON bright orange, OFF light blue.", "note").element(pictures)
+        made.text("Light, with the events of the last 40 ms: ON bright orange, OFF light blue.", "note")
+    else:
+        made.text("No picture was taken: the run was too short, or the report had no light.", "note")
+    made.element(pictures)
     counts = pixel_counts(of.seen)
     silent = f"{counts['silent']} of {counts['count']} pixels have no event."
     made.heading("Events of each pixel").element(pixel_maps(of.seen)).text(silent)
@@ -234,14 +236,15 @@ def _pictures(of: ReportContent) -> Section:
 
 
 def _modelled(of: ReportContent) -> Section:
-    made, found = Section("Modelled and left out", "wide-section"), of.circumstances.modelled
+    made, found = Section("Modelled and left out"), of.circumstances.modelled
     if found is None:
         return made.text("The program that made this report gave no plan of the run.")
     made.text(f"Steps: {found.steps}." if found.steps else "")
     if found.tolerance_us is not None:
         made.text(f"Tolerance: {found.tolerance_us:g} us of event times, {found.tolerated_wrong_share} of the events.")
     made.table("Parts", [Column("part", "part"), Column("how", "how")], [asdict(part) for part in found.parts])
-    made.text("" if found.probed or not found.effects else "Costs were not measured: the scene belongs to another program.")
+    if found.effects and not found.probed:
+        made.text("Errors were not measured: the light frames belong to another program.")
     columns = [
         Column("effect", "effect"),
         Column("state", "state"),
@@ -249,11 +252,19 @@ def _modelled(of: ReportContent) -> Section:
         Column("wrong_share", "wrong events without it", "number"),
         Column("why", "why"),
     ]
-    on = [asdict(effect) for effect in found.effects if effect.state != "off"]
+    on = [
+        {**asdict(effect), "wrong_share": _share(effect.wrong_share)}
+        for effect in found.effects
+        if effect.state != "off"
+    ]
     made.table("Effects of the plan", columns, on)
     off = [effect.effect for effect in found.effects if effect.state == "off"]
     made.text(f"Switched off, or without effect, in this rig and camera: {', '.join(off)}." if off else "")
     return made.listed([f"Note: {note}" for note in found.notes])
+
+
+def _share(value: float | None) -> float | str | None:
+    return f"below {_LEAST_SHARE:g}" if value is not None and 0 < value < _LEAST_SHARE else value
 
 
 def _machine(of: ReportContent) -> Section:
@@ -283,5 +294,5 @@ def _signature(of: ReportContent, json_digest: str) -> Section:
 
 def _file(path: str, text: str) -> Section:
     shown = text[:_MOST_FILE_CHARACTERS]
-    made = Section("Rig file", "file wide-section").text(path, "note").code(shown)
+    made = Section("Rig file", "file whole").text(path, "note").code(shown)
     return made.text(f"and {len(text) - len(shown)} more characters" if len(text) > len(shown) else "", "note")

@@ -1,6 +1,7 @@
 """The page of a run's report: the share of undersampled pixel-steps and the late steps, as the terminal shows them."""
 
 import dataclasses
+import re
 
 import pytest
 
@@ -17,7 +18,6 @@ RESULT = RunResult(1.0, 1.0, 101, 100, Ledger(0, 0, 0, 0), Lateness())
 
 @pytest.fixture
 def page(tmp_path):
-    pytest.importorskip("matplotlib", reason="charts (extra report)")
     rig = load_rig("checkerboard")
 
     def page_of(result):
@@ -28,14 +28,12 @@ def page(tmp_path):
     return page_of
 
 
-@pytest.mark.system
 @pytest.mark.parametrize(("share", "told"), [(0.25, "0.25 of the solved"), (0.02, "0.02 of"), (None, "not measured")])
 def test_the_share_of_undersampled_pixel_steps_is_in_every_report(share, told, page):
     text = page(dataclasses.replace(RESULT, undersampled_share=share))
-    assert f"<td>undersampled</td><td>{told}" in text
+    assert re.search(rf">undersampled</th><td[^>]*>{told}", text)
 
 
-@pytest.mark.system
 @pytest.mark.parametrize("share", [0.25, 0.02])
 def test_the_report_has_the_advice_of_the_terminal(share, page, capsys):
     result = dataclasses.replace(RESULT, undersampled_share=share)
@@ -66,4 +64,4 @@ def test_the_last_line_of_the_summary_is_the_verdict(capsys):
 def test_late_steps_are_counted_in_the_report(page):
     late = dataclasses.replace(RESULT, lateness=Lateness())
     late.lateness.add(2_000_000, 1)
-    assert "<td>late steps</td><td>1 of 100, worst 2000 us</td>" in page(late)
+    assert re.search(">late steps</th><td[^>]*>1 of 100, worst 2000 us</td>", page(late))
