@@ -32,21 +32,26 @@ __all__ = [
 ]
 
 Floats = npt.NDArray[np.floating]
+Numbers = npt.NDArray[np.floating] | npt.NDArray[np.integer]
 
 _WIDTH = 720.0
 _LEFT, _RIGHT, _TOP = 78.0, 14.0, 12.0
 _BELOW = 58.0  # ticks and label of the x axis
 _LANE = 46.0
+_KEY_WIDTH = 15.0  # of a letter in a bar
 _LABEL_GAP = 38.0  # between the starts of two labels of marks
 _MOST_MARKS = 400  # drawn in a lane
-_MOST_PLAIN = 1e4  # at the ticks of a logarithmic axis
+_MOST_PLAIN = 1e4  # with a fraction, and at the ticks of a logarithmic axis
+_MOST_WHOLE = 1e15
 _RAISED = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
 _TICKS = (1.0, 2.0, 2.5, 5.0, 10.0)
 
 
 def number_text(value: float) -> str:
-    """Return a number with at most four digits, or as a whole one with thin spaces between thousands."""
-    if float(value).is_integer() and abs(value) < 1e15:
+    """Return a number with four digits, or as a whole one with narrow spaces between thousands."""
+    if float(value).is_integer() or _MOST_PLAIN <= abs(value) < _MOST_WHOLE:
+        value = round(value)
+    if float(value).is_integer() and abs(value) < _MOST_WHOLE:
         return f"{int(value):,}".replace(",", "\u202f")
     return f"{value:.4g}"
 
@@ -121,7 +126,7 @@ class Chart:
         for number, lane in enumerate(lanes):
             self._parts += self._lane(lane, self._bottom + _BELOW + _LANE * number)
 
-    def steps(self, edges: Floats, values: Floats, kind: str) -> Self:
+    def steps(self, edges: Floats, values: Numbers, kind: str) -> Self:
         """Draw values (n,) between edges (n + 1,) as steps."""
         points: list[str] = []
         for k, value in enumerate(values):
@@ -204,7 +209,7 @@ def share_bar(shares: Sequence[Share], description: str) -> str:
             continue
         width = min(width, max(_WIDTH - x, 3.0))
         parts.append(_rect((min(x, _WIDTH - 3.0), 2), (width, 28), f"part {one.kind}"))
-        if width > 26:
+        if width > _KEY_WIDTH:
             parts.append(_text((x + width / 2, 22), one.key, "middle", f"key {one.kind}"))
         x += width
     outline = _rect((0.5, 2), (_WIDTH - 1, 28), "outline")

@@ -77,7 +77,8 @@ class ColourScale:
         """Return the level of each count."""
         top = math.log1p(max(self.most, 1))
         above = np.ceil(np.log1p(counts) / top * (_LEVELS - 1))
-        return np.clip(above, 0, _LEVELS - 1).astype(np.uint8)
+        levels: Bytes = np.clip(above, 0, _LEVELS - 1).astype(np.uint8)
+        return levels
 
     @property
     def legend(self) -> str:
@@ -92,7 +93,8 @@ def _colours() -> Bytes:
     anchors = np.array([list(bytes.fromhex(colour)) for colour in _CIVIDIS], float)
     at = np.linspace(0, len(anchors) - 1, _LEVELS)
     columns = [np.interp(at, np.arange(len(anchors)), anchors[:, k]) for k in range(3)]
-    return np.rint(np.stack(columns, axis=1)).astype(np.uint8)
+    colours: Bytes = np.rint(np.stack(columns, axis=1)).astype(np.uint8)
+    return colours
 
 
 def count_map(counts: Counts, scale: ColourScale, name: str) -> str:

@@ -233,7 +233,8 @@ def _always(result: RunResult) -> Iterator[Judgement]:
         trouble += [] if link.edges_balanced else ["edges without a fate"]
         trouble += [] if link.readings_balanced else ["frames or samples without a fate"]
         trouble += link.file_troubles
-        yield Judgement(f"link {name}", not trouble, "; ".join(trouble) or "sound", len(trouble), 0, "faults", "at most")
+        finding = "; ".join(trouble) or "sound"
+        yield Judgement(f"link {name}", not trouble, finding, len(trouble), 0, "faults", "at most")
     if result.max_late_us > 0:
         worst_ms = result.lateness.worst_gap_us * 1e-3
         finding = f"worst step {worst_ms:.3g} ms late, run.max_late_ms is {result.max_late_us * 1e-3:g}"
@@ -251,10 +252,14 @@ def _own(rules: Verdict, result: RunResult) -> Iterator[Judgement]:
     rate_hz = result.ledger.read_out / result.sim_seconds if result.sim_seconds else 0.0
     if rules.min_rate_hz:
         finding = f"{rate_hz:.4g} events/s, at least {rules.min_rate_hz:g}"
-        yield Judgement("verdict.min_rate_hz", rate_hz >= rules.min_rate_hz, finding, rate_hz, rules.min_rate_hz, "events/s", "at least")
+        bound_hz = rules.min_rate_hz
+        figures = (rate_hz, bound_hz, "events/s")
+        yield Judgement("verdict.min_rate_hz", rate_hz >= bound_hz, finding, *figures, "at least")
     if rules.max_rate_hz:
         finding = f"{rate_hz:.4g} events/s, at most {rules.max_rate_hz:g}"
-        yield Judgement("verdict.max_rate_hz", rate_hz <= rules.max_rate_hz, finding, rate_hz, rules.max_rate_hz, "events/s", "at most")
+        bound_hz = rules.max_rate_hz
+        figures = (rate_hz, bound_hz, "events/s")
+        yield Judgement("verdict.max_rate_hz", rate_hz <= bound_hz, finding, *figures, "at most")
     if rules.max_latency_us:
         yield from (_latency(rules.max_latency_us, name, link) for name, link in result.links.items())
     if rules.max_undersampled and result.undersampled_share is not None:

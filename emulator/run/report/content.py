@@ -195,7 +195,9 @@ def _figure(value: float | None) -> str:
 def rig_file(rig: Rig) -> dict[str, Any] | None:
     """Return path, SHA-256 digest and replaced options of the rig's file; None for a rig without a file."""
     source = rig.source
-    return source and {"path": source.path, "sha256": source.sha256, "options": dict(source.options)}
+    if source is None:
+        return None
+    return {"path": source.path, "sha256": source.sha256, "options": dict(source.options)}
 
 
 def environment() -> dict[str, Any]:

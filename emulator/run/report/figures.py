@@ -56,7 +56,7 @@ def _lanes(of: ReportContent, marked: Sequence[Happening]) -> Iterator[Lane]:
     for kind, name in _LANES.items():
         marks = [Mark(one.t_s, one.until_s, one.label) for one in marked if one.lane == kind]
         if kind == "trigger" and edges:
-            yield Lane(f"{name}: {edges} edges", _KINDS[kind], [*_marks(counts, Observation.EDGES), *marks])
+            yield Lane(f"{name}; edges taken: {edges}", _KINDS[kind], [*_marks(counts, Observation.EDGES), *marks])
         elif marks:
             yield Lane(f"{name}: {len(marks)}", _KINDS[kind], marks)
     if late:

@@ -62,7 +62,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Modelled:
-    """What a run modelled.
+    """Parts and effects that a run modelled, and those that it left out.
 
     Attributes
     ----------

@@ -150,7 +150,7 @@ def _fault_rows(of: ReportContent) -> Iterator[Mapping[str, Any]]:
 def _ledger(of: ReportContent) -> Section:
     """Return the fate of every event, as bars and as a table."""
     found = fates(of.result)
-    made = Section("Ledger of events")
+    made = Section("Ledger of events", "together")
     balanced = of.result.ledger.balanced
     made.text("Every event has exactly one fate." if balanced else "")
     made.text("" if balanced else f"NOT BALANCED: {of.result.ledger.imbalance} events without a fate, or with two.")

@@ -97,6 +97,9 @@ def test_texts_are_escaped_and_described():
     assert not {one.tag for one in root.iter()} & {"b", "i", "u", "s"}
 
 
-@pytest.mark.parametrize(("value", "text"), [(22_214, "22\u202f214"), (0.77781, "0.7778"), (3.0, "3"), (1e-5, "1e-05")])
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(22_214, "22\u202f214"), (0.77781, "0.7778"), (3.0, "3"), (1e-5, "1e-05"), (925_808.6, "925\u202f809")],
+)
 def test_numbers_have_few_digits_and_whole_ones_all(value, text):
     assert number_text(value) == text
