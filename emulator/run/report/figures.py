@@ -8,6 +8,7 @@ import numpy as np
 
 from emulator.report.charts import Axis, Chart, Lane, Mark, Quantiles, Share, number_text, quantile_chart, share_bar
 from emulator.report.maps import ColourScale, count_map, scene_picture
+from emulator.rig.tables import Trigger
 from emulator.run.report.content import Fate, Happening, ReportContent
 from emulator.run.report.observation import INTERVAL_EDGES_US, BinnedCounts, Observation
 from transports.link.deliveries import LatencySummary
@@ -15,6 +16,7 @@ from transports.link.deliveries import LatencySummary
 __all__ = ["fate_bars", "interval_chart", "latency_chart", "letters", "pixel_maps", "strip", "timeline"]
 
 _PICTURES = 6
+_MOST_TIMES = 400  # of a train of edges
 _LANES = {"fault": "faults", "trigger": "triggers", "command": "commands"}
 _KINDS = {"fault": "fault", "trigger": "edge", "command": "change"}
 
@@ -56,7 +58,8 @@ def _lanes(of: ReportContent, marked: Sequence[Happening]) -> Iterator[Lane]:
     for kind, name in _LANES.items():
         marks = [Mark(one.t_s, one.until_s, one.label) for one in marked if one.lane == kind]
         if kind == "trigger" and edges:
-            yield Lane(f"{name}; edges taken: {edges}", _KINDS[kind], [*_marks(counts, Observation.EDGES), *marks])
+            given = _given(of.rig.trigger, of.result.sim_seconds) or _marks(counts, Observation.EDGES)
+            yield Lane(f"{name}; edges taken: {edges}", _KINDS[kind], [*given, *marks])
         elif marks:
             yield Lane(f"{name}: {len(marks)}", _KINDS[kind], marks)
     if late:
@@ -67,6 +70,27 @@ def _marks(counts: BinnedCounts, column: int) -> list[Mark]:
     """Return a mark for each bin with a count."""
     bin_s = counts.bin_us * 1e-6
     return [Mark(float(k) * bin_s) for k in np.flatnonzero(counts.column(column))]
+
+
+def _given(trigger: Trigger | None, seconds: float) -> list[Mark]:
+    """Return a mark for each edge at a time that the rig gives; none for edges of a bus, which are only counted."""
+    if trigger is None:
+        return []
+    trains = [(one.at_ms, one.every_ms, one.count) for one in trigger.edges]
+    if trigger.period_ms:
+        trains.append((trigger.period_ms, trigger.period_ms, 0))
+    times_ms = [time for train in trains for time in _times_ms(*train, 1e3 * seconds)]
+    return [Mark(time_ms * 1e-3) for time_ms in sorted(times_ms)]
+
+
+def _times_ms(first_ms: float, every_ms: float, count: int, end_ms: float) -> Sequence[float]:
+    """Return the times of a train of edges until an end; of very many some, at even distances."""
+    if first_ms > end_ms or not every_ms:
+        return [first_ms] if first_ms <= end_ms else []
+    number = int((end_ms - first_ms) / every_ms) + 1
+    number = min(number, count) if count else number
+    times: list[float] = (first_ms + every_ms * np.arange(0, number, max(1, number // _MOST_TIMES))).tolist()
+    return times
 
 
 def letters(fates: Sequence[Fate]) -> list[str]:
