@@ -27,6 +27,7 @@ Counts = npt.NDArray[np.int64]
 _BIN_US = 100_000
 _MOST_BINS = 2000
 _SAMPLED = 8  # one pixel in so many
+_FEW = 20  # pixels for each event, above which events are few
 INTERVAL_EDGES_US = np.logspace(0, 8, 81)
 """Edges of the bins of intervals, us."""
 
@@ -193,7 +194,7 @@ class Observation:
         self.rates.take(events)
         pixel = events["y"].astype(np.int64) * self._width + events["x"]
         for counts, chosen in ((self.on, events["on"]), (self.off, ~events["on"])):
-            counts.ravel()[:] += np.bincount(pixel[chosen], minlength=counts.size)
+            _count(counts.reshape(-1), pixel[chosen])
         sampled = (events["x"] + events["y"]) % _SAMPLED == 0
         self._measure(pixel[sampled], events["t"][sampled].astype(np.int64))
 
@@ -219,3 +220,11 @@ class Observation:
         self._last_us[pixel[last]] = t_us[last]
         known = before >= 0
         self.intervals += np.histogram(np.maximum(t_us - before, 1)[known], INTERVAL_EDGES_US)[0]
+
+
+def _count(counts: Counts, pixels: Counts) -> None:
+    """Count pixels (n,) in counts (pixels,): a bincount touches each pixel, so few events are added one by one."""
+    if len(pixels) * _FEW < counts.size:
+        np.add.at(counts, pixels, 1)
+    else:
+        counts += np.bincount(pixels, minlength=counts.size)
