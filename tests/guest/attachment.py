@@ -10,7 +10,7 @@ from typing import Any
 
 from tests.guest.machine import HOST_ADDRESS, Guest
 
-__all__ = ["DVXPLORER", "EVK4", "Attachment", "remote_cameras", "usb_bus"]
+__all__ = ["DAVIS_FX3", "DVXPLORER", "EVK4", "Attachment", "remote_cameras", "usb_bus"]
 
 BUS_PROGRAM = str(Path(__file__).parent / "clients" / "bus.py")
 DAVIS_FX3 = ("152a", "841a")

@@ -1,34 +1,61 @@
-"""Three unmodified drivers open the camera again and again with all streams on, and close it in the midst of them.
+"""Unmodified drivers open a camera again and again with all its streams on, and close it in the midst of them.
 
 A hundred times each:
 
-    EVSTIM_GUEST_CYCLES=100 python -m pytest tests/guest/test_cycles.py
+    EVSTIM_GUEST_CYCLES=100 EVSTIM_OPENEB_CLIENT=BUILD/client python -m pytest tests/guest/test_cycles.py
 """
 
 from __future__ import annotations
 
 import json
 import os
+import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+from tests.guest import test_dvxplorer, test_evk4, test_genx320
 from tests.guest.all_streams import STREAMS
-from tests.guest.attachment import Attachment
+from tests.guest.attachment import DVXPLORER, EVK4, Attachment
 from tests.guest.environments import DRIVERS, Driver
 from tests.guest.machine import Finished, Guest
 from tests.guest.running_rig import RunningRig
+from tests.guest.streaming import wait_for_bytes
 from tests.guest.turns import Turns, selected
 
 CYCLES = int(os.environ.get("EVSTIM_GUEST_CYCLES", "3"))
 CYCLE_S = 60.0
 PROGRAM = str(Path(__file__).parent / "clients" / "cycling.py")
+DV2, DV1, ND = DRIVERS
+OPENEB = os.environ.get("EVSTIM_OPENEB_CLIENT", "")
+NO_OPENEB = "EVSTIM_OPENEB_CLIENT names no program; tests/guest/openeb/Makefile builds it"
+SILENCE = "start_delay_ms = 3000.0"
+EVENTS_OF_A_CYCLE = 20_000
+AT_LENGTH = pytest.mark.skipif(
+    CYCLES < 100, reason="takes minutes beside another driver's; EVSTIM_GUEST_CYCLES=100 runs it"
+)
 
 pytestmark = [
     pytest.mark.guest,
     pytest.mark.socket,
     pytest.mark.timeout(3 * (CYCLES * CYCLE_S + 900)),  # the first test waits for all drivers
 ]
+
+
+def cycle(guest: Guest, driver: Driver, python: Path, *more: str) -> Finished:
+    """Open and close the attached camera again and again by a driver's client; `more` are options of `cycling.py`."""
+    guest.prepare(python, driver.imports)
+    command = [str(python), PROGRAM, driver.name, str(CYCLES), str(CYCLE_S), *more]
+    return guest.run(command, CYCLES * CYCLE_S + 300)
+
+
+def assert_cycled(ended: Finished) -> None:
+    """Assert that each cycle was done, and that as many files are open after the last one as after the first."""
+    assert ended.ok, ended
+    told = json.loads(ended.stdout.splitlines()[-1])
+    assert told["cycles"] == CYCLES
+    assert told["files"][0] == told["files"][1]
 
 
 @pytest.fixture(scope="module")
@@ -40,13 +67,11 @@ def cycled(
 ) -> Turns[Driver, Finished]:
     rig = RunningRig(tmp_path_factory.mktemp("cycles"), more=STREAMS)
 
-    def cycle(driver: Driver) -> Finished:
-        python = driver_pythons[driver.name]
-        guest.prepare(python, driver.imports)
+    def take(driver: Driver) -> Finished:
         with Attachment(guest, rig.port):
-            return guest.run([str(python), PROGRAM, driver.name, str(CYCLES), str(CYCLE_S)], CYCLES * CYCLE_S + 300)
+            return cycle(guest, driver, driver_pythons[driver.name])
 
-    return Turns(rig, selected(request, "driver"), cycle)
+    return Turns(rig, selected(request, "driver"), take)
 
 
 @pytest.mark.shows("davis346", "{driver.name}", "cycles")
@@ -54,9 +79,115 @@ def cycled(
 def test_it_is_closed_in_the_midst_of_all_streams_again_and_again(
     cycled: Turns[Driver, Finished], driver: Driver
 ) -> None:
-    ended = cycled.result(driver)
-    assert ended.ok, ended
-    told = json.loads(ended.stdout.splitlines()[-1])
-    assert told["cycles"] == CYCLES
-    assert told["files"][0] == told["files"][1]
+    assert_cycled(cycled.result(driver))
     assert cycled.rig.summary["balanced"], cycled.rig.summary
+
+
+def starting_sooner(rig: str) -> str:
+    """Return a rig whose camera sends sooner: these tests do not compare the first events, which may be reordered."""
+    assert rig.count(SILENCE) == 1
+    return rig.replace(SILENCE, "start_delay_ms = 500.0")
+
+
+@dataclass(frozen=True)
+class Reopened:
+    """A camera that a driver's client opens again and again: its rig, its place on the bus, and its streams.
+
+    Attributes
+    ----------
+    model
+        Key of docs/device_matrix.py.
+    driver
+        Its client.
+    device
+        The camera by neuromorphic_drivers' name.
+    streams
+        Those to wait for in each cycle.
+    """
+
+    model: str
+    driver: Driver
+    device: str
+    streams: str
+
+    def __str__(self) -> str:
+        return f"{self.model}-{self.driver.name}"
+
+    @property
+    def usb_id(self) -> tuple[str, str]:
+        return EVK4 if "evk" in self.model else DVXPLORER
+
+    def rig(self, folder: Path) -> str:
+        """Return the rig, after the recording that it plays was saved."""
+        if self.model == "dvxplorer":
+            return starting_sooner(test_dvxplorer.RIG)
+        if self.model == "dvxplorer_micro":
+            return starting_sooner(test_dvxplorer.MICRO)
+        test_evk4.looped(folder)
+        return starting_sooner(test_evk4.rig_of(self.model))
+
+
+REOPENED = (
+    Reopened("dvxplorer", ND, "inivation_dvxplorer", "events,triggers,imu"),
+    Reopened("evk4", ND, "prophesee_evk4", "events"),
+)
+MORE_REOPENED = (
+    Reopened("dvxplorer", DV2, "", "events,triggers,imu"),
+    Reopened("dvxplorer", DV1, "", "events,triggers,imu"),
+    Reopened("dvxplorer_micro", DV2, "", "events,imu"),
+    Reopened("evk3_hd", ND, "prophesee_evk3_hd", "events"),
+)
+
+
+@pytest.mark.shows("{one.model}", "{one.driver.name}", "cycles")
+@pytest.mark.parametrize("one", [*REOPENED, *(pytest.param(one, marks=AT_LENGTH) for one in MORE_REOPENED)], ids=str)
+def test_another_camera_is_closed_in_the_midst_of_its_streams_again_and_again(
+    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path, one: Reopened
+) -> None:
+    with RunningRig(tmp_path, text=one.rig(tmp_path)) as rig, Attachment(guest, rig.port, model=one.usb_id):
+        more = ("--streams", one.streams, *(("--device", one.device) if one.driver is ND else ()))
+        ended = cycle(guest, one.driver, driver_pythons[one.driver.name], *more)
+    assert_cycled(ended)
+    assert rig.summary["balanced"], rig.summary
+
+
+def openeb_rig(folder: Path, model: str) -> str:
+    """Return a rig of OpenEB's tests, after the recording that it plays was saved."""
+    (test_genx320 if model == "genx320" else test_evk4).looped(folder)
+    return starting_sooner(test_evk4.RIG.replace('"evk4"', f'"{model}"'))
+
+
+def opened_once(guest: Guest) -> int:
+    """Return how many events a process of OpenEB saw; its HAL keeps a camera open as long as the process lives."""
+    command = [OPENEB, str(EVENTS_OF_A_CYCLE), str(CYCLE_S), guest.path_in_guest("cycle.bin")]
+    seen: int = json.loads(guest.check(command, 2 * CYCLE_S).splitlines()[-1])["events"]
+    return seen
+
+
+@pytest.mark.shows("{model}", "openeb", "cycles")
+@pytest.mark.skipif(not OPENEB, reason=NO_OPENEB)
+@pytest.mark.parametrize("model", ["evk4", "genx320"])
+def test_openeb_opens_a_camera_again_and_again(guest: Guest, tmp_path: Path, model: str) -> None:
+    with RunningRig(tmp_path, text=openeb_rig(tmp_path, model)) as rig, Attachment(guest, rig.port, model=EVK4):
+        seen = [opened_once(guest) for _ in range(CYCLES)]
+    assert min(seen) >= EVENTS_OF_A_CYCLE
+    assert rig.summary["balanced"], rig.summary
+
+
+@pytest.mark.shows("{model}", "openeb", "unplugged", "plugged again")
+@pytest.mark.skipif(not OPENEB, reason=NO_OPENEB)
+@pytest.mark.parametrize("model", ["evk4", "genx320"])
+def test_openeb_reports_a_pulled_cable_and_opens_the_camera_again(guest: Guest, tmp_path: Path, model: str) -> None:
+    seen = guest.results / f"cut-{model}.bin"
+    with RunningRig(tmp_path, text=openeb_rig(tmp_path, model)) as rig:
+        with Attachment(guest, rig.port, model=EVK4):
+            command = [OPENEB, str(sys.maxsize), str(CYCLE_S), guest.path_in_guest(seen.name)]
+            job = guest.start(command, 3 * CYCLE_S)
+            wait_for_bytes(seen, CYCLE_S)
+        cut = job.wait()
+        with Attachment(guest, rig.port, model=EVK4):
+            again = opened_once(guest)
+    assert cut.code == 1
+    assert "LIBUSB_ERROR_NO_DEVICE" in cut.stderr
+    assert again >= EVENTS_OF_A_CYCLE
+    assert rig.summary["balanced"], rig.summary

@@ -1,0 +1,148 @@
+"""libcaer, used directly, opens cameras of iniVation that are not there, and sees every event, edge and sample.
+
+Short by default; at length:
+
+    EVSTIM_LIBCAER_EVENTS=5e6 EVSTIM_LIBCAER_CLIENT=BUILD/client python -m pytest tests/guest/test_libcaer.py
+
+The library that dv-processing 1.7.9 has inside cannot open a DVXplorer Micro; by itself it opens one with firmware 9.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_protocol.events import EVENT, EdgeKind, Edges, empty_edges
+from tests.guest.all_streams import COLUMNS, STREAMS
+from tests.guest.attachment import DAVIS_FX3, DVXPLORER, Attachment
+from tests.guest.comparison import assert_same
+from tests.guest.machine import Finished, Guest, Job
+from tests.guest.running_rig import CHECKERBOARD, Delivered, RunningRig
+from tests.guest.streaming import wait_for_bytes
+from tests.guest.test_dvxplorer import MICRO, RIG
+
+EVENTS = round(float(os.environ.get("EVSTIM_LIBCAER_EVENTS", "3e5")))
+TIMEOUT_S = 240 + EVENTS // 5000
+CLIENT = os.environ.get("EVSTIM_LIBCAER_CLIENT", "")
+ALL = pytest.mark.shows("{one.model}", "libcaer", "imu", "triggers")
+TRIGGER = np.dtype([("t", "<u8"), ("kind", "u1")])
+SAMPLE = np.dtype([("t", "<u8"), ("values", "<f4", 7)])
+
+pytestmark = [
+    pytest.mark.guest,
+    pytest.mark.socket,
+    pytest.mark.timeout(2 * TIMEOUT_S + 960),
+    pytest.mark.skipif(
+        not CLIENT, reason="EVSTIM_LIBCAER_CLIENT names no program; tests/guest/libcaer/Makefile builds it"
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A camera that libcaer opens.
+
+    Attributes
+    ----------
+    model
+        Key of docs/device_matrix.py.
+    kind
+        The class of device, as the client names it.
+    rig
+        Its text.
+    usb_id
+        Vendor and product.
+    firmware
+        Version that the library prints.
+    """
+
+    model: str
+    kind: str
+    rig: str
+    usb_id: tuple[str, str]
+    firmware: int
+
+    def __str__(self) -> str:
+        return self.model
+
+
+DAVIS = Opened("davis346", "davis", CHECKERBOARD + STREAMS, DAVIS_FX3, 6)
+FX3 = Opened("dvxplorer", "dvxplorer", RIG, DVXPLORER, 9)
+CX3 = Opened(
+    "dvxplorer_micro_firmware9",
+    "dvxplorer",
+    MICRO.replace("dvxplorer_micro", "dvxplorer_micro_firmware9"),
+    DVXPLORER,
+    9,
+)
+
+
+def seen_edges(path: Path) -> Edges:
+    read = np.fromfile(path, TRIGGER)
+    edges = empty_edges(len(read))
+    edges["t"], edges["kind"] = read["t"], read["kind"]
+    return edges
+
+
+def assert_same_edges(seen: Edges, delivered: Delivered) -> None:
+    edges = delivered.edges[delivered.edge_resets[-1] :]
+    assert len(seen) >= 50
+    edges = edges[np.searchsorted(edges["t"], seen["t"][0]) :][: len(seen)]
+    assert seen["t"].tolist() == edges["t"].tolist()
+    assert seen["kind"].tolist() == edges["kind"].tolist()
+    assert set(seen["kind"].tolist()) == set(EdgeKind)
+
+
+def assert_same_samples(seen: np.ndarray, delivered: Delivered) -> None:
+    imu = delivered.imu[delivered.imu_resets[-1] :]
+    assert len(seen) >= 100
+    imu = imu[np.searchsorted(imu["t"], seen["t"][0]) :][: len(seen)]
+    assert seen["t"].tolist() == imu["t"].tolist()
+    values = np.column_stack([imu[name] for name in COLUMNS]).astype(np.float64)
+    np.testing.assert_allclose(seen["values"], values, rtol=4e-7, atol=1e-9)
+
+
+def started(guest: Guest, one: Opened, count: int, out: str) -> Job:
+    command = [CLIENT, one.kind, str(count), str(TIMEOUT_S), guest.path_in_guest(out)]
+    return guest.start(command, 2 * TIMEOUT_S)
+
+
+def about(ended: Finished) -> dict[str, Any]:
+    """Return what the client printed of the camera; raises AssertionError when it printed nothing."""
+    assert ended.stdout, ended
+    told: dict[str, Any] = json.loads(ended.stdout.splitlines()[-1])
+    return told
+
+
+@pytest.mark.shows("{one.model}", "libcaer", "opens", "events", "unplugged", "plugged again")
+@pytest.mark.parametrize("one", [pytest.param(DAVIS, marks=ALL), pytest.param(FX3, marks=ALL), CX3], ids=str)
+def test_libcaer_sees_every_stream_as_it_was_delivered(guest: Guest, tmp_path: Path, one: Opened) -> None:
+    """The cable is pulled while it streams; then it opens the camera again."""
+    out = f"libcaer-{one}"
+    with RunningRig(tmp_path, text=one.rig) as rig:
+        with Attachment(guest, rig.port, model=one.usb_id):
+            job = started(guest, one, sys.maxsize, f"{out}-cut")
+            wait_for_bytes(guest.results / f"{out}-cut.events", TIMEOUT_S)
+        cut = about(job.wait())
+        with Attachment(guest, rig.port, model=one.usb_id):
+            ended = started(guest, one, EVENTS, out).wait()
+    assert cut["running"] is False
+    assert cut["events"] > 0
+    assert ended.ok, ended
+    assert about(ended)["firmware"] == one.firmware
+    assert about(ended)["running"] is True
+    seen = np.fromfile(guest.results / f"{out}.events", EVENT)
+    assert len(seen) >= EVENTS
+    delivered = rig.delivered
+    assert_same(seen, delivered.events[delivered.resets[-1] :], offset_us=0)
+    if one is not CX3:
+        assert_same_edges(seen_edges(guest.results / f"{out}.triggers"), delivered)
+        assert_same_samples(np.fromfile(guest.results / f"{out}.imu", SAMPLE), delivered)
+    assert rig.summary["balanced"], rig.summary
