@@ -26,7 +26,7 @@ def test_pillow_reads_a_png_with_a_palette():
 
 
 def test_only_pixels_without_an_event_have_the_lowest_level():
-    levels = ColourScale(1000).levels(np.array([0, 1, 10, 100, 1000]))
+    levels = ColourScale(1_000_000).levels(np.array([0, 1, 10, 1000, 1_000_000]))
     assert levels[0] == 0
     assert (np.diff(levels.astype(int)) > 0).all()
     assert levels[-1] == 15

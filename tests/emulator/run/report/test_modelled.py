@@ -3,6 +3,8 @@
 import dataclasses
 import math
 
+import pytest
+
 from emulator.plan.costs import EFFECTS
 from emulator.rig.loading import load_rig
 from emulator.run.report.modelled import modelled
@@ -58,8 +60,12 @@ def test_with_a_tolerance_the_effects_left_out_are_those_that_the_sensor_lacks()
     assert "dark current" in kept
 
 
-def test_frames_of_another_program_are_not_drawn_for_the_plan():
-    found = modelled(rig_with(), Untouched((346, 260)), is_driven=True)
+@pytest.mark.parametrize("is_driven", [False, True])
+def test_frames_of_another_program_are_not_drawn_for_the_plan(is_driven):
+    rig = rig_with()
+    if not is_driven:
+        rig = dataclasses.replace(rig, scene=type("External", (), {"kind": "external"})())
+    found = modelled(rig, Untouched((346, 260)), is_driven=is_driven)
     assert not found.probed
     assert {(one.time_error_us, one.wrong_share) for one in found.effects} == {(None, None)}
     assert sorted(effect.effect for effect in found.effects) == sorted(EFFECTS)
