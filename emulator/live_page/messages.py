@@ -81,6 +81,7 @@ _MAGIC = b"EVP2"
 _ACTIVE_BYTES = 6  # place, last and count of a pixel
 _ORDERS = frozenset({"trigger", "pause", "step", "resume", "stop"})
 _CODE_SHIFT = 15  # bits of a float32 that a light code leaves out
+_INFINITE = 0xFF00  # the code of infinity
 _MOST_LIGHT = np.float32(1e38)
 
 
@@ -119,8 +120,14 @@ class Picture:
 
 def light_codes(light: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
     """Return linear light as codes; light that is negative or not a number is 0, infinite light is a large number."""
-    bits = np.fmin(np.fmax(light, np.float32(0)), _MOST_LIGHT).view(np.uint32)
-    return np.asarray((bits + (1 << _CODE_SHIFT - 1)) >> _CODE_SHIFT, np.uint16)
+    codes = _rounded(light)
+    if codes.max(initial=0) >= _INFINITE:  # so has a negative number, by its sign bit; both are rare, and slow
+        codes = _rounded(np.fmin(np.fmax(light, np.float32(0)) + np.float32(0), _MOST_LIGHT))
+    return codes.astype(np.uint16)
+
+
+def _rounded(light: npt.NDArray[np.float32]) -> npt.NDArray[np.uint32]:
+    return np.asarray((light.view(np.uint32) + (1 << _CODE_SHIFT - 1)) >> _CODE_SHIFT, np.uint32)
 
 
 def light_of_codes(codes: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:

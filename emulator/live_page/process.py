@@ -78,7 +78,7 @@ class Canvas:
         self._number += 1
         return Picture(
             self._number, from_us, self._until_us, len(events), every, light_codes(light),
-            active, last, self._counts(drawn, place)[active],
+            active, last, self._counts(drawn, place, active),
         )  # fmt: skip
 
     def _last(
@@ -93,12 +93,15 @@ class Canvas:
         active = np.flatnonzero(plane)
         return active.astype(np.uint32), plane[active]
 
-    def _counts(self, events: Events, place: npt.NDArray[np.intp]) -> npt.NDArray[np.uint8]:
-        """Return the counts of all pixels, (height * width,)."""
+    def _counts(
+        self, events: Events, place: npt.NDArray[np.intp], active: npt.NDArray[np.uint32]
+    ) -> npt.NDArray[np.uint8]:
+        """Return the counts of the active pixels."""
+        slot = np.empty(self._height * self._width, np.intp)
+        slot[active] = np.arange(len(active))
         on = events["on"]
         up, down = (
-            np.minimum(np.bincount(place[which], minlength=self._height * self._width), _MOST_COUNT)
-            for which in (on, ~on)
+            np.minimum(np.bincount(slot[place[which]], minlength=len(active)), _MOST_COUNT) for which in (on, ~on)
         )
         return np.asarray(up | down << 4, np.uint8)
 

@@ -15,7 +15,7 @@ const VALUES = new Float32Array(Uint32Array.from({length: 65536}, (_, code) => c
 
 const panes = {light: pane("pane-light", "light-picture"), events: pane("pane-events", "picture")};
 let size = [0, 0], sensor = null, damaged = 0, codes, lastUs, polarity, sumOn, sumOff, past = [], untilUs = 0, every = 1;
-let white = 0, held = false, shades = new Uint8Array(65536), shadesWhite = 0, thresholds = null;
+let white = 0, held = false, shades = new Uint8Array(65536), shadesWhite = 0;
 let zoom = {by: 1, left: 0, top: 0}, cursor = null;
 
 function pane(id, canvas) {
@@ -184,6 +184,7 @@ function legend() {
   put("legend-middle", surface ? time(span / 2) : `net events in ${time(span)}`);
   put("legend-last", surface ? `${time(span)} ago` : "1");
   $("window").setAttribute("aria-valuetext", time(span));
+  panes.events.canvas.setAttribute("aria-label", chosen("view") === "overlay" ? "Events over the light of the scene" : "Events");
   const value = stops(), text = `${value > 0 ? "+" : value < 0 ? "\u2212" : "\u00b1"}${Math.abs(value).toFixed(1)} stops`;
   put("stops-text", text);
   $("stops").setAttribute("aria-valuetext", text);
@@ -201,8 +202,6 @@ function readout() {
   put("read-light", figure(VALUES[codes[i]]));
   put("read-events", `${sumOn[i]} ON, ${sumOff[i]} OFF in ${time(span)}`);
   put("read-last", age < 1e12 ? `${polarity[i] > 0 ? "ON" : "OFF"}, ${time(age)} ago` : "none yet");
-  put("read-thresholds", thresholds ? thresholds(x * by, y * by) : "");
-  $("read-thresholds").parentNode.hidden = !thresholds;
 }
 
 let announcing = 0;
