@@ -170,7 +170,7 @@ def run_with_files(
     prepared([*parts_of(rig), *truth.parts])
     result = run_rig(rig, files, RunParts(reporting, truth, simulation, repeats), show=show)
     ignore_stop_signals()
-    reporting.write(result, summary(rig, result))
+    reporting.write(result, summary(rig, result), truth.trouble)
     return result, truth
 
 
@@ -197,7 +197,7 @@ class RunParts:
     Attributes
     ----------
     reporting, truth
-        Those of the run's files; None: without a report, and as the files say.
+        Those of the run's files; None: without a report, and as in the files.
     simulation
         A simulation with which the run is in step; None: none.
     repeats
@@ -220,6 +220,7 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
             console.print(f"renderer: {scene.renderer}")
         for note in [*remarks(rig), *scene.notes] if show else ():
             console.print(f"note: {note}", markup=False)
+        reporting.plan(scene, is_driven=simulation is not None)
         serving = OptionalPage(rig, files.serve, parts.repeats)
         setups = serving.wired(link_setups(rig, files.record, truth.clock, files.fault_log))
         setups = begin_trace(setups, files.trace)
@@ -244,7 +245,7 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
                     live.update(now)
 
             def take(events: Events) -> None:
-                reporting.take(events)
+                reporting.take(events, session)
                 page.take(events)
                 if simulation is not None:
                     simulation.take(events)

@@ -198,7 +198,7 @@ export class TimeAxis {
       pen.fillStyle = colours[lane.colour];
       if (lane.diamond) { pen.beginPath(); pen.moveTo(x, middle - 6); pen.lineTo(x + 6, middle); pen.lineTo(x, middle + 6); pen.lineTo(x - 6, middle); pen.fill(); }
       else pen.fillRect(x - 1, middle - 7, 2, 14);
-      if (mark.text) this.label(mark.text, x + 10, middle, k + 1 < shown.length ? this.x(shown[k + 1].t_s) - 8 : this.width);
+      if (mark.text) this.label(mark.text, x + 10, middle, Math.min(this.width, k + 1 < shown.length ? this.x(shown[k + 1].t_s) - 8 : this.width));
     });
   }
 
