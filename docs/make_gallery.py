@@ -127,7 +127,7 @@ def _section(shot: Shot) -> str:
 ![{shot.rig}: the light, and beside it the events of {shot.window_ms:g} ms](gallery/{shot.like or shot.rig}.webp)
 ![{shot.rig}: a movie of the events over the light](gallery/{shot.like or shot.rig}-movie.webp)
 
-Light at {shot.at_s:g} s of the run, events of {shot.window_ms:g} ms; the movie has {length_s:g} s of the run in {played_s:g} s.
+Light at {shot.at_s:g} s of the run, events of {shot.window_ms:g} ms; the movie has {length_s:g} s in {played_s:g} s.
 """
 
 

@@ -18,7 +18,8 @@ def test_each_shipped_rig_has_its_section():
 
 
 def test_the_page_is_what_its_script_makes():
-    assert PAGE == runpy.run_path(str(DOCS / "make_gallery.py"))["page"](), "run: python docs/make_gallery.py NAME"
+    script = runpy.run_path(str(DOCS / "make_gallery.py"))
+    assert script["page"]() == PAGE, "run: python docs/make_gallery.py"
 
 
 def test_the_files_are_those_of_the_page():
