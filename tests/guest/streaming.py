@@ -15,7 +15,7 @@ from tests.guest.comparison import load_frames, load_imu, load_seen, load_trigge
 from tests.guest.environments import Driver
 from tests.guest.machine import Finished, Guest, Job
 
-__all__ = ["STREAM_TIMEOUT_S", "Seen", "Streaming"]
+__all__ = ["STREAM_TIMEOUT_S", "Seen", "Streaming", "wait_for_bytes"]
 
 STREAM_TIMEOUT_S = 240.0
 OPEN_TIMEOUT_S = 240.0
@@ -85,6 +85,15 @@ class Streaming:
     def _may_abort(self, finished: Finished, about: dict[str, Any]) -> bool:
         known = self._driver.abort_after_unplugging
         return bool(known) and known in finished.stderr and about.get("running") is False
+
+
+def wait_for_bytes(file: Path, timeout_s: float) -> None:
+    """Wait until a client of another kind wrote its first events; raises TimeoutError."""
+    deadline = time.monotonic() + timeout_s
+    while not (file.exists() and file.stat().st_size):
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"{file.name} is empty after {timeout_s} s")
+        time.sleep(0.02)
 
 
 def _last_object(stdout: str) -> dict[str, Any]:

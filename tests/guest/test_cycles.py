@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from tests.guest.attachment import DVXPLORER, EVK4, Attachment
 from tests.guest.environments import DRIVERS, Driver
 from tests.guest.machine import Finished, Guest
 from tests.guest.running_rig import RunningRig
+from tests.guest.streaming import wait_for_bytes
 from tests.guest.turns import Turns, selected
 
 CYCLES = int(os.environ.get("EVSTIM_GUEST_CYCLES", "3"))
@@ -27,6 +29,8 @@ CYCLE_S = 60.0
 PROGRAM = str(Path(__file__).parent / "clients" / "cycling.py")
 DV2, DV1, ND = DRIVERS
 OPENEB = os.environ.get("EVSTIM_OPENEB_CLIENT", "")
+NO_OPENEB = "EVSTIM_OPENEB_CLIENT names no program; tests/guest/openeb/Makefile builds it"
+SILENCE = "start_delay_ms = 3000.0"
 EVENTS_OF_A_CYCLE = 20_000
 AT_LENGTH = pytest.mark.skipif(
     CYCLES < 100, reason="takes minutes beside another driver's; EVSTIM_GUEST_CYCLES=100 runs it"
@@ -79,6 +83,12 @@ def test_it_is_closed_in_the_midst_of_all_streams_again_and_again(
     assert cycled.rig.summary["balanced"], cycled.rig.summary
 
 
+def starting_sooner(rig: str) -> str:
+    """Return a rig whose camera sends sooner: these tests do not compare the first events, which may be reordered."""
+    assert rig.count(SILENCE) == 1
+    return rig.replace(SILENCE, "start_delay_ms = 500.0")
+
+
 @dataclass(frozen=True)
 class Reopened:
     """A camera that a driver's client opens again and again: its rig, its place on the bus, and its streams.
@@ -110,11 +120,11 @@ class Reopened:
     def rig(self, folder: Path) -> str:
         """Return the rig, after the recording that it plays was saved."""
         if self.model == "dvxplorer":
-            return test_dvxplorer.RIG
+            return starting_sooner(test_dvxplorer.RIG)
         if self.model == "dvxplorer_micro":
-            return test_dvxplorer.MICRO
+            return starting_sooner(test_dvxplorer.MICRO)
         test_evk4.looped(folder)
-        return test_evk4.rig_of(self.model)
+        return starting_sooner(test_evk4.rig_of(self.model))
 
 
 REOPENED = (
@@ -141,15 +151,43 @@ def test_another_camera_is_closed_in_the_midst_of_its_streams_again_and_again(
     assert rig.summary["balanced"], rig.summary
 
 
+def openeb_rig(folder: Path, model: str) -> str:
+    """Return a rig of OpenEB's tests, after the recording that it plays was saved."""
+    (test_genx320 if model == "genx320" else test_evk4).looped(folder)
+    return starting_sooner(test_evk4.RIG.replace('"evk4"', f'"{model}"'))
+
+
+def opened_once(guest: Guest) -> int:
+    """Return how many events a process of OpenEB saw; its HAL keeps a camera open as long as the process lives."""
+    command = [OPENEB, str(EVENTS_OF_A_CYCLE), str(CYCLE_S), guest.path_in_guest("cycle.bin")]
+    seen: int = json.loads(guest.check(command, 2 * CYCLE_S).splitlines()[-1])["events"]
+    return seen
+
+
 @pytest.mark.shows("{model}", "openeb", "cycles")
-@pytest.mark.skipif(not OPENEB, reason="EVSTIM_OPENEB_CLIENT names no program; tests/guest/openeb/Makefile builds it")
+@pytest.mark.skipif(not OPENEB, reason=NO_OPENEB)
 @pytest.mark.parametrize("model", ["evk4", "genx320"])
 def test_openeb_opens_a_camera_again_and_again(guest: Guest, tmp_path: Path, model: str) -> None:
-    """A process for each cycle: OpenEB's HAL keeps a camera open for as long as its process is there."""
-    (test_genx320 if model == "genx320" else test_evk4).looped(tmp_path)
-    text = test_evk4.RIG.replace('"evk4"', f'"{model}"')
-    with RunningRig(tmp_path, text=text) as rig, Attachment(guest, rig.port, model=EVK4):
-        command = [OPENEB, str(EVENTS_OF_A_CYCLE), str(CYCLE_S), guest.path_in_guest("cycle.bin")]
-        seen = [json.loads(guest.check(command, 2 * CYCLE_S).splitlines()[-1])["events"] for _ in range(CYCLES)]
+    with RunningRig(tmp_path, text=openeb_rig(tmp_path, model)) as rig, Attachment(guest, rig.port, model=EVK4):
+        seen = [opened_once(guest) for _ in range(CYCLES)]
     assert min(seen) >= EVENTS_OF_A_CYCLE
+    assert rig.summary["balanced"], rig.summary
+
+
+@pytest.mark.shows("{model}", "openeb", "unplugged", "plugged again")
+@pytest.mark.skipif(not OPENEB, reason=NO_OPENEB)
+@pytest.mark.parametrize("model", ["evk4", "genx320"])
+def test_openeb_reports_a_pulled_cable_and_opens_the_camera_again(guest: Guest, tmp_path: Path, model: str) -> None:
+    seen = guest.results / f"cut-{model}.bin"
+    with RunningRig(tmp_path, text=openeb_rig(tmp_path, model)) as rig:
+        with Attachment(guest, rig.port, model=EVK4):
+            command = [OPENEB, str(sys.maxsize), str(CYCLE_S), guest.path_in_guest(seen.name)]
+            job = guest.start(command, 3 * CYCLE_S)
+            wait_for_bytes(seen, CYCLE_S)
+        cut = job.wait()
+        with Attachment(guest, rig.port, model=EVK4):
+            again = opened_once(guest)
+    assert cut.code == 1
+    assert "LIBUSB_ERROR_NO_DEVICE" in cut.stderr
+    assert again >= EVENTS_OF_A_CYCLE
     assert rig.summary["balanced"], rig.summary

@@ -118,19 +118,30 @@ def by_column(events: Events) -> Events:
     return events[np.lexsort((events["y"], events["on"], events["x"], events["t"]))]
 
 
-@pytest.mark.shows("dvxplorer_micro", "dv2", "opens", "events", "imu")
+@pytest.mark.shows("dvxplorer_micro", "dv2", "opens", "events", "imu", "unplugged", "plugged again")
 def test_a_micro_is_seen_as_it_was_delivered(guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path) -> None:
-    """Its library stamps an inertial sample when it arrives, so only the values are compared."""
-    driver = DRIVERS[0]
-    with RunningRig(tmp_path, text=MICRO) as rig, Attachment(guest, rig.port, model=DVXPLORER) as camera:
-        assert camera.device["bcdDevice"] == "040a"
-        seen = Streaming(guest, driver, driver_pythons["dv2"], EVENTS, "--imu", timeout_s=TIMEOUT_S).wait()
+    """Its library stamps an inertial sample when it arrives, so only the values are compared.
+
+    The cable is pulled while the driver streams; then it opens the camera again.
+    """
+    driver, python = DRIVERS[0], driver_pythons["dv2"]
+    with RunningRig(tmp_path, text=MICRO) as rig:
+        with Attachment(guest, rig.port, model=DVXPLORER) as camera:
+            assert camera.device["bcdDevice"] == "040a"
+            streaming = Streaming(guest, driver, python, FEWER_EVENTS, "--on", timeout_s=TIMEOUT_S)
+            streaming.wait_until_started()
+        cut = streaming.wait()
+        with Attachment(guest, rig.port, model=DVXPLORER):
+            seen = Streaming(guest, driver, python, EVENTS, "--imu", timeout_s=TIMEOUT_S).wait()
+    assert cut.about["running"] is False
+    assert len(cut.events) >= FEWER_EVENTS
     delivered = rig.delivered
     assert any("DVX00042" in found for found in seen.about["discovered"])
     assert len(seen.events) >= EVENTS
     events = delivered.events[delivered.resets[-1] :]
     assert_same(seen.events, by_column(events), offset_us=int(seen.events["t"][0]) - int(events["t"][0]))
-    values = np.column_stack([delivered.imu[name] for name in COLUMNS]).astype(np.float64)
+    samples = delivered.imu[delivered.imu_resets[-1] :]
+    values = np.column_stack([samples[name] for name in COLUMNS]).astype(np.float64)
     assert len(seen.imu) >= 100
     np.testing.assert_allclose(seen.imu, values[: len(seen.imu)], rtol=4e-7, atol=1e-9)
     assert rig.summary["balanced"], rig.summary

@@ -227,6 +227,7 @@ OPENED = [
     Opened("silkyevcam_hd", "EVT21", ("31f7", "0003")),
     Opened("silkyevcam_hd_lite", usb_id=("31f7", "0004")),
     Opened("ueye_xcp_e", "EVT21", ("1409", "8e00")),
+    Opened("ueye_xls_e", usb_id=("1409", "8e00")),
     Opened("evk3_hd", "EVT21", bias_diff_on=0x73 + 25, has_thermometer=False),
 ]
 

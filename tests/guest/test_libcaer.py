@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import os
 import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,7 @@ from tests.guest.attachment import DAVIS_FX3, DVXPLORER, Attachment
 from tests.guest.comparison import assert_same
 from tests.guest.machine import Finished, Guest, Job
 from tests.guest.running_rig import CHECKERBOARD, Delivered, RunningRig
+from tests.guest.streaming import wait_for_bytes
 from tests.guest.test_dvxplorer import MICRO, RIG
 
 EVENTS = round(float(os.environ.get("EVSTIM_LIBCAER_EVENTS", "3e5")))
@@ -114,15 +114,6 @@ def started(guest: Guest, one: Opened, count: int, out: str) -> Job:
     return guest.start(command, 2 * TIMEOUT_S)
 
 
-def wait_for_events(file: Path) -> None:
-    """Wait until the client wrote its first events; raises TimeoutError."""
-    deadline = time.monotonic() + TIMEOUT_S
-    while not (file.exists() and file.stat().st_size):
-        if time.monotonic() > deadline:
-            raise TimeoutError(f"no events within {TIMEOUT_S} s")
-        time.sleep(0.02)
-
-
 def about(ended: Finished) -> dict[str, Any]:
     """Return what the client printed of the camera; raises AssertionError when it printed nothing."""
     assert ended.stdout, ended
@@ -138,7 +129,7 @@ def test_libcaer_sees_every_stream_as_it_was_delivered(guest: Guest, tmp_path: P
     with RunningRig(tmp_path, text=one.rig) as rig:
         with Attachment(guest, rig.port, model=one.usb_id):
             job = started(guest, one, sys.maxsize, f"{out}-cut")
-            wait_for_events(guest.results / f"{out}-cut.events")
+            wait_for_bytes(guest.results / f"{out}-cut.events", TIMEOUT_S)
         cut = about(job.wait())
         with Attachment(guest, rig.port, model=one.usb_id):
             ended = started(guest, one, EVENTS, out).wait()
