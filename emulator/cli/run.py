@@ -143,7 +143,7 @@ def run_with_files(
     prepared([*parts_of(rig), *truth.parts])
     result = run_rig(rig, files, reporting, truth, show=show, simulation=simulation)
     ignore_stop_signals()
-    reporting.write(result, summary(rig, result))
+    reporting.write(result, summary(rig, result), truth.trouble)
     return result, truth
 
 
@@ -179,6 +179,7 @@ def run_rig(
             console.print(f"renderer: {scene.renderer}")
         for note in [*remarks(rig), *scene.notes] if show else ():
             console.print(f"note: {note}", markup=False)
+        reporting.plan(scene, is_driven=simulation is not None)
         serving = OptionalPage(rig, files.serve)
         setups = serving.wired(link_setups(rig, files.record, truth.clock, files.fault_log))
         setups = begin_trace(setups, files.trace)
@@ -203,7 +204,7 @@ def run_rig(
                     live.update(now)
 
             def take(events: Events) -> None:
-                reporting.take(events)
+                reporting.take(events, session)
                 page.take(events)
                 if simulation is not None:
                     simulation.take(events)
