@@ -24,6 +24,7 @@ from rich.table import Table
 from emulator.cli.output import LACKING, WRONG_USE, Failure, console, status
 from emulator.cli.run_summary import quantile_text
 from emulator.light import MachineLacks, Scene
+from emulator.live_page.controls import Repeats
 from emulator.live_page.messages import Address, parse_address
 from emulator.rig.loading import Rig
 from emulator.run.changes import Operator
@@ -178,7 +179,8 @@ class ShownRun:
     def take(self, events: Events) -> None:
         """Show the events of a step."""
         if self._page is not None:
-            self._page.show(events, self._session.light, self._session.t_ns // 1000)
+            session = self._session
+            self._page.show(events, session.light, session.t_ns // 1000, session.last_readings)
 
     def renew(self, status: RunStatus) -> None:
         """Show the state of the run."""
@@ -189,8 +191,9 @@ class ShownRun:
 class OptionalPage:
     """The requested live page, or none."""
 
-    def __init__(self, rig: Rig, requested: str | bool | None) -> None:
+    def __init__(self, rig: Rig, requested: str | bool | None, repeats: Repeats | None = None) -> None:
         self._rig = rig
+        self._repeats = repeats
         self._address = _address(requested)
         self._trigger: EdgeSink | None = None
 
@@ -216,9 +219,9 @@ class OptionalPage:
         can_pause = run.pace == "free" and not run.lockstep_us
         viewer = Operator(session, "live page")
         inject = FaultInjection(self._rig, viewer, None).answer
-        commands = ViewerCommands(viewer, inject, self._button(viewer), can_pause=can_pause)
+        commands = ViewerCommands(viewer, inject, self._button(viewer), can_pause=can_pause, repeats=self._repeats)
         try:
-            page = LivePage(self._rig, self._address, commands)
+            page = LivePage(self._rig, self._address, commands, self._repeats)
         except OSError as error:
             raise Failure(f"--serve: {_shown(self._address)}: {error.strerror or error}", LACKING) from error
         with page:
