@@ -86,8 +86,17 @@ def _section(cls: type, titles: list[str]) -> str:
     if types:
         lines += ["| key | type | default | meaning |", "|---|---|---|---|"]
     rows = (f for f in dataclasses.fields(cls) if f.name in types)
-    lines += [f"| `{f.name}` | {_words(types[f.name])} | {_default(f)} | {texts.get(f.name, '')} |" for f in rows]
+    lines += [
+        f"| {_heading(titles[0], f.name)} | {_words(types[f.name])} | {_default(f)} | {texts.get(f.name, '')} |"
+        for f in rows
+    ]
     return "\n".join(lines).rstrip()
+
+
+def _heading(title: str, key: str) -> str:
+    """Return a key as a heading in its cell: the search of the site finds headings, and an address can end in it."""
+    place = re.sub(r"[^a-z0-9_.]+", "-", title.replace(" kind = ", "-")).strip("-")
+    return f'<h4 id="{place}-{key}"><code>{key}</code></h4>'
 
 
 def meanings(cls: type) -> dict[str, str]:

@@ -20,7 +20,7 @@ from emulator.run.assembly import build_frames, build_scene, build_sensor
 from emulator.run.kernels import parts_of
 from firmware_protocol.events import Events, empty_events
 
-__all__ = ["look", "picture"]
+__all__ = ["PictureOptions", "look", "looks", "picture"]
 
 _WINDOWS_MS = (20.0, 50.0, 100.0, 200.0, 500.0)  # tried in this order
 _ENOUGH = 0.005  # events for each pixel of the sensor
@@ -105,7 +105,7 @@ def _movie(rig: Rig, file: Path, show: PictureOptions) -> tuple[int, str]:
 
     def drawn() -> Iterator[Rgb]:
         nonlocal count, white
-        for number, (light, events) in enumerate(_looks(rig, show, window_ms)):
+        for number, (light, events) in enumerate(looks(rig, show, window_ms)):
             white = white or white_of(light)
             count += len(events)
             rgb = scaled(event_picture(light, events, white=white or None, dimming=show.brightness))
@@ -133,10 +133,10 @@ def _window_ms(events: Events, at_s: float, pixels: int) -> float:
 
 def look(rig: Rig, at_s: float, window_ms: float) -> tuple[Light, Events]:
     """Run the scene and the sensor alone up to `at_s`; return the light then and the events of the window before."""
-    return next(_looks(rig, PictureOptions(at_s, seconds=0.0), window_ms))
+    return next(looks(rig, PictureOptions(at_s, seconds=0.0), window_ms))
 
 
-def _looks(rig: Rig, show: PictureOptions, window_ms: float) -> Iterator[tuple[Light, Events]]:
+def looks(rig: Rig, show: PictureOptions, window_ms: float, fps: int = _FPS) -> Iterator[tuple[Light, Events]]:
     """Yield the light and the events of the window before it, at `at_s` and on to the end of the movie."""
     sensor = build_sensor(rig, rig.camera.sensor)
     step_ns, due_ns = rig.run.step_us * 1000, round(show.at_s * 1e9)
@@ -153,7 +153,7 @@ def _looks(rig: Rig, show: PictureOptions, window_ms: float) -> Iterator[tuple[L
             if t_ns > due_ns:
                 seen = seen[seen["t"] >= _begin_us(due_ns * 1e-9, window_ms)]
                 yield frames.last.light.copy(), seen
-                due_ns += 10**9 // _FPS
+                due_ns += 10**9 // fps
             if due_ns > end_ns:
                 return
             seen = np.concatenate([seen, sensor.expose(frames.draw(t_ns))])

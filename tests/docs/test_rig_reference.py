@@ -14,7 +14,7 @@ _SPEC.loader.exec_module(rig_reference)
 TABLES = rig_reference.PAGE.read_text().partition(rig_reference.MARKER)[2].partition("## Presets")[0]
 ROWS = [
     [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
-    for line in TABLES.splitlines()
+    for line in re.sub(r'<h4 id="[^"]+"><code>(\w+)</code></h4>', r"`\1`", TABLES).splitlines()
     if line.startswith("| `")
 ]
 
