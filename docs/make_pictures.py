@@ -1,7 +1,15 @@
-"""Make the pictures of the README and the docs with the program itself:  python docs/make_pictures.py"""
+"""Make the pictures of the README and the docs with the program itself:  python docs/make_pictures.py
+
+The picture of a report also needs Chromium:  python docs/make_pictures.py report
+"""
 
 from __future__ import annotations
 
+import json
+import subprocess
+import sys
+import tempfile
+import time
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +36,45 @@ def draw(rig: str, at_s: float, window_ms: float, dimming: float = 0.6) -> Rgb:
     return np.asarray(picture.repeat(2, axis=0).repeat(2, axis=1))
 
 
+EVSTIM = [sys.executable, "-c", "from emulator.cli import main; main()"]
+# The rig `eros` on a free port, with room for a busy machine, triggers, a fault and two rules of its own.
+REPORTED = (
+    ("lead_us = 100000", "lead_us = 900000\nmax_late_share = 0.05"),
+    ("port = 3240", "port = 0"),
+    (
+        'busid = "1-1"\n',
+        'busid = "1-1"\n[trigger]\nperiod_ms = 700\n[[faults]]\nkind = "usb_silence"\nat_s = 5.0\nfor_s = 0.5\n'
+        "[verdict]\nmin_rate_hz = 1000\nmax_drop = 0.1\n",
+    ),
+)
+
+
+def draw_report(seconds: float = 10.0, height_px: int = 2375) -> None:
+    """Write the picture of a report, of a run with a host that reads its camera."""
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        rig, ready, page = folder / "eros.toml", folder / "ready.json", folder / "out" / "report.html"
+        text = (Path(__file__).parents[1] / "rigs" / "eros.toml").read_text(encoding="utf-8")
+        for old, new in REPORTED:
+            text = text.replace(old, new)
+        rig.write_text(text, encoding="utf-8")
+        options = ["--seconds", f"{seconds:g}", "--report", str(page.parent), "--ready-file", str(ready)]
+        with subprocess.Popen([*EVSTIM, "run", rig.name, *options], cwd=folder) as run:
+            while run.poll() is None and not ready.exists():
+                time.sleep(0.05)
+            address = next(iter(json.loads(ready.read_text(encoding="utf-8"))["links"].values()))
+            subprocess.run([*EVSTIM, "listen", "usb", "--usbip", address.partition(",")[0]], check=False)
+        shot = f"--screenshot={PICTURES / 'report.png'}"
+        size = f"--window-size=1160,{height_px}"
+        browser = ["chromium", "--headless", "--no-sandbox", "--hide-scrollbars", f"--user-data-dir={made}/browser"]
+        subprocess.run([*browser, size, shot, page.as_uri()], check=True)
+
+
 def main() -> None:
-    """Write all pictures."""
+    """Write all pictures, or that of a report alone."""
+    if sys.argv[1:] == ["report"]:
+        draw_report()
+        return
     PICTURES.mkdir(exist_ok=True)
     eros, board = draw("eros", 8.0, 60.0), draw("checkerboard", 0.5, 10.0)
     gap = np.full((eros.shape[0], 16, 3), 255, np.uint8)

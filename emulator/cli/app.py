@@ -60,7 +60,7 @@ _COMMANDS = {
         ("rigs", "rigs:rigs", "List the rigs that are installed with evstim."),
         ("check", "rigs:check", "Check a rig file without running it."),
         ("plan", "plan:plan", "Show the plan of a run: step, effects and expected load."),
-        ("schema", "rigs:schema", "Print the JSON Schema of rig files."),
+        ("schema", "rigs:schema", "Print the JSON Schema of rig files, or of reports."),
     ),
     "While a rig runs": (
         ("fault", "fault:fault", "Inject a fault into a link of a running rig."),

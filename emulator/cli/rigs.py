@@ -1,4 +1,4 @@
-"""`evstim rigs` and `evstim schema`: the installed rigs, and the JSON Schema of rig files.
+"""`evstim rigs` and `evstim schema`: the installed rigs, and the JSON Schemas of rig files and reports.
 
 `evstim check RIG`: check a rig file.
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -22,6 +22,7 @@ from emulator.rig.remarks import OpenedFile, open_files, remarks
 from emulator.rig.top_level import rig_schema
 from emulator.run.assembly import build_scene, build_sensor
 from emulator.run.machine import needs_of
+from emulator.run.report.content import report_schema
 from transports.needs import By, Finding
 
 __all__ = ["Needed", "check", "examined_needs", "rigs", "schema"]
@@ -89,9 +90,15 @@ def rigs(*, json: Json = False) -> int:
     return GOOD
 
 
-def schema() -> int:
-    """Print the JSON Schema of rig files, for editors."""
-    print_json(rig_schema())
+def schema(of: Literal["rig", "report"] = "rig", /) -> int:
+    """Print the JSON Schema of rig files, for editors, or that of report.json.
+
+    Parameters
+    ----------
+    of
+        Kind of file: "rig", or "report" for the report.json of `evstim run --report`.
+    """
+    print_json(rig_schema() if of == "rig" else report_schema())
     return GOOD
 
 

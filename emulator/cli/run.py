@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from contextlib import nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -25,8 +26,9 @@ from emulator.cli.run_summary import (
     timing_lines,
     verdict_line,
 )
-from emulator.cli.signals import ignore_stop_signals, stop_on_signals
+from emulator.cli.signals import ignore_stop_signals, interrupt_on_stop_signals, stop_on_signals
 from emulator.light import Scene
+from emulator.live_page.controls import Repeats
 from emulator.rig.loading import Rig, load_rig, with_options
 from emulator.rig.remarks import remarks
 from emulator.run.assembly import build_scene, build_session, link_setups, schedule
@@ -41,7 +43,17 @@ from transports.link.deliveries import LatencySummary
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
 
-__all__ = ["NO_FILES", "Files", "print_summary", "rig_with_options", "run", "run_rig", "run_with_files", "summary"]
+__all__ = [
+    "NO_FILES",
+    "Files",
+    "RunParts",
+    "print_summary",
+    "rig_with_options",
+    "run",
+    "run_rig",
+    "run_with_files",
+    "summary",
+]
 
 
 @dataclass(frozen=True)
@@ -121,7 +133,14 @@ def run(
     """
     with failures():
         loaded = rig_with_options(load_rig(rig), seconds, seed, pace)
-        result, truth = run_with_files(loaded, files, show=not json)
+        repeats = Repeats(_obstacle(files))
+        result, truth = run_with_files(loaded, files, show=not json, repeats=repeats)
+        while (next_seed := repeats.take(loaded, result)) is not None:  # a viewer of the live page has sent a seed
+            if not json:
+                print_summary(loaded, result)
+            interrupt_on_stop_signals()
+            loaded = rig_with_options(loaded, None, next_seed, None)
+            result, truth = run_with_files(loaded, files, show=not json, repeats=repeats)
     if json:
         print_json({**summary(loaded, result), "truth_trouble": truth.trouble})
     else:
@@ -130,8 +149,16 @@ def run(
     return GOOD if good(judge(loaded.verdict, result)) and not truth.trouble else BAD_VERDICT
 
 
+def _obstacle(files: Files) -> str:
+    """Return the reason why a run with these files cannot be started again; "" where it can."""
+    written = {"record": files.record, "truth": files.truth, "fault-log": files.fault_log, "trace": files.trace}
+    written |= {"report": files.report, "ready-file": files.ready_file}
+    found = [f"--{name}" for name, path in written.items() if path is not None]
+    return f"the new run would write over the files of {', '.join(found)}" if found else ""
+
+
 def run_with_files(
-    rig: Rig, files: Files, simulation: Simulation | None = None, *, show: bool
+    rig: Rig, files: Files, simulation: Simulation | None = None, *, show: bool, repeats: Repeats | None = None
 ) -> tuple[RunResult, Truth]:
     """Check that the files can be written, compile the kernels, run a rig and report; raises Failure."""
     _check_record(rig, files.record)
@@ -141,9 +168,9 @@ def run_with_files(
     files.begin_fault_log()
     reporting = begin_report(rig, files.report)
     prepared([*parts_of(rig), *truth.parts])
-    result = run_rig(rig, files, reporting, truth, show=show, simulation=simulation)
+    result = run_rig(rig, files, RunParts(reporting, truth, simulation, repeats), show=show)
     ignore_stop_signals()
-    reporting.write(result, summary(rig, result))
+    reporting.write(result, summary(rig, result), truth.trouble)
     return result, truth
 
 
@@ -163,27 +190,42 @@ def _check_record(rig: Rig, record: Path | None) -> None:
     check_recording("--record", record)
 
 
-def run_rig(
-    rig: Rig,
-    files: Files = NO_FILES,
-    reporting: RunReporter | None = None,
-    truth: Truth | None = None,
-    *,
-    show: bool = False,
-    simulation: Simulation | None = None,
-) -> RunResult:
-    """Run a loaded rig, with a live table on stderr when `show`, in step with a simulation where there is one."""
-    reporting, truth = reporting or RunReporter(rig, None), truth or Truth(rig, files.truth, files.truth_every)
+@dataclass(frozen=True)
+class RunParts:
+    """Parts that take part in a run.
+
+    Attributes
+    ----------
+    reporting, truth
+        Those of the run's files; None: without a report, and as in the files.
+    simulation
+        A simulation with which the run is in step; None: none.
+    repeats
+        Receiver of a viewer's request to start the run again; None: it cannot be started again.
+    """
+
+    reporting: RunReporter | None = None
+    truth: Truth | None = None
+    simulation: Simulation | None = None
+    repeats: Repeats | None = None
+
+
+def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *, show: bool = False) -> RunResult:
+    """Run a loaded rig, with a live table on stderr when `show`."""
+    parts = parts or RunParts()
+    reporting, simulation = parts.reporting or RunReporter(rig, None), parts.simulation
+    truth = parts.truth or Truth(rig, files.truth, files.truth_every)
     with build_scene(rig) as scene, truth.begin() as truth_file:
         if show and scene.renderer:
             console.print(f"renderer: {scene.renderer}")
         for note in [*remarks(rig), *scene.notes] if show else ():
             console.print(f"note: {note}", markup=False)
-        serving = OptionalPage(rig, files.serve)
+        reporting.plan(scene, is_driven=simulation is not None)
+        serving = OptionalPage(rig, files.serve, parts.repeats)
         setups = serving.wired(link_setups(rig, files.record, truth.clock, files.fault_log))
         setups = begin_trace(setups, files.trace)
         session = _session(rig, scene, setups, truth_file)
-        stop_on_signals(session.stop)
+        stop_on_signals(partial(_stop, session, parts.repeats))
         with (
             fault_injection(rig, Operator(session, "evstim")) as faults,
             serving.page(session) as page,
@@ -203,12 +245,19 @@ def run_rig(
                     live.update(now)
 
             def take(events: Events) -> None:
-                reporting.take(events)
+                reporting.take(events, session)
                 page.take(events)
                 if simulation is not None:
                     simulation.take(events)
 
             return session.run(dataclasses.replace(schedule(rig), simulation=simulation), report, take)
+
+
+def _stop(session: Session, repeats: Repeats | None) -> None:
+    """End a run, and all that a viewer has requested to follow it."""
+    if repeats is not None:
+        repeats.cancel()
+    session.stop()
 
 
 def _session(rig: Rig, scene: Scene, setups: list[LinkSetup[Any]], truth: Any) -> Session:

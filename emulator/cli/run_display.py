@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -21,14 +23,17 @@ from rich.table import Table
 
 from emulator.cli.output import LACKING, WRONG_USE, Failure, console, status
 from emulator.cli.run_summary import quantile_text
-from emulator.light import MachineLacks
+from emulator.light import MachineLacks, Scene
+from emulator.live_page.controls import Repeats
 from emulator.live_page.messages import Address, parse_address
-from emulator.report.page import ChartsLacking, check_charts
 from emulator.rig.loading import Rig
 from emulator.run.changes import Operator
 from emulator.run.control import FaultInjection
 from emulator.run.outcome import RunResult, RunStatus, judge
-from emulator.run.report import Observation, ReportContent, write_report
+from emulator.run.report.content import Circumstances, ReportContent
+from emulator.run.report.files import begin_files, write_report
+from emulator.run.report.modelled import modelled
+from emulator.run.report.observation import Observation
 from emulator.run.session import Session
 from firmware_protocol.events import Events
 from transports.link.edges import EdgeSink
@@ -106,29 +111,42 @@ class LiveTable:
 
 
 class RunReporter:
-    """Observation of a run for its report; without a folder it does nothing."""
+    """Observation of a run for its report; without a folder it does nothing.
 
-    def __init__(self, rig: Rig, folder: Path | None) -> None:
+    `began` is the date and time of the run's begin.
+    """
+
+    def __init__(self, rig: Rig, folder: Path | None, began: datetime | None = None) -> None:
         self._rig = rig
         self._folder = folder
         self._seen = Observation(rig.camera.size) if folder is not None else None
+        self._there = Circumstances(began)
 
-    def take(self, events: Events) -> None:
-        """Count the events of a step."""
+    def plan(self, scene: Scene, *, is_driven: bool) -> None:
+        """Record what the run models, before it begins; raises SceneError."""
         if self._seen is not None:
-            self._seen.take(events)
+            self._there = replace(self._there, modelled=modelled(self._rig, scene, is_driven=is_driven))
+
+    def take(self, events: Events, session: Session) -> None:
+        """Count the events of a step, and sometimes take a picture."""
+        if self._seen is not None:
+            self._seen.take(events, session.light, session.t_ns // 1000)
 
     def renew(self, status: RunStatus) -> None:
         """Record the state of the run."""
         if self._seen is not None:
             self._seen.renew(status)
 
-    def write(self, result: RunResult, summary: Mapping[str, Any]) -> None:
-        """Write the report and name it; where that fails the run's own result still stands."""
+    def write(self, result: RunResult, summary: Mapping[str, Any], truth_trouble: str = "") -> None:
+        """Write the report and name it; where that fails the run's own result still stands.
+
+        A `truth_trouble` makes the run bad.
+        """
         if self._folder is None or self._seen is None:
             return
         judgements = judge(self._rig.verdict, result)
-        reported = ReportContent(self._rig, result, self._seen, judgements, summary, version("evstim"))
+        there = replace(self._there, ended=datetime.now(UTC), truth_trouble=truth_trouble)
+        reported = ReportContent(self._rig, result, self._seen, judgements, summary, version("evstim"), there)
         try:
             paths = write_report(reported, self._folder)
         except OSError as error:
@@ -140,19 +158,16 @@ class RunReporter:
 
 
 def begin_report(rig: Rig, folder: Path | None) -> RunReporter:
-    """Make the folder, which may exist already; raises Failure where that, or a chart, is not possible."""
+    """Make the folder, which may exist already, with files that state no verdict; raises Failure."""
     if folder is None:
         return RunReporter(rig, None)
+    began = datetime.now(UTC)
     try:
-        check_charts()
         folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / "report.html"
-        probe.open("ab").close()
-    except ChartsLacking as error:
-        raise Failure(f"--report: {error}", LACKING) from error
+        begin_files(rig, folder, began)
     except OSError as error:
         raise Failure(f"--report: {folder}: {error.strerror or error}", WRONG_USE) from error
-    return RunReporter(rig, folder)
+    return RunReporter(rig, folder, began)
 
 
 class ShownRun:
@@ -164,7 +179,8 @@ class ShownRun:
     def take(self, events: Events) -> None:
         """Show the events of a step."""
         if self._page is not None:
-            self._page.show(events, self._session.light, self._session.t_ns // 1000)
+            session = self._session
+            self._page.show(events, session.light, session.t_ns // 1000, session.last_readings)
 
     def renew(self, status: RunStatus) -> None:
         """Show the state of the run."""
@@ -175,8 +191,9 @@ class ShownRun:
 class OptionalPage:
     """The requested live page, or none."""
 
-    def __init__(self, rig: Rig, requested: str | bool | None) -> None:
+    def __init__(self, rig: Rig, requested: str | bool | None, repeats: Repeats | None = None) -> None:
         self._rig = rig
+        self._repeats = repeats
         self._address = _address(requested)
         self._trigger: EdgeSink | None = None
 
@@ -202,9 +219,9 @@ class OptionalPage:
         can_pause = run.pace == "free" and not run.lockstep_us
         viewer = Operator(session, "live page")
         inject = FaultInjection(self._rig, viewer, None).answer
-        commands = ViewerCommands(viewer, inject, self._button(viewer), can_pause=can_pause)
+        commands = ViewerCommands(viewer, inject, self._button(viewer), can_pause=can_pause, repeats=self._repeats)
         try:
-            page = LivePage(self._rig, self._address, commands)
+            page = LivePage(self._rig, self._address, commands, self._repeats)
         except OSError as error:
             raise Failure(f"--serve: {_shown(self._address)}: {error.strerror or error}", LACKING) from error
         with page:

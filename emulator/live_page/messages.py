@@ -2,11 +2,14 @@
 
 To the browser: binary pictures (below), and JSON texts with a `kind`.
 
-    picture   "EVP1" | number u32 | width u16 | height u16 | from_us u64 | until_us u64 | events u32 | every u16 | 0 u16
-              | light (height, width) u8 | last (height, width) i8 | count (height, width) u8        little-endian
+    picture   "EVP2" | number u32 | width u16 | height u16 | from_us u64 | until_us u64 | events u32 | every u16 | 0 u16
+              | active u32 | place (active,) u32 | light (height, width) u16 | last (active,) i8 | count (active,) u8
+              little-endian
 
-    light     the scene's light, encoded for a screen, 0 to 255
-    last      0: no event in the interval; else +-1 to +-127: how late in it the last one was, the sign is the polarity
+    light     linear light: the sign bit of a float32 is dropped and the next 16 bits are sent, rounded; so every level
+              is within 0.2 % and the browser can choose the exposure
+    place     the pixels with events in the interval, row * width + column, increasing
+    last      +-1 to +-127: how late in the interval a pixel's last event was, the sign is the polarity
     count     ON events in the low four bits, OFF events in the high four, at most 15 each
     every     only one event in so many is drawn, where there are very many
 
@@ -16,6 +19,9 @@ From the browser: JSON texts, one object each, with `do`.
     {"do": "seen", "number": N}                 the last message has been shown, so another may come
     {"do": "adjust", "name": NAME, "value": X}  a sensor parameter
     {"do": "inject", "fault": {table}}          as in a rig
+    {"do": "undo", "change": N}                 the change with this number in the list of changes
+    {"do": "again", "seed": N}                  stop this run and start it again with this seed
+    {"do": "stop"}                              end the run
     {"do": "trigger"} {"do": "pause"} {"do": "step"} {"do": "resume"}
 
 Commands are carried out in the session's own thread.
@@ -45,6 +51,8 @@ from urllib.parse import urlsplit
 import numpy as np
 import numpy.typing as npt
 
+from emulator.live_page.controls import ChangeList, Repeats
+from emulator.run.changes import Change
 from emulator.run.outcome import RunStatus
 from transports.faults.kinds import Fault
 from transports.network import is_loopback
@@ -59,6 +67,8 @@ __all__ = [
     "ViewerCommands",
     "decode_picture",
     "encode_picture",
+    "light_codes",
+    "light_of_codes",
     "parse_address",
     "parse_command",
 ]
@@ -66,10 +76,13 @@ __all__ = [
 
 MOST_COMMAND_BYTES = 4096
 
-_HEADER = struct.Struct("<4sIHHQQIHH")
-_MAGIC = b"EVP1"
-_ORDERS = frozenset({"trigger", "pause", "step", "resume"})
-_Plane = npt.NDArray[np.uint8]
+_HEADER = struct.Struct("<4sIHHQQIHHI")
+_MAGIC = b"EVP2"
+_ACTIVE_BYTES = 6  # place, last and count of a pixel
+_ORDERS = frozenset({"trigger", "pause", "step", "resume", "stop"})
+_CODE_SHIFT = 15  # bits of a float32 that a light code leaves out
+_INFINITE = 0xFF00  # the code of infinity
+_MOST_LIGHT = np.float32(1e38)
 
 
 class BadMessage(ValueError):
@@ -82,8 +95,12 @@ class Picture:
 
     Attributes
     ----------
-    light, count : (height, width) uint8
-    last : (height, width) int8
+    light : (height, width) uint16
+        Codes, as made by `light_codes`.
+    place : (active,) uint32
+        Pixels with events, row * width + column, increasing.
+    last : (active,) int8
+    count : (active,) uint8
     events
         All events of the interval, drawn or not.
     every
@@ -95,9 +112,27 @@ class Picture:
     until_us: int
     events: int
     every: int
-    light: _Plane
+    light: npt.NDArray[np.uint16]
+    place: npt.NDArray[np.uint32]
     last: npt.NDArray[np.int8]
-    count: _Plane
+    count: npt.NDArray[np.uint8]
+
+
+def light_codes(light: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
+    """Return linear light as codes; light that is negative or not a number is 0, infinite light is a large number."""
+    codes = _rounded(light)
+    if codes.max(initial=0) >= _INFINITE:  # so has a negative number, by its sign bit; both are rare, and slow
+        codes = _rounded(np.fmin(np.fmax(light, np.float32(0)) + np.float32(0), _MOST_LIGHT))
+    return codes.astype(np.uint16)
+
+
+def _rounded(light: npt.NDArray[np.float32]) -> npt.NDArray[np.uint32]:
+    return np.asarray((light.view(np.uint32) + (1 << _CODE_SHIFT - 1)) >> _CODE_SHIFT, np.uint32)
+
+
+def light_of_codes(codes: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:
+    """Return the linear light of codes."""
+    return (codes.astype(np.uint32) << _CODE_SHIFT).view(np.float32)
 
 
 def encode_picture(picture: Picture) -> bytes:
@@ -105,20 +140,23 @@ def encode_picture(picture: Picture) -> bytes:
     height, width = picture.light.shape
     header = _HEADER.pack(
         _MAGIC, picture.number & 0xFFFFFFFF, width, height, picture.from_us, picture.until_us, picture.events,
-        picture.every, 0,
+        picture.every, 0, len(picture.place),
     )  # fmt: skip
-    return b"".join((header, picture.light.tobytes(), picture.last.tobytes(), picture.count.tobytes()))
+    planes = picture.place, picture.light, picture.last, picture.count  # the widest first: all are aligned
+    return b"".join((header, *(plane.tobytes() for plane in planes)))
 
 
 def decode_picture(message: bytes) -> Picture:
     """Return the picture in the bytes of a message; raises BadMessage."""
     if len(message) < _HEADER.size or message[:4] != _MAGIC:
         raise BadMessage("this is no picture")
-    _, number, width, height, from_us, until_us, events, every, _ = _HEADER.unpack_from(message)
-    if len(message) != _HEADER.size + 3 * width * height:
+    _, number, width, height, from_us, until_us, events, every, _, active = _HEADER.unpack_from(message)
+    if len(message) != _HEADER.size + 2 * width * height + _ACTIVE_BYTES * active:
         raise BadMessage(f"a picture of {width} x {height} pixels has another length")
-    planes = np.frombuffer(message, np.uint8, offset=_HEADER.size).reshape(3, height, width)
-    return Picture(number, from_us, until_us, events, every, planes[0], planes[1].view(np.int8), planes[2])
+    place = np.frombuffer(message, np.uint32, active, _HEADER.size)
+    light = np.frombuffer(message, np.uint16, width * height, _HEADER.size + place.nbytes).reshape(height, width)
+    last, count = np.frombuffer(message, np.uint8, offset=len(message) - 2 * active).reshape(2, active)
+    return Picture(number, from_us, until_us, events, every, light, place, last.view(np.int8), count)
 
 
 def parse_command(text: str) -> dict[str, Any]:
@@ -147,11 +185,15 @@ def _checked(message: dict[str, Any]) -> dict[str, Any]:
             return {"do": "seen", "number": number}
         case {"do": "adjust", "name": str(name), "value": int() | float() as value} if _is_number(value):
             return {"do": "adjust", "name": name, "value": float(value)}
+        case {"do": "undo", "change": int(change)} if not isinstance(change, bool):
+            return {"do": "undo", "change": change}
+        case {"do": "again", "seed": int(seed)} if not isinstance(seed, bool):
+            return {"do": "again", "seed": seed}
         case {"do": "inject", "fault": dict(fault)}:
             return {"do": "inject", "fault": fault}
         case {"do": str(order)} if order in _ORDERS:
             return {"do": order}
-    raise BadMessage("known are hello, seen, adjust, inject, trigger, pause, step and resume")
+    raise BadMessage("known are hello, seen, adjust, inject, undo, again, stop, trigger, pause, step and resume")
 
 
 def _is_number(value: float) -> bool:
@@ -172,12 +214,20 @@ class RunningSession(Protocol):
         """True after `stop`."""
         ...
 
+    def stop(self) -> None:
+        """End the run after the present step."""
+
     @property
     def adjustable(self) -> dict[str, float]:
         """Sensor parameters that can change, with their present values."""
         ...
 
-    def adjust(self, name: str, value: float) -> None:
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """Changes from outside so far, in the order in which they came."""
+        ...
+
+    def adjust(self, name: str, value: float, *, undo: bool = False) -> None:
         """Change a parameter from the next step on; raises ValueError."""
 
     def inject(self, fault: Fault) -> None:
@@ -185,7 +235,7 @@ class RunningSession(Protocol):
 
 
 Inject = Callable[[dict[str, Any], RunStatus], dict[str, Any]]
-"""Answer to a request that injects a fault, as `FaultInjection.answer`."""
+"""Answer to a request that begins or ends a fault, as `FaultInjection.answer`."""
 
 
 class ViewerCommands:
@@ -198,6 +248,8 @@ class ViewerCommands:
         None where the rig has a trigger of its own.
     can_pause
         Whether the run may be paused: only one that is not paced, and that no bus drives.
+    repeats
+        Receiver of the request for a new run; None where there can be none.
 
     Attributes
     ----------
@@ -212,12 +264,15 @@ class ViewerCommands:
         trigger: Callable[[int, int], None] | None = None,
         *,
         can_pause: bool = False,
+        repeats: Repeats | None = None,
     ) -> None:
         self._session = session
         self._inject = inject
         self._trigger = trigger
         self._triggers = 0
         self._can_pause = can_pause
+        self._changes = ChangeList(session)
+        self._repeats = repeats or Repeats("it was not started by `evstim run`")
         self.status: RunStatus | None = None
         self.paused = False
         self._steps = 0
@@ -230,6 +285,9 @@ class ViewerCommands:
             "triggers": self._triggers,
             "can_pause": self._can_pause,
             "paused": self.paused,
+            "next_seed": self._repeats.seed,
+            "no_repeat": self._repeats.obstacle,
+            **self._changes.table({} if self.status is None else self.status.links),
         }
 
     def carry_out(self, command: dict[str, Any]) -> dict[str, Any]:
@@ -253,6 +311,15 @@ class ViewerCommands:
                 return {"did": f"{name} = {value:g}"}
             case {"do": "inject", "fault": fault}:
                 return self._injected(fault)
+            case {"do": "undo", "change": number}:
+                return self._undone(number)
+            case {"do": "again", "seed": seed}:
+                self._repeats.request(seed)
+                self._session.stop()
+                return {"did": f"the run starts again with seed {seed}"}
+            case {"do": "stop"}:
+                self._session.stop()
+                return {"did": "the run ends"}
             case {"do": "trigger"}:
                 return self._triggered()
             case {"do": "pause" | "step" | "resume" as order}:
@@ -264,6 +331,17 @@ class ViewerCommands:
             raise ValueError("the run has not begun")
         answer = self._inject({"request": "inject", "fault": fault}, self.status)
         return answer if "error" in answer else {"did": f"{fault.get('kind')} on {answer['link']}"}
+
+    def _undone(self, number: int) -> dict[str, Any]:
+        if self.status is None:
+            raise ValueError("the run has not begun")
+        change = self._changes.reversible(number, self.status.links)
+        if not change.fault:
+            assert change.before is not None
+            self._session.adjust(change.what, change.before, undo=True)
+            return {"did": f"{change.what} = {change.before:.4g} again"}
+        answer = self._inject({"request": "end", "link": change.link, "number": change.fault}, self.status)
+        return answer if "error" in answer else {"did": f"end of {answer['kind']} on {answer['link']}"}
 
     def _triggered(self) -> dict[str, Any]:
         if self._trigger is None:

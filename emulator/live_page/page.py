@@ -22,12 +22,15 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import MachineLacks
+from emulator.live_page.axis import TimeAxis
+from emulator.live_page.controls import Repeats, fault_menu, totals
 from emulator.live_page.messages import Access, Address, ViewerCommands
 from emulator.live_page.process import PageSetup, SharedView, serve_page
-from emulator.rig.kinds import faults_of
+from emulator.rig.kinds import IMU_UNITS, faults_of
 from emulator.rig.loading import Rig
 from emulator.run.link_process import starting_a_process
 from emulator.run.outcome import RunStatus
+from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import Events
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming
 from transports.link.process import LinkSetup
@@ -102,11 +105,12 @@ def describe(rig: Rig) -> dict[str, Any]:
     return {
         "name": rig.name,
         "title": rig.title,
+        "seed": rig.run.seed,
         "camera": rig.camera.model,
         "size": [width, height],
         "pace": rig.run.pace,
         "limits": {"late_ms": rig.run.max_late_ms, "late_share": rig.run.max_late_share},
-        "links": {link.name: {"kind": link.kind, "faults": list(faults_of(link))} for link in rig.links},
+        "links": {link.name: {"kind": link.kind, "faults": fault_menu(faults_of(link))} for link in rig.links},
     }
 
 
@@ -120,6 +124,7 @@ def status_table(status: RunStatus, rates: dict[str, float]) -> dict[str, Any]:
         "lateness": status.lateness.as_json(),
         "ledger": ledger_table(status),
         "links": {name: _link(report) for name, report in status.links.items()},
+        "totals": totals(status),
     }
 
 
@@ -205,19 +210,22 @@ class LivePage:
     Attributes
     ----------
     url
-        Address to open in a browser.
+        Address to open in a browser; the page of a run that was started again keeps it.
     """
 
-    def __init__(self, rig: Rig, address: Address, commands: ViewerCommands) -> None:
-        listener, access = _listener(address), Access.for_host(address.host)
+    def __init__(self, rig: Rig, address: Address, commands: ViewerCommands, repeats: Repeats | None = None) -> None:
+        repeats = repeats or Repeats()
+        listener, access = _place(address, repeats)
         self._commands, self._rates = commands, Rates()
         self._view = SharedView(rig.camera.size)
+        imu = rig.camera.imu
+        self._axis = TimeAxis(None if imu is None else IMU_UNITS[imu.unit], has_frames=rig.camera.frames is not None)
         self._commands_done = 0
         self._gone = False
         self.url = _url(listener, access)
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        setup = PageSetup(describe(rig), access, self._view)
+        setup = PageSetup({**describe(rig), "before": repeats.before, "run": repeats.count}, access, self._view)
         self._process = context.Process(
             target=serve_page, args=(setup, listener, theirs), name="evstim live page", daemon=True
         )
@@ -233,9 +241,16 @@ class LivePage:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def show(self, events: Events, light: npt.NDArray[np.float32], now_us: int) -> None:
+    def show(
+        self,
+        events: Events,
+        light: npt.NDArray[np.float32],
+        now_us: int,
+        readings: Sequence[tuple[ReadingKind, Readings]] = (),
+    ) -> None:
         """Show a step, execute commands, and wait while the run is paused; to be called after each step."""
         self._view.show(events, light, now_us)
+        self._axis.take(readings)
         if self._view.commands != self._commands_done:
             self._execute_commands()
         elif self._outbox.waits:
@@ -246,9 +261,8 @@ class LivePage:
     def renew(self, status: RunStatus) -> None:
         """Send the status of the run, and detect the death of the page's process."""
         self._commands.status = status
-        self._outbox.renew(
-            {"kind": "status", **status_table(status, self._rates.renew(status)), **self._commands.state()}
-        )
+        table = status_table(status, self._rates.renew(status))
+        self._outbox.renew({"kind": "status", **table, **self._commands.state(), "axis": self._axis.renew(status)})
         self._execute_commands()
 
     def close(self) -> None:
@@ -298,6 +312,16 @@ class LivePage:
 def _listener(address: Address) -> socket.socket:
     family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
     return socket.create_server((address.host, address.port), family=family, backlog=128)
+
+
+def _place(address: Address, repeats: Repeats) -> tuple[socket.socket, Access]:
+    """Return listener and access: those of the run before where there was one, so that its viewers come back."""
+    if repeats.place is None:
+        listener, access = _listener(address), Access.for_host(address.host)
+        repeats.place = listener.getsockname()[1], access.token
+        return listener, access
+    port, token = repeats.place
+    return _listener(dataclasses.replace(address, port=port)), Access(token)
 
 
 def _url(listener: socket.socket, access: Access) -> str:

@@ -2,8 +2,8 @@
 
 The session never waits for it: the run goes on also after a flood of messages or the death of this process.
 
-Pictures of events and light are small planes of bytes, from which the browser makes its colours. Events, the light and
-the number of viewers are in memory that the session and the page's process share. Without viewers the session only
+Pictures contain linear light, and the pixels with events; the browser makes its colours from them. Events, the light
+and the number of viewers are in memory that the session and the page's process share. Without viewers the session only
 reads one number a step. Events without room in this memory are not shown; the run's own events go other ways.
 """
 
@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from emulator.live_page.messages import MOST_COMMAND_BYTES, Access, Picture, encode_picture
+from emulator.live_page.messages import MOST_COMMAND_BYTES, Access, Picture, encode_picture, light_codes
 from firmware_protocol.events import Events
 from transports.link.rings import EventRing
 
@@ -36,8 +36,6 @@ _MOST_SIZE = (640, 480)
 _MOST_DRAWN = 60_000  # events of a picture; of more, each second, third ... is drawn
 _NEWEST = 127
 _MOST_COUNT = 15
-_BRIGHT_SHARE = 0.99  # of the lit pixels are darker than white
-_WHITE_EVERY = 25  # pictures between two updates of the white level
 
 
 def reduction(size: tuple[int, int]) -> int:
@@ -53,7 +51,6 @@ class Canvas:
         self._width, self._height = (-(-side // self._by) for side in size)
         self._number = 0
         self._until_us = 0
-        self._white = 0.0
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -77,44 +74,36 @@ class Canvas:
         every = 1 + len(events) // _MOST_DRAWN
         drawn = events[::every]
         place = (drawn["y"] // self._by).astype(np.intp) * self._width + drawn["x"] // self._by
+        active, last = self._last(drawn, place, from_us)
         self._number += 1
         return Picture(
-            self._number, from_us, self._until_us, len(events), every, self._screen(light),
-            self._last(drawn, place, from_us), self._counts(drawn, place),
+            self._number, from_us, self._until_us, len(events), every, light_codes(light),
+            active, last, self._counts(drawn, place, active),
         )  # fmt: skip
 
-    def _last(self, events: Events, place: npt.NDArray[np.intp], from_us: int) -> npt.NDArray[np.int8]:
-        """Return the time and polarity of each pixel's last event in the interval."""
+    def _last(
+        self, events: Events, place: npt.NDArray[np.intp], from_us: int
+    ) -> tuple[npt.NDArray[np.uint32], npt.NDArray[np.int8]]:
+        """Return the pixels with events, and the time and polarity of each one's last event in the interval."""
         plane = np.zeros(self._height * self._width, np.int8)
         length_us = max(self._until_us - from_us, 1)
         since_us = np.clip(events["t"].astype(np.int64) - from_us, 0, length_us)
         level = 1 + since_us * (_NEWEST - 1) // length_us
         plane[place] = np.where(events["on"], level, -level)  # of several at one place the last stays
-        return plane.reshape(self.shape)
+        active = np.flatnonzero(plane)
+        return active.astype(np.uint32), plane[active]
 
-    def _counts(self, events: Events, place: npt.NDArray[np.intp]) -> npt.NDArray[np.uint8]:
+    def _counts(
+        self, events: Events, place: npt.NDArray[np.intp], active: npt.NDArray[np.uint32]
+    ) -> npt.NDArray[np.uint8]:
+        """Return the counts of the active pixels."""
+        slot = np.empty(self._height * self._width, np.intp)
+        slot[active] = np.arange(len(active))
         on = events["on"]
         up, down = (
-            np.minimum(np.bincount(place[which], minlength=self._height * self._width), _MOST_COUNT)
-            for which in (on, ~on)
+            np.minimum(np.bincount(slot[place[which]], minlength=len(active)), _MOST_COUNT) for which in (on, ~on)
         )
-        return np.asarray((up | down << 4).reshape(self.shape), np.uint8)
-
-    def _screen(self, light: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
-        """Return light as levels of a screen, roughly as sRGB has them (a square root); not finite is dark."""
-        if self._number % _WHITE_EVERY == 1:
-            self._white = _white_of(light)
-        if not self._white > 0:
-            return np.zeros(self.shape, np.uint8)
-        with np.errstate(invalid="ignore", over="ignore"):
-            level = np.sqrt(np.clip(light * np.float32(1 / self._white), 0, 1)) * np.float32(255)
-        return np.asarray(np.nan_to_num(level, copy=False, nan=0.0), np.uint8)
-
-
-def _white_of(light: npt.NDArray[np.float32]) -> float:
-    sample = light[::4, ::4]
-    lit = sample[np.isfinite(sample) & (sample > 0)]
-    return float(np.quantile(lit, _BRIGHT_SHARE)) if lit.size else 0.0
+        return np.asarray(up | down << 4, np.uint8)
 
 
 _VIEWERS, _COMMANDS, _CELLS = range(3)

@@ -1,4 +1,4 @@
-"""The page's web server: three files, and a WebSocket for each viewer.
+"""The page's web server: a few files, and a WebSocket for each viewer.
 
 A viewer is a browser. A message that it does not read in time is replaced by a newer one. It reports the last message
 that it has shown; at most three are on their way to it. So a slow viewer or network gets fewer pictures, and one that
@@ -251,6 +251,11 @@ _SEND_S = 10.0
 _FILES = {
     "/": ("index.html", "text/html"),
     "/page.js": ("page.js", "text/javascript"),
+    "/picture.js": ("picture.js", "text/javascript"),
+    "/axis.js": ("axis.js", "text/javascript"),
+    "/changes.js": ("changes.js", "text/javascript"),
+    "/faults.js": ("faults.js", "text/javascript"),
+    "/repeats.js": ("repeats.js", "text/javascript"),
     "/page.css": ("page.css", "text/css"),
 }
 _HEADERS = {

@@ -30,6 +30,7 @@ from emulator.sensor.parameters import REFERENCE_CELSIUS
 from emulator.sensor.presets import SensorParameters
 
 __all__ = [
+    "EFFECTS",
     "Decision",
     "Tolerance",
     "chip_costs",
@@ -43,6 +44,17 @@ __all__ = [
     "tau_us",
     "threshold",
 ]
+
+
+EFFECTS = (
+    *("low-pass", "bandwidth following the light", "large signals", "source follower"),
+    *("leak", "leak spread", "leak jitter", "parasitic", "mismatch", "refractory period"),
+    *("noise", "shift by noise", "jitter", "comparator", "reset offset", "reset noise", "acknowledge"),
+    *("dark current", "temperature", "system efficiency", "quantum efficiency", "PRNU", "DCNU"),
+    *("photon shot noise", "dark shot noise", "hot pixels", "dead pixels", "radiation", "dose"),
+    "veiling glare",
+)
+"""All effects that a plan can decide on; one that a plan lacks is switched off."""
 
 
 @dataclass(frozen=True)

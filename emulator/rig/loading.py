@@ -17,6 +17,7 @@ warning. A command or a call may replace some values of the `[run]` table.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import logging
 import operator
 from collections.abc import Callable, Mapping
@@ -41,6 +42,7 @@ __all__ = [
     "RemovedKey",
     "Rig",
     "RigError",
+    "RigSource",
     "Run",
     "Trigger",
     "UsbipLink",
@@ -132,8 +134,29 @@ class RigError(Exception):
 
 
 @dataclass(frozen=True)
+class RigSource:
+    """The file from which a rig was loaded.
+
+    Attributes
+    ----------
+    path : as it was found.
+    text : its content.
+    options : values of the `[run]` table that a command replaced, by key.
+    """
+
+    path: str
+    text: str
+    options: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 digest of the file, hexadecimal, as `sha256sum` prints it."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
+
+@dataclass(frozen=True)
 class Rig:
-    """One bench set-up."""
+    """One bench set-up; `source` is its file, None for a rig that a program made."""
 
     name: str
     title: str
@@ -145,6 +168,7 @@ class Rig:
     faults: tuple[Fault, ...] = ()
     verdict: Verdict = field(default_factory=Verdict)
     second_camera: SecondCamera | None = None
+    source: RigSource | None = field(default=None, compare=False, repr=False)
 
 
 def shipped_rigs() -> dict[str, Path]:
@@ -173,7 +197,8 @@ def find_rig(rig: str) -> Path:
 def load_rig(rig: str) -> Rig:
     """Load a rig by path or name; raises RigError."""
     path = find_rig(rig)
-    return parse_rig(read_rig(path), str(path), path.stem)
+    text = read_rig(path)
+    return dataclasses.replace(parse_rig(text, str(path), path.stem), source=RigSource(str(path), text))
 
 
 def read_rig(path: Path) -> str:
@@ -215,7 +240,10 @@ def with_options(rig: Rig, seconds: float | None = None, seed: int | None = None
     """Return the rig with the values that are not None; raises ValueError, its message begins with the name."""
     given = {"seconds": seconds, "seed": seed, "pace": pace}
     changed = {name: _converted(name, value) for name, value in given.items() if value is not None}
-    made = dataclasses.replace(rig, run=dataclasses.replace(rig.run, **changed))
+    source = rig.source
+    if source is not None:
+        source = dataclasses.replace(source, options={**source.options, **changed})
+    made = dataclasses.replace(rig, run=dataclasses.replace(rig.run, **changed), source=source)
     if made.run.pace == "free" and not made.run.seconds and getattr(made.scene, "loop", False):
         raise ValueError(
             'seconds must be above 0 here, got 0: with pace "free" a recording or video that loops '

@@ -430,6 +430,8 @@ def _gige_camera(rig: Rig, link: Any) -> Callable[[], Triton2]:
         start_delay_us=round(rig.camera.start_delay_ms * 1000),
         block_us=link.block_us,
         biases=rig.camera.bias_model,
+        ptp=link.ptp,
+        ptp_domain=link.ptp_domain,
     )
     return partial(Triton2, settings)
 

@@ -52,6 +52,8 @@ class Change:
         Values of the parameter; None where there are none.
     taken_us
         Stream time of the camera when it received the change; None where no camera received it.
+    fault
+        Number of the fault on its link that begins or ends; 0 for none.
     """
 
     t_ns: int
@@ -61,6 +63,7 @@ class Change:
     before: float | None = None
     after: float | None = None
     taken_us: int | None = None
+    fault: int = 0
 
     def as_json(self) -> dict[str, object]:
         """Return the object that `evstim run --json` prints."""
@@ -72,6 +75,7 @@ class Change:
             "before": self.before,
             "after": self.after,
             "taken_us": self.taken_us,
+            **({"fault": self.fault} if self.fault else {}),
         }
 
     @property
@@ -102,12 +106,20 @@ class Changes:
             self.beyond += 1
 
     @property
+    def in_order(self) -> tuple[Change, ...]:
+        """Listed changes in the order in which they came; this never changes, so that its indices are names."""
+        return tuple(self._listed)
+
+    @property
     def listed(self) -> tuple[Change, ...]:
         """Listed changes, sorted by the stream time from which they act."""
         return tuple(sorted(self._listed, key=lambda change: change.t_ns))
 
 
 class _Session(Protocol):
+    def stop(self) -> None:
+        """See `Session.stop`."""
+
     @property
     def stopping(self) -> bool:
         """See `Session.stopping`."""
@@ -118,11 +130,19 @@ class _Session(Protocol):
         """See `Session.adjustable`."""
         ...
 
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """See `Session.changes`."""
+        ...
+
     def adjust(self, name: str, value: float, by: str) -> None:
         """See `Session.adjust`."""
 
     def inject(self, fault: Fault, by: str) -> None:
         """See `Session.inject`."""
+
+    def end_fault(self, link: str, number: int, by: str) -> None:
+        """See `Session.end_fault`."""
 
     def happen(self, link: str, kind: EdgeKind | None, by: str) -> None:
         """See `Session.happen`."""
@@ -142,6 +162,10 @@ class Operator:
     def __init__(self, session: _Session, by: str) -> None:
         self._session, self._by = session, by
 
+    def stop(self) -> None:
+        """End the run after the present step."""
+        self._session.stop()
+
     @property
     def stopping(self) -> bool:
         """True when the run ends after the present step."""
@@ -152,13 +176,25 @@ class Operator:
         """Sensor parameters that can change, with their present values."""
         return self._session.adjustable
 
-    def adjust(self, name: str, value: float) -> None:
-        """Change a parameter from the next step on; raises ValueError."""
-        self._session.adjust(name, value, self._by)
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """Changes from outside so far, in the order in which they came."""
+        return self._session.changes
+
+    def adjust(self, name: str, value: float, *, undo: bool = False) -> None:
+        """Change a parameter from the next step on; raises ValueError.
+
+        With `undo` the record shows that the value was set back.
+        """
+        self._session.adjust(name, value, f"{self._by}, undo" if undo else self._by)
 
     def inject(self, fault: Fault) -> None:
         """Begin a fault on the link that it names."""
         self._session.inject(fault, self._by)
+
+    def end_fault(self, link: str, number: int) -> None:
+        """End the fault with this number on a link."""
+        self._session.end_fault(link, number, self._by)
 
     def happen(self, link: str, kind: EdgeKind | None) -> None:
         """Give the input of a link's camera an edge, or reset its clock."""

@@ -10,6 +10,7 @@ closed for a newer one. Requests and answers:
 
 {"request": "faults"}                    ->  {"rig": ..., "t_s": ..., "links": {NAME: {"kinds": [...], "injected": []}}}
 {"request": "inject", "fault": {table}}  ->  {"link": NAME, "after": number of its faults so far} or {"error": ...}
+{"request": "end", "link": NAME, "number": N}  ->  {"link": NAME, "kind": KIND} or {"error": ...}
 {"request": "trigger", "kind": KIND}     ->  {"links": [NAME, ...]}   "link": NAME for one alone
                                           KIND: pulse, rising, falling at the camera's input; reset: its clock
 
@@ -259,6 +260,9 @@ class _Session(Protocol):
     def inject(self, fault: Fault) -> None:
         """Begin a fault on the link that it names."""
 
+    def end_fault(self, link: str, number: int) -> None:
+        """End the fault with this number on a link."""
+
     def happen(self, link: str, kind: EdgeKind | None) -> None:
         """Give the input of a link's camera an edge, or reset its clock."""
 
@@ -290,9 +294,12 @@ class FaultInjection:
                 return self._faults(status)
             case {"request": "inject" | "throw", "fault": table}:
                 return self._inject(table, status)
+            case {"request": "end", "link": str(link), "number": int(number)}:
+                return self._end(link, number, status)
             case {"request": "trigger", "kind": str(kind)}:
                 return self._trigger(kind, message.get("link"))
-        return {"error": "known requests: 'faults', 'inject' with a fault, 'trigger' with a kind"}
+        known = "'faults', 'inject' with a fault, 'end' with a link and number, 'trigger' with a kind"
+        return {"error": f"known requests: {known}"}
 
     def _faults(self, status: RunStatus) -> Message:
         links: dict[str, Any] = {}
@@ -312,6 +319,17 @@ class FaultInjection:
         report = status.links.get(fault.link)
         self._session.inject(fault)
         return {"link": fault.link, "after": 0 if report is None else len(report.faults)}
+
+    def _end(self, link: str, number: int, status: RunStatus) -> Message:
+        report = status.links.get(link)
+        records = () if report is None else report.faults
+        record = next((one for one in records if one.number == number), None)
+        if record is None:
+            return {"error": f"there is no fault {number} on link {link!r}"}
+        if record.ended_us is not None:
+            return {"error": f"{record.kind} on {link} is over since {record.ended_us / 1e6:.3f} s"}
+        self._session.end_fault(link, number)
+        return {"link": link, "kind": record.kind}
 
     def _trigger(self, kind: str, link: object) -> Message:
         if kind not in _EDGES:

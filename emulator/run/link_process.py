@@ -30,7 +30,7 @@ from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EdgeKind, Events
 from transports.faults.kinds import Fault
 from transports.link.deliveries import DeliveryTally
-from transports.link.loop import Happen, InjectFault, Stop
+from transports.link.loop import EndFault, Happen, InjectFault, Stop
 from transports.link.pacing import Clock
 from transports.link.process import STOP_SIGNALS, LinkSetup, run_link_process
 from transports.link.report import CameraSettings, LinkReport, Occurrence
@@ -161,6 +161,11 @@ class LinkProcess:
         """Begin a fault that the link can have, on behalf of `by`."""
         with suppress(BrokenPipeError):  # it died: `listen` reports this
             self._control.send(InjectFault(fault, by))
+
+    def end_fault(self, number: int, by: str = "") -> None:
+        """End the fault with this number, on behalf of `by`; one that is over is left as it is."""
+        with suppress(BrokenPipeError):  # it died: `listen` reports this
+            self._control.send(EndFault(number, by))
 
     def happen(self, kind: EdgeKind | None, by: str = "") -> None:
         """Give the camera's input an edge, on behalf of `by`; None: reset its clock to zero."""

@@ -192,15 +192,24 @@ class Judgement:
     rule : its name, the same in every report.
     good : whether the run kept it.
     finding : limit and measured value, for people.
+    figure : the measured value; None for a rule without one, or where nothing was measured.
+    bound : its limit; None for a rule without one.
+    unit : of both.
+    side : of the bound on which the figure has to be, "at most" or "at least"; empty without a bound.
     """
 
     rule: str
     good: bool
     finding: str
+    figure: float | None = None
+    bound: float | None = None
+    unit: str = ""
+    side: Literal["", "at most", "at least"] = ""
 
     def as_json(self) -> dict[str, object]:
         """Return an element of `rules` of `evstim run --json`."""
-        return {"rule": self.rule, "good": self.good, "told": self.finding}
+        limit = {"figure": self.figure, "side": self.side, "bound": self.bound, "unit": self.unit}
+        return {"rule": self.rule, "good": self.good, "told": self.finding, **limit}
 
 
 def judge(rules: Verdict, result: RunResult) -> tuple[Judgement, ...]:
@@ -215,7 +224,8 @@ def good(judgements: tuple[Judgement, ...]) -> bool:
 
 def _always(result: RunResult) -> Iterator[Judgement]:
     imbalance = result.ledger.imbalance
-    yield Judgement("ledger", not imbalance, "balanced" if not imbalance else f"off by {imbalance} events")
+    finding = "balanced" if not imbalance else f"off by {imbalance} events"
+    yield Judgement("ledger", not imbalance, finding, imbalance, 0, "events without one fate", "at most")
     if result.scene_trouble:
         yield Judgement("scene", good=False, finding=result.scene_trouble)
     for name, link in result.links.items():
@@ -223,14 +233,17 @@ def _always(result: RunResult) -> Iterator[Judgement]:
         trouble += [] if link.edges_balanced else ["edges without a fate"]
         trouble += [] if link.readings_balanced else ["frames or samples without a fate"]
         trouble += link.file_troubles
-        yield Judgement(f"link {name}", not trouble, "; ".join(trouble) or "sound")
+        finding = "; ".join(trouble) or "sound"
+        yield Judgement(f"link {name}", not trouble, finding, len(trouble), 0, "faults", "at most")
     if result.max_late_us > 0:
         worst_ms = result.lateness.worst_gap_us * 1e-3
         finding = f"worst step {worst_ms:.3g} ms late, run.max_late_ms is {result.max_late_us * 1e-3:g}"
-        yield Judgement("in real time", not result.step_too_late, finding)
+        bound_ms = result.max_late_us * 1e-3
+        yield Judgement("in real time", not result.step_too_late, finding, worst_ms, bound_ms, "ms", "at most")
         late = f"{result.lateness.frames_late} of {result.steps} steps late ({result.late_share:.3g})"
         finding = f"{late}, run.max_late_share is {result.max_late_share:g}"
-        yield Judgement("steps in time", not result.late_too_often, finding)
+        figures = (result.late_share, result.max_late_share, "of the steps")
+        yield Judgement("steps in time", not result.late_too_often, finding, *figures, "at most")
 
 
 def _own(rules: Verdict, result: RunResult) -> Iterator[Judgement]:
@@ -239,16 +252,21 @@ def _own(rules: Verdict, result: RunResult) -> Iterator[Judgement]:
     rate_hz = result.ledger.read_out / result.sim_seconds if result.sim_seconds else 0.0
     if rules.min_rate_hz:
         finding = f"{rate_hz:.4g} events/s, at least {rules.min_rate_hz:g}"
-        yield Judgement("verdict.min_rate_hz", rate_hz >= rules.min_rate_hz, finding)
+        bound_hz = rules.min_rate_hz
+        figures = (rate_hz, bound_hz, "events/s")
+        yield Judgement("verdict.min_rate_hz", rate_hz >= bound_hz, finding, *figures, "at least")
     if rules.max_rate_hz:
         finding = f"{rate_hz:.4g} events/s, at most {rules.max_rate_hz:g}"
-        yield Judgement("verdict.max_rate_hz", rate_hz <= rules.max_rate_hz, finding)
+        bound_hz = rules.max_rate_hz
+        figures = (rate_hz, bound_hz, "events/s")
+        yield Judgement("verdict.max_rate_hz", rate_hz <= bound_hz, finding, *figures, "at most")
     if rules.max_latency_us:
         yield from (_latency(rules.max_latency_us, name, link) for name, link in result.links.items())
     if rules.max_undersampled and result.undersampled_share is not None:
         share = result.undersampled_share
         finding = f"{share:.3g} of the solved pixel-steps, at most {rules.max_undersampled:g}"
-        yield Judgement("verdict.max_undersampled", share <= rules.max_undersampled, finding)
+        figures = (share, rules.max_undersampled, "of the pixel-steps")
+        yield Judgement("verdict.max_undersampled", share <= rules.max_undersampled, finding, *figures, "at most")
 
 
 def _drop(most: float, result: RunResult, name: str, link: LinkReport) -> Judgement:
@@ -258,15 +276,16 @@ def _drop(most: float, result: RunResult, name: str, link: LinkReport) -> Judgem
     wanted = lost + link.delivered
     share = lost / wanted if wanted else 0.0
     finding = f"{lost} of {wanted} events lost ({share:.3g}), at most {most:g}"
-    return Judgement(f"verdict.max_drop {name}", share <= most, finding)
+    return Judgement(f"verdict.max_drop {name}", share <= most, finding, share, most, "of the events", "at most")
 
 
 def _latency(most_us: float, name: str, link: LinkReport) -> Judgement:
     p99_us = link.latency.p99
+    rule = f"verdict.max_latency_us {name}"
     if p99_us is None:
-        return Judgement(f"verdict.max_latency_us {name}", True, "nothing was sent")
+        return Judgement(rule, True, "nothing was sent", None, most_us, "us (p99)", "at most")
     finding = f"99th percentile {p99_us:.0f} us, at most {most_us:g}"
-    return Judgement(f"verdict.max_latency_us {name}", p99_us <= most_us, finding)
+    return Judgement(rule, p99_us <= most_us, finding, p99_us, most_us, "us (p99)", "at most")
 
 
 _MANY = 0.1  # above it, shorter steps for all pixels are cheaper than refining single ones

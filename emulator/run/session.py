@@ -150,6 +150,7 @@ class Session:
         self._on_events: Callable[[Events], None] = lambda _: None
         self._lockstep: Lockstep | None = None
         self._drive: Drive | None = None
+        self._last_readings: Sequence[tuple[ReadingKind, Readings]] = ()
 
         self._second: SecondView | None = None
 
@@ -181,6 +182,16 @@ class Session:
         return self._frames.last.light
 
     @property
+    def last_readings(self) -> Sequence[tuple[ReadingKind, Readings]]:
+        """Frames and inertial samples of the last step, by their kind."""
+        return self._last_readings
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """Changes from outside so far, in the order in which they came."""
+        return self._changes.in_order
+
+    @property
     def adjustable(self) -> dict[str, float]:
         """Sensor parameters that `adjust` can change, with their present values."""
         return self._sensor.adjustable if isinstance(self._sensor, AdjustableSource) else {}
@@ -199,6 +210,10 @@ class Session:
     def inject(self, fault: Fault, by: str = "program") -> None:
         """Begin a fault on the link that it names, one that this link can have; for `on_status`."""
         next(link for link in self._links if link.name == fault.link).inject(fault, by)
+
+    def end_fault(self, link: str, number: int, by: str = "program") -> None:
+        """End the fault with this number on a link; for `on_status`."""
+        next(one for one in self._links if one.name == link).end_fault(number, by)
 
     def happen(self, link: str, kind: EdgeKind | None, by: str = "program") -> None:
         """Give the input of a link's camera an edge, or reset its clock (None); for `on_status`."""
@@ -364,7 +379,7 @@ class Session:
             t1_ns = min(t1_ns, schedule.duration_ns)
         frame = self._frames.draw(t1_ns)
         self._follow_cameras(schedule, goes_on)
-        readings = self._readings.read(frame)
+        readings = self._last_readings = self._readings.read(frame)
         if schedule.paced:  # they may leave while the events are computed
             self._hand_over_readings(readings, self._links_of())
         events = self._sensor.expose(frame)
@@ -390,7 +405,8 @@ class Session:
 
     def _take_change(self, link: str, change: CameraSettings | Occurrence) -> None:
         if isinstance(change, Occurrence):
-            self.record(Change(change.t_us * 1000, change.by, change.what, link, taken_us=change.t_us))
+            t_us, fault = change.t_us, change.fault
+            self.record(Change(t_us * 1000, change.by, change.what, link, taken_us=t_us, fault=fault))
             return
         self._biases.follow(self._of_first({link: change}), self._t_ns)
         if self._second is not None:

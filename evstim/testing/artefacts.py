@@ -1,4 +1,4 @@
-"""Files of a failed test: the rig's last events, its counts and, where matplotlib is installed, its report.
+"""Files of a failed test: the rig's last events, its counts and its report.
 
 The events are AEDAT 4.0 where faery is installed, which most viewers open, else an .npz. This is a module of its own
 because it loads the emulator, which a pytest session without a failed rig does not need.
@@ -14,9 +14,9 @@ from pathlib import Path
 import msgspec
 
 from emulator.cli.run import summary
-from emulator.report.page import ChartsLacking
 from emulator.run.outcome import judge
-from emulator.run.report import ReportContent, write_report
+from emulator.run.report.content import ReportContent
+from emulator.run.report.files import write_report
 from evstim.testing.running_rig import RunningRig
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Part
@@ -34,10 +34,7 @@ def write_artefacts(rig: RunningRig, folder: Path) -> list[Path]:
     content = ReportContent(
         rig.rig, rig.result, rig.seen, judge(rig.rig.verdict, rig.result), results, version("evstim")
     )
-    try:
-        return [events, counts, *write_report(content, folder)]
-    except ChartsLacking:
-        return [events, counts]
+    return [events, counts, *write_report(content, folder)]
 
 
 def _write_events(rig: RunningRig, folder: Path) -> Path:

@@ -19,7 +19,7 @@ import numpy as np
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.machine import on_free_ports
 from emulator.run.outcome import RunResult, RunStatus
-from emulator.run.report import Observation
+from emulator.run.report.observation import Observation
 from evstim.running import LiveRun, run
 from firmware_protocol.events import EVENT, Events
 

@@ -5,7 +5,7 @@ Registers by address:
     0x0000 version, mode, MAC, address, names       248 octets, which are also the answer to a discovery
     0x0200, 0x0400   location of the XML description   text, 512 octets each
     0x0600 interfaces, 0x0670 link speed
-    0x0900 capabilities, heartbeat, time
+    0x0900 capabilities, heartbeat, time, state of the Precision Time Protocol
     0x0A00 control privilege
     0x0B00 message channel
     0x0D00 stream channel
@@ -36,6 +36,7 @@ __all__ = [
     "DISCOVERY_OCTETS",
     "DO_NOT_FRAGMENT",
     "LONGEST_READ",
+    "PTP_ON",
     "TEST_PACKET",
     "TICK_HZ",
     "Capability",
@@ -57,6 +58,8 @@ DISCOVERY_OCTETS = 0xF8
 TICK_HZ = 1_000_000_000
 ACTION_GROUPS = 1
 TEST_PACKET = 1 << 31
+PTP_ON = 1 << 19
+"""Bit of register GVCP_CONFIGURATION."""
 DO_NOT_FRAGMENT = 1 << 30
 _VERSION = 2 << 16
 _MODE_BIG_ENDIAN_UTF8 = 1 << 31 | 1
@@ -104,6 +107,7 @@ class Register(IntEnum):
     GVCP_CONFIGURATION = 0x0954
     PENDING_MS = 0x0958
     GVSP_CONFIGURATION = 0x0960
+    PTP_STATE = 0x096C
     PRIVILEGE = 0x0A00
     PRIMARY_PORT = 0x0A04
     PRIMARY_ADDRESS = 0x0A14
@@ -126,6 +130,7 @@ class Capability(IntFlag):
     SERIAL = 1 << 30
     HEARTBEAT_OFF = 1 << 29
     LINK_SPEED = 1 << 28
+    PTP = 1 << 19
     SCHEDULED_ACTION = 1 << 17
     ACTION = 1 << 6
     EVENTDATA = 1 << 4
@@ -166,20 +171,20 @@ class DeviceIdentity:
     info: str = "evstim emulator"
 
 
-def standard_areas(identity: DeviceIdentity, description: str) -> dict[int, bytes]:
+def standard_areas(identity: DeviceIdentity, description: str, *, has_ptp: bool = False) -> dict[int, bytes]:
     """Return the areas of the registers at power-on; `description` is the location of the XML."""
     octets = bytearray(_LENGTH)
-    for address, number in _numbers(identity).items():
+    for address, number in _numbers(identity, has_ptp).items():
         octets[address : address + 4] = number.to_bytes(4, "big")
     for address, (text, room) in _texts(identity, description).items():
         octets[address : address + room] = text.encode("ascii").ljust(room, b"\0")
     return {0: bytes(octets), Register.ACTION_GROUP: bytes(16 * ACTION_GROUPS)}
 
 
-def _numbers(identity: DeviceIdentity) -> dict[int, int]:
+def _numbers(identity: DeviceIdentity, has_ptp: bool) -> dict[int, int]:
     all_capabilities = 0
     for one in Capability:
-        all_capabilities |= one
+        all_capabilities |= one if has_ptp or one != Capability.PTP else 0
     return {
         Register.VERSION: _VERSION,
         Register.DEVICE_MODE: _MODE_BIG_ENDIAN_UTF8,

@@ -66,6 +66,7 @@ _SENT_BLOCKS = 256
 _MOST_EVENTS = BLOCK_OCTETS // 4  # a row and a column each; events that need more octets go into the next block
 _MOST_EDGES = 1 << 16
 _SILENCE_US = 1_000_000
+_LAST_NS = (1 << 64) - 1
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,8 @@ class BlockOutflow(Outflow[Outgoing]):
     ----------
     number
         Number of the last block.
+    shift_ns
+        Time of a master clock less the camera's, ns; None: times count from the start of the acquisition.
     """
 
     def __init__(self, epoch_us: int, settings: Triton2Settings, number: int = 0) -> None:
@@ -102,6 +105,7 @@ class BlockOutflow(Outflow[Outgoing]):
         self._block_us = settings.block_us
         self._sent_blocks: deque[Block] = deque(maxlen=_SENT_BLOCKS)
         self.number = number
+        self.shift_ns: int | None = None
 
     def put_edges(self, edges: Edges) -> int:
         """Queue edges (n,) EDGE in the order of their times."""
@@ -123,6 +127,16 @@ class BlockOutflow(Outflow[Outgoing]):
             return None
         return Outgoing(epoch_us=self.epoch_us, block=self._numbered(words, self._reported_us, room))
 
+    def stamp_ns(self, time_us: int) -> int:
+        """Return the time that a host gets for a time of the camera's clock."""
+        if self.shift_ns is None:
+            return 1000 * (time_us - self.epoch_us)
+        return min(_LAST_NS, max(0, 1000 * time_us + self.shift_ns))
+
+    def camera_us(self, stamp_ns: int) -> int:
+        """Return the time of the camera's clock for one that a host gave."""
+        return self.epoch_us + stamp_ns // 1000 if self.shift_ns is None else (stamp_ns - self.shift_ns) // 1000
+
     def sent_block(self, number: int) -> Block | None:
         """Return a block that was sent; None if it is no longer stored, or never was."""
         return next((block for block in self._sent_blocks if block.number == number), None)
@@ -140,7 +154,7 @@ class BlockOutflow(Outflow[Outgoing]):
 
     def _numbered(self, words: bytes, time_us: int, packet_size: int) -> Block:
         self.number += 1
-        block = Block(self.number, 1000 * (time_us - self.epoch_us), words, packet_size)
+        block = Block(self.number, self.stamp_ns(time_us), words, packet_size)
         self._sent_blocks.append(block)
         return block
 
@@ -160,7 +174,7 @@ class Triton2(PropheseeCamera[BlockOutflow]):
         self.settings = settings = settings or Triton2Settings()
         super().__init__(settings.size, settings.biases, BlockOutflow(0, settings))
         self._selection = RangeSelection(settings.size)
-        rules = triton2_rules(settings.size) | self._selection.rules() | self._own_rules()
+        rules = triton2_rules(settings) | self._selection.rules() | self._own_rules()
         self._memory = Memory(triton2_areas(settings), rules)
         self.owner: Peer | None = None
         self._acquiring = False
@@ -235,6 +249,13 @@ class Triton2(PropheseeCamera[BlockOutflow]):
         super().advance(now_us)
         self._pulse()
 
+    def follow(self, shift_ns: int | None) -> None:
+        """Stamp blocks and messages with a master's time, `shift_ns` ahead of the camera's clock without epoch.
+
+        None: with the time since the start of the acquisition. The words of the events have that time in any case.
+        """
+        self._outflow.shift_ns = shift_ns
+
     def next_block(self, *, at_once: bool = False) -> Outgoing | None:
         """Return the next block for the stream, `at_once` even a recent one; report `sent` or `lost` for it later."""
         if not self.streaming or self._now_us < self._silence_end_us:
@@ -273,7 +294,7 @@ class Triton2(PropheseeCamera[BlockOutflow]):
             self._fates.edges.added += 1
             self._fates.edges.dropped_fifo += 1
             return
-        due_us = self._now_us if time_ns is None else self._epoch_us + time_ns // 1000
+        due_us = self._now_us if time_ns is None else self._outflow.camera_us(time_ns)
         heappush(self._scheduled_us, max(self._now_us, due_us))
         self._pulse()
 
@@ -292,7 +313,7 @@ class Triton2(PropheseeCamera[BlockOutflow]):
         if self.message_destination is not None and notification:
             for time_us, kind in zip(edges["t"].tolist(), edges["kind"].tolist(), strict=True):
                 data = kind.to_bytes(4, "big") if notification == NOTIFY_WITH_DATA else b""
-                self.messages.queue(EDGE_EVENT, 1000 * max(0, time_us - self._epoch_us), data)
+                self.messages.queue(EDGE_EVENT, self._outflow.stamp_ns(max(time_us, self._epoch_us)), data)
 
     @property
     def _running(self) -> bool:
@@ -319,7 +340,9 @@ class Triton2(PropheseeCamera[BlockOutflow]):
             self._starts += 1
             self._epoch_us = self._now_us
             self._silence_end_us = self._now_us + self.settings.start_delay_us
-            self._outflow = BlockOutflow(self._epoch_us, self.settings, self._outflow.number)
+            before = self._outflow
+            self._outflow = BlockOutflow(self._epoch_us, self.settings, before.number)
+            self._outflow.shift_ns = before.shift_ns
         return 0
 
     def _on_stop(self, value: int) -> int:

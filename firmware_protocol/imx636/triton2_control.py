@@ -11,24 +11,50 @@ from __future__ import annotations
 
 import ipaddress
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from firmware_protocol.gige.control import Control, Datagram, DeviceTime, Order, Owner, Peer, Pulse, TimeSource, Write
 from firmware_protocol.gige.gvcp import Action, Refused, Resend, Status
-from firmware_protocol.gige.registers import Memory, Register
+from firmware_protocol.gige.registers import PTP_ON, Memory, Register
 from firmware_protocol.imx636.triton2_registers import (
     ACQUISITION_START,
     ACQUISITION_STOP,
     Evs,
+    Ptp,
     Triton2Settings,
     triton2_areas,
     triton2_rules,
 )
+from firmware_protocol.ptp.messages import clock_identity
+from firmware_protocol.ptp.slave import PortState, Slave
 
-__all__ = ["Triton2Control"]
+__all__ = ["PtpClock", "Triton2Control", "ptp_identity"]
 
 _LATCH = 1 << 1
 _MOST_ORDERS = 4096
+
+
+_ALWAYS_SLAVE = 1 << 1
+
+
+@dataclass(frozen=True)
+class PtpClock:
+    """A clock of the Precision Time Protocol, and the reading of the local clock that it is measured by, ns."""
+
+    slave: Slave
+    local_ns: Callable[[], int]
+
+    def now_ns(self) -> int | None:
+        """Return the master's time; None if the clock never followed one."""
+        timebase = self.slave.timebase
+        return None if timebase is None else timebase.at(self.local_ns())
+
+
+def ptp_identity(settings: Triton2Settings) -> int:
+    """Return the identity of a camera's clock, which follows from its MAC."""
+    registers = triton2_areas(settings)[0]
+    return clock_identity(int.from_bytes(registers[Register.MAC_HIGH : Register.MAC_LOW + 4], "big") & (1 << 48) - 1)
 
 
 class Triton2Control:
@@ -40,6 +66,8 @@ class Triton2Control:
         Source of the device's clock, as the stream has it.
     stream_port
         Port from which the stream is sent.
+    ptp
+        Clock that a host can switch on, if the settings have `ptp`.
 
     Attributes
     ----------
@@ -48,8 +76,12 @@ class Triton2Control:
         requests that would give an order are refused as busy.
     """
 
-    def __init__(self, settings: Triton2Settings, time: TimeSource, stream_port: int = 0) -> None:
-        self._memory = Memory(triton2_areas(settings), triton2_rules(settings.size))
+    def __init__(
+        self, settings: Triton2Settings, time: TimeSource, stream_port: int = 0, ptp: PtpClock | None = None
+    ) -> None:
+        self._memory = Memory(triton2_areas(settings), triton2_rules(settings))
+        self._ptp = ptp
+        self._latch_ptp()
         self._memory.set(Register.STREAM_SOURCE_PORT, stream_port)
         self._control = Control(self._memory, self)
         self._time = time
@@ -59,6 +91,8 @@ class Triton2Control:
 
     def receive(self, datagrams: Sequence[Datagram], now_ns: int) -> list[Datagram]:
         """Return the answers to datagrams of the control port; `now_ns` counts the heartbeat."""
+        if self._ptp is not None:
+            self._memory.set(Register.PTP_STATE, self._ptp.slave.state)
         answers = self._control.take(datagrams, now_ns)
         self._control.expire(now_ns)
         return answers
@@ -96,6 +130,10 @@ class Triton2Control:
             self._acquiring = False
         elif address == Register.TIME_CONTROL and value & _LATCH:
             self._latch()
+        elif address == Register.GVCP_CONFIGURATION and self._ptp is not None:
+            self._turn_ptp(self._ptp.slave, bool(value & PTP_ON))
+        elif address == Ptp.LATCH:
+            self._latch_ptp()
         self.orders.append(Write(address, value))
 
     def taken(self, peer: Peer) -> None:
@@ -118,13 +156,37 @@ class Triton2Control:
         self.orders.append(Pulse(None if late else action.time_ns))
         return Status.ACTION_LATE if late else Status.SUCCESS
 
+    def _turn_ptp(self, slave: Slave, on: bool) -> None:
+        """Switch the clock on or off; it is on already if a host writes another bit of the register."""
+        if on and slave.state == PortState.DISABLED:
+            slave.enable()
+        elif not on:
+            slave.disable()
+
+    def _latch_ptp(self) -> None:
+        """Store the data sets of the clock."""
+        if self._ptp is None:
+            return
+        status = self._ptp.slave.status
+        self._memory.set(Ptp.STATE, status.state)
+        self._memory.set(Ptp.SERVO, _ALWAYS_SLAVE | status.locked)
+        for register, value in (
+            (Ptp.OFFSET, status.offset_ns), (Ptp.DELAY, status.delay_ns), (Ptp.CLOCK, status.clock),
+            (Ptp.PARENT, status.parent), (Ptp.GRANDMASTER, status.grandmaster),
+        ):  # fmt: skip
+            self._memory.set(register, value >> 32)
+            self._memory.set(register + 4, value)
+
     def _now_ns(self) -> int:
-        """Return the device's clock: zero until the stream has begun after the last start."""
+        """Return the master's time if there is one, or the device's clock: zero until the stream has begun."""
+        master_ns = None if self._ptp is None else self._ptp.now_ns()
+        if master_ns is not None:
+            return max(0, master_ns)
         time: DeviceTime = self._time()
         return time.ns if time.starts == self._starts else 0
 
     def _latch(self) -> None:
-        """Latch the time; the clock is set to zero by AcquisitionStart alone."""
+        """Latch the time; without a master, the clock is set to zero by AcquisitionStart alone."""
         time_ns = self._now_ns()
         self._memory.set(Register.TIME_HIGH, time_ns >> 32)
         self._memory.set(Register.TIME_LOW, time_ns & 0xFFFFFFFF)

@@ -10,6 +10,8 @@ Registers by address:
     1040 1004 - 1040 1038   rows:    on, selector, size, offset, number of ranges
     1040 1050 - 1040 1084   columns: the same
     1040 108C               inverted: masks only where a row range and a column range cross
+    1050 0000 - 1050 0038   Precision Time Protocol, if the camera has it: latch, state, servo, then of 64 bits each
+                            offset, delay, identities of the clock, its master, the grandmaster
 
 Source: registers that neuromorphic_drivers writes and reads. Of the acquisition registers only start and stop are
 known; the others have addresses chosen here, which a GenICam host reads from the description. Bounds of the biases are
@@ -41,7 +43,15 @@ from firmware_protocol.gige.description import (
     time_features,
 )
 from firmware_protocol.gige.gvsp import BLOCK_OCTETS
-from firmware_protocol.gige.registers import DeviceIdentity, Rule, between, no_value, standard_areas, standard_rules
+from firmware_protocol.gige.registers import (
+    DeviceIdentity,
+    Register,
+    Rule,
+    between,
+    no_value,
+    standard_areas,
+    standard_rules,
+)
 from firmware_protocol.prophesee.biases import BiasModel
 
 __all__ = [
@@ -58,6 +68,7 @@ __all__ = [
     "Bias",
     "Erc",
     "Evs",
+    "Ptp",
     "RangeRegisters",
     "Triton2Settings",
     "evs_rules",
@@ -87,6 +98,10 @@ class Triton2Settings:
         Most events that wait; further ones are dropped and counted.
     biases
         Effect of the biases on the sensor.
+    ptp
+        True if the camera can follow a master of the Precision Time Protocol; a host switches that on.
+    ptp_domain
+        Domain of that protocol.
     """
 
     size: tuple[int, int] = (1280, 720)
@@ -97,6 +112,8 @@ class Triton2Settings:
     block_us: int = 1000
     capacity: int = 1 << 20
     biases: BiasModel = field(default_factory=BiasModel)
+    ptp: bool = False
+    ptp_domain: int = 0
 
     def __post_init__(self) -> None:
         ipaddress.IPv4Address(self.address)
@@ -136,6 +153,22 @@ class Erc(IntEnum):
     PERIOD_US = 0x13F6_0004
     EVENTS = 0x13F6_0018
     DROP_MODE = 0x13F6_002C
+
+
+class Ptp(IntEnum):
+    """Precision Time Protocol: what LATCH stores of it."""
+
+    LATCH = 0x1050_0000
+    STATE = 0x1050_0004
+    SERVO = 0x1050_0008
+    OFFSET = 0x1050_0010
+    DELAY = 0x1050_0018
+    CLOCK = 0x1050_0020
+    PARENT = 0x1050_0028
+    GRANDMASTER = 0x1050_0030
+
+
+_PTP_OCTETS = 0x38
 
 
 @dataclass(frozen=True)
@@ -186,12 +219,12 @@ _BIAS_TIPS = {
 }
 
 
-def features(size: tuple[int, int]) -> list[Feature]:
+def features(size: tuple[int, int], *, has_ptp: bool = False) -> list[Feature]:
     """Return all features of a camera whose sensor has `size` = (width, height) pixels."""
     events = [*_biases(), *_rate_control(), *_messages()]
     device = [*identity_features(), *_picture(size), *time_features(), *_acquisition()]
     payload = Feature("PayloadSize", TRANSPORT, "integer", Evs.PAYLOAD_SIZE, "Most octets of a block", False)
-    return [*device, *events, payload, *stream_features(), _temperature()]
+    return [*device, *events, payload, *stream_features(), _temperature(), *(_ptp() if has_ptp else ())]
 
 
 def _picture(size: tuple[int, int]) -> list[Feature]:
@@ -251,10 +284,40 @@ def _temperature() -> Feature:
     )
 
 
+def _ptp() -> list[Feature]:
+    """Return the features of the Precision Time Protocol, by the names of GenICam's convention (SFNC 2.7)."""
+    group, signed = "PtpControl", (-(1 << 63), (1 << 63) - 1)
+    states = {"Initializing": 1, "Faulty": 2, "Disabled": 3, "Listening": 4, "Uncalibrated": 8, "Slave": 9}
+    return [
+        Feature(
+            "PtpEnable", group, "boolean", Register.GVCP_CONFIGURATION, "Follows a master's time", bits=(19, 19),
+            limits=(0, 1),
+        ),
+        Feature("PtpSlaveOnly", group, "boolean", Ptp.SERVO, "Always", False, bits=(1, 1), limits=(0, 1)),
+        Feature("PtpDataSetLatch", group, "command", Ptp.LATCH, "Latches the values below"),
+        Feature("PtpStatus", group, "enumeration", Ptp.STATE, "Latched state", False, entries=states),
+        Feature(
+            "PtpServoStatus", group, "enumeration", Ptp.SERVO, "Latched state of the servo", False, bits=(0, 0),
+            entries={"Unknown": 0, "Locked": 1},
+        ),
+        Feature(
+            "PtpOffsetFromMaster", group, "integer", Ptp.OFFSET, "Latched offset, ns", False, room=8, limits=signed
+        ),
+        Feature(
+            "PtpMeanPropagationDelay", group, "integer", Ptp.DELAY, "Latched delay, ns", False, room=8, limits=signed
+        ),
+        Feature("PtpClockID", group, "integer", Ptp.CLOCK, "This clock", False, room=8),
+        Feature("PtpParentClockID", group, "integer", Ptp.PARENT, "Latched master", False, room=8),
+        Feature("PtpGrandmasterClockID", group, "integer", Ptp.GRANDMASTER, "Latched grandmaster", False, room=8),
+    ]  # fmt: skip
+
+
 def triton2_areas(settings: Triton2Settings) -> dict[int, bytes]:
     """Return the areas of a camera's memory at power-on."""
-    description = Description(_MODEL, features(settings.size))
-    areas = standard_areas(_identity(settings), description.location) | _evs_areas(settings.size)
+    has_ptp = settings.ptp
+    description = Description(_MODEL, features(settings.size, has_ptp=has_ptp))
+    areas = standard_areas(_identity(settings), description.location, has_ptp=has_ptp) | _evs_areas(settings.size)
+    areas |= {Ptp.LATCH: bytes(_PTP_OCTETS)} if has_ptp else {}
     return areas | {description.address: description.octets}
 
 
@@ -288,9 +351,10 @@ def _signed(value: int) -> bytes:
     return value.to_bytes(4, "big", signed=True)
 
 
-def triton2_rules(size: tuple[int, int]) -> dict[int, Rule]:
+def triton2_rules(settings: Triton2Settings) -> dict[int, Rule]:
     """Return the rules of all registers that a host may write, by address."""
-    rules = standard_rules() | evs_rules(size)
+    rules = standard_rules() | evs_rules(settings.size)
+    rules |= {Ptp.LATCH: no_value} if settings.ptp else {}
     return rules | dict.fromkeys((ACQUISITION_START, ACQUISITION_STOP), no_value)
 
 

@@ -16,12 +16,13 @@ from firmware_protocol.imx636.triton2_registers import (
     ROWS,
     Erc,
     Evs,
+    Ptp,
 )
 
 __all__ = ["answer_limit", "hostile_datagram", "valid_request"]
 
 _ADDRESSES = [
-    *Register, *Erc, *Evs, ACQUISITION_START, ACQUISITION_STOP, *(bias.address for bias in BIASES.values()),
+    *Register, *Erc, *Evs, *Ptp, ACQUISITION_START, ACQUISITION_STOP, *(bias.address for bias in BIASES.values()),
     *(address for one in (ROWS, COLUMNS) for address in (one.on, one.selector, one.size, one.offset, one.count)),
     0x8000_0000, 0x7FFF_FFFC, 0xFFFF_FFFC, 1, 0x0D3C,
 ]  # fmt: skip

@@ -72,6 +72,7 @@ class Fault:
 
     kind: ClassVar[str] = ""
     effect: ClassVar[type[Stage]] = Stage
+    disconnects: ClassVar[bool] = False  # True: the host loses the camera, and must open it again
     link: str = ""
     at_s: float = 0.0
     for_s: float = 0.0

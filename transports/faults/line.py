@@ -285,6 +285,7 @@ class Unplugged(LastingFault):
     """The port disappears and returns, like an adapter that is unplugged; it is found again within half a second."""
 
     kind: ClassVar[str] = "unplugged"
+    disconnects: ClassVar[bool] = True
     effect: ClassVar[type[Stage]] = _Absence
 
 

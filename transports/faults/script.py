@@ -143,6 +143,14 @@ class Faults(Generic[S]):
         """Begin a fault now; raises ValueError when this link cannot have it."""
         self._begin(fault, self._now_us)
 
+    def end(self, number: int) -> bool:
+        """Let the active fault with this number end at the next `advance`; return False where there is none."""
+        for injected in self._active:
+            if injected.record.number == number:
+                injected.until_us = self._now_us
+                return True
+        return False
+
     def applied(self, stage: S, places: list[int]) -> None:
         """Record that a stage was applied at `places`; losses from now on are attributed to it."""
         injected = next(t for t in self._active if t.stage is stage)
@@ -238,6 +246,10 @@ class Faulty(Generic[S]):
     def inject(self, fault: Fault) -> None:
         """Begin a fault now; raises ValueError for a fault that this carrier does not have."""
         self._faults.inject(fault)
+
+    def end(self, number: int) -> bool:
+        """See `Faults.end`."""
+        return self._faults.end(number)
 
     def close(self) -> None:
         """End all faults; the data that they hold are lost with the link."""

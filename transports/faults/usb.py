@@ -213,6 +213,7 @@ class UsbUnplugged(LastingFault):
     """
 
     kind: ClassVar[str] = "usb_unplugged"
+    disconnects: ClassVar[bool] = True
     serial: str = ""
 
     def __post_init__(self) -> None:

@@ -2,6 +2,7 @@
 
 the link -- ControlSetup, Stop --> transports.gige.answering
 -- device's clock ------>     (shared memory)
+<-- master's time ---------
 <-- Listening, orders, counts
 """
 
@@ -19,7 +20,18 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 
 from firmware_protocol.gige.control import DeviceTime, Order
-from transports.gige.answering import TIME_CELLS, ControlSetup, Failed, Listening, Move, Mute, Release, Stop
+from firmware_protocol.ptp.clock import Timebase
+from transports.gige.answering import (
+    TIME_CELLS,
+    ControlSetup,
+    Failed,
+    Listening,
+    Move,
+    Mute,
+    Release,
+    Stop,
+    read_timebase,
+)
 from transports.link.endpoint import LinkBroken
 
 __all__ = ["ControlProcess"]
@@ -58,6 +70,7 @@ class ControlProcess:
         for descriptor in (child_in, child_out, memory):
             os.close(descriptor)
         self.counts: Counter[str] = Counter()
+        self._timebase: Timebase | None = None
         self._outgoing.send(setup)
         self.port = self._listening()
 
@@ -92,6 +105,12 @@ class ControlProcess:
         """Write the device's clock: see `read_time`."""
         _TIME.pack_into(self._time, 8, time.ns)
         _TIME.pack_into(self._time, 0, time.starts)
+
+    @property
+    def timebase(self) -> Timebase | None:
+        """Relation of a master's time to CLOCK_MONOTONIC; None if the camera follows none."""
+        self._timebase = read_timebase(self._time, self._timebase)
+        return self._timebase
 
     def order(self, order: Mute | Release | Move) -> None:
         """Begin or end a fault of the control channel; a dead process is reported by `take`."""

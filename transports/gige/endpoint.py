@@ -156,6 +156,7 @@ class GigeEndpoint(Endpoint):
     def listen(self) -> None:
         """See `Endpoint.listen`; raises LinkBroken when the process that answers hosts has died."""
         assert self._control is not None
+        self._follow_master(self._control)
         orders = list(self._control.take())
         for order in orders:
             self._camera.obey(order)
@@ -166,6 +167,7 @@ class GigeEndpoint(Endpoint):
     def pump(self) -> None:
         """Send the waiting packets as far as the rate permits."""
         assert self._control is not None
+        self._follow_master(self._control)
         self._control.write_time(self._camera.time)
         self._budget.renew(self._clock.now_ns())
         self._detect_standstill()
@@ -227,6 +229,14 @@ class GigeEndpoint(Endpoint):
         """Counts of packets and requests, and of errors in either."""
         sent = self.sent + self._camera.messages.counts
         return sent if self._control is None else sent + self._control.counts
+
+    def _follow_master(self, control: ControlProcess) -> None:
+        """Give the camera the difference of its master's time and its own, if the run has the pace of real time."""
+        if not self._link.ptp:
+            return
+        now_ns = self._clock.now_ns()
+        timebase, device_ns = control.timebase, self._deliveries.device_ns(now_ns)
+        self._camera.follow(None if timebase is None or device_ns is None else timebase.at(now_ns) - device_ns)
 
     def _follow_faults(self) -> None:
         """Apply faults to the control channel and to the camera's address."""

@@ -36,6 +36,11 @@ class GigeLink:
         blocks; Aravis does so if it is run by root.
     block_us
         Age at which a block is closed and sent, if it was not full before.
+    ptp
+        True if a host can have the camera follow a master of the Precision Time Protocol (IEEE 1588) on its network:
+        feature PtpEnable. It needs UDP ports 319 and 320 (root or CAP_NET_BIND_SERVICE).
+    ptp_domain
+        Domain of that protocol.
     name
         Name of the link in this rig: in reports, faults and triggers.
     """
@@ -47,6 +52,8 @@ class GigeLink:
     mbit_s: float = 1000.0
     segmentation: bool = False
     block_us: int = 1000
+    ptp: bool = False
+    ptp_domain: int = 0
     name: str = "gige"
 
     def __post_init__(self) -> None:
@@ -64,6 +71,8 @@ class GigeLink:
             raise ValueError(f"mbit_s must be 1 to 100000, got {self.mbit_s}")
         if not 1 <= self.block_us <= 1_000_000:
             raise ValueError(f"block_us must be 1 to 1000000, got {self.block_us}")
+        if not 0 <= self.ptp_domain <= 127:
+            raise ValueError(f"ptp_domain must be 0 to 127, got {self.ptp_domain}")
         check_allow(self.host, self.allow)
 
 

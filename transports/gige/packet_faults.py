@@ -71,6 +71,7 @@ class LostHeartbeat(Fault):
     """The camera takes control away from its host, as when the host's heartbeat did not arrive in time."""
 
     kind: ClassVar[str] = "lost_heartbeat"
+    disconnects: ClassVar[bool] = True
     effect: ClassVar[type[Stage]] = _Taking
 
 
@@ -89,6 +90,7 @@ class LinkDown(LastingFault):
     """The cable is unplugged and plugged in again: no data pass in either direction in between."""
 
     kind: ClassVar[str] = "link_down"
+    disconnects: ClassVar[bool] = True
     effect: ClassVar[type[Stage]] = _Down
 
 
@@ -118,6 +120,7 @@ class IpChange(LastingFault):
     """
 
     kind: ClassVar[str] = "ip_change"
+    disconnects: ClassVar[bool] = True
     effect: ClassVar[type[Stage]] = _Moving
     for_s: float = 0.5
     address: str = "127.0.0.254"

@@ -134,6 +134,10 @@ class Endpoint(ABC):
             raise ValueError(f"{fault.kind!r} is no fault of this kind of link")
         self._faulty.inject(fault)
 
+    def end_fault(self, number: int) -> bool:
+        """Let an active fault end now; return False where no fault with this number is active."""
+        return self._faulty is not None and self._faulty.end(number)
+
     @property
     def withholds(self) -> bool:
         """True while a fault holds data back from the host: stream time must not wait for the host then."""

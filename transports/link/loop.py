@@ -2,7 +2,7 @@
 
     timer -------------------------------> turn: Link.tick, changes, a report ten times a second
     session --the ring's counter---------> a turn, because events were published that are due before the next one
-    session --Stop, InjectFault, Happen--> acts at once, then a turn
+    session --Stop, InjectFault, ... ---> acts at once, then a turn
     host ----bytes at an input-----------> Link.attend, then a turn, half a millisecond after the last one or later
     host ----bytes to an event loop------> Link.attend before they are processed, then a turn if the camera rested
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from transports.link.process import Link
 
-__all__ = ["Happen", "InjectFault", "LinkLoop", "Stop"]
+__all__ = ["EndFault", "Happen", "InjectFault", "LinkLoop", "Stop"]
 
 
 _REPORT_PERIOD_NS = 100_000_000
@@ -60,6 +60,14 @@ class InjectFault:
     """Request of the session to begin a fault now, of a kind that this link can have; `by`: name of the requester."""
 
     fault: Fault
+    by: str = ""
+
+
+@dataclass(frozen=True)
+class EndFault:
+    """Request of the session to end the fault with this number on its link; `by`: name of the requester."""
+
+    number: int
     by: str = ""
 
 
@@ -199,7 +207,7 @@ class LinkLoop:
 
     def _obey(self) -> None:
         """Execute an order of the session."""
-        order: Stop | InjectFault | Happen = self._control.recv()
+        order: Stop | InjectFault | EndFault | Happen = self._control.recv()
         if isinstance(order, Stop):
             self._drain_ns, self._last_ns = int(order.drain_s * 1e9), self._clock.now_ns()
             self._loop.remove_reader(self._control.fileno())
@@ -207,6 +215,8 @@ class LinkLoop:
             self._link.attend()
             if isinstance(order, InjectFault):
                 self._link.inject(order.fault, order.by)
+            elif isinstance(order, EndFault):
+                self._link.end_fault(order.number, order.by)
             else:
                 self._link.happen(order.kind, order.by)
         self._wake_at(self._clock.now_ns())

@@ -5,7 +5,7 @@
     EventRing  ---- events, now_us --->  feed: device.offer, device.advance
     ReadingRing --- frames, samples -->        device.offer_readings
                <--- host settings -----        device.reading_settings
-    Connection ---- Stop, InjectFault ->  endpoint: USB/IP server, serial line ...
+    Connection ---- Stop, faults ------>  endpoint: USB/IP server, serial line ...
                <--- CameraSettings ----  changes by hosts, with their stream time (see `report`)
                <--- LinkReport --------  (ten a second, and a last one)
 
@@ -252,7 +252,15 @@ class Link:
     def inject(self, fault: Fault, by: str = "") -> None:
         """Begin a fault, on behalf of `by`."""
         self.endpoint.inject(fault)
-        self._watch.add(Occurrence(self._feed.reached_us, by, f"fault {fault.kind}"))
+        faults = self.endpoint.faults
+        number = faults[-1].number if faults else 0
+        self._watch.add(Occurrence(self._feed.reached_us, by, f"fault {fault.kind}", number))
+
+    def end_fault(self, number: int, by: str = "") -> None:
+        """End a fault on behalf of `by`; one that is over already is left as it is."""
+        if self.endpoint.end_fault(number):
+            kind = next(one.kind for one in self.endpoint.faults if one.number == number)
+            self._watch.add(Occurrence(self._feed.reached_us, by, f"end of fault {kind}", number))
 
     def happen(self, kind: EdgeKind | None, by: str = "") -> None:
         """Apply an edge to the input now, or reset the clock, on behalf of `by`."""

@@ -66,11 +66,14 @@ class Occurrence:
         Origin: "telecommand", or the user's name for the session's request, such as "evstim".
     what
         Description, such as "SetRegion(x=0, y=0, width=8, height=8)", "fault stall", "trigger pulse".
+    fault
+        Number of the fault on its link that begins or ends; 0 for none.
     """
 
     t_us: int
     by: str
     what: str
+    fault: int = 0
 
 
 class ChangeWatch:

@@ -1,8 +1,13 @@
 "use strict";
 // One WebSocket brings pictures (binary) and tables (JSON); see messages.py. Nothing else is loaded.
 
+import * as picture from "./picture.js";
+import {TimeAxis} from "./axis.js";
+import {showChanges} from "./changes.js";
+import {showFaults} from "./faults.js";
+import {Repeats} from "./repeats.js";
+
 const $ = (id) => document.getElementById(id);
-const ON = [0xd5, 0x5e, 0x00], OFF = [0x00, 0x72, 0xb2];
 const PARTS = {
   read_out: ["read out", "#009e73"], pending: ["pending", "#f0e442"], lost_at_readout: ["lost at the read-out", "#e69f00"],
   lost_in_pixel: ["lost in the pixel", "#56b4e9"], delivered: ["delivered", "#009e73"], on_the_way: ["on the way", "#f0e442"],
@@ -13,8 +18,6 @@ const SLIDERS = {
   leak_hz: ["leak", "Hz", 0.01, 50], refractory_us: ["refractory period", "us", 1, 50000],
   corner_max_hz: ["bandwidth", "Hz", 3, 30000],
 };
-const MOST_SUMMED = 50;
-
 let socket, received = 0, about = null, status = null, first = null, retry_ms = 500, over = false;
 
 // ---- connection ----
@@ -29,7 +32,10 @@ function connect() {
     received += 1;
     try {
       if (typeof event.data === "string") hear(JSON.parse(event.data));
-      else if (event.data.byteLength) take(event.data);
+      else picture.take(event.data);
+    } catch (error) {
+      if (!(error instanceof SyntaxError)) throw error;
+      picture.damage();
     } finally { send({do: "seen", number: received}); }
   };
   socket.onclose = (event) => {
@@ -44,100 +50,38 @@ function send(message) { if (socket.readyState === 1) socket.send(JSON.stringify
 function hear(message) {
   if (message.kind === "about") begin(message);
   else if (message.kind === "answer") $("answer").textContent = message.did || message.error;
-  else if (message.kind === "ended") { over = true; state("the run has ended", "over"); }
-  else { status = {...status, ...message}; if (message.kind === "status") figures(); controls(); }
+  else if (message.kind === "ended") {
+    over = !status || status.next_seed === null;  // else the next run has the same address
+    state(over ? "the run has ended" : "starting again", "over");
+  }
+  else { status = {...status, ...message}; if (message.kind === "status") figures(); showChanges($("changes"), $("changes-note"), status, send);
+    repeats.renew({...status, totals: status.totals && {...status.totals, changes: status.changes_made}}, $("health").textContent);
+    controls();
+  }
 }
 
 function state(text, kind) { $("state").textContent = text; $("state").className = kind; }
 
 function begin(message) {
-  about = message; first = null; retry_ms = 500;
+  if (about && about.run !== message.run) axis.another();  // stream time begins again
+  about = message; first = null; status = null; retry_ms = 500; lateBefore = [];
+  picture.about(about);
+  repeats.begin(about);
   $("name").textContent = document.title = about.name;
   $("title").textContent = about.title;
   state("live", "live");
-  $("faults").replaceChildren(...Object.entries(about.links).flatMap(([link, {faults}]) => faults.map((kind) =>
-    button(`${link}: ${kind.replaceAll("_", " ")}`, () => send({do: "inject", fault: {kind, link}}), `fault-${link}-${kind}`))));
-}
-
-function button(text, act, id) {
-  const made = document.createElement("button");
-  made.textContent = text; made.onclick = act; made.id = id;
-  return made;
-}
-
-// ---- the picture ----
-
-const canvas = $("picture"), pen = canvas.getContext("2d", {alpha: false});
-let size = [0, 0], image, light, lastUs, polarity, past = [], sumOn, sumOff, pictures = 0;
-
-function fit(width, height) {
-  if (size[0] === width && size[1] === height) return;
-  size = [canvas.width, canvas.height] = [width, height];
-  const n = width * height;
-  image = pen.createImageData(width, height);
-  image.data.fill(255);
-  lastUs = new Float64Array(n).fill(-1e18); polarity = new Int8Array(n);
-  sumOn = new Int32Array(n); sumOff = new Int32Array(n); past = [];
-}
-
-function take(buffer) {
-  const head = new DataView(buffer), width = head.getUint16(8, true), height = head.getUint16(10, true), n = width * height;
-  const from = Number(head.getBigUint64(12, true)), until = Number(head.getBigUint64(20, true));
-  fit(width, height);
-  light = new Uint8Array(buffer, 36, n);
-  const last = new Int8Array(buffer, 36 + n, n), count = new Uint8Array(buffer, 36 + 2 * n, n);
-  for (let i = 0; i < n; i++) if (last[i]) {
-    lastUs[i] = from + (until - from) * Math.abs(last[i]) / 127;
-    polarity[i] = last[i] > 0 ? 1 : -1;
-  }
-  add(count, 1);
-  past.push({count, from});
-  while (past.length > MOST_SUMMED || (past.length > 1 && past[0].from < until - windowUs())) add(past.shift().count, -1);
-  const every = head.getUint16(32, true);
-  $("drawn").textContent = every > 1 ? `(one event of ${every} is drawn)` : "";
-  window.lastPictureUs = until;
-  draw(until);
-  pictures += 1;
-}
-
-function add(count, sign) {
-  for (let i = 0; i < count.length; i++) if (count[i]) {
-    sumOn[i] += sign * (count[i] & 15);
-    sumOff[i] += sign * (count[i] >> 4);
-  }
-}
-
-function windowUs() { return 1e4 * 200 ** Number($("window").value); }  // 10 ms to 2 s
-function mode() { return document.querySelector("input[name=mode]:checked").value; }
-
-function draw(untilUs) {
-  const data = image.data, dim = Number($("light").value), tau = windowUs(), surface = mode() === "surface";
-  for (let i = 0, at = 0; i < light.length; i++, at += 4) {
-    const ground = light[i] * dim;
-    let weight = 0, colour = ON;
-    if (surface) {
-      const age = (untilUs - lastUs[i]) / tau;
-      if (age < 5) { weight = Math.exp(-age); colour = polarity[i] > 0 ? ON : OFF; }
-    } else {
-      const net = sumOn[i] - sumOff[i], all = sumOn[i] + sumOff[i];
-      if (all) { weight = Math.min(1, 0.3 + 0.175 * Math.abs(net || 1)); colour = net >= 0 ? ON : OFF; }
-    }
-    data[at] = ground + weight * (colour[0] - ground);
-    data[at + 1] = ground + weight * (colour[1] - ground);
-    data[at + 2] = ground + weight * (colour[2] - ground);
-  }
-  pen.putImageData(image, 0, 0);
-  $("window-text").textContent = tau < 1e6 ? `${Math.round(tau / 1e3)} ms` : `${(tau / 1e6).toFixed(1)} s`;
+  showFaults($("faults"), about.links, send);
 }
 
 // ---- figures ----
 
-const course = [];
+const axis = new TimeAxis($("axis"), $("axis-at"), si, duration);
+for (const input of document.querySelectorAll("input[name=span]")) input.onchange = () => axis.show(Number(input.value));
+const repeats = new Repeats({seed: $("seed"), go: $("again-go"), stop: $("stop"), why: $("again-why"), table: $("compare")}, {si, duration}, send);
 let cpu = null;
 
 function figures() {
-  const late = status.lateness, p = Object.values(status.links).map((link) => link.latency_us).filter((us) => us[1] !== null)
-    .sort((a, b) => b[1] - a[1])[0] || [null, null];
+  const late = status.lateness;
   const now = performance.now() / 1000;
   const load = cpu && now > cpu.now ? (status.page_cpu_s - cpu.used) / (now - cpu.now) : 0;
   if (!cpu || now - cpu.now > 5) cpu = {now, used: status.page_cpu_s, load: cpu ? load : null};
@@ -147,12 +91,7 @@ function figures() {
     "longer steps": late.steps_stretched, "pictures drawn": status.frames,
     viewers: status.viewers, "page's processor": cpu.load === null ? "..." : `${(100 * cpu.load).toFixed(1)} % of a core`,
   });
-  course.push({rate: status.events_per_s, p50: p[0], p99: p[1], t_s: status.t_s});
-  if (course.length > 600) course.shift();
-  $("rate-now").textContent = `${si(status.events_per_s)}/s`;
-  $("latency-now").textContent = p[1] === null ? "" : `${duration(p[0])}, ${duration(p[1])}`;
-  chart($("rate"), [["rate", "#56b4e9", []]], (rate) => `${si(rate)}/s`, "no event yet");
-  chart($("latency"), [["p50", "#56b4e9", []], ["p99", "#e69f00", [4, 3]]], duration, "no event has left a link yet");
+  axis.renew(status);
   ledger(); links(); health();
 }
 
@@ -192,27 +131,6 @@ function numbers(table) {
 function si(value) {
   for (const [unit, size] of [["M", 1e6], ["k", 1e3]]) if (value >= size) return `${(value / size).toPrecision(3)} ${unit}`;
   return value.toFixed(0);
-}
-
-function chart(target, lines, text, reason) {
-  const ctx = target.getContext("2d"), {clientWidth: width, clientHeight: height} = target, left = 58, top = 6, base = height - 16;
-  [target.width, target.height] = [width * devicePixelRatio, height * devicePixelRatio];
-  ctx.scale(devicePixelRatio, devicePixelRatio);
-  const found = course.flatMap((row) => lines.map(([name]) => row[name])).filter((value) => value);
-  const most = Math.max(1e-9, ...found), shown = (course.length - 1) / 600 * (width - left);
-  ctx.font = "11px system-ui, sans-serif"; ctx.fillStyle = "#a8b0ba"; ctx.strokeStyle = "#3a4552"; ctx.lineWidth = 1; ctx.setLineDash([]);
-  ctx.beginPath(); ctx.moveTo(left, top); ctx.lineTo(left, base); ctx.lineTo(width, base); ctx.stroke();
-  if (!found.length) { ctx.textAlign = "center"; ctx.fillText(reason, (left + width) / 2, (top + base) / 2 + 4); return; }
-  ctx.textAlign = "right";
-  ctx.fillText(text(most), left - 4, top + 6); ctx.fillText("0", left - 4, base);
-  ctx.fillText(`${course.at(-1).t_s.toFixed(0)} s`, width, height - 2);
-  if (shown > 90) { ctx.textAlign = "left"; ctx.fillText(`${course[0].t_s.toFixed(0)} s`, width - shown, height - 2); }
-  ctx.lineWidth = 1.5;
-  for (const [name, colour, dashes] of lines) {
-    ctx.strokeStyle = colour; ctx.setLineDash(dashes); ctx.beginPath();
-    course.forEach((row, k) => { if (row[name] !== null) ctx.lineTo(width - (course.length - 1 - k) * (width - left) / 600, base - (base - top) * row[name] / most); });
-    ctx.stroke();
-  }
 }
 
 function ledger() {
@@ -296,7 +214,7 @@ let recorder = null;
 function video() {
   if (recorder) return recorder.stop();
   const parts = [];
-  recorder = new MediaRecorder(canvas.captureStream(25), {videoBitsPerSecond: 8e6});
+  recorder = new MediaRecorder(picture.canvas().captureStream(25), {videoBitsPerSecond: 8e6});
   recorder.ondataavailable = (event) => parts.push(event.data);
   recorder.onstop = () => { recorder = null; $("video").textContent = "record video"; save(new Blob(parts, {type: "video/webm"}), "webm"); };
   recorder.start();
@@ -313,7 +231,7 @@ function save(blob, kind) {
 
 const ACTS = {
   pause: () => send({do: status && status.paused ? "resume" : "pause"}), step: () => send({do: "step"}),
-  trigger: () => send({do: "trigger"}), "picture-file": () => canvas.toBlob((blob) => save(blob, "png")), video,
+  trigger: () => send({do: "trigger"}), "picture-file": () => picture.canvas().toBlob((blob) => save(blob, "png")), video,
   full: () => document.fullscreenElement ? document.exitFullscreen() : $("show").requestFullscreen(),
   reset: () => { for (const [name, value] of Object.entries(first || {})) send({do: "adjust", name, value}); document.activeElement.blur(); },
 };
@@ -321,6 +239,7 @@ for (const [id, act] of Object.entries(ACTS)) $(id).onclick = act;
 
 const KEYS = {" ": "pause", ".": "step", t: "trigger", s: "picture-file", r: "video", f: "full"};
 document.addEventListener("keydown", (event) => {
+  if (event.target.closest("input:not([type=radio]):not([type=range]), select, dialog")) return;  // typed into a field
   if (event.ctrlKey || event.altKey || event.metaKey || ["BUTTON", "INPUT"].includes(event.target.tagName) && event.key === " ") return;
   if (event.key === "1" || event.key === "2") document.querySelectorAll("input[name=mode]")[event.key - 1].click();
   else if (KEYS[event.key] && !$(KEYS[event.key]).hidden) { event.preventDefault(); ACTS[KEYS[event.key]](); }

@@ -1,9 +1,10 @@
 """Closed surfaces of triangles: reading of shape models, and checks before anything is drawn.
 
 A facet's outside is the side from which its corners run counter-clockwise. Lengths are metres. The formats are the
-plate tables of the Planetary Data System (`.tab`) and Wavefront OBJ, see `mesh_files`, and every surface format that
-trimesh reads (STL, PLY, ...), in a child process, see `guarded_reader`; for glTF see `models`. Textures and
-materials are ignored, but for `usemtl albedo_A` of OBJ files; split vertices are joined again.
+plate tables of the Planetary Data System (`.tab`) and Wavefront OBJ, see `mesh_files`, and, in a child process, see
+`guarded_reader`, digital shape kernels of SPICE (`.bds`, `.dsk`) by spiceypy, and every surface format that trimesh
+reads (STL, PLY, ...); for glTF see `models`. Textures and materials are ignored, but for `usemtl albedo_A` of OBJ
+files; split vertices are joined again.
 
     bad input                                   what happens
     no file, unreadable, no facet               SceneError
@@ -16,6 +17,7 @@ materials are ignored, but for `usemtl albedo_A` of OBJ files; split vertices ar
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -29,13 +31,25 @@ from emulator.scene.bodies.mesh_files import PlateTableError, parse_plates, pars
 from emulator.scene.files import read_in_child
 from emulator.tables.toml_text import TextFileError, read_text, shortened
 
-__all__ = ["SHAPES", "Mesh", "build_mesh", "facet_vectors", "find_shape", "load_mesh", "read_surface", "vertex_normals"]
+__all__ = [
+    "SHAPES",
+    "Mesh",
+    "build_mesh",
+    "facet_vectors",
+    "find_shape",
+    "load_mesh",
+    "read_dsk",
+    "read_surface",
+    "vertex_normals",
+]
 
 
 SHAPES = Path(__file__).parent / "shapes"
 """The folder of the shape models that come with the program; its SOURCES.md gives the origin of each."""
 
 _MOST_BYTES = 1 << 28
+_SHAPE_KERNELS = (".bds", ".dsk")
+_PLATES = 2  # data type of a segment of plates; the only other one, 4, holds heights
 _FARTHEST_M = 1e15  # squares and cubes of it stay finite; the solar system ends before
 
 _Points = npt.NDArray[np.float64]
@@ -160,10 +174,11 @@ def build_mesh(
 
 
 def _read(path: Path) -> tuple[_Points, npt.NDArray[np.int64], _Points | None]:
-    """Return vertices, facets and their albedo: two formats by own readers, any other by trimesh in a child process."""
+    """Return vertices, facets and their albedo: two formats by own readers, others by libraries in a child process."""
     parse = {".tab": parse_plates, ".obj": parse_wavefront}.get(path.suffix.lower())
     if parse is None:
-        found = read_in_child("emulator.scene.bodies.mesh:read_surface", path)
+        reader = "read_dsk" if path.suffix.lower() in _SHAPE_KERNELS else "read_surface"
+        found = read_in_child(f"{__name__}:{reader}", path)
         return found["vertices"], found["faces"], None
     try:
         table = parse(read_text(path, _MOST_BYTES))
@@ -264,3 +279,45 @@ def read_surface(path: Path) -> dict[str, npt.NDArray[Any]]:
         except Exception as error:  # its readers raise arbitrary exceptions for a broken file
             raise SceneError(f"trimesh cannot read it as a surface ({shortened(error)})") from error
     return {"vertices": vertices, "faces": faces}
+
+
+def read_dsk(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """Return the plates of all segments of a digital shape kernel, as `read_surface`; lengths are kilometres.
+
+    The axes are those of the body-fixed frame that the segments name; they must all name the same.
+
+    Source: NAIF, "DSK Required Reading", plates of data type 2.
+    """
+    import spiceypy  # an extra
+
+    try:
+        segments = list(_segments(spiceypy, spiceypy.dasopr(str(path))))
+    except spiceypy.SpiceyError as error:
+        raise SceneError(f"SPICE cannot read it as a shape kernel ({shortened(error)})") from error
+    frames = {frame for frame, _, _ in segments}
+    if len(frames) > 1:
+        raise SceneError(
+            f"its segments are in {len(frames)} frames ({sorted(frames)}): split it, one frame in each file"
+        )
+    starts = np.cumsum([0] + [len(vertices) for _, vertices, _ in segments])
+    faces = [corners + (start - 1) for (_, _, corners), start in zip(segments, starts[:-1], strict=True)]
+    return {"vertices": np.concatenate([vertices for _, vertices, _ in segments]), "faces": np.concatenate(faces)}
+
+
+def _segments(spice: Any, handle: int) -> Iterator[tuple[int, _Points, npt.NDArray[np.int64]]]:
+    """Yield of each segment its frame's number, vertices, and plates that count vertices from 1."""
+    segment = spice.dlabfs(handle)
+    while segment is not None:
+        about = spice.dskgd(handle, segment)
+        if about.dtype != _PLATES:
+            raise SceneError(f"a segment of it has data of type {about.dtype}; only plates (type 2) can be drawn")
+        vertices, plates = spice.dskz02(handle, segment)
+        yield (
+            about.frmcde,
+            np.asarray(spice.dskv02(handle, segment, 1, vertices), np.float64),
+            np.asarray(spice.dskp02(handle, segment, 1, plates), np.int64),
+        )
+        try:
+            segment = spice.dlafns(handle, segment)
+        except spice.NotFoundError:
+            segment = None

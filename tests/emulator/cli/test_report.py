@@ -1,10 +1,14 @@
 """`evstim run --report`: a page that stands alone, JSON and JUnit that agree with the run, and an exit code."""
 
+import hashlib
 import json
 import re
 from xml.etree import ElementTree
 
+import jsonschema
 import pytest
+
+from emulator.run.report.content import report_schema
 
 pytestmark = pytest.mark.system
 
@@ -28,8 +32,6 @@ kind = "loopback"
 
 @pytest.fixture
 def run(evstim, tmp_path):
-    pytest.importorskip("matplotlib", reason="charts (extra report)")
-
     def run_rig(rules=""):
         rig = tmp_path / "small.toml"
         rig.write_text(RIG.format(rules=rules))
@@ -44,11 +46,16 @@ def test_a_good_run_has_a_whole_report(run):
     assert code == 0
     page = (folder / "report.html").read_text()
     assert not re.search(r'(src|href)="(?!data:|#)', page)
-    assert page.count("<svg") == 2
+    assert page.count("<svg") == 4  # rates, two bars of fates, intervals; without pacing there is no latency
+    assert page.count("<img") >= 4  # maps of both polarities, pictures
+    assert hashlib.sha256((folder.parent / "small.toml").read_bytes()).hexdigest() in page
     assert "verdict.max_drop loopback" in page
     numbers = json.loads((folder / "report.json").read_text())
     assert numbers["verdict"] == "good"
     assert numbers["events"] == said["events"]
+    jsonschema.validate(numbers, report_schema(), jsonschema.Draft202012Validator)
+    assert sum(numbers["timeline"]["on"]) + sum(numbers["timeline"]["off"]) == said["events"]["read_out"]
+    assert numbers["modelled"]["probed"]
     cases = ElementTree.parse(folder / "junit.xml").findall(".//testcase")
     assert [case.get("name") for case in cases] == [one["rule"] for one in said["rules"]]
     assert not ElementTree.parse(folder / "junit.xml").findall(".//failure")
@@ -71,7 +78,6 @@ def test_a_folder_that_exists_is_used_again(run):
 
 
 def test_a_file_in_the_place_of_the_folder_is_wrong_use(evstim, tmp_path):
-    pytest.importorskip("matplotlib", reason="charts (extra report)")
     (tmp_path / "out").write_text("not a folder")
     done = evstim("run", "loopback", "--report", tmp_path / "out")
     assert done.code == 2

@@ -7,6 +7,7 @@ import sys
 import tempfile
 import time
 from contextlib import contextmanager
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -116,9 +117,20 @@ def test_a_click_injects_a_fault_and_a_slider_changes_the_rate(folder, tmp_path)
         )
         assert health[1].startswith({"good": "in time", "late": "late: ", "bad": "bad: "}[health[0]])
 
-        browser.click("#fault-serial-bit_flips")
+        browser.until("document.querySelector('#fault-serial-text').textContent.startsWith('Single inverted bits')")
+        browser.value("document.querySelector('#faults [data-key=for_s]').value = '1000'")
+        browser.value("document.querySelector('#faults [data-key=count]').value = '0'")
+        browser.click("#inject-serial")
         browser.until("document.querySelector('#answer').textContent === 'bit_flips on serial'")
         browser.until("document.querySelector('#links').textContent.includes('1 faults')")
+        browser.until("document.querySelector('#changes .what')?.textContent === 'bit flips on serial: active'")
+        browser.click("#changes button")
+        browser.until("document.querySelector('#changes').textContent.includes('bit flips on serial: over')")
+        browser.click("#fault-serial-unplugged")  # apart, and confirmed: cancelled by the Escape key
+        browser.until("document.querySelector('dialog')?.open")
+        browser.press("Escape", "Escape", 27)
+        browser.until("!document.querySelector('dialog')")
+        assert browser.value("document.activeElement.id") == "fault-serial-unplugged"
         browser.click("#trigger")
         browser.until("document.querySelector('#links').textContent.includes('1 triggers')")
 
@@ -143,8 +155,74 @@ def test_a_click_injects_a_fault_and_a_slider_changes_the_rate(folder, tmp_path)
         assert browser.value("document.documentElement.scrollWidth") <= 390
         assert browser.errors == []
     assert summary["balanced"]
-    assert summary["links"]["serial"]["faults"]
+    (fault,) = summary["links"]["serial"]["faults"]
+    assert (fault["kind"], fault["ended_us"] - fault["began_us"] < 900e6) == ("bit_flips", True)
+    assert [change["what"] for change in summary["changes"]][:2] == ["fault bit_flips", "end of fault bit_flips"]
     assert summary["links"]["serial"]["edges"]["taken"] == 1
+
+
+_THEMES = ("light", "dark")
+
+
+def _violations(browser):
+    """Return the rules of axe-core that the page breaks, with the elements."""
+    browser.value(files("axe_core_python").joinpath("axe.min.js").read_text() + ";0")
+    found = "axe.run().then(r => r.violations.map(v => [v.id, v.nodes.map(n => n.target.join())]))"
+    return browser.value(found)
+
+
+def _levels(browser):
+    """Return the 5th and the 95th percentile of the light's levels on the screen."""
+    return browser.value(
+        "(c => {const all = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;"
+        "const d = all.filter((_, i) => i % 4 === 0).sort();"
+        "return [0.05, 0.95].map(p => d[Math.round(p * d.length)]);})(document.querySelector('#light-picture'))"
+    )
+
+
+def _screen(level):
+    return 255 * (1.055 * min(level, 1) ** (1 / 2.4) - 0.055)
+
+
+def test_the_picture_is_largest_bright_readable_and_accessible(folder):
+    pytest.importorskip("axe_core_python", reason="the accessibility rules are not installed")
+    with _run(folder) as (url, _), Browser(folder / "third") as browser:
+        browser.open(url)
+        browser.until("window.lastPictureUs > 0 && document.querySelectorAll('#ledger .head').length === 2")
+        for theme in _THEMES:
+            browser.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
+            assert browser.value("getComputedStyle(document.body).colorScheme") == theme
+            assert _violations(browser) == []
+        for width, height in ((390, 844), (2560, 1300), (1280, 900)):
+            browser.resize(width, height)
+            for view in ("both", "light", "overlay"):
+                browser.value(f"document.querySelector('input[value={view}]').click()")
+                assert browser.value("document.documentElement.scrollWidth") <= width
+        area = "(e => e.getBoundingClientRect().width * e.getBoundingClientRect().height)"
+        panes = browser.value(f"{area}(document.querySelector('#panes'))")
+        others = browser.value(f"[...document.querySelectorAll('section:not(#show)')].map({area})")
+        assert panes > max(others)
+
+        browser.press("v", "KeyV", 86)
+        browser.press("v", "KeyV", 86)
+        assert browser.value("document.querySelector('input[name=view]:checked').value") == "light"
+        browser.until("document.querySelector('#white').textContent")
+        assert _levels(browser) == pytest.approx([_screen(0.85 * 0.25), _screen(0.85)], abs=6)
+        for _ in range(2):
+            browser.press("b", "KeyB", 66)
+        assert browser.value("document.querySelector('#stops-text').textContent") == "+1.0 stops"
+        assert _levels(browser) == pytest.approx([_screen(2 * 0.85 * 0.25), 255], abs=6)
+
+        browser.value("document.querySelector('#screen').focus()")
+        browser.press("ArrowRight", "ArrowRight", 39)
+        browser.press("+", "Equal", 187)
+        assert browser.value("document.querySelector('#zoom-text').textContent") == "2\u00d7"
+        assert browser.value("document.querySelector('#read-pixel').textContent") == "174, 130"
+        assert 0.24 < float(browser.value("document.querySelector('#read-light').textContent")) < 1.01
+        browser.until("document.querySelector('#spoken').textContent.startsWith('pixel 174, 130; light ')")
+        browser.value("import('/picture.js').then(m => [10, 50].forEach(n => m.take(new ArrayBuffer(n))))")
+        assert browser.value("document.querySelector('#drawn').textContent") == "2 damaged messages left out"
+        assert browser.errors == []
 
 
 def test_a_run_that_is_not_paced_can_be_paused_and_stepped_from_the_keyboard(folder):
@@ -158,5 +236,11 @@ def test_a_run_that_is_not_paced_can_be_paused_and_stepped_from_the_keyboard(fol
         browser.until(f"{clock} === {held} + 2000")
         _press_space_until(browser, "live")
         browser.until(f"{clock} > {held} + 100000")
-        assert browser.errors == []
+        browser.click("#again-go")  # with seed 2
+        browser.until("document.querySelector('#compare td')?.textContent === '1'")
+        browser.until("document.querySelector('#again-why').textContent === 'This run has seed 2.'")
+        browser.until("document.querySelector('#state').textContent === 'live'")
+        assert browser.value("document.querySelector('#compare').tBodies[0].rows[0].textContent") == "seed12"
+        # Between the two runs nobody listens, and the page tries again.
+        assert [error for error in browser.errors if "ERR_CONNECTION_REFUSED" not in str(error)] == []
     assert summary["balanced"]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from emulator.live_page.messages import light_of_codes
 from emulator.live_page.process import Canvas, reduction
 from firmware_protocol.events import EVENT
 
@@ -15,11 +16,9 @@ def test_planes_hold_the_last_event_and_the_counts_of_each_pixel():
     canvas = Canvas((4, 3))
     events = _events([(1, 0, 0, True), (500, 3, 2, False), (600, 0, 0, True), (1000, 0, 0, False)])
     picture = canvas.draw(events, np.zeros((3, 4), np.float32), 1000)
-    assert picture.last[0, 0] == -127
-    assert picture.last[2, 3] == -64
-    assert np.count_nonzero(picture.last) == 2
-    assert picture.count[0, 0] == 2 + (1 << 4)
-    assert picture.count[2, 3] == 1 << 4
+    assert list(picture.place) == [0, 2 * 4 + 3]
+    assert list(picture.last) == [-127, -64]
+    assert list(picture.count) == [2 + (1 << 4), 1 << 4]
     assert (picture.from_us, picture.until_us, picture.events, picture.every) == (0, 1000, 4, 1)
     assert canvas.draw(events[:0], np.zeros((3, 4), np.float32), 2000).from_us == 1000
 
@@ -40,9 +39,10 @@ def test_counts_are_those_of_a_loop(size):
         expected[int(on), y // by, x // by] += 1
         last[y // by, x // by] = 1 if on else -1
     picture = canvas.draw(events, np.zeros(canvas.shape, np.float32), 40_000)
-    assert np.array_equal(picture.count & 15, np.minimum(expected[1], 15))
-    assert np.array_equal(picture.count >> 4, np.minimum(expected[0], 15))
-    assert np.array_equal(np.sign(picture.last), last)
+    assert np.array_equal(picture.place, np.flatnonzero(last))
+    assert np.array_equal(picture.count & 15, np.minimum(expected[1], 15)[last != 0])
+    assert np.array_equal(picture.count >> 4, np.minimum(expected[0], 15)[last != 0])
+    assert np.array_equal(np.sign(picture.last), last[last != 0])
     assert canvas.shape[1] <= 640
     assert canvas.shape[0] <= 480
 
@@ -54,15 +54,7 @@ def test_very_many_events_are_thinned_out_and_that_is_told():
     assert picture.every == 4
 
 
-def test_light_is_a_square_root_and_what_is_not_finite_is_harmless():
-    light = np.tile(np.linspace(0, 1, 64, dtype=np.float32), (64, 1))
-    light[0, 1:4] = np.nan, np.inf, -np.inf
-    picture = Canvas((64, 64)).draw(np.zeros(0, EVENT), light, 1)
-    white = np.quantile(light[::4, ::4][light[::4, ::4] > 0], 0.99)
-    expected = 255 * np.sqrt(np.clip(light[1:] / white, 0, 1))
-    assert np.abs(picture.light[1:] - expected).max() <= 1
-    assert list(picture.light[0, 1:4]) == [0, 255, 0]
-
-
-def test_dark_light_is_black():
-    assert not Canvas((5, 5)).draw(np.zeros(0, EVENT), np.full((5, 5), np.nan, np.float32), 1).light.any()
+def test_light_is_sent_with_its_value():
+    light = np.geomspace(1e-6, 1e6, 20, dtype=np.float32).reshape(4, 5)
+    sent = Canvas((5, 4)).draw(np.zeros(0, EVENT), light, 1).light
+    assert np.allclose(light_of_codes(sent), light, rtol=2**-9)

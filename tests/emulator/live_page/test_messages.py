@@ -9,13 +9,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulator.live_page.messages import BadMessage, Picture, decode_picture, encode_picture, parse_command
+from emulator.live_page.messages import (
+    BadMessage,
+    Picture,
+    decode_picture,
+    encode_picture,
+    light_codes,
+    light_of_codes,
+    parse_command,
+)
 
 _COMMANDS = [
     {"do": "hello", "token": "ab"},
     {"do": "seen", "number": 3},
     {"do": "adjust", "name": "leak_hz", "value": 0.5},
     {"do": "inject", "fault": {"kind": "unplugged"}},
+    {"do": "undo", "change": 4},
+    {"do": "again", "seed": 7},
+    {"do": "stop"},
     {"do": "trigger"},
     {"do": "pause"},
     {"do": "step"},
@@ -34,9 +45,10 @@ _COMMANDS = [
 )
 def test_a_picture_comes_back_as_it_was(width, height, number, t_us, events, every, seed):
     draw = np.random.default_rng(seed).integers
-    light, count = (draw(0, 256, (height, width), np.uint8) for _ in range(2))
-    last = draw(-127, 128, (height, width), np.int8)
-    message = encode_picture(Picture(number, t_us, t_us + 5, events, every, light, last, count))
+    light = draw(0, 65536, (height, width), np.uint16)
+    place = np.flatnonzero(draw(0, 2, height * width)).astype(np.uint32)
+    last, count = draw(-127, 128, len(place), np.int8), draw(0, 256, len(place), np.uint8)
+    message = encode_picture(Picture(number, t_us, t_us + 5, events, every, light, place, last, count))
     back = decode_picture(message)
     assert (back.number, back.from_us, back.until_us, back.events, back.every) == (
         number,
@@ -46,24 +58,41 @@ def test_a_picture_comes_back_as_it_was(width, height, number, t_us, events, eve
         every,
     )
     assert np.array_equal(back.light, light)
+    assert np.array_equal(back.place, place)
     assert np.array_equal(back.last, last)
     assert np.array_equal(back.count, count)
 
 
 def test_the_bytes_are_those_that_the_browser_reads():
-    planes = np.array([[1, 2]], np.uint8), np.array([[-3, 4]], np.int8), np.array([[5, 6]], np.uint8)
-    message = encode_picture(Picture(7, 8, 9, 10, 11, *planes))
-    assert message[:4] == b"EVP1"
-    assert struct.unpack_from("<HH", message, 8) == (2, 1)  # getUint16(8), getUint16(10) in page.js
+    light, place = np.array([[1, 0x0302]], np.uint16), np.array([1], np.uint32)
+    message = encode_picture(Picture(7, 8, 9, 10, 11, light, place, np.array([-3], np.int8), np.array([5], np.uint8)))
+    assert message[:4] == b"EVP2"
+    assert struct.unpack_from("<HH", message, 8) == (2, 1)  # getUint16(8), getUint16(10) in picture.js
     assert struct.unpack_from("<QQ", message, 12) == (8, 9)
     assert struct.unpack_from("<H", message, 32) == (11,)
-    assert message[36:] == bytes([1, 2, 253, 4, 5, 6])
+    assert struct.unpack_from("<I", message, 36) == (1,)
+    assert message[40:] == bytes([1, 0, 0, 0, 1, 0, 2, 3, 253, 5])
+
+
+@given(st.floats(1e-30, 1e30))
+def test_a_level_of_light_keeps_its_value_and_its_order(level):
+    light = np.array([level, 1.01 * level], np.float32)
+    codes = light_codes(light)
+    assert np.allclose(light_of_codes(codes), light, rtol=2**-9)
+    assert codes[0] < codes[1]
+
+
+def test_light_that_is_no_number_has_a_code():
+    codes = light_codes(np.array([np.nan, -np.inf, -1.0, 0.0, np.inf], np.float32))
+    assert list(codes[:4]) == [0, 0, 0, 0]
+    assert np.isfinite(light_of_codes(codes)).all()
+    assert light_of_codes(codes)[4] > 9e37
 
 
 @given(st.binary(max_size=200), st.booleans())
 def test_bytes_that_are_no_picture_are_refused(data, with_magic):
     with pytest.raises(BadMessage):
-        decode_picture(b"EVP1" + data if with_magic and len(data) != 32 else data[:30])
+        decode_picture(b"EVP2" + data if with_magic and len(data) != 36 else data[:30])
 
 
 @pytest.mark.parametrize("command", _COMMANDS, ids=lambda c: c["do"])
@@ -85,7 +114,8 @@ _values = st.recursive(
 
 
 @given(
-    st.sampled_from(_COMMANDS), st.dictionaries(st.sampled_from(["do", "name", "value", "number", "fault"]), _values)
+    st.sampled_from(_COMMANDS),
+    st.dictionaries(st.sampled_from(["do", "name", "value", "number", "change", "seed", "fault"]), _values),
 )
 def test_fields_of_wrong_types_are_refused(command, changed):
     try:
@@ -95,6 +125,7 @@ def test_fields_of_wrong_types_are_refused(command, changed):
     assert isinstance(parsed.get("value", 0.0), float)
     assert np.isfinite(parsed.get("value", 0.0))
     assert type(parsed.get("number", 0)) is int
+    assert {type(parsed.get(name, 0)) for name in ("change", "seed")} == {int}
     assert isinstance(parsed.get("fault", {}), dict)
 
 
@@ -107,6 +138,11 @@ def test_fields_of_wrong_types_are_refused(command, changed):
         '{"do": "adjust", "name": "leak_hz", "value": 1e999}',
         '{"do": "adjust", "name": "leak_hz", "value": ' + "9" * 400 + "}",
         '{"do": "seen", "number": true}',
+        '{"do": "undo", "change": true}',
+        '{"do": "undo", "change": 1.5}',
+        '{"do": "undo"}',
+        '{"do": "again", "seed": "1"}',
+        '{"do": "again", "seed": 1e3}',
         '{"do": "explode"}',
         "{}",
         "1",

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from emulator.optics.lens import LensParameters
-from emulator.plan.costs import lens_costs
+from emulator.plan.costs import EFFECTS, lens_costs
 from emulator.plan.plan import Tolerance, decide, without
 from emulator.plan.scene_probe import Probe
 from emulator.sensor.parameters import (
@@ -97,6 +97,7 @@ def decisions(eps_us, wrong_share=0.01, sensor=SENSOR, scene=SCENE, duration_s=1
 
 def test_every_effect_that_is_on_has_a_decision():
     assert set(decisions(10.0)) == ALL | ALWAYS | NOT_ASKED
+    assert set(EFFECTS) == ALL | ALWAYS | NOT_ASKED | {"veiling glare"}
 
 
 def test_effects_that_are_off_have_none():

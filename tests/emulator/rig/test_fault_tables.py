@@ -129,6 +129,10 @@ def test_foreign_bytes_at_the_socket_hurt_nobody(runtime):
 class Injector:
     def __init__(self):
         self.injected = []
+        self.ended = []
+
+    def end_fault(self, link, number):
+        self.ended.append((link, number))
 
     def inject(self, fault):
         self.injected.append(fault)
@@ -149,6 +153,18 @@ def test_the_control_lists_and_injects():
     answer = control.answer({"request": "throw", "fault": {"kind": "bit_flips", "rate": 0.5}}, now)
     assert answer == {"link": "serial", "after": 1}
     assert session.injected == [BitFlips(link="serial", rate=0.5)]
+
+
+def test_the_control_ends_a_fault_that_lasts():
+    session = Injector()
+    control = FaultInjection(rig(SERIAL), session, None)
+    now = status(serial=LinkReport("open", faults=(FaultRecord(1, "stall", 5, 6), FaultRecord(2, "burst", 7))))
+    assert control.answer({"request": "end", "link": "serial", "number": 2}, now) == {"link": "serial", "kind": "burst"}
+    assert "is over" in control.answer({"request": "end", "link": "serial", "number": 1}, now)["error"]
+    for link, number in (("serial", 3), ("serial", -1), ("usb", 1)):
+        answer = control.answer({"request": "end", "link": link, "number": number}, now)
+        assert "there is no fault" in answer["error"]
+    assert session.ended == [("serial", 2)]
 
 
 @pytest.mark.parametrize(

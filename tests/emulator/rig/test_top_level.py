@@ -57,7 +57,7 @@ def test_every_key_is_tried_here():
 
 
 def test_a_rig_has_a_field_for_each_key_and_no_other():
-    assert {f.name for f in dataclasses.fields(Rig)} == {"name", *TOP_LEVEL}
+    assert {f.name for f in dataclasses.fields(Rig)} == {"name", "source", *TOP_LEVEL}
 
 
 def test_the_schema_has_each_key_with_its_meaning_and_no_other():

@@ -69,6 +69,20 @@ def test_a_stall_takes_nothing_until_it_is_over():
     assert b"".join(took) == DATA
 
 
+def test_a_fault_that_is_ended_by_hand_ends_once_and_alone():
+    faulty, took = line(), []
+    faulty.inject(Stall(for_s=100.0))
+    faulty.inject(LostBytes(rate=1e-9, count=0, for_s=100.0))
+    faulty.advance(50_000, b"")
+    assert not any(faulty.end(number) for number in (0, 3, -1))
+    assert faulty.end(1)
+    faulty.advance(50_000, b"")
+    assert [record.ended_us for record in faulty.records] == [50_000, None]
+    assert not faulty.end(1)
+    pour(faulty, took, 150)
+    assert b"".join(took) == DATA
+
+
 def test_what_waits_for_a_reader_that_left_is_not_for_the_next_one():
     faulty, took = line(), []
     faulty.inject(LostBytes())

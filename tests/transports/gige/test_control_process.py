@@ -1,6 +1,7 @@
 """The process that answers hosts: what it tells the link, what it needs of it, and how both end."""
 
 import contextlib
+import mmap
 import os
 import signal
 import socket
@@ -16,7 +17,8 @@ from firmware_protocol.gige.control import DeviceTime, Owner, Write
 from firmware_protocol.gige.gvcp import Command, Status, request
 from firmware_protocol.gige.registers import Register
 from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, Triton2Settings
-from transports.gige.answering import ControlSetup
+from firmware_protocol.ptp.clock import Timebase
+from transports.gige.answering import TIME_CELLS, ControlSetup, read_timebase, write_timebase
 from transports.gige.control_process import ControlProcess
 from transports.link.endpoint import LinkBroken
 
@@ -25,7 +27,8 @@ SETUP = ControlSetup("127.0.0.1", 0, (), Triton2Settings(), 4567)
 LONELY = """
 import sys, time
 from firmware_protocol.imx636.triton2_registers import Triton2Settings
-from transports.gige.answering import ControlSetup
+from firmware_protocol.ptp.clock import Timebase
+from transports.gige.answering import TIME_CELLS, ControlSetup, read_timebase, write_timebase
 from transports.gige.control_process import ControlProcess
 process = ControlProcess(ControlSetup("127.0.0.1", 0, (), Triton2Settings(), 1))
 print(process.pid, flush=True)
@@ -155,3 +158,18 @@ def test_it_imports_nothing_large():
     script = "import sys, transports.gige.answering; print({'numpy', 'numba', 'asyncio'} & set(sys.modules))"
     told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert told.stdout.strip() == "set()"
+
+
+def test_the_masters_time_in_shared_memory_is_read_whole_or_as_before():
+    memory, before, timebase = mmap.mmap(-1, 8 * TIME_CELLS), Timebase(1, 2, 3), Timebase(10**18, -(10**18), -77)
+    assert read_timebase(memory, before) is None
+    write_timebase(memory, timebase)
+    assert read_timebase(memory, before) == timebase
+    struct.pack_into("=q", memory, 16, 3)  # odd: it is being written
+    assert read_timebase(memory, before) == before
+    struct.pack_into("=q", memory, 16, 4)
+    write_timebase(memory, Timebase(0, 1 << 70, 0))
+    assert read_timebase(memory, before) == Timebase(0, (1 << 63) - 1, 0)
+    write_timebase(memory, None)
+    assert read_timebase(memory, before) is None
+    assert struct.unpack_from("=2q", memory) == (0, 0)  # the link's own cells

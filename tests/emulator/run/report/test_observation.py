@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
-from emulator.run.report import INTERVAL_EDGES_US, Observation, RateSeries
+from emulator.run.outcome import RunStatus
+from emulator.run.pacing import Lateness
+from emulator.run.report.observation import INTERVAL_EDGES_US, Observation, PictureStrip, RateSeries
 from firmware_protocol.events import EVENT
+from transports.link.feed import EdgeReport
+from transports.link.report import LinkReport
 
 SIZE = (20, 10)
 
@@ -56,8 +60,48 @@ def test_a_long_run_has_longer_bins_and_no_more_of_them():
         events = np.zeros(3, EVENT)
         events["t"] = second * 1_000_000 + np.array([0, 1, 2])
         events["on"] = [True, False, False]
-        series.add(events)
+        series.take(events)
     assert len(series.events) <= 2000
     assert series.bin_us == 6_400_000
     assert series.events.sum() == 3 * 720
     assert series.on.sum() == 720
+
+
+def test_late_steps_and_edges_are_counted_when_they_are_reported():
+    seen = Observation(SIZE)
+    for t_s, late, edges in ((0.05, 1, 0), (0.15, 1, 0), (0.25, 4, 7), (1.05, 4, 9)):
+        links = {"a": LinkReport("open", edges=EdgeReport(taken=edges)), "b": LinkReport("open")}
+        seen.renew(RunStatus(t_s, t_s, 0, 0, Lateness(frames_late=late), links))
+    assert np.flatnonzero(seen.counts.column(Observation.LATE)).tolist() == [0, 2]
+    assert seen.counts.column(Observation.LATE).sum() == 4
+    assert seen.counts.column(Observation.EDGES)[[2, 10]].tolist() == [7, 2]
+
+
+def test_pictures_are_spread_over_a_run_of_any_length():
+    strip, light = PictureStrip((4, 2)), np.zeros((2, 4), np.float32)
+    for step in range(1, 3601):
+        light[:] = step
+        strip.take(np.zeros(0, EVENT), light, step * 1_000_000)
+    taken = strip.chosen(6)
+    assert len(taken) == 6
+    assert [one.light[0, 0] * 1e6 for one in taken] == [one.t_us for one in taken]
+    gaps_us = np.diff([0, *(one.t_us for one in taken), 3_600_000_000])
+    assert gaps_us.max() < 3_600_000_000 / 3
+
+
+def test_a_picture_has_the_last_event_of_each_pixel_before_it():
+    strip, light = PictureStrip((4, 2)), np.ones((2, 4), np.float32)
+    rows = [(1_000, 0, 0, True), (45_000, 1, 0, True), (46_000, 2, 1, True), (49_000, 2, 1, False)]
+    for k, row in enumerate(rows):
+        strip.take(np.array([row], EVENT), light, (k + 1) * 12_500)
+    (only,) = strip.chosen(6)
+    assert only.polarity.tolist() == [[0, 1, 0, 0], [0, 0, -1, 0]]
+
+
+def test_pictures_of_a_large_sensor_are_reduced():
+    strip = PictureStrip((1281, 721))
+    event = np.array([(49_000, 1280, 720, True)], EVENT)
+    strip.take(event, np.ones((721, 1281), np.float32), 50_000)
+    (only,) = strip.chosen(6)
+    assert only.light.shape == only.polarity.shape == (145, 257)
+    assert only.polarity[144, 256] == 1

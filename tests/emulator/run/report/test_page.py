@@ -1,21 +1,27 @@
 """The page of a run's report: the share of undersampled pixel-steps and the late steps, as the terminal shows them."""
 
 import dataclasses
+import re
 
 import pytest
 
 from emulator.cli.run import print_summary
 from emulator.rig.loading import load_rig
-from emulator.run.outcome import Ledger, RunResult, judge
+from emulator.rig.tables import Trigger, TriggerEdges
+from emulator.run.outcome import Ledger, RunResult, RunStatus, judge
 from emulator.run.pacing import Lateness
-from emulator.run.report import Observation, ReportContent, write_report
+from emulator.run.report.content import ReportContent
+from emulator.run.report.figures import timeline
+from emulator.run.report.files import write_report
+from emulator.run.report.observation import Observation
+from transports.link.feed import EdgeReport
+from transports.link.report import LinkReport
 
 RESULT = RunResult(1.0, 1.0, 101, 100, Ledger(0, 0, 0, 0), Lateness())
 
 
 @pytest.fixture
 def page(tmp_path):
-    pytest.importorskip("matplotlib", reason="charts (extra report)")
     rig = load_rig("checkerboard")
 
     def page_of(result):
@@ -26,14 +32,12 @@ def page(tmp_path):
     return page_of
 
 
-@pytest.mark.system
 @pytest.mark.parametrize(("share", "told"), [(0.25, "0.25 of the solved"), (0.02, "0.02 of"), (None, "not measured")])
 def test_the_share_of_undersampled_pixel_steps_is_in_every_report(share, told, page):
     text = page(dataclasses.replace(RESULT, undersampled_share=share))
-    assert f"<td>undersampled</td><td>{told}" in text
+    assert re.search(rf">undersampled</th><td[^>]*>{told}", text)
 
 
-@pytest.mark.system
 @pytest.mark.parametrize("share", [0.25, 0.02])
 def test_the_report_has_the_advice_of_the_terminal(share, page, capsys):
     result = dataclasses.replace(RESULT, undersampled_share=share)
@@ -64,4 +68,30 @@ def test_the_last_line_of_the_summary_is_the_verdict(capsys):
 def test_late_steps_are_counted_in_the_report(page):
     late = dataclasses.replace(RESULT, lateness=Lateness())
     late.lateness.add(2_000_000, 1)
-    assert "<td>late steps</td><td>1 of 100, worst 2000 us</td>" in page(late)
+    assert re.search(">late steps</th><td[^>]*>1 of 100, worst 2000 us</td>", page(late))
+
+
+def test_edges_that_the_rig_gives_are_marked_at_their_times():
+    lanes = timeline_of(Trigger(edges=(TriggerEdges(at_ms=250.0, every_ms=250.0, count=2), TriggerEdges(at_ms=750.0))))
+    assert [float(x) for x in re.findall(r'class="edge" x="([\d.]+)"', lanes)] == pytest.approx(
+        [78 + 628 * share - 1.5 for share in (0.25, 0.5, 0.75)], abs=0.1
+    )
+    assert "triggers; edges taken: 3" in lanes
+
+
+def test_edges_of_a_bus_are_marked_where_they_were_counted():
+    lanes = timeline_of(Trigger(source="can"))
+    assert [float(x) for x in re.findall(r'class="edge" x="([\d.]+)"', lanes)] == [pytest.approx(78 + 628 * 0.4 - 1.5)]
+
+
+def test_a_million_edges_are_some_hundred_marks():
+    lanes = timeline_of(Trigger(period_ms=0.01), seconds=10.0)
+    assert 300 < lanes.count('class="edge"') <= 400
+
+
+def timeline_of(trigger, seconds=1.0):
+    rig, seen = dataclasses.replace(load_rig("checkerboard"), trigger=trigger), Observation((20, 10))
+    links = {"usb": LinkReport("open", edges=EdgeReport(taken=3))}
+    seen.renew(RunStatus(0.4, 0.4, 0, 0, Lateness(), links))
+    result = dataclasses.replace(RESULT, sim_seconds=seconds)
+    return timeline(ReportContent(rig, result, seen, (), {}, "1.0"), [])

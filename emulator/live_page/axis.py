@@ -1,0 +1,137 @@
+"""Points of the page's time axis: rates, latencies, frames, inertial samples, triggers and faults over stream time.
+
+One point is made for each status of a run, ten a second. A status contains the points and frames of the last two
+seconds, so that a viewer that missed some messages has no gap; it takes those that are newer than its last ones.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from emulator.run.outcome import RunStatus
+from firmware_protocol.device.items import ReadingKind, Readings
+from firmware_protocol.frames import LineKind
+from firmware_protocol.imu_samples import no_samples, physical
+from transports.link.report import LinkReport
+
+__all__ = ["TimeAxis"]
+
+
+_POINTS = 20
+_FRAMES = 200
+_FAULTS = 30  # of each link
+_MOMENTS = (LineKind.START, LineKind.EXPOSURE_START, LineKind.EXPOSURE_END, LineKind.END)
+
+
+class TimeAxis:
+    """Collection of what a run's time axis shows.
+
+    Parameters
+    ----------
+    imu_unit
+        Kind of the camera's inertial unit, for its scales; None where it has none.
+    has_frames
+        Whether the camera can read frames.
+    """
+
+    def __init__(self, imu_unit: int | None, *, has_frames: bool) -> None:
+        self._unit, self._has_frames = imu_unit, has_frames
+        self._points: deque[dict[str, Any]] = deque(maxlen=_POINTS)
+        self._frames: deque[list[float]] = deque(maxlen=_FRAMES)
+        self._begun: dict[LineKind, float] = {}
+        self._samples: list[Readings] = []
+        self._before: RunStatus | None = None
+
+    def take(self, readings: Sequence[tuple[ReadingKind, Readings]]) -> None:
+        """Take the readings of a step."""
+        for kind, records in readings:
+            if kind is ReadingKind.IMU and len(records):
+                self._samples.append(records)
+            elif kind is ReadingKind.FRAMES and len(records):
+                self._take_lines(records)
+
+    def _take_lines(self, records: Readings) -> None:
+        moments = records[np.isin(records["kind"], _MOMENTS)]
+        for kind, t_us in zip(moments["kind"].tolist(), moments["t"].tolist(), strict=True):
+            if kind == LineKind.START:
+                self._begun.clear()
+            self._begun[LineKind(kind)] = t_us * 1e-6
+            if kind == LineKind.END and LineKind.START in self._begun:
+                start_s = self._begun[LineKind.START]
+                self._frames.append([self._begun.get(moment, start_s) for moment in _MOMENTS])
+                self._begun.clear()
+
+    def renew(self, status: RunStatus) -> dict[str, Any]:
+        """Add a point for a status; return the newest points and frames, and the faults of each link.
+
+        A point has `t_s`, events per second, median and 99th percentile of the latency (us), edges taken since the
+        last point, and number and mean rates (deg/s) of the inertial samples since then. A frame has the stream times
+        of its start, of the start and the end of its exposure, and of its end, s.
+        """
+        self._add_point(status)
+        newest_s = status.sim_seconds - 2.0
+        return {
+            "points": list(self._points),
+            "frames_read": [frame for frame in self._frames if frame[3] > newest_s],
+            "faults": [fault for name, report in status.links.items() for fault in _faults(name, report)],
+            "has_frames": self._has_frames,
+            "has_imu": self._unit is not None,
+        }
+
+    def _add_point(self, status: RunStatus) -> None:
+        before, self._before = self._before or status, status
+        dt_s = status.sim_seconds - before.sim_seconds
+        if dt_s <= 0:
+            return
+        count, mean = self._mean_rates()
+        p50, p99 = _slowest(status.links)
+        self._points.append(
+            {
+                "t_s": status.sim_seconds,
+                "rate": (status.read_out - before.read_out) / dt_s,
+                "p50": p50,
+                "p99": p99,
+                "edges": max(0, _edges(status.links) - _edges(before.links)),
+                "imu_hz": count / dt_s,
+                "imu": mean,
+            }
+        )
+
+    def _mean_rates(self) -> tuple[int, list[float] | None]:
+        """Return the number of samples since the last call, and the mean of their rates, deg/s."""
+        taken, self._samples = self._samples, []
+        samples = np.concatenate([no_samples(), *taken])
+        if self._unit is None or not len(samples):
+            return len(samples), None
+        return len(samples), physical(samples, self._unit)["rate_deg_s"].mean(axis=0).round(3).tolist()
+
+
+def _edges(links: Mapping[str, LinkReport]) -> int:
+    """Return the edges that the camera with the most of them has taken: an edge goes to all."""
+    return max((report.edges.taken for report in links.values()), default=0)
+
+
+def _slowest(links: Mapping[str, LinkReport]) -> tuple[float | None, float | None]:
+    latencies = [report.latency for report in links.values() if report.latency.p99 is not None]
+    slowest = max(latencies, key=lambda latency: latency.p99 or 0.0, default=None)
+    return (None, None) if slowest is None else (slowest.p50, slowest.p99)
+
+
+def _faults(name: str, report: LinkReport) -> list[dict[str, Any]]:
+    """Return the newest faults of a link, also those of the rig."""
+    return [
+        {
+            "link": name,
+            "number": record.number,
+            "kind": record.kind,
+            "began_s": record.began_us * 1e-6,
+            "ended_s": None if record.ended_us is None else record.ended_us * 1e-6,
+            "hits": record.hits,
+            "events_lost": record.events_lost,
+        }
+        for record in report.faults[-_FAULTS:]
+    ]
