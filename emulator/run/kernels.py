@@ -20,6 +20,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from multiprocessing.connection import wait
+from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
@@ -52,6 +53,7 @@ __all__ = [
 
 
 _WIDTH, _HEIGHT = 32, 24
+_SCENE_S, _LONG_SCENES_S = 3.0, {"bodies": 18.0}  # a long part that began last would run alone on its core
 _FEW = dataclasses.replace(PRESETS["davis346"], width=_WIDTH, height=_HEIGHT)
 _Float32s = npt.NDArray[np.float32]
 
@@ -91,7 +93,8 @@ def parts_of(rig: Rig) -> list[Part]:
     sensor = dataclasses.replace(rig.camera.sensor, width=_WIDTH, height=_HEIGHT)
     kind = SCENES[rig.scene.kind]
     painter = f"by {selected_painter(rig.run.painter)}" if kind.gl else ""  # GL compiles other kernels
-    parts = [Part(f"scene {rig.scene.kind}", 3.0, partial(_draw, rig), painter)] if kind.kernels else []
+    seconds = _LONG_SCENES_S.get(rig.scene.kind, _SCENE_S)
+    parts = [Part(f"scene {rig.scene.kind}", seconds, partial(_draw, rig), painter)] if kind.kernels else []
     if parts and rig.run.tolerance_us:
         parts.append(Part(f"pixels of {rig.scene.kind}", 2.0, partial(_draw_pixel, rig), painter, after=(parts[0],)))
     if not kind.events:
@@ -126,7 +129,7 @@ def _effects(sensor: SensorParameters) -> Part:
     times = dataclasses.replace(PRESETS["davis346"].readout, scan_us=scans)  # no kernel depends on these parameters
     plain = dataclasses.replace(sensor, readout=times)
     variant = f"{zlib.crc32(repr(plain).encode()):08x}"
-    return Part("read-out and effects", 4.0, partial(_read_out, sensor), variant)
+    return Part("read-out and effects", 10.0, partial(_read_out, sensor), variant)
 
 
 def _of_the_step(which: str) -> None:
@@ -268,9 +271,9 @@ def _filter_activity() -> None:
     ActivityFilter((_WIDTH, _HEIGHT))
 
 
-_CANDIDATES = Part("pixel candidates", 8.0, partial(_of_the_step, "candidates"))
-_BLOCKS = Part("pixel blocks", 4.0, partial(_of_the_step, "blocks"))
-PIXELS = Part("pixel step", 4.0, _step, after=(_CANDIDATES, _BLOCKS))
+_CANDIDATES = Part("pixel candidates", 10.5, partial(_of_the_step, "candidates"))
+_BLOCKS = Part("pixel blocks", 14.5, partial(_of_the_step, "blocks"))
+PIXELS = Part("pixel step", 3.0, _step, after=(_CANDIDATES, _BLOCKS))
 CODER = Part("telemetry coder", 4.0, _encode)
 TRUTH = Part("truth", 4.0, _find_truth)
 DECODER = Part("telemetry decoder", 3.0, _decode)
@@ -341,15 +344,25 @@ def _share(parts: Sequence[Part], ended: Sequence[str], running: Sequence[_Runni
 
 
 def _started(part: Part) -> _Running:
-    process = multiprocessing.get_context("spawn").Process(target=_compile, args=(part,), daemon=True)
+    process = _processes().Process(target=_compile, args=(part,), daemon=True)
     with starting_a_process(part.compile):
         process.start()
     return _Running(part, process, time.monotonic())
 
 
+def _processes() -> ForkServerContext:
+    """Return the kind of process: copies of one server, which alone imports numba and this module."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__])
+    return context
+
+
 def _compile(part: Part) -> None:
     """Compile a part and note that it is done."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent process ends it
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # the parent process ends it, by a signal that was blocked at the start
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
     part.compile()
     note = _note(part)
     with suppress(OSError):  # then numba has nowhere to write either
