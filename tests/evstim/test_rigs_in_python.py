@@ -17,7 +17,8 @@ def source(value):
         return f"({''.join(source(one) + ', ' for one in value)})"
     if not dataclasses.is_dataclass(value):
         return repr(value)
-    given = {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if getattr(value, f.name) != default(f)}
+    fields = [f for f in dataclasses.fields(value) if f.compare]  # not the file that it was loaded from
+    given = {f.name: getattr(value, f.name) for f in fields if getattr(value, f.name) != default(f)}
     arguments = ", ".join(f"{name}={source(one)}" for name, one in given.items())
     return f"evstim.{PUBLIC[id(type(value))]}({arguments})"
 
