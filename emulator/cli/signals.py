@@ -11,6 +11,7 @@ One Ctrl-C often arrives twice: from the terminal to the whole process group, an
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import time
@@ -70,14 +71,21 @@ def stop_on_signals(stop: Callable[[], object]) -> None:
 def ignore_stop_signals() -> None:
     """Ignore signals from now on: only the summary remains to be written.
 
-    A handler and not SIG_IGN, which programs that are started meanwhile would inherit.
+    A handler and not SIG_IGN, which programs that are started meanwhile would inherit. When the interpreter ends, it
+    replaces handlers by SIG_DFL, but not SIG_IGN: a signal would end it after its summary, with another exit status.
     """
     _handle(lambda *_: None)
+    atexit.unregister(_ignore_to_the_end)
+    atexit.register(_ignore_to_the_end)
 
 
-def _handle(handler: Callable[..., object]) -> None:
+def _handle(handler: Callable[..., object] | signal.Handlers) -> None:
     for number in _SIGNALS:
         signal.signal(number, handler)
+
+
+def _ignore_to_the_end() -> None:
+    _handle(signal.SIG_IGN)
 
 
 def _leave(*_: object) -> Never:

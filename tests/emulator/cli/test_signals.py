@@ -104,6 +104,24 @@ def test_an_interrupted_command_says_so_with_the_exit_code_of_the_rules(monkeypa
     assert "evstim: interrupted" in told.err
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_to_an_interpreter_that_ends_does_nothing(number):
+    """The object is deleted when the interpreter has given up its handlers."""
+    program = f"""
+import os, sys
+from emulator.cli.signals import ignore_stop_signals
+class Late:
+    def __init__(self, kill, process):
+        self.kill, self.process = kill, process
+    def __del__(self):
+        self.kill(self.process, {int(number)})
+ignore_stop_signals()
+late = Late(os.kill, os.getpid())
+sys.exit(4)
+"""
+    assert subprocess.run([sys.executable, "-c", program], check=False, timeout=300).returncode == 4
+
+
 @pytest.mark.system
 @pytest.mark.parametrize("gap_s", [0.02, 0.2])
 @pytest.mark.parametrize(
