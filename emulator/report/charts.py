@@ -1,6 +1,6 @@
 """Charts as SVG elements of a page: axes with ticks and units, steps, marks in lanes, stacked bars, quantiles.
 
-The elements need no library and no script. Colours are classes of `page.css`, so that they follow a light or dark
+The elements need no library and no script. Colours are classes of `report_page.css`, so that they follow a light or dark
 screen and print in light colours. The text of a chart grows on narrow screens, so margins have room for it. Every
 chart has its description as a label for screen readers.
 """
@@ -96,7 +96,7 @@ class Mark:
 
 @dataclass(frozen=True)
 class Lane:
-    """A row of marks below a timeline; `kind` is a class of `page.css`."""
+    """A row of marks below a timeline; `kind` is a class of `report_page.css`."""
 
     name: str
     kind: str
@@ -170,7 +170,7 @@ class Chart:
         """Return one lane: its name over a line, on which the marks are."""
         base = top + 34
         parts = [_text((0, top + 14), lane.name, "start"), _line((_LEFT, base), (_WIDTH - _RIGHT, base), "grid")]
-        free_from = _LEFT + 9.5 * len(lane.name) - _LEFT  # labels begin behind the lane's name
+        free_from = 9.5 * len(lane.name)  # labels begin behind the lane's name
         for mark in _thinned(lane.marks):
             x = self._at_x(mark.t_s)
             end = x if mark.until_s is None else self._at_x(mark.until_s)

@@ -33,9 +33,7 @@ __all__ = ["PtpClock", "Triton2Control", "ptp_identity"]
 
 _LATCH = 1 << 1
 _MOST_ORDERS = 4096
-
-
-_ALWAYS_SLAVE = 1 << 1
+_ALWAYS_SLAVE = 1 << 1  # of Ptp.SERVO
 
 
 @dataclass(frozen=True)
