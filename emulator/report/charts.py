@@ -1,7 +1,7 @@
 """Charts as SVG elements of a page: axes with ticks and units, steps, marks in lanes, stacked bars, quantiles.
 
-The elements need no library and no script. Colours are classes of `report_page.css`, so that they follow a light or dark
-screen and print in light colours. The text of a chart grows on narrow screens, so margins have room for it. Every
+The elements need no library and no script. Colours are classes of `report_page.css`, so that they follow a light or
+dark screen and print in light colours. The text of a chart grows on narrow screens, so margins have room for it. Every
 chart has its description as a label for screen readers.
 """
 
