@@ -18,6 +18,7 @@ From the browser: JSON texts, one object each, with `do`.
     {"do": "hello", "token": TEXT}              first of all; the token where the page needs one
     {"do": "seen", "number": N}                 the last message has been shown, so another may come
     {"do": "adjust", "name": NAME, "value": X}  a sensor parameter
+    {"do": "pixel", "x": X, "y": Y}             thresholds of this pixel of the sensor
     {"do": "inject", "fault": {table}}          as in a rig
     {"do": "undo", "change": N}                 the change with this number in the list of changes
     {"do": "again", "seed": N}                  stop this run and start it again with this seed
@@ -185,6 +186,8 @@ def _checked(message: dict[str, Any]) -> dict[str, Any]:
             return {"do": "seen", "number": number}
         case {"do": "adjust", "name": str(name), "value": int() | float() as value} if _is_number(value):
             return {"do": "adjust", "name": name, "value": float(value)}
+        case {"do": "pixel", "x": int(x), "y": int(y)} if not (isinstance(x, bool) or isinstance(y, bool)):
+            return {"do": "pixel", "x": x, "y": y}
         case {"do": "undo", "change": int(change)} if not isinstance(change, bool):
             return {"do": "undo", "change": change}
         case {"do": "again", "seed": int(seed)} if not isinstance(seed, bool):
@@ -193,7 +196,7 @@ def _checked(message: dict[str, Any]) -> dict[str, Any]:
             return {"do": "inject", "fault": fault}
         case {"do": str(order)} if order in _ORDERS:
             return {"do": order}
-    raise BadMessage("known are hello, seen, adjust, inject, undo, again, stop, trigger, pause, step and resume")
+    raise BadMessage("known are hello, seen, adjust, pixel, inject, undo, again, stop, trigger, pause, step and resume")
 
 
 def _is_number(value: float) -> bool:
@@ -229,6 +232,10 @@ class RunningSession(Protocol):
 
     def adjust(self, name: str, value: float, *, undo: bool = False) -> None:
         """Change a parameter from the next step on; raises ValueError."""
+
+    def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
+        """Return the ON and OFF threshold of a pixel; raises ValueError where there is none."""
+        ...
 
     def inject(self, fault: Fault) -> None:
         """Begin a fault."""
@@ -309,6 +316,8 @@ class ViewerCommands:
             case {"do": "adjust", "name": name, "value": value}:
                 self._session.adjust(name, value)
                 return {"did": f"{name} = {value:g}"}
+            case {"do": "pixel", "x": x, "y": y}:
+                return {"pixel": [x, y], "thresholds": self._thresholds(x, y)}
             case {"do": "inject", "fault": fault}:
                 return self._injected(fault)
             case {"do": "undo", "change": number}:
@@ -325,6 +334,14 @@ class ViewerCommands:
             case {"do": "pause" | "step" | "resume" as order}:
                 return self._ordered(order)
         raise ValueError("a run cannot execute this command")
+
+    def _thresholds(self, x: int, y: int) -> list[float] | None:
+        """Return the thresholds of a pixel, ON and OFF, [] for a dead pixel; None where they cannot be read."""
+        try:
+            thresholds = self._session.thresholds_of(x, y)
+        except ValueError:
+            return None
+        return [one for one in thresholds if math.isfinite(one)]
 
     def _injected(self, fault: dict[str, Any]) -> dict[str, Any]:
         if self.status is None:

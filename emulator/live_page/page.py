@@ -289,7 +289,7 @@ class LivePage:
                 viewer, command = self._pipe.recv()
                 self._commands_done += 1
                 self._outbox.put({"kind": "answer", "viewer": viewer, **self._commands.carry_out(command)})
-                if command["do"] != "inject":
+                if command["do"] not in ("inject", "pixel"):
                     self._outbox.put({"kind": "state", **self._commands.state()})
         self._flush()
 

@@ -138,6 +138,10 @@ class _Session(Protocol):
     def adjust(self, name: str, value: float, by: str) -> None:
         """See `Session.adjust`."""
 
+    def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
+        """See `Session.thresholds_of`."""
+        ...
+
     def inject(self, fault: Fault, by: str) -> None:
         """See `Session.inject`."""
 
@@ -187,6 +191,10 @@ class Operator:
         With `undo` the record shows that the value was set back.
         """
         self._session.adjust(name, value, f"{self._by}, undo" if undo else self._by)
+
+    def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
+        """Return the ON and OFF threshold of a pixel; raises ValueError where there is none."""
+        return self._session.thresholds_of(x, y)
 
     def inject(self, fault: Fault) -> None:
         """Begin a fault on the link that it names."""

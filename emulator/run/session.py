@@ -35,7 +35,7 @@ from emulator.run.outcome import Ledger, RunResult, RunStatus
 from emulator.run.pacing import Drive, Lateness, Lockstep, Simulation, StepRule
 from emulator.run.readings import ReadingSources, StepOutput
 from emulator.run.stereo import SecondView, ledger_of
-from emulator.sensor.sensor import AdjustableSource, EventSource
+from emulator.sensor.sensor import AdjustableSource, EventSource, ThresholdSource
 from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EdgeKind, Events
 from transports.faults.kinds import Fault
@@ -206,6 +206,12 @@ class Session:
         before = self._sensor.adjustable.get(name)
         self._sensor.adjust(name, value)
         self.record(Change(self._t_ns, by, name, before=before, after=value))
+
+    def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
+        """Return the ON and OFF threshold of a pixel of the sensor; raises ValueError where there is none."""
+        if not isinstance(self._sensor, ThresholdSource):
+            raise ValueError("a recording stands in the sensor's place: its pixels have no thresholds")
+        return self._sensor.thresholds_of(x, y)
 
     def inject(self, fault: Fault, by: str = "program") -> None:
         """Begin a fault on the link that it names, one that this link can have; for `on_status`."""

@@ -45,6 +45,7 @@ __all__ = [
     "EventSource",
     "Sensor",
     "Source",
+    "ThresholdSource",
     "dead_pixels",
     "finished",
     "make_jitter",
@@ -193,6 +194,15 @@ class AdjustableSource(Protocol):
 
     def adjust(self, name: str, value: float) -> None:
         """Set one of them from now on; raises ValueError."""
+
+
+@runtime_checkable
+class ThresholdSource(Protocol):
+    """A source whose pixels have thresholds that can be read."""
+
+    def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
+        """Return the ON and OFF threshold of a pixel; raises ValueError where there is none."""
+        ...
 
 
 def _load_rare_kernels() -> None:
@@ -391,6 +401,21 @@ class Sensor:
             self._jitter.set_off_latency(value)
         else:
             self._adjust_pixels(name, value)
+
+    def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
+        """Return the ON and OFF threshold of a pixel, ln units; infinite for a dead pixel.
+
+        Raises
+        ------
+        ValueError
+            The sensor has no such pixel, or its method has no thresholds that can be read.
+        """
+        width, height = self.parameters.width, self.parameters.height
+        if not (0 <= x < width and 0 <= y < height):
+            raise ValueError(f"there is no pixel ({x}, {y}): the sensor has {width} x {height}")
+        if not self.pixels.capabilities.is_adjustable:
+            raise ValueError("the thresholds of this sensor's pixels cannot be read")
+        return self.pixels.thresholds_of(y * width + x)
 
     def _adjust_pixels(self, name: str, value: float) -> None:
         self.pixels.adjust(name, value)

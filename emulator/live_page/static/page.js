@@ -45,10 +45,13 @@ function connect() {
   };
 }
 
+picture.onRequest(send);
+
 function send(message) { if (socket.readyState === 1) socket.send(JSON.stringify(message)); }
 
 function hear(message) {
   if (message.kind === "about") begin(message);
+  else if (message.kind === "answer" && message.pixel) picture.thresholds(message.pixel, message.thresholds);
   else if (message.kind === "answer") $("answer").textContent = message.did || message.error;
   else if (message.kind === "ended") {
     over = !status || status.next_seed === null;  // else the next run has the same address

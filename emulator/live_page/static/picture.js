@@ -8,6 +8,7 @@ const MOST_PICTURES = 50, MOST_PIXELS = 1 << 22, HEADER = 40, LARGEST_ZOOM = 32,
 const FULL_COUNT = 5;      // net events of a pixel in full colour
 const ONE_EVENT = 0.35;    // colour of one net event
 const FAINTEST = 0.15;     // colour of an event at the end of the window
+const RENEWED_MS = 1000, REQUEST_MS = 100;  // thresholds of the pixel under the cursor
 const LEVEL = 0.85;        // of white: the level of the percentile
 const LIT = 1 / 512;       // of the reference: darker pixels are background and do not count for the exposure
 const REFERENCE_SHARE = 0.9998;
@@ -201,8 +202,29 @@ function readout() {
   const age = untilUs - lastUs[i];
   put("read-pixel", by > 1 ? `${x * by}, ${y * by} (${by} \u00d7 ${by})` : `${x}, ${y}`);
   put("read-light", figure(VALUES[codes[i]]));
+  requestThresholds([x * by, y * by]);
   put("read-events", `${sumOn[i]} ON, ${sumOff[i]} OFF in ${time(span)}`);
   put("read-last", age < 1e12 ? `${polarity[i] > 0 ? "ON" : "OFF"}, ${time(age)} ago` : "none yet");
+}
+
+// Thresholds differ from pixel to pixel; the run sends those of the pixel under the cursor, and again as sliders change them.
+let send = () => {}, wanted = {at: null, sent_ms: 0}, waiting = 0;
+
+export function onRequest(act) { send = act; }
+
+function requestThresholds(at) {
+  const now_ms = performance.now(), another = String(at) !== String(wanted.at);
+  if (another) put("read-thresholds", "\u2026");
+  else if (now_ms - wanted.sent_ms < RENEWED_MS) return;
+  clearTimeout(waiting);
+  if (now_ms - wanted.sent_ms < REQUEST_MS) { waiting = setTimeout(readout, REQUEST_MS); return; }
+  wanted = {at, sent_ms: now_ms};
+  send({do: "pixel", x: at[0], y: at[1]});
+}
+
+export function thresholds(pixel, values) {
+  if (String(pixel) !== String(wanted.at)) return;
+  put("read-thresholds", !values ? "not known" : values.length ? `ON ${figure(values[0])}, OFF ${figure(values[1])}` : "dead pixel");
 }
 
 let announcing = 0;
@@ -210,7 +232,7 @@ let announcing = 0;
 function announce() {  // for a screen reader, once the cursor rests
   clearTimeout(announcing);
   announcing = setTimeout(() => {
-    if (cursor) put("spoken", ["pixel", "light", "events", "last"].map((name) => `${name} ${$(`read-${name}`).textContent}`).join("; "));
+    if (cursor) put("spoken", ["pixel", "light", "thresholds", "events", "last"].map((name) => `${name} ${$(`read-${name}`).textContent}`).join("; "));
   }, 400);
 }
 

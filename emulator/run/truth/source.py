@@ -119,6 +119,10 @@ class TruthSource:
         if name in _CLEAN:
             self._clean.adjust(name, value)
 
+    def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
+        """Return the thresholds of a pixel of the sensor; see `Sensor`."""
+        return self._sensor.thresholds_of(x, y)
+
     def with_kicks(self, kicks: KickParameters) -> None:
         """Return None: the truth of disturbed events is not traced."""
 

@@ -38,7 +38,7 @@ class Capabilities:
     skips_unchanged : bool
         Resting pixels outside the changed region of a frame are skipped.
     is_adjustable : bool
-        Parameters can change between two steps: `adjust`, `live_thresholds`.
+        Parameters can change between two steps: `adjust`, `live_thresholds`, `thresholds_of`.
     takes_row_reads : bool
         Reads of active pixels can disturb the pixels: `levels`.
     has_faults : bool
@@ -142,6 +142,10 @@ class PixelMethod(ABC):
 
     def live_thresholds(self) -> _Floats:
         """Return each pixel's ON and OFF threshold, (2, pixels), as they are now; infinite for dead pixels."""
+        raise NotImplementedError
+
+    def thresholds_of(self, pixel: int) -> tuple[float, float]:
+        """Return the ON and OFF threshold of one pixel as they are now; infinite for a dead one."""
         raise NotImplementedError
 
     def levels(self) -> Levels:

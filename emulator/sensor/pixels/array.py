@@ -183,6 +183,12 @@ class PixelArray(PixelMethod):
         on, off = (self.field(which).reshape(-1).astype(np.float64) for which in (Field.ON, Field.OFF))
         return np.where(on < DEAD_THRESHOLD, np.stack([on, off]), np.inf)
 
+    def thresholds_of(self, pixel: int) -> tuple[float, float]:
+        """See `PixelMethod`."""
+        flat, one = self.state.fields.reshape(-1), np.array([pixel])
+        on, off = (float(flat[field_index(one, which)][0]) for which in (Field.ON, Field.OFF))
+        return (on, off) if on < DEAD_THRESHOLD else (math.inf, math.inf)
+
     def levels(self) -> Levels:
         """See `PixelMethod`."""
         return Levels(self)

@@ -219,6 +219,9 @@ def test_the_picture_is_largest_bright_readable_and_accessible(folder):
         assert browser.value("document.querySelector('#zoom-text').textContent") == "2\u00d7"
         assert browser.value("document.querySelector('#read-pixel').textContent") == "174, 130"
         assert 0.24 < float(browser.value("document.querySelector('#read-light').textContent")) < 1.01
+        browser.until("/^ON 0\\.\\d+, OFF 0\\.\\d+$/.test(document.querySelector('#read-thresholds').textContent)")
+        browser.press("ArrowRight", "ArrowRight", 39)
+        browser.press("ArrowLeft", "ArrowLeft", 37)
         browser.until("document.querySelector('#spoken').textContent.startsWith('pixel 174, 130; light ')")
         browser.value("import('/picture.js').then(m => [10, 50].forEach(n => m.take(new ArrayBuffer(n))))")
         assert browser.value("document.querySelector('#drawn').textContent") == "2 damaged messages left out"

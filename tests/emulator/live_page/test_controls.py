@@ -1,6 +1,7 @@
 """The menu of faults has a sentence for each; what can be undone is undone once, whoever wants it."""
 
 import json
+import math
 
 import pytest
 from hypothesis import given
@@ -32,6 +33,11 @@ class Session:
     @property
     def changes(self):
         return self.recorded.in_order
+
+    def thresholds_of(self, x, y):
+        if x > 1:
+            raise ValueError(f"there is no pixel ({x}, {y})")
+        return (math.inf, math.inf) if x else (0.25, 0.375)
 
     def adjust(self, name, value, by):
         before = self.adjustable[name]
@@ -67,6 +73,12 @@ def test_each_fault_has_a_sentence_and_its_keys_can_be_sent():
     apart = {kind for kind, entry in menu.items() if entry["disconnects"]}
     assert apart == {"unplugged", "usb_unplugged", "link_down", "lost_heartbeat", "ip_change"}
     assert menu["stuck_line"]["keys"]["level"] == {"default": "low", "choices": ["low", "high"]}
+
+
+@pytest.mark.parametrize(("x", "answer"), [(0, [0.25, 0.375]), (1, []), (2, None)])
+def test_a_pixel_has_its_thresholds_and_a_dead_one_has_none(x, answer):
+    commands, _ = _commands(Session())
+    assert commands.carry_out({"do": "pixel", "x": x, "y": 5}) == {"pixel": [x, 5], "thresholds": answer}
 
 
 def test_steps_of_a_slider_are_one_row_that_is_undone_once():

@@ -23,6 +23,7 @@ _COMMANDS = [
     {"do": "hello", "token": "ab"},
     {"do": "seen", "number": 3},
     {"do": "adjust", "name": "leak_hz", "value": 0.5},
+    {"do": "pixel", "x": 3, "y": -1},
     {"do": "inject", "fault": {"kind": "unplugged"}},
     {"do": "undo", "change": 4},
     {"do": "again", "seed": 7},
@@ -115,7 +116,7 @@ _values = st.recursive(
 
 @given(
     st.sampled_from(_COMMANDS),
-    st.dictionaries(st.sampled_from(["do", "name", "value", "number", "change", "seed", "fault"]), _values),
+    st.dictionaries(st.sampled_from(["do", "name", "value", "number", "change", "seed", "fault", "x", "y"]), _values),
 )
 def test_fields_of_wrong_types_are_refused(command, changed):
     try:
@@ -123,6 +124,7 @@ def test_fields_of_wrong_types_are_refused(command, changed):
     except BadMessage:
         return
     assert isinstance(parsed.get("value", 0.0), float)
+    assert {type(parsed.get(name, 0)) for name in ("x", "y")} == {int}
     assert np.isfinite(parsed.get("value", 0.0))
     assert type(parsed.get("number", 0)) is int
     assert {type(parsed.get(name, 0)) for name in ("change", "seed")} == {int}

@@ -144,6 +144,28 @@ def test_other_figures_cannot_be_changed():
         Sensor(_PLAIN, 3).adjust("width", 3)
 
 
+def test_the_thresholds_of_a_pixel_are_the_distances_of_its_events():
+    spread = dataclasses.replace(_PLAIN, mismatch=0.03)
+    sensor = Sensor(spread, 3)
+    sensor.reset(LightFrame(0, _light(1.0)))
+    sensor.adjust("threshold_on", 0.25)
+    events = np.concatenate([_ramp(sensor, 2.0), _ramp(sensor, -2.0, start=100, first=2.0), sensor.finish()])
+    found = {sensor.thresholds_of(x, y) for x, y in ((0, 0), (7, 11), (39, 29))}
+    assert len(found) == 3
+    for x, y in ((0, 0), (7, 11), (39, 29)):
+        own = events[(events["x"] == x) & (events["y"] == y)]
+        for threshold, polarity in zip(sensor.thresholds_of(x, y), (True, False), strict=True):
+            steps_us = np.diff(own["t"][own["on"] == polarity].astype(float))
+            # 2 ln units in 100 ms are 0.02 ln units a millisecond; times are whole microseconds
+            assert steps_us / 50_000 == pytest.approx(threshold, abs=1.5 / 50_000)
+
+
+@pytest.mark.parametrize(("x", "y"), [(40, 0), (0, 30), (-1, 0), (0, -1)])
+def test_a_pixel_beside_the_sensor_has_no_thresholds(x, y):
+    with pytest.raises(ValueError, match="40 x 30"):
+        Sensor(_PLAIN, 3).thresholds_of(x, y)
+
+
 _NOISY = dataclasses.replace(
     PRESETS["davis346"], width=40, height=30, leak_hz=0.0, mismatch=0.0, noise=NoiseParameters(rms=0.08)
 )
