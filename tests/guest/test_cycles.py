@@ -22,7 +22,7 @@ from tests.guest.environments import DRIVERS, Driver
 from tests.guest.machine import Finished, Guest
 from tests.guest.running_rig import RunningRig
 from tests.guest.streaming import wait_for_bytes
-from tests.guest.turns import Turns, selected
+from tests.guest.turns import Turns, long_but, selected
 
 CYCLES = int(os.environ.get("EVSTIM_GUEST_CYCLES", "3"))
 CYCLE_S = 60.0
@@ -32,9 +32,6 @@ OPENEB = os.environ.get("EVSTIM_OPENEB_CLIENT", "")
 NO_OPENEB = "EVSTIM_OPENEB_CLIENT names no program; tests/guest/openeb/Makefile builds it"
 SILENCE = "start_delay_ms = 3000.0"
 EVENTS_OF_A_CYCLE = 20_000
-AT_LENGTH = pytest.mark.skipif(
-    CYCLES < 100, reason="takes minutes beside another driver's; EVSTIM_GUEST_CYCLES=100 runs it"
-)
 
 pytestmark = [
     pytest.mark.guest,
@@ -75,7 +72,7 @@ def cycled(
 
 
 @pytest.mark.shows("davis346", "{driver.name}", "cycles")
-@pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
+@pytest.mark.parametrize("driver", long_but([ND], DRIVERS), ids=lambda driver: driver.name)
 def test_it_is_closed_in_the_midst_of_all_streams_again_and_again(
     cycled: Turns[Driver, Finished], driver: Driver
 ) -> None:
@@ -130,8 +127,6 @@ class Reopened:
 REOPENED = (
     Reopened("dvxplorer", ND, "inivation_dvxplorer", "events,triggers,imu"),
     Reopened("evk4", ND, "prophesee_evk4", "events"),
-)
-MORE_REOPENED = (
     Reopened("dvxplorer", DV2, "", "events,triggers,imu"),
     Reopened("dvxplorer", DV1, "", "events,triggers,imu"),
     Reopened("dvxplorer_micro", DV2, "", "events,imu"),
@@ -139,8 +134,9 @@ MORE_REOPENED = (
 )
 
 
+@pytest.mark.long
 @pytest.mark.shows("{one.model}", "{one.driver.name}", "cycles")
-@pytest.mark.parametrize("one", [*REOPENED, *(pytest.param(one, marks=AT_LENGTH) for one in MORE_REOPENED)], ids=str)
+@pytest.mark.parametrize("one", REOPENED, ids=str)
 def test_another_camera_is_closed_in_the_midst_of_its_streams_again_and_again(
     guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path, one: Reopened
 ) -> None:

@@ -26,7 +26,7 @@ from tests.guest.known_ramp import apart_us, expected_us, save_frames
 from tests.guest.machine import Guest
 from tests.guest.running_rig import Delivered, RunningRig
 from tests.guest.streaming import Seen, Streaming
-from tests.guest.turns import Turns, selected
+from tests.guest.turns import Turns, long_but, selected
 from transports.recording.evt_file import EvtReader
 from transports.recording.part import Facts
 
@@ -280,7 +280,7 @@ SIBLINGS_EVENTS = round(float(os.environ.get("EVSTIM_SIBLINGS_EVENTS", "2e4")))
 
 
 @pytest.mark.shows("{model}", "nd", "opens", "events", "unplugged", "plugged again")
-@pytest.mark.parametrize("model", LISTED)
+@pytest.mark.parametrize("model", long_but(["evk4"], LISTED))
 def test_a_driver_sees_every_event_of_a_sibling(
     guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path, model: str
 ) -> None:

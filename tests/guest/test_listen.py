@@ -14,7 +14,7 @@ from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
 from transports.recording.record import load_record
 
-pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(1200)]
+pytestmark = [pytest.mark.guest, pytest.mark.long, pytest.mark.socket, pytest.mark.timeout(1200)]
 
 EVENTS = 200_000
 EVSTIM = [sys.executable, "-c", "from emulator.cli import main; main()"]

@@ -6,7 +6,7 @@ the turn of its own; a turn that fails is raised by the test that judges it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from typing import Any, Generic, TypeVar
 
@@ -15,13 +15,18 @@ import pytest
 from tests.guest.running_rig import Delivered, RunningRig
 from tests.guest.streaming import Seen
 
-__all__ = ["Turns", "parts_of", "selected"]
+__all__ = ["Turns", "long_but", "parts_of", "selected"]
 
 Name = TypeVar("Name")
 Result = TypeVar("Result")
 
 LEAST_START_DELAY_US = 500_000
 """No rig of these tests starts its camera's events sooner; after a timestamp reset they go on at once."""
+
+
+def long_but(short: Sequence[Name], values: Iterable[Name]) -> list[Any]:
+    """Return values for a parameter of tests: those not in `short` are for `make long` alone."""
+    return [value if value in short else pytest.param(value, marks=pytest.mark.long) for value in values]
 
 
 def selected(request: pytest.FixtureRequest, parameter: str) -> list[Any]:
