@@ -15,6 +15,18 @@ settings.register_profile("deep", settings.get_profile("quick"), max_examples=10
 settings.load_profile(os.environ.get("EVSTIM_HYPOTHESIS", "quick"))
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Leave all but the first parameters of a test with the marker `sampled` to `make long`."""
+    sampled = set()
+    for item in items:
+        if item.get_closest_marker("sampled"):
+            test = item.nodeid.partition("[")[0]
+            if test in sampled:
+                item.add_marker("long")
+            sampled.add(test)
+
+
 @pytest.fixture(autouse=True)
 def _signal_handlers():
     """Restore the handlers that a command sets for the rest of its process, which here is that of all tests."""

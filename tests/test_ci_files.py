@@ -9,12 +9,14 @@ import shlex
 import subprocess
 import sys
 import tomllib
+from itertools import combinations
 from pathlib import Path
 
 import pytest
 import yaml
 
 from emulator.cli.app import app
+from tests.conftest import pytest_collection_modifyitems as leave_sampled
 
 ROOT = Path(__file__).parents[1]
 WORKFLOW = yaml.safe_load((ROOT / ".github/workflows/bench.yml").read_text())
@@ -22,6 +24,7 @@ CALL = WORKFLOW[True]["workflow_call"]  # YAML 1.1 reads the key `on` as true
 (JOB,) = WORKFLOW["jobs"].values()
 STEPS = JOB["steps"]
 CONTAINERFILE = (ROOT / "Containerfile").read_text()
+MARKERS = ("guest", "arm", "anew", "system", "long")
 (SCRIPT,) = (step for step in STEPS if step.get("name") == "run")
 
 
@@ -130,3 +133,30 @@ def test_a_program_that_fails_ends_the_run_fails_the_job_and_leaves_the_report(s
 def test_a_rig_that_is_not_there_fails_the_job_and_starts_no_program(script_run, tmp_path):
     assert script_run(RIG="no-such-rig", SECONDS_OF_RUN="1", PROGRAM="touch seen") == 2
     assert not (tmp_path / "seen").exists()
+
+
+@pytest.mark.parametrize(
+    "marked", [set(some) for n in range(len(MARKERS) + 1) for some in combinations(MARKERS, n)], ids=str
+)
+def test_each_test_is_in_one_part_of_the_makefile(marked):
+    expressions = re.findall(r'pytest -m "([^"]*)"', (ROOT / "Makefile").read_text())
+    assert len(expressions) == 5
+    parts = [one for one in expressions if eval(one, {name: name in marked for name in MARKERS})]
+    assert len(parts) == 1, parts
+
+
+def test_the_first_parameters_of_a_sampled_test_are_not_long():
+    class Item:
+        def __init__(self, nodeid, *markers):
+            self.nodeid, self.markers = nodeid, {*markers}
+
+        def get_closest_marker(self, name):
+            return name if name in self.markers else None
+
+        def add_marker(self, name):
+            self.markers.add(name)
+
+    items = [Item(name, "sampled") for name in ("a.py::one[1]", "a.py::one[2]", "a.py::two[2]", "b.py::one[1]")]
+    leave_sampled([*items, Item("a.py::three[1]"), other := Item("a.py::three[2]")])
+    assert [item.nodeid for item in items if "long" in item.markers] == ["a.py::one[2]"]
+    assert not other.markers

@@ -194,6 +194,7 @@ def ends(run_installed, runs):
     return {rig: (code, told, done.stderr) for told, (rig, code) in zip(lines[::2], lines[1::2], strict=True)}
 
 
+@pytest.mark.long
 @pytest.mark.anew
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("rig", RIGS)

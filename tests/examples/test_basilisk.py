@@ -77,6 +77,7 @@ def test_a_spacecraft_finds_eros_in_our_images(basilisk, tmp_path):
     assert told["events"]["links"]["loopback"]["delivered"] > 100_000
 
 
+@pytest.mark.long
 def test_the_run_ends_when_basilisk_is_killed(basilisk, tmp_path):
     with both(basilisk, tmp_path, 1000.0, "--seconds", "900") as (evstim, simulation):
         met(evstim)
@@ -87,6 +88,7 @@ def test_the_run_ends_when_basilisk_is_killed(basilisk, tmp_path):
     assert told["problems"][0].startswith("the simulation ended after")
 
 
+@pytest.mark.long
 def test_basilisk_ends_when_evstim_is_stopped(basilisk, tmp_path):
     with both(basilisk, tmp_path, 1000.0) as (evstim, simulation):
         met(evstim)
@@ -98,6 +100,7 @@ def test_basilisk_ends_when_evstim_is_stopped(basilisk, tmp_path):
     assert (code, told["problems"]) == (0, [])
 
 
+@pytest.mark.long
 def test_basilisk_ends_when_evstim_is_killed(basilisk, tmp_path):
     with both(basilisk, tmp_path, 1000.0, patience_s=30) as (evstim, simulation):
         met(evstim)
@@ -106,6 +109,7 @@ def test_basilisk_ends_when_evstim_is_killed(basilisk, tmp_path):
         assert simulation.returncode == -signal.SIGALRM
 
 
+@pytest.mark.long
 def test_the_same_simulation_gives_the_same_events(basilisk, tmp_path):
     digests = set()
     for _ in range(2):

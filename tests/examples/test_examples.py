@@ -81,6 +81,7 @@ def test_the_flight_software_project(tmp_path):
     assert not (tmp_path / "project" / "evstim-artefacts").exists()
 
 
+@pytest.mark.long
 def test_the_campaign(tmp_path):
     """As its README says, in a copy of its folder, with fewer runs."""
     folder = tmp_path / "campaign"
@@ -142,6 +143,7 @@ def test_a_short_landing_in_real_time(tmp_path):
         assert all(part["median"] >= 0 for part in parts.values() if part["median"] is not None)
 
 
+@pytest.mark.long
 @pytest.mark.socket
 def test_a_flight_computer_that_crashes_and_poses_that_are_no_numbers_are_told(tmp_path):
     """The last command holds; whether that ends well is luck, but the words say what happened, and where.
@@ -155,6 +157,7 @@ def test_a_flight_computer_that_crashes_and_poses_that_are_no_numbers_are_told(t
     assert "25 poses were refused: no numbers, or damaged" in verdict["why"]
 
 
+@pytest.mark.long
 @pytest.mark.socket
 def test_an_unplugged_line_is_bridged(tmp_path):
     """It comes back while the vehicle holds its last speed near the ground."""

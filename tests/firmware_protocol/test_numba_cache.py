@@ -80,6 +80,7 @@ print(column_of((10, 11, 12)), sum(column_of.stats.cache_hits.values()))
 """
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize(("sources", "after"), [('"own.loops", "own.layout"', "12 0"), ('"own.loops"', "11 1")])
 def test_a_constant_of_a_declared_module_is_frozen_no_longer_than_it_is_true(tmp_path, sources, after):

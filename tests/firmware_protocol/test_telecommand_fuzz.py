@@ -7,6 +7,7 @@ import pytest
 from telecommand_fuzz import NAMES, run
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("name", NAMES)
 def test_valid_telecommands_at_random_moments_hurt_nothing(name):

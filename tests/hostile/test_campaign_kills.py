@@ -10,6 +10,7 @@ from tests.hostile.campaign_kills import CAMPAIGN, COMMAND, kill_campaign
 pytestmark = pytest.mark.system
 
 
+@pytest.mark.long
 def test_killed_workers_and_campaigns_lose_and_double_no_run(tmp_path):
     killed = kill_campaign(tmp_path, runs=30, kills=6, seed=3)
     assert killed["worker"] + killed["campaign"] > 0
@@ -27,6 +28,7 @@ def tiny(tmp_path):
     subprocess.run(["umount", folder], check=True)
 
 
+@pytest.mark.long
 def test_a_full_disk_ends_the_campaign_and_what_was_written_stays(tiny, tmp_path):
     file, folder = tmp_path / "c.toml", tiny / "c"
     file.write_text(CAMPAIGN.format(runs=40))

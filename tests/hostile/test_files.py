@@ -298,6 +298,7 @@ def refusal(one, path, n):
     return None
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("one", FORMATS, ids=lambda one: one.name)
 def test_a_damaged_file_is_refused_by_name_or_read(one, tmp_path, monkeypatch):

@@ -84,6 +84,7 @@ class Bench:
         return self.listener.returncode, json.loads(out.splitlines()[-1]), self.log.read_text()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_link_that_is_killed_ends_the_listener_with_one(tmp_path, kind):
     with Bench(tmp_path, kind, seconds=100) as bench:

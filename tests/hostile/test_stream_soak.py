@@ -15,6 +15,7 @@ from tests.hostile.word_reader import WordReader
 HOURS = float(os.environ.get("EVSTIM_STREAM_HOURS", "0.02"))
 
 
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.socket
 @pytest.mark.timeout(900 + HOURS * 3600)

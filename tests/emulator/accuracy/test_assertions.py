@@ -72,6 +72,7 @@ def test_s4_order_of_the_step(name, least, most):
     assert least <= coarse / fine <= most
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize(("motion_px", "sigma_px"), [(0.5, 0.5), (0.25, 0.3), (0.5, 1.0)])
 def test_s5_a_checkerboard_within_half_a_pixel_and_a_blur_a_step(motion_px, sigma_px):
@@ -135,6 +136,7 @@ def test_s12_the_clamped_filter_shows_its_known_fault():
     assert clamped.right < 0.1
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_s14_leak_alone_for_thirty_days_in_jumps():
     """Ten minutes a step: each pixel's last event is where its rate and phase put it, after 130 000 of them."""

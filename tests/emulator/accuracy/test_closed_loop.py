@@ -17,6 +17,7 @@ def run(name, *, with_rate=True, refined=False, wish_us=WISH_US):
     return control(BY_NAME[name], Limits(wish_us), with_rate=with_rate, refined=refined)
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("refined", [False, True])
 @pytest.mark.parametrize("name", ["sine", "edge03", "edge1", "checkerboard", "disc", "star", "flicker", "lowlight"])

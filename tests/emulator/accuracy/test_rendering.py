@@ -33,6 +33,7 @@ def test_exact_light_makes_few_wrong_events(monkeypatch):
     assert exact.t50_ms < line.t50_ms
 
 
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.gl
 def test_few_samples_make_many_wrong_events(monkeypatch, gl):

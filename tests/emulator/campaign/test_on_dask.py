@@ -57,6 +57,7 @@ def test_rows_are_those_of_local_runs(cluster, campaign_file, tmp_path):
     assert [pure(row) for row in read_rows(rows_folder(folder))] == [pure(row) for row in alone]
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_a_scheduler_that_vanishes_is_told_and_rows_stay(cluster, campaign_file, tmp_path):
     campaign, folder = Campaign(load_source(campaign_file(count=400))), tmp_path / "out"

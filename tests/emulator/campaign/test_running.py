@@ -73,6 +73,7 @@ def test_a_run_whose_worker_is_killed_is_done_again(campaign_file, tmp_path):
     assert [(tmp_path / f"tries{i}").read_text() for i in range(3)] == ["x", "xx", "xxx"]
 
 
+@pytest.mark.long
 def test_a_run_that_takes_too_long_is_given_up_with_its_program(campaign_file, tmp_path):
     script = "import os, time; print(os.getpid(), flush=True); time.sleep(600)"
     more = program(script, tmp_path, table="ends_run = true")
@@ -133,6 +134,7 @@ def test_parts_of_a_job_array_have_every_run_once():
 TERMINATOR = KILLER.replace(", 9)", ", 15); import time; time.sleep(60)")
 
 
+@pytest.mark.long
 def test_a_worker_that_somebody_else_ends_costs_no_run(campaign_file, tmp_path):
     more = program(TERMINATOR, tmp_path, "tries{index}", "1")
     rows = run_all(campaign_file(count=2, more=more), tmp_path / "out")
@@ -140,6 +142,7 @@ def test_a_worker_that_somebody_else_ends_costs_no_run(campaign_file, tmp_path):
     assert [(tmp_path / f"tries{i}").read_text() for i in range(2)] == ["xx", "xx"]
 
 
+@pytest.mark.long
 def test_a_worker_ends_its_run_when_its_campaign_is_killed(campaign_file, tmp_path):
     more = program("import os, time; print(os.getppid(), flush=True); time.sleep(600)", tmp_path)
     file = campaign_file(count=1, more=more)

@@ -190,6 +190,7 @@ def test_a_dead_time_longer_than_the_period_is_counted_over_many():
     assert 1000 < point.y < 1.05 / 500e-6
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("a", [2.5, 3.0, 3.5])
 def test_noise_events_follow_their_law(a):

@@ -81,6 +81,7 @@ def test_too_few_successes_end_with_1(file, campaign, tmp_path):
     assert "success: 0 of 1" in campaign(path, "--folder", tmp_path / "here", code=1).out
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_it_with_a_summary_and_it_goes_on(file, number):
     path = file(count=3000)

@@ -137,6 +137,7 @@ def test_doctor_is_short_where_all_is_well_and_names_what_is_missing(monkeypatch
     assert all(part.detail in shown for part in parts)
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize(("step_us", "code"), [(20_000, 0), (1, 1)])
 def test_doctor_tells_whether_a_rig_runs_in_real_time(step_us, code, rig, capsys):

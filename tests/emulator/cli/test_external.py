@@ -85,6 +85,7 @@ def test_both_carriers_give_the_same_events(tmp_path):
     assert summary["events"]["read_out"] > 10_000
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("end", "reason"),
     [("end", "its scene has ended after 0.38 of 5 s"), ("exit", "closed the connection")],
@@ -98,6 +99,7 @@ def test_a_renderer_that_ends_early_ends_the_run_and_nothing_is_lost(tmp_path, e
     assert reason in rule(summary, "scene")["told"]
 
 
+@pytest.mark.long
 def test_the_end_of_a_scene_is_the_end_of_a_run_without_one(tmp_path):
     code, summary = ended(tmp_path, 0, "end")
     assert (code, summary["balanced"], rule(summary, "scene")) == (0, True, None)

@@ -34,6 +34,7 @@ def test_each_option_of_the_help_is_one_line(capsys):
     assert not any(line != line.rstrip() for line in lines)
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_the_log_has_whole_lines_without_padding(tmp_path):
     name = "a-link-with-a-name-that-is-longer-than-a-line-of-a-terminal-has-columns-" * 2

@@ -28,6 +28,7 @@ def told(capsys, *arguments):
     return code, json.loads(capsys.readouterr().out.splitlines()[-1])
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("name", ["a.raw", "a.aedat2", "a.aedat31", "a.h5", "a.bag", "a.ros2", "a.npz"])
 def test_a_conversion_there_and_back_keeps_every_event(name, tmp_path, capsys):
@@ -183,6 +184,7 @@ def camera(tmp_path):
     return of_step
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("step_us", [1000, 270_000])
 def test_a_record_holds_what_its_format_can_whatever_the_step(step_us, camera, tmp_path, capsys):
@@ -201,6 +203,7 @@ def test_a_record_holds_what_its_format_can_whatever_the_step(step_us, camera, t
     assert set(load_edges(tmp_path / "a.npz")[0]["t"].tolist()) == set(range(50_000, 500_001, 50_000))
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("step_us", [1000, 270_000])
 def test_truth_and_record_are_in_the_order_of_time_with_triggers(step_us, camera, tmp_path, capsys):
@@ -259,6 +262,7 @@ def test_a_record_reports_what_no_file_can_show(tmp_path, capsys):
     assert "not recorded: triggers, which come by the bus of the link 'can'" in capsys.readouterr().out
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_a_trigger_that_is_pressed_while_recording_is_in_the_file(camera, tmp_path):
     """By `evstim trigger`, as somebody at the bench does it."""

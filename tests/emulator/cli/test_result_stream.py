@@ -78,6 +78,7 @@ def run(broken_pipe):
     return run_to
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("stdout", REASONS)
 def test_the_json_of_a_run_that_cannot_be_written(stdout, run, tmp_path):
@@ -88,6 +89,7 @@ def test_the_json_of_a_run_that_cannot_be_written(stdout, run, tmp_path):
     assert (tmp_path / "a.npz").stat().st_size > 0
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("arguments", [["rigs", "--json"], ["rigs"], ["--version", "--json"], ["run", "--help"]])
 @pytest.mark.parametrize("stdout", ["full", "broken"])

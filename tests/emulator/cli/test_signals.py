@@ -122,6 +122,7 @@ sys.exit(4)
     assert subprocess.run([sys.executable, "-c", program], check=False, timeout=300).returncode == 4
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("gap_s", [0.02, 0.2])
 @pytest.mark.parametrize(

@@ -105,6 +105,7 @@ def test_a_simulation_from_its_first_ping_to_its_end(tmp_path):
     assert "Basilisk's camera has 346 x 260 pixels and a focal length of" in err
 
 
+@pytest.mark.long
 def test_two_cameras_on_one_trajectory(tmp_path):
     """The first passes every request on to the second; each gives its own images, and both run in step."""
     (tmp_path / "wide").mkdir()
@@ -128,6 +129,7 @@ def test_two_cameras_on_one_trajectory(tmp_path):
     assert [one["basilisk"]["last_ns"] for _, one in told] == [20_000_000] * 2
 
 
+@pytest.mark.long
 def test_a_second_camera_that_is_not_there_or_goes_is_told(tmp_path):
     with run(tmp_path) as (second, asked):
         at = asked.address.removeprefix("tcp://")
@@ -154,6 +156,7 @@ def test_one_that_ends_too_soon_makes_the_run_bad(tmp_path):
     assert short == "the simulation ended after 0.01 of 5 s"
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_run_that_is_stopped_tells_its_summary(tmp_path, number):
     ready = tmp_path / "ready.json"

@@ -125,6 +125,7 @@ CUBE = [
 SHADES = np.repeat(np.arange(6), 2)[:, None].repeat(3, axis=1)
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("angle", [0.3, 0.9, 2.2])
 def test_a_turning_cube_with_faces_of_different_light(picture, sample, angle):

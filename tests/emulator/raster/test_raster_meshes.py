@@ -81,6 +81,7 @@ def test_bodies_from_a_tenth_of_a_metre_to_a_tenth_of_a_million_kilometres(pictu
     np.testing.assert_allclose(light[whole], alone[0][whole], atol=1e-5)
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_balls_that_pass_through_each_other(picture, trace):
     points, faces = bumpy(3)

@@ -156,6 +156,7 @@ FREE = Schedule(duration_ns=50 * MS, paced=False, drain_s=0.1)
 MACHINES = {"quick": (100, 0.0), "slow link": (4000, 0.0), "slow scene": (300, 0.004), "both": (2500, 0.003)}
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("step_ns", [MS, 2_500_000])
 def test_a_free_run_has_the_same_events_on_any_machine(step_ns):

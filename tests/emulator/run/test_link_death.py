@@ -207,6 +207,7 @@ def test_the_other_link_goes_on_and_the_summary_is_written(tmp_path):
     assert states == [False, True]
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_signal_to_the_group_ends_the_run_cleanly(tmp_path, number):
@@ -244,6 +245,7 @@ def test_links_of_a_killed_session_end_without_a_word(tmp_path):
     assert "Traceback" not in err, err
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_an_unread_stderr_does_not_stop_the_run(tmp_path):
     rig = tmp_path / "two.toml"

@@ -70,6 +70,7 @@ def check(told, record):
         assert len(file["events"]) == delivered["delivered"]
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("closed", ONE_OR_ALL_CLOSED)
 def test_a_command_counts_and_records_every_event(closed, rig, tmp_path):
@@ -78,6 +79,7 @@ def test_a_command_counts_and_records_every_event(closed, rig, tmp_path):
     check(json.loads((report / "report.json").read_text()), record)
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("closed", ONE_OR_ALL_CLOSED)
 def test_a_program_counts_and_records_every_event(closed, rig, tmp_path):

@@ -52,6 +52,7 @@ def assert_nothing_is_missed(make, changes, begin_ms=0):
     return skipping
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("model", PRESETS)

@@ -143,6 +143,7 @@ def test_lines_without_room_are_dropped_and_counted_where_they_may_not_wait():
     assert counted(camera).dropped_fifo == len(lines) - counted(camera).delivered > 100
 
 
+@pytest.mark.long
 @pytest.mark.system
 @example(words=[0, 0, 121], events=0)
 @example(words=[400, 0, 0, 0, 0, 0, 0, 0], events=7)

@@ -174,6 +174,7 @@ def pieces(monkeypatch):
     monkeypatch.setattr("transports.file.kind._MOST_EVENTS", 4096)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("step_us", STEPS_US)
 @pytest.mark.parametrize("name", WITH_EDGES)
 def test_all_that_a_camera_sends_is_in_the_file_in_the_order_of_time(name, step_us, tmp_path):

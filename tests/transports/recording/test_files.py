@@ -170,6 +170,7 @@ def test_what_no_event_follows_is_written_when_its_time_is_reached(tmp_path):
         assert file.written["edges"] == 2
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", [name for name, form in FORMATS.items() if not form.is_folder])
 def test_a_file_cut_anywhere_gives_what_came_before_or_a_reason(name, tmp_path):
     path = tmp_path / f"a{FORMATS[name].suffixes[0]}"

@@ -74,6 +74,7 @@ def test_a_clock_that_starts_anew_has_a_file_of_its_own(tmp_path):
     assert [read_all(path)[0].facts.unix_us for path in paths] == [UNIX_US, UNIX_US + 150]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", LIVE)
 def test_a_killed_writer_leaves_what_it_wrote_and_is_told(name, tmp_path):
     path = tmp_path / f"a{FORMATS[name].suffixes[0]}"

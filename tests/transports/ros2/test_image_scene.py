@@ -103,6 +103,7 @@ def test_no_image_in_time_says_what_to_look_at():
             open_ros2_images(parameters, (34, 26))
 
 
+@pytest.mark.long
 def test_images_that_are_refused_are_told_where_none_came():
     topic = own_topic("images")
     parameters = Ros2ImageParameters(topic, domain=DOMAIN, wait_s=10.0)

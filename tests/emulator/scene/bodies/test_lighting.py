@@ -220,6 +220,7 @@ def test_parts_that_are_fixed_to_each_other_are_one_group():
     np.testing.assert_allclose(groups[0].poses[2].position_m, (0, 1, 2))
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("smooth", [True, False])
 def test_a_part_shades_another_of_its_group_also_under_an_overhang(smooth):

@@ -193,6 +193,7 @@ def test_errors_of_files_name_the_file(tmp_path):
         load_mesh(write(tmp_path, tagged()), units_m=0.0)
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("name", ["broken.obj", "broken.stl", "broken.ply", "broken.xyzzy", "noextension"])
 @pytest.mark.parametrize("content", ["", "v 1 2\nf 9 9 9\n", "\x00\x01ply\nformat"])

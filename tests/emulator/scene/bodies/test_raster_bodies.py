@@ -204,6 +204,7 @@ def test_needles_slivers_and_crossing_bodies_are_finite(tmp_path):
     assert light.max() > 0
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_a_million_facets_far_below_a_pixel_are_drawn_soon(tmp_path):
     ball = trimesh.creation.icosphere(8, 1.0)  # 1 310 720 facets

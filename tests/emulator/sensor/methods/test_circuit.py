@@ -67,6 +67,7 @@ def ramp(before, after, over_s):
     return (lambda t: math.exp(log_light(t)) - DARK), log_light
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize(("before", "after"), [(0.0, 1.0), (1.0, 0.0), (0.01, 0.1), (1.0, 0.5)])
 def test_steps_of_light_have_the_events_of_a_fine_integration(before, after):

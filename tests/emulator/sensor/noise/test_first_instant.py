@@ -98,6 +98,7 @@ def assert_alike(found, expected):
         assert abs(means[0] - means[1]) < TARGET * means[1] + Z * error, (k, means)
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("a", [1.6, 4.83, 7.15])
 def test_after_a_reset_at_random_phases(a):
@@ -109,6 +110,7 @@ def test_after_a_reset_at_random_phases(a):
     assert_alike(found, expected)
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("a", [2.5, 4.0])
 def test_against_the_grid_after_a_reset_at_random_phases(a):
@@ -117,6 +119,7 @@ def test_against_the_grid_after_a_reset_at_random_phases(a):
     assert_alike(found, events_of(noisy(a, "grid"), 1, frames, 0.0, edges_s))
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize(("a", "over"), [(4.83, 0.35), (2.5, 0.75)])
 def test_after_events_of_a_signal_that_stops_between_two_thresholds(a, over):

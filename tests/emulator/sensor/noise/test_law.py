@@ -48,6 +48,7 @@ CASES = [(3.0, 3.0, 0.19, 500.0, 150), (3.6, 3.3, 0.02, 1000.0, 150), (2.5, 2.5,
          (3.2, 2.6, 3.0, 500.0, 150)]  # fmt: skip
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize(("on", "off", "refractory", "seconds", "pixels"), CASES)
 def test_the_law_is_that_of_a_finely_followed_process(on, off, refractory, seconds, pixels):
@@ -73,6 +74,7 @@ def test_the_table_is_what_the_law_gives(place):
     assert np.load(TABLE)[place] == pytest.approx(law, rel=1e-5, abs=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.system
 def test_what_was_off_by_two_is_not():
     """Noise of 0.055 rms behind 286 Hz, corner 90 Hz, threshold 0.2, 0.1 ms: 4.2 deviations, 0.043 time constants."""

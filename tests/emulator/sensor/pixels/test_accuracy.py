@@ -183,6 +183,7 @@ def test_a_ramp_in_log_light_leaves_only_the_change_of_the_time_constant_within_
     assert high < 1.5
 
 
+@pytest.mark.sampled
 @pytest.mark.system
 @pytest.mark.parametrize("refractory_us", [10.0, 100.0, 1000.0, 5000.0])
 def test_the_reference_is_read_anew_when_the_refractory_period_ends(refractory_us):
