@@ -4,7 +4,7 @@
 
 A flight's number is its seed: start, errors of vehicle and sensors, ground (one of four, 3 degrees of slope, boulders
 on 3 % of it), the Sun's elevation, the camera's thresholds. Flights that have a row in FOLDER/rows.jsonl are not flown
-again; `--flights 0` only prints. Blind flights and those with the altimeter alone need no camera (mission.py); the
+again; `--flights 0` only prints. Two programs with different `--first` can share a folder. Blind flights and those with the altimeter alone need no camera (mission.py); the
 others are those of fly.py, over the real serial line, bus and poses, one at a time.
 """
 
@@ -126,12 +126,13 @@ def main(print_line: Callable[[str], None] = print) -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--height", type=float, default=1500.0)
     parser.add_argument("--flights", type=int, default=100)
+    parser.add_argument("--first", type=int, default=1, help="first seed: two programs can share the work")
     parser.add_argument("--navigation", nargs="+", choices=NAVIGATIONS, default=["blind", "altimeter", "events"])
     arguments = parser.parse_args()
     arguments.folder.mkdir(parents=True, exist_ok=True)
     file = arguments.folder.resolve() / "rows.jsonl"
     known = {(row["navigation"], row["seed"], row["height_m"]) for row in _flown(file)}
-    for seed in range(1, arguments.flights + 1):
+    for seed in range(arguments.first, arguments.first + arguments.flights):
         for navigation in arguments.navigation:
             if (navigation, seed, arguments.height) in known:
                 continue
