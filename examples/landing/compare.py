@@ -2,10 +2,11 @@
 
     python compare.py FOLDER --height 1500 --flights 100 --navigation blind altimeter events
 
-A flight's number is its seed: start, errors of vehicle and sensors, ground (one of four, 3 degrees of slope, boulders
-on 3 % of it), the Sun's elevation, the camera's thresholds. Flights that have a row in FOLDER/rows.jsonl are not flown
-again; `--flights 0` only prints. Two programs with different `--first` can share a folder. Blind flights and those with the altimeter alone need no camera (mission.py); the
-others are those of fly.py, over the real serial line, bus and poses, one at a time.
+A flight's number is its seed: start, errors of vehicle and sensors, ground (one of four, 3 degrees of slope,
+boulders on 3 % of it), the Sun's elevation, the camera's thresholds. Flights that have a row in FOLDER/rows.jsonl
+are not flown again; `--flights 0` only prints. Two programs with different `--first` can share a folder. Blind
+flights and those with the altimeter alone need no camera (mission.py); the others are those of fly.py, over the
+real serial line, bus and poses, one at a time.
 """
 
 from __future__ import annotations
