@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from emulator.cli import restore_collection
 from emulator.cli.checks import check_output, check_recording, failures, prepared
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
 from emulator.cli.run_display import LiveTable, OptionalPage, RunReporter, begin_report, check_serving
@@ -250,6 +251,7 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
                 if simulation is not None:
                     simulation.take(events)
 
+            restore_collection()
             return session.run(dataclasses.replace(schedule(rig), simulation=simulation), report, take)
 
 
