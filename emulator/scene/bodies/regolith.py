@@ -201,13 +201,15 @@ def _distinct(corners: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
 
 
 Numbers = npt.NDArray[np.int64]
+Bools = npt.NDArray[np.bool_]
 
 _BOULDER, _CRATER = range(2)
 _ROUGHNESS, _PATCHES, _ALBEDO = range(3)
 _ACROSS = 2.0  # facets across the smallest boulder or crater
-_RESOLVED = 3.5  # facets of the shape model across a feature that the model has itself
-_SIDES = 1.8  # of facets across a feature, at least
+_RESOLVED = 6.0  # facets of the shape model across a feature that the model has itself; with fewer a rim is lost
+_SIDES = {_BOULDER: 1.8, _CRATER: 2.6}  # of facets across a feature, at least
 _FACETS_EACH = 90.0  # of one feature, with those around it
+_DRAWN = 0.45  # radii on both sides of a rim from which vertices are drawn towards it
 _REACH = {_BOULDER: 1.15, _CRATER: 1.7}  # of the radius
 _RIM = 0.25  # of the depth, its height over the ground around
 _UNLIKE = 0.12  # rms albedo of boulders
@@ -226,6 +228,8 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
         if smallest_m < largest_m
     }
     fine = _divided(_evenly_divided(mesh, p, pixel_m), made)
+    if _CRATER in made:
+        fine = _with_rims(fine, made[_CRATER])
     moved, tint = _shaped(fine, made, p)
     rough_m = math.tan(math.radians(p.slope_deg)) * size_m / _steepness(mesh, p, size_m)
     noise = rough_m * _roughness(fine.vertices, p, size_m)
@@ -238,8 +242,24 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
 def _evenly_divided(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
     """Return the body with all facets cut in four, as often as they are large in the light frame and not too many."""
     while 4 * len(mesh.faces) <= p.most_facets and facet_size_m(mesh) > 2 * p.facet_px * pixel_m:
-        mesh = split_sides(mesh, np.ones(mesh.faces.shape, bool))
+        mesh = _split_round(mesh, np.ones(mesh.faces.shape, bool))
     return mesh
+
+
+def _split_round(mesh: Mesh, split: Bools) -> Mesh:
+    """Return the mesh with the sides of `split` cut, the new vertices on the curve that the normals at the ends ask for.
+
+    The middle of a cubic side (Vlachos et al. 2001, Curved PN triangles): flat parts would show the model's facets.
+    """
+    low, high = np.sort(np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)]), axis=0)[:, split]
+    sides = np.unique(np.column_stack([low, high]), axis=0)
+    ends, normals = mesh.vertices[sides], mesh.normals[sides]
+    along = (ends[:, 1] - ends[:, 0])[:, None]
+    bends = (along * normals).sum(axis=2, keepdims=True) * normals
+    cut = split_sides(mesh, split)
+    vertices = cut.vertices.copy()
+    vertices[len(mesh.vertices) :] += (bends[:, 1] - bends[:, 0]) / 8
+    return dataclasses.replace(cut, vertices=vertices)
 
 
 def _roughness(places: Floats, p: Regolith, size_m: float) -> Floats:
@@ -297,12 +317,34 @@ def _divided(mesh: Mesh, made: dict[int, Features]) -> Mesh:
             which, where = _near(tree, some, _REACH[kind], float(sides_m.max()) / 2)
             gap_m = np.linalg.norm(middles[where] - some.places[which], axis=1) - 0.5 * sides_m.ravel()[where]
             over = gap_m < _REACH[kind] * some.diameters_m[which] / 2
-            np.minimum.at(wanted_m.reshape(-1), where[over], some.diameters_m[which[over]] / _SIDES)
+            np.minimum.at(wanted_m.reshape(-1), where[over], some.diameters_m[which[over]] / _SIDES[kind])
         split = sides_m > wanted_m
         if not split.any():
             break
         fine = split_sides(fine, split)
     return fine
+
+
+def _with_rims(mesh: Mesh, craters: Features) -> Mesh:
+    """Return the mesh with the vertices near the rim of each crater moved along the ground towards the rim.
+
+    A rim between two vertices would be cut off. The distance from the middle stays in order, so no facet turns over;
+    where craters overlap a vertex belongs to the largest.
+    """
+    from scipy.spatial import cKDTree
+
+    which, where = _near(cKDTree(mesh.vertices), craters, 1 + _DRAWN, 0.0)
+    _, first = np.unique(where, return_index=True)
+    which, where = which[first], where[first]
+    radius_m, normals = craters.diameters_m[which] / 2, craters.normals[which]
+    flat = mesh.vertices[where] - craters.places[which]
+    flat -= (flat * normals).sum(axis=1, keepdims=True) * normals
+    r = np.linalg.norm(flat, axis=1) / radius_m
+    beside = np.clip(np.abs(r - 1) / _DRAWN, 0, 1)
+    towards = craters.weights[which] * np.sign(1 - r) * _DRAWN * (beside - beside**2)
+    vertices = mesh.vertices.copy()
+    vertices[where] += (towards / np.maximum(r, 1e-6))[:, None] * flat
+    return dataclasses.replace(mesh, vertices=vertices)
 
 
 def _near(tree: cKDTree, some: Features, reach: float, more_m: float) -> tuple[Numbers, Numbers]:
