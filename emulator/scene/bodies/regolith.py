@@ -227,12 +227,13 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
         for kind, law in _laws(p).items()
         if smallest_m < largest_m
     }
-    fine = _divided(_evenly_divided(mesh, p, pixel_m), made)
+    even = _evenly_divided(mesh, p, pixel_m)
+    fine = _divided(even, made)
     if _CRATER in made:
         fine = _with_rims(fine, made[_CRATER])
     moved, tint = _shaped(fine, made, p)
     rough_m = math.tan(math.radians(p.slope_deg)) * size_m / _steepness(mesh, p, size_m)
-    noise = rough_m * _roughness(fine.vertices, p, size_m)
+    noise = rough_m * _roughness(fine.vertices, p, size_m, facet_size_m(even))
     vertices = fine.vertices + moved + noise[:, None] * fine.normals
     pushed = dataclasses.replace(fine, vertices=vertices, normals=vertex_normals(vertices, fine.faces))
     mottled = fractal_noise(fine.vertices, mesh.radius_m, 1.5 * size_m, 0.85, 4 * p.seed + _ALBEDO)
@@ -262,16 +263,16 @@ def _split_round(mesh: Mesh, split: Bools) -> Mesh:
     return dataclasses.replace(cut, vertices=vertices)
 
 
-def _roughness(places: Floats, p: Regolith, size_m: float) -> Floats:
-    """Return the noise of roughness, (n,): wavelengths that the shape model's facets of `size_m` can hold, and half."""
-    rough = fractal_noise(places, 8 * size_m, size_m, 0.6, 4 * p.seed + _ROUGHNESS)
+def _roughness(places: Floats, p: Regolith, size_m: float, finest_m: float) -> Floats:
+    """Return the noise of roughness, (n,): wavelengths of 8 facets of the shape model down to facets of `finest_m`."""
+    rough = fractal_noise(places, 8 * size_m, finest_m, 0.6, 4 * p.seed + _ROUGHNESS)
     patches = fractal_noise(places, 60 * size_m, 10 * size_m, 0.5, 4 * p.seed + _PATCHES)
     return rough * np.clip(0.6 + 0.4 * patches, 0.2, 1.0)
 
 
 def _steepness(mesh: Mesh, p: Regolith, size_m: float) -> float:
     """Return the root mean square slope of roughness as high as the shape model's facets are wide, on these facets."""
-    height = 1e-3 * size_m * _roughness(mesh.vertices, p, size_m)
+    height = 1e-3 * size_m * _roughness(mesh.vertices, p, size_m, size_m)
     rough = mesh.vertices + height[:, None] * mesh.normals
     before, after = (facet_vectors(v, mesh.faces) for v in (mesh.vertices, rough))
     tilt = np.linalg.norm(np.cross(before, after), axis=1) / (before * after).sum(axis=1)
