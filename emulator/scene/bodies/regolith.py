@@ -329,8 +329,8 @@ def _divided(mesh: Mesh, made: dict[int, Features]) -> Mesh:
 def _with_rims(mesh: Mesh, craters: Features) -> Mesh:
     """Return the mesh with the vertices near the rim of each crater moved along the ground towards the rim.
 
-    A rim between two vertices would be cut off. The distance from the middle stays in order, so no facet turns over;
-    where craters overlap a vertex belongs to the largest.
+    A rim between two vertices would be cut off. The distance from the middle stays in order;
+    where craters overlap a vertex belongs to the largest, and no facet turns over.
     """
     from scipy.spatial import cKDTree
 
@@ -342,10 +342,24 @@ def _with_rims(mesh: Mesh, craters: Features) -> Mesh:
     flat -= (flat * normals).sum(axis=1, keepdims=True) * normals
     r = np.linalg.norm(flat, axis=1) / radius_m
     beside = np.clip(np.abs(r - 1) / _DRAWN, 0, 1)
-    towards = craters.weights[which] * np.sign(1 - r) * _DRAWN * (beside - beside**2)
+    towards = craters.weights[which] * np.sign(1 - r) * _DRAWN * (beside - beside**3)
     vertices = mesh.vertices.copy()
     vertices[where] += (towards / np.maximum(r, 1e-6))[:, None] * flat
-    return dataclasses.replace(mesh, vertices=vertices)
+    return dataclasses.replace(mesh, vertices=_not_turned_over(mesh, vertices))
+
+
+def _not_turned_over(mesh: Mesh, moved: Floats) -> Floats:
+    """Return `moved`, the vertices of facets that it would tilt by more than 60 degrees left where they were."""
+    before, vertices = facet_vectors(mesh.vertices, mesh.faces), moved.copy()
+    lengths = np.linalg.norm(before, axis=1)
+    for _ in range(20):
+        after = facet_vectors(vertices, mesh.faces)
+        over = (before * after).sum(axis=1) < 0.5 * lengths * np.linalg.norm(after, axis=1)
+        if not over.any():
+            return vertices
+        back = mesh.faces[over].ravel()
+        vertices[back] = mesh.vertices[back]
+    return mesh.vertices
 
 
 def _near(tree: cKDTree, some: Features, reach: float, more_m: float) -> tuple[Numbers, Numbers]:

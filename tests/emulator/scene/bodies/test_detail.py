@@ -112,7 +112,7 @@ def test_roughness_has_the_stated_slope():
 
 
 def test_a_crater_has_its_closed_form_with_a_rim_all_round():
-    """Depth and rim of the parabola that `Regolith` states, on a ball of known radius; sectors of 30 degrees."""
+    """Depth and rim of the parabola that `Regolith` states, on a ball of known radius; sectors of 45 degrees."""
     mesh, p = ball(300.0), dataclasses.replace(PLAIN, seed=29, craters=0.004, boulders_km2=0.0)
     body = weathered(mesh, p, 2.5)
     some = features(mesh, Law(1, p.craters, 2.0), p.seed, 15.0, 6 * math.sqrt(mesh.area_m2 / len(mesh.faces)))
@@ -126,10 +126,10 @@ def test_a_crater_has_its_closed_form_with_a_rim_all_round():
     raised = (np.linalg.norm(body.vertices, axis=1) - 300.0) / radius_m
     age = 0.25 + 0.75 * some.lots[0, 0] ** 2
     depth = 2 * p.crater_depth * age
-    rim = near & (np.abs(r - 1) < 0.05)
+    rim = near & (np.abs(r - 1) < 0.08)
     across = np.cross(normal, [0.0, 0.0, 1.0])
-    sectors = np.floor(np.arctan2(flat[rim] @ np.cross(normal, across), flat[rim] @ across) / (math.pi / 6))
-    assert len(np.unique(sectors)) == 12
+    sectors = np.floor(np.arctan2(flat[rim] @ np.cross(normal, across), flat[rim] @ across) / (math.pi / 4))
+    assert len(np.unique(sectors)) == 8
     assert np.median(raised[rim]) == pytest.approx(0.25 * age * depth, rel=0.25)
     floor = near & (r < 0.45)
     expected = depth * (r[floor] ** 2 - 1) + 0.25 * age * depth * r[floor] ** 2
@@ -148,7 +148,7 @@ def test_divided_facets_of_a_ball_lie_on_the_ball():
 def test_craters_and_roughness_leave_the_volume():
     mesh = ball(300.0, 5)
     body = weathered(mesh, dataclasses.replace(PLAIN, craters=0.046, boulders_km2=0.0, slope_deg=4.0), 1.0)
-    assert body.volume_m3 == pytest.approx(mesh.volume_m3, rel=0.005)
+    assert body.volume_m3 == pytest.approx(mesh.volume_m3, rel=0.001)
 
 
 def test_no_more_facets_are_made_than_allowed_and_none_where_nothing_is_seen():
