@@ -10,6 +10,8 @@ features costs nothing; where facets are large in the light frame all are cut in
                  up to a fifth brighter
     roughness    vertices moved along their normals by noise, in patches
 
+Boulders and roughness are missing on the share `smooth_share` of the surface that lies lowest (`low_ground`).
+
 Left out: boulders that overhang, ponds and slides, secondary craters, and any link of boulders or albedo to slopes; the
 real positions of features (the shape model has the large ones).
 
@@ -43,6 +45,7 @@ import numpy.typing as npt
 
 from emulator.scene.bodies.clouds import clouded, fractal_noise, with_albedo
 from emulator.scene.bodies.lit_surface import split_sides
+from emulator.scene.bodies.low_ground import low_ground
 from emulator.scene.bodies.mesh import Mesh, facet_vectors, vertex_normals
 from emulator.scene.bodies.table import Clouds, Detail, Regolith
 
@@ -215,6 +218,9 @@ _RIM = 0.25  # of the depth, its height over the ground around
 _UNLIKE = 0.12  # rms albedo of boulders
 _FRESH = 0.2  # by which the youngest craters are brighter
 _PLANES = 7
+_CHANCE = 3  # number of the random number of a feature that decides whether it lies beside low ground
+_GRAVITY_CELLS = 16  # cells of the body's radius, for its gravity
+_SMOOTHED = 0.9  # of the roughness, missing on low ground
 
 
 def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
@@ -227,6 +233,9 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
         for kind, law in _laws(p).items()
         if smallest_m < largest_m
     }
+    coarse = coarser(mesh, mesh.radius_m / _GRAVITY_CELLS)
+    if _BOULDER in made and p.smooth_share > 0:
+        made[_BOULDER] = _without(made[_BOULDER], low_ground(mesh, coarse, made[_BOULDER].places, p.smooth_share))
     even = _evenly_divided(mesh, p, pixel_m)
     fine = _divided(even, made)
     if _CRATER in made:
@@ -234,10 +243,19 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
     moved, tint = _shaped(fine, made, p)
     rough_m = math.tan(math.radians(p.slope_deg)) * size_m / _steepness(mesh, p, size_m)
     noise = rough_m * _roughness(fine.vertices, p, size_m, facet_size_m(even))
+    if p.smooth_share > 0:
+        noise *= 1 - _SMOOTHED * low_ground(mesh, coarse, fine.vertices, p.smooth_share)
     vertices = fine.vertices + moved + noise[:, None] * fine.normals
     pushed = dataclasses.replace(fine, vertices=vertices, normals=vertex_normals(vertices, fine.faces))
     mottled = fractal_noise(fine.vertices, mesh.radius_m, 1.5 * size_m, 0.85, 4 * p.seed + _ALBEDO)
     return with_albedo(pushed, np.maximum(1 + p.albedo_rms * mottled, 0.1) * tint)
+
+
+def _without(some: Features, low: Floats) -> Features:
+    """Return the features on high ground; near low ground they are fewer, by a random number of each."""
+    left = np.flatnonzero(some.lots[:, _CHANCE] >= low)
+    parts = (some.places, some.normals, some.diameters_m, some.weights, some.lots)
+    return Features(*(part[left] for part in parts))
 
 
 def _evenly_divided(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
@@ -322,7 +340,7 @@ def _divided(mesh: Mesh, made: dict[int, Features]) -> Mesh:
         split = sides_m > wanted_m
         if not split.any():
             break
-        fine = split_sides(fine, split)
+        fine = _split_round(fine, split)
     return fine
 
 
@@ -339,12 +357,14 @@ def _with_rims(mesh: Mesh, craters: Features) -> Mesh:
     which, where = which[first], where[first]
     radius_m, normals = craters.diameters_m[which] / 2, craters.normals[which]
     flat = mesh.vertices[where] - craters.places[which]
-    flat -= (flat * normals).sum(axis=1, keepdims=True) * normals
+    high = (flat * normals).sum(axis=1, keepdims=True) * normals
+    flat -= high
     r = np.linalg.norm(flat, axis=1) / radius_m
     beside = np.clip(np.abs(r - 1) / _DRAWN, 0, 1)
     towards = craters.weights[which] * np.sign(1 - r) * _DRAWN * (beside - beside**3)
     vertices = mesh.vertices.copy()
-    vertices[where] += (towards / np.maximum(r, 1e-6))[:, None] * flat
+    scale = (towards / np.maximum(r, 1e-6))[:, None]
+    vertices[where] += scale * flat + (2 + scale) * scale * high  # the ground's height goes with the distance squared
     return dataclasses.replace(mesh, vertices=_not_turned_over(mesh, vertices))
 
 

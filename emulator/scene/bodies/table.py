@@ -49,6 +49,8 @@ class Regolith:
         Root mean square slope that roughness adds to facets.
     albedo_rms
         Root mean square variation of albedo, relative; its mean is that of the body's reflectance.
+    smooth_share
+        Share of the surface, the lowest by its gravity, without boulders and nearly without roughness: 0.2 on Itokawa.
     smallest_m
         Boulders and craters are not smaller.
     facet_px
@@ -65,6 +67,7 @@ class Regolith:
     crater_depth: float = 0.12
     slope_deg: float = 6.0
     albedo_rms: float = 0.08
+    smooth_share: float = 0.0
     smallest_m: float = 0.5
     facet_px: float = 3.0
     most_facets: int = 100_000
@@ -78,6 +81,7 @@ class Regolith:
         _require(self, "crater_depth", 0.01, 0.3)
         _require(self, "slope_deg", 0, 20)
         _require(self, "albedo_rms", 0, 0.5)
+        _require(self, "smooth_share", 0, 0.9)
         _require(self, "smallest_m", 1e-3, 1e6)
         _require(self, "facet_px", 0.5, 100)
         _require(self, "most_facets", 100, 2_000_000)
