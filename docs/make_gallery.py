@@ -65,7 +65,7 @@ class Shot:
 GALLERY: dict[str, tuple[Shot, ...]] = {
     "Asteroids": (
         Shot("eros", 8.0, 60.0),
-        Shot("eros-flyover", 20.0, 60.0),
+        Shot("eros-flyover", 120.0, 60.0),
         Shot("itokawa", 6.0, 60.0),
         Shot("itokawa-gige", 6.0, 40.0, pictures=10),
     ),
