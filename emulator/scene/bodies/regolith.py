@@ -266,7 +266,7 @@ def _evenly_divided(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
 
 
 def _split_round(mesh: Mesh, split: Bools) -> Mesh:
-    """Return the mesh with the sides of `split` cut, the new vertices on the curve that the normals at the ends ask for.
+    """Return the mesh with the sides of `split` cut, the new vertices on the curve of the normals at the ends.
 
     The middle of a cubic side (Vlachos et al. 2001, Curved PN triangles): flat parts would show the model's facets.
     """
