@@ -280,16 +280,17 @@ class Session:
         )
 
     def _open_links(self) -> None:
+        """Start the processes of the links, and load the sensor's kernels while they start."""
         self._links = [LinkProcess(setup, self._clock) for setup in self._setups]
+        with log_if_slow("compiling the kernels of the sensor: up to half a minute, once; they are cached on disk"):
+            self._sensor.warm_up()
         with log_if_slow("opening the links takes long: something is compiled, or the machine is busy"):
             for link in self._links:
                 link.wait_ready()
                 log.info("%s: %s", link.name, link.report.state)
 
     def _warm_up(self) -> None:
-        """Do all slow first-time work before the clock runs: compile the kernels, draw the first light frame."""
-        with log_if_slow("compiling the kernels of the sensor: up to half a minute, once; they are cached on disk"):
-            self._sensor.warm_up()
+        """Draw the first light frame before the clock runs."""
         frame = self._frames.draw(0)
         self._sensor.reset(frame)
         self._readings.reset(frame)

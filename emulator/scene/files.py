@@ -12,7 +12,8 @@ import hashlib
 import os
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,7 +24,7 @@ from emulator.light import MachineLacks, SceneError
 from transports.guarded_reader import ForeignFileError, Limits, read_guarded
 from transports.recording.record import ArrayFileError, load_array
 
-__all__ = ["Progress", "cache_folder", "cached_array", "read_array", "read_in_child"]
+__all__ = ["Progress", "cache_folder", "cached_array", "cached_arrays", "read_array", "read_in_child"]
 
 
 def read_array(path: Path) -> npt.NDArray[Any]:
@@ -93,6 +94,21 @@ def cached_array(
         found = make()
         _write(path, found)
     return found
+
+
+def cached_arrays(
+    name: str,
+    made_from: object,
+    make: Callable[[], Sequence[npt.NDArray[Any]]],
+    kinds: Sequence[tuple[type, int]],
+) -> list[npt.NDArray[Any]]:
+    """Return the arrays that `make` computes at once, one for each kind; see `cached_array`."""
+    made = cache(make)
+    return [cached_array(f"{name}-{k}", made_from, partial(_one_of, made, k), kind) for k, kind in enumerate(kinds)]
+
+
+def _one_of(made: Callable[[], Sequence[npt.NDArray[Any]]], k: int) -> npt.NDArray[Any]:
+    return made()[k]
 
 
 def _read(path: Path, kind: tuple[type, int]) -> npt.NDArray[Any] | None:

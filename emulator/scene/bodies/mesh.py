@@ -17,7 +17,8 @@ files; split vertices are joined again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import hashlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -27,9 +28,11 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import SceneError
-from emulator.scene.bodies.mesh_files import PlateTableError, parse_plates, parse_wavefront
-from emulator.scene.files import read_in_child
+from emulator.scene.bodies import mesh_files
+from emulator.scene.bodies.mesh_files import PlateTable, PlateTableError, parse_plates, parse_wavefront
+from emulator.scene.files import cached_arrays, read_in_child
 from emulator.tables.toml_text import TextFileError, read_text, shortened
+from firmware_protocol.compiled import checksum_of
 
 __all__ = [
     "SHAPES",
@@ -48,6 +51,7 @@ SHAPES = Path(__file__).parent / "shapes"
 """The folder of the shape models that come with the program; its SOURCES.md gives the origin of each."""
 
 _MOST_BYTES = 1 << 28
+_CACHED_BYTES = 1 << 19  # a smaller file is parsed as soon
 _SHAPE_KERNELS = (".bds", ".dsk")
 _PLATES = 2  # data type of a segment of plates; the only other one, 4, holds heights
 _FARTHEST_M = 1e15  # squares and cubes of it stay finite; the solar system ends before
@@ -181,10 +185,24 @@ def _read(path: Path) -> tuple[_Points, npt.NDArray[np.int64], _Points | None]:
         found = read_in_child(f"{__name__}:{reader}", path)
         return found["vertices"], found["faces"], None
     try:
-        table = parse(read_text(path, _MOST_BYTES))
+        text = read_text(path, _MOST_BYTES)
+        table = parse(text) if len(text) < _CACHED_BYTES else _from_cache(parse, text)
     except (TextFileError, PlateTableError) as error:
         raise SceneError(f"{path}: {error}") from error
     return table.vertices, table.facets, table.albedo
+
+
+def _from_cache(parse: Callable[[str], PlateTable], text: str) -> PlateTable:
+    """Return the contents of a text, from the cache of scenes where it was parsed by the same sources before."""
+    made_from = (hashlib.sha256(text.encode()).hexdigest(), checksum_of(Path(mesh_files.__file__)))
+
+    def parsed() -> tuple[_Points, npt.NDArray[np.int64], _Points]:
+        table = parse(text)
+        return table.vertices, table.facets, np.empty(0) if table.albedo is None else table.albedo
+
+    kinds = (np.float64, 2), (np.int64, 2), (np.float64, 1)
+    vertices, facets, albedo = cached_arrays("shape", made_from, parsed, kinds)
+    return PlateTable(vertices, facets, albedo if len(albedo) else None)
 
 
 def _require_sound(points: _Points, corners: npt.NDArray[np.int64]) -> None:

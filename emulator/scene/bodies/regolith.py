@@ -39,7 +39,6 @@ import dataclasses
 import hashlib
 import math
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,7 +50,7 @@ from emulator.scene.bodies.lit_surface import split_sides
 from emulator.scene.bodies.low_ground import low_ground
 from emulator.scene.bodies.mesh import Mesh, facet_vectors, vertex_normals
 from emulator.scene.bodies.table import Clouds, Detail, Regolith
-from emulator.scene.files import cached_array
+from emulator.scene.files import cached_arrays
 from firmware_protocol.compiled import checksum_of
 
 if TYPE_CHECKING:
@@ -456,26 +455,29 @@ def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
     if not isinstance(detail, Regolith | Clouds):
         return mesh
     digest = hashlib.sha256()
-    for array in (mesh.vertices, mesh.faces, mesh.normals, mesh.albedo if mesh.albedo is not None else _NO_ALBEDO):
+    for array in _arrays_of(mesh):
         digest.update(array.tobytes())
     sources = checksum_of(Path(__file__).parent)
     made_from = (digest.hexdigest(), detail, pixel_m, sources, np.__version__)
-    made = cache(lambda: _with_detail(mesh, detail, pixel_m))
-
-    def albedo_of(one: Mesh) -> Floats:
-        return _NO_ALBEDO if one.albedo is None else one.albedo
-
-    points = cached_array(
-        "detail-points", made_from, lambda: np.hstack([made().vertices, made().normals]), (np.float64, 2)
+    points, faces, albedo = cached_arrays(
+        "detail",
+        made_from,
+        lambda: _arrays_of(_with_detail(mesh, detail, pixel_m)),
+        ((np.float64, 2), (np.int32, 2), (np.float64, 2)),
     )
-    albedo = cached_array("detail-albedo", made_from, lambda: albedo_of(made()), (np.float64, 2))
     return dataclasses.replace(
         mesh,
         vertices=np.ascontiguousarray(points[:, :3]),
         normals=np.ascontiguousarray(points[:, 3:]),
-        faces=cached_array("detail-faces", made_from, lambda: made().faces, (np.int32, 2)),
+        faces=faces,
         albedo=albedo if len(albedo) else None,
     )
+
+
+def _arrays_of(mesh: Mesh) -> tuple[Floats, npt.NDArray[np.int32], Floats]:
+    """Return vertices beside normals (n, 6), facets, and albedo, which is empty where the mesh has none."""
+    albedo = _NO_ALBEDO if mesh.albedo is None else mesh.albedo
+    return np.hstack([mesh.vertices, mesh.normals]), mesh.faces, albedo
 
 
 def _with_detail(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
