@@ -10,7 +10,15 @@ import trimesh
 from emulator.scene.bodies.clouds import clouded, fractal_noise
 from emulator.scene.bodies.low_ground import low_ground, potential
 from emulator.scene.bodies.mesh import build_mesh, facet_vectors
-from emulator.scene.bodies.regolith import Law, facet_size_m, faded, features, smallest_feature_m, weathered
+from emulator.scene.bodies.regolith import (
+    Law,
+    detailed,
+    facet_size_m,
+    faded,
+    features,
+    smallest_feature_m,
+    weathered,
+)
 from emulator.scene.bodies.table import Clouds, Regolith
 
 PLAIN = Regolith(seed=5, craters=0.02, boulders_km2=2000.0, slope_deg=0.0, albedo_rms=0.1)
@@ -202,3 +210,33 @@ def test_a_clouded_planet_is_round_and_as_bright_as_its_reflectance_says():
     assert mean_over_area(planet) == pytest.approx(1, abs=1e-12)
     ratio = planet.albedo.max() / planet.albedo.min()
     assert 8 < ratio < 15  # thick cloud over open ocean, 0.7 / 0.05
+
+
+@pytest.mark.parametrize("albedo_rms", [0.0, 0.1])
+def test_detail_is_made_once_for_the_same_body(monkeypatch, tmp_path, albedo_rms):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    mesh, detail = ball(500.0), dataclasses.replace(PLAIN, albedo_rms=albedo_rms)
+    made = detailed(mesh, detail, 1.0)
+    expected = weathered(mesh, detail, 1.0)
+
+    def fail(*_):
+        raise AssertionError("made again")
+
+    monkeypatch.setattr("emulator.scene.bodies.regolith._with_detail", fail)
+    for one in (made, detailed(mesh, detail, 1.0)):
+        for field in dataclasses.fields(expected):
+            found, wanted = getattr(one, field.name), getattr(expected, field.name)
+            assert type(found) is type(wanted)
+            assert np.array_equal(found, wanted), field.name
+        assert one.vertices.flags.c_contiguous
+    for other in ((mesh, dataclasses.replace(detail, seed=6), 1.0), (mesh, detail, 2.0), (ball(501.0), detail, 1.0)):
+        with pytest.raises(AssertionError, match="made again"):
+            detailed(*other)
+
+
+def test_damaged_detail_in_the_cache_is_made_again(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    made = detailed(ball(500.0), PLAIN, 1.0)
+    for file in (tmp_path / "evstim").iterdir():
+        file.write_bytes(file.read_bytes()[:200])
+    assert np.array_equal(detailed(ball(500.0), PLAIN, 1.0).vertices, made.vertices)

@@ -200,3 +200,20 @@ def test_errors_of_files_name_the_file(tmp_path):
 def test_broken_files_of_other_formats_are_refused(tmp_path, name, content):
     with pytest.raises(SceneError, match=name):
         load_mesh(write(tmp_path, content, name))
+
+
+def test_a_large_shape_model_is_parsed_once(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first = load_mesh(find_shape("eros007790"))
+
+    def fail(_):
+        raise PlateTableError("parsed again")
+
+    monkeypatch.setattr("emulator.scene.bodies.mesh.parse_plates", fail)
+    again = load_mesh(find_shape("eros007790"))
+    assert np.array_equal(again.vertices, first.vertices)
+    assert np.array_equal(again.faces, first.faces)
+    other = tmp_path / "other.tab"
+    other.write_text(find_shape("eros007790").read_text() + "\n")
+    with pytest.raises(SceneError, match="parsed again"):
+        load_mesh(other)
