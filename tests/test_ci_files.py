@@ -136,7 +136,7 @@ def test_a_rig_that_is_not_there_fails_the_job_and_starts_no_program(script_run,
 
 
 @pytest.mark.parametrize(
-    "marked", [set(some) for n in range(len(MARKERS) + 1) for some in combinations(MARKERS, n)], ids=str
+    "marked", [some for n in range(len(MARKERS) + 1) for some in combinations(MARKERS, n)], ids=" and ".join
 )
 def test_each_test_is_in_one_part_of_the_makefile(marked):
     expressions = re.findall(r'pytest -m "([^"]*)"', (ROOT / "Makefile").read_text())
