@@ -43,7 +43,7 @@ def test_rigs_that_differ_in_links_alone_are_measured_once():
     groups = distinct(shipped_rigs())
     assert groups["checkerboard"] == ["loopback"]
     assert {"stars-dv", "stars-udp", "stars-ros2"} <= set(groups["stars"])
-    assert groups["itokawa"] == ["itokawa-gige"]
+    assert groups["itokawa"] == groups["itokawa-gige"] == []  # another size of facets
     assert {"eros", "malapert", "rendezvous"} <= set(groups)
 
 
