@@ -131,6 +131,7 @@ def test_our_listener_heard_every_event(seen: Seen) -> None:
     assert seen.heard["faults"] == 0
 
 
+@pytest.mark.long
 def test_a_bus_that_is_down_is_named_with_its_cure(guest: Guest, vcan: str) -> None:
     guest.check(["ip", "link", "set", vcan, "down"])
     try:
@@ -202,6 +203,7 @@ def seen_by_kernel(guest: Guest, vcan: str) -> SeenByKernel:
     return SeenByKernel(events, json.loads((guest.results / "isotp-report").read_text()), packets_in(dump), requests)
 
 
+@pytest.mark.long
 def test_the_kernels_isotp_takes_every_packet_byte_for_byte(seen_by_kernel: SeenByKernel) -> None:
     packets = seen_by_kernel.packets
     assert [packet.hex() for packet in packets] == seen_by_kernel.told["packets"]
@@ -211,6 +213,7 @@ def test_the_kernels_isotp_takes_every_packet_byte_for_byte(seen_by_kernel: Seen
     assert max(map(len, packets)) > 6 + 16 * 7, "no packet so long that its frames' numbers began anew"
 
 
+@pytest.mark.long
 def test_telecommands_from_the_kernels_isotp_are_obeyed_and_answered(seen_by_kernel: SeenByKernel) -> None:
     messages = messages_in(seen_by_kernel.packets)
     verified = [m.payload for m in messages if m.kind is MessageKind.VERIFICATION]

@@ -22,7 +22,7 @@ from tests.guest.environments import DRIVERS, Driver
 from tests.guest.machine import Finished, Guest
 from tests.guest.running_rig import RunningRig
 from tests.guest.streaming import wait_for_bytes
-from tests.guest.turns import Turns, long_but, selected
+from tests.guest.turns import Turns, selected
 
 CYCLES = int(os.environ.get("EVSTIM_GUEST_CYCLES", "3"))
 CYCLE_S = 60.0
@@ -71,8 +71,9 @@ def cycled(
     return Turns(rig, selected(request, "driver"), take)
 
 
+@pytest.mark.long
 @pytest.mark.shows("davis346", "{driver.name}", "cycles")
-@pytest.mark.parametrize("driver", long_but([ND], DRIVERS), ids=lambda driver: driver.name)
+@pytest.mark.parametrize("driver", DRIVERS, ids=lambda driver: driver.name)
 def test_it_is_closed_in_the_midst_of_all_streams_again_and_again(
     cycled: Turns[Driver, Finished], driver: Driver
 ) -> None:

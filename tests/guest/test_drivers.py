@@ -49,6 +49,7 @@ def test_every_event_is_seen_until_the_camera_is_unplugged_and_that_is_noticed(
     assert rig.summary["balanced"], rig.summary
 
 
+@pytest.mark.long
 def test_drivers_take_turns_at_high_speed_on_a_turned_chip(
     guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path
 ) -> None:

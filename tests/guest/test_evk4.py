@@ -179,6 +179,7 @@ def test_masks_and_the_rate_control_hide_what_the_driver_names_at_high_speed(
     assert rig.summary["balanced"], rig.summary
 
 
+@pytest.mark.long
 def test_biases_that_the_driver_writes_move_thresholds_and_refractory_period(
     guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path
 ) -> None:

@@ -80,6 +80,7 @@ def of_biases(exponent):
     return expected_us(THRESHOLD * math.exp(exponent), REFRACTORY_US)
 
 
+@pytest.mark.long
 def test_thresholds_and_refractory_period_follow_what_the_driver_writes(tmp_path, run, address, driver_pythons):
     sets = [{}, {"diff_on": 100, "diff_off": -35}, {"diff_on": -85, "diff_off": 80}, {"refr": -10}, {"hpf": 50}]
     asked = [str(driver_pythons["nd"]), str(CLIENT), address, str(SECONDS), str(tmp_path / "seen.npz")]

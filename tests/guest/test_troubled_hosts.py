@@ -32,6 +32,7 @@ def stream_time_s() -> float:
     return float(send_request(sockets()[0], {"request": "faults"})["t_s"])
 
 
+@pytest.mark.long
 def test_two_drivers_at_once_do_no_harm_to_the_next(
     guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path
 ) -> None:

@@ -23,7 +23,7 @@ from tests.guest.environments import DRIVERS, Driver
 from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
 from tests.guest.streaming import Seen, Streaming
-from tests.guest.turns import Turns, selected
+from tests.guest.turns import Turns, long_but, selected
 
 pytestmark = [pytest.mark.guest, pytest.mark.socket, pytest.mark.timeout(3600)]  # the first test waits for all turns
 
@@ -82,6 +82,7 @@ TELLING = [
 Exposure = tuple[str, tuple[str, ...]]
 """A driver, and the faults that begin while it streams."""
 TOGETHER = [(driver.name, EXACT) for driver in DRIVERS]
+SHORT = [("dv2", ("time_back",)), ("nd", ("odd_bytes_extra",)), ("nd", ("usb_stall",)), ("nd", ("stale_data",))]
 ALONE = [(who, (name,)) for who, name in (ALL if os.environ.get("EVSTIM_EVERY_FAULT") else TELLING)]
 
 
@@ -150,7 +151,7 @@ def test_a_driver_sees_all_that_left_the_camera_in_spite_of_faults(exposed: Expo
     assert found["seen"] - found["delivered"] == exposed.faults(exposure)["repeated_events"]["hits"], found
 
 
-@pytest.mark.parametrize("exposure", ALONE, ids=name_of)
+@pytest.mark.parametrize("exposure", long_but(SHORT, ALONE), ids=name_of)
 def test_a_driver_meets_a_fault(exposed: Exposed, exposure: Exposure) -> None:
     who, (name,) = exposure
     found = exposed.outcome(exposure)

@@ -200,7 +200,7 @@ def _followed(
     return counts
 
 
-@pytest.mark.sampled
+@pytest.mark.long
 @pytest.mark.system
 @pytest.mark.parametrize("off", [0.2, 0.35])
 def test_noise_follows_a_changed_threshold(off):

@@ -61,6 +61,7 @@ def arguments_of(sample):
     return [raw.get(key, value) for key, value in sample.values.items() if not key.startswith("structure")]
 
 
+@pytest.mark.long
 @pytest.mark.anew
 @pytest.mark.timeout(900)
 def test_fprime_gds_decodes_the_packets_and_encodes_the_arguments(tmp_path):
