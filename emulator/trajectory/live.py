@@ -3,9 +3,14 @@
 The pose of a light frame of time t:
 
     between two known poses     the pose is interpolated: straight line, great circle
+    up to 1 ms after a pose     the motion to this pose goes on, also where the next pose is known already
     after the newest one        the last motion goes on for at most `hold_ns`; then the body is at rest, and every
                                 light frame is counted as late
     before the first one        the pose that the rig gives
+
+Scenes take rates of light from the poses 1 ms before and after a light frame. A sender in lockstep stamps its poses with
+the times of light frames, and the next one may come before the frame is drawn or after it. The second rule makes the
+rate the same in both cases, for fewer than 1000 poses a second.
 
 A pose with a time is refused as stale when it is not newer than the newest one, and as too far ahead when it is stamped
 more than `ahead_ns` beyond its arrival: otherwise one wrong time would make all later poses stale. A pose for now (time
@@ -63,6 +68,7 @@ __all__ = [
 
 
 _KNOWN = 64
+_GOES_ON_NS = 1_000_000
 _MOST_LOST = 1 << 16
 _MOST_OVERTAKEN = 64
 
@@ -147,6 +153,8 @@ class LivePoses(Trajectory):
         if t_ns > known[-1].t_ns:
             return self._beyond(t_ns)
         after = next(k for k, one in enumerate(known) if one.t_ns >= t_ns)
+        if after > 1 and known[after].t_ns > known[after - 1].t_ns + _GOES_ON_NS >= t_ns:
+            after -= 1
         return known[0].pose if after == 0 else between(known[after - 1].at, known[after].at, t_ns)
 
     def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:

@@ -32,6 +32,20 @@ def test_between_poses_it_goes_straight_and_along_the_great_circle():
     assert turn_rad(pose, Pose(np.zeros(3), np.array([math.cos(0.1), 0, 0, math.sin(0.1)]))) < 1e-12
 
 
+@pytest.mark.parametrize("away_ns", [-MS, -1, 0, 1, MS])
+@pytest.mark.parametrize("spacing_ms", [2, 40])
+def test_around_a_pose_it_does_not_matter_whether_the_next_one_has_come(spacing_ms, away_ns):
+    """Scenes take rates from poses 1 ms before and after a light frame; a camera in lockstep may lag its sender."""
+    waits, lags = LivePoses(), LivePoses()
+    for k, x in enumerate((0.0, 1.0, 3.0, 7.0)):
+        lags.add(message(k * spacing_ms * MS, x, 0.1 * x, counter=k), 0)
+        if k < 3:
+            waits.add(message(k * spacing_ms * MS, x, 0.1 * x, counter=k), 0)
+    first, second = (live.pose(2 * spacing_ms * MS + away_ns) for live in (waits, lags))
+    np.testing.assert_array_equal(first.position_m, second.position_m)
+    np.testing.assert_array_equal(first.q_world_from_body, second.q_world_from_body)
+
+
 def test_the_last_motion_goes_on_for_a_while_and_then_stands_still_and_counts():
     live = LivePoses(hold_ns=20 * MS)
     live.add(message(0, 0.0), 0)
