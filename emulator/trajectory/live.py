@@ -8,9 +8,9 @@ The pose of a light frame of time t:
                                 light frame is counted as late
     before the first one        the pose that the rig gives
 
-Scenes take rates of light from the poses 1 ms before and after a light frame. A sender in lockstep stamps its poses with
-the times of light frames, and the next one may come before the frame is drawn or after it. The second rule makes the
-rate the same in both cases, for fewer than 1000 poses a second.
+Scenes take rates of light from the poses 1 ms before and after a light frame. A sender in lockstep stamps its poses
+with the times of light frames, and the next one may come before the frame is drawn or after it. The second rule makes
+the rate the same in both cases, for fewer than 1000 poses a second.
 
 A pose with a time is refused as stale when it is not newer than the newest one, and as too far ahead when it is stamped
 more than `ahead_ns` beyond its arrival: otherwise one wrong time would make all later poses stale. A pose for now (time
