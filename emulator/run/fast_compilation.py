@@ -5,7 +5,9 @@ The time of a compilation is nearly all in Python, in many small functions. Here
 - no search for garbage: a compilation makes millions of objects that live until its end
 - no wrapper for calls from Python, for functions that only compiled code calls: numba makes two for each function, and
   optimises them again in each caller
-- machine code only for functions that Python calls: the others are linked as LLVM modules
+- machine code only for functions that Python calls: the others are linked as LLVM modules, and LLVM optimises a module
+  once, with its caller, in place of once more by itself
+- types of an operation on the same types of numbers and arrays found once, in place of a search through all its versions
 - short answers in three small functions of numba that are called millions of times
 
 A process that runs a rig does not use this module.
@@ -19,6 +21,7 @@ from typing import Any
 
 import numba
 from numba.core import codegen, cpu, dispatcher, errors, ir, targetconfig
+from numba.core import types as kinds
 from numba.core.caching import NullCache
 
 __all__ = ["compile_fast"]
@@ -27,6 +30,7 @@ __all__ = ["compile_fast"]
 _Dispatcher: Any = dispatcher.Dispatcher
 _Library: Any = codegen.JITCodeLibrary
 _Context: Any = cpu.CPUContext
+_Function: Any = kinds.BaseFunction
 _Instruction: Any = ir.Inst
 _Options: Any = targetconfig.TargetConfig
 _OptionsInUse: Any = targetconfig.ConfigStack
@@ -35,6 +39,7 @@ _errors: Any = errors
 
 _TESTED = "0.68."  # these are internals of numba; another version compiles as it does by itself
 _NO_WRAPPERS = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_PLAIN = kinds.Number | kinds.Boolean | kinds.Array | kinds.NoneType | kinds.UniTuple
 
 
 def compile_fast() -> None:
@@ -44,6 +49,8 @@ def compile_fast() -> None:
         return
     _leave_out_wrappers()
     _leave_out_machine_code()
+    _optimise_with_the_caller()
+    _remember_types()
     _shorten_comparisons()
     _shorten_list_vars()
     _errors._termcolor_inst = _PlainText()  # in place of colours, for messages that are not shown
@@ -81,6 +88,33 @@ def _leave_out_machine_code() -> None:
         return _numba._dynfunc.make_function(descriptor.lookup_module(), name, "", 0, environment, (library,))
 
     _Context.get_executable = executable
+
+
+def _optimise_with_the_caller() -> None:
+    """Leave out LLVM's passes over the module of a function without a wrapper: they run over that of its caller."""
+    optimise = _Library._optimize_final_module
+
+    def optimise_module(self: Any) -> None:
+        options = _OptionsInUse.top_or_none()
+        if options is None or not options.no_cpython_wrapper:
+            optimise(self)
+
+    _Library._optimize_final_module = optimise_module
+
+
+def _remember_types() -> None:
+    """Keep the result of an operation on plain types with the operation, whose versions are all known by then."""
+    find = _Function.get_call_type
+
+    def call_type(self: Any, context: Any, args: Any, named: Any) -> Any:
+        if named or not all(isinstance(kind, _PLAIN) for kind in args):
+            return find(self, context, args, named)
+        known = self.__dict__.setdefault("_evstim_known", {})
+        if (found := known.get(args)) is None:
+            found = known[args] = find(self, context, args, named)
+        return found
+
+    _Function.get_call_type = call_type
 
 
 def _shorten_comparisons() -> None:

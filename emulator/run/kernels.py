@@ -353,7 +353,7 @@ def _started(part: Part) -> _Running:
 def _processes() -> ForkServerContext:
     """Return the kind of process: copies of one server, which alone imports numba and this module."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([__name__])
+    context.set_forkserver_preload([__name__, "numba.np.arraymath"])  # numba imports the second one to compile
     return context
 
 
