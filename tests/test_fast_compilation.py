@@ -33,6 +33,7 @@ def entry(values):
 _USE = """
 import sys
 import numpy as np
+{before}
 if {fast}:
     from emulator.run.fast_compilation import compile_fast
     compile_fast()
@@ -55,14 +56,34 @@ for function in helper, part, entry:
 """
 
 
+_COUNTING = """
+from collections import Counter
+from numba.core import codegen, types
+optimised, found = [], Counter()
+optimise, find = codegen.JITCodeLibrary._optimize_final_module, types.BaseFunction.get_call_type
+
+def counted_optimise(library):
+    optimised.append(library.name)
+    optimise(library)
+
+def counted_find(function, context, args, named):
+    found[function, args] += 1
+    return find(function, context, args, named)
+
+codegen.JITCodeLibrary._optimize_final_module = counted_optimise
+types.BaseFunction.get_call_type = counted_find
+"""
+_COUNTS = "print(sorted(optimised), max(found.values()), len(found) > 5)"  # nrt: numba's own memory functions
+
+
 @pytest.fixture
 def use(tmp_path):
     """Function that calls the entry in a new process, and returns the words that it prints."""
     (tmp_path / "kernels_of_a_test.py").write_text(_MODULE)
 
-    def run(fast, cache="cache", first="", last=""):
+    def run(fast, cache="cache", before="", first="", last=""):
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / cache), "PYTHONPATH": str(tmp_path)}
-        code = _USE.format(fast=fast, first=first, last=last)
+        code = _USE.format(fast=fast, before=before, first=first, last=last)
         done = subprocess.run(
             [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=300
         )
@@ -87,6 +108,10 @@ def test_code_from_disk_is_called_by_code_that_is_compiled(use):
 
 def test_only_functions_that_python_calls_have_wrappers(use):
     assert use(True, last=_SYMBOLS)[2:] == ["helper False", "part True", "entry True"]
+
+
+def test_a_module_is_optimised_once_and_types_are_found_once(use):
+    assert use(True, before=_COUNTING, last=_COUNTS)[2:] == ["['entry', 'nrt', 'part'] 1 True"]
 
 
 def test_options_are_equal_where_numba_finds_them_equal():

@@ -7,7 +7,7 @@ The time of a compilation is nearly all in Python, in many small functions. Here
   optimises them again in each caller
 - machine code only for functions that Python calls: the others are linked as LLVM modules, and LLVM optimises a module
   once, with its caller, in place of once more by itself
-- types of an operation on the same types of numbers and arrays found once, in place of a search through all its versions
+- types of an operation on the same types of numbers and arrays found once, in place of a search in all its versions
 - short answers in three small functions of numba that are called millions of times
 
 A process that runs a rig does not use this module.

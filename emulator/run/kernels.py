@@ -53,7 +53,7 @@ __all__ = [
 
 
 _WIDTH, _HEIGHT = 32, 24
-_SCENE_S, _LONG_SCENES_S = 3.0, {"bodies": 13.0}  # a long part that began last would run alone on its core
+_SCENE_S, _LONG_SCENES_S = 3.0, {"bodies": 9.0}  # a long part that began last would run alone on its core
 _FEW = dataclasses.replace(PRESETS["davis346"], width=_WIDTH, height=_HEIGHT)
 _Float32s = npt.NDArray[np.float32]
 
@@ -129,7 +129,7 @@ def _effects(sensor: SensorParameters) -> Part:
     times = dataclasses.replace(PRESETS["davis346"].readout, scan_us=scans)  # no kernel depends on these parameters
     plain = dataclasses.replace(sensor, readout=times)
     variant = f"{zlib.crc32(repr(plain).encode()):08x}"
-    return Part("read-out and effects", 5.0, partial(_read_out, sensor), variant)
+    return Part("read-out and effects", 4.5, partial(_read_out, sensor), variant)
 
 
 def _of_the_step(which: str) -> None:
@@ -271,8 +271,8 @@ def _filter_activity() -> None:
     ActivityFilter((_WIDTH, _HEIGHT))
 
 
-_CANDIDATES = Part("pixel candidates", 7.5, partial(_of_the_step, "candidates"))
-_BLOCKS = Part("pixel blocks", 9.0, partial(_of_the_step, "blocks"))
+_CANDIDATES = Part("pixel candidates", 6.0, partial(_of_the_step, "candidates"))
+_BLOCKS = Part("pixel blocks", 6.5, partial(_of_the_step, "blocks"))
 PIXELS = Part("pixel step", 3.0, _step, after=(_CANDIDATES, _BLOCKS))
 CODER = Part("telemetry coder", 4.0, _encode)
 TRUTH = Part("truth", 4.0, _find_truth)
