@@ -13,6 +13,8 @@ Longest sleep from one tick to the next:
     a host is present, nothing is due                       1 ms     time that its camera reports advances
     no host, a file, a run that is not paced and up to date 4 ms     only the ring of events must not fill
 
+In a run that is not paced, edges that come from another process take the last of these times.
+
 Events leave 0.1 ms after the time of the first of them, so that several leave together, and not within half a
 millisecond of the last tick; of a dense stream (256 events a tick and more) a whole one, as the packets of a camera on
 USB do, because a tick costs nearly the same for 300 events as for 1500.

@@ -225,9 +225,11 @@ class Link:
     @property
     def _longest_sleep_ns(self) -> int:
         longest_ns = self.endpoint.longest_sleep_ns
-        if self._feed.has_edges_of_others and not self.is_at_rest:
-            return min(longest_ns, BUSY_NS)
-        return min(longest_ns, HOSTED_NS if self.is_paced and not self.is_at_rest else REST_NS)
+        if not self.is_paced:  # time stands still between publications, which wake this process
+            return REST_NS if longest_ns >= HOSTED_NS else longest_ns
+        if self.is_at_rest:
+            return min(longest_ns, REST_NS)
+        return min(longest_ns, BUSY_NS if self._feed.has_edges_of_others else HOSTED_NS)
 
     @property
     def _due_ns(self) -> int:

@@ -249,6 +249,16 @@ def test_a_link_that_is_not_paced_follows_each_publication_at_once(new_bench, st
     assert len(bench.ticks_ns) <= 100 + 25 + 4
 
 
+def test_a_link_that_is_not_paced_sleeps_long_with_a_host(new_bench, monkeypatch):
+    monkeypatch.setattr(InboxEndpoint, "longest_sleep_ns", HOSTED_NS)
+    ours, theirs = socket.socketpair()
+    with ours:
+        bench = new_bench(Inbox(theirs), PlainDevice)
+        bench.ring.start(FREE_RUNNING)
+        bench.run(0.1)
+    assert len(bench.ticks_ns) <= 25 + 1 + 4
+
+
 def test_a_session_that_is_not_paced_goes_on_while_the_endpoint_sends(new_bench, monkeypatch):
     bench, settled_us, pump = new_bench(LoopbackFactory()), [], LoopbackEndpoint.pump
     bench.ring.start(FREE_RUNNING)
