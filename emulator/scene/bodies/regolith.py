@@ -10,7 +10,8 @@ features costs nothing; where facets are large in the light frame all are cut in
                  up to a fifth brighter
     roughness    vertices moved along their normals by noise, in patches
 
-Boulders and roughness are missing on the share `smooth_share` of the surface that lies lowest (`low_ground`).
+Boulders, roughness and the variation of albedo are missing on the share `smooth_share` of the surface that is low and
+even (`smooth_ground`).
 
 Left out: boulders that overhang, ponds and slides, secondary craters, and any link of boulders or albedo to slopes; the
 real positions of features (the shape model has the large ones).
@@ -47,8 +48,8 @@ import numpy.typing as npt
 
 from emulator.scene.bodies.clouds import clouded, fractal_noise, with_albedo
 from emulator.scene.bodies.lit_surface import split_sides
-from emulator.scene.bodies.low_ground import low_ground
 from emulator.scene.bodies.mesh import Mesh, facet_vectors, vertex_normals
+from emulator.scene.bodies.smooth_ground import smooth_ground
 from emulator.scene.bodies.table import Clouds, Detail, Regolith
 from emulator.scene.files import cached_arrays
 from firmware_protocol.compiled import checksum_of
@@ -223,9 +224,9 @@ _RIM = 0.25  # of the depth, its height over the ground around
 _UNLIKE = 0.12  # rms albedo of boulders
 _FRESH = 0.2  # by which the youngest craters are brighter
 _PLANES = 7
-_CHANCE = 3  # number of the random number of a feature that decides whether it lies beside low ground
+_CHANCE = 3  # number of the random number of a feature that decides whether it lies beside smooth ground
 _GRAVITY_CELLS = 16  # cells of the body's radius, for its gravity
-_SMOOTHED = 0.9  # of the roughness, missing on low ground
+_SMOOTHED = 0.9  # of the roughness and the variation of albedo, missing on smooth ground
 
 
 def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
@@ -238,27 +239,30 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
         for kind, law in _laws(p).items()
         if smallest_m < largest_m
     }
-    coarse = coarser(mesh, mesh.radius_m / _GRAVITY_CELLS)
-    if _BOULDER in made and p.smooth_share > 0:
-        made[_BOULDER] = _without(made[_BOULDER], low_ground(mesh, coarse, made[_BOULDER].places, p.smooth_share))
+    if _BOULDER in made:
+        made[_BOULDER] = _without(made[_BOULDER], _smooth(mesh, p, made[_BOULDER].places))
     even = _evenly_divided(mesh, p, pixel_m)
     fine = _divided(even, made)
     if _CRATER in made:
         fine = _with_rims(fine, made[_CRATER])
     moved, tint = _shaped(fine, made, p)
+    rough = 1 - _SMOOTHED * _smooth(mesh, p, fine.vertices)
     rough_m = math.tan(math.radians(p.slope_deg)) * size_m / _steepness(mesh, p, size_m)
-    noise = rough_m * _roughness(fine.vertices, p, size_m, facet_size_m(even))
-    if p.smooth_share > 0:
-        noise *= 1 - _SMOOTHED * low_ground(mesh, coarse, fine.vertices, p.smooth_share)
+    noise = rough_m * rough * _roughness(fine.vertices, p, size_m, facet_size_m(even))
     vertices = fine.vertices + moved + noise[:, None] * fine.normals
     pushed = dataclasses.replace(fine, vertices=vertices, normals=vertex_normals(vertices, fine.faces))
     mottled = fractal_noise(fine.vertices, mesh.radius_m, 1.5 * size_m, 0.85, 4 * p.seed + _ALBEDO)
-    return with_albedo(pushed, np.maximum(1 + p.albedo_rms * mottled, 0.1) * tint)
+    return with_albedo(pushed, np.maximum(1 + p.albedo_rms * rough * mottled, 0.1) * tint)
 
 
-def _without(some: Features, low: Floats) -> Features:
-    """Return the features on high ground; near low ground they are fewer, by a random number of each."""
-    left = np.flatnonzero(some.lots[:, _CHANCE] >= low)
+def _smooth(mesh: Mesh, p: Regolith, places: Floats) -> Floats:
+    """Return 1 at places on smooth ground, 0 on rough ground."""
+    return smooth_ground(mesh, coarser(mesh, mesh.radius_m / _GRAVITY_CELLS), places, p.smooth_share)
+
+
+def _without(some: Features, smooth: Floats) -> Features:
+    """Return the features on rough ground; near smooth ground they are fewer, by a random number of each."""
+    left = np.flatnonzero(some.lots[:, _CHANCE] >= smooth)
     parts = (some.places, some.normals, some.diameters_m, some.weights, some.lots)
     return Features(*(part[left] for part in parts))
 

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 from emulator.scene.bodies.clouds import clouded, fractal_noise
-from emulator.scene.bodies.low_ground import low_ground, potential
+from emulator.scene.bodies.smooth_ground import potential, smooth_ground
 from emulator.scene.bodies.mesh import build_mesh, facet_vectors
 from emulator.scene.bodies.regolith import (
     Law,
@@ -180,7 +180,7 @@ def test_low_ground_is_the_waist_of_a_long_body_and_has_its_share():
     """On an ellipsoid of 3 : 1 : 1 the potential rises with the distance from the middle (MacCullagh)."""
     solid = trimesh.creation.icosphere(4, 100.0)
     mesh = build_mesh(solid.vertices * (3.0, 1.0, 1.0), solid.faces)
-    low = low_ground(mesh, mesh, mesh.vertices, 0.2)
+    low = smooth_ground(mesh, mesh, mesh.vertices, 0.2)
     along = np.abs(mesh.vertices[:, 0])
     assert along[low > 0.5].max() < along[low < 0.5].min() + 15.0
     body = weathered(mesh, dataclasses.replace(PLAIN, craters=0.0, smooth_share=0.2), 0.5)
