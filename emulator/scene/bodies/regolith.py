@@ -8,7 +8,7 @@ features costs nothing; where facets are large in the light frame all are cut in
     craters      a parabolic floor and a rim, as deep as their age leaves: depth over diameter spreads from a quarter of
                  the fresh one's to the whole, most of them old; the rims of old ones erode first; fresh craters are
                  up to a fifth brighter
-    roughness    vertices moved along their normals by noise, in patches
+    roughness    vertices moved along their normals by noise, in patches; evenly where there is smooth ground
 
 Boulders, roughness and the variation of albedo are missing on the share `smooth_share` of the surface that is low and
 even (`smooth_ground`).
@@ -291,8 +291,13 @@ def _split_round(mesh: Mesh, split: Bools) -> Mesh:
 
 
 def _roughness(places: Floats, p: Regolith, size_m: float, finest_m: float) -> Floats:
-    """Return the noise of roughness, (n,): wavelengths of 8 facets of the shape model down to facets of `finest_m`."""
+    """Return the noise of roughness, (n,): wavelengths of 8 facets of the shape model down to facets of `finest_m`.
+
+    It is in patches of its own where the body has no smooth ground.
+    """
     rough = fractal_noise(places, 8 * size_m, finest_m, 0.6, 4 * p.seed + _ROUGHNESS)
+    if p.smooth_share > 0:
+        return rough
     patches = fractal_noise(places, 60 * size_m, 10 * size_m, 0.5, 4 * p.seed + _PATCHES)
     return rough * np.clip(0.6 + 0.4 * patches, 0.2, 1.0)
 

@@ -1,6 +1,7 @@
 """What is made up on bodies: size laws, seeds, places, fading with distance, and albedo."""
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
@@ -10,8 +11,10 @@ import trimesh
 from emulator.scene.bodies.clouds import clouded, fractal_noise
 from emulator.scene.bodies.smooth_ground import potential, smooth_ground
 from emulator.scene.bodies.mesh import build_mesh, facet_vectors
+from emulator.scene.bodies.mesh_files import load_mesh
 from emulator.scene.bodies.regolith import (
     Law,
+    coarser,
     detailed,
     facet_size_m,
     faded,
@@ -176,18 +179,76 @@ def test_gravity_of_a_ball_and_of_two_balls_is_that_of_points():
     np.testing.assert_allclose(potential(mesh, mesh.vertices), -1 / 300, rtol=0.02)
 
 
-def test_low_ground_is_the_waist_of_a_long_body_and_has_its_share():
+def test_smooth_ground_of_a_long_body_is_its_waist():
     """On an ellipsoid of 3 : 1 : 1 the potential rises with the distance from the middle (MacCullagh)."""
     solid = trimesh.creation.icosphere(4, 100.0)
     mesh = build_mesh(solid.vertices * (3.0, 1.0, 1.0), solid.faces)
-    low = smooth_ground(mesh, mesh, mesh.vertices, 0.2)
+    smooth = smooth_ground(mesh, mesh, mesh.vertices, 0.2)
     along = np.abs(mesh.vertices[:, 0])
-    assert along[low > 0.5].max() < along[low < 0.5].min() + 15.0
+    assert smooth[along < 25].mean() > 0.9
+    assert smooth[along > 75].max() == 0
     body = weathered(mesh, dataclasses.replace(PLAIN, craters=0.0, smooth_share=0.2), 0.5)
     bare = weathered(mesh, dataclasses.replace(PLAIN, craters=0.0), 0.5)
-    waist = np.quantile(along, 0.1)
-    raised = [_raised(b)[np.abs(b.vertices[:, 0]) < waist].max() for b in (body, bare)]
+    raised = [_raised(b)[np.abs(b.vertices[:, 0]) < 15].max() for b in (body, bare)]
     assert raised[0] < 0.2 < 2.0 < raised[1]
+
+
+def test_smooth_ground_of_a_round_body_is_its_even_part():
+    """The potential of a ball is the same everywhere; its south is rough by a hundredth of its radius."""
+    mesh = ball(300.0)
+    up = mesh.vertices[:, 2]
+    rough = 1 + 0.01 * np.random.default_rng(4).normal(size=len(up)) * (up < -60)
+    mesh = build_mesh(mesh.vertices * rough[:, None], mesh.faces)
+    smooth = smooth_ground(mesh, mesh, mesh.vertices, 0.3)
+    assert smooth[up < -40].max() == 0
+    assert smooth.mean() == pytest.approx(0.3, abs=0.02)
+
+
+# deg of latitude and east longitude: IAU, Gazetteer of planetary nomenclature; touchdown: Yano et al. 2006, Science 312, 1350
+_MUSES_C, _SAGAMIHARA, _TOUCHDOWN, _KAMISUNAGAWA = (-70, 60), (80, 15), (-6, 39), (-28, 45)
+_KOMABA, _CATALINA, _LAUREL, _KAMOI, _HAMMAGUIRA = (-10, 102), (-17, 14), (1, 162), (6, 244), (-18, 205)
+
+
+@functools.cache
+def itokawa():
+    return load_mesh(find_shape("itokawa_49152"), 1000.0)
+
+
+def towards(mesh, place):
+    """Number of the vertex that lies towards a latitude and longitude, (2,) degrees."""
+    latitude, longitude = np.radians(place)
+    flat = math.cos(latitude)
+    direction = (flat * math.cos(longitude), flat * math.sin(longitude), math.sin(latitude))
+    return (mesh.vertices / np.linalg.norm(mesh.vertices, axis=1)[:, None] @ direction).argmax()
+
+
+def test_smooth_ground_of_itokawa_is_where_hayabusa_saw_it():
+    mesh = itokawa()
+    smooth = smooth_ground(mesh, coarser(mesh, 20.0), mesh.vertices, 0.2)
+    for place in (_MUSES_C, _SAGAMIHARA, _TOUCHDOWN, _KAMISUNAGAWA):
+        assert smooth[towards(mesh, place)] > 0.9, place
+    for place in (_KOMABA, _CATALINA, _LAUREL, _KAMOI, _HAMMAGUIRA):
+        assert smooth[towards(mesh, place)] < 0.1, place
+    areas = np.linalg.norm(facet_vectors(mesh.vertices, mesh.faces), axis=1)
+    on_facets = smooth[mesh.faces].mean(axis=1)
+    assert (areas * on_facets).sum() / areas.sum() == pytest.approx(0.2, abs=0.01)
+    assert (areas * (np.abs(on_facets - 0.5) < 0.45)).sum() < 0.03 * areas.sum()  # a sharp border
+    graph = trimesh.Trimesh(mesh.vertices, mesh.faces[on_facets > 0.5], process=False)
+    seas = sorted((part.area for part in graph.split(only_watertight=False)), reverse=True)
+    assert sum(seas[:2]) > 0.95 * sum(seas)  # two seas, and no spots
+
+
+def test_smooth_ground_of_itokawa_stays_even_and_rough_ground_becomes_rough():
+    mesh = itokawa()
+    p = dataclasses.replace(PLAIN, craters=0.0, boulders_km2=0.0, slope_deg=16.0, smooth_share=0.2)
+    body = weathered(mesh, p, 2.0)
+    before, after = (facet_vectors(m.vertices, m.faces) for m in (mesh, body))
+    slopes = np.linalg.norm(np.cross(before, after), axis=1) / (before * after).sum(axis=1)
+    smooth = smooth_ground(mesh, coarser(mesh, 20.0), mesh.vertices, 0.2)[mesh.faces].mean(axis=1)
+    degrees = [np.degrees(np.arctan(np.sqrt((slopes[part] ** 2).mean()))) for part in (smooth > 0.99, smooth < 0.01)]
+    assert degrees[0] < 2.5
+    assert degrees[1] == pytest.approx(16.0, rel=0.1)
+    assert body.albedo[smooth > 0.99].std() < 0.2 * body.albedo[smooth < 0.01].std()
 
 
 def _raised(body):
