@@ -46,11 +46,12 @@ class Regolith:
     crater_depth
         Depth over diameter of a fresh crater; old ones are shallower, to a quarter of it.
     slope_deg
-        Root mean square slope that roughness adds to facets.
+        Root mean square slope that roughness adds to facets of rough ground.
     albedo_rms
         Root mean square variation of albedo, relative; its mean is that of the body's reflectance.
     smooth_share
-        Share of the surface, the lowest by its gravity, without boulders and nearly without roughness: 0.2 on Itokawa.
+        Share of the surface that is low by its gravity and even in the shape model: it has no boulders and nearly no
+        roughness or variation of albedo. 0.2 on Itokawa; 0: none, and roughness comes in patches.
     smallest_m
         Boulders and craters are not smaller.
     facet_px
