@@ -1,11 +1,10 @@
 """Smooth ground of a body, where fine material gathers: the seas of Itokawa.
 
-It is the part of the surface that is low in the body's gravity and even in the shape model. Muses-C and Sagamihara, the
-smooth fifth of Itokawa, hold pebbles of some centimetres that moved down to where the potential is low, and their border
-to the boulders around is sharp (Fujiwara et al. 2006, Science 312, 1330; Miyamoto et al. 2007, Science 316, 1011).
-From 8 to 32 m the roughness of Itokawa follows its potential for the same reason (Susorney et al. 2019, Icarus 325, 141).
-The potential alone does not find Sagamihara, which is a basin of higher ground; the model's facets alone find
-the floors of craters.
+It is the part of the surface low in the body's gravity and even in the shape model. The smooth fifth of Itokawa,
+Muses-C and Sagamihara, holds pebbles that moved down to where the potential is low (Fujiwara et al. 2006, Science 312,
+1330; Miyamoto et al. 2007, Science 316, 1011). From 8 to 32 m the roughness of Itokawa follows its potential for the
+same reason (Susorney et al. 2019, Icarus 325, 141). The potential alone does not find Sagamihara, which is a basin of
+higher ground; the model's facets alone find the floors of craters. The border is taken as sharp.
 
     height       the potential of gravity, the density the same everywhere
     unevenness   the spread of the directions of the facets within some facets: its square is 1 - |mean normal|^2
@@ -63,7 +62,7 @@ def _between(points: Floats, values: Floats, places: Floats, soft_m: float) -> F
 def _areas(mesh: Mesh) -> Floats:
     """Return the area that belongs to each vertex, (n,), of any scale."""
     sizes = np.linalg.norm(facet_vectors(mesh.vertices, mesh.faces), axis=1)
-    return np.bincount(mesh.faces.ravel(), np.repeat(sizes, 3), len(mesh.vertices))
+    return np.asarray(np.bincount(mesh.faces.ravel(), np.repeat(sizes, 3), len(mesh.vertices)), np.float64)
 
 
 def _rank(values: Floats, areas: Floats) -> Floats:

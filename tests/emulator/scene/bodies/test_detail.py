@@ -11,7 +11,6 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from emulator.scene.bodies.clouds import clouded, fractal_noise
-from emulator.scene.bodies.smooth_ground import potential, smooth_ground
 from emulator.scene.bodies.mesh import build_mesh, facet_vectors, find_shape, load_mesh
 from emulator.scene.bodies.regolith import (
     Law,
@@ -23,6 +22,7 @@ from emulator.scene.bodies.regolith import (
     smallest_feature_m,
     weathered,
 )
+from emulator.scene.bodies.smooth_ground import potential, smooth_ground
 from emulator.scene.bodies.table import Clouds, Regolith
 
 PLAIN = Regolith(seed=5, craters=0.02, boulders_km2=2000.0, slope_deg=0.0, albedo_rms=0.1)
@@ -205,7 +205,8 @@ def test_smooth_ground_of_a_round_body_is_its_even_part():
     assert smooth.mean() == pytest.approx(0.2, abs=0.02)
 
 
-# deg of latitude and east longitude: IAU, Gazetteer of planetary nomenclature; touchdown: Yano et al. 2006, Science 312, 1350
+# degrees of latitude and east longitude: IAU, Gazetteer of planetary nomenclature; touchdown: Yano et al. 2006, Science
+# 312, 1350
 _MUSES_C, _SAGAMIHARA, _TOUCHDOWN, _KAMISUNAGAWA = (-70, 60), (80, 15), (-6, 39), (-28, 45)
 _KOMABA, _CATALINA, _LAUREL, _KAMOI, _HAMMAGUIRA = (-10, 102), (-17, 14), (1, 162), (6, 244), (-18, 205)
 
