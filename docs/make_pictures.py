@@ -23,7 +23,7 @@ PICTURES = Path(__file__).parent / "pictures"
 # Rig, second of the run, milliseconds of events, brightness of white, for the page on scenes.
 SCENES = (
     ("itokawa", 6.0, 30.0, 0.6),
-    ("eros-flyover", 20.0, 30.0, 0.6),
+    ("eros-flyover", 120.0, 30.0, 0.6),
     ("rendezvous", 100.0, 30.0, 0.6),
     ("malapert", 12.0, 40.0, 0.5),
     ("stars", 3.0, 300.0, 1.0),
