@@ -4,6 +4,7 @@
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
+PIP    := $(BIN)/pip install --quiet --disable-pip-version-check --constraint requirements.lock
 
 # What the tests need: GL as the check of the CPU renderer, a machine to boot Linux in, and Debian's own tools in it.
 APT_TEST := libegl1 libgl1 libgl1-mesa-dri qemu-system-x86 busybox-static usbip cpio kmod libusb-1.0-0 can-utils iproute2 gcc libc6-dev gcc-arm-none-eabi qemu-system-arm chromium tshark aravis-tools-cli gir1.2-aravis-0.8 python3-gi linuxptp
@@ -59,15 +60,18 @@ docs/rigs.md: docs/rig_reference.py $(VENV)/.installed-test
 bench: $(VENV)/.installed
 	$(BIN)/evstim bench
 
-$(VENV)/.installed: pyproject.toml requirements.lock
+$(VENV)/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "evstim needs Python 3.11 or newer; set PYTHON=")'
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable '.[report,demo]'
+
+$(VENV)/.installed: pyproject.toml requirements.lock | $(VENV)/bin/python
+	$(PIP) --editable '.[report,demo]'
 	@touch $@
 
-$(VENV)/.installed-test: $(VENV)/.installed
-	$(BIN)/pip install --quiet --disable-pip-version-check --constraint requirements.lock --editable '.[test]'
-	@touch $@
+# Modules are compiled at their first import: many of these packages are imported by few tests.
+$(VENV)/.installed-test: pyproject.toml requirements.lock | $(VENV)/bin/python
+	$(PIP) --no-compile --editable '.[report,demo,test]'
+	@touch $(VENV)/.installed $@
 
 clean:
 	rm -rf $(VENV) .cache site dist
