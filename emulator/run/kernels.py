@@ -53,7 +53,8 @@ __all__ = [
 
 
 _WIDTH, _HEIGHT = 32, 24
-_SCENE_S, _LONG_SCENES_S = 3.0, {"bodies": 9.0, "terrain": 9.0}  # a long part that began last would run alone on its core
+_SCENE_S = 3.0
+_LONG_SCENES_S = {"bodies": 9.0, "terrain": 9.0}  # a long part that began last would run alone on its core
 _FEW = dataclasses.replace(PRESETS["davis346"], width=_WIDTH, height=_HEIGHT)
 _Float32s = npt.NDArray[np.float32]
 
