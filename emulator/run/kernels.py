@@ -1,7 +1,7 @@
 """Compilation of the kernels that a rig needs, ahead of a run, in parts and in parallel processes.
 
-No two parts compile the same kernel. Each one runs the code of a run at a small size; types and so the compiled code
-are the same for all sizes.
+No two parts compile the same kernel. Each one runs the code of a run, most at a small size; types and so the compiled
+code are the same for all sizes.
 
 numba caches compiled code on disk, so this is needed once, and again after a change of the program. A file beside the
 kernels records that a part is done. Without that file everything works too, and is compiled at its first use.
@@ -33,6 +33,7 @@ from emulator.light import LightFrame, Scene
 from emulator.rig.kinds import LINKS, SCENES, usb_model
 from emulator.rig.loading import Rig
 from emulator.run.link_process import starting_a_process
+from emulator.scene.bodies.table import BodiesParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.compiled import cache_folder, checksum_of
 from transports.link.kind import LinkParameters
@@ -184,14 +185,15 @@ def _read_out(sensor: SensorParameters) -> None:
 
 def _draw(rig: Rig) -> None:
     """Draw three light frames of the rig's scene."""
-    light, rate = np.zeros((_HEIGHT, _WIDTH), np.float32), np.zeros((_HEIGHT, _WIDTH), np.float32)
+    width, height = _size(rig)
 
     def draw(scene: Scene) -> None:
+        light, rate = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
         scene.light(0, light)
         for t_ns in (1_000_000, 2_000_000):  # at the second one some scenes clear the first
             scene.light_and_rate(t_ns, light, rate)
 
-    _use_small_scene(rig, draw)
+    _use_scene(rig, draw)
 
 
 def _draw_pixel(rig: Rig) -> None:
@@ -201,15 +203,24 @@ def _draw_pixel(rig: Rig) -> None:
         if scene.pixel_light is not None:
             scene.pixel_light(0, np.zeros(1, np.int64))
 
-    _use_small_scene(rig, draw)
+    _use_scene(rig, draw)
 
 
-def _use_small_scene(rig: Rig, use: Callable[[Scene], None]) -> None:
-    """Build the rig's scene at a small size and use it; the run reports errors of the scene."""
+def _size(rig: Rig) -> tuple[int, int]:
+    """Return a small width and height; the rig's own for bodies without shadows: a run finds their detail in the cache.
+
+    Tables for shadows take longer than the compilation, and a run shows the progress of them.
+    """
+    alone = isinstance(rig.scene, BodiesParameters) and not rig.scene.shadows
+    return rig.camera.size if alone else (_WIDTH, _HEIGHT)
+
+
+def _use_scene(rig: Rig, use: Callable[[Scene], None]) -> None:
+    """Build the rig's scene and use it; the run reports errors of the scene."""
     from emulator.light import MachineLacks, SceneError
     from emulator.run.assembly import build_scene
 
-    with suppress(MachineLacks, SceneError), build_scene(rig, (_WIDTH, _HEIGHT)) as scene:
+    with suppress(MachineLacks, SceneError), build_scene(rig, _size(rig)) as scene:
         use(scene)
 
 

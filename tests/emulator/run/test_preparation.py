@@ -10,7 +10,9 @@ from emulator.cli import checks
 from emulator.raster import Renderer
 from emulator.rig.loading import load_rig, shipped_rigs
 from emulator.run import kernels as preparation
+from emulator.run.assembly import build_scene
 from emulator.run.kernels import ACTIVITY_FILTER, DECODER, EVT, GROUPS, Part, parts_of, prepare, uncompiled
+from emulator.scene.bodies import regolith
 
 
 @pytest.fixture
@@ -112,3 +114,13 @@ def test_each_line_of_progress_in_a_pipe_has_the_time_left(monkeypatch, capsys):
     assert checks.prepared([Part("first", 5.0, os.getpid), Part("second", 5.0, os.getpid)]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert lines[1:] == ["compiled: first (1 of 2), about 5 s left", "compiled: second (2 of 2)"]
+
+
+def test_the_detail_of_bodies_without_shadows_is_in_the_cache_for_the_run(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    rig, made = load_rig("eros"), []
+    detail = regolith._with_detail
+    monkeypatch.setattr(regolith, "_with_detail", lambda *inputs: (made.append(inputs), detail(*inputs))[1])
+    next(part for part in parts_of(rig) if part.name == "scene bodies").compile()
+    with build_scene(rig):
+        assert len(made) == 1
