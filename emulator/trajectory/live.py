@@ -154,7 +154,8 @@ class LivePoses(Trajectory):
             return self._beyond(t_ns)
         after = next(k for k, one in enumerate(known) if one.t_ns >= t_ns)
         if after > 1 and known[after].t_ns > known[after - 1].t_ns + _GOES_ON_NS >= t_ns:
-            after -= 1
+            # Two poses a microsecond apart, with some noise, would send the body far away within a millisecond.
+            after -= known[after - 1].t_ns >= known[after - 2].t_ns + _GOES_ON_NS
         return known[0].pose if after == 0 else between(known[after - 1].at, known[after].at, t_ns)
 
     def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:

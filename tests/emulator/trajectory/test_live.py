@@ -46,6 +46,13 @@ def test_around_a_pose_it_does_not_matter_whether_the_next_one_has_come(spacing_
     np.testing.assert_array_equal(first.q_world_from_body, second.q_world_from_body)
 
 
+def test_two_poses_at_nearly_one_time_do_not_throw_the_body_away():
+    live = LivePoses()
+    for k, (t_ns, x) in enumerate([(0, 0.0), (40 * MS, 1.0), (40 * MS + 1000, 1.001), (80 * MS, 2.0)]):
+        live.add(message(t_ns, x, counter=k), 0)
+    assert 1.001 < live.pose(41 * MS).position_m[0] < 1.03
+
+
 def test_the_last_motion_goes_on_for_a_while_and_then_stands_still_and_counts():
     live = LivePoses(hold_ns=20 * MS)
     live.add(message(0, 0.0), 0)
