@@ -6,8 +6,9 @@
 
 Cycles draws the scene of the file through its active camera, which gets the field of view of the rig. Light is the
 luminance of the combined pass, before any view transform: the strength of a Sun is its irradiance, so a file in W/m2
-gives W/(m2 sr). The vector pass has the place of each visible point one frame before, and the place after it, less
-and more than the present one: px, up. Both together give the motion in the middle. Stream time 0 is the first frame.
+gives W/(m2 sr). The vector pass has two differences for each visible point, in px to the right and up: the place one
+frame before less the present one, and the present one less that one frame after. Motion is the mean of both.
+Stream time 0 is the first frame.
 """
 
 from __future__ import annotations
@@ -41,6 +42,8 @@ class Animation:
 
     def __init__(self, camera: Camera) -> None:
         self.scene = bpy.context.scene
+        if self.scene.camera is None:
+            raise ValueError("the scene of the file has no active camera: set one in Blender, and save the file")
         self.shape = camera.height, camera.width
         self.frames_per_s = self.scene.render.fps / self.scene.render.fps_base
         self.folder = tempfile.TemporaryDirectory(prefix="evstim-blender-")
@@ -77,6 +80,7 @@ class Animation:
         cycles.samples, cycles.seed, cycles.pixel_filter_type = SAMPLES, 0, "BOX"
         cycles.use_denoising = cycles.use_adaptive_sampling = cycles.use_animated_seed = False
         for layer in self.scene.view_layers:
+            layer.use = layer == self.scene.view_layers[0]
             layer.use_pass_vector = True
         picture = render.image_settings
         if hasattr(picture, "media_type"):  # since Blender 5.0
@@ -161,7 +165,7 @@ def main() -> None:
     parser.add_argument("--blend", type=Path, help="file to draw instead of the station")
     arguments = parser.parse_args()
     if arguments.blend:
-        bpy.ops.wm.open_mainfile(filepath=str(arguments.blend))
+        bpy.ops.wm.open_mainfile(filepath=str(arguments.blend), load_ui=False, use_scripts=False)
     else:
         station()
     with Renderer(arguments.address, Images(motion=True), name=f"Blender {bpy.app.version_string}", wait_s=600) as link:
