@@ -75,7 +75,7 @@ figures are median / 90 % / most of the flights that touched down.
 
 {table}
 
-Flights with events are fewer: one takes 100 to 200 s. The others need no camera, and take 3 s. The rows are in
+A flight with events takes 50 to 200 s. The others need no camera, and take 3 s. The rows are in
 [landing_sensors.jsonl](landing_sensors.jsonl): copied to `FOLDER/rows.jsonl`, the same command flies those that are
 missing of a hundred. Without the camera nothing on board measures the speed along the ground, so its error of the
 start, and what the accelerometer's bias adds, remain to the end. A Doppler radar or a velocimeter, which would
