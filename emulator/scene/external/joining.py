@@ -37,6 +37,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import Light
+from emulator.scene.external.sampling import bounded, sampled
 from emulator.threads import ThreadPool, available_threads
 from firmware_protocol.compiled import entry_of, kernel
 
@@ -160,50 +161,6 @@ def _both(before: _Floats | None, after: _Floats | None) -> tuple[_Floats, _Floa
 
 
 @kernel
-def _bounded(value: float, most: int) -> int:
-    """Return the index below `value`, 0 to `most`; 0 for a NaN."""
-    return int(min(max(value, 0.0), most)) if value == value else 0
-
-
-@kernel
-def _taps(f: float) -> tuple[float, float, float, float]:
-    return (
-        ((-0.5 * f + 1.0) * f - 0.5) * f, (1.5 * f - 2.5) * f * f + 1.0,
-        ((-1.5 * f + 2.0) * f + 0.5) * f, (0.5 * f - 0.5) * f * f,
-    )  # fmt: skip
-
-
-@kernel
-def _slopes(f: float) -> tuple[float, float, float, float]:
-    return (-1.5 * f + 2.0) * f - 0.5, (4.5 * f - 5.0) * f, (-4.5 * f + 4.0) * f + 0.5, (1.5 * f - 1.0) * f
-
-
-@kernel
-def _sampled(image: _Floats, y: float, x: float) -> tuple[float, float, float]:
-    """Return the value at a point, and its derivatives along rows and columns; at (r, c) the value of that pixel."""
-    last_row, last_column = image.shape[0] - 1, image.shape[1] - 1
-    row, column = _bounded(y, last_row), _bounded(x, last_column)
-    fy, fx = min(max(y - row, 0.0), 1.0), min(max(x - column, 0.0), 1.0)
-    ty, tx, dy, dx = _taps(fy), _taps(fx), _slopes(fy), _slopes(fx)
-    value = down = across = 0.0
-    low, high = math.inf, -math.inf
-    for j in range(4):
-        r = min(max(row + j - 1, 0), last_row)
-        line = slope = 0.0
-        for i in range(4):
-            c = min(max(column + i - 1, 0), last_column)
-            sample = image[r, c]
-            line += tx[i] * sample
-            slope += dx[i] * sample
-            if 1 <= i <= 2 and 1 <= j <= 2:
-                low, high = min(low, sample), max(high, sample)
-        value += ty[j] * line
-        down += dy[j] * line
-        across += ty[j] * slope
-    return min(max(value, low), high), down, across
-
-
-@kernel
 def _differ(vx: float, vy: float, wx: float, wy: float, apart_s: float) -> bool:
     """Return whether two velocities are those of different surfaces; one surface turns, or comes nearer."""
     apart = math.hypot(vx - wx, vy - wy)
@@ -213,7 +170,7 @@ def _differ(vx: float, vy: float, wx: float, wy: float, apart_s: float) -> bool:
 @kernel
 def _at(front: _Floats, y: float, x: float) -> tuple[float, float]:
     """Return the velocity, along x and y, of the pixel at a point; its index is that of its middle."""
-    row, column = _bounded(y + 0.5, front.shape[0] - 1), _bounded(x + 0.5, front.shape[1] - 1)
+    row, column = bounded(y + 0.5, front.shape[0] - 1), bounded(x + 0.5, front.shape[1] - 1)
     return front[row, column, 0], front[row, column, 1]
 
 
@@ -258,7 +215,7 @@ def _found(own: _Floats, other: _Floats, depth: _Floats, at: Any, guesses: Any, 
             continue
         far, rank = -math.hypot(vx, vy), 2 if in_both else 1
         if depth.size:
-            far = depth[_bounded(y + 0.5, depth.shape[0] - 1), _bounded(x + 0.5, depth.shape[1] - 1)]
+            far = depth[bounded(y + 0.5, depth.shape[0] - 1), bounded(x + 0.5, depth.shape[1] - 1)]
         if rank > best[5] or (rank == best[5] and far < best[4]):
             best = (y, x, vy, vx, far, rank)
     return best
@@ -308,8 +265,8 @@ def _moved(planes: Any, terms: Any, row: int, column: int) -> tuple[float, float
             share = 0.0 if far0 <= far1 else 1.0
     elif rank0 != rank1 and not (rank0 and rank1):
         share = 0.0 if rank0 else 1.0
-    value0, down0, across0 = _sampled(first, y0, x0)
-    value1, down1, across1 = _sampled(last, y1, x1)
+    value0, down0, across0 = sampled(first, y0, x0)
+    value1, down1, across1 = sampled(last, y1, x1)
     slope = -(1 - share) * (down0 * vy0 + across0 * vx0) - share * (down1 * vy1 + across1 * vx1)
     if 0.0 < share < 1.0:
         slope += (value1 - value0) / apart_s
