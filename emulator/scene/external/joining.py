@@ -43,7 +43,7 @@ from firmware_protocol.compiled import entry_of, kernel
 
 __all__ = ["Joined", "Pair", "TimedImage", "compile_kernels", "front_motion"]
 
-_entry = entry_of(__name__, _nrt=False)
+_entry = entry_of(__name__, "emulator.scene.external.sampling", _nrt=False)
 _Floats = npt.NDArray[np.float32]
 _NONE = np.zeros((0, 0), np.float32)
 _NO_MOTION = np.zeros((0, 0, 2), np.float32)
