@@ -11,8 +11,7 @@ With motion, light of a pixel p at time t, a share s of the way from image 0 to 
 
 q0 and q1 are the places in the images of the point that is at p at time t. It moves at a constant acceleration, from
 its velocity in image 0 to that in image 1; q0 and q1 follow in a few steps of a fixed point. Between pixels an image is
-the Catmull-Rom cubic, held within the four pixels around the place, so that it makes no darkness below the darkest and
-no light above the brightest. The time derivative is that of the same formula.
+that of `emulator.scene.external.sampling`. The time derivative is that of the same formula.
 
 An image that shows nothing which moves to p is left out: the surface appears or disappears in between. Where the images
 give different surfaces, one that both of them show is in front of one that only one shows, because this one is hidden

@@ -13,7 +13,7 @@ tenth of that on its other side, the pixel is two parts with a straight edge bet
     +-------+
 
 and light at a place is the mean over one pixel around it, in closed form: exact for straight edges between two even
-surfaces. (The same reconstruction is known in fluid dynamics as PLIC: Youngs, 1982, Time-dependent multi-material flow
+surfaces, up to a few hundredths on the bright side, where it is mixed with the cubic. (The same reconstruction is known in fluid dynamics as PLIC: Youngs, 1982, Time-dependent multi-material flow
 with large fluid distortion.) A slope of light that goes down to black, as the terminator of a body, is no edge: light
 goes on rising over 5 x 5 pixels. There the cubic stays; between both kinds of pixels the two are mixed.
 
@@ -80,11 +80,12 @@ def sampled(image: _Floats, y: float, x: float) -> tuple[float, float, float]:
         value += ty[j] * line
         down += dy[j] * line
         across += ty[j] * slope
-    if not low <= value <= high:
-        value, down, across = min(max(value, low), high), 0.0, 0.0
+    held = min(max(value, low), high)
     if dark > _DARK_SHARE * bright or bright <= 0.0:
-        return value, down, across
-    return _with_edges(image, (row, column), (fy, fx), (value, down, across))
+        return held, down, across
+    if held != value:
+        down = across = 0.0
+    return _with_edges(image, (row, column), (fy, fx), (held, down, across))
 
 
 @kernel

@@ -73,6 +73,47 @@ def test_motion_moves_a_smooth_pattern(share: float) -> None:
     np.testing.assert_allclose(rate, slope, atol=0.04 * np.abs(slope).max())
 
 
+def _covered(angle: float, place_px: float) -> _Floats:
+    """Return the share of each pixel that is on the bright side of a straight edge, by 32 x 32 points each."""
+    points = (np.arange(32) + 0.5) / 32
+    rows = (np.arange(_SIZE[1])[:, None] + points).reshape(-1, 1)
+    columns = (np.arange(_SIZE[0])[:, None] + points).reshape(-1)
+    inside = np.cos(angle) * (columns - 24) + np.sin(angle) * (rows - 20) < place_px
+    return inside.reshape(_SIZE[1], 32, _SIZE[0], 32).mean((1, 3)).astype(np.float32)
+
+
+@pytest.mark.parametrize("angle_deg", [0, 20, 45, 110, 200, 271])
+def test_an_edge_before_black_arrives_in_each_pixel_at_its_own_time(angle_deg: float) -> None:
+    """A straight edge moves 1.3 px between two images: light is its share of each pixel, and black stays black."""
+    angle = np.radians(angle_deg)
+    flow = _flow(130 * np.cos(angle), 130 * np.sin(angle))
+    pair = TimedImage(0, _covered(angle, 0.2), flow), TimedImage(_T_NS, _covered(angle, 1.5), flow)
+    middle = np.s_[6:-6, 6:-6]  # the edge of the image has no pixels beyond it
+    for share in (0.1, 0.37, 0.8):
+        light, rate = _written(pair, round(share * _T_NS))
+        truth = _covered(angle, 0.2 + 1.3 * share)
+        light, rate, truth = light[middle], rate[middle], truth[middle]
+        dim = truth < 0.9  # beyond, the cubic begins: its error there is small in the logarithm
+        np.testing.assert_allclose(light[dim], truth[dim], atol=0.055)  # a point of the truth is 0.031
+        np.testing.assert_allclose(light[~dim], truth[~dim], atol=0.07)
+        assert light[truth == 0].max() < 0.01
+        earlier, later = (_written(pair, round(share * _T_NS) + by_ns)[0] for by_ns in (-20_000, 20_000))
+        difference = (later.astype(np.float64) - earlier)[middle] / 40e-6
+        agree = np.abs(difference - rate)[dim] < 5  # of 130 or more
+        assert agree.mean() > 0.995  # not where the edge passes a corner of a pixel within the 40 us
+
+
+def test_a_slope_of_light_down_to_black_stays_a_slope() -> None:
+    """A terminator moves 1 px: no steps within its pixels."""
+
+    def slope(place: float) -> _Floats:
+        return np.maximum(np.tile(np.arange(_SIZE[0]) - 10.5 - place, (_SIZE[1], 1)), 0).astype(np.float32)
+
+    flow = _flow(100, 0)
+    light, _ = _written((TimedImage(0, slope(0), flow), TimedImage(_T_NS, slope(1), flow)), _T_NS // 2)
+    np.testing.assert_allclose(light[:, 12:-2], slope(0.5)[:, 12:-2], atol=0.08)
+
+
 def test_a_point_that_accelerates_is_followed() -> None:
     """From 500 to 800 px/s it moves 6.5 px, and half way in time 2.875 px, not 3.25."""
     pair = TimedImage(0, _blob(20, 20), _flow(500, 0)), TimedImage(_T_NS, _blob(20, 26.5), _flow(800, 0))
