@@ -12,10 +12,11 @@ tenth of that on its other side, the pixel is two parts with a straight edge bet
     | / / / |   the edge is at right angles to the gradient of the 3 x 3 pixels
     +-------+
 
-and light at a place is the mean over one pixel around it, in closed form: exact for straight edges between two even
-surfaces, up to a few hundredths on the bright side, where it is mixed with the cubic. (The same reconstruction is known in fluid dynamics as PLIC: Youngs, 1982, Time-dependent multi-material flow
-with large fluid distortion.) A slope of light that goes down to black, as the terminator of a body, is no edge: light
-goes on rising over 5 x 5 pixels. There the cubic stays; between both kinds of pixels the two are mixed.
+and light at a place is the mean over one pixel around it, in closed form: right for straight edges between two even
+surfaces, up to some hundredths on the bright side. (Fluid dynamics knows the reconstruction as PLIC: Youngs, 1982,
+Time-dependent multi-material flow with large fluid distortion.) A slope of light that goes down to black, as at the
+terminator of a body, is no edge: light goes on rising over 5 x 5 pixels. There the cubic stays, and between both kinds
+of pixels the two are mixed.
 
 The kernel is fast because it looks for edges only where the sixteen pixels of the cubic have light and near darkness.
 """

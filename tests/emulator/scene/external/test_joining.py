@@ -93,13 +93,11 @@ def test_an_edge_before_black_arrives_in_each_pixel_at_its_own_time(angle_deg: f
         light, rate = _written(pair, round(share * _T_NS))
         truth = _covered(angle, 0.2 + 1.3 * share)
         light, rate, truth = light[middle], rate[middle], truth[middle]
-        dim = truth < 0.9  # beyond, the cubic begins: its error there is small in the logarithm
-        np.testing.assert_allclose(light[dim], truth[dim], atol=0.055)  # a point of the truth is 0.031
-        np.testing.assert_allclose(light[~dim], truth[~dim], atol=0.07)
+        np.testing.assert_allclose(light, truth, atol=0.07)  # on the bright side, where it is mixed with the cubic
         assert light[truth == 0].max() < 0.01
         earlier, later = (_written(pair, round(share * _T_NS) + by_ns)[0] for by_ns in (-20_000, 20_000))
         difference = (later.astype(np.float64) - earlier)[middle] / 40e-6
-        agree = np.abs(difference - rate)[dim] < 5  # of 130 or more
+        agree = np.abs(difference - rate)[truth < 0.9] < 5  # of 130 or more; beyond, the cubic is held
         assert agree.mean() > 0.995  # not where the edge passes a corner of a pixel within the 40 us
 
 
