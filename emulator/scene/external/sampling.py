@@ -13,10 +13,10 @@ tenth of that on its other side, the pixel is two parts with a straight edge bet
     +-------+
 
 and light at a place is the mean over one pixel around it, in closed form: right for straight edges between two even
-surfaces, up to some hundredths on the bright side. (Fluid dynamics knows the reconstruction as PLIC: Youngs, 1982,
-Time-dependent multi-material flow with large fluid distortion.) A slope of light that goes down to black, as at the
-terminator of a body, is no edge: light goes on rising over 5 x 5 pixels. There the cubic stays, and between both kinds
-of pixels the two are mixed.
+surfaces. (In fluid dynamics the reconstruction is called PLIC: Youngs, 1982, Time-dependent multi-material flow with
+large fluid distortion.) A bright pixel with darkness two pixels away is one part, as the edge is in its neighbour. A
+slope of light that goes down to black, as at the terminator of a body, is no edge: light goes on rising over 5 x 5
+pixels. There the cubic stays, and between both kinds of pixels the two are mixed.
 
 The kernel is fast because it looks for edges only where the sixteen pixels of the cubic have light and near darkness.
 """
@@ -123,13 +123,13 @@ def _edge(image: _Floats, row: int, column: int) -> Any:
     """
     last_row, last_column = image.shape[0] - 1, image.shape[1] - 1
     row, column = min(row, last_row), min(column, last_column)
-    dark, bright, far = math.inf, -math.inf, -math.inf
+    dark, bright, darkest, far = math.inf, -math.inf, math.inf, -math.inf
     gy = gx = 0.0
     for j in range(-2, 3):
         r = min(max(row + j, 0), last_row)
         for i in range(-2, 3):
             sample = image[r, min(max(column + i, 0), last_column)]
-            far = max(far, sample)
+            darkest, far = min(darkest, sample), max(far, sample)
             if -1 <= j <= 1 and -1 <= i <= 1:
                 dark, bright = min(dark, sample), max(bright, sample)
                 gy += j * (2 - i * i) * sample
@@ -138,8 +138,10 @@ def _edge(image: _Floats, row: int, column: int) -> Any:
     steep = abs(gy) + abs(gx)
     if own <= dark or steep == 0.0:
         return own <= _DARK_SHARE * bright, own, own, 0.5, 0.5, 0.0
-    if dark > _DARK_SHARE * bright or far > _PLATEAU * bright:
+    if darkest > _DARK_SHARE * bright or far > _PLATEAU * bright:
         return False, own, own, 0.5, 0.5, 0.0
+    if dark > _DARK_SHARE * bright:
+        return True, own, own, 0.5, 0.5, 0.0
     ny, nx = gy / steep, gx / steep
     return True, dark, bright, ny, nx, _offset((bright - own) / (bright - dark), min(abs(ny), abs(nx)))
 

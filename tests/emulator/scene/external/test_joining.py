@@ -93,7 +93,7 @@ def test_an_edge_before_black_arrives_in_each_pixel_at_its_own_time(angle_deg: f
         light, rate = _written(pair, round(share * _T_NS))
         truth = _covered(angle, 0.2 + 1.3 * share)
         light, rate, truth = light[middle], rate[middle], truth[middle]
-        np.testing.assert_allclose(light, truth, atol=0.07)  # on the bright side, where it is mixed with the cubic
+        np.testing.assert_allclose(light, truth, atol=1 / 32)
         assert light[truth == 0].max() < 0.01
         earlier, later = (_written(pair, round(share * _T_NS) + by_ns)[0] for by_ns in (-20_000, 20_000))
         difference = (later.astype(np.float64) - earlier)[middle] / 40e-6
