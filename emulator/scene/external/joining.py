@@ -3,7 +3,7 @@
     images alone   a straight line of the light of each pixel
     rate           a cubic through light and rate of both images, in each pixel (Hermite)
     motion         each visible point moves; light is that of the point in both images
-    both           the cubic where a point moves up to three pixels from one image to the next, else motion
+    both           the cubic where a point moves up to one pixel from one image to the next, else motion
 
 With motion, light of a pixel p at time t, a share s of the way from image 0 to image 1, is
 
@@ -52,7 +52,7 @@ _STEPS = 3
 _CLOSE_PX = 0.25
 _SAME_PX = 1.0
 _SAME_SHARE = 0.3
-_RATE_PX = 3.0
+_RATE_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
