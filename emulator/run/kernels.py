@@ -15,8 +15,8 @@ import os
 import signal
 import time
 import zlib
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from multiprocessing.connection import wait
@@ -357,9 +357,26 @@ def _share(parts: Sequence[Part], ended: Sequence[str], running: Sequence[_Runni
 
 def _started(part: Part) -> _Running:
     process = _processes().Process(target=_compile, args=(part,), daemon=True)
-    with starting_a_process(part.compile):
+    with starting_a_process(part.compile), _safe_path():
         process.start()
     return _Running(part, process, time.monotonic())
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """Start the server without the working directory among its places of modules.
+
+    Up to Python 3.12 it ignores our places when it imports modules ahead. In the source folder it would compile the
+    sources there, and an installed program would find nothing compiled.
+    """
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        del os.environ["PYTHONSAFEPATH"]
+        if before is not None:
+            os.environ["PYTHONSAFEPATH"] = before
 
 
 def _processes() -> ForkServerContext:

@@ -2,10 +2,14 @@
 
 import dataclasses
 import os
+import subprocess
+import sys
 from functools import partial
+from pathlib import Path
 
 import pytest
 
+import emulator
 from emulator.cli import checks
 from emulator.raster import Renderer
 from emulator.rig.loading import load_rig, shipped_rigs
@@ -124,3 +128,27 @@ def test_the_detail_of_bodies_without_shadows_is_in_the_cache_for_the_run(tmp_pa
     next(part for part in parts_of(rig) if part.name == "scene bodies").compile()
     with build_scene(rig):
         assert len(made) == 1
+
+
+_ELSEWHERE = """
+import sys
+sys.path[0] = sys.argv[1]
+from functools import partial
+from emulator.run.kernels import Part, prepare
+
+text = "import emulator, pathlib; pathlib.Path('found').write_text(emulator.__file__)"
+assert prepare([Part("place", 1.0, partial(exec, text))]) == []
+"""
+
+
+@pytest.mark.system
+def test_the_program_is_compiled_and_not_the_sources_in_the_working_directory(tmp_path):
+    """The README's user installs it and goes on in the source folder: its modules are not those that run."""
+    (tmp_path / "emulator").mkdir()
+    (tmp_path / "emulator" / "__init__.py").touch()
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONSAFEPATH"}
+    environment["NUMBA_CACHE_DIR"] = str(tmp_path / "notes")
+    own = str(Path(emulator.__file__).parents[1])
+    command = [sys.executable, "-c", _ELSEWHERE, own]
+    subprocess.run(command, cwd=tmp_path, env=environment, check=True, timeout=300)
+    assert (tmp_path / "found").read_text() == emulator.__file__
