@@ -15,7 +15,7 @@ roughness (glTF 2.0, appendix B; Karis 2013 for the exponent of Blinn's lobe fro
 
     albedo = Y (1 - M)      shine = 0.04 (1 - M) + Y M      sharpness = 2 / R^4 - 2, held between 1 and 1e5
 
-A texture of the base colour gives the surface its albedo, and Y is its mean over the surface, see `textures`.
+A texture of the base colour gives the surface its albedo, and Y is its mean over the surface, see `painting`.
 
 A node without a material, and every node where the rig's `reflectance` is not the default, has that of the rig.
 Fresnel's brightening at grazing angles and the shadowing of roughness are left out, so a rough metal (R above 0.84) is
@@ -37,8 +37,8 @@ from emulator.geometry.attitude import matrix_of, quaternion_of
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Glossy, LommelSeeliger
 from emulator.scene.bodies.mesh import Mesh, build_mesh, find_shape, load_mesh
+from emulator.scene.bodies.painting import Texture, painted
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
-from emulator.scene.bodies.textures import Texture, painted
 from emulator.scene.files import read_in_child
 from emulator.trajectory.joints import Joint, JointPath, Track
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters

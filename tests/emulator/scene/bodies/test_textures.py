@@ -20,9 +20,10 @@ from emulator.scene.bodies.clouds import mean_albedo
 from emulator.scene.bodies.gltf import read_gltf
 from emulator.scene.bodies.mesh import build_mesh
 from emulator.scene.bodies.models import load_bodies
+from emulator.scene.bodies.painting import Texture, painted
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
-from emulator.scene.bodies.textures import WRAPS, Texture, painted, transformed
+from emulator.scene.bodies.textures import WRAPS, transformed
 from emulator.trajectory.parameters import FixedPath
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
