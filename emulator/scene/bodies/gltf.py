@@ -3,12 +3,12 @@
 Source: Khronos, glTF 2.0 Specification (ISO/IEC 12113). It runs in a child process, see `guarded_reader`.
 
 Read: buffers in the file, as base64 and beside it; accessors of every component type; triangles, strips and fans;
-translation, rotation, scale and matrices of nodes; base colour, metallic and roughness factors; linear and cubic
-animations of translation and rotation.
+translation, rotation, scale and matrices of nodes; base colour, metallic and roughness, by factors and textures (of
+the last two the mean); linear and cubic animations of translation and rotation.
 
-Left out, with a note: textures, vertex colours, emission and other properties of materials; points and lines; skins and
-morph targets, which are drawn at rest. Refused: sparse or compressed accessors, required extensions that are not known,
-stepped animations, animations of scale or weights.
+Left out, with a note: other textures, vertex colours, emission and other properties of materials; points and lines;
+skins and morph targets, which are drawn at rest. Refused: sparse or compressed accessors, required extensions that are
+not known, stepped animations, animations of scale or weights.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import SceneError
+from emulator.scene.bodies.textures import REPEAT, WRAPS, base_colour, decoded, mean_of, transformed
 
 __all__ = ["read_gltf"]
 
@@ -35,6 +36,7 @@ _KNOWN_EXTENSIONS = ("KHR_mesh_quantization", "KHR_materials_", "KHR_texture_tra
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB, ITU-R BT.709
+_FARTHEST_UV = 1e4
 _FLAT_COSINE = 0.9998  # normals within a degree of the facet's
 
 _Array = npt.NDArray[Any]
@@ -133,6 +135,8 @@ class _File:
         self._buffers: dict[int, bytes] = {}
         self._arrays: dict[str, _Array] = {}
         self._notes: dict[str, None] = {}
+        self._luminances: dict[tuple[int, tuple[float, ...]], str] = {}
+        self._means: dict[tuple[int, int], float] = {}
 
     def contents(self) -> dict[str, _Array]:
         """Return the header and the arrays."""
@@ -234,22 +238,26 @@ class _File:
             normals = self._accessor(attributes["NORMAL"], 3, f"{where}, NORMAL").astype(np.float64)
             if len(normals) != len(points):
                 raise SceneError(f"{where}: {len(normals)} normals for {len(points)} vertices")
+        material = self._material_of(primitive, where)
         return {
             "vertices": self._keep(points),
             "faces": self._keep(faces),
             "is_flat": _is_flat(points, faces, normals),
-            "material": self._material(primitive, where),
+            "material": None if material is None else self._shares(material, where),
+            "texture": None if material is None else self._texture(material, attributes, len(points), where),
         }
 
-    def _material(self, primitive: _Object, where: str) -> _Object | None:
-        """Return luminance of the base colour, metallic and roughness, each 0 to 1; None: no material."""
+    def _material_of(self, primitive: _Object, where: str) -> _Object | None:
         if "material" not in primitive:
             return None
         materials = _items(self._document, "materials")
-        material = materials[_number(primitive, "material", None, len(materials), where)]
+        return materials[_number(primitive, "material", None, len(materials), where)]
+
+    def _shares(self, material: _Object, where: str) -> _Object:
+        """Return luminance of the base colour's factor, metallic and roughness, each 0 to 1."""
         surface = _member(material, "pbrMetallicRoughness")
-        if any(key.endswith("Texture") for key in (*surface, *material)):
-            self._notes["textures are left out: the factors of the materials count"] = None
+        if any(key.endswith("Texture") for key in material):
+            self._notes["textures of normals, occlusion and emission are left out"] = None
         if any(_list(material, "emissiveFactor")) or _member(material, "extensions"):
             self._notes["emission and extensions of materials are left out"] = None
         if material.get("alphaMode", "OPAQUE") != "OPAQUE":
@@ -260,9 +268,73 @@ class _File:
             "metallic": _floats({"m": [surface.get("metallicFactor", 1.0)]}, "m", [1.0], where)[0],
             "roughness": _floats({"r": [surface.get("roughnessFactor", 1.0)]}, "r", [1.0], where)[0],
         }
-        if not all(0 <= share <= 1 + 1e-6 for share in shares.values()):
+        if not all(0 <= share <= 1 + 1e-6 for share in (*shares.values(), *colour)):
             raise SceneError(f"{where}: the factors of its material must be 0 to 1")
+        for key, channel in (("roughness", 1), ("metallic", 2)):
+            shares[key] *= self._mean(surface, channel, where)
         return {key: min(share, 1.0) for key, share in shares.items()}
+
+    # --- textures
+
+    def _mean(self, surface: _Object, channel: int, where: str) -> float:
+        """Return the mean of a channel of the texture of metallic and roughness, 1 without one."""
+        found = self._image(surface, "metallicRoughnessTexture", where)
+        if found is None:
+            return 1.0
+        self._notes["textures of metallic and roughness count by their mean"] = None
+        if (found[0], channel) not in self._means:
+            pixels = self._pixels(found[0])
+            self._means |= {(found[0], k): mean_of(pixels, k) for k in (1, 2)}
+        return self._means[found[0], channel]
+
+    def _texture(self, material: _Object, attributes: _Object, count: int, where: str) -> _Object | None:
+        """Return the base colour's `luminance`, `uv` of vertices, by the names of arrays, and `wraps`."""
+        surface = _member(material, "pbrMetallicRoughness")
+        found = self._image(surface, "baseColorTexture", where)
+        if found is None:
+            return None
+        image, wraps = found
+        info = _member(surface, "baseColorTexture")
+        transform = _member(_member(info, "extensions"), "KHR_texture_transform")
+        number = _number({"texCoord": transform.get("texCoord", info.get("texCoord", 0))}, "texCoord", 0, 100, where)
+        name = f"TEXCOORD_{number}"
+        uv = self._accessor(attributes.get(name), 2, f"{where}, {name}").astype(np.float64)
+        if len(uv) != count or not (np.abs(uv) < _FARTHEST_UV).all():
+            raise SceneError(f"{where}: {name} must be {count} finite places, within {_FARTHEST_UV:g} images")
+        offset, scale = (
+            _floats(transform, key, [default] * 2, where) for key, default in (("offset", 0), ("scale", 1))
+        )
+        angle = _floats({"rotation": [transform.get("rotation", 0.0)]}, "rotation", [0.0], where)[0]
+        uv = transformed(uv, offset, scale, angle)
+        weights = tuple(_LUMINANCE * _floats(surface, "baseColorFactor", [1.0, 1.0, 1.0, 1.0], where)[:3])
+        if (image, weights) not in self._luminances:
+            self._luminances[image, weights] = self._keep(base_colour(self._pixels(image), weights))
+        return {"luminance": self._luminances[image, weights], "uv": self._keep(uv), "wraps": wraps}
+
+    def _image(self, surface: _Object, key: str, where: str) -> tuple[int, list[int]] | None:
+        """Return the number of a texture's image and how it goes on along u and v; None: there is none."""
+        if key not in surface:
+            return None
+        textures, samplers = _items(self._document, "textures"), _items(self._document, "samplers")
+        texture = textures[_number(_member(surface, key), "index", None, len(textures), f"{where}, {key}")]
+        if "source" not in texture:
+            self._notes["textures that are neither PNG nor JPEG are left out"] = None
+            return None
+        image = _number(texture, "source", None, len(_items(self._document, "images")), f"{where}, {key}")
+        sampler = {}
+        if "sampler" in texture:
+            sampler = samplers[_number(texture, "sampler", None, len(samplers), f"{where}, {key}")]
+        wraps = [_number(sampler, axis, REPEAT, 1 << 16, f"{where}, {key}") for axis in ("wrapS", "wrapT")]
+        if not set(wraps) <= set(WRAPS):
+            raise SceneError(f"{where}, {key}: {wraps} is no way to go on beyond an image: {WRAPS}")
+        return image, wraps
+
+    def _pixels(self, image: int) -> npt.NDArray[np.uint8]:
+        entry, views = _items(self._document, "images")[image], _items(self._document, "bufferViews")
+        where = f"image {image}"
+        if "uri" in entry:
+            return decoded(self._loaded(str(entry["uri"]), where), where)
+        return decoded(self._view(views[_number(entry, "bufferView", None, len(views), where)], where), where)
 
     # --- animations
 
@@ -335,26 +407,26 @@ class _File:
     def _buffer(self, k: int) -> bytes:
         if k not in self._buffers:
             uri = _items(self._document, "buffers")[k].get("uri")
-            data = self._binary if uri is None else self._loaded(str(uri), k)
+            data = self._binary if uri is None else self._loaded(str(uri), f"buffer {k}")
             if data is None:
                 raise SceneError(f"buffer {k} has no data")
             self._buffers[k] = data
         return self._buffers[k]
 
-    def _loaded(self, uri: str, k: int) -> bytes:
+    def _loaded(self, uri: str, what: str) -> bytes:
         if uri.startswith("data:"):
             head, _, text = uri.partition(",")
             try:
                 return base64.b64decode(text if head.endswith(";base64") else "?", validate=True)
             except binascii.Error:
-                raise SceneError(f"buffer {k} is no base64 text") from None
+                raise SceneError(f"{what} is no base64 text") from None
         path = (self._folder / unquote(uri)).resolve()
         if "://" in uri or not path.is_relative_to(self._folder.resolve()):
-            raise SceneError(f"buffer {k} is {uri[:80]!r}: files are read from the model's own folder alone")
+            raise SceneError(f"{what} is {uri[:80]!r}: files are read from the model's own folder alone")
         if not path.is_file():
-            raise SceneError(f"buffer {k} is the file {uri[:80]!r}, which is missing")
+            raise SceneError(f"{what} is the file {uri[:80]!r}, which is missing")
         if path.stat().st_size > _MOST_BYTES:
-            raise SceneError(f"buffer {k} has more than {_MOST_BYTES >> 20} MiB")
+            raise SceneError(f"{what} has more than {_MOST_BYTES >> 20} MiB")
         return path.read_bytes()
 
 

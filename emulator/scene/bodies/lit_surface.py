@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from emulator.scene.bodies.mesh import Mesh
 
-__all__ = ["Surface", "lit_surface", "near_in_memory", "shadow_triangles", "split_sides", "subdivide"]
+__all__ = ["Surface", "cut_facets", "lit_surface", "near_in_memory", "shadow_triangles", "split_sides", "subdivide"]
 
 _LIFT = 1e-4  # of the mean length of sides
 _INWARD = 1e-3  # of the way to the middle of the facets around
@@ -160,20 +160,27 @@ def split_sides(mesh: Mesh, split: npt.NDArray[np.bool_]) -> Mesh:
     new_normals = normals[sides].sum(axis=1)
     length = np.linalg.norm(new_normals, axis=1, keepdims=True)
     new_normals = np.where(length > 1e-6, new_normals / np.maximum(length, 1e-6), normals[sides[:, 0]])
-    cut = [_cut(faces, middle, split, count) for count in range(4)]
     albedo = mesh.albedo
     if albedo is not None:
         between = (albedo + np.roll(albedo, -1, axis=1)) / 2
-        albedo = np.concatenate([_cut(albedo, between, split, count) for count in range(4)])
+        albedo = cut_facets(albedo, between, split)
     return Mesh(
         np.concatenate([vertices, vertices[sides].mean(axis=1)]),
-        np.concatenate(cut).astype(np.int32),
+        cut_facets(faces, middle, split).astype(np.int32),
         np.concatenate([normals, new_normals]),
         mesh.dropped_facets,
         mesh.open_edges,
         mesh.was_inside_out,
         albedo,
     )
+
+
+def cut_facets(corners: npt.NDArray[Any], middle: npt.NDArray[Any], split: npt.NDArray[np.bool_]) -> npt.NDArray[Any]:
+    """Return the entries at the corners of facets, (n, 3), that `split_sides` makes.
+
+    `corners` and `middle`, (m, 3), are the entries at corners and in the middle of sides from corner k to k + 1.
+    """
+    return np.concatenate([_cut(corners, middle, split, count) for count in range(4)])
 
 
 def _cut(

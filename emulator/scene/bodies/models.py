@@ -15,6 +15,8 @@ roughness (glTF 2.0, appendix B; Karis 2013 for the exponent of Blinn's lobe fro
 
     albedo = Y (1 - M)      shine = 0.04 (1 - M) + Y M      sharpness = 2 / R^4 - 2, held between 1 and 1e5
 
+A texture of the base colour gives the surface its albedo, and Y is its mean over the surface, see `painting`.
+
 A node without a material, and every node where the rig's `reflectance` is not the default, has that of the rig.
 Fresnel's brightening at grazing angles and the shadowing of roughness are left out, so a rough metal (R above 0.84) is
 a wide lobe about the mirror's direction.
@@ -33,8 +35,9 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import matrix_of, quaternion_of
 from emulator.light import SceneError
-from emulator.photometry.reflectance import Glossy, LommelSeeliger, Reflectance
+from emulator.photometry.reflectance import Glossy, LommelSeeliger
 from emulator.scene.bodies.mesh import Mesh, build_mesh, find_shape, load_mesh
+from emulator.scene.bodies.painting import Texture, painted
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.files import read_in_child
 from emulator.trajectory.joints import Joint, JointPath, Track
@@ -56,6 +59,8 @@ MODEL_READERS = {
 
 _MOST_PARTS = 256
 _MOST_FACETS = 4_000_000
+_MOST_PAINTED = 60_000
+_FINE = f"parts of its textures are finer than {_MOST_PAINTED} facets can show: they have their mean there"
 _EVEN = 1e-6
 _DIELECTRIC = 0.04
 
@@ -117,7 +122,7 @@ class Model:
     ----------
     path : the file.
     header : nodes (name, parent, translation, rotation with the scalar first, scale, perhaps matrix), parts (node,
-        vertices, faces, is_flat, material), animations (name, channels), notes.
+        vertices, faces, is_flat, material, texture), animations (name, channels), notes.
     arrays : by the names in the header.
     """
 
@@ -171,7 +176,10 @@ def _bodies(body: BodyTable, model: Model, name: str) -> list[tuple[BodyTable, M
             part = model.header["parts"][number]
             own = first if number == groups[moving][0] else _fixed_to(first, _named(name, model, number))
             below = [k for k in _ancestry(part["node"], model) if not moving or k not in _until(moving[-1], model)]
-            found.append((replace(own, **_surface(body, part)), _mesh(model, part, frame @ _chain(below, model))))
+            mesh, material = _covered(body, model, part, frame @ _chain(below, model))
+            law = law_of(material) if material else body.reflectance
+            smooth = body.smooth and not part["is_flat"]
+            found.append((replace(own, reflectance=law, smooth=smooth), mesh))
     return found
 
 
@@ -201,22 +209,40 @@ def _named(name: str, model: Model, number: int) -> str:
     return f"{name}/{label} {same + 1}" if same else f"{name}/{label}"
 
 
-def _surface(body: BodyTable, part: dict[str, Any]) -> dict[str, Any]:
-    law: Reflectance = body.reflectance
-    if part["material"] and law == LommelSeeliger():
-        law = law_of(part["material"])
-    return {"reflectance": law, "smooth": body.smooth and not part["is_flat"]}
+def _covered(
+    body: BodyTable, model: Model, part: dict[str, Any], matrix: _Floats
+) -> tuple[Mesh, dict[str, float] | None]:
+    """Return a part's shape with its texture in its body's frame, and its material; None: the rig gives the law."""
+    mesh, uv = _mesh(model, part, matrix)
+    if not part["material"] or body.reflectance != LommelSeeliger():
+        return mesh, None
+    if uv is None:
+        return mesh, part["material"]
+    textured = sum(one.get("texture") is not None for one in model.header["parts"])
+    texture = Texture(model.arrays[part["texture"]["luminance"]], tuple(part["texture"]["wraps"]))
+    mesh, luminance, is_whole = painted(mesh, uv, texture, len(mesh.faces) + _MOST_PAINTED // textured)
+    notes = model.header["notes"]
+    if not is_whole and _FINE not in notes:
+        notes.append(_FINE)
+    return mesh, part["material"] | {"luminance": min(luminance, 1.0)}
 
 
-def _mesh(model: Model, part: dict[str, Any], matrix: _Floats) -> Mesh:
-    """Return a part's shape in its body's frame; its winding, which gives the outside, is taken from the file."""
+def _mesh(model: Model, part: dict[str, Any], matrix: _Floats) -> tuple[Mesh, _Floats | None]:
+    """Return a part's shape, and the place in its texture of each corner, (m, 3, 2); None: it has no texture.
+
+    Its winding, which gives the outside, is taken from the file.
+    """
     points = model.arrays[part["vertices"]] @ matrix[:3, :3].T + matrix[:3, 3]
     faces = model.arrays[part["faces"]]
+    faces = faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else faces
     try:
-        return build_mesh(points, faces[:, ::-1] if np.linalg.det(matrix[:3, :3]) < 0 else faces, turns=False)
+        mesh = build_mesh(points, faces, np.arange(len(faces), dtype=np.float64), turns=False)
     except SceneError as error:
         name = model.header["nodes"][part["node"]]["name"]
         raise SceneError(f"{model.path}: node {name!r}: {error}") from error
+    kept = np.asarray(mesh.albedo)[:, 0].astype(np.int64)  # facets without area are dropped
+    texture = part.get("texture")
+    return replace(mesh, albedo=None), model.arrays[texture["uv"]][faces[kept]] if texture else None
 
 
 def _ancestry(node: int, model: Model) -> list[int]:
