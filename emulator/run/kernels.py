@@ -366,7 +366,7 @@ def _started(part: Part) -> _Running:
 def _safe_path() -> Iterator[None]:
     """Start the server without the working directory among its places of modules.
 
-    Up to Python 3.12 it ignores our places when it imports modules ahead. In the source folder it would compile the
+    In Python 3.11 it ignores our places when it imports modules ahead. In the source folder it would compile the
     sources there, and an installed program would find nothing compiled.
     """
     before = os.environ.get("PYTHONSAFEPATH")

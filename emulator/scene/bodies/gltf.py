@@ -36,7 +36,7 @@ _KNOWN_EXTENSIONS = ("KHR_mesh_quantization", "KHR_materials_", "KHR_texture_tra
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB, ITU-R BT.709
-_FARTHEST_UV = 1e4
+_FARTHEST_UV = 1e4  # images
 _FLAT_COSINE = 0.9998  # normals within a degree of the facet's
 
 _Array = npt.NDArray[Any]
