@@ -137,17 +137,6 @@ def _check_link(rig: Rig, link: str | None) -> None:
         )
 
 
-def _compile_ahead(rig: Rig) -> None:
-    """Compile what this machine has not compiled yet, in processes of their own.
-
-    In the process that compiles it, code may differ in the last bit from the code that is stored and loaded later: the
-    first run on a machine would have other events than the next one.
-    """
-    if missing := uncompiled(parts_of(rig)):
-        log.warning("compiling, once on this machine: %s", ", ".join(part.name for part in missing))
-        prepare(missing)
-
-
 class LiveRun(Generic[Batch]):
     """A run that goes on while its `with` block does. Made by `run`.
 
@@ -299,7 +288,9 @@ class LiveRun(Generic[Batch]):
             self._changed.notify_all()
 
     def _run(self) -> None:
-        _compile_ahead(self.rig)
+        if missing := uncompiled(parts_of(self.rig)):
+            log.warning("compiling, once on this machine: %s", ", ".join(part.name for part in missing))
+            prepare(missing)
         setups = link_setups(self.rig, self._record)
         with (
             build_scene(self.rig) as scene,

@@ -9,6 +9,11 @@ of all declared sources is part of the version that numba compares before it rea
 as long as none of these sources changes. An index of other sources is ignored unread, so it may name types that no
 longer exist. A module that is missing in the declaration leaves stale code on disk when it changes; a test follows
 every entry through the names that it uses and compares them with the declaration.
+
+The functions that an entry calls are local to its machine code. numba by itself leaves them weak: where several codes
+define a function of one name, as in a process that compiles an entry and the kernels that it calls, all use the first
+definition. Each was optimised with its own callers, so results differed in the last bit between the process that
+compiles and one that reads the code from disk.
 """
 
 from __future__ import annotations
@@ -19,7 +24,10 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+from llvmlite.binding import Linkage
 from numba import njit
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.runtime.nrt import rtsys
 
 __all__ = ["RULE", "cache_folder", "checksum_of", "entry_of", "kernel", "place_of", "valid_for"]
@@ -54,6 +62,28 @@ def _load(stored: Any, signature: Any, target: Any) -> Any:
     """
     rtsys.initialize(target)
     return stored._load_overload(signature, target)
+
+
+class _EntryLibrary(JITCodeLibrary):  # type: ignore[misc]
+    """Code of an entry; the functions that it calls are local to its machine code, not to the module for callers."""
+
+    def _optimize_final_module(self) -> None:
+        super()._optimize_final_module()
+        self._shared_module = self._final_module.clone()
+        for function in self.get_defined_functions():
+            if function.linkage == Linkage.external:
+                self._shared_module.get_function(function.name).linkage = Linkage.linkonce_odr
+            else:
+                function.linkage = Linkage.internal
+
+
+class _EntryCompiler(Compiler):  # type: ignore[misc]
+    """numba's compiler for the entries."""
+
+    def compile_extra(self, function: Any) -> Any:
+        self.state.library = _EntryLibrary(self.state.targetctx.codegen(), function.__qualname__)
+        self.state.library.enable_object_caching()
+        return super().compile_extra(function)
 
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
@@ -91,7 +121,7 @@ def entry_of(*sources: str, **options: Any) -> Callable[[_Function], _Function]:
     checksum = _checksum(*sources, *RULE)
 
     def entry(function: _Function) -> _Function:
-        dispatcher: Any = njit(**{**_COUNTED, **options, "cache": True})(function)
+        dispatcher: Any = njit(**{**_COUNTED, **options, "cache": True}, pipeline_class=_EntryCompiler)(function)
         if dispatcher is function:
             return function
         dispatcher.sources = sources

@@ -6,12 +6,14 @@ compiled anew, once for all tests: at a first run. Each process in it notes the 
 
 import json
 import os
+import pickle
 import re
 import subprocess
 import sys
 import zipfile
 from collections import defaultdict
 from pathlib import Path
+from struct import unpack_from
 from types import SimpleNamespace
 
 import pytest
@@ -56,6 +58,33 @@ if __name__ == "__main__":
     cold = [part.name for part in uncompiled([*parts_of(rig), *coders])]
     printed = {"digest": digest.hexdigest(), "events": count, "failed": failed, "cold": cold, "process": os.getpid()}
     print(json.dumps(printed))
+"""
+
+PIXELS = """
+import dataclasses, hashlib
+import numpy as np
+import evstim
+from emulator.light import LightFrame
+from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.presets import PRESETS
+
+row, column = np.mgrid[:64, :96]
+rng = np.random.default_rng(1)
+size, phase, rate = rng.uniform(0.1, 1000, row.shape), rng.uniform(0, 6, row.shape), rng.uniform(10, 2000, row.shape)
+
+def light(t_s):
+    return (size * (1.05 + np.sin(phase + rate * t_s))).astype(np.float32)
+
+pixels = PixelArray(dataclasses.replace(PRESETS["davis346"], width=96, height=64), 1)
+sensor = evstim.Sensor("davis346", width=96, height=64, seed=1)
+pixels.reset(LightFrame(0, light(0)))
+sensor.reset(light(0))
+digest = hashlib.sha256()
+for k in range(1, 60):
+    rate_of_light = (size * rate * np.cos(phase + rate * k * 1e-3)).astype(np.float32)
+    digest.update(pixels.step(LightFrame(1_000_000 * k, light(k * 1e-3), rate_of_light)).t_ns)
+    digest.update(sensor.expose(light(k * 1e-3), 1_000_000 * k).tobytes())
+print(digest.hexdigest())
 """
 
 MANY_RIGS = """
@@ -124,6 +153,7 @@ def run_installed(installed, tmp_path_factory):
         )  # fmt: skip
         return done, [json.loads(line) for line in compilations.read_text().splitlines()]
 
+    run.kernels = folder / "kernels"
     return run
 
 
@@ -168,6 +198,52 @@ def test_no_kernel_is_compiled_for_two_sets_of_types(runs):
             types[kernel].add(re.sub(r"Literal\[int\]\(\d+\)", "int64", arguments))  # constants are on purpose
     assert len(types) > 100
     assert {kernel: found for kernel, found in types.items() if len(found) > 1} == {}
+
+
+def weak_functions(file):
+    """Return the names of the weak functions that an object file in ELF-64 defines."""
+    sections_at, size, count = *unpack_from("<Q", file, 0x28), *unpack_from("<HH", file, 0x3A)
+    sections = [unpack_from("<IIQQQQI", file, sections_at + size * k) for k in range(count)]
+    symbols = next(one for one in sections if one[1] == 2)
+    names = sections[symbols[6]]
+    for at in range(symbols[4], symbols[4] + symbols[5], 24):
+        name, information, _, section = unpack_from("<IBBH", file, at)
+        if information == 0x22 and section:
+            start = names[4] + name
+            yield file[start : file.index(b"\0", start)].decode()
+
+
+def object_code(stored):
+    """Return the object file in the data that numba stores for a function."""
+    if isinstance(stored, tuple) and len(stored) == 3 and stored[1] == "object":
+        return stored[2][0]
+    return next(filter(None, map(object_code, stored)), None) if isinstance(stored, tuple) else None
+
+
+@pytest.mark.anew
+@pytest.mark.timeout(3600)
+def test_functions_that_an_entry_calls_are_local_to_its_machine_code(run_installed, runs):
+    """No process replaces them by functions of the same name in the code of another entry."""
+    weak = {}
+    for path in run_installed.kernels.rglob("*.nbc"):
+        code = object_code(pickle.loads(path.read_bytes()))
+        assert code.startswith(b"\x7fELF"), path
+        weak[path.name] = list(weak_functions(code))
+    assert len(weak) > 20
+    assert {name: functions for name, functions in weak.items() if functions} == {}
+
+
+@pytest.mark.anew
+@pytest.mark.timeout(3600)
+def test_the_process_that_compiles_has_the_event_times_of_the_next_one(run_installed, runs):
+    """The first process has parts of the pixel step from disk, and compiles what calls them."""
+    for index in run_installed.kernels.rglob("step.advance-*.nbi"):
+        index.unlink()
+    (first, compiled), (again, compiled_again) = run_installed(PIXELS), run_installed(PIXELS)
+    assert first.returncode == again.returncode == 0, first.stderr + again.stderr
+    assert "emulator.sensor.pixels.step.advance" in {kernel for _, kernel, _ in compiled}
+    assert compiled_again == []
+    assert first.stdout == again.stdout != ""
 
 
 def covering_rigs():

@@ -5,12 +5,12 @@ The time of a compilation is nearly all in Python, in many small functions. Here
 - no search for garbage: a compilation makes millions of objects that live until its end
 - no wrapper for calls from Python, for functions that only compiled code calls: numba makes two for each function, and
   optimises them again in each caller
-- machine code only for functions that Python calls: the others are linked as LLVM modules, and LLVM optimises a module
-  once, with its caller, in place of once more by itself
+- machine code only for functions that Python calls: the others are linked as LLVM modules
 - types of an operation on the same types of numbers and arrays found once, in place of a search in all its versions
 - short answers in three small functions of numba that are called millions of times
 
-A process that runs a rig does not use this module.
+LLVM's passes are those of any process, so the machine code is the same. A process that runs a rig does not use this
+module.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from functools import cache
 from typing import Any
 
 import numba
-from numba.core import codegen, cpu, dispatcher, errors, ir, targetconfig
+from numba.core import codegen, cpu, dispatcher, ir, targetconfig
 from numba.core import types as kinds
 from numba.core.caching import NullCache
 
@@ -35,7 +35,6 @@ _Instruction: Any = ir.Inst
 _Options: Any = targetconfig.TargetConfig
 _OptionsInUse: Any = targetconfig.ConfigStack
 _numba: Any = numba
-_errors: Any = errors
 
 _TESTED = "0.68."  # these are internals of numba; another version compiles as it does by itself
 _NO_WRAPPERS = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -49,11 +48,9 @@ def compile_fast() -> None:
         return
     _leave_out_wrappers()
     _leave_out_machine_code()
-    _optimise_with_the_caller()
     _remember_types()
     _shorten_comparisons()
     _shorten_list_vars()
-    _errors._termcolor_inst = _PlainText()  # in place of colours, for messages that are not shown
 
 
 def _leave_out_wrappers() -> None:
@@ -90,18 +87,6 @@ def _leave_out_machine_code() -> None:
     _Context.get_executable = executable
 
 
-def _optimise_with_the_caller() -> None:
-    """Leave out LLVM's passes over the module of a function without a wrapper: they run over that of its caller."""
-    optimise = _Library._optimize_final_module
-
-    def optimise_module(self: Any) -> None:
-        options = _OptionsInUse.top_or_none()
-        if options is None or not options.no_cpython_wrapper:
-            optimise(self)
-
-    _Library._optimize_final_module = optimise_module
-
-
 def _remember_types() -> None:
     """Keep the result of an operation on plain types with the operation, whose versions are all known by then."""
     find = _Function.get_call_type
@@ -129,13 +114,9 @@ def _shorten_comparisons() -> None:
         names = self._values.keys() | other._values.keys()
         return all(getattr(self, name) == getattr(other, name) for name in names)
 
-    hash_of = cache(_hash_of_names)
+    hash_of = cache(lambda kind: hash(tuple(sorted(kind.options))))
     _Options.__eq__ = equal
     _Options.__hash__ = lambda self: hash_of(self.__class__)
-
-
-def _hash_of_names(kind: Any) -> int:
-    return hash(tuple(sorted(kind.options)))
 
 
 def _shorten_list_vars() -> None:
@@ -155,12 +136,3 @@ def _shorten_list_vars() -> None:
         return [] if is_leaf(value.__class__) else find(self, value)
 
     _Instruction._rec_list_vars = list_vars
-
-
-class _PlainText:
-    """Texts without colours, in place of numba's scheme of colours."""
-
-    def _same(self, text: str) -> str:
-        return text
-
-    code = errmsg = filename = indicate = highlight = reset = _same

@@ -142,3 +142,39 @@ def test_a_constant_of_a_declared_module_is_frozen_no_longer_than_it_is_true(tmp
         (tmp_path / "own/layout.py").write_text(f"COLUMN = {column}  # as it is now\n")
         told.append(output_of("import own.loops", tmp_path))
     assert told == ["11 0", "11 1", after]
+
+
+TWO_ENTRIES = """
+import math, os
+from firmware_protocol.compiled import entry_of, kernel
+
+SCALE = float(os.environ["SCALE"])
+
+@kernel
+def scaled(x):  # too long to be inlined
+    return SCALE * ({terms})
+
+@entry_of("firmware_protocol.compiled")
+def first(x):
+    return scaled(x)
+
+@entry_of("firmware_protocol.compiled")
+def second(x):
+    return scaled(x)
+"""
+
+
+@pytest.mark.system
+def test_an_entry_calls_its_own_functions_where_another_has_some_of_the_same_name(tmp_path):
+    """Each of two processes compiles one entry, so both codes define a `scaled` of one name, with other factors."""
+    terms = " + ".join(f"0 * math.sin(x + {k})" for k in range(40))
+    (tmp_path / "two.py").write_text(TWO_ENTRIES.format(terms=f"x + {terms}"))
+
+    def values(scale, *names):
+        calls = ", ".join(f"two.{name}(7.0)" for name in names)
+        program = f"import os; os.environ['SCALE'] = '{scale}'; import two; print({calls})"
+        return output_of(program, tmp_path, ROOT).split()
+
+    assert values(2, "first") == ["14.0"]
+    assert values(3, "second") == ["21.0"]
+    assert values(5, "first", "second") == values(5, "second", "first")[::-1] == ["14.0", "21.0"]
