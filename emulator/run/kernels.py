@@ -23,6 +23,7 @@ from multiprocessing.connection import wait
 from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -127,11 +128,17 @@ def _has_groups(rig: Rig, link: LinkParameters) -> bool:
 
 
 def _effects(sensor: SensorParameters) -> Part:
-    scans = float(bool(sensor.readout.scan_us))
-    times = dataclasses.replace(PRESETS["davis346"].readout, scan_us=scans)  # no kernel depends on these parameters
-    plain = dataclasses.replace(sensor, readout=times)
-    variant = f"{zlib.crc32(repr(plain).encode()):08x}"
+    present = _present(dataclasses.asdict(sensor))
+    variant = f"{zlib.crc32(repr(present).encode()):08x}"
     return Part("read-out and effects", 4.5, partial(_read_out, sensor), variant)
+
+
+def _present(parameters: dict[str, Any]) -> dict[str, Any]:
+    """Return what kernels depend on: the words, and which of the numbers are not zero."""
+    return {
+        name: _present(value) if isinstance(value, dict) else value if isinstance(value, str) else bool(value)
+        for name, value in parameters.items()
+    }
 
 
 def _of_the_step(which: str) -> None:

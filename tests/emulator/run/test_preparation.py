@@ -55,6 +55,19 @@ def test_a_rig_compiles_each_part_once(name):
     assert len(set(keys)) == len(keys) >= 3
 
 
+def test_other_numbers_of_a_sensor_need_no_other_kernels_and_other_effects_do():
+    rig = load_rig("eros")
+
+    def keys(**changes):
+        sensor = dataclasses.replace(rig.camera.sensor, **changes)
+        other = dataclasses.replace(rig, camera=dataclasses.replace(rig.camera, sensor=sensor))
+        return {part.key for part in parts_of(other)}
+
+    assert keys() == keys(threshold_on=0.31, readout=dataclasses.replace(rig.camera.sensor.readout, event_ns=300.0))
+    assert keys() != keys(noise=dataclasses.replace(rig.camera.sensor.noise, rms=0.0))
+    assert keys() != keys(noise=dataclasses.replace(rig.camera.sensor.noise, grade="grid"))
+
+
 def test_steps_under_control_need_the_light_of_single_pixels(monkeypatch):
     rig, queried = load_rig("eros"), []
     controlled = dataclasses.replace(rig, run=dataclasses.replace(rig.run, tolerance_us=100.0))
