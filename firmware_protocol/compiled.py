@@ -26,8 +26,7 @@ from typing import Any, TypeVar
 
 from llvmlite.binding import Linkage
 from numba import njit
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
+from numba.core import codegen, compiler
 from numba.core.runtime.nrt import rtsys
 
 __all__ = ["RULE", "cache_folder", "checksum_of", "entry_of", "kernel", "place_of", "valid_for"]
@@ -64,7 +63,11 @@ def _load(stored: Any, signature: Any, target: Any) -> Any:
     return stored._load_overload(signature, target)
 
 
-class _EntryLibrary(JITCodeLibrary):  # type: ignore[misc]
+_Library: Any = codegen.JITCodeLibrary
+_Compiler: Any = compiler.Compiler
+
+
+class _EntryLibrary(_Library):  # type: ignore[misc]
     """Code of an entry; the functions that it calls are local to its machine code, not to the module for callers."""
 
     def _optimize_final_module(self) -> None:
@@ -77,7 +80,7 @@ class _EntryLibrary(JITCodeLibrary):  # type: ignore[misc]
                 function.linkage = Linkage.internal
 
 
-class _EntryCompiler(Compiler):  # type: ignore[misc]
+class _EntryCompiler(_Compiler):  # type: ignore[misc]
     """numba's compiler for the entries."""
 
     def compile_extra(self, function: Any) -> Any:
