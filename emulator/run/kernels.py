@@ -10,6 +10,7 @@ kernels records that a part is done. Without that file everything works too, and
 from __future__ import annotations
 
 import dataclasses
+import gc
 import multiprocessing
 import os
 import signal
@@ -399,10 +400,7 @@ def _compile(part: Part) -> None:
         signal.SIGINT, signal.SIG_IGN
     )  # the parent process ends it, by a signal that was blocked at the start
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
-    with suppress(ImportError, AttributeError):  # another version of numba may lack what this changes
-        from emulator.run.fast_compilation import compile_fast
-
-        compile_fast()
+    gc.disable()  # a compilation makes millions of objects that live until its end
     part.compile()
     note = _note(part)
     with suppress(OSError):  # then numba has nowhere to write either
