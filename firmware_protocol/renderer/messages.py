@@ -84,7 +84,6 @@ __all__ = [
     "Camera",
     "Draw",
     "End",
-    "Header",
     "Hello",
     "Image",
     "Layers",
@@ -159,23 +158,15 @@ ANY_TIME = -(1 << 63)
 """Time of a request whose image may have any later time."""
 
 
-@dataclass(frozen=True)
-class Header:
-    """Type of a message, and the length of the rest of it."""
-
-    type: Type
-    length: int
-
-
-def parse_header(octets: bytes) -> Header:
-    """Return the header of a message from its 16 octets; raises MessageError."""
+def parse_header(octets: bytes) -> tuple[Type, int]:
+    """Return the type of a message, and the length of the rest of it, from its first 16 octets; raises MessageError."""
     magic, number, version, length = _HEADER.unpack(octets)
     if magic != _MAGIC:
         raise MessageError(f"a message begins with {magic!r}, not with {_MAGIC!r}: this is no renderer of evstim's")
     if version != _VERSION:
         raise MessageError(f"version {version} of the messages is not supported: use version {_VERSION}")
     try:
-        return Header(Type(number), length)
+        return Type(number), length
     except ValueError:
         raise MessageError(f"there is no message of type {number}") from None
 

@@ -54,15 +54,9 @@ _VIEWS = ("_head", "_body", "_times", "cells")  # of the memory, in each process
 
 
 class SharedMemory:
-    """Zeros that processes share: pass it as an argument to a process started by the spawn method.
+    """Zeroed `octets` that processes share: pass it as an argument to a process started by the spawn method.
 
-    It has no name in a folder, as the shared memory of `multiprocessing` has: machines whose /dev/shm is small or
-    read-only can run evstim.
-
-    Attributes
-    ----------
-    octets : mmap.mmap
-        Its octets.
+    The memory of `multiprocessing` has a name in /dev/shm, which may be small or read-only; this one has none.
     """
 
     def __init__(self, size: int, inherited: Any = None) -> None:

@@ -40,7 +40,6 @@ from firmware_protocol.renderer.messages import (
     Camera,
     Draw,
     End,
-    Header,
     Hello,
     Image,
     MessageError,
@@ -180,17 +179,17 @@ class _Guest:
         self._missing = self._missing[self.stream.read_some(self._missing, 0.0) :]
         if len(self._missing) > Hello.OCTETS:
             return None
-        header = parse_header(self._octets[:HEADER_OCTETS])
-        _require(header, Type.HELLO, Hello.OCTETS)
-        return None if self._missing else Hello.parse(self._octets[HEADER_OCTETS:][: header.length])
+        kind, length = parse_header(self._octets[:HEADER_OCTETS])
+        _require(kind, length, Type.HELLO, Hello.OCTETS)
+        return None if self._missing else Hello.parse(self._octets[HEADER_OCTETS:][:length])
 
 
-def _require(header: Header, kind: Type, most: int) -> None:
-    """Raise MessageError unless a message is of the type `kind` and of at most `most` octets."""
-    if header.type is not kind:
-        raise MessageError(f"{header.type.name} came instead of {kind.name}")
-    if header.length > most:
-        raise MessageError(f"{kind.name} has {header.length} octets, at most {most} are expected")
+def _require(kind: Type, length: int, expected: Type, most: int) -> None:
+    """Raise MessageError unless a message is of the type `expected` and of at most `most` octets."""
+    if kind is not expected:
+        raise MessageError(f"{kind.name} came instead of {expected.name}")
+    if length > most:
+        raise MessageError(f"{kind.name} has {length} octets, at most {most} are expected")
 
 
 class _Stream:
@@ -234,14 +233,14 @@ class _Stream:
         self.read_into(memoryview(octets), until_s)
         return bytes(octets)
 
-    def expect(self, kind: Type, most: int, until_s: float) -> int:
-        """Return the length of the next message, of type `kind`; raises RendererEnded for an END."""
-        header = parse_header(self.read(HEADER_OCTETS, until_s))
-        if header.type is Type.END:
-            reason = End.parse(self.read(min(header.length, 1001), until_s)).reason
+    def expect(self, expected: Type, most: int, until_s: float) -> int:
+        """Return the length of the next message, of type `expected`; raises RendererEnded for an END."""
+        kind, length = parse_header(self.read(HEADER_OCTETS, until_s))
+        if kind is Type.END:
+            reason = End.parse(self.read(min(length, 1001), until_s)).reason
             raise RendererError(f"it ended: {reason}") if reason else RendererEnded("its scene has ended")
-        _require(header, kind, most)
-        return header.length
+        _require(kind, length, expected, most)
+        return length
 
     def close(self) -> None:
         self._socket.close()
@@ -332,10 +331,6 @@ class RendererConnection:
 def _sealed_memory(octets: int) -> FileIO:
     """Return a file in memory, whose size nobody can change; raises OSError where there is no room."""
     memory = FileIO(os.memfd_create("evstim-renderer", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING), "r+")
-    try:
-        os.posix_fallocate(memory.fileno(), 0, octets)
-        fcntl.fcntl(memory, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL)
-    except OSError:
-        memory.close()
-        raise
+    os.posix_fallocate(memory.fileno(), 0, octets)
+    fcntl.fcntl(memory, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL)
     return memory
