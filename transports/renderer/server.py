@@ -12,7 +12,7 @@ read like a file, never mapped, because a mapped page that has gone is a signal 
 advance.
 
 One renderer is served; the port closes when it is accepted. Up to `_GUESTS` peers may send their HELLO at the same
-time, so that silent ones keep nobody out; the oldest makes room for a newer one. A peer that is not allowed, sends
+time, so that silent ones keep no renderer out; the oldest makes room for a newer one. A peer that is not allowed, sends
 something else or nothing is disconnected. A peer that has sent a HELLO is the renderer, or fails within `_GREETING_S`.
 """
 
@@ -329,7 +329,7 @@ class RendererConnection:
 
 
 def _sealed_memory(octets: int) -> FileIO:
-    """Return a file in memory, whose size nobody can change; raises OSError where there is no room."""
+    """Return a file in memory, whose size cannot be changed; raises OSError where there is no room."""
     memory = FileIO(os.memfd_create("evstim-renderer", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING), "r+")
     os.posix_fallocate(memory.fileno(), 0, octets)
     fcntl.fcntl(memory, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL)
