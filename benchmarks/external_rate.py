@@ -2,7 +2,7 @@
 
     python benchmarks/external_rate.py [IMAGES]
 
-The renderer copies a finished image into each slot: one copy. evstim checks every number of it, in place. "carrier"
+The renderer copies a finished image into each slot, and evstim copies it again and checks every number of it. "carrier"
 receives and checks; "scene" also writes a light frame for each image, half way between two.
 """
 
@@ -15,7 +15,7 @@ import time
 import numpy as np
 
 from emulator.geometry.camera import Pinhole
-from emulator.scene.external.external import External, ImageQueue, compile_kernels, slots_of
+from emulator.scene.external.external import External, ImageQueue, compile_kernels
 from emulator.scene.external.table import ExternalParameters
 from evstim.renderer import Renderer
 from firmware_protocol.renderer.messages import Camera
@@ -42,7 +42,7 @@ def images_a_second(count: int, *, shared: bool, lit: bool) -> float:
         target=draw, args=(server.address[1],), kwargs={"shared": shared}
     )
     drawing.start()
-    connection = server.accept(Camera(SIZE, 1000.0, PERIOD_NS, slots_of(p), 0), 60.0)
+    connection = server.accept(Camera(SIZE, 1000.0, PERIOD_NS, p.slots, 0), 60.0)
     assert connection is not None
     queue = ImageQueue(connection, p)
     scene, out = External(queue, Pinhole(*SIZE, 1000.0), 1.0), np.zeros(SIZE[::-1], np.float32)

@@ -11,7 +11,8 @@
 
 A loop over a `Renderer` gives one `Image` for each request, with its time `image.t_ns` in ns. Where the rig lets the
 renderer choose the times (`images = "pushed"`), `image.t_ns` is None, and `image.send(t_ns=...)` gives it. All arrays
-are to be filled completely; they are those of the shared memory, where that is used, so that nothing is copied.
+are to be filled completely. They are those of the shared memory, where that is used, so `send` makes them read-only:
+evstim copies them then.
 
 The messages are drawn in evstim's docs/renderers.md. This file is in the public domain (CC0), so that renderers under
 any licence can use it.
@@ -136,6 +137,9 @@ class Image:
         given = self.t_ns if t_ns is None else t_ns
         if given is None:
             raise ValueError("this rig leaves the times to the renderer: send(t_ns=...)")
+        for plane in (self.light, self.motion, self.depth, self.rate):
+            if plane is not None:
+                plane.flags.writeable = False
         self._renderer._send_image(self._number, given, motion_bound_px_s)
 
 
@@ -187,7 +191,8 @@ class Renderer:
             number, t_ns, slot, _, *pose = _DRAW.unpack(body)
             self._slot = slot
             place = None if math.isnan(pose[0]) else Pose(tuple(pose[:3]), tuple(pose[3:]))
-            yield Image(None if t_ns == _ANY_TIME else t_ns, place, number, self, **self._slots[slot])
+            planes = {name: plane.view() for name, plane in self._slots[slot].items()}
+            yield Image(None if t_ns == _ANY_TIME else t_ns, place, number, self, **planes)
 
     def end(self, reason: str = "") -> None:
         """Report the end of the scene to evstim, or the reason why no more images can be drawn, and disconnect."""
@@ -296,9 +301,14 @@ def _connected(host: str, port: int, wait_s: float) -> socket.socket:
 
 
 def _memories(path: str, slots: int, octets: int) -> list[memoryview]:
-    """Return the memory of each slot: shared, if there is a path."""
+    """Return the memory of each slot: shared, if there is a path; raises OSError."""
     if not path:
         return [memoryview(bytearray(octets))] * slots
-    with open(path, "r+b") as file:
-        whole = memoryview(mmap.mmap(file.fileno(), slots * octets))
-    return [whole[k * octets : (k + 1) * octets] for k in range(slots)]
+    with contextlib.suppress(OSError, ValueError), open(path, "r+b", buffering=0) as file:
+        memory = memoryview(mmap.mmap(file.fileno(), 0))
+        if len(memory) == slots * octets:  # in another container the path leads to another program's file
+            return [memory[k * octets : (k + 1) * octets] for k in range(slots)]
+    raise OSError(
+        f"the shared memory {path} cannot be opened: evstim runs in another container or as another user; send the "
+        "images through the connection, by Renderer(..., shared=False)"
+    )

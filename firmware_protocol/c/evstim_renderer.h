@@ -312,9 +312,9 @@ static inline int evstim_r_map(struct evstim_renderer *r, const char *path)
     void *memory = MAP_FAILED;
     int file = open(path, O_RDWR);
     if (file < 0)
-        return evstim_r_system(r, "the shared memory cannot be opened (is evstim on this machine?)");
+        return evstim_r_system(r, "the shared memory cannot be opened (is evstim in this machine and container?)");
     r->memory_octets = r->slots * r->slot_octets;
-    if (fstat(file, &status) == 0 && status.st_size >= (off_t)r->memory_octets)
+    if (fstat(file, &status) == 0 && status.st_size == (off_t)r->memory_octets) /* else another program's file */
         memory = mmap(NULL, r->memory_octets, PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
     close(file);
     if (memory == MAP_FAILED)

@@ -48,7 +48,6 @@ __all__ = [
     "PacketType",
     "SequenceFlags",
     "SpacePacket",
-    "idle_packet",
     "whole_packets",
 ]
 
@@ -150,17 +149,6 @@ class SpacePacket:
             secondary_header=bool(header["secondary_header"]),
             sequence_flags=SequenceFlags(header["sequence_flags"]),
         )
-
-
-def idle_packet(data_octets: int, sequence_count: int = 0) -> SpacePacket:
-    """Return a packet that fills a line and carries no information; its data are 0x55."""
-    return SpacePacket(
-        type=PacketType.TELEMETRY,
-        apid=APID_IDLE,
-        sequence_count=sequence_count,
-        data=b"\x55" * data_octets,
-        secondary_header=False,
-    )
 
 
 def whole_packets(octets: bytes) -> list[bytes]:

@@ -10,8 +10,8 @@ Every message begins with a header of 16 octets:
     renderer                             evstim
     HELLO (1) -------------------------> checks it
               <------------------------- CAMERA (2)
-    READY (3) -------------------------> with shared memory: the file is mapped, and its name is removed
-              <------------------------- DRAW (4), as many as there are free slots
+    READY (3) -------------------------> with shared memory: the renderer has mapped the file
+              <------------------------- DRAW (4), as many as there are slots
     IMAGE (5) -------------------------> one for each DRAW, in their order
     END (6)   <------------------------> from either side; the connection closes
 
@@ -34,6 +34,12 @@ CAMERA, 40 octets and a path: the camera without distortion, its boresight in th
     28  u32       1: DRAW has the pose of the camera; 0: it has none
     32  u64       octets of a slot
     40  char[]    path of the file of the shared memory, UTF-8; empty without
+
+The file has no name in a folder: its path, /proc/PID/fd/NUMBER, leads to a descriptor of evstim's process. The renderer
+opens it for reading and writing, without O_TRUNC, and maps it (MAP_SHARED). Its size is sealed: it cannot be changed. A
+slot belongs to the renderer from the DRAW that names it to its IMAGE. Then evstim copies it, and looks at the copy
+alone; what is written into the slot after the IMAGE, and before the next DRAW that names it, is in no image or spoils
+one.
 
 DRAW, 80 octets: a request of one image.
 
@@ -78,7 +84,6 @@ __all__ = [
     "Camera",
     "Draw",
     "End",
-    "Header",
     "Hello",
     "Image",
     "Layers",
@@ -153,23 +158,15 @@ ANY_TIME = -(1 << 63)
 """Time of a request whose image may have any later time."""
 
 
-@dataclass(frozen=True)
-class Header:
-    """Type of a message, and the length of the rest of it."""
-
-    type: Type
-    length: int
-
-
-def parse_header(octets: bytes) -> Header:
-    """Return the header of a message from its 16 octets; raises MessageError."""
+def parse_header(octets: bytes) -> tuple[Type, int]:
+    """Return the type of a message, and the length of the rest of it, from its first 16 octets; raises MessageError."""
     magic, number, version, length = _HEADER.unpack(octets)
     if magic != _MAGIC:
         raise MessageError(f"a message begins with {magic!r}, not with {_MAGIC!r}: this is no renderer of evstim's")
     if version != _VERSION:
         raise MessageError(f"version {version} of the messages is not supported: use version {_VERSION}")
     try:
-        return Header(Type(number), length)
+        return Type(number), length
     except ValueError:
         raise MessageError(f"there is no message of type {number}") from None
 
@@ -206,6 +203,8 @@ class Hello:
     white: int = 0
     shared: bool = False
     name: str = ""
+
+    OCTETS: ClassVar[int] = _HELLO.size
 
     def __post_init__(self) -> None:
         if self.levels is Levels.FLOAT32:

@@ -14,7 +14,6 @@ report, so the ledger of a run takes the number of events that had left the came
 from __future__ import annotations
 
 import math
-import multiprocessing
 import time
 import zlib
 from collections.abc import Sequence
@@ -31,7 +30,7 @@ from firmware_protocol.events import Edges, Events, copy_events, empty_edges, em
 from firmware_protocol.frames import FrameAssembler, WholeFrame
 from firmware_protocol.imu_samples import ImuSamples, no_samples, physical
 from transports.link.pacing import Clock
-from transports.link.rings import FREE_RUNNING, EventRing
+from transports.link.rings import FREE_RUNNING, EventRing, SharedMemory
 from transports.recording.live import AnyRecorder, ForwardingRecorder
 from transports.recording.part import IMU, Frame, Part, RecordingSummary, counts_of
 
@@ -340,13 +339,13 @@ class DeliveryTally:
 
     def __init__(self) -> None:
         # One aligned 8-byte store is atomic; a killed process could leave a lock taken for ever.
-        self._value: Any = multiprocessing.get_context("spawn").RawValue("q", 0)
+        self._memory = SharedMemory(8)
 
     @property
     def delivered(self) -> int:
         """Number of events that left the camera and were not lost on the link."""
-        return int(self._value.value)
+        return memoryview(self._memory.octets).cast("q")[0]
 
     @delivered.setter
     def delivered(self, count: int) -> None:
-        self._value.value = count
+        memoryview(self._memory.octets).cast("q")[0] = count

@@ -31,10 +31,12 @@ of its sleep.
 from __future__ import annotations
 
 import bisect
-import multiprocessing
+import mmap
 import os
+import weakref
 from contextlib import suppress
 from multiprocessing.connection import Connection
+from multiprocessing.reduction import DupFd
 from typing import Any
 
 import numpy as np
@@ -44,11 +46,27 @@ from firmware_protocol.device.event_device import ReadingKind, Readings
 from firmware_protocol.events import EVENT, Events
 from firmware_protocol.frames import LineKind
 
-__all__ = ["FOREVER_US", "FREE_RUNNING", "MOST_NUMBERS", "EventRing", "ReadingRing", "SharedRing"]
+__all__ = ["FOREVER_US", "FREE_RUNNING", "MOST_NUMBERS", "EventRing", "ReadingRing", "SharedMemory", "SharedRing"]
 
 
 _WRITTEN, _TAKEN, _REFUSED, _CELLS = range(4)
 _VIEWS = ("_head", "_body", "_times", "cells")  # of the memory, in each process
+
+
+class SharedMemory:
+    """Zeroed `octets` that processes share: pass it as an argument to a process started by the spawn method.
+
+    The memory of `multiprocessing` has a name in /dev/shm, which may be small or read-only; this one has none.
+    """
+
+    def __init__(self, size: int, inherited: Any = None) -> None:
+        self._descriptor = inherited.detach() if inherited else os.memfd_create("evstim-ring")
+        weakref.finalize(self, os.close, self._descriptor)
+        os.ftruncate(self._descriptor, size)
+        self.octets = mmap.mmap(self._descriptor, size)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return SharedMemory, (len(self.octets), DupFd(self._descriptor))
 
 
 class SharedRing:
@@ -72,22 +90,16 @@ class SharedRing:
     def __init__(self, record: np.dtype[Any], capacity: int, cells: int = 0) -> None:
         if capacity < 1:
             raise ValueError(f"a ring holds at least one record, got capacity {capacity}")
-        context = multiprocessing.get_context("spawn")
-        self._memory = (
-            context.RawArray("q", _CELLS + cells),
-            context.RawArray("B", capacity * record.itemsize),
-            record,
-        )
+        self._record, self._numbers = record, _CELLS + cells
+        # numpy copies these as bytes, but structured records field by field, which is 50 times slower
+        self._raw = np.dtype(f"V{record.itemsize}")
+        self._memory = SharedMemory(8 * self._numbers + capacity * record.itemsize)
         self._map()
 
     def _map(self) -> None:
-        head, body, record = self._memory
-        self._record = record
-        # numpy copies these as bytes, but structured records field by field, which is 50 times slower
-        self._raw = np.dtype(f"V{record.itemsize}")
-        self._head = np.frombuffer(head, np.int64)
-        self._body = np.frombuffer(body, self._raw)
-        self._times = self._body.view(record)["t"]
+        self._head = np.frombuffer(self._memory.octets, np.int64, self._numbers)
+        self._body = np.frombuffer(self._memory.octets, self._raw, offset=self._head.nbytes)
+        self._times = self._body.view(self._record)["t"]
         self.cells = self._head[_CELLS:]
 
     def __getstate__(self) -> dict[str, Any]:

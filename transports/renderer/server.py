@@ -1,32 +1,34 @@
-"""TCP port for one external renderer, and the slots that its images come in.
+"""TCP port for one external renderer, and the memory that its images come in.
 
     server = RendererServer("127.0.0.1", 5560)
     connection = server.accept(wanted, wait_s=30)      HELLO, CAMERA, READY
-    connection.request(t_ns)                           a DRAW into a free slot
-    image = connection.receive(timeout_s=5)            its planes are views of the slot: no copy
-    connection.release(image)                          the slot may be drawn into again
+    connection.request(t_ns)                           a DRAW into the next slot
+    image = connection.receive(timeout_s=5)            its planes are a copy of the slot, which is free again
 
-The pixels come over the socket, read straight into the slot, or are written by the renderer into memory that both map:
-a file of /dev/shm, whose name is removed as soon as the renderer has mapped it, so that nothing is left behind whatever
-ends. Its room is reserved in advance: a full memory is an error at the start, not a signal later.
+The pixels come over the socket, or the renderer writes them into memory that both processes share. That memory is a
+file without a name in any folder (memfd), which the renderer opens by its path in /proc. Whatever the renderer does to
+it, this process goes on: its size is sealed, so that opening it with O_TRUNC is an error in the renderer; and it is
+read like a file, never mapped, because a mapped page that has gone is a signal (SIGBUS). Its room is reserved in
+advance.
 
-One renderer is served; the port closes when it is accepted. A peer that is not allowed, sends something else or
-nothing is disconnected, and the next one is accepted until the time is over.
+One renderer is served; the port closes when it is accepted. Up to `_GUESTS` peers may send their HELLO at the same
+time, so that silent ones keep no renderer out; the oldest makes room for a newer one. A peer that is not allowed, sends
+something else or nothing is disconnected. A peer that has sent a HELLO is the renderer, or fails within `_GREETING_S`.
 """
 
 from __future__ import annotations
 
+import fcntl
 import math
-import mmap
 import os
 import socket
-import tempfile
 import time
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
+from io import FileIO
+from multiprocessing.connection import wait
 from typing import Any
 
 import numpy as np
@@ -53,9 +55,9 @@ __all__ = ["Drawn", "RendererConnection", "RendererEnded", "RendererError", "Ren
 
 _GREETING_S = 2.0
 _SEND_S = 5.0
-_BACKLOG = 4
-
-_Bytes = npt.NDArray[np.uint8]
+_GUESTS = 64
+_BACKLOG = 128
+_REFUSALS = 4
 
 
 class RendererError(Exception):
@@ -73,23 +75,28 @@ class Drawn:
     Attributes
     ----------
     head : number, time and bound on motion.
-    slot : of its pixels.
-    planes : (height, width) or (height, width, 2) arrays by name, views of the slot; valid until it is released.
+    planes : (height, width) or (height, width, 2) arrays by name.
     """
 
     head: Image
-    slot: int
     planes: dict[str, npt.NDArray[Any]]
 
 
 class RendererServer:
-    """TCP port on `host` and `port` (0: any free one) for a renderer at one of `allow`; raises OSError."""
+    """TCP port on `host` and `port` (0: any free one) for a renderer at one of `allow`; raises OSError.
+
+    Attributes
+    ----------
+    refusals : addresses of the last refused peers, with the reasons.
+    """
 
     def __init__(self, host: str, port: int, allow: Sequence[str] = ()) -> None:
         self._allow = AllowList(allow)
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self._listener = socket.create_server((host, port), family=family, backlog=_BACKLOG)
-        self.refusals: list[str] = []
+        self._listener.setblocking(False)
+        self._guests: dict[Any, _Guest] = {}  # by their sockets, the oldest first
+        self.refusals: deque[str] = deque(maxlen=_REFUSALS)
 
     @property
     def address(self) -> tuple[str, int]:
@@ -105,38 +112,84 @@ class RendererServer:
         """
         until_s = time.monotonic() + wait_s
         try:
-            while (left_s := until_s - time.monotonic()) > 0:
-                self._listener.settimeout(left_s)
-                try:
-                    peer, address = self._listener.accept()
-                except TimeoutError:
-                    break
-                connection = self._greeted(peer, address[0], wanted)
-                if connection is not None:
-                    return connection
+            while (now_s := time.monotonic()) < until_s:
+                next_s = min([until_s, *(guest.until_s for guest in self._guests.values())])
+                ready = wait([self._listener, *self._guests], max(next_s - now_s, 0.0))
+                for peer in ready:
+                    if peer is not self._listener and (connection := self._greeted(peer, wanted)) is not None:
+                        return connection
+                if self._listener in ready:
+                    self._admit()
+                for peer in [peer for peer, guest in self._guests.items() if guest.until_s <= now_s]:
+                    self._refuse(peer, "nothing more came in time")
             return None
         finally:
             self.close()
 
     def close(self) -> None:
-        """Close the port; a second call does nothing."""
+        """Close the port, and the connections of peers that are not served; a second call does nothing."""
         self._listener.close()
+        for peer in list(self._guests):
+            self._refuse(peer, "the port was closed")
 
-    def _greeted(self, peer: socket.socket, address: str, wanted: Camera) -> RendererConnection | None:
-        """Return the connection of one peer; None, and a line in `refusals`, where it is no renderer."""
-        stream = _Stream(peer)
+    def _admit(self) -> None:
+        """Accept a peer, in place of the oldest one where there are too many."""
         try:
-            if not self._allow.permits(address):
-                raise RendererError("its address is not allowed")
-            return RendererConnection(stream, wanted)
+            peer, (address, *_) = self._listener.accept()
+        except OSError:  # it has gone already
+            return
+        self._guests[peer] = _Guest(_Stream(peer), address)
+        if not self._allow.permits(address):
+            self._refuse(peer, "its address is not allowed")
+        elif len(self._guests) > _GUESTS:
+            self._refuse(next(iter(self._guests)), "nothing more came before many others")
+
+    def _greeted(self, peer: Any, wanted: Camera) -> RendererConnection | None:
+        """Return the connection of a peer; None while its HELLO is not complete, and where it is no renderer."""
+        guest = self._guests[peer]
+        try:
+            hello = guest.hello()
+            if hello is None:
+                return None
+            connection = RendererConnection(guest.stream, hello, wanted)
         except (RendererError, MessageError) as error:
-            self.refusals.append(f"{address}: {error}")
-            stream.send_last(End(str(error)).pack())
-            stream.close()
-        except BaseException:
-            stream.close()
-            raise
-        return None
+            self._refuse(peer, str(error))
+            return None
+        del self._guests[peer]
+        return connection
+
+    def _refuse(self, peer: Any, reason: str) -> None:
+        guest = self._guests.pop(peer)
+        self.refusals.append(f"{guest.address}: {reason}")
+        guest.stream.send_last(End(reason).pack())
+        guest.stream.close()
+
+
+class _Guest:
+    """Peer at `address` that has not sent a whole HELLO, which it has to by `until_s`."""
+
+    def __init__(self, stream: _Stream, address: str) -> None:
+        self.stream, self.address = stream, address
+        self.until_s = time.monotonic() + _GREETING_S
+        self._octets = bytearray(HEADER_OCTETS + Hello.OCTETS)
+        self._missing = memoryview(self._octets)
+
+    def hello(self) -> Hello | None:
+        """Read what has come, and return the HELLO once it is complete; raises RendererError and MessageError."""
+        self._missing = self._missing[self.stream.read_some(self._missing, 0.0) :]
+        if len(self._missing) > Hello.OCTETS:
+            return None
+        kind, length = parse_header(self._octets[:HEADER_OCTETS])
+        _require(kind, length, Type.HELLO, Hello.OCTETS)
+        return None if self._missing else Hello.parse(self._octets[HEADER_OCTETS:][:length])
+
+
+def _require(kind: Type, length: int, expected: Type, most: int) -> None:
+    """Raise MessageError unless a message is of the type `expected` and of at most `most` octets."""
+    if kind is not expected:
+        raise MessageError(f"{kind.name} came instead of {expected.name}")
+    if length > most:
+        raise MessageError(f"{kind.name} has {length} octets, at most {most} are expected")
 
 
 class _Stream:
@@ -159,72 +212,64 @@ class _Stream:
             self._socket.settimeout(0)
             self._socket.send(octets)
 
+    def read_some(self, target: memoryview, until_s: float) -> int:
+        try:
+            self._socket.settimeout(max(until_s - time.monotonic(), 1e-3))
+            count = self._socket.recv_into(target)
+        except TimeoutError:
+            raise RendererError("nothing more came in time") from None
+        except OSError as error:
+            raise RendererError(f"the connection broke: {error.strerror or error}") from error
+        if not count:
+            raise RendererError("it closed the connection in the middle of its scene")
+        return count
+
     def read_into(self, target: memoryview, until_s: float) -> None:
         while target:
-            try:
-                self._socket.settimeout(max(until_s - time.monotonic(), 1e-3))
-                count = self._socket.recv_into(target)
-            except TimeoutError:
-                raise RendererError("nothing more came in time") from None
-            except OSError as error:
-                raise RendererError(f"the connection broke: {error.strerror or error}") from error
-            if not count:
-                raise RendererError("it closed the connection in the middle of its scene")
-            target = target[count:]
+            target = target[self.read_some(target, until_s) :]
 
     def read(self, count: int, until_s: float) -> bytes:
         octets = bytearray(count)
         self.read_into(memoryview(octets), until_s)
         return bytes(octets)
 
-    def expect(self, kind: Type, most: int, until_s: float) -> int:
-        """Return the length of the next message, of type `kind`; raises RendererEnded for an END."""
-        header = parse_header(self.read(HEADER_OCTETS, until_s))
-        if header.type is Type.END:
-            reason = End.parse(self.read(min(header.length, 1001), until_s)).reason
+    def expect(self, expected: Type, most: int, until_s: float) -> int:
+        """Return the length of the next message, of type `expected`; raises RendererEnded for an END."""
+        kind, length = parse_header(self.read(HEADER_OCTETS, until_s))
+        if kind is Type.END:
+            reason = End.parse(self.read(min(length, 1001), until_s)).reason
             raise RendererError(f"it ended: {reason}") if reason else RendererEnded("its scene has ended")
-        if header.type is not kind:
-            raise MessageError(f"{header.type.name} came instead of {kind.name}")
-        if header.length > most:
-            raise MessageError(f"{kind.name} has {header.length} octets, at most {most} are expected")
-        return header.length
+        _require(kind, length, expected, most)
+        return length
 
     def close(self) -> None:
         self._socket.close()
 
 
 class RendererConnection:
-    """The connection to one renderer, and its slots; made by `RendererServer.accept`.
+    """The connection to one renderer; made by `RendererServer.accept`.
 
     Attributes
     ----------
     hello : the images that it gives.
     """
 
-    def __init__(self, stream: _Stream, wanted: Camera) -> None:
-        until_s = time.monotonic() + _GREETING_S
+    def __init__(self, stream: _Stream, hello: Hello, wanted: Camera) -> None:
         self._stream = stream
-        self.hello = Hello.parse(stream.read(stream.expect(Type.HELLO, 80, until_s), until_s))
-        self._size = wanted.size
-        self._planes = planes_of(self.hello, wanted.size)
-        octets = slot_octets(self.hello, wanted.size)
-        self._memory = _Memory(wanted.slots * octets, shared=self.hello.shared)
+        self.hello = hello
+        self._size, self._slots = wanted.size, wanted.slots
+        self._planes = planes_of(hello, wanted.size)
+        self._octets = slot_octets(hello, wanted.size)
+        self._memory = _sealed_memory(self._slots * self._octets) if hello.shared else None
+        path = "" if self._memory is None else f"/proc/{os.getpid()}/fd/{self._memory.fileno()}"
         try:
-            stream.send(replace(wanted, slot_octets=octets, path=self._memory.path).pack())
+            stream.send(replace(wanted, slot_octets=self._octets, path=path).pack())
             stream.expect(Type.READY, 0, time.monotonic() + _GREETING_S)
         except BaseException:
-            self._memory.close()
+            self._close_memory()
             raise
-        self._memory.unlink()
-        self._slots = [self._memory.octets[k * octets : (k + 1) * octets] for k in range(wanted.slots)]
-        self._free = deque(range(wanted.slots))
         self._requested: deque[Draw] = deque()
         self._count = 0
-
-    @property
-    def free(self) -> int:
-        """Number of slots that nothing uses."""
-        return len(self._free)
 
     @property
     def requested(self) -> int:
@@ -232,8 +277,11 @@ class RendererConnection:
         return len(self._requested)
 
     def request(self, t_ns: int = ANY_TIME, pose: tuple[float, ...] | None = None) -> None:
-        """Request the image of `t_ns`, seen from `pose`, into a free slot; raises RendererError, also when closed."""
-        slot = self._free.popleft()
+        """Request the image of `t_ns`, seen from `pose`; at most as many as there are slots before an image comes.
+
+        Raises RendererError, also when closed.
+        """
+        slot = self._count % self._slots  # images come in the order of requests, so the oldest slot is free
         draw = Draw(self._count, t_ns, slot) if pose is None else Draw(self._count, t_ns, slot, pose)
         self._count += 1
         self._requested.append(draw)
@@ -242,7 +290,7 @@ class RendererConnection:
     def receive(self, timeout_s: float) -> Drawn:
         """Return the image of the oldest request; raises RendererError, RendererEnded and MessageError."""
         draw, until_s = self._requested[0], time.monotonic() + timeout_s
-        pixels = 0 if self.hello.shared else self._slots[draw.slot].size
+        pixels = self._octets if self._memory is None else 0
         try:
             length = self._stream.expect(Type.IMAGE, Image.OCTETS + pixels, until_s)
         except RendererEnded:
@@ -256,54 +304,33 @@ class RendererConnection:
             raise MessageError(
                 f"image {head.number} of {head.t_ns} ns came for request {draw.number} of {draw.t_ns} ns"
             )
-        if pixels:
-            self._stream.read_into(memoryview(self._slots[draw.slot]), until_s)  # type: ignore[arg-type]
+        octets = np.empty(self._octets, np.uint8)
+        if self._memory is None:
+            self._stream.read_into(memoryview(octets), until_s)  # type: ignore[arg-type]
+        elif os.preadv(self._memory.fileno(), [octets], draw.slot * self._octets) != self._octets:
+            raise RendererError("the shared memory could not be read completely")
         self._requested.popleft()
-        return Drawn(head, draw.slot, {plane.name: self._view(plane, draw.slot) for plane in self._planes})
-
-    def release(self, image: Drawn) -> None:
-        """Give the slot of an image back, whose planes are not used any more."""
-        self._free.append(image.slot)
+        return Drawn(head, {plane.name: self._view(plane, octets) for plane in self._planes})
 
     def close(self, reason: str = "") -> None:
         """End the connection; a second call does nothing."""
         self._stream.send_last(End(reason).pack())
         self._stream.close()
-        self._slots = []
-        self._memory.close()
+        self._close_memory()
 
-    def _view(self, plane: Plane, slot: int) -> npt.NDArray[Any]:
+    def _close_memory(self) -> None:
+        if self._memory is not None:
+            self._memory.close()
+
+    def _view(self, plane: Plane, octets: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
         width, height = self._size
         shape = (height, width) if plane.channels == 1 else (height, width, plane.channels)
-        return np.frombuffer(self._slots[slot], plane.dtype, math.prod(shape), plane.offset).reshape(shape)
+        return np.frombuffer(octets, plane.dtype, math.prod(shape), plane.offset).reshape(shape)
 
 
-class _Memory:
-    """Octets of all slots: of this process, or a mapped file that another process opens by `path`; raises OSError."""
-
-    def __init__(self, octets: int, *, shared: bool) -> None:
-        self.path = ""
-        if not shared:
-            self.octets: _Bytes = np.zeros(octets, np.uint8)
-            return
-        folder = "/dev/shm" if Path("/dev/shm").is_dir() else None
-        descriptor, self.path = tempfile.mkstemp(prefix="evstim-renderer-", dir=folder)
-        try:
-            os.posix_fallocate(descriptor, 0, octets)
-            self.octets = np.frombuffer(mmap.mmap(descriptor, octets), np.uint8)
-        except OSError:
-            self.unlink()
-            raise
-        finally:
-            os.close(descriptor)
-
-    def unlink(self) -> None:
-        """Remove the file's name; a second call does nothing."""
-        if self.path:
-            Path(self.path).unlink(missing_ok=True)
-        self.path = ""
-
-    def close(self) -> None:
-        """Remove the name; the memory is given back with the last view of it."""
-        self.unlink()
-        self.octets = np.zeros(0, np.uint8)
+def _sealed_memory(octets: int) -> FileIO:
+    """Return a file in memory, whose size cannot be changed; raises OSError where there is no room."""
+    memory = FileIO(os.memfd_create("evstim-renderer", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING), "r+")
+    os.posix_fallocate(memory.fileno(), 0, octets)
+    fcntl.fcntl(memory, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL)
+    return memory

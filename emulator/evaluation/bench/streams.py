@@ -7,9 +7,7 @@ a DAVIS346 sends: events of a saturated read-out, frames, inertial samples, mark
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import count
 
 import numpy as np
 import numpy.typing as npt
@@ -33,7 +31,6 @@ __all__ = [
     "DavisBatch",
     "checkerboard_stream",
     "davis_batches",
-    "endless_davis_batches",
     "saturated_stream",
     "scanned_stream",
     "stars",
@@ -196,13 +193,6 @@ class DavisBatch:
         both = [*blocks_of(ReadingKind.FRAMES, self.lines), *blocks_of(ReadingKind.IMU, self.samples)]
         return sorted(both, key=lambda block: block.t_us)
 
-    def later(self, by_us: int) -> DavisBatch:
-        """Return the same, later."""
-        parts = [part.copy() for part in (self.events, self.marks, self.lines, self.samples)]
-        for part in parts:
-            part["t"] += np.uint64(by_us)
-        return DavisBatch(*parts)
-
 
 def davis_batches(events: int, batch: int) -> list[DavisBatch]:
     """Return `events` events in batches of `batch`, with a frame each 40 ms, a sample and an edge each millisecond."""
@@ -216,15 +206,6 @@ def davis_batches(events: int, batch: int) -> list[DavisBatch]:
     edges = [int(stream["t"][at]) for at in range(batch, len(stream), batch)]
     cuts = [_cut(part, edges) for part in (stream, marks, lines, samples)]
     return [DavisBatch(*parts) for parts in zip(*cuts, strict=True)]
-
-
-def endless_davis_batches(events: int, batch: int) -> Iterator[DavisBatch]:
-    """Yield the same batches repeatedly; `events` a multiple of half a million, so that frames follow one another."""
-    rounds = davis_batches(events, batch)
-    span_us = rounds[-1].until_us + 1
-    for number in count():
-        for part in rounds:
-            yield part.later(number * span_us)
 
 
 def _cut(part: Readings, edges_us: list[int]) -> list[Readings]:

@@ -4,7 +4,8 @@ A light frame of time t needs the images around t. Requested images stand on a g
 that come next are requested in advance. A time before the present images, as the probe of a plan uses, starts again at
 the image of the grid before it: the renderer then gets an earlier time. Pushed images only go forward.
 
-Images stay in the slots that they came in, and are read there: no copy. Light of integers is converted by a table.
+Images are checked and read in memory of this process alone, which no renderer can write into later. Light of integers
+is converted by a table.
 
 The first image that is not finite, has negative light, or is not later than the one before ends the run, and so does
 a renderer that ends, or gives no image within `timeout_s`: the events until then have their fates. An END without a
@@ -32,7 +33,7 @@ from firmware_protocol.compiled import entry_of
 from firmware_protocol.renderer.messages import Camera, Hello, Levels, MessageError, Response
 from transports.renderer.server import Drawn, RendererConnection, RendererEnded, RendererError, RendererServer
 
-__all__ = ["External", "ExternalOnPath", "ImageQueue", "open_external", "slots_of"]
+__all__ = ["External", "ExternalOnPath", "ImageQueue", "open_external"]
 
 _LOG = logging.getLogger(__name__)
 _SRGB_KNEE = 0.04045
@@ -77,7 +78,7 @@ class ImageQueue:
 
     Parameters
     ----------
-    connection : to the renderer, with `slots_of(p)` slots.
+    connection : to the renderer, with `p.slots` slots.
     path : of the camera, or None.
 
     Attributes
@@ -90,7 +91,7 @@ class ImageQueue:
         self._connection, self._p = connection, p
         self._path, self._time = path, Timescale(p.time_scale)
         self._table = _light_table(connection.hello)
-        self._images: deque[tuple[TimedImage, Drawn]] = deque()
+        self._images: deque[TimedImage] = deque()
         self._next_ns = self._last_ns = 0
         self._zero_ns: int | None = None
         self.taken = 0
@@ -115,9 +116,8 @@ class ImageQueue:
 
     def pair(self, t_ns: int) -> Pair:
         """Return those of the present images that are around `t_ns`, or the nearest one twice."""
-        images = [image for image, _ in self._images]
-        later = next((k for k, image in enumerate(images) if image.t_ns >= t_ns), len(images) - 1)
-        return images[max(later - 1, 0)], images[later]
+        later = next((k for k, image in enumerate(self._images) if image.t_ns >= t_ns), len(self._images) - 1)
+        return self._images[max(later - 1, 0)], self._images[later]
 
     def close(self, reason: str = "") -> None:
         """End the connection; a second call does nothing."""
@@ -125,11 +125,11 @@ class ImageQueue:
         self._connection.close(reason)
 
     def _go_to(self, t_ns: int) -> None:
-        if self._images and t_ns < self._images[0][0].t_ns:
+        if self._images and t_ns < self._images[0].t_ns:
             self._restart(t_ns)
         if not self._images and not self._pushed:
             self._next_ns = t_ns // self._p.period_ns * self._p.period_ns
-        while not self._images or self._images[-1][0].t_ns < t_ns:
+        while not self._images or self._images[-1].t_ns < t_ns:
             self._receive()
         self._request(self._p.ahead)
 
@@ -146,24 +146,23 @@ class ImageQueue:
                 f"time {t_ns} ns was needed again, which pushed images cannot give: set no tolerance_us"
             )
         while self._connection.requested:
-            self._connection.release(self._connection.receive(self._p.timeout_s))
-        while self._images:
-            self._connection.release(self._images.pop()[1])
+            self._connection.receive(self._p.timeout_s)
+        self._images.clear()
 
     def _receive(self) -> None:
-        """Receive the next image, and give the slots of those back that no light frame needs."""
-        while len(self._images) > 1 and (self._images[1][0].t_ns <= self._last_ns or len(self._images) >= _KEPT):
-            self._connection.release(self._images.popleft()[1])
-        self._request(max(1, self._p.ahead))
+        """Receive the next image, and forget those that no light frame needs."""
+        while len(self._images) > 1 and (self._images[1].t_ns <= self._last_ns or len(self._images) >= _KEPT):
+            self._images.popleft()
+        self._request(self._p.slots)
         drawn = self._connection.receive(self._p.timeout_s)
-        self._images.append((self._checked(drawn), drawn))
+        self._images.append(self._checked(drawn))
         self.taken += 1
         bound = drawn.head.motion_bound_px_s
         self.bound_px_s = math.inf if math.isnan(bound) else bound
 
     def _request(self, count: int) -> None:
-        """Have `count` images requested, as far as slots are free."""
-        while self._connection.requested < count and self._connection.free:
+        """Have `count` images requested."""
+        while self._connection.requested < count:
             if self._pushed:
                 self._connection.request()
                 continue
@@ -189,7 +188,7 @@ class ImageQueue:
                     f"must be {_BOUNDS[name][0]:g} to {_BOUNDS[name][1]:g}"
                 )
         t_ns = self._stream_ns(drawn)
-        if self._images and t_ns <= self._images[-1][0].t_ns:
+        if self._images and t_ns <= self._images[-1].t_ns:
             raise RendererError(
                 f"image {drawn.head.number} is of {drawn.head.t_ns} ns, not later than the one before: times must go on"
             )
@@ -203,11 +202,6 @@ class ImageQueue:
         if self._zero_ns is None:
             self._zero_ns = drawn.head.t_ns - round(self._p.delay_ms * 1e6)
         return drawn.head.t_ns - self._zero_ns
-
-
-def slots_of(p: ExternalParameters) -> int:
-    """Return the number of slots for all images that are present or requested."""
-    return _KEPT + max(1, p.ahead)
 
 
 class External(Scene):
@@ -316,7 +310,7 @@ def open_external(p: ExternalParameters, pinhole: Pinhole, threads: int = 0) -> 
 
 def _connected(p: ExternalParameters, pinhole: Pinhole) -> RendererConnection:
     period_ns = 0 if p.images == "pushed" else p.period_ns
-    wanted = Camera(pinhole.size, pinhole.focal_px, period_ns, slots_of(p), 0, has_pose=p.camera is not None)
+    wanted = Camera(pinhole.size, pinhole.focal_px, period_ns, p.slots, 0, has_pose=p.camera is not None)
     try:
         server = RendererServer(p.host, p.port, p.allow)
         _LOG.info("waiting for a renderer on %s port %d, up to %g s", p.host, p.port, p.wait_s)
@@ -324,7 +318,7 @@ def _connected(p: ExternalParameters, pinhole: Pinhole) -> RendererConnection:
     except OSError as error:
         raise SceneError(f"scene: {p.host} port {p.port}: {error.strerror or error}") from error
     if connection is None:
-        refused = f"; refused: {'; '.join(server.refusals[-3:])}" if server.refusals else ""
+        refused = f"; refused: {'; '.join(server.refusals)}" if server.refusals else ""
         raise SceneError(
             f"no renderer connected to {p.host} port {p.port} within {p.wait_s:g} s (scene.wait_s){refused}; start one "
             "that uses evstim.renderer, or see docs/renderers.md"

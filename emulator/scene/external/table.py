@@ -82,6 +82,11 @@ class ExternalParameters:
         """Time from one requested image to the next, ns."""
         return round(self.period_ms * 1e6)
 
+    @property
+    def slots(self) -> int:
+        """Number of images that are requested at a time, each into a slot of its own."""
+        return max(1, self.ahead)
+
 
 EXTERNAL = SceneKind(
     ExternalParameters, "emulator.scene.external.external:open_external", lens="applied", kernels=False, threads=True

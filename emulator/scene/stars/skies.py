@@ -40,7 +40,6 @@ __all__ = [
     "DrawnField",
     "draw_field",
     "load_gaia",
-    "sky_radiance_w_m2_sr",
     "stars_per_deg2",
     "sunlight_lux",
 ]
@@ -53,7 +52,6 @@ GAIA_FAINTEST_G = 10.0
 _G_ZERO_MAG, _GAIA_APERTURE_M2 = 25.6874, 0.7278
 _G_SHARE_680, _PHOTON_680_J = 0.716, 6.62607015e-34 * 299_792_458.0 / 680e-9
 _EPOCH = 2016.0
-_ARCSEC2_SR = (180 / math.pi * 3600) ** 2
 _RECORD = np.dtype([("id", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("mag", "<f4"), ("pm_ra", "<f4"), ("pm_dec", "<f4")])
 _HEADER = 16  # bytes: "GDR3", version, number of stars
 
@@ -73,11 +71,6 @@ def stars_per_deg2(g_mag: float | Floats) -> Floats:
     before = np.minimum(np.asarray(g_mag, np.float64) - _COUNTED_G[0], 0)
     within = np.interp(g_mag, _COUNTED_G, np.log(_COUNTED_PER_DEG2))
     return np.asarray(np.exp(within + slope * beyond + math.log(3) * before))
-
-
-def sky_radiance_w_m2_sr(mag_arcsec2: float) -> float:
-    """Return the radiance of a sky of `mag_arcsec2` magnitudes (G) a square arc-second, in the Sun's band."""
-    return float(SUN_W_M2 * 10 ** (-0.4 * (mag_arcsec2 - SUN_G)) * _ARCSEC2_SR)
 
 
 def sunlight_lux(irradiance_680_w_m2: float) -> float:

@@ -80,7 +80,6 @@ __all__ = [
     "noise_events",
     "noise_scale",
     "of_array",
-    "rate_over_bandwidth",
     "rms",
     "statistics",
     "write_table",
@@ -272,14 +271,6 @@ def noise_events(a: npt.ArrayLike, difference: npt.ArrayLike, refractory_over_ta
     chain = _interpolated(chains, [within, *along])
     on, off = (np.where(higher_on, rates[..., k], rates[..., 1 - k]) for k in (0, 1))
     return NoiseStatistics(on, off, np.clip(chain[..., 0], 0, 1), np.maximum(np.expm1(chain[..., 1]), 0))
-
-
-def rate_over_bandwidth(
-    a: npt.ArrayLike, refractory_over_tau: npt.ArrayLike, difference: npt.ArrayLike = 0.0
-) -> _Floats:
-    """Return the mean of the ON and the OFF rate over f_n for thresholds of `a` sigma; arguments broadcast."""
-    found = noise_events(a, difference, refractory_over_tau)
-    return np.asarray((found.on + found.off) / 2)
 
 
 def of_array(p: SensorParameters, thresholds: npt.ArrayLike, f_hz: npt.ArrayLike) -> NoiseStatistics:

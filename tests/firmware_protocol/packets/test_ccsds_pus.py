@@ -12,12 +12,10 @@ from spacepackets.ecss.tm import MiscParams, PusTm
 from firmware_protocol.framing.crc import crc16
 from firmware_protocol.packets.addresses import PacketError
 from firmware_protocol.packets.ccsds import (
-    APID_IDLE,
     OWN_EPOCH_4_3,
     PacketType,
     SequenceFlags,
     SpacePacket,
-    idle_packet,
 )
 from firmware_protocol.packets.pus import TC_OVERHEAD, TM_OVERHEAD, Acknowledge, TcPacket, TmPacket
 
@@ -91,13 +89,6 @@ def test_the_longest_space_packet():
 def test_malformed_space_packets_are_refused(octets, reason):
     with pytest.raises(PacketError, match=reason):
         SpacePacket.parse(bytes.fromhex(octets))
-
-
-def test_idle_packets_are_marked_by_their_apid():
-    octets = bytes(idle_packet(10, 3))
-    assert octets[:2] == b"\x07\xff"
-    assert SpacePacket.parse(octets).apid == APID_IDLE
-    assert len(octets) == 16
 
 
 @given(TM_PACKETS)

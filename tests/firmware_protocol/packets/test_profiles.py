@@ -10,7 +10,7 @@ from spacepackets.ecss.tm import PusTm
 
 from firmware_protocol.framing import cobs, datagram, kiss
 from firmware_protocol.packets.addresses import Addresses, Message, MessageKind, Received, SequenceFollower
-from firmware_protocol.packets.ccsds import PacketType, SpacePacket, idle_packet
+from firmware_protocol.packets.ccsds import APID_IDLE, PacketType, SpacePacket
 from firmware_protocol.packets.csp import CspPacket
 from firmware_protocol.packets.profile import PROFILES, Profile
 from firmware_protocol.packets.pus import Acknowledge, TcPacket, TmPacket
@@ -127,7 +127,7 @@ def test_counts_are_followed_over_their_end():
 
 def test_space_packets_for_others_idle_ones_and_unknown_services_are_told_apart():
     unwrapper = Profile("ccsds").unwrapper()
-    assert unwrapper.push(bytes(idle_packet(20))) == []
+    assert unwrapper.push(bytes(SpacePacket(PacketType.TELEMETRY, APID_IDLE, 0, bytes(20)))) == []
     assert unwrapper.push(bytes(TmPacket(0x111, 0, 17, 2, 0, b""))) == []
     assert unwrapper.push(bytes(TmPacket(0x2A0, 0, 5, 1, 0, b""))) == []
     assert unwrapper.push(bytes(SpacePacket(PacketType.TELEMETRY, 0x2A0, 0, bytes(20)))) == []

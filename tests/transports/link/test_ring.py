@@ -1,7 +1,9 @@
 """The ring between the sensor and a link."""
 
+import errno
 import multiprocessing
 import select
+import tempfile
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.events import EVENT
+from transports.link.deliveries import DeliveryTally
 from transports.link.rings import FOREVER_US, FREE_RUNNING, EventRing
 
 
@@ -58,6 +61,18 @@ def test_a_ring_says_where_the_run_is():
     ring.publish(7)
     ring.close()
     assert (ring.origin_ns, ring.now_us, ring.closed) == (123, 7, True)
+
+
+def test_neither_a_ring_nor_a_tally_needs_a_folder(monkeypatch):
+    """/dev/shm and /tmp may be read-only, or small."""
+
+    def refuse(*_, **__):
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(tempfile, "mkstemp", refuse)
+    ring, tally = EventRing(1 << 20), DeliveryTally()
+    tally.delivered = ring.push(events_at([5]))
+    assert (tally.delivered, ring.waiting) == (1, 1)
 
 
 def test_a_ring_needs_room_for_an_event():

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
+import os
 import random
 import socket
 import threading
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from evstim.renderer import Images, Renderer, RendererRefused
-from firmware_protocol.renderer.messages import READY, Camera, End, Hello, Image, MessageError
+from firmware_protocol.renderer.messages import HEADER_OCTETS, READY, Camera, End, Hello, Image, MessageError
 from transports.renderer import server as module
 from transports.renderer.server import RendererEnded, RendererError, RendererServer
 
@@ -76,15 +78,13 @@ def test_images_come_in_the_order_of_their_requests(shared):
         assert connection.hello.name == "a test"
         for t_ms in (0, 7, 3):
             connection.request(t_ms * 1_000_000)
-        assert (connection.requested, connection.free) == (3, 1)
+        assert connection.requested == 3
         for k, t_ms in enumerate((0, 7, 3)):
             drawn = connection.receive(LONG_S)
             assert drawn.head == Image(k, t_ms * 1_000_000, 5.0)
             np.testing.assert_array_equal(drawn.planes["light"], np.full((4, 6), t_ms, np.float32))
             assert drawn.planes["motion"].shape == (4, 6, 2)
             np.testing.assert_array_equal(drawn.planes["depth"], np.full((4, 6), k, np.float32))
-            connection.release(drawn)
-        assert connection.free == 4
         connection.close()
 
 
@@ -114,7 +114,78 @@ def test_a_request_has_the_pose_of_the_camera():
     assert poses[1] is None
 
 
-def test_the_shared_memory_has_no_name_once_it_is_in_use():
+def test_more_images_than_slots_come_through_the_shared_memory():
+    server = RendererServer("127.0.0.1", 0)
+    with in_thread(draw_all, server.address, Images(), True):
+        connection = accepted(server)
+        planes = []
+        for k in range(2 * WANTED.slots):
+            connection.request(k * 1_000_000)
+            planes.append(connection.receive(LONG_S).planes["light"])
+        connection.close()
+    np.testing.assert_array_equal([plane[3, 5] for plane in planes], range(2 * WANTED.slots))
+
+
+def test_a_renderer_cannot_change_the_size_of_the_shared_memory():
+    server = RendererServer("127.0.0.1", 0)
+
+    def attack(address):
+        with socket.create_connection(address) as peer:
+            peer.sendall(Hello(shared=True).pack())
+            path = Path(Camera.parse(peer.recv(4096)[HEADER_OCTETS:]).path)
+            for attempt in (lambda: path.open("wb"), lambda: os.truncate(path, 0), lambda: os.truncate(path, 1 << 20)):
+                with pytest.raises(PermissionError):
+                    attempt()
+            with path.open("r+b") as memory:
+                memory.write(np.full(24, 5, np.float32))
+            peer.sendall(READY + Image(0, 7).pack())
+            peer.recv(4096)
+
+    with in_thread(attack, server.address):
+        connection = accepted(server)
+        connection.request(7)
+        np.testing.assert_array_equal(connection.receive(LONG_S).planes["light"], np.full((4, 6), 5, np.float32))
+        connection.close()
+
+
+def test_an_image_that_was_sent_is_read_only():
+    server = RendererServer("127.0.0.1", 0)
+
+    def sends_twice(address):
+        with Renderer(f"{address[0]}:{address[1]}", Images(depth=True), shared=True) as renderer:
+            for image in renderer:
+                image.light[:] = image.depth[:] = 1
+                image.send()
+                for plane in (image.light, image.depth):
+                    with pytest.raises(ValueError, match="read-only"):
+                        plane[:] = math.nan
+
+    with in_thread(sends_twice, server.address):
+        connection = accepted(server)
+        for _ in range(2 * WANTED.slots):
+            connection.request(0)
+            assert (connection.receive(LONG_S).planes["light"] == 1).all()
+        connection.close()
+
+
+def test_a_path_that_leads_to_another_file_is_an_error_with_advice(tmp_path):
+    """In a container of its own, /proc/PID/fd/NUMBER of evstim may be a file of another program."""
+    other = tmp_path / "other"
+    other.write_bytes(bytes(1000))
+    camera = Camera((6, 4), 100.0, 10_000_000, 4, 128, path=str(other))
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def camera_of_another_container():
+            peer, _ = listener.accept()
+            with peer:
+                peer.sendall(camera.pack())
+                peer.recv(4096)
+
+        with in_thread(camera_of_another_container), pytest.raises(OSError, match=r"another container.*shared=False"):
+            Renderer(f"127.0.0.1:{listener.getsockname()[1]}", shared=True)
+
+
+def test_the_shared_memory_has_no_name_in_a_folder():
     before = set(Path("/dev/shm").glob("evstim-renderer-*"))
     server = RendererServer("127.0.0.1", 0)
     with in_thread(draw_all, server.address, Images(), True):
@@ -196,6 +267,19 @@ def test_a_peer_that_is_no_renderer_is_refused_and_the_next_one_served(monkeypat
     assert len(server.refusals) == 4
     assert "no renderer of evstim's" in server.refusals[0]
     assert "it ended: no" in server.refusals[3]
+
+
+def test_silent_peers_keep_no_renderer_out(monkeypatch):
+    """More than may wait, and each would be waited for twice as long as the test has."""
+    monkeypatch.setattr(module, "_GREETING_S", 2 * LONG_S)
+    server = RendererServer("127.0.0.1", 0)
+    with ExitStack() as silent:
+        peers = [silent.enter_context(socket.create_connection(server.address)) for _ in range(100)]
+        for k, peer in enumerate(peers[50:]):
+            peer.sendall(Hello().pack()[:k])
+        with in_thread(draw_all, server.address):
+            accepted(server).close()
+        assert b"before many others" in peers[0].recv(1000)
 
 
 def test_none_comes_back_where_no_renderer_connects():

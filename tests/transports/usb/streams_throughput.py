@@ -16,9 +16,13 @@ import struct
 import sys
 import time
 import zlib
+from collections.abc import Iterator
+from itertools import count
 from multiprocessing.connection import Connection
 
-from emulator.evaluation.bench.streams import endless_davis_batches
+import numpy as np
+
+from emulator.evaluation.bench.streams import DavisBatch, davis_batches
 from firmware_protocol.davis346 import Davis346, Davis346Settings, WordEncoder
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import EdgeKind, empty_edges
@@ -29,6 +33,23 @@ from transports.usb.usbip.server import UsbipServer
 EVENTS, BATCH = 500_000, 10_000
 RUN = [(0, 3, 1), (9, 0, 1), (0, 1, 1), (0, 0, 1), (1, 3, 1), (2, 4, 1), (3, 2, 1), (3, 3, 1), (3, 4, 1)]
 DETECT = [(4, 1, 1), (4, 2, 0), (4, 3, 0), (4, 0, 1)]
+
+
+def endless_davis_batches(events: int, batch: int) -> Iterator[DavisBatch]:
+    """Yield the same batches repeatedly; `events` a multiple of half a million, so that frames follow one another."""
+    rounds = davis_batches(events, batch)
+    span_us = rounds[-1].until_us + 1
+    for number in count():
+        for part in rounds:
+            yield later(part, number * span_us)
+
+
+def later(batch: DavisBatch, by_us: int) -> DavisBatch:
+    """Return the same batch, later."""
+    parts = [part.copy() for part in (batch.events, batch.marks, batch.lines, batch.samples)]
+    for part in parts:
+        part["t"] += np.uint64(by_us)
+    return DavisBatch(*parts)
 
 
 class Fed(Davis346):

@@ -118,6 +118,21 @@ def test_single_pixels_are_known_since_the_last_light_frame():
             np.testing.assert_allclose(light, 2 * expected, rtol=1e-5)
 
 
+@pytest.mark.parametrize("value", [math.nan, -1.0, math.inf])
+def test_what_a_renderer_writes_after_it_has_sent_an_image_changes_nothing(monkeypatch, value):
+    slots = []
+    kept = Renderer._planes
+    monkeypatch.setattr(Renderer, "_planes", lambda *given: slots.append(kept(*given)) or slots[-1])
+    layers = Images(motion=True, depth=True, rate=True)
+    with scene_of(lambda t_s, _: 1 + t_s, {"ahead": 0}, images=layers) as (scene, _):
+        before = lit(scene, 5)
+        for planes in slots:
+            for plane in planes.values():
+                plane[:] = value
+        assert lit(scene, 5) == before
+        np.testing.assert_array_equal(scene.pixel_light(5_000_000, np.array([0]))[0], np.float32(before[0]))
+
+
 def test_long_steps_do_not_run_out_of_slots():
     with scene_of(lambda t_s, _: t_s) as (scene, _):
         for t_ms in (0, 500, 501, 2000):

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from emulator.sensor.chip.sources import SLOT_NS, Pending, Window, release
-from emulator.sensor.noise.law import bandwidth_hz, corner_hz, of_array, rate_over_bandwidth, rms
+from emulator.sensor.noise.law import bandwidth_hz, corner_hz, noise_events, of_array, rms
 from emulator.sensor.noise.passages import passage_rates
 from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.numerics import keyed as keyed_kernels
@@ -36,6 +36,12 @@ PIXELS = PLAIN.width * PLAIN.height
 
 def light(level=1.0, p=PLAIN):
     return np.full(p.width * p.height, level, np.float32)
+
+
+def rate_over_bandwidth(a, refractory_over_tau):
+    """The mean of the ON and the OFF rate over f_n."""
+    law = noise_events(a, 0.0, refractory_over_tau)
+    return (law.on + law.off) / 2
 
 
 def model_hz(p=PLAIN, level=1.0, threshold=0.2):
