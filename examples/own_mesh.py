@@ -1,8 +1,9 @@
 """Point the camera at your own mesh: `python own_mesh.py [MESH] [SECONDS]`.
 
-MESH is an .obj or .tab file in metres. Without one, a box with two panels is made here. The script writes a rig file
-beside the mesh, runs it and counts the events; the same file works with `evstim run`, `evstim plan` and
-`evstim picture`. To serve the camera on USB/IP, replace "loopback" by "usbip".
+MESH is a file in metres that trimesh reads: .obj, .stl, .ply, .off, .glb, ... A rig may also name .tab, .bds and USD
+files. Without MESH, a box with two panels is made here. The script writes a rig file beside the mesh, runs it and
+counts the events; the same file works with `evstim run`, `evstim plan` and `evstim picture`. To serve the camera on
+USB/IP, replace "loopback" by "usbip".
 """
 
 from __future__ import annotations

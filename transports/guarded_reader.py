@@ -26,7 +26,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NoReturn, Self
 
 from transports.array_messages import Values, decoded, encoded
@@ -38,7 +37,7 @@ _MIB = 1 << 20
 _WALL_FACTOR = 10  # a busy machine gives the child a tenth of a processor
 _READ_BYTES = 1 << 20
 _MOST_TEXT = 400  # a damaged file may bring pages of text
-_EXTRAS = {"PIL": "report", "faery": "files", "av": "files", "pxr": "usd"}
+_EXTRAS = {"PIL": "report", "faery": "files", "av": "files", "pxr": "usd", "spiceypy": "spice"}
 _OWN = ("evstim", "emulator", "transports", "firmware_protocol")
 
 
@@ -166,9 +165,7 @@ class GuardedReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

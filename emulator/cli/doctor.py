@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 from rich.text import Text
 
-from emulator.cli.checks import failures, prepared
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, console, print_json
+from emulator.cli.checks import check_recording, failures, prepared
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, console, print_json, status
 from emulator.cli.rigs import Needed, examined_needs
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
+from emulator.run.assembly import build_scene
 from emulator.run.keeping_up import RealTimeSpeed, keeping_up
-from emulator.run.kernels import CODER, DECODER, EVT, Part, parts_of
+from emulator.run.kernels import CODER, DECODER, EVT, parts_of, uncompiled
 from emulator.run.machine import examine
 from transports.needs import Finding
 
@@ -35,17 +37,18 @@ def doctor(
     rig
         Path of a rig file, or the name of a shipped one: show its needs, and measure whether it runs in real time.
     prepare
-        Compile the kernels of this rig, or of all shipped rigs, so that no run has to.
+        Compile the kernels of this rig and build its scene once, or compile those of all shipped rigs, so that no run
+        has to.
     every
         Show each part that this machine has on a line of its own, with its version and its use.
     json
         Print one JSON object as the last line on stdout.
     """
     with failures():
-        if rig is not None:
-            return _of_rig(load_rig(rig), as_json=json)
         if prepare:
-            prepared(_all_parts())
+            _prepare([rig] if rig is not None else [str(path) for path in shipped_rigs().values()])
+        if rig is not None:
+            return GOOD if prepare and not json else _of_rig(load_rig(rig), as_json=json)
     findings = examine()
     if json:
         print_json({"findings": findings})
@@ -73,11 +76,14 @@ def _of_rig(rig: Rig, *, as_json: bool) -> int:
     return LACKING if speed is None else GOOD if speed.good else BAD_VERDICT
 
 
-def _all_parts() -> list[Part]:
-    """Return the kernels of all shipped rigs, receivers and file formats."""
-    parts = [part for path in shipped_rigs().values() for part in parts_of(load_rig(str(path)))]
-    once = {part.key: part for part in (*parts, CODER, DECODER, EVT)}
-    return list(once.values())
+def _prepare(names: Sequence[str]) -> None:
+    """Compile the kernels of rigs, receivers and formats; build the scene of a single rig, and so fill its cache."""
+    rigs = [load_rig(name) for name in names]
+    parts = [part for rig in rigs for part in parts_of(rig)]
+    prepared(list({part.key: part for part in (*parts, CODER, DECODER, EVT)}.values()))
+    if len(rigs) == 1:
+        with build_scene(rigs[0]):
+            status.print(f"{rigs[0].name} is prepared", markup=False)
 
 
 def _as_json(rig: Rig, needed: Sequence[Needed], speed: RealTimeSpeed | None) -> dict[str, object]:
@@ -105,20 +111,25 @@ def _sentence(rig: Rig, speed: RealTimeSpeed | None) -> str:
 
 
 def _print(findings: Sequence[Finding], *, every: bool) -> None:
-    """Print a part to a line, with the command that adds it; unless `every`, one line names all that are there."""
-    listed = [finding for finding in findings if every or not finding.good]
-    width = max((len(finding.name) for finding in listed), default=0)
-    if not every:
-        there = ", ".join(finding.name for finding in findings if finding.good)
-        console.print(f"there: {there} (`evstim doctor --all` has their versions)", markup=False, highlight=False)
-    if not listed:
-        console.print("nothing is missing")
-    for finding in listed:
-        _print_part(finding, width)
+    """Print what is there and whether README's next step works, then each missing part, or `every` part, on a line."""
+    there = ", ".join(finding.name for finding in findings if finding.good)
+    console.print(f"there: {there} (`evstim doctor --all` has their versions)", markup=False, highlight=False)
+    console.print(_next_step(), markup=False, highlight=False)
+    missing = [finding for finding in findings if not finding.good]
+    console.print("missing, each for its own use alone:" if missing else "nothing is missing")
+    width = max(len(finding.name) for finding in findings)
+    for finding in findings if every else missing:
+        mark = Text("yes" if finding.good else " no", style="green" if finding.good else "yellow")
+        console.print(mark, f" {finding.name:{width}}  {finding.detail}  (for {finding.needed_for})", sep="")
+        if finding.fix:
+            console.print(f"     {'':{width}}  fix: {finding.fix}", markup=False)
 
 
-def _print_part(finding: Finding, width: int) -> None:
-    mark = Text("yes" if finding.good else " no", style="green" if finding.good else "yellow")
-    console.print(mark, f" {finding.name:{width}}  {finding.detail}  (for {finding.needed_for})", sep="")
-    if finding.fix:
-        console.print(f"     {'':{width}}  fix: {finding.fix}", markup=False)
+def _next_step() -> str:
+    """Return whether the first recording of README works here."""
+    try:
+        check_recording("`evstim record eros eros.aedat4` does not", Path("eros.aedat4"))
+    except Failure as failure:
+        return f"`evstim run eros` works here; {failure}"
+    first = "; before it, compile: `evstim doctor --prepare eros`" if uncompiled(parts_of(load_rig("eros"))) else ""
+    return f"`evstim run eros` and `evstim record eros eros.aedat4` work here{first}"

@@ -4,10 +4,10 @@ The world is the reference frame with the target at its origin, so the camera is
 the camera's observer sees it, with the aberration correction that the rig names. With a light time correction a
 reference frame that turns with the target is taken when the light left it, as SPICE does it.
 
-SPICE is read once, when the path is built: CSPICE has one pool of kernels for a process, which one thread may use, and
-its time is seconds since 2000, whose steps of 0.1 us would make accelerations from differences of places useless. The
-states and attitudes at even instants become a `Keyframes` path. Half-way between the instants the path is compared with
-SPICE, and their number is doubled until it is as near as this:
+SPICE is read once, when the path is built, in a child process (see `guarded_reader`): CSPICE does not check the numbers
+in a kernel, and damaged ones end its process. Its time is seconds since 2000, whose steps of 0.1 us would make
+accelerations from differences of places useless. The states and attitudes at even instants become a `Keyframes` path.
+Half-way between the instants the path is compared with SPICE, and their number is doubled until it is as near as this:
 
     place      a tenth of a metre, a tenth of an arc-second as seen from the target, or SPICE's own step of time
     attitude   a tenth of an arc-second
@@ -15,28 +15,25 @@ SPICE, and their number is doubled until it is as near as this:
 
 from __future__ import annotations
 
-import importlib
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
-from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.attitude import quaternion_of
 from emulator.trajectory.keyframes import Keyframes
+from emulator.trajectory.parameters import SpicePath
 from emulator.trajectory.pose import STILL, Pose, TrajectoryError, turn_rad
+from transports.guarded_reader import ForeignFileError, Limits, read_guarded
 
-if TYPE_CHECKING:
-    from emulator.trajectory.parameters import SpicePath
-
-__all__ = ["read_spice"]
+__all__ = ["read_kernels", "read_spice"]
 
 
-_LOCK = Lock()
+_LIMITS = Limits(1 << 30, 60)  # CSPICE reads records of a kernel, not all of it
 _KM = 1e3
 _PLACE_M, _ANGLE_RAD = 0.1, math.radians(0.1 / 3600)
 _STEP_S = 2.4e-7  # two steps of SPICE's time in this century
@@ -53,19 +50,28 @@ def read_spice(p: SpicePath) -> Keyframes:
     TrajectoryError
         Without spiceypy, where the kernels do not give the path, and where it cannot be followed closely enough.
     """
-    spice = _spiceypy()
     for kernel in p.kernels:
         if not Path(kernel).is_file():
             raise TrajectoryError(f"kernel {kernel} is missing: put it there, or correct `kernels`")
-    with _LOCK, _named_errors(spice, p), spice.KernelPool(list(p.kernels)), _named_errors(spice, p):
-        return _followed(_Query(spice, p))
-
-
-def _spiceypy() -> Any:
     try:
-        return importlib.import_module("spiceypy")
-    except ImportError as error:
-        raise TrajectoryError("a path of kind `spice` needs spiceypy: pip install spiceypy") from error
+        read = read_guarded(f"{__name__}:read_kernels", Path(p.kernels[0]), asdict(p), limits=_LIMITS)
+    except ForeignFileError as error:
+        raise TrajectoryError(f"one of the kernels {', '.join(p.kernels)}: {error}") from None
+    poses = [Pose(place, turn) for place, turn in zip(read["places"], read["turns"], strict=True)]
+    return Keyframes(read["times_ns"].tolist(), poses, read["velocities"])
+
+
+def read_kernels(_: Path, parameters: Mapping[str, Any]) -> dict[str, npt.NDArray[Any]]:
+    """Return the keyframes of a SPICE table: `times_ns` (n,), `places` (n, 3), `turns` (n, 4), `velocities` (n, 3)."""
+    import spiceypy  # an extra; in the child process alone
+
+    p = SpicePath(**parameters)
+    try:
+        spiceypy.furnsh(list(p.kernels))
+        return _followed(_Query(spiceypy, p))
+    except spiceypy.SpiceyError as error:
+        reason = " ".join(f"{error.short} {error.explain} {error.long}".split())
+        raise TrajectoryError(f"SPICE: {reason or type(error).__name__}{_coverage(spiceypy, p)}") from error
 
 
 class _Query:
@@ -88,17 +94,20 @@ class _Query:
         return Pose(place, quaternion_of(np.asarray(turn))), velocity
 
 
-def _followed(query: _Query) -> Keyframes:
-    """Return a path as near to SPICE as it must be."""
+def _followed(query: _Query) -> dict[str, npt.NDArray[Any]]:
+    """Return the keyframes of a path as near to SPICE as it must be; see `read_kernels`."""
     times_ns = np.linspace(0, query.last_ns, _FEWEST + 1).astype(np.int64)
     known = [query.at(int(t)) for t in times_ns]
     while True:
-        path = Keyframes(times_ns.tolist(), [pose for pose, _ in known], np.array([velocity for _, velocity in known]))
+        poses, velocities = [pose for pose, _ in known], np.array([velocity for _, velocity in known])
+        path = Keyframes(times_ns.tolist(), poses, velocities)
         half_ns = (times_ns[:-1] + times_ns[1:]) // 2
         between = [query.at(int(t)) for t in half_ns]
         off = np.max([_distance(path.pose(int(t)), *one) for t, one in zip(half_ns, between, strict=True)], axis=0)
         if off.max() <= 1:
-            return path
+            places = np.array([pose.position_m for pose in poses])
+            turns = np.array([pose.q_world_from_body for pose in poses])
+            return {"times_ns": times_ns, "places": places, "turns": turns, "velocities": velocities}
         if 2 * half_ns.size > _MOST:
             raise TrajectoryError(
                 f"the kernels' path cannot be followed: between {half_ns.size} instants it is {off.max():.3g} times as "
@@ -117,21 +126,6 @@ def _distance(found: Pose, expected: Pose, velocity: _Floats) -> tuple[float, fl
     return off_m / allowed_m, turn_rad(found, expected) / _ANGLE_RAD
 
 
-@contextmanager
-def _named_errors(spice: Any, p: SpicePath) -> Iterator[None]:
-    """Raise SPICE's errors as TrajectoryError, with the times that the kernels cover if they are loaded."""
-    try:
-        yield
-    except spice.utils.exceptions.SpiceyError as error:
-        spice.reset()
-        raise TrajectoryError(f"SPICE: {_reason(error)}{_coverage(spice, p)}") from error
-
-
-def _reason(error: Exception) -> str:
-    parts = (getattr(error, name, "") for name in ("short", "explain", "long"))
-    return " ".join(" ".join(str(part).split()) for part in parts if part) or type(error).__name__
-
-
 def _coverage(spice: Any, p: SpicePath) -> str:
     """Return the times for which the kernels have the observer, as a sentence; empty where they cannot be read."""
     found = []
@@ -142,6 +136,6 @@ def _coverage(spice: Any, p: SpicePath) -> str:
             for k in range(spice.wncard(window)):
                 first, last = (spice.et2utc(et, "ISOC", 3) for et in spice.wnfetd(window, k))
                 found.append(f"{first} to {last}")
-    except spice.utils.exceptions.SpiceyError:
-        spice.reset()
+    except spice.SpiceyError:
+        found.clear()
     return f" (places of {p.observer} cover {', '.join(found)} UTC)" if found else ""

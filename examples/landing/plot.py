@@ -14,7 +14,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-_GREY, _ON, _OFF = 235, (30, 90, 200), (210, 60, 40)
+_DARK, _ON, _OFF = 30, (230, 159, 0), (86, 180, 233)  # orange and blue, as `evstim picture` draws events
 _SHAPE = 260, 346
 _SHOWN_US = 30_000
 _GIF_FRAMES, _GIF_MS = 40, 150
@@ -33,12 +33,12 @@ class Flight:
 
     def seen(self) -> tuple[np.ndarray, np.ndarray]:
         """Return times and divergences that were accepted."""
-        pairs = {row["at_s"]: row["down_1_s"] for row in self.rows if np.isfinite(row["gain"])}
+        pairs = {row["at_s"]: row["down_1_s"] for row in self.rows if np.isfinite(row.get("gain", np.nan))}
         return np.array(list(pairs)), np.array(list(pairs.values()))
 
     def picture(self, t_s: float) -> np.ndarray:
         """Return the events of 30 ms as colours, (260, 346, 3)."""
-        out = np.full((*_SHAPE, 3), _GREY, np.uint8)
+        out = np.full((*_SHAPE, 3), _DARK, np.uint8)
         if self.events is None:
             return out
         first, last = np.searchsorted(self.events["t"], [t_s * 1e6 - _SHOWN_US, t_s * 1e6])
@@ -69,7 +69,7 @@ def figure(flight: Flight, t_s: float) -> Figure:
     right[0].set(yscale="log", ylim=(1.5, flight.height_m.max() * 1.1))
     right[1].set(ylim=(0, speed.max() * 1.1))
     at_s, down = flight.seen()
-    right[2].plot(at_s[at_s <= t_s], down[at_s <= t_s], ".", ms=2.5, color="tab:red", label="from events")
+    right[2].plot(at_s[at_s <= t_s], down[at_s <= t_s], ".", ms=2.5, color="tab:orange", label="from events")
     right[2].set(ylim=(0, 0.3), xlabel="time, s")
     right[2].legend(loc="upper left", fontsize=7)
     return made

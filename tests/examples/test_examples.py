@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 pytestmark = pytest.mark.system
 
@@ -39,7 +40,8 @@ def test_frames_to_events(monkeypatch, tmp_path):
 def test_own_mesh(monkeypatch, tmp_path):
     main = main_of("own_mesh.py", monkeypatch, tmp_path)
     assert main(None, "0.05") > 100
-    assert main("spacecraft.obj", "0.02") > 10
+    trimesh.load_mesh("spacecraft.obj").export("spacecraft.glb")
+    assert main("spacecraft.glb", "0.02") > 10
 
 
 def test_read_recording(monkeypatch, tmp_path):

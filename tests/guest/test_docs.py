@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.guest.attachment import usb_bus
 from tests.guest.environments import DRIVERS, Driver
 from tests.guest.machine import HOST_ADDRESS, Finished, Guest
 from tests.guest.running_rig import RunningRig
@@ -80,7 +81,8 @@ def ended(
         with forwarded(guest, rig.port):
             shell(guest, attach)
             ended = guest.run([str(driver_pythons[driver.name]), "-u", "-c", program], TIMEOUT_S)
-            shell(guest, detach)
+            assert "<Port in Use>" in shell(guest, detach)
+            usb_bus(guest, cameras=0)
             return ended
 
     return Turns(rig, selected(request, "driver"), run)

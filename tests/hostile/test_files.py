@@ -5,6 +5,7 @@ Thirty of each format by default; `EVSTIM_HOSTILE_FILES=10000` for the figures o
 interpreter for each file would take most of the time. One file of each such format goes the whole way.
 """
 
+import faulthandler
 import io
 import os
 import random
@@ -264,6 +265,7 @@ class Fork:
             null = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null, 1)
             os.dup2(null, 2)
+            faulthandler.disable()  # it writes to a copy of stderr
             try:
                 warnings.simplefilter("default")
                 serve(order)

@@ -25,12 +25,20 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import SceneError
-from emulator.scene.bodies.textures import REPEAT, WRAPS, base_colour, decoded, mean_of, transformed
+from emulator.scene.bodies.textures import MOST_PIXELS, REPEAT, WRAPS, base_colour, decoded, mean_of, transformed
 
-__all__ = ["read_gltf"]
+__all__ = ["ModelContents", "read_gltf", "require_at_most"]
 
 _MOST_BYTES = 1 << 28
-_MOST_NODES = 10_000
+_MOST = {
+    "nodes": 10_000,
+    "parts": 256,
+    "facets": 4_000_000,
+    "corners": 12_000_000,
+    "animated properties": 1024,
+}
+"""Limits of a model. A part is a node's mesh with one material."""
+
 _MAGIC, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _KNOWN_EXTENSIONS = ("KHR_mesh_quantization", "KHR_materials_", "KHR_texture_transform", "KHR_lights_punctual")
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -46,7 +54,7 @@ _Object = dict[str, Any]
 def read_gltf(path: Path) -> dict[str, _Array]:
     """Return a `header` (JSON as octets: nodes, parts, channels, notes) and the arrays that it names; see `models`."""
     if path.stat().st_size > _MOST_BYTES:
-        raise SceneError(f"has more than {_MOST_BYTES >> 20} MiB")
+        raise SceneError(f"has more than {_MOST_BYTES >> 20} MiB: simplify it, or leave out some of it")
     data = path.read_bytes()
     text, binary = _chunks(data) if data[:4] == b"glTF" else (data, None)
     return _File(_parsed(text), binary, path.parent).contents()
@@ -127,14 +135,48 @@ def _floats(owner: _Object, key: str, default: list[float], where: str) -> list[
     return [float(one) for one in value]
 
 
-class _File:
+def require_at_most(counted: str, count: int) -> None:
+    """Raise SceneError where a model has more nodes, parts, ... than are read."""
+    if count > _MOST[counted]:
+        raise SceneError(f"has more than {_MOST[counted]} {counted}: join, simplify or leave out some of them")
+
+
+class ModelContents:
+    """Parts, arrays and notes of a model while it is read; `require_at_most` comes before allocation."""
+
+    def __init__(self) -> None:
+        self._parts: list[_Object] = []
+        self._arrays: dict[str, _Array] = {}
+        self._notes: dict[str, None] = {}
+        self._facets = self._corners = 0
+
+    def _keep(self, array: _Array) -> str:
+        name = f"a{len(self._arrays)}"
+        self._arrays[name] = array
+        return name
+
+    def _add(self, node: int, part: _Object) -> None:
+        self._parts.append({"node": node, **part})
+        require_at_most("parts", len(self._parts))
+        self._facets += len(self._arrays[part["faces"]])
+        require_at_most("facets", self._facets)
+        self._corners += len(self._arrays[part["vertices"]])
+        require_at_most("corners", self._corners)
+
+    def _values(self, nodes: list[_Object], animations: list[_Object]) -> dict[str, _Array]:
+        """Return the header and the arrays."""
+        header = {"nodes": nodes, "parts": self._parts, "animations": animations, "notes": list(self._notes)}
+        return {"header": np.frombuffer(json.dumps(header).encode(), np.uint8), **self._arrays}
+
+
+class _File(ModelContents):
     """Contents of a parsed file."""
 
     def __init__(self, document: _Object, binary: bytes | None, folder: Path) -> None:
+        super().__init__()
         self._document, self._binary, self._folder = document, binary, folder
         self._buffers: dict[int, bytes] = {}
-        self._arrays: dict[str, _Array] = {}
-        self._notes: dict[str, None] = {}
+        self._pixels_left = MOST_PIXELS
         self._luminances: dict[tuple[int, tuple[float, ...]], str] = {}
         self._means: dict[tuple[int, int], float] = {}
 
@@ -142,29 +184,24 @@ class _File:
         """Return the header and the arrays."""
         nodes = self._nodes()
         meshes: dict[int, list[_Object]] = {}
-        parts = []
         for k, mesh in self._meshes_of_nodes(nodes):
             if mesh not in meshes:
                 meshes[mesh] = self._primitives(mesh)
-            parts += [{"node": k, **part} for part in meshes[mesh]]
+            for part in meshes[mesh]:
+                self._add(k, part)
+        raw = _items(self._document, "animations")
+        require_at_most("animated properties", sum(len(_items(one, "channels")) for one in raw))
         animations = [
             {"name": str(one.get("name", f"animation {k}"))[:80], "channels": self._channels(one, k, len(nodes))}
-            for k, one in enumerate(_items(self._document, "animations"))
+            for k, one in enumerate(raw)
         ]
-        header = {"nodes": nodes, "parts": parts, "animations": animations, "notes": list(self._notes)}
-        return {"header": np.frombuffer(json.dumps(header).encode(), np.uint8), **self._arrays}
-
-    def _keep(self, array: _Array) -> str:
-        name = f"a{len(self._arrays)}"
-        self._arrays[name] = array
-        return name
+        return self._values(nodes, animations)
 
     # --- nodes
 
     def _nodes(self) -> list[_Object]:
         raw = _items(self._document, "nodes")
-        if len(raw) > _MOST_NODES:
-            raise SceneError(f"has {len(raw)} nodes: at most {_MOST_NODES} are read")
+        require_at_most("nodes", len(raw))
         nodes = [self._node(node, k) for k, node in enumerate(raw)]
         for k, node in enumerate(raw):
             for child in _list(node, "children"):
@@ -172,7 +209,8 @@ class _File:
                 if nodes[n]["parent"] >= 0 or n == k:
                     raise SceneError(f"node {n} has two parents, or is its own: the nodes must be a tree")
                 nodes[n]["parent"] = k
-        _require_tree([node["parent"] for node in nodes])
+        for k in range(len(nodes)):
+            _root(k, nodes)
         return nodes
 
     def _node(self, node: _Object, k: int) -> _Object:
@@ -208,13 +246,14 @@ class _File:
     # --- shapes
 
     def _primitives(self, mesh: int) -> list[_Object]:
-        found = []
+        found: list[_Object] = []
         for n, primitive in enumerate(_items(_items(self._document, "meshes")[mesh], "primitives")):
             where = f"mesh {mesh}, primitive {n}"
             mode = _number(primitive, "mode", 4, 7, where)
             if mode < 4:
                 self._notes["points and lines are left out"] = None
                 continue
+            require_at_most("parts", len(found) + 1)
             found.append(self._primitive(primitive, mode, where))
         return found
 
@@ -238,7 +277,10 @@ class _File:
             normals = self._accessor(attributes["NORMAL"], 3, f"{where}, NORMAL").astype(np.float64)
             if len(normals) != len(points):
                 raise SceneError(f"{where}: {len(normals)} normals for {len(points)} vertices")
-        material = self._material_of(primitive, where)
+        material = None
+        if "material" in primitive:
+            materials = _items(self._document, "materials")
+            material = materials[_number(primitive, "material", None, len(materials), where)]
         return {
             "vertices": self._keep(points),
             "faces": self._keep(faces),
@@ -246,12 +288,6 @@ class _File:
             "material": None if material is None else self._shares(material, where),
             "texture": None if material is None else self._texture(material, attributes, len(points), where),
         }
-
-    def _material_of(self, primitive: _Object, where: str) -> _Object | None:
-        if "material" not in primitive:
-            return None
-        materials = _items(self._document, "materials")
-        return materials[_number(primitive, "material", None, len(materials), where)]
 
     def _shares(self, material: _Object, where: str) -> _Object:
         """Return luminance of the base colour's factor, metallic and roughness, each 0 to 1."""
@@ -333,8 +369,12 @@ class _File:
         entry, views = _items(self._document, "images")[image], _items(self._document, "bufferViews")
         where = f"image {image}"
         if "uri" in entry:
-            return decoded(self._loaded(str(entry["uri"]), where), where)
-        return decoded(self._view(views[_number(entry, "bufferView", None, len(views), where)], where), where)
+            data = self._loaded(str(entry["uri"]), where)
+        else:
+            data = self._view(views[_number(entry, "bufferView", None, len(views), where)], where)
+        pixels = decoded(data, where, self._pixels_left)
+        self._pixels_left -= pixels.shape[0] * pixels.shape[1]
+        return pixels
 
     # --- animations
 
@@ -391,6 +431,7 @@ class _File:
         start, count = _number(a, "byteOffset", 0, 1 << 40, where), _number(a, "count", None, 1 << 40, where)
         if stride < size or (count and start + (count - 1) * stride + size > len(data)):
             raise SceneError(f"{where}: {count} items do not fit into the {len(data)} bytes of their buffer view")
+        require_at_most("corners", count)
         rows = np.ndarray((count, width), kind, data, start, (stride, np.dtype(kind).itemsize)).copy()
         if a.get("normalized") and rows.dtype.kind in "iu":
             return np.maximum(rows / np.iinfo(rows.dtype).max, -1.0)
@@ -430,24 +471,13 @@ class _File:
         return path.read_bytes()
 
 
-def _require_tree(parents: list[int]) -> None:
-    """Raise SceneError where nodes are in a circle."""
-    reaches_root = [parent < 0 for parent in parents]
-    for k in range(len(parents)):
-        way: list[int] = []
-        while not reaches_root[k]:
-            if len(way) > len(parents):
-                raise SceneError(f"node {k} is its own ancestor: the nodes must be a tree")
-            way.append(k)
-            k = parents[k]
-        for n in way:
-            reaches_root[n] = True
-
-
 def _root(k: int, nodes: list[_Object]) -> int:
-    while nodes[k]["parent"] >= 0:
-        k = nodes[k]["parent"]
-    return k
+    """Return the node above a node that has no parent; raises SceneError for a circle."""
+    for _ in nodes:
+        if nodes[k]["parent"] < 0:
+            return k
+        k = int(nodes[k]["parent"])
+    raise SceneError(f"node {k} is its own ancestor: the nodes must be a tree")
 
 
 def _triangles(order: _Array, mode: int) -> _Array:

@@ -17,7 +17,8 @@ roughness (glTF 2.0, appendix B; Karis 2013 for the exponent of Blinn's lobe fro
 
 A texture of the base colour gives the surface its albedo, and Y is its mean over the surface, see `painting`.
 
-A node without a material, and every node where the rig's `reflectance` is not the default, has that of the rig.
+A node without a material, and every node where the rig's `reflectance` is not the default, has that of the rig; a
+texture is then the albedo relative to its mean.
 Fresnel's brightening at grazing angles and the shadowing of roughness are left out, so a rough metal (R above 0.84) is
 a wide lobe about the mirror's direction.
 """
@@ -57,8 +58,6 @@ MODEL_READERS = {
 } | dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), _USD)
 """The function that reads a model in the child process, by the file's suffix."""
 
-_MOST_PARTS = 256
-_MOST_FACETS = 4_000_000
 _MOST_PAINTED = 60_000
 _FINE = f"parts of its textures are finer than {_MOST_PAINTED} facets can show: they have their mean there"
 _EVEN = 1e-6
@@ -139,15 +138,8 @@ def read_model(path: Path) -> Model:
         limits = Limits(usual.memory_bytes + _USD_BYTES, usual.cpu_s)
     arrays = read_in_child(reader, path, limits)
     header = json.loads(arrays.pop("header").tobytes())
-    parts = header["parts"]
-    if not parts:
+    if not header["parts"]:
         raise SceneError(f"{path}: no node of it has a mesh of triangles")
-    facets = sum(len(arrays[part["faces"]]) for part in parts)
-    if len(parts) > _MOST_PARTS or facets > _MOST_FACETS:
-        raise SceneError(
-            f"{path}: {len(parts)} nodes and materials with {facets} facets: at most {_MOST_PARTS} with "
-            f"{_MOST_FACETS} are drawn; join or leave out some"
-        )
     return Model(path, header, arrays)
 
 
@@ -174,12 +166,15 @@ def _bodies(body: BodyTable, model: Model, name: str) -> list[tuple[BodyTable, M
             first = _moving(first, model, JointPath(joints, period_s), name if () in groups else "")
         for number in groups[moving]:
             part = model.header["parts"][number]
-            own = first if number == groups[moving][0] else _fixed_to(first, _named(name, model, number))
-            below = [k for k in _ancestry(part["node"], model) if not moving or k not in _until(moving[-1], model)]
+            table = first
+            if number != groups[moving][0]:
+                table = replace(first, name=_named(name, model, number), path=FixedPath(), fixed_to=first.name)
+            above = _ancestry(moving[-1], model) if moving else []
+            below = [k for k in _ancestry(part["node"], model) if k not in above]
             mesh, material = _covered(body, model, part, frame @ _chain(below, model))
             law = law_of(material) if material else body.reflectance
             smooth = body.smooth and not part["is_flat"]
-            found.append((replace(own, reflectance=law, smooth=smooth), mesh))
+            found.append((replace(table, reflectance=law, smooth=smooth), mesh))
     return found
 
 
@@ -197,10 +192,6 @@ def _moving(first: BodyTable, model: Model, path: JointPath, root: str) -> BodyT
     return replace(first, path=cast(TrajectoryParameters, replace(path, base=base)))
 
 
-def _fixed_to(first: BodyTable, name: str) -> BodyTable:
-    return replace(first, name=name, path=FixedPath(), fixed_to=first.name)
-
-
 def _named(name: str, model: Model, number: int) -> str:
     """Return the name of a part: the model's, the node's and, where parts would share it, a number."""
     nodes, parts = model.header["nodes"], model.header["parts"]
@@ -214,17 +205,16 @@ def _covered(
 ) -> tuple[Mesh, dict[str, float] | None]:
     """Return a part's shape with its texture in its body's frame, and its material; None: the rig gives the law."""
     mesh, uv = _mesh(model, part, matrix)
-    if not part["material"] or body.reflectance != LommelSeeliger():
-        return mesh, None
+    material = part["material"] if body.reflectance == LommelSeeliger() else None
     if uv is None:
-        return mesh, part["material"]
+        return mesh, material
     textured = sum(one.get("texture") is not None for one in model.header["parts"])
     texture = Texture(model.arrays[part["texture"]["luminance"]], tuple(part["texture"]["wraps"]))
     mesh, luminance, is_whole = painted(mesh, uv, texture, len(mesh.faces) + _MOST_PAINTED // textured)
     notes = model.header["notes"]
     if not is_whole and _FINE not in notes:
         notes.append(_FINE)
-    return mesh, part["material"] | {"luminance": min(luminance, 1.0)}
+    return mesh, material and material | {"luminance": min(luminance, 1.0)}
 
 
 def _mesh(model: Model, part: dict[str, Any], matrix: _Floats) -> tuple[Mesh, _Floats | None]:
@@ -252,10 +242,6 @@ def _ancestry(node: int, model: Model) -> list[int]:
         found.append(node)
         node = model.header["nodes"][node]["parent"]
     return found[::-1]
-
-
-def _until(node: int, model: Model) -> frozenset[int]:
-    return frozenset(_ancestry(node, model))
 
 
 def _chain(nodes: Sequence[int], model: Model) -> _Floats:

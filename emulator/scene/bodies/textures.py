@@ -19,13 +19,14 @@ import numpy.typing as npt
 
 from emulator.light import SceneError
 
-__all__ = ["CLAMP", "MIRROR", "REPEAT", "WRAPS", "base_colour", "decoded", "mean_of", "transformed"]
+__all__ = ["CLAMP", "MIRROR", "MOST_PIXELS", "REPEAT", "WRAPS", "base_colour", "decoded", "mean_of", "transformed"]
 
 REPEAT, CLAMP, MIRROR = 10497, 33071, 33648
 WRAPS = REPEAT, CLAMP, MIRROR
 """Repetition of an image beyond its sides, of its border, and mirror images; numbers of glTF."""
 
-_MOST_PIXELS = 1 << 25
+MOST_PIXELS = 1 << 27  # of all images of a model: some seconds of decoding
+_MOST_PIXELS = 1 << 25  # of an image
 _MOST_SIDE = 1024
 _LINES = 256  # of an image at a time
 
@@ -33,14 +34,17 @@ _Floats = npt.NDArray[np.float64]
 _Image = npt.NDArray[np.float32]
 
 
-def decoded(data: bytes, where: str) -> npt.NDArray[np.uint8]:
-    """Return red, green and blue, (height, width, 3), of a PNG or JPEG; raises SceneError with `where`."""
+def decoded(data: bytes, where: str, most_pixels: int) -> npt.NDArray[np.uint8]:
+    """Return red, green and blue, (height, width, 3), of a PNG or JPEG within limits; raises SceneError."""
     from PIL import Image  # an extra; in the child process alone
 
     try:
         with Image.open(io.BytesIO(data), formats=("PNG", "JPEG")) as image:
-            if image.width * image.height > _MOST_PIXELS:
-                raise SceneError(f"{where} has {image.width} x {image.height} pixels: at most {_MOST_PIXELS} are read")
+            if image.width * image.height > min(_MOST_PIXELS, most_pixels):
+                raise SceneError(
+                    f"{where} has {image.width} x {image.height} pixels: at most {_MOST_PIXELS} of one image and "
+                    f"{MOST_PIXELS} of all are read, {_MOST_SIDE} on a side are used; make the images smaller"
+                )
             if image.mode.startswith("I"):  # 16 bit grey, which Pillow would cut off at 255
                 grey = np.asarray(image) >> 8
                 return np.repeat(grey.astype(np.uint8)[:, :, None], 3, axis=2)

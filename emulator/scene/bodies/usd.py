@@ -7,13 +7,14 @@ UsdPreviewSurface. Axes are those of the file, whatever its `upAxis`. Time 0 is 
 Transforms over time are sampled and joined as in glTF, by straight lines and slerp. Between the stage's own samples as
 many are taken as keep the pose half-way between them within 1e-5 rad and 1e-5 of the place's range.
 
+Layers are read from the file's own folder alone, which is checked before one is opened; for clips of values afterwards.
+
 Left out, with a note: spheres, cubes and other shapes without a mesh, textures. Subdivision surfaces are their cages.
 """
 
 from __future__ import annotations
 
 import itertools
-import json
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import quaternion_of
 from emulator.light import SceneError
+from emulator.scene.bodies.gltf import ModelContents, require_at_most
 
 __all__ = ["read_usd"]
 
@@ -36,25 +38,49 @@ _Pose = tuple[_Array, _Array, _Array]  # translation, quaternion, scale
 
 def read_usd(path: Path) -> dict[str, _Array]:
     """Return a `header` and arrays as `gltf.read_gltf` does; raises SceneError."""
-    from pxr import Usd  # in the child process alone
+    from pxr import Sdf, Usd  # in the child process alone
 
-    return _Stage(Usd.Stage.Open(str(path))).contents()
+    checked: set[str] = set()
+    pending = [str(path)]
+    while pending:
+        layer = Sdf.Layer.FindOrOpen(pending.pop())
+        if layer is None:
+            raise SceneError("cannot be read as a USD layer, or a layer that it names cannot")
+        named = {layer.ComputeAbsolutePath(asset) for asset in layer.GetCompositionAssetDependencies()} - checked
+        for place in named:
+            _require_inside(place, path.parent)
+        checked |= named
+        pending += named
+    stage = Usd.Stage.Open(str(path))
+    values = _Stage(stage).contents()
+    for layer in stage.GetUsedLayers(includeClipLayers=True):
+        _require_inside(layer.realPath or str(path), path.parent)
+    return values
 
 
-class _Stage:
+def _require_inside(place: str, folder: Path) -> None:
+    """Raise SceneError where a layer that a stage names is missing, or outside the stage's folder."""
+    from pxr import Ar
+
+    file = Path(Ar.SplitPackageRelativePathOuter(place)[0]).resolve()
+    if not file.is_relative_to(folder.resolve()):
+        raise SceneError(f"names the layer {place[-80:]!r}: files are read from the model's own folder alone")
+    if not file.is_file():
+        raise SceneError(f"names the layer {place[-80:]!r}, which is missing")
+
+
+class _Stage(ModelContents):
     """Contents of an open stage."""
 
     def __init__(self, stage: Any) -> None:
         from pxr import UsdGeom
 
+        super().__init__()
         self._stage = stage
         self._start = stage.GetStartTimeCode() if stage.HasAuthoredMetadata("startTimeCode") else 0.0
         unit_m = float(UsdGeom.GetStageMetersPerUnit(stage))
         self._nodes = [_node("stage", -1, (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.full(3, unit_m)))]
-        self._arrays: dict[str, _Array] = {}
-        self._parts: list[_Object] = []
         self._channels: list[_Object] = []
-        self._notes: dict[str, None] = {}
 
     def contents(self) -> dict[str, _Array]:
         """Return the header and the arrays."""
@@ -71,13 +97,7 @@ class _Stage:
                 continue
             numbers[prim.GetPath()] = self._prim(prim, numbers[prim.GetPath().GetParentPath()])
         animations = [{"name": "stage", "channels": self._channels}] if self._channels else []
-        header = {"nodes": self._nodes, "parts": self._parts, "animations": animations, "notes": list(self._notes)}
-        return {"header": np.frombuffer(json.dumps(header).encode(), np.uint8), **self._arrays}
-
-    def _keep(self, array: _Array) -> str:
-        name = f"a{len(self._arrays)}"
-        self._arrays[name] = array
-        return name
+        return self._values(self._nodes, animations)
 
     def _prim(self, prim: Any, parent: int) -> int:
         """Append a prim as a node; return its number."""
@@ -86,17 +106,20 @@ class _Stage:
         number, transform = len(self._nodes), UsdGeom.Xformable(prim)
         node = _node(prim.GetName(), 0 if transform and transform.GetResetXformStack() else parent, None)
         self._nodes.append(node)
+        require_at_most("nodes", len(self._nodes))
         if transform and transform.TransformMightBeTimeVarying():
             self._move(transform, node, number)
         elif transform:
             node["matrix"] = np.array(transform.GetLocalTransformation()).T.tolist()
         if prim.IsA(UsdGeom.Mesh):
-            self._parts.append({"node": number, **self._part(UsdGeom.Mesh(prim), prim.GetName())})
+            require_at_most("parts", len(self._parts) + 1)
+            self._add(number, self._part(UsdGeom.Mesh(prim), prim.GetName()))
         elif prim.IsA(UsdGeom.Gprim):
             self._notes["shapes without a mesh are left out"] = None
         return number
 
     def _move(self, transform: Any, node: _Object, number: int) -> None:
+        require_at_most("animated properties", len(self._channels) + 2)
         codes, poses = _sampled(transform, node["name"])
         node |= _node(node["name"], node["parent"], poses[0])
         times = (codes - self._start) / self._stage.GetTimeCodesPerSecond()

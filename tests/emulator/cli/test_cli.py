@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ import trimesh
 from emulator.cli import doctor
 from emulator.cli.app import _COMMANDS, _main
 from emulator.cli.doctor import _sentence
+from emulator.cli.output import Failure
 from emulator.rig.loading import load_rig
 from emulator.run.expected_speed import ExpectedSpeed, StepCost
 from emulator.run.keeping_up import RealTimeSpeed
@@ -124,6 +126,7 @@ def test_doctor_is_short_where_all_is_well_and_names_what_is_missing(monkeypatch
     assert _main(["doctor"]) == 0
     shown = capsys.readouterr().out
     assert len(shown.splitlines()) <= 5
+    assert shown.startswith("there: part0")
     assert "nothing is missing" in shown
     assert all(part.name in shown for part in parts)
     parts.append(finding("vcan", fix="modprobe vcan"))
@@ -132,9 +135,39 @@ def test_doctor_is_short_where_all_is_well_and_names_what_is_missing(monkeypatch
     assert " no vcan" in shown
     assert "fix: modprobe vcan" in shown
     assert "nothing is missing" not in shown
+    assert shown.index("there:") < shown.index("`evstim run eros`") < shown.index("missing, each") < shown.index(" no ")
     assert _main(["doctor", "--all"]) == 0
     shown = capsys.readouterr().out
     assert all(part.detail in shown for part in parts)
+
+
+@pytest.mark.parametrize(("compiled", "advice"), [(True, "work here\n"), (False, "compile: `evstim doctor --prepare")])
+def test_doctor_begins_with_the_next_step_of_the_readme(monkeypatch, capsys, compiled, advice):
+    monkeypatch.setattr(doctor, "examine", lambda: [finding("part", fix="get it")])
+    monkeypatch.setattr(doctor, "uncompiled", lambda parts: [] if compiled else parts)
+    assert _main(["doctor"]) == 0
+    assert advice in capsys.readouterr().out
+
+    def lacking(option, path):
+        raise Failure(f"{option}: get faery", 3)
+
+    monkeypatch.setattr(doctor, "check_recording", lacking)
+    assert _main(["doctor"]) == 0
+    shown = capsys.readouterr().out
+    assert "`evstim run eros` works here; `evstim record eros eros.aedat4` does not: get faery" in shown
+
+
+@pytest.mark.system
+def test_doctor_prepares_the_tables_of_a_rig(monkeypatch, tmp_path):
+    prepared = []
+    monkeypatch.setattr(doctor, "prepared", prepared.append)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    rig = Path(__file__).parents[3] / "examples" / "tutorial" / "asteroid.toml"
+    rough = tmp_path / "rough.toml"
+    rough.write_text(rig.read_text().replace("eros022540", "eros007790"))
+    assert _main(["doctor", "--prepare", str(rough)]) == 0
+    assert len(prepared) == 1
+    assert list((tmp_path / "evstim").glob("horizons-*.npy"))
 
 
 @pytest.mark.sampled

@@ -14,10 +14,11 @@ from scipy.spatial.transform import Rotation
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Glossy, Lambert, Sun
-from emulator.scene.bodies.gltf import read_gltf
+from emulator.scene.bodies.gltf import _MOST, ModelContents, read_gltf
 from emulator.scene.bodies.models import law_of, load_bodies
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
+from emulator.scene.bodies.usd import read_usd
 from emulator.trajectory.building import build_trajectories
 from emulator.trajectory.parameters import FixedPath, SpinPath
 
@@ -209,6 +210,8 @@ BAD = {
     "scale": (lambda: changed(lambda d: d["animations"][0]["channels"][0]["target"].update(path="scale")), "rigid"),
     "uneven": (lambda: changed(lambda d: d["nodes"][0].update(scale=[1, 2, 1])), "uneven"),
     "draco": (lambda: changed(lambda d: d.update(extensionsRequired=["KHR_draco_mesh_compression"])), "draco"),
+    "nodes": (lambda: changed(lambda d: d["nodes"].extend([{}] * 10_000)), "10000 nodes"),
+    "channels": (lambda: changed(lambda d: d["animations"][0]["channels"].extend([{}] * 1024)), "1024 animated"),
     "empty": (lambda: changed(lambda d: [node.pop("mesh", None) for node in d["nodes"]]), "no node"),
     "deep": (lambda: b"[" * 200_000, "cannot be read"),
 }
@@ -229,6 +232,23 @@ def test_bad_files_are_refused(tmp_path, name):
     (tmp_path / "bad.glb").write_bytes(make())
     with pytest.raises(SceneError, match=says):
         read_gltf(tmp_path / "bad.glb")
+
+
+def test_a_model_bomb_is_refused_before_its_parts_are_made(tmp_path, monkeypatch):
+    """9999 nodes with the same 100 primitives in a small file: the reader names the limit, and sends nothing."""
+    made, data = document()
+    made["meshes"][0]["primitives"] *= 100
+    made["nodes"], made["scenes"] = [{"mesh": 0}] * 9999, [{"nodes": list(range(9999))}]
+    added = []
+    monkeypatch.setattr(ModelContents, "_values", lambda *_: added.append("values"))
+    with pytest.raises(SceneError, match="has more than 256 parts: join"):
+        read_gltf(write(tmp_path, made, data))
+    made["nodes"], made["scenes"] = [{"mesh": 0}] * 200, [{"nodes": list(range(200))}]
+    made["meshes"][0]["primitives"] = made["meshes"][0]["primitives"][:1]
+    monkeypatch.setitem(_MOST, "facets", 100 * len(BUS.faces))
+    with pytest.raises(SceneError, match="has more than 1200 facets"):
+        read_gltf(write(tmp_path, made, data))
+    assert not added
 
 
 def test_vertices_that_are_not_finite_are_refused(tmp_path):
@@ -339,3 +359,46 @@ def test_a_bad_usd_stage_is_refused(tmp_path):
     for name, says in (("bad.usda", "cannot be read"), ("counts.usda", "do not fit")):
         with pytest.raises(SceneError, match=says):
             loaded(tmp_path / name)
+
+
+LAYERS = {
+    "sublayer": "( subLayers = [@%s@] )",
+    "reference": 'def "a" ( references = @%s@ ) {}',
+    "payload": 'def "a" ( payload = @%s@ ) {}',
+    "clip": """
+        def "a" (
+            clips = {
+                dictionary default = {
+                    asset[] assetPaths = [@%s@]
+                    asset manifestAssetPath = @%s@
+                    string primPath = "/craft"
+                    double2[] active = [(0, 0)]
+                    double2[] times = [(0, 0), (9, 9)]
+                }
+            }
+        ) {
+            def Xform "panel" {
+                double3 xformOp:translate
+                uniform token[] xformOpOrder = ["xformOp:translate"]
+            }
+        }
+    """,
+}
+
+
+@pytest.mark.parametrize("kind", sorted(LAYERS))
+def test_layers_outside_the_folder_of_a_stage_are_refused(tmp_path, kind):
+    pytest.importorskip("pxr", reason="usd-core")
+    folder = tmp_path / "model"
+    folder.mkdir()
+    for place in (folder / "inside.usda", tmp_path / "outside.usda"):
+        place.write_text(USD.replace("(\n", '(\n    defaultPrim = "craft"\n', 1))
+    (folder / "link.usda").symlink_to(tmp_path / "outside.usda")
+    for asset, says in (("../outside.usda", "own folder"), ("./link.usda", "own folder"), ("./none.usda", "missing")):
+        (folder / "stage.usda").write_text(f"#usda 1.0\n{LAYERS[kind].replace('%s', asset)}\n")
+        if kind == "clip" and says == "missing":
+            continue  # which usd-core leaves out
+        with pytest.raises(SceneError, match=says):
+            read_usd(folder / "stage.usda")
+    (folder / "stage.usda").write_text(f"#usda 1.0\n{LAYERS[kind].replace('%s', './inside.usda')}\n")
+    assert "header" in read_usd(folder / "stage.usda")

@@ -15,7 +15,7 @@ from scipy.ndimage import map_coordinates
 
 from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
-from emulator.photometry.reflectance import Lambert, Sun
+from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, Sun
 from emulator.scene.bodies.clouds import mean_albedo
 from emulator.scene.bodies.gltf import read_gltf
 from emulator.scene.bodies.mesh import build_mesh
@@ -144,21 +144,27 @@ def test_a_closed_body_stays_closed(tmp_path):
 
 def test_light_is_in_the_ratio_of_the_texture(tmp_path):
     """Seen at right angles from far away, each half has the light of its colour; the luminance of the file is right."""
+    top, bottom = halves_of_light(written(tmp_path, sheet(two_halves(), roughnessFactor=1.0)))
+    np.testing.assert_allclose(top / bottom.mean(), linear(250) / linear(120), rtol=0.02)
+    np.testing.assert_allclose(bottom, bottom.mean(), rtol=0.01)
+
+
+def two_halves():
     pixels = np.full((32, 32, 3), 250, np.uint8)
     pixels[16:] = 120  # the lower half of the image
-    body = BodyTable(
-        shape=str(written(tmp_path, sheet(pixels, roughnessFactor=1.0))),
-        path=FixedPath((0.0, 0.0, 100.0), q_world_from_body=(0.0, 1.0, 0.0, 0.0)),
-    )
+    return pixels
+
+
+def halves_of_light(path, **more):
+    """Return the light of the upper and of the lower half of a sheet that faces the camera and the Sun."""
+    place = FixedPath((0.0, 0.0, 100.0), q_world_from_body=(0.0, 1.0, 0.0, 0.0))
+    bodies = (BodyTable(shape=str(path), path=place, **more),)
     camera, light = Pinhole.of_field((40, 40), 1.0), np.zeros((40, 40), np.float32)
-    with RasterBodies(BodiesParameters(bodies=(body,), sun=Sun((0.0, 0.0, -1.0))), camera) as drawn:
+    with RasterBodies(BodiesParameters(bodies=bodies, sun=Sun((0.0, 0.0, -1.0))), camera) as drawn:
         drawn.light(0, light)
     rows = light[:, 20]
     shown = np.flatnonzero(rows > 0)
-    top, bottom = rows[shown[2] : shown[len(shown) // 2 - 2]], rows[shown[len(shown) // 2 + 2] : shown[-2]]
-    ratio = linear(250) / linear(120)
-    np.testing.assert_allclose(top / bottom.mean(), ratio, rtol=0.02)
-    np.testing.assert_allclose(bottom, bottom.mean(), rtol=0.01)
+    return rows[shown[2] : shown[len(shown) // 2 - 2]], rows[shown[len(shown) // 2 + 2] : shown[-2]]
 
 
 def test_metallic_and_roughness_count_by_the_mean_of_their_texture(tmp_path):
@@ -174,11 +180,15 @@ def test_metallic_and_roughness_count_by_the_mean_of_their_texture(tmp_path):
     assert header["notes"] == ["textures of metallic and roughness count by their mean"]
 
 
-def test_the_rig_s_reflectance_replaces_textures(tmp_path):
-    body, mesh, _ = loaded(written(tmp_path, sheet(smooth_image())), reflectance=Lambert(0.3))
-    assert body.reflectance == Lambert(0.3)
-    assert mesh.albedo is None
-    assert len(mesh.faces) == 2
+@pytest.mark.parametrize("law", [Lambert(0.3), LommelSeeliger(0.2), LunarLambert(), Hapke(), Glossy()])
+def test_the_rig_s_reflectance_keeps_the_texture(tmp_path, law):
+    path = written(tmp_path, sheet(two_halves(), roughnessFactor=1.0))
+    body, mesh, _ = loaded(path, reflectance=law)
+    assert body.reflectance == law
+    assert mean_albedo(mesh) == pytest.approx(1.0)
+    top, bottom = halves_of_light(path, reflectance=law)
+    assert bottom.mean() > 0
+    np.testing.assert_allclose(top / bottom.mean(), linear(250) / linear(120), rtol=0.02)
 
 
 @pytest.mark.parametrize(("wrap", "mode"), list(zip(WRAPS, ("grid-wrap", "nearest", "reflect"), strict=True)))
@@ -261,6 +271,26 @@ def test_bad_textures_are_refused(tmp_path, name):
     (tmp_path / "cut.png").write_bytes(png(64, 64))
     with pytest.raises(SceneError, match=reason):
         read_gltf(written(tmp_path, sheet(smooth_image()), change))
+
+
+def test_many_large_images_are_refused_before_they_are_decoded(tmp_path, monkeypatch):
+    """Three materials with an image each, and room for two; the third is cut off in the midst of its pixels."""
+    pixels = smooth_image()
+    monkeypatch.setattr("emulator.scene.bodies.gltf.MOST_PIXELS", 2 * pixels.shape[0] * pixels.shape[1])
+
+    def three(document):
+        document["images"] += [document["images"][0], {"uri": "cut.png"}]
+        document["textures"] += [{"source": 1}, {"source": 2}]
+        primitives, materials = document["meshes"][0]["primitives"], document["materials"]
+        for k in (1, 2):
+            materials.append({"pbrMetallicRoughness": {"baseColorTexture": {"index": k}}})
+            primitives.append(primitives[0] | {"material": k})
+
+    whole = io.BytesIO()
+    Image.fromarray(np.random.default_rng(1).integers(0, 255, (64, 64, 3), np.uint8)).save(whole, "PNG")
+    (tmp_path / "cut.png").write_bytes(whole.getvalue()[:6000])
+    with pytest.raises(SceneError, match=r"^image 2 has 64 x 64 pixels: .* make the images smaller"):
+        read_gltf(written(tmp_path, sheet(pixels), three))
 
 
 def test_a_texture_of_another_kind_is_left_out_with_a_note(tmp_path):
