@@ -122,7 +122,7 @@ def _write(rig: RunningRig, item: pytest.Item) -> None:
     from evstim.testing.artefacts import write_artefacts
 
     base = item.config.getoption("evstim_artefacts")
-    paths = write_artefacts(rig, item.config.invocation_params.dir / base / _as_path(item.nodeid))
+    paths = write_artefacts(rig, item.nodeid, item.config.invocation_params.dir / base / _as_path(item.nodeid))
     item.add_report_section("teardown", "evstim", "\n".join(str(path) for path in paths))
 
 
