@@ -113,14 +113,12 @@ def signature(subject: Sequence[str]) -> Section:
     made = Section("Review", "signature whole")
     for line in subject:
         made.text(line)
-    choices = "".join(
-        f'<span class="choice"><span class="box"></span>{choice}</span>'
-        for choice in ("accepted", "accepted with remarks", "rejected")
-    )
-    names = ("Name and role", "Organisation", "Date", "Signature")
-    fields = "".join(f"<div><small>{name}</small></div>" for name in names)
+    choices = ("accepted", "accepted with remarks", "rejected")
+    boxes = "".join(f'<span class="choice"><span class="box"></span>{choice}</span>' for choice in choices)
+    labels = ("Name and role", "Organisation", "Date", "Signature")
+    fields = "".join(f"<div><small>{label}</small></div>" for label in labels)
     return made.element(
-        f'<div class="sign"><div class="wide"><small>Decision</small>{choices}</div>'
+        f'<div class="sign"><div class="wide"><small>Decision</small>{boxes}</div>'
         f'<div class="wide"><small>Remarks</small></div>{fields}</div>'
     )
 
