@@ -229,7 +229,7 @@ LEFT_OUT = {  # commands that are not typed here, and the reason
 }
 RUNS_ON = {  # commands that run until Ctrl-C, and what they print when they work
     r"evstim run (?!.*--seconds)": r"[1-9]\d* frames",
-    r"evstim listen (?!.*--seconds)": r"\d",
+    r"evstim listen (?!.*--seconds)": r"[1-9]\d* events",
     r"python (first_try|centroid)\.py|\./centroid": r"x [\d.]+, y [\d.]+",
 }
 IS_READER = re.compile(r"evstim (listen|fault)|python |\./centroid|C=|cc ")  # they work beside a camera
@@ -273,7 +273,7 @@ class Desk:
         return self.terminals[-1]
 
     def end_before(self, command):
-        for terminal, other in list(self.running.items()):
+        for terminal, other in reversed(list(self.running.items())):  # readers first
             is_camera = other.startswith("evstim run")
             if not (IS_READER.match(command) if is_camera else command.startswith("evstim fault")):
                 code = terminal.interrupt()

@@ -1,7 +1,7 @@
 """The commands of a page, typed into terminals as a reader types them.
 
 A block of shell code has commands, and so has other text behind "$ "; further lines of text are what they print. A
-terminal is bash on a pseudo-terminal. Its prompt has the exit code of the last command, and Ctrl-C is a key.
+terminal is bash on a pseudo-terminal. Its prompt has the exit code of the last command.
 """
 
 import os
@@ -11,6 +11,7 @@ import select
 import signal
 import subprocess
 import time
+from contextlib import suppress
 
 __all__ = ["Terminal", "commands_of", "printed_by", "without_comment"]
 
@@ -73,8 +74,11 @@ class Terminal:
         self._until(re.compile(pattern))
 
     def interrupt(self):
-        """Press Ctrl-C and wait for the end of the present command; return its exit code."""
-        os.write(self._file, b"\x03")
+        """Send what Ctrl-C sends, where the program still runs, and wait for its end; return its exit code."""
+        group = os.tcgetpgrp(self._file)
+        if group != self._shell.pid:
+            with suppress(ProcessLookupError):
+                os.killpg(group, signal.SIGINT)
         return self.end()
 
     def end(self):
