@@ -151,7 +151,7 @@ def test_the_page_needs_nothing_else(campaign, rows, tmp_path):
     assert "PAWN index" in page
     assert "again small.toml INDEX --record" in page
     assert not re.search(r'(src|href)="(?!data:|#)', page)
-    assert "NaN" not in page
+    assert "NaN" not in re.sub(r'(?s)data:image.*?"', "", page)
 
 
 def test_columns_have_the_names_that_the_file_gives(campaign, rows, tmp_path):
