@@ -2,12 +2,15 @@
 
 Its fresh environment lacks all optional packages: no shipped rig needs one. It is the one place where kernels are
 compiled anew, once for all tests: at a first run. Each process in it notes the kernels that it compiles.
+
+Then the commands of the first pages are typed in this environment, in a copy of the source folder around it.
 """
 
 import json
 import os
 import pickle
 import re
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -20,6 +23,7 @@ import pytest
 
 from emulator.rig.loading import load_rig, shipped_rigs
 from emulator.run.machine import needs_of
+from tests.typed_commands import Terminal, commands_of, printed_by, without_comment
 
 ROOT = Path(__file__).parent.parent
 
@@ -128,7 +132,7 @@ def test_what_is_in_the_wheel(wheel):
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory):
     """The Python of a fresh environment with the wheel and its base dependencies, and nothing else."""
-    folder = tmp_path_factory.mktemp("fresh")
+    folder = tmp_path_factory.mktemp("evstim") / ".venv"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
     pip("--python", folder, "install", "--no-compile", wheel)
     return folder / "bin" / "python"
@@ -288,3 +292,106 @@ def test_a_fresh_environment_has_no_optional_package(installed):
     code = "import importlib.util as u; print([n for n in ('PIL', 'matplotlib', 'faery', 'av') if u.find_spec(n)])"
     done = subprocess.run([installed, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+PAGES = ("README.md", "docs/index.md")
+LEFT_OUT = {  # commands that are not typed here, and the reason
+    r"make (demo|test)": "they install all packages, and `make test` runs this test",
+    r"(sudo )?usbip|sudo modprobe": "root and a kernel module; tests/guest attaches cameras in a machine of its own",
+    r"evstim demo": "seconds to minutes of real time each; tests/emulator/cli, tests/guest and tests/examples run them",
+    r"evstim campaign": "64 runs; tests/emulator/campaign and tests/examples run campaigns",
+    r"evstim run stars-ros2": "its package is large; tests/transports/ros2 runs it",
+    r"evstim vizard": "it waits for a simulation; tests/examples/test_basilisk.py has one",
+}
+RUNS_ON = {  # commands that run until Ctrl-C, and what they print when they work
+    r"evstim run (?!.*--seconds)": r"[1-9]\d* frames",
+    r"evstim listen (?!.*--seconds)": r"[1-9]\d* events",
+}
+IS_READER = re.compile(r"evstim (listen|fault)|python |\./centroid|C=|cc ")  # they work beside a camera
+LATE = re.compile(r"NOT GOOD: \d of \d+ rules broken: ((in real time|steps in time)(, )?)+\s")
+
+
+class Desk:
+    """Terminals in the source folder: a command is typed into the first one in which no program runs.
+
+    A camera runs until the page goes on with what is no reader of it, and a reader until it goes on with what is no
+    fault; then Ctrl-C is pressed. Commands in a comment are typed as well: "then, in a second terminal: ..." after the
+    command, and "pip install ...: ..." before it.
+    """
+
+    def __init__(self, folder, environment):
+        self.environment = environment
+        self.terminals = [Terminal(folder, environment)]
+        self.running, self.typed = {}, []
+
+    def follow(self, line):
+        command, comment = without_comment(line)
+        if any(re.match(left, command) for left in LEFT_OUT):
+            return
+        if (before := re.match(r"pip install [^\s:]+", comment)) and before[0] not in self.typed:
+            self.follow(before[0])
+        self.end_before(command)
+        self.typed.append(command)
+        terminal = next((one for one in self.terminals if one.is_idle), None) or self.open()
+        works = next((pattern for name, pattern in RUNS_ON.items() if re.match(name, command)), None)
+        if works is None:
+            assert terminal.run(command) == 0, f"{command}: {terminal.output}"
+        else:
+            self.running[terminal] = command
+            terminal.type(command)
+            terminal.wait_for(works)
+        if after := re.search(r"\bthen\b[^:]*: ([^`]+)", comment):
+            self.follow(after[1])
+
+    def open(self):
+        self.terminals.append(Terminal(self.terminals[0].folder, self.environment))
+        return self.terminals[-1]
+
+    def end_before(self, command):
+        for terminal, other in reversed(list(self.running.items())):  # readers first
+            is_camera = other.startswith("evstim run")
+            if not (IS_READER.match(command) if is_camera else command.startswith("evstim fault")):
+                code = terminal.interrupt()
+                assert not is_camera or code == 0 or LATE.search(terminal.output), f"{other}: {terminal.output}"
+                del self.running[terminal]
+
+
+@pytest.fixture(scope="module")
+def desk(installed, tmp_path_factory):
+    """A copy of the source folder around the fresh environment, which has the kernels that this folder has."""
+    folder = installed.parents[2]
+    ignored = [line.strip("/") for line in (ROOT / ".gitignore").read_text().splitlines()]
+    shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(".git", *ignored), dirs_exist_ok=True)
+    (packages,) = folder.glob(".venv/lib/python*/site-packages")
+    for file in ROOT.glob("*/**/__pycache__/*"):
+        if file.suffix in (".nbi", ".nbc", ".compiled"):
+            (packages / file.relative_to(ROOT)).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(file, packages / file.relative_to(ROOT))
+    ours = re.compile("PYTHON|PYTEST|NUMBA|VIRTUAL_ENV")
+    environment = {name: value for name, value in os.environ.items() if not ours.match(name)}
+    environment["XDG_RUNTIME_DIR"] = str(tmp_path_factory.mktemp("runtime"))  # no run of others is a run of this reader
+    python = os.path.dirname(os.path.realpath(sys.executable))
+    environment["PATH"] = os.pathsep.join([str(installed.parent), python, os.environ["PATH"]])
+    made = Desk(folder, environment)
+    yield made
+    for terminal in made.terminals:
+        terminal.close()
+
+
+@pytest.mark.anew
+@pytest.mark.socket
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("page", PAGES)
+def test_the_commands_of_a_page_work_as_printed(desk, page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    for line in commands_of(text):
+        desk.follow(line)
+    desk.end_before("the end")
+    shown = "".join(terminal.text for terminal in desk.terminals)
+    assert [pattern for pattern in printed_by(text) if not re.search(pattern, shown)] == []
+
+
+def test_what_is_left_out_is_still_on_a_page():
+    lines = [line for page in PAGES for line in commands_of((ROOT / page).read_text())]
+    unused = [left for left in [*LEFT_OUT, *RUNS_ON] if not any(re.search(left, line) for line in lines)]
+    assert unused == []

@@ -22,8 +22,9 @@ import importlib
 import math
 import warnings
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,8 @@ from scipy.stats import spearmanr
 from emulator.campaign.campaign import Campaign, Row
 from emulator.campaign.sampling import Law
 from emulator.campaign.success import SuccessRule, proportion
-from emulator.report.page import BLUE, INK, RED, ChartsLacking, Page, image, panels, svg
+from emulator.report.document import Document, Section
+from emulator.report.page import BLUE, INK, RED, ChartsLacking, image, panels, svg
 
 __all__ = [
     "Sensitivity",
@@ -158,16 +160,12 @@ def _salib() -> bool:
     return True
 
 
-def _problem(dimensions: int) -> dict[str, Any]:
-    names = [str(k) for k in range(dimensions)]
-    return {"num_vars": dimensions, "names": names, "bounds": [[0.0, 1.0]] * dimensions}
-
-
 def _sobol(y: _Floats, laws: Sequence[Law]) -> list[dict[str, Any]]:
-    analyze = importlib.import_module("SALib.analyze.sobol").analyze
+    analyze, count = importlib.import_module("SALib.analyze.sobol").analyze, len(laws)
+    problem = {"num_vars": count, "names": [str(k) for k in range(count)], "bounds": [[0.0, 1.0]] * count}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = analyze(_problem(len(laws)), y, calc_second_order=False, seed=1)
+        found = analyze(problem, y, calc_second_order=False, seed=1)
     return [
         {
             "parameter": law.key,
@@ -196,7 +194,18 @@ _HEIGHT = 2.8
 _FEW = 8  # values that get a tick each
 _FAR = 2.0  # from the values, in their span: a limit that is farther off is not drawn
 
-_Labels = Mapping[str, str]
+_UNITS = {
+    **{"_px_s": "px/s", "_m_s": "m/s", "_rad_s": "rad/s", "_deg_s": "deg/s", "_hz": "Hz", "_px": "px", "_deg": "deg"},
+    **{"_ns": "ns", "_us": "us", "_ms": "ms", "_um": "um", "_mm": "mm", "_km": "km", "_m": "m", "_s": "s"},
+}
+
+
+class _Labels(dict[str, str]):
+    """Names of columns for people: those of the campaign's file, else the column's own with its unit apart."""
+
+    def __missing__(self, name: str) -> str:
+        suffix = next((suffix for suffix in _UNITS if name.endswith(suffix)), "")
+        return f"{name.removesuffix(suffix)}, {_UNITS[suffix]}" if suffix else name
 
 
 def success_by_parameter(rows: Sequence[Row], laws: Sequence[Law], labels: _Labels) -> str:
@@ -236,19 +245,19 @@ def scatter(rows: Sequence[Row], laws: Sequence[Law], column: str, labels: _Labe
             if which.any():
                 axes.plot(x[which], y[which], ".", markersize=5, alpha=0.6, color=colour, label=name)
         _scale(axes, law, rows, labels)
-    charts[0].set_ylabel(labels.get(column, column))
+    charts[0].set_ylabel(labels[column])
     if not success.all():
         charts[-1].legend(fontsize=8)
-    return image(figure, f"{column} over the parameters")
+    return image(figure, f"{labels[column]} over the parameters")
 
 
 def histograms(rows: Sequence[Row], columns: Sequence[str], labels: _Labels, rules: Sequence[SuccessRule]) -> str:
-    """Return the distribution of some columns, with the limits of the rules; at least one column has numbers."""
-    shown = [(column, values) for column in columns if len(values := _there(numbers(rows, column)))]
-    figure, charts = _panels(len(shown))
-    for axes, (column, values) in zip(charts, shown, strict=True):
+    """Return the distribution of some columns, with the limits of the rules; each column has numbers."""
+    figure, charts = _panels(len(columns))
+    for axes, column in zip(charts, columns, strict=True):
+        values = _finite(rows, column)
         axes.hist(values, bins=min(40, max(5, int(np.sqrt(len(values))))), color=INK, histtype="step")
-        axes.set(xlabel=labels.get(column, column))
+        axes.set(xlabel=labels[column])
         axes.yaxis.get_major_locator().set_params(integer=True)
         for limit in _limits(rules, column, values):
             axes.axvline(limit, color=RED, linestyle="--")
@@ -263,13 +272,9 @@ def _limits(rules: Sequence[SuccessRule], column: str, values: _Floats) -> list[
     return [one for one in numbers if values.min() - _FAR * span <= one <= values.max() + _FAR * span]
 
 
-def _there(values: _Floats) -> _Floats:
-    return values[np.isfinite(values)]
-
-
 def _scale(axes: Any, law: Law, rows: Sequence[Row], labels: _Labels) -> None:
     """Name the axis of a parameter; a logarithmic law has a logarithmic one, few values a tick each, texts names."""
-    axes.set(xlabel=labels.get(law.key, law.key))
+    axes.set(xlabel=labels[law.key])
     if law.kind == "log-uniform":
         axes.set_xscale("log")
         axes.xaxis.set_minor_formatter(lambda *_: "")
@@ -289,32 +294,49 @@ def _panels(count: int) -> tuple[Any, list[Any]]:
 
 _MOST_COLUMNS = 6
 _MOST_WORST = 10
-_MOST_TEXT = 120
 
 
 def write_report(campaign: Campaign, rows: Sequence[Row], folder: Path) -> Path:
     """Write report.html into a folder, which is made, and return its path; at least one row. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
-    page = Page(campaign.settings.title or campaign.name)
-    for add in (_add_share, _add_charts, _add_sensitivities, _add_worst, _add_facts):
-        add(page, campaign, rows)
-    return page.write(folder / "report.html")
+    page = Document(f"{campaign.name}: report of a campaign", campaign.settings.title, _verdict(campaign, rows))
+    labels = _Labels(campaign.settings.report.labels)
+    for section in (_success, _distributions, _sensitivities, _worst):
+        page.add(section(campaign, rows, labels))
+    return page.add(_facts(campaign, rows)).write(folder / "report.html")
 
 
-def _add_share(page: Page, campaign: Campaign, rows: Sequence[Row]) -> None:
-    known = proportion(sum(bool(row["success"]) for row in rows), len(rows))
-    whole = "" if len(rows) == campaign.runs else f" {campaign.runs - len(rows)} of {campaign.runs} runs are missing."
-    page.text(f"The interval is Wilson's.{whole}", strong=f"Success: {known}.")
+def _verdict(campaign: Campaign, rows: Sequence[Row]) -> tuple[str, str]:
+    """Return the verdict as the command's exit code has it: by the least share of successes, once all runs are done."""
+    success = proportion(sum(bool(row["success"]) for row in rows), len(rows))
+    least = campaign.settings.min_success
+    if len(rows) < campaign.runs:
+        return "unfinished", f"Success: {success}. {campaign.runs - len(rows)} of {campaign.runs} runs are missing."
+    wanted = f"At least {least:.1%} are required" if least else "No least share is required"
+    return "good" if success.share >= least else "bad", f"Success: {success}. {wanted} (min_success)."
+
+
+def _success(campaign: Campaign, rows: Sequence[Row], labels: _Labels) -> Section:
+    section = Section("Success")
     rules = campaign.settings.success
-    page.text("" if rules else "A run is a success when its verdict is good.")
-    page.table([{"rule": one.text, "kept": _kept(one, rows)} for one in rules])
+    section.text("" if rules else "A run is a success when its verdict is good.")
+    ended = [row for row in rows if row["outcome"] == "ok"]
+    kept = {rule.text: proportion(sum(map(rule.kept_by, ended)), len(rows)) for rule in rules}
+    section.facts("Runs that keep each rule", kept)
     outcomes = Counter(str(row["outcome"]) for row in rows)
     if set(outcomes) != {"ok"}:
-        page.table([{"outcome": outcome, "runs": count} for outcome, count in outcomes.most_common()])
+        section.records([{"outcome": name, "runs": n} for name, n in outcomes.most_common()], "Ends of the runs")
+    if laws := campaign.settings.parameters:
+        section.heading("Success by parameter")
+        _add_chart(section, lambda: success_by_parameter(rows, laws, labels))
+    return section.text("Intervals are Wilson's, 95 %.", "note")
 
 
-def _kept(rule: Any, rows: Sequence[Row]) -> str:
-    return str(proportion(sum(row["outcome"] == "ok" and rule.kept_by(row) for row in rows), len(rows)))
+def _add_chart(section: Section, draw: Callable[[], str]) -> None:
+    try:
+        section.chart(draw())
+    except ChartsLacking as error:
+        section.text(f"No chart: {error}", "note")
 
 
 def _shown(campaign: Campaign, rows: Sequence[Row]) -> list[str]:
@@ -322,44 +344,44 @@ def _shown(campaign: Campaign, rows: Sequence[Row]) -> list[str]:
     chosen = list(campaign.settings.report.columns)
     given = [name for name in dict.fromkeys(name for row in rows for name in row) if name.startswith("result.")]
     wanted = chosen or ["margin", "events.rate_hz", *given]
-    return [name for name in wanted if np.isfinite(numbers(rows, name)).any()][:_MOST_COLUMNS]
+    return [name for name in wanted if len(_finite(rows, name))][:_MOST_COLUMNS]
 
 
-def _add_charts(page: Page, campaign: Campaign, rows: Sequence[Row]) -> None:
-    settings, shown = campaign.settings, _shown(campaign, rows)
-    laws, labels = settings.parameters, settings.report.labels
-    if shown:
-        page.heading("Distributions")
-        page.table([{"column": labels.get(name, name), **quantiles(rows, name)} for name in shown])
-    try:
-        if shown:
-            page.chart(histograms(rows, shown, labels, settings.success))
-        if laws:
-            page.heading("Success by parameter").chart(success_by_parameter(rows, laws, labels))
-        for column in shown if laws else ():
-            page.heading(labels.get(column, column), 3).chart(scatter(rows, laws, column, labels))
-    except ChartsLacking as error:
-        page.text(f"No charts: {error}")
+def _finite(rows: Sequence[Row], column: str) -> _Floats:
+    values = numbers(rows, column)
+    return values[np.isfinite(values)]
+
+
+def _distributions(campaign: Campaign, rows: Sequence[Row], labels: _Labels) -> Section:
+    section = Section("Distributions")
+    settings = campaign.settings
+    shown = _shown(campaign, rows)
+    if not shown:
+        return section.text("No column of the report has a number.")
+    section.records([{"column": labels[name], **quantiles(rows, name)} for name in shown], "Quantiles over all runs")
+    _add_chart(section, lambda: histograms(rows, shown, labels, settings.success))
+    for column in shown if settings.parameters else ():
+        section.heading(labels[column])
+        _add_chart(section, partial(scatter, rows, settings.parameters, column, labels))
+    return section
 
 
 def quantiles(rows: Sequence[Row], column: str) -> Row:
     """Return quantiles of the numbers of a column."""
-    values = numbers(rows, column)
-    found = np.quantile(values[np.isfinite(values)], [0.0, 0.1, 0.5, 0.9, 1.0]).tolist()
+    found = np.quantile(_finite(rows, column), [0.0, 0.1, 0.5, 0.9, 1.0]).tolist()
     return dict(zip(("least", "10 %", "median", "90 %", "most"), found, strict=True))
 
 
-def _add_sensitivities(page: Page, campaign: Campaign, rows: Sequence[Row]) -> None:
+def _sensitivities(campaign: Campaign, rows: Sequence[Row], labels: _Labels) -> Section:
+    section = Section("Sensitivity")
     settings = campaign.settings
-    if not settings.parameters:
-        return
-    page.heading("Sensitivity")
-    labels = settings.report.labels
     designed = settings.sampling == "saltelli" and settings.repeats == 1
-    for column in ["success", *_shown(campaign, rows)]:
+    for column in ["success", *_shown(campaign, rows)] if settings.parameters else ():
         found = sensitivity(rows, settings.parameters, column, settings.count if designed else 0)
-        page.heading(labels.get(column, column), 3).text(found.method)
-        page.table([row | {"parameter": labels.get(row["parameter"], row["parameter"])} for row in found.rows])
+        section.heading(labels[column]).text(found.method)
+        named = [row | {"parameter": labels[row["parameter"]]} for row in found.rows]
+        section.records(named, f"Influence of each parameter on {labels[column]}")
+    return section if settings.parameters else section.text("No parameter varies: runs differ by their seed.")
 
 
 def worst_runs(campaign: Campaign, rows: Sequence[Row]) -> list[Row]:
@@ -375,24 +397,20 @@ def worst_runs(campaign: Campaign, rows: Sequence[Row]) -> list[Row]:
     return sorted(rows, key=badness)[:_MOST_WORST]
 
 
-def _add_worst(page: Page, campaign: Campaign, rows: Sequence[Row]) -> None:
+def _worst(campaign: Campaign, rows: Sequence[Row], labels: _Labels) -> Section:
     file = Path(campaign.source.file).name
-    page.heading("Worst runs")
-    page.text("One of them again, recorded:", code=f"evstim campaign again {file} INDEX --record run.npz")
     keys = [law.key for law in campaign.settings.parameters]
     names = ["index", "outcome", "success", "margin", *keys, *_shown(campaign, rows), "broken", "error"]
     names = list(dict.fromkeys([*names, campaign.settings.report.worst]))
     worst = worst_runs(campaign, rows)
     names = [name for name in names if any(row.get(name) not in (None, "") for row in worst)]
-    labels = campaign.settings.report.labels
-    page.table([{labels.get(name, name): _short(row.get(name)) for name in names} for row in worst])
+    section = Section("Worst runs").text("One of them again, recorded:")
+    section.code(f"evstim campaign again {file} INDEX --record run.npz")
+    section.records([{labels[name]: row.get(name) for name in names} for row in worst], "The worst first")
+    return section
 
 
-def _short(value: Any) -> Any:
-    return value if not isinstance(value, str) or len(value) <= _MOST_TEXT else f"{value[:_MOST_TEXT]} ..."
-
-
-def _add_facts(page: Page, campaign: Campaign, rows: Sequence[Row]) -> None:
+def _facts(campaign: Campaign, rows: Sequence[Row]) -> Section:
     settings = campaign.settings
     wall_s = numbers(rows, "machine.wall_s")
     facts = {
@@ -406,4 +424,4 @@ def _add_facts(page: Page, campaign: Campaign, rows: Sequence[Row]) -> None:
         "hosts": ", ".join(sorted({str(row["machine.host"]) for row in rows if row.get("machine.host")})),
         "evstim": ", ".join(sorted({str(row["machine.version"]) for row in rows if row.get("machine.version")})),
     }
-    page.heading("Campaign").facts(facts)
+    return Section("Campaign").facts("Its file, its runs and its machines", facts)

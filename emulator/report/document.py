@@ -15,7 +15,7 @@ from typing import Any, Literal, Self
 
 from emulator.report.charts import escaped, number_text
 
-__all__ = ["Column", "Document", "Section", "Signature", "swatch_legend"]
+__all__ = ["Column", "Document", "Section", "signature", "swatch_legend"]
 
 MOST_ROWS = 100
 """Rows of a table on a page; further ones are counted."""
@@ -39,9 +39,9 @@ class Column:
 class Section:
     """A section with a heading, from top to bottom; `kind` is a class of the style."""
 
-    def __init__(self, heading: str, kind: str = "") -> None:
+    def __init__(self, heading: str = "", kind: str = "") -> None:
         self._kind = kind
-        self._parts = [f"<h2>{_text(heading)}</h2>"]
+        self._parts = [f"<h2>{_text(heading)}</h2>"] if heading else []
 
     def heading(self, text: str) -> Self:
         """Add the heading of a part."""
@@ -56,23 +56,32 @@ class Section:
         """Add a list; nothing without lines."""
         return self.element(f"<ul>{''.join(f'<li>{_text(line)}</li>' for line in lines)}</ul>") if lines else self
 
-    def table(self, caption: str, columns: Sequence[Column], rows: Sequence[Mapping[str, Any]]) -> Self:
-        """Add the first hundred rows and the number of the others; nothing without rows.
+    def records(self, rows: Sequence[Mapping[str, Any]], caption: str = "") -> Self:
+        """Add all rows, which have the same keys: the headings of the columns."""
+        texts = {name for row in rows for name, value in row.items() if isinstance(value, str)}
+        names = rows[0] if rows else ()
+        columns = [Column(name, name, "text" if name in texts else "number") for name in names]
+        return self.table(caption, columns, rows, len(rows))
+
+    def table(
+        self, caption: str, columns: Sequence[Column], rows: Sequence[Mapping[str, Any]], limit: int = MOST_ROWS
+    ) -> Self:
+        """Add the first rows, at most a hundred unless given, and the number of the others; nothing without rows.
 
         None and NaN are a dash. The first column has the headers of the rows.
         """
         if not rows:
             return self
-        head = "".join(_head(column) for column in columns)
-        body = "".join(f'<tr role="row">{_row(columns, row)}</tr>' for row in rows[:MOST_ROWS])
+        cells = ((_class(column), _text(column.heading)) for column in columns)
+        head = "".join(f'<th scope="col" role="columnheader"{kind}>{text}</th>' for kind, text in cells)
+        body = "".join(f'<tr role="row">{_row(columns, row)}</tr>' for row in rows[:limit])
         kind = "stacked" if len(columns) > _MOST_NARROW else "facts"
         table = f'<table class="{kind}" role="table"><caption>{_text(caption)}</caption>'
-        table += (
-            f'<thead role="rowgroup"><tr role="row">{head}</tr></thead><tbody role="rowgroup">{body}</tbody></table>'
-        )
+        table += f'<thead role="rowgroup"><tr role="row">{head}</tr></thead>'
+        table += f'<tbody role="rowgroup">{body}</tbody></table>'
         scroll = "scroll short" if len(rows) <= _MOST_SHORT else "scroll"
         self.element(f'<div class="{scroll}" role="region" tabindex="0" aria-label="{_text(caption)}">{table}</div>')
-        more = len(rows) - MOST_ROWS
+        more = len(rows) - limit
         return self.text(f"and {more} more, listed in report.json" if more > 0 else "", "note")
 
     def facts(self, caption: str, facts: Mapping[str, Any]) -> Self:
@@ -99,27 +108,19 @@ class Section:
         return f'<section class="{self._kind}">{"".join(self._parts)}</section>'
 
 
-@dataclass(frozen=True)
-class Signature:
-    """The block that a reviewer signs: what is signed, a line each."""
-
-    subject: Sequence[str]
-
-    def section(self) -> Section:
-        """Return the section, with a box for each decision and fields to write in."""
-        made = Section("Review", "signature whole")
-        for line in self.subject:
-            made.text(line)
-        choices = "".join(
-            f'<span class="choice"><span class="box"></span>{choice}</span>'
-            for choice in ("accepted", "accepted with remarks", "rejected")
-        )
-        fields = "".join(f"<div><small>{name}</small></div>" for name in ("Name and role", "Organisation"))
-        fields += "".join(f"<div><small>{name}</small></div>" for name in ("Date", "Signature"))
-        return made.element(
-            f'<div class="sign"><div class="wide"><small>Decision</small>{choices}</div>'
-            f'<div class="wide"><small>Remarks</small></div>{fields}</div>'
-        )
+def signature(subject: Sequence[str]) -> Section:
+    """Return the section that a reviewer signs: what is signed, a line each, boxes for the decision, and fields."""
+    made = Section("Review", "signature whole")
+    for line in subject:
+        made.text(line)
+    choices = ("accepted", "accepted with remarks", "rejected")
+    boxes = "".join(f'<span class="choice"><span class="box"></span>{choice}</span>' for choice in choices)
+    labels = ("Name and role", "Organisation", "Date", "Signature")
+    fields = "".join(f"<div><small>{label}</small></div>" for label in labels)
+    return made.element(
+        f'<div class="sign"><div class="wide"><small>Decision</small>{boxes}</div>'
+        f'<div class="wide"><small>Remarks</small></div>{fields}</div>'
+    )
 
 
 class Document:
@@ -130,10 +131,10 @@ class Document:
     title, subtitle
         Heading, and the line below it.
     verdict
-        Its kind, and its words.
+        Its kind, and its words; None: the document has none.
     """
 
-    def __init__(self, title: str, subtitle: str, verdict: tuple[str, str]) -> None:
+    def __init__(self, title: str, subtitle: str = "", verdict: tuple[str, str] | None = None) -> None:
         self._title, self._subtitle, self._verdict = title, subtitle, verdict
         self._sections: list[Section] = []
 
@@ -144,17 +145,19 @@ class Document:
 
     def html(self) -> str:
         """Return the whole file."""
-        kind, words = self._verdict
-        title = _text(f"{self._title}: {kind}")
+        title, verdict = _text(self._title), ""
+        if self._verdict is not None:
+            kind, words = self._verdict
+            title = f"{title}: {kind}"
+            verdict = f'<div class="verdict {kind}" role="status"><strong>{_SYMBOLS[kind]} {kind.upper()}</strong>'
+            verdict += f"{_text(words)}</div>"
         head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
         head += f"<title>{title}</title><style>{_STYLE.read_text(encoding='utf-8')}</style>"
-        verdict = f"<strong>{_SYMBOLS[kind]} {kind.upper()}</strong>{_text(words)}"
         header = f'<h1>{_text(self._title)}</h1><p class="subtitle">{_text(self._subtitle)}</p>'
-        header += f'<div class="verdict {kind}" role="status">{verdict}</div>'
         sections = "".join(section.html() for section in self._sections)
         return (
             f'<!doctype html>\n<html lang="en"><head>{head}</head>\n'
-            f"<body><header>{header}</header>\n{sections}</body></html>\n"
+            f"<body><header>{header}{verdict}</header>\n{sections}</body></html>\n"
         )
 
     def write(self, path: Path) -> Path:
@@ -171,12 +174,7 @@ def swatch_legend(entries: Sequence[tuple[str, str]]) -> str:
 
 
 def _row(columns: Sequence[Column], row: Mapping[str, Any]) -> str:
-    first, *others = (_cell(column, row.get(column.key), header=k == 0) for k, column in enumerate(columns))
-    return first + "".join(others)
-
-
-def _head(column: Column) -> str:
-    return f'<th scope="col" role="columnheader"{_class(column)}>{_text(column.heading)}</th>'
+    return "".join(_cell(column, row.get(column.key), header=k == 0) for k, column in enumerate(columns))
 
 
 def _cell(column: Column, value: object, *, header: bool) -> str:
@@ -196,7 +194,9 @@ def _class(column: Column) -> str:
 def _value(value: object) -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "\u2013"
-    if isinstance(value, float | int) and not isinstance(value, bool):
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float | int):
         return number_text(value) if math.isfinite(value) else "no bound"
     return _text(str(value))
 

@@ -17,6 +17,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
+from emulator.report.charts import escaped
+from emulator.report.document import Document, Section
 from transports.needs import install_command
 
 __all__ = [
@@ -39,74 +41,34 @@ __all__ = [
 
 Row = Mapping[str, Any]
 
-_STYLE = (
-    "body{font:15px/1.5 sans-serif;max-width:1200px;margin:2em auto;padding:0 1em;color:#222}"
-    "svg{width:100%;height:auto}img{max-width:100%}table{border-collapse:collapse;font-size:12px}"
-    "td,th{padding:2px 8px;text-align:right;border-bottom:1px solid #ddd}"
-    "td:first-child,th:first-child{text-align:left}"
-)
 
-
-class Page:
-    """One page of HTML, from top to bottom. All texts are escaped, except charts."""
+class Page(Section):
+    """A report of one section, from top to bottom."""
 
     def __init__(self, title: str) -> None:
+        super().__init__()
         self._title = title
-        self._sections: list[str] = []
-
-    def heading(self, text: str, level: int = 2) -> Self:
-        """Add a heading: 2 for a section, 3 for a part of it."""
-        return self._add(f"<h{level}>{html.escape(text)}</h{level}>")
-
-    def text(self, text: str, *, strong: str = "", code: str = "") -> Self:
-        """Add a paragraph: the `strong` words, the text, the code; nothing where all are empty."""
-        pieces = [f"<b>{html.escape(strong)}</b>" if strong else "", html.escape(text)]
-        pieces.append(f"<code>{html.escape(code)}</code>" if code else "")
-        content = " ".join(piece for piece in pieces if piece)
-        return self._add(f"<p>{content}</p>") if content else self
 
     def findings(self, lines: Sequence[str]) -> Self:
         """Add the first line as a paragraph, the others as a list."""
-        self.text(lines[0])
-        return self._add(f"<ul>{''.join(f'<li>{html.escape(line)}</li>' for line in lines[1:])}</ul>")
+        items = "".join(f"<li>{escaped(line)}</li>" for line in lines[1:])
+        return self.element(f"<p>{escaped(lines[0])}</p><ul>{items}</ul>" if items else f"<p>{escaped(lines[0])}</p>")
 
-    def table(self, rows: Sequence[Row]) -> Self:
-        """Add rows of equal keys, None and NaN as a dash; nothing without rows."""
-        if not rows:
-            return self
-        head = "".join(f"<th>{html.escape(name.replace('_', ' '))}</th>" for name in rows[0])
-        body = "".join("<tr>" + "".join(f"<td>{_cell(v)}</td>" for v in row.values()) + "</tr>" for row in rows)
-        return self._add(f"<table><tr>{head}</tr>{body}</table>")
+    def records(self, rows: Sequence[Row], caption: str = "") -> Self:
+        """Add all rows, with words in the place of their keys."""
+        return super().records([{key.replace("_", " "): row[key] for key in row} for row in rows], caption)
 
-    def facts(self, facts: Mapping[str, Any]) -> Self:
-        """Add names and values as a table of two columns."""
-        return self.table([{"what": name, "value": value} for name, value in facts.items()])
-
-    def chart(self, chart: str | Sequence[Path]) -> Self:
-        """Add a chart: an element, or the files of `save`, of which the SVG is shown."""
-        return self._add(chart if isinstance(chart, str) else _element(chart[0]))
+    def drawn(self, files: Sequence[Path]) -> Self:
+        """Add a chart by the files of `save`, of which the SVG is shown; nothing without files."""
+        return self.chart(_element(files[0].read_text())) if files else self
 
     def write(self, path: Path) -> Path:
         """Write the page; return its path."""
-        title = html.escape(self._title)
-        head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>{_STYLE}</style>'
-        path.write_text(f"{head}<h1>{title}</h1>{''.join(self._sections)}</html>\n")
-        return path
-
-    def _add(self, section: str) -> Self:
-        self._sections.append(section)
-        return self
+        return Document(self._title).add(self).write(path)
 
 
-def _element(svg: Path) -> str:
-    text = svg.read_text()
-    return text[text.index("<svg") :]
-
-
-def _cell(value: object) -> str:
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "–"
-    return f"{value:.4g}" if isinstance(value, float) else html.escape(str(value))
+def _element(svg: str) -> str:
+    return svg[svg.index("<svg") :]
 
 
 def write_csv(rows: Sequence[Row], path: Path) -> Path:
@@ -191,7 +153,7 @@ def svg(figure: Any) -> str:
     text = io.StringIO()
     figure.savefig(text, format="svg", bbox_inches="tight")
     pyplot().close(figure)
-    return text.getvalue()[text.getvalue().index("<svg") :]
+    return _element(text.getvalue())
 
 
 def image(figure: Any, description: str) -> str:
@@ -200,7 +162,7 @@ def image(figure: Any, description: str) -> str:
     figure.savefig(data, format="png", dpi=100, bbox_inches="tight")
     pyplot().close(figure)
     text = base64.b64encode(data.getvalue()).decode()
-    return f'<img alt="{html.escape(description)}" src="data:image/png;base64,{text}">'
+    return f'<img class="chart" alt="{html.escape(description)}" src="data:image/png;base64,{text}">'
 
 
 def save(figure: Any, stem: Path) -> list[Path]:

@@ -237,8 +237,8 @@ def _always(result: RunResult) -> Iterator[Judgement]:
         yield Judgement(f"link {name}", not trouble, finding, len(trouble), 0, "faults", "at most")
     if result.max_late_us > 0:
         worst_ms = result.lateness.worst_gap_us * 1e-3
-        finding = f"worst step {worst_ms:.3g} ms late, run.max_late_ms is {result.max_late_us * 1e-3:g}"
         bound_ms = result.max_late_us * 1e-3
+        finding = f"worst step {worst_ms:.1f} ms late, run.max_late_ms is {bound_ms:g}"
         yield Judgement("in real time", not result.step_too_late, finding, worst_ms, bound_ms, "ms", "at most")
         late = f"{result.lateness.frames_late} of {result.steps} steps late ({result.late_share:.3g})"
         finding = f"{late}, run.max_late_share is {result.max_late_share:g}"

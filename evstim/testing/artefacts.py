@@ -7,6 +7,7 @@ because it loads the emulator, which a pytest session without a failed rig does 
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,10 +15,13 @@ from pathlib import Path
 import msgspec
 
 from emulator.cli.run import summary
-from emulator.run.outcome import judge
-from emulator.run.report.content import ReportContent
+from emulator.light import MachineLacks, SceneError
+from emulator.rig.loading import Rig
+from emulator.run.assembly import build_scene
+from emulator.run.report.content import Circumstances, ReportContent
 from emulator.run.report.files import write_report
-from evstim.testing.running_rig import RunningRig
+from emulator.run.report.modelled import Modelled, is_drawn_here, modelled
+from evstim.testing.running_rig import RunningRig, rules_of_a_test
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Part
 from transports.recording.writing import RecordingFile
@@ -25,16 +29,25 @@ from transports.recording.writing import RecordingFile
 __all__ = ["write_artefacts"]
 
 
-def write_artefacts(rig: RunningRig, folder: Path) -> list[Path]:
-    """Write events, summary.json and the report of a rig that has been stopped; return their paths."""
+def write_artefacts(rig: RunningRig, test: str, folder: Path) -> list[Path]:
+    """Write events, summary.json and the report of a rig that has been stopped; return their paths. `test` names it."""
     folder.mkdir(parents=True, exist_ok=True)
     events, counts = _write_events(rig, folder), folder / "summary.json"
     results = msgspec.to_builtins(summary(rig.rig, rig.result))
     counts.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
-    content = ReportContent(
-        rig.rig, rig.result, rig.seen, judge(rig.rig.verdict, rig.result), results, version("evstim")
-    )
+    circumstances = Circumstances(rig.began, rig.ended, _plan_of(rig.rig), test=test)
+    judged = (rig.rig, rig.result, rig.seen, rules_of_a_test(rig.result))
+    content = ReportContent(*judged, results, version("evstim"), circumstances)
     return [events, counts, *write_report(content, folder)]
+
+
+def _plan_of(rig: Rig) -> Modelled | None:
+    """Return what the run modelled, from its scene built once more; frames of another program do not come again."""
+    if not is_drawn_here(rig):
+        return modelled(rig, None)
+    with suppress(SceneError, MachineLacks, OSError), build_scene(rig) as scene:
+        return modelled(rig, scene)
+    return None
 
 
 def _write_events(rig: RunningRig, folder: Path) -> Path:

@@ -68,7 +68,8 @@ def evstim_rig(request: pytest.FixtureRequest, tmp_path: Path) -> Generator[Runn
     mark = request.node.get_closest_marker("rig")
     if mark is None or not mark.args:
         raise pytest.UsageError('evstim_rig needs a mark with a rig: @pytest.mark.rig("loopback")')
-    rig = RunningRig(_found(mark.args[0], request.node.path.parent), tmp_path, _options(mark.kwargs))
+    name, beside = mark.args[0], request.node.path.parent / mark.args[0]
+    rig = RunningRig(beside if beside.is_file() else name, tmp_path, _options(mark.kwargs))
     _entered(rig, request.config)
     try:
         yield rig
@@ -87,12 +88,6 @@ def evstim_camera() -> Generator[FakeCamera]:
 
     with FakeCamera() as camera:
         yield camera
-
-
-def _found(name: str | Path, folder: Path) -> str | Path:
-    """Return a rig file beside the test where there is one, else the name as it is."""
-    beside = folder / name
-    return beside if beside.is_file() else name
 
 
 def _options(given: dict[str, Any]) -> Any:
@@ -121,11 +116,7 @@ def _write(rig: RunningRig, item: pytest.Item) -> None:
     """Write the rig's events and counts into the artefacts' folder, and name the files in the test's report."""
     from evstim.testing.artefacts import write_artefacts
 
-    base = item.config.getoption("evstim_artefacts")
-    paths = write_artefacts(rig, item.config.invocation_params.dir / base / _as_path(item.nodeid))
+    base = item.config.invocation_params.dir / item.config.getoption("evstim_artefacts")
+    name = "".join(c if c.isalnum() or c in "-_." else "_" for c in item.nodeid)[-120:]
+    paths = write_artefacts(rig, item.nodeid, base / name)
     item.add_report_section("teardown", "evstim", "\n".join(str(path) for path in paths))
-
-
-def _as_path(node: str) -> str:
-    """Return a node's id as the name of a folder."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in node)[-120:]

@@ -11,19 +11,21 @@ import dataclasses
 import threading
 from collections import deque
 from collections.abc import Mapping
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
 
 from emulator.rig.loading import Rig, load_rig
+from emulator.rig.tables import Verdict
 from emulator.run.machine import on_free_ports
-from emulator.run.outcome import RunResult, RunStatus
+from emulator.run.outcome import Judgement, RunResult, RunStatus, judge
 from emulator.run.report.observation import Observation
 from evstim.running import LiveRun, run
 from firmware_protocol.events import EVENT, Events
 
-__all__ = ["RigOptions", "RunningRig", "faults_of_a_run", "on_free_ports"]
+__all__ = ["RigOptions", "RunningRig", "faults_of_a_run", "on_free_ports", "rules_of_a_test"]
 
 _MOST_KEPT = 2_000_000  # events, 26 MB
 
@@ -61,6 +63,7 @@ class RunningRig:
     rig : the rig, with the free ports that it has.
     addresses : address of the other side of each link, by the link's name.
     seen : statistics of its events for a report; complete when the run has ended.
+    began, ended : dates and times in UTC, for a report; None before.
     """
 
     def __init__(self, rig: str | Path | Rig, folder: Path, options: RigOptions | None = None) -> None:
@@ -68,6 +71,8 @@ class RunningRig:
         loaded = rig if isinstance(rig, Rig) else load_rig(str(rig))
         self.rig = on_free_ports(loaded, folder)
         self.addresses: Mapping[str, str | None] = {}
+        self.began: datetime | None = None
+        self.ended: datetime | None = None
         o = self._options
         self._live: LiveRun[Events] = run(self.rig, seconds=o.seconds, seed=o.seed, pace=o.pace)
         self.seen = Observation(self.rig.camera.size)
@@ -84,6 +89,7 @@ class RunningRig:
         except BaseException:
             self._end()
             raise
+        self.began = datetime.now(UTC)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -128,6 +134,7 @@ class RunningRig:
         self._live.stop()
         if self._reader.ident is not None:
             self._reader.join()
+        self.ended = self.ended or datetime.now(UTC)
 
     def _read(self) -> None:
         try:
@@ -145,11 +152,11 @@ class RunningRig:
             self._recent_count -= len(self._recent.popleft())
 
 
+def rules_of_a_test(result: RunResult) -> tuple[Judgement, ...]:
+    """Return the rules that each run keeps; lateness of a busy machine is not judged, nor is the rig's [verdict]."""
+    return judge(Verdict(), dataclasses.replace(result, max_late_us=0.0))
+
+
 def faults_of_a_run(result: RunResult) -> list[str]:
-    """Return the faults of the end of a run, a line each; lateness of a busy machine is not counted."""
-    wrong = [] if result.ledger.balanced else [f"the ledger is off by {result.ledger.imbalance} events"]
-    for name, link in result.links.items():
-        wrong += [f"{name}: {link.error}"] if link.error is not None else []
-        wrong += [] if link.edges_balanced else [f"{name}: edges without a fate"]
-        wrong += [f"{name}: {trouble}" for trouble in link.file_troubles]
-    return wrong
+    """Return the rules that the run of a test has broken, a line each."""
+    return [f"{rule.rule}: {rule.finding}" for rule in rules_of_a_test(result) if not rule.good]

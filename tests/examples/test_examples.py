@@ -1,4 +1,4 @@
-"""The programs of examples/ run, at small sizes, outside the checkout's folder."""
+"""The programs of examples/ run, at small sizes; tests that they have run in their folders, as for a user."""
 
 import json
 import runpy
@@ -15,6 +15,7 @@ import trimesh
 pytestmark = pytest.mark.system
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+PYTEST = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:timeout"]  # users lack it
 
 
 def test_every_example_is_tested():
@@ -55,8 +56,8 @@ def test_plot_truth(rig, monkeypatch, tmp_path):
 
 
 def test_a_flight_software_test():
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", EXAMPLES / "test_flight_software.py"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    command = [*PYTEST, "test_flight_software.py"]
+    done = subprocess.run(command, cwd=EXAMPLES, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout
     assert "2 passed" in done.stdout
 
@@ -72,15 +73,14 @@ def test_the_cells_of_pixel_response():
 
 
 def test_the_flight_software_project(tmp_path):
-    """As its README says, in a copy of its folder."""
-    shutil.copytree(EXAMPLES / "flight_software", tmp_path / "project")
+    """As its README says, in its folder."""
     points = entry_points(group="pytest11")
     plugin = [] if any(point.value == "evstim.testing.plugin" for point in points) else ["-p", "evstim.testing.plugin"]
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *plugin]
-    done = subprocess.run(command, cwd=tmp_path / "project", capture_output=True, text=True, timeout=300)
+    command = [*PYTEST, *plugin, "--evstim-artefacts", tmp_path / "artefacts"]
+    done = subprocess.run(command, cwd=EXAMPLES / "flight_software", capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout
     assert "4 passed" in done.stdout
-    assert not (tmp_path / "project" / "evstim-artefacts").exists()
+    assert not (tmp_path / "artefacts").exists()
 
 
 @pytest.mark.long
@@ -104,11 +104,9 @@ def test_the_campaign(tmp_path):
     assert len(np.load(folder / "seven.npz")["events"]) > 100
 
 
-def test_the_parts_of_the_landing(tmp_path):
-    """As its README says, in a copy of its folder."""
-    shutil.copytree(EXAMPLES / "landing", tmp_path / "landing")
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "."]
-    done = subprocess.run(command, cwd=tmp_path / "landing", capture_output=True, text=True, timeout=300)
+def test_the_parts_of_the_landing():
+    """As its README says, in its folder."""
+    done = subprocess.run(PYTEST, cwd=EXAMPLES / "landing", capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout
     assert "57 passed" in done.stdout
 

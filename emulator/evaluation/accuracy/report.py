@@ -210,12 +210,12 @@ def write_work_precision(
     ):
         drawn = draw_work_precision(points, descriptions, against, out / f"work_precision_{against}")
         files += drawn
-        page.heading(title).chart(drawn)
-    page.heading("Frames a second needed").text(_NEEDS).table(needs)
+        page.heading(title).drawn(drawn)
+    page.heading("Frames a second needed").text(_NEEDS).records(needs)
     effect_table = [_effect(row) for row in effects]
     files.append(write_csv(effect_table, out / "effects.csv"))
-    page.heading("What each effect costs and changes, switched on alone").text(_EFFECTS).table(effect_table)
-    page.heading("All points").table([_short(point) for point in points])
+    page.heading("What each effect costs and changes, switched on alone").text(_EFFECTS).records(effect_table)
+    page.heading("All points").records([_short(point) for point in points])
     whole = {"needs": needs, "points": [p.row() for p in points], "effects": effect_table, "reading": lines}
     files.append(write_json(whole, out / "work_precision.json"))
     return [page.write(out / "accuracy.html"), *files]
@@ -242,8 +242,8 @@ def write_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], out: Path) -
     files = [write_csv(rows, out / "stability.csv"), *drawn]
     lines = reading_of_the_map(cells, sweeps)
     files.append(write_json({"cells": rows, "boundaries": bounds, "reading": lines}, out / "stability.json"))
-    page = Page("Where methods fail").findings(lines).chart(drawn)
-    page.heading("Up to where 95 % of the sequences are right").table(bounds).heading("All cells").table(rows)
+    page = Page("Where methods fail").findings(lines).drawn(drawn)
+    page.heading("Up to where 95 % of the sequences are right").records(bounds).heading("All cells").records(rows)
     return [page.write(out / "stability.html"), *files]
 
 
@@ -252,7 +252,7 @@ def write_rendering(rows: Sequence[Drawn], out: Path) -> list[Path]:
     records = [row.row() for row in rows]
     drawn = draw_rendering(rows, out / "rendering")
     page = Page("What drawing more cheaply costs in events").findings(reading_of_rendering(rows))
-    page.chart(drawn).table(records)
+    page.drawn(drawn).records(records)
     data = [write_csv(records, out / "rendering.csv"), write_json({"rows": records}, out / "rendering.json")]
     return [page.write(out / "rendering.html"), *data, *drawn]
 
@@ -377,7 +377,7 @@ def write_against_line(cells: Sequence[Difference], out: Path) -> list[Path]:
     """Write the map into folder `out`; return the files, the page first."""
     rows = [cell.row() for cell in cells]
     drawn = _draw(cells, out / "against_line")
-    page = Page("hermite against line").findings(reading_against_line(cells)).chart(drawn).table(rows)
+    page = Page("hermite against line").findings(reading_against_line(cells)).drawn(drawn).records(rows)
     return [page.write(out / "against_line.html"), write_csv(rows, out / "against_line.csv"), *drawn]
 
 

@@ -457,7 +457,7 @@ def write_comparison(found: Compared, name: str, out: Path) -> list[Path]:
         write_csv(rows, out / "recording.csv"),
         write_json({"reading": found.reading, "statistics": rows, "fit": found.fitted}, out / "recording.json"),
     ]
-    page = Page(f"{name} beside a recording").findings(found.reading).table(rows)
+    page = Page(f"{name} beside a recording").findings(found.reading).records(rows)
     if found.fitted is not None:
         path = out / "fit.toml"
         path.write_text(toml(found.fitted, found.reading[0]), encoding="utf-8")

@@ -279,10 +279,10 @@ def write(points: Sequence[Point], name: str, out: Path) -> list[Path]:
     single = [{"figure": p.series, "measured": p.y, "as configured": p.model} for p in points if p.curve == FIGURE]
     page = Page(f"{name}, characterised").findings(lines)
     for chart, drawn in charts.items():
-        page.heading(_TITLES[chart]).chart(drawn)
+        page.heading(_TITLES[chart]).drawn(drawn)
     if single:
-        page.heading("Single figures").table(single)
-    page.heading("Published figures").table([c.row() for c in found])
+        page.heading("Single figures").records(single)
+    page.heading("Published figures").records([c.row() for c in found])
     files = [
         write_csv(rows, out / "points.csv"),
         write_csv([c.row() for c in found], out / "published.csv"),

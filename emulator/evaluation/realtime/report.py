@@ -50,11 +50,9 @@ def line_of(row: Row) -> str:
 
 def write_report(rows: Sequence[Row], about: Mapping[str, Any], out: Path) -> list[Path]:
     """Write the page, the chart, the table as CSV and all as JSON into folder `out`; return the files, page first."""
-    page = Page(_TITLE).facts(about)
+    page = Page(_TITLE).facts("Machine and runs", about)
     drawn = draw(rows, out / "realtime")
-    if drawn:
-        page.chart(drawn)
-    page.table(rows)
+    page.drawn(drawn).records(rows)
     data = [write_csv(rows, out / "realtime.csv"), write_json({**about, "rows": rows}, out / "realtime.json")]
     return [page.write(out / "realtime.html"), *data, *drawn]
 

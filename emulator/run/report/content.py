@@ -57,12 +57,14 @@ class Circumstances:
     ----------
     began, ended : date and time, UTC; None where they are not known.
     truth_trouble : reason why the truth file is incomplete, which makes the run bad; "" where there is none.
+    test : name of the test that ran the rig, and that judges lateness and rates itself; "" where there is none.
     """
 
     began: datetime | None = None
     ended: datetime | None = None
     modelled: Modelled | None = None
     truth_trouble: str = ""
+    test: str = ""
 
 
 @dataclass(frozen=True)
@@ -245,6 +247,7 @@ def numbers(of: ReportContent) -> dict[str, Any]:
         **of.summary,
         "rules": [one.as_json() for one in of.rules],
         "title": of.rig.title,
+        "test": there.test,
         "rig_file": rig_file(of.rig),
         "began": _date(there.began),
         "ended": _date(there.ended),

@@ -19,7 +19,7 @@ from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.rig.remarks import remarks
 
-__all__ = ["Effect", "Modelled", "Part", "modelled"]
+__all__ = ["Effect", "Modelled", "Part", "is_drawn_here", "modelled"]
 
 _LENSES = {
     "none": "not modelled: the scene gives the light on the sensor",
@@ -30,7 +30,6 @@ _METHODS = {
     "hermite": "a cubic from value and derivative in log light",
     "line": "a straight line in log light",
 }
-_UNPROBED = ("external",)  # scenes whose frames come from another program
 _STILL = Probe(0.0, 0.0, 0.0, 0.0, 1e-3, 0.0, math.nan, math.nan, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -85,17 +84,22 @@ class Modelled:
         return asdict(self)
 
 
-def modelled(rig: Rig, scene: Scene, *, is_driven: bool = False) -> Modelled:
-    """Return what a run models, before it begins; `is_driven`: a simulation moves the scene.
+def is_drawn_here(rig: Rig) -> bool:
+    """Return whether the light of a rig is drawn by evstim, not by another program or played from a recording."""
+    return rig.scene.kind != "external" and not SCENES[rig.scene.kind].events
+
+
+def modelled(rig: Rig, scene: Scene | None, *, is_driven: bool = False) -> Modelled:
+    """Return what a run models; `is_driven`: a simulation moves the scene. Without a scene there are no costs.
 
     A scene that cannot be probed raises SceneError, as the run would.
     """
-    notes = (*remarks(rig), *scene.notes)
+    notes = (*remarks(rig), *(scene.notes if scene is not None else ()))
     if SCENES[rig.scene.kind].events:
         return Modelled((Part("events", "played from a recording: no light and no pixel is modelled"),), notes=notes)
-    probed = not is_driven and rig.scene.kind not in _UNPROBED
-    step_ns = rig.run.step_us * 1000
-    seen = probe(scene, rig.camera.sensor, step_ns, rig.run.seconds or 10.0) if probed else _STILL
+    seen, step_ns = _STILL, rig.run.step_us * 1000
+    if probed := scene is not None and not is_driven and is_drawn_here(rig):
+        seen = probe(scene, rig.camera.sensor, step_ns, rig.run.seconds or 10.0)
     plan = make_plan(rig, seen)
     tolerance = None if plan.pinned else plan.tolerance
     return Modelled(

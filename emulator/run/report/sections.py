@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from emulator.report.document import Column, Document, Section, Signature, swatch_legend
+from emulator.report.document import Column, Document, Section, signature, swatch_legend
 from emulator.run.outcome import undersampled_advice, undersampled_text
 from emulator.run.report.content import (
     ReportContent,
@@ -35,7 +35,9 @@ _OWN_RULES = ("max_drop", "min_rate_hz", "max_rate_hz", "max_latency_us", "max_u
 
 def page_of(of: ReportContent, json_digest: str) -> Document:
     """Return the page of a report; `json_digest` is the SHA-256 of its report.json."""
-    page = Document(f"{of.rig.name}: report of a run", of.rig.title, (of.verdict, verdict_words(of.rules)))
+    test = of.circumstances.test
+    subtitle = f"run by the test {test}" if test else of.rig.title
+    page = Document(f"{of.rig.name}: report of a run", subtitle, (of.verdict, verdict_words(of.rules)))
     for section in _sections(of, json_digest):
         page.add(section)
     return page
@@ -73,7 +75,10 @@ def _rules(of: ReportContent) -> Section:
     ]
     made = Section("Rules").table("All rules of this run, with figure and bound", columns, rows)
     unset = [f"verdict.{name}" for name in _OWN_RULES if not any(name in one.rule for one in of.rules)]
-    made.text(f"Not judged, because the rig sets no limit: {', '.join(unset)}." if unset else "", "note")
+    if of.circumstances.test:
+        made.text("The verdict is on the rig: the test judges its program, and lateness where it matters.", "note")
+    elif unset:
+        made.text(f"Not judged, because the rig sets no limit: {', '.join(unset)}.", "note")
     return made.text(undersampled_advice(of.result.undersampled_share))
 
 
@@ -289,7 +294,7 @@ def _signature(of: ReportContent, json_digest: str) -> Section:
         f"Rig {of.rig.name}, {digest}. Verdict of the program: {of.verdict.upper()}. {verdict_words(of.rules)}",
         f"Numbers of this page: report.json, SHA-256 {json_digest}.",
     )
-    return Signature(lines).section()
+    return signature(lines)
 
 
 def _file(path: str, text: str) -> Section:

@@ -142,7 +142,8 @@ def test_the_page_needs_nothing_else(campaign, rows, tmp_path):
     made = campaign(count=48, top='title = "a <title>"\nsuccess = ["verdict", "events.read_out > 90"]')
     page = write_report(made, rows, tmp_path / "new").read_text()
     known = proportion(sum(row["success"] for row in rows), 48)
-    assert f"Success: {known}" in page
+    assert f'class="verdict good" role="status"><strong>\u2714 GOOD</strong>Success: {known}.' in page
+    assert ">scene.speed, px/s</th>" in page, "the unit is apart from the key"
     assert "a &lt;title&gt;" in page
     assert "&lt;b&gt;SIGKILL" in page
     assert page.count("<svg") == 2
@@ -150,17 +151,23 @@ def test_the_page_needs_nothing_else(campaign, rows, tmp_path):
     assert "PAWN index" in page
     assert "again small.toml INDEX --record" in page
     assert not re.search(r'(src|href)="(?!data:|#)', page)
-    assert "NaN" not in page
+    assert "NaN" not in re.sub(r'(?s)data:image.*?"', "", page)
 
 
 def test_columns_have_the_names_that_the_file_gives(campaign, rows, tmp_path):
     made = campaign(count=48, more='[report.labels]\n"events.rate_hz" = "rate, <1/s>"\n"scene.speed_px_s" = "speed"')
     page = write_report(made, rows, tmp_path).read_text()
     assert "<h3>rate, &lt;1/s&gt;</h3>" in page
-    assert "<td>speed</td>" in page
+    assert ">speed</th>" in page
     assert "events.rate_hz" not in re.sub(r'(?s)data:image.*?"', "", page).replace('alt="events.rate_hz', "")
     worst = {"least": 30, "median": 300, "most": 600}
     assert {name: quantiles(rows, "scene.speed_px_s")[name] for name in worst} == pytest.approx(worst, rel=0.25)
+
+
+@pytest.mark.parametrize(("least", "count", "verdict"), [(0.99, 48, "bad"), (0.5, 48, "good"), (0.5, 64, "unfinished")])
+def test_the_verdict_is_that_of_the_exit_code(campaign, rows, tmp_path, least, count, verdict):
+    page = write_report(campaign(count=count, top=f"min_success = {least}"), rows, tmp_path).read_text()
+    assert f'class="verdict {verdict}"' in page
 
 
 def test_a_page_without_matplotlib_has_its_tables(campaign, rows, tmp_path, monkeypatch):
@@ -169,5 +176,5 @@ def test_a_page_without_matplotlib_has_its_tables(campaign, rows, tmp_path, monk
 
     monkeypatch.setattr("emulator.report.page.pyplot", lacking)
     page = write_report(campaign(count=48), rows, tmp_path).read_text()
-    assert "No charts: charts need matplotlib" in page
+    assert "No chart: charts need matplotlib" in page
     assert "Worst runs" in page

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import pytest
 
 import emulator.report.document
-from emulator.report.document import Column, Document, Section, Signature
+from emulator.report.document import Column, Document, Section, signature
 
 STYLE = Path(emulator.report.document.__file__).with_name("report_page.css").read_text(encoding="utf-8")
 COLUMNS = [Column("a", "name"), Column("b", "events", "number"), Column("c", "verdict", "verdict")]
@@ -31,6 +31,19 @@ def test_a_long_table_is_cut_and_the_rest_counted():
     assert "and 99900 more, listed in report.json" in made
 
 
+def test_records_have_all_rows_and_columns_of_numbers_set_as_such():
+    made = Section().records([{"name": str(k), "events": k, "is_late": k > 2} for k in range(120)]).html()
+    assert made.count("<tr") == 121
+    assert made.count('class="number"') == 2 * 121
+    assert ">yes</td>" in made
+
+
+def test_a_document_without_a_verdict_has_no_box():
+    page = Document("t").html()
+    assert "<title>t</title>" in page
+    assert 'class="verdict' not in page
+
+
 def test_texts_of_others_are_escaped_cut_and_printable():
     nasty = '<script>alert("x")</script>\x00\udcff'
     page = Document(nasty, nasty, ("bad", nasty)).add(Section(nasty).text("z" * 10_000).code(nasty[:27])).html()
@@ -46,7 +59,7 @@ def test_the_verdict_is_in_words_beside_its_colour():
 
 
 def test_a_reviewer_has_room_to_decide_and_sign():
-    text = Signature(["Rig x"]).section().html()
+    text = signature(["Rig x"]).html()
     assert all(word in text for word in ("accepted with remarks", "rejected", "Name and role", "Date", "Signature"))
     assert text.count('class="box"') == 3
 

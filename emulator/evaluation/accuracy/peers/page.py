@@ -157,18 +157,16 @@ def write_page(reports: Sequence[Report], out: Path) -> list[Path]:
     """Write page, chart, table as CSV and all as JSON into folder `out`; return the files, the page first."""
     drawn = _draw(reports, out / "simulators")
     scenes = {name: one.description for name, one in (SCENES | TIMING).items()}
-    page = Page(_TITLE).facts(scenes).text(_READING).table(table(reports))
-    if drawn:
-        page.chart(drawn)
-    page.table(_simulators(reports))
+    page = Page(_TITLE).facts("Scenes", scenes).text(_READING).records(table(reports))
+    page.drawn(drawn).records(_simulators(reports))
     for report in reports:
-        page.text(_remarks(report), strong=report.name)
+        page.heading(report.name).findings([_remarks(report)])
     each = [
         {"simulator": report.name, **{name: getattr(one, name) for name in _OF_A_SEQUENCE}}
         for report in reports
         for one in report.scores
     ]
-    page.heading("Each sequence").table(each)
+    page.heading("Each sequence").records(each)
     data = [
         write_csv(table(reports), out / "simulators.csv"),
         write_csv(each, out / "sequences.csv"),

@@ -1,0 +1,125 @@
+"""The commands of a page, typed into terminals as a reader types them.
+
+A block of shell code has commands, and so has other text behind "$ "; further lines of text are what they print. A
+terminal is bash on a pseudo-terminal. Its prompt has the exit code of the last command.
+"""
+
+import os
+import pty
+import re
+import select
+import signal
+import subprocess
+import time
+from contextlib import suppress
+
+__all__ = ["Terminal", "commands_of", "printed_by", "without_comment"]
+
+PATIENCE_S = 900  # on a busy machine; nothing here is expected to take a tenth of it
+PROMPT = re.compile(r"<exit (\d+)> ")
+FENCE = re.compile(r"^```(sh|bash|console|text)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+CONTROLS = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]|\r")
+
+
+def commands_of(page):
+    """Return the commands of a page in their order, each a line with its comment."""
+    blocks = FENCE.findall(page)
+    lines = [line.removeprefix("$ ") for kind, block in blocks for line in block.splitlines() if is_command(kind, line)]
+    return [line for line in lines if line and not line.startswith("#")]
+
+
+def is_command(kind, line):
+    return kind in ("sh", "bash") or line.startswith("$ ")
+
+
+def printed_by(page):
+    """Return a pattern for each line that a page shows as printed: any number fits in the place of a number."""
+    lines = [line for kind, block in FENCE.findall(page) for line in block.splitlines() if not is_command(kind, line)]
+    return [re.sub(r"[0-9a-f]*\d[0-9a-f]*", r"[0-9a-f]+", re.escape(line)) for line in lines]
+
+
+def without_comment(line):
+    """Return a command, and the comment behind it."""
+    command, _, comment = re.sub(r"\s+# ", "\0", line, count=1).partition("\0")
+    return command.strip(), comment.strip()
+
+
+class Terminal:
+    """Bash in a folder with an environment."""
+
+    def __init__(self, folder, environment):
+        ours, theirs = pty.openpty()
+        shell = ["setsid", "--ctty", "bash", "--norc", "--noprofile", "--noediting", "-i"]
+        settings = {**environment, "PS1": r"<exit $?> ", "TERM": "xterm", "COLUMNS": "250", "LINES": "50"}
+        streams = dict.fromkeys(("stdin", "stdout", "stderr"), theirs)
+        self._shell = subprocess.Popen(shell, cwd=folder, env=settings, **streams)
+        os.close(theirs)
+        self._file, self._raw, self._begun = ours, b"", 0
+        self.is_idle = True
+        self._until(PROMPT)
+        self.run("stty -echo")
+
+    def type(self, command):
+        """Type a command; it may go on."""
+        self._begun, self.is_idle = len(self._raw), False
+        os.write(self._file, f"{command}\n".encode())
+
+    def run(self, command):
+        """Type a command and wait for its end; return its exit code."""
+        self.type(command)
+        return self.end()
+
+    def wait_for(self, pattern):
+        """Wait until the present command has printed something."""
+        self._until(re.compile(pattern))
+
+    def interrupt(self):
+        """Send what Ctrl-C sends, where the program still runs, and wait for its end; return its exit code."""
+        group = os.tcgetpgrp(self._file)
+        if group != self._shell.pid:
+            with suppress(ProcessLookupError):
+                os.killpg(group, signal.SIGINT)
+        return self.end()
+
+    def end(self):
+        """Wait for the end of the present command; return its exit code."""
+        code = int(self._until(PROMPT)[1])
+        self.is_idle = True
+        return code
+
+    @property
+    def folder(self):
+        """The present working directory."""
+        return os.readlink(f"/proc/{self._shell.pid}/cwd")
+
+    @property
+    def output(self):
+        """The output of the present or last command."""
+        return plain(self._raw[self._begun :])
+
+    @property
+    def text(self):
+        """All output."""
+        return plain(self._raw)
+
+    def close(self):
+        """End the shell with all that it started."""
+        os.close(self._file)  # a hangup
+        try:
+            self._shell.wait(60)
+        except subprocess.TimeoutExpired:
+            os.killpg(self._shell.pid, signal.SIGKILL)
+            self._shell.wait()
+
+    def _until(self, pattern):
+        end_s = time.monotonic() + PATIENCE_S
+        while (found := pattern.search(self.output)) is None:
+            ready, _, _ = select.select([self._file], [], [], max(end_s - time.monotonic(), 0))
+            assert ready, f"no {pattern.pattern!r} in {self.output}"
+            self._raw += os.read(self._file, 1 << 16)
+        return found
+
+
+def plain(raw):
+    """Return output without colours and movements of the cursor."""
+    return CONTROLS.sub("", raw.decode(errors="replace"))
