@@ -13,11 +13,11 @@ import dataclasses
 import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 from emulator.rig.kinds import known_faults
 from emulator.rig.loading import Rig
-from emulator.run.changes import Change
+from emulator.run.changes import Change, Operator
 from emulator.run.outcome import RunResult, RunStatus, judge
 from emulator.tables.typed_table import field_types
 from transports.faults.kinds import Fault
@@ -64,13 +64,6 @@ def _key(fault: type[Fault], field: dataclasses.Field[Any]) -> dict[str, Any]:
     return {"default": field.default, **({"choices": choices} if choices else {})}
 
 
-class _Changed(Protocol):
-    @property
-    def changes(self) -> tuple[Change, ...]:
-        """Changes so far, in the order in which they came."""
-        ...
-
-
 @dataclass(frozen=True)
 class _Row:
     """Successive changes that are shown as one: `change` has the value before the first and after the last."""
@@ -93,7 +86,7 @@ class _Row:
 class ChangeList:
     """List of the changes of a run from outside, the newest last; its length is bounded."""
 
-    def __init__(self, session: _Changed) -> None:
+    def __init__(self, session: Operator) -> None:
         self._session = session
         self._made_of = -1
         self._rows: list[_Row] = []

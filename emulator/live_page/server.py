@@ -271,21 +271,21 @@ class PageServer:
 
     Parameters
     ----------
-    about
-        Constant data of the run; sent to each viewer first.
+    greeting
+        Function that returns the first message for a viewer.
     command
         Function that forwards a viewer's parsed command; False where too many wait already.
     """
 
     def __init__(
         self,
-        about: dict[str, Any],
+        greeting: Callable[[], str],
         access: Access,
         viewers: Viewers,
         connections: Connections,
         command: Callable[[int, dict[str, Any]], bool],
     ) -> None:
-        self._about = json.dumps({"kind": "about", **about})
+        self._greeting = greeting
         self._access = access
         self._viewers = viewers
         self._connections = connections
@@ -328,7 +328,7 @@ class PageServer:
         return hello["do"] == "hello" and self._access.permits(hello["token"])
 
     async def _serve(self, socket: WebSocket, viewer: Viewer) -> None:
-        viewer.answer(self._about)
+        viewer.answer(self._greeting())
         sending = asyncio.create_task(_send(socket, viewer))
         try:
             await self._listen(socket, viewer)

@@ -15,10 +15,11 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from emulator.live_page.messages import Access, decode_picture
+from emulator.live_page.messages import Access
 from emulator.live_page.process import Canvas, PageProcess, PageSetup, SharedView
 from emulator.live_page.server import BAD_MESSAGE, FULL, MOST_VIEWERS, REFUSED
 from firmware_protocol.events import EVENT
+from tests.emulator.live_page.pictures import decode_picture
 
 pytestmark = pytest.mark.socket
 
