@@ -41,20 +41,16 @@ def fault_menu(faults: Mapping[str, type[Fault]]) -> dict[str, dict[str, Any]]:
     """
     return {
         kind: {
-            "text": _first_sentence(fault),
+            "text": " ".join((inspect.getdoc(fault) or "").partition("\n\n")[0].split()),  # its first sentence
             "disconnects": fault.disconnects,
-            "keys": {field.name: _key(fault, field) for field in _keys(fault)},
+            "keys": {
+                field.name: _key(fault, field)
+                for field in dataclasses.fields(fault)
+                if field.name not in _NOT_IN_THE_MENU
+            },
         }
         for kind, fault in faults.items()
     }
-
-
-def _first_sentence(fault: type[Fault]) -> str:
-    return " ".join((inspect.getdoc(fault) or "").partition("\n\n")[0].split())
-
-
-def _keys(fault: type[Fault]) -> list[dataclasses.Field[Any]]:
-    return [field for field in dataclasses.fields(fault) if field.name not in _NOT_IN_THE_MENU]
 
 
 def _key(fault: type[Fault], field: dataclasses.Field[Any]) -> dict[str, Any]:

@@ -290,7 +290,7 @@ class PageProcess:
         else:
             if self._history.take(message["axis"]):
                 self._viewers.send_all(json.dumps({"kind": "history", **self._history.as_json()}))
-            self._viewers.put(json.dumps({**message, "viewers": len(self._viewers), "page_cpu_s": _cpu_s()}))
+            self._viewers.put(json.dumps({**message, "viewers": len(self._viewers), "page_cpu_s": time.process_time()}))
 
     def _greeting(self) -> str:
         """Return the first message for a viewer: the constant data of the run, and its history."""
@@ -304,9 +304,3 @@ class PageProcess:
             self._session.send((viewer, command))
         self._view.commands += 1
         return True
-
-
-def _cpu_s() -> float:
-    """Return the processor time of this process so far, s."""
-    times = os.times()
-    return times.user + times.system
