@@ -241,13 +241,15 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
                 _signal_ready(ready, now)
                 faults.serve(now)
                 reporting.renew(now)
-                page.renew(now)
+                if page:
+                    page.renew(now)
                 if live:
                     live.update(now)
 
             def take(events: Events) -> None:
                 reporting.take(events, session)
-                page.take(events)
+                if page:
+                    page.show(events, session.light, session.t_ns // 1000, session.last_readings)
                 if simulation is not None:
                     simulation.take(events)
 

@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -29,7 +28,7 @@ from emulator.live_page.messages import Address, parse_address
 from emulator.rig.loading import Rig
 from emulator.run.changes import Operator
 from emulator.run.control import FaultInjection
-from emulator.run.outcome import RunResult, RunStatus, judge
+from emulator.run.outcome import Rates, RunResult, RunStatus, judge
 from emulator.run.report.content import Circumstances, ReportContent
 from emulator.run.report.files import begin_files, write_report
 from emulator.run.report.modelled import modelled
@@ -42,11 +41,10 @@ from transports.link.process import LinkSetup
 if TYPE_CHECKING:
     from emulator.live_page.page import LivePage
 
-__all__ = ["LiveTable", "OptionalPage", "RunReporter", "ShownRun", "begin_report", "check_serving"]
+__all__ = ["LiveTable", "OptionalPage", "RunReporter", "begin_report", "check_serving"]
 
 
 _PLAIN_PERIOD_S = 5.0
-_RATE_WINDOW = 10  # status reports over which rates are averaged
 
 
 class LiveTable:
@@ -56,7 +54,7 @@ class LiveTable:
         self._title = f"{rig.name}: {rig.title}"
         self._console = console
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
-        self._past: deque[RunStatus] = deque(maxlen=_RATE_WINDOW)
+        self._rates = Rates()
         self._next_line_s = 0.0
 
     def __enter__(self) -> Self:
@@ -73,18 +71,16 @@ class LiveTable:
 
     def update(self, status: RunStatus) -> None:
         """Show a newer status."""
-        self._past.append(status)
+        rates = self._rates.renew(status)
+        speed = f"{rates['events_per_s'] * 1e-6:.3f} Mev/s   x{rates['real_time_factor']:.2f} real time"
         if self._live:
-            self._live.update(self._table(status), refresh=True)
+            self._live.update(self._table(status, speed), refresh=True)
         elif status.wall_seconds >= self._next_line_s:
             self._next_line_s = status.wall_seconds + _PLAIN_PERIOD_S
-            self._console.print(self._line(status))
+            links = ", ".join(f"{name} {r.state} {r.delivered} delivered" for name, r in status.links.items())
+            self._console.print(f"{status.sim_seconds:8.2f} s   {speed}   {links}")
 
-    def _line(self, status: RunStatus) -> str:
-        links = ", ".join(f"{name} {r.state} {r.delivered} delivered" for name, r in status.links.items())
-        return f"{status.sim_seconds:8.2f} s  {self._rate():.3f} Mev/s  x{self._factor():.2f} real time  {links}"
-
-    def _table(self, status: RunStatus) -> Table:
+    def _table(self, status: RunStatus, speed: str) -> Table:
         table = Table(box=None, pad_edge=False)
         for column in ("link", "state", "delivered", "dropped", "in device", "latency p50/p99 us"):
             table.add_column(column, justify="left" if column in ("link", "state") else "right")
@@ -93,21 +89,11 @@ class LiveTable:
             table.add_row(name, r.state, str(r.delivered), str(r.dropped), str(r.dropped_in_device), latency)
         late = status.lateness
         table.title = (
-            f"{status.sim_seconds:.1f} s   {self._rate():.3f} Mev/s   x{self._factor():.2f} real time   "
-            f"{status.frames} frames   late {late.frames_late}, worst {late.worst_gap_us / 1000:.1f} ms"
+            f"{status.sim_seconds:.1f} s   {speed}   {status.frames} frames   "
+            f"late {late.frames_late}, worst {late.worst_gap_us / 1000:.1f} ms"
         )
         table.title_justify = "left"
         return table
-
-    def _rate(self) -> float:
-        """Events read out per second of stream time over the window, Mev/s."""
-        first, last = self._past[0], self._past[-1]
-        return (last.read_out - first.read_out) / max(last.sim_seconds - first.sim_seconds, 1e-9) * 1e-6
-
-    def _factor(self) -> float:
-        """Stream seconds per wall second over the window."""
-        first, last = self._past[0], self._past[-1]
-        return (last.sim_seconds - first.sim_seconds) / max(last.wall_seconds - first.wall_seconds, 1e-9)
 
 
 class RunReporter:
@@ -170,24 +156,6 @@ def begin_report(rig: Rig, folder: Path | None) -> RunReporter:
     return RunReporter(rig, folder, began)
 
 
-class ShownRun:
-    """Display of a session on its live page; does nothing without one."""
-
-    def __init__(self, session: Session, page: LivePage | None) -> None:
-        self._session, self._page = session, page
-
-    def take(self, events: Events) -> None:
-        """Show the events of a step."""
-        if self._page is not None:
-            session = self._session
-            self._page.show(events, session.light, session.t_ns // 1000, session.last_readings)
-
-    def renew(self, status: RunStatus) -> None:
-        """Show the state of the run."""
-        if self._page is not None:
-            self._page.renew(status)
-
-
 class OptionalPage:
     """The requested live page, or none."""
 
@@ -207,10 +175,10 @@ class OptionalPage:
         return wired
 
     @contextmanager
-    def page(self, session: Session) -> Iterator[ShownRun]:
-        """Serve the page; raises Failure where it cannot listen there."""
+    def page(self, session: Session) -> Iterator[LivePage | None]:
+        """Serve the page, or give None; raises Failure where it cannot listen there."""
         if self._address is None:
-            yield ShownRun(session, None)
+            yield None
             return
         from emulator.live_page.messages import ViewerCommands
         from emulator.live_page.page import LivePage
@@ -226,7 +194,7 @@ class OptionalPage:
             raise Failure(f"--serve: {_shown(self._address)}: {error.strerror or error}", LACKING) from error
         with page:
             status.print(f"live page: {page.url}", markup=False, soft_wrap=True)
-            yield ShownRun(session, page)
+            yield page
 
     def _button(self, viewer: Operator) -> Callable[[int, int], None] | None:
         """Return the trigger, which records its edges; None where there is none."""

@@ -2,6 +2,8 @@
 
 One point is made for each status of a run, ten a second. A status contains the points and frames of the last two
 seconds, so that a viewer that missed some messages has no gap; it takes those that are newer than its last ones.
+
+The page's process has the points since the start of the run, for viewers that come later or load the page again.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from firmware_protocol.frames import LineKind
 from firmware_protocol.imu_samples import no_samples, physical
 from transports.link.report import LinkReport
 
-__all__ = ["TimeAxis"]
+__all__ = ["RunHistory", "TimeAxis"]
 
 
 _POINTS = 20
@@ -62,7 +64,7 @@ class TimeAxis:
             self._begun[LineKind(kind)] = t_us * 1e-6
             if kind == LineKind.END and LineKind.START in self._begun:
                 start_s = self._begun[LineKind.START]
-                self._frames.append([self._begun.get(moment, start_s) for moment in _MOMENTS])
+                self._frames.append([round(self._begun.get(moment, start_s), 6) for moment in _MOMENTS])
                 self._begun.clear()
 
     def renew(self, status: RunStatus) -> dict[str, Any]:
@@ -135,3 +137,58 @@ def _faults(name: str, report: LinkReport) -> list[dict[str, Any]]:
         }
         for record in report.faults[-_FAULTS:]
     ]
+
+
+_BATCH = 600  # points that become old at once
+_MOST_OLDER = 1200
+_FIRST_JOINED = 4  # points in an older one; twice as many each time that there are too many older ones
+_MOST_FRAMES = 3000
+
+
+class RunHistory:
+    """Points of the time axis since the start of a run, in a memory that does not grow.
+
+    The last minute has every point. Older points are joined: the longer the run, the more of them become one.
+    """
+
+    def __init__(self) -> None:
+        self._newest: list[dict[str, Any]] = []
+        self._older: list[dict[str, Any]] = []
+        self._joined = _FIRST_JOINED
+        self._frames: deque[list[float]] = deque(maxlen=_MOST_FRAMES)
+
+    def take(self, axis: Mapping[str, Any]) -> bool:
+        """Add what is new in a status; return whether points were joined, so that viewers need the history again."""
+        last_s = self._newest[-1]["t_s"] if self._newest else -1.0
+        self._newest += [point for point in axis["points"] if point["t_s"] > last_s]
+        last_s = self._frames[-1][3] if self._frames else -1.0
+        self._frames += [frame for frame in axis["frames_read"] if frame[3] > last_s]
+        if len(self._newest) < 2 * _BATCH:
+            return False
+        self._older += _joined(self._newest[:_BATCH], self._joined)
+        self._newest = self._newest[_BATCH:]
+        if len(self._older) > _MOST_OLDER:
+            self._older = _joined(self._older, 2)
+            self._joined *= 2
+        return True
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the points and frames, the oldest first."""
+        return {"points": self._older + self._newest, "frames_read": list(self._frames)}
+
+
+def _joined(points: list[dict[str, Any]], count: int) -> list[dict[str, Any]]:
+    """Return points for `count` points each: their edges, their mean rates, and the other values of the last one."""
+    parts = [points[first : first + count] for first in range(0, len(points), count)]
+    return [{**part[-1], **_sums(part)} for part in parts]
+
+
+def _sums(points: list[dict[str, Any]]) -> dict[str, Any]:
+    sums = {name: sum(point[name] for point in points) for name in ("rate", "imu_hz", "edges")}
+    imu = [point["imu"] for point in points if point["imu"] is not None]
+    return {
+        "rate": sums["rate"] / len(points),
+        "imu_hz": sums["imu_hz"] / len(points),
+        "edges": sums["edges"],
+        "imu": np.mean(imu, axis=0).round(3).tolist() if imu else None,
+    }

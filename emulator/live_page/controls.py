@@ -13,11 +13,11 @@ import dataclasses
 import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 from emulator.rig.kinds import known_faults
 from emulator.rig.loading import Rig
-from emulator.run.changes import Change
+from emulator.run.changes import Change, Operator
 from emulator.run.outcome import RunResult, RunStatus, judge
 from emulator.tables.typed_table import field_types
 from transports.faults.kinds import Fault
@@ -41,20 +41,16 @@ def fault_menu(faults: Mapping[str, type[Fault]]) -> dict[str, dict[str, Any]]:
     """
     return {
         kind: {
-            "text": _first_sentence(fault),
+            "text": " ".join((inspect.getdoc(fault) or "").partition("\n\n")[0].split()),  # its first sentence
             "disconnects": fault.disconnects,
-            "keys": {field.name: _key(fault, field) for field in _keys(fault)},
+            "keys": {
+                field.name: _key(fault, field)
+                for field in dataclasses.fields(fault)
+                if field.name not in _NOT_IN_THE_MENU
+            },
         }
         for kind, fault in faults.items()
     }
-
-
-def _first_sentence(fault: type[Fault]) -> str:
-    return " ".join((inspect.getdoc(fault) or "").partition("\n\n")[0].split())
-
-
-def _keys(fault: type[Fault]) -> list[dataclasses.Field[Any]]:
-    return [field for field in dataclasses.fields(fault) if field.name not in _NOT_IN_THE_MENU]
 
 
 def _key(fault: type[Fault], field: dataclasses.Field[Any]) -> dict[str, Any]:
@@ -62,13 +58,6 @@ def _key(fault: type[Fault], field: dataclasses.Field[Any]) -> dict[str, Any]:
     annotation = field_types(fault)[field.name]
     choices = list(get_args(annotation)) if get_origin(annotation) is Literal else []
     return {"default": field.default, **({"choices": choices} if choices else {})}
-
-
-class _Changed(Protocol):
-    @property
-    def changes(self) -> tuple[Change, ...]:
-        """Changes so far, in the order in which they came."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -93,7 +82,7 @@ class _Row:
 class ChangeList:
     """List of the changes of a run from outside, the newest last; its length is bounded."""
 
-    def __init__(self, session: _Changed) -> None:
+    def __init__(self, session: Operator) -> None:
         self._session = session
         self._made_of = -1
         self._rows: list[_Row] = []

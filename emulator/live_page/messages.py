@@ -46,16 +46,15 @@ import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.live_page.controls import ChangeList, Repeats
-from emulator.run.changes import Change
+from emulator.run.changes import Operator
 from emulator.run.outcome import RunStatus
-from transports.faults.kinds import Fault
 from transports.network import is_loopback
 
 __all__ = [
@@ -64,12 +63,9 @@ __all__ = [
     "Address",
     "BadMessage",
     "Picture",
-    "RunningSession",
     "ViewerCommands",
-    "decode_picture",
     "encode_picture",
     "light_codes",
-    "light_of_codes",
     "parse_address",
     "parse_command",
 ]
@@ -79,7 +75,6 @@ MOST_COMMAND_BYTES = 4096
 
 _HEADER = struct.Struct("<4sIHHQQIHHI")
 _MAGIC = b"EVP2"
-_ACTIVE_BYTES = 6  # place, last and count of a pixel
 _ORDERS = frozenset({"trigger", "pause", "step", "resume", "stop"})
 _CODE_SHIFT = 15  # bits of a float32 that a light code leaves out
 _INFINITE = 0xFF00  # the code of infinity
@@ -131,11 +126,6 @@ def _rounded(light: npt.NDArray[np.float32]) -> npt.NDArray[np.uint32]:
     return np.asarray((light.view(np.uint32) + (1 << _CODE_SHIFT - 1)) >> _CODE_SHIFT, np.uint32)
 
 
-def light_of_codes(codes: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:
-    """Return the linear light of codes."""
-    return (codes.astype(np.uint32) << _CODE_SHIFT).view(np.float32)
-
-
 def encode_picture(picture: Picture) -> bytes:
     """Return a picture as the bytes of a message."""
     height, width = picture.light.shape
@@ -145,19 +135,6 @@ def encode_picture(picture: Picture) -> bytes:
     )  # fmt: skip
     planes = picture.place, picture.light, picture.last, picture.count  # the widest first: all are aligned
     return b"".join((header, *(plane.tobytes() for plane in planes)))
-
-
-def decode_picture(message: bytes) -> Picture:
-    """Return the picture in the bytes of a message; raises BadMessage."""
-    if len(message) < _HEADER.size or message[:4] != _MAGIC:
-        raise BadMessage("this is no picture")
-    _, number, width, height, from_us, until_us, events, every, _, active = _HEADER.unpack_from(message)
-    if len(message) != _HEADER.size + 2 * width * height + _ACTIVE_BYTES * active:
-        raise BadMessage(f"a picture of {width} x {height} pixels has another length")
-    place = np.frombuffer(message, np.uint32, active, _HEADER.size)
-    light = np.frombuffer(message, np.uint16, width * height, _HEADER.size + place.nbytes).reshape(height, width)
-    last, count = np.frombuffer(message, np.uint8, offset=len(message) - 2 * active).reshape(2, active)
-    return Picture(number, from_us, until_us, events, every, light, place, last.view(np.int8), count)
 
 
 def parse_command(text: str) -> dict[str, Any]:
@@ -209,38 +186,6 @@ def _is_number(value: float) -> bool:
 _LARGEST = 1e9  # JSON has no infinity
 
 
-class RunningSession(Protocol):
-    """The parts of a `Session` that viewers can reach."""
-
-    @property
-    def stopping(self) -> bool:
-        """True after `stop`."""
-        ...
-
-    def stop(self) -> None:
-        """End the run after the present step."""
-
-    @property
-    def adjustable(self) -> dict[str, float]:
-        """Sensor parameters that can change, with their present values."""
-        ...
-
-    @property
-    def changes(self) -> tuple[Change, ...]:
-        """Changes from outside so far, in the order in which they came."""
-        ...
-
-    def adjust(self, name: str, value: float, *, undo: bool = False) -> None:
-        """Change a parameter from the next step on; raises ValueError."""
-
-    def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
-        """Return the ON and OFF threshold of a pixel; raises ValueError where there is none."""
-        ...
-
-    def inject(self, fault: Fault) -> None:
-        """Begin a fault."""
-
-
 Inject = Callable[[dict[str, Any], RunStatus], dict[str, Any]]
 """Answer to a request that begins or ends a fault, as `FaultInjection.answer`."""
 
@@ -266,7 +211,7 @@ class ViewerCommands:
 
     def __init__(
         self,
-        session: RunningSession,
+        session: Operator,
         inject: Inject,
         trigger: Callable[[int, int], None] | None = None,
         *,

@@ -29,7 +29,7 @@ from emulator.live_page.process import PageSetup, SharedView, serve_page
 from emulator.rig.kinds import IMU_UNITS, faults_of
 from emulator.rig.loading import Rig
 from emulator.run.link_process import starting_a_process
-from emulator.run.outcome import RunStatus
+from emulator.run.outcome import Rates, RunStatus
 from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import Events
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming
@@ -37,7 +37,7 @@ from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
 from transports.needs import install_command
 
-__all__ = ["LivePage", "Outbox", "Rates", "check_ui", "describe", "ledger_table", "status_table", "with_trigger_button"]
+__all__ = ["LivePage", "Outbox", "check_ui", "describe", "ledger_table", "status_table", "with_trigger_button"]
 
 
 _MOST_WAITING = 64
@@ -77,26 +77,6 @@ class Outbox:
         assert self._status is not None
         status, self._status = self._status, None
         return status
-
-
-_WINDOW = 10  # status reports over which rates are averaged
-
-
-class Rates:
-    """Rates over the last second."""
-
-    def __init__(self) -> None:
-        self._past: deque[RunStatus] = deque(maxlen=_WINDOW)
-
-    def renew(self, status: RunStatus) -> dict[str, float]:
-        """Return events per second of stream time, and stream seconds per second of time."""
-        self._past.append(status)
-        first = self._past[0]
-        sim_s, wall_s = status.sim_seconds - first.sim_seconds, status.wall_seconds - first.wall_seconds
-        return {
-            "events_per_s": (status.read_out - first.read_out) / sim_s if sim_s > 0 else 0.0,
-            "real_time_factor": sim_s / wall_s if wall_s > 0 else 0.0,
-        }
 
 
 def describe(rig: Rig) -> dict[str, Any]:
@@ -164,6 +144,7 @@ def _link(report: LinkReport) -> dict[str, Any]:
     return {
         "state": report.state,
         "address": report.address,
+        "attach_command": report.attach_command,
         "error": report.error,
         "latency_us": [latency.p50, latency.p99, latency.max],
         "edges": report.edges.taken,

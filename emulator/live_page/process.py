@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from emulator.live_page.axis import RunHistory
 from emulator.live_page.messages import MOST_COMMAND_BYTES, Access, Picture, encode_picture, light_codes
 from firmware_protocol.events import Events
 from transports.link.rings import EventRing
@@ -208,7 +209,8 @@ class PageProcess:
         self._view, self._session = setup.view, session
         self._canvas = Canvas(setup.view.size)
         self.connections, self._viewers = Connections(), Viewers(time.monotonic)
-        self._app = PageServer(setup.about, setup.access, self._viewers, self.connections, self._command).app()
+        self._about, self._history = setup.about, RunHistory()
+        self._app = PageServer(self._greeting, setup.access, self._viewers, self.connections, self._command).app()
         self._commands_done = 0
         self._ended = asyncio.Event()
 
@@ -286,7 +288,13 @@ class PageProcess:
         elif message["kind"] == "state":
             self._viewers.send_all(json.dumps(message))
         else:
-            self._viewers.put(json.dumps({**message, "viewers": len(self._viewers), "page_cpu_s": _cpu_s()}))
+            if self._history.take(message["axis"]):
+                self._viewers.send_all(json.dumps({"kind": "history", **self._history.as_json()}))
+            self._viewers.put(json.dumps({**message, "viewers": len(self._viewers), "page_cpu_s": time.process_time()}))
+
+    def _greeting(self) -> str:
+        """Return the first message for a viewer: the constant data of the run, and its history."""
+        return json.dumps({"kind": "about", **self._about, **self._history.as_json()})
 
     def _command(self, viewer: int, command: dict[str, Any]) -> bool:
         """Send a viewer's command to the session; False where too many wait."""
@@ -296,9 +304,3 @@ class PageProcess:
             self._session.send((viewer, command))
         self._view.commands += 1
         return True
-
-
-def _cpu_s() -> float:
-    """Return the processor time of this process so far, s."""
-    times = os.times()
-    return times.user + times.system

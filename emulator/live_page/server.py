@@ -12,9 +12,10 @@ from __future__ import annotations
 import asyncio
 import json
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from contextlib import suppress
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 from typing import Any
 
 from starlette.applications import Starlette
@@ -248,16 +249,7 @@ BAD_MESSAGE, REFUSED, FULL = 4400, 4401, 4429
 
 _HELLO_S = 5.0
 _SEND_S = 10.0
-_FILES = {
-    "/": ("index.html", "text/html"),
-    "/page.js": ("page.js", "text/javascript"),
-    "/picture.js": ("picture.js", "text/javascript"),
-    "/axis.js": ("axis.js", "text/javascript"),
-    "/changes.js": ("changes.js", "text/javascript"),
-    "/faults.js": ("faults.js", "text/javascript"),
-    "/repeats.js": ("repeats.js", "text/javascript"),
-    "/page.css": ("page.css", "text/css"),
-}
+_KINDS = {"html": "text/html", "js": "text/javascript", "css": "text/css"}
 _HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data: blob:; frame-ancestors 'self'",
     "X-Content-Type-Options": "nosniff",
@@ -271,21 +263,21 @@ class PageServer:
 
     Parameters
     ----------
-    about
-        Constant data of the run; sent to each viewer first.
+    greeting
+        Function that returns the first message for a viewer.
     command
         Function that forwards a viewer's parsed command; False where too many wait already.
     """
 
     def __init__(
         self,
-        about: dict[str, Any],
+        greeting: Callable[[], str],
         access: Access,
         viewers: Viewers,
         connections: Connections,
         command: Callable[[int, dict[str, Any]], bool],
     ) -> None:
-        self._about = json.dumps({"kind": "about", **about})
+        self._greeting = greeting
         self._access = access
         self._viewers = viewers
         self._connections = connections
@@ -293,7 +285,7 @@ class PageServer:
 
     def app(self) -> Starlette:
         """Return the ASGI application."""
-        routes = [Route(path, _file(name, kind), methods=["GET"]) for path, (name, kind) in _FILES.items()]
+        routes = [_route(file) for file in (files("emulator.live_page") / "static").iterdir()]
         return Starlette(routes=[*routes, WebSocketRoute("/live", self._live)])
 
     async def _live(self, socket: WebSocket) -> None:
@@ -328,7 +320,7 @@ class PageServer:
         return hello["do"] == "hello" and self._access.permits(hello["token"])
 
     async def _serve(self, socket: WebSocket, viewer: Viewer) -> None:
-        viewer.answer(self._about)
+        viewer.answer(self._greeting())
         sending = asyncio.create_task(_send(socket, viewer))
         try:
             await self._listen(socket, viewer)
@@ -370,10 +362,10 @@ async def _text(socket: WebSocket) -> str:
     return str(text)
 
 
-def _file(name: str, kind: str) -> Callable[[Request], Awaitable[Response]]:
-    content = (files("emulator.live_page") / "static" / name).read_bytes()
+def _route(file: Traversable) -> Route:
+    content, kind = file.read_bytes(), _KINDS[file.name.rpartition(".")[2]]
 
     async def respond(_: Request) -> Response:
         return Response(content, media_type=kind, headers=_HEADERS)
 
-    return respond
+    return Route("/" if file.name == "index.html" else f"/{file.name}", respond, methods=["GET"])

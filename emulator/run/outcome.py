@@ -17,6 +17,7 @@ pixel-steps has the same text on the terminal and in the report.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -30,6 +31,7 @@ __all__ = [
     "Judgement",
     "Ledger",
     "LinkLedger",
+    "Rates",
     "RunResult",
     "RunStatus",
     "good",
@@ -115,6 +117,28 @@ class RunStatus:
     raised: int = 0
     lost_in_pixel: int = 0
     lost_at_readout: int = 0
+
+
+_WINDOW = 10  # statuses over which rates are averaged
+
+
+class Rates:
+    """Rates of a run over the last second."""
+
+    def __init__(self) -> None:
+        self._past: deque[tuple[float, float, int, int, int]] = deque(maxlen=_WINDOW)
+
+    def renew(self, status: RunStatus) -> dict[str, float]:
+        """Return events and seconds of stream, each for a second, and the number of steps and of late ones."""
+        now = status.sim_seconds, status.wall_seconds, status.read_out, status.frames, status.lateness.frames_late
+        self._past.append(now)
+        sim_s, wall_s, events, steps, late = (value - first for value, first in zip(now, self._past[0], strict=True))
+        return {
+            "events_per_s": events / sim_s if sim_s > 0 else 0.0,
+            "real_time_factor": sim_s / wall_s if wall_s > 0 else 0.0,
+            "steps": steps,
+            "steps_late": late,
+        }
 
 
 @dataclass(frozen=True)

@@ -288,6 +288,8 @@ class Session:
             for link in self._links:
                 link.wait_ready()
                 log.info("%s: %s", link.name, link.report.state)
+                if link.report.attach_command:
+                    log.info("%s: attach a host: %s", link.name, link.report.attach_command)
 
     def _warm_up(self) -> None:
         """Draw the first light frame before the clock runs."""

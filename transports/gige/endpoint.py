@@ -225,6 +225,11 @@ class GigeEndpoint(Endpoint):
         return f"{self._host}:{self._link.port if self._control is None else self._control.port}"
 
     @property
+    def attach_command(self) -> str:
+        """Receiver of evstim, while no host has control."""
+        return f"evstim listen gige {self.address}" if self._camera.owner is None else ""
+
+    @property
     def counts(self) -> Mapping[str, int]:
         """Counts of packets and requests, and of errors in either."""
         sent = self.sent + self._camera.messages.counts

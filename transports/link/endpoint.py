@@ -163,6 +163,11 @@ class Endpoint(ABC):
         return None
 
     @property
+    def attach_command(self) -> str:
+        """Command that attaches a host to the camera that waits for one; empty if none waits, or none is known."""
+        return ""
+
+    @property
     def use(self) -> LineUse | None:
         """Load of the line; None if it has no limited capacity."""
         return None

@@ -306,6 +306,7 @@ class Link:
         return LinkReport(
             state="closed" if final else self.endpoint.state,
             address=None if final else self.endpoint.address,
+            attach_command="" if final else self.endpoint.attach_command,
             delivered=counters.delivered - destroyed,
             dropped=counters.lost_on_link + self._ring.refused + left + destroyed,
             camera=counters,

@@ -157,6 +157,8 @@ class LinkReport:
 
     Attributes
     ----------
+    attach_command
+        Command that attaches a host, while the link waits for one.
     digest
         Digest of the events delivered since the camera's clock was last zero, in device time; see `digest_of`.
     error
@@ -186,6 +188,7 @@ class LinkReport:
 
     state: str
     address: str | None = None
+    attach_command: str = ""
     delivered: int = 0
     dropped: int = 0
     camera: Fates | None = None

@@ -354,6 +354,16 @@ class SerialEndpoint(Endpoint):
         return None if self._port is None else self._port.address
 
     @property
+    def attach_command(self) -> str:
+        """Receiver of evstim, while no program reads the port."""
+        if self._port is None or self._has_reader:
+            return ""
+        line = {name: getattr(self._line, name) for name in ("profile", "baud", "parity", "stop_bits")}
+        other = {name.replace("_", "-"): value for name, value in line.items() if value != getattr(SerialLink, name)}
+        options = (f" --{key} {value}" for key, value in other.items())
+        return f"evstim listen serial {self._port.address}{''.join(options)}"
+
+    @property
     def use(self) -> LineUse:
         """Load of the line."""
         return LineUse(self._baud.carried, self._baud.share(self._clock.now_ns()), self._baud.busiest_share)

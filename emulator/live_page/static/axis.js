@@ -4,9 +4,8 @@
 
 import {describe} from "./changes.js";
 
-const MOST_POINTS = 6100;  // ten minutes, ten a second
 const LEFT = 86, BASE = 18, ROW = 15, MOST_ROWS = 3;
-const TICKS = [0.2, 0.5, 1, 2, 5, 10, 20, 60, 120, 300];
+const TICKS = [0.2, 0.5, 1, 2, 5, 10, 20, 60, 120, 300, 600, 1800, 3600, 7200, 14400];
 
 export class TimeAxis {
   constructor(canvas, readout, si, duration) {
@@ -24,6 +23,9 @@ export class TimeAxis {
   // Another run begins: the rates of the last one stay for comparison.
   another() { const before = this.points; this.clear(); this.before = before; }
 
+  // What the server has since the start of the run, in place of what came so far: it joins older points.
+  restore({points, frames_read}) { this.points = points; this.frames = frames_read; this.draw(); }
+
   clear() { this.points = []; this.frames = []; this.faults = []; this.changes = []; this.at = null; }
 
   renew(status) {
@@ -37,8 +39,6 @@ export class TimeAxis {
     for (const one of axis.faults) known.set(`${one.link} ${one.number} ${one.began_s}`, one);
     this.faults = [...known.values()].slice(-500);
     this.changes = status.changes || this.changes;
-    if (this.points.length > MOST_POINTS) this.points.splice(0, this.points.length - MOST_POINTS);
-    if (this.frames.length > MOST_POINTS) this.frames.splice(0, this.frames.length - MOST_POINTS);
     this.status = status;
     this.draw();
   }
@@ -107,7 +107,7 @@ export class TimeAxis {
   }
 
   ticks(height) {
-    const {pen, colours} = this, most = Math.max(2, (this.width - LEFT) / 70), step = TICKS.find((one) => this.shown / one <= most) || 600;
+    const {pen, colours} = this, most = Math.max(2, (this.width - LEFT) / 70), step = TICKS.find((one) => this.shown / one <= most) || 86400;
     pen.textAlign = "center";
     for (let k = Math.ceil(this.from / step); k * step <= this.until; k += 1) {
       const t = Number((k * step).toFixed(1));

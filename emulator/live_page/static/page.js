@@ -51,6 +51,7 @@ function send(message) { if (socket.readyState === 1) socket.send(JSON.stringify
 
 function hear(message) {
   if (message.kind === "about") begin(message);
+  else if (message.kind === "history") axis.restore(message);
   else if (message.kind === "answer" && message.pixel) picture.thresholds(message.pixel, message.thresholds);
   else if (message.kind === "answer") $("answer").textContent = message.did || message.error;
   else if (message.kind === "ended") {
@@ -67,7 +68,8 @@ function state(text, kind) { $("state").textContent = text; $("state").className
 
 function begin(message) {
   if (about && about.run !== message.run) axis.another();  // stream time begins again
-  about = message; first = null; status = null; retry_ms = 500; lateBefore = [];
+  about = message; first = null; status = null; retry_ms = 500;
+  axis.restore(about);
   picture.about(about);
   repeats.begin(about);
   $("name").textContent = document.title = about.name;
@@ -78,42 +80,44 @@ function begin(message) {
 
 // ---- figures ----
 
-const axis = new TimeAxis($("axis"), $("axis-at"), si, duration);
+export const axis = new TimeAxis($("axis"), $("axis-at"), si, duration);
 for (const input of document.querySelectorAll("input[name=span]")) input.onchange = () => axis.show(Number(input.value));
 const repeats = new Repeats({seed: $("seed"), go: $("again-go"), stop: $("stop"), why: $("again-why"), table: $("compare")}, {si, duration}, send);
 let cpu = null;
 
 function figures() {
-  const late = status.lateness;
-  const now = performance.now() / 1000;
+  const late = status.lateness, latency = status.axis.points.at(-1) || {p50: null}, now = performance.now() / 1000;
   const load = cpu && now > cpu.now ? (status.page_cpu_s - cpu.used) / (now - cpu.now) : 0;
   if (!cpu || now - cpu.now > 5) cpu = {now, used: status.page_cpu_s, load: cpu ? load : null};
   numbers({
-    "stream time": `${status.t_s.toFixed(2)} s`, "real-time factor": status.real_time_factor.toFixed(2),
-    "steps late": late.frames_late, "worst lateness": duration(late.worst_gap_us),
-    "longer steps": late.steps_stretched, "pictures drawn": status.frames,
-    viewers: status.viewers, "page's processor": cpu.load === null ? "..." : `${(100 * cpu.load).toFixed(1)} % of a core`,
+    "stream time": [`${status.t_s.toFixed(2)} s`, `${status.frames} light frames drawn`],
+    "real-time factor": [status.real_time_factor.toFixed(2), `${ratio(status.t_s, status.wall_s).toFixed(2)} since the start`],
+    "event rate": [`${si(status.events_per_s)}/s`, `${si(ratio(status.totals.read_out, status.t_s))}/s since the start`],
+    latency: latency.p50 === null ? ["none", "no event has left a link"] : [duration(latency.p50), `99 %: ${duration(latency.p99)}, since the start`],
+    "steps late": [`${status.steps_late} of ${status.steps}`, `${late.frames_late} of ${status.frames} since the start`],
+    "worst lateness": [duration(late.worst_gap_us), "since the start"],
+    "longer steps": [late.steps_stretched, "since the start"],
+    viewers: [status.viewers, cpu.load === null ? "" : `page: ${(100 * cpu.load).toFixed(1)} % of a core`],
   });
   axis.renew(status);
   ledger(); links(); health();
 }
 
-// State of the run: why it is bad, else late in the last second, else in time. The rules are those of its verdict.
-let lateBefore = [];
-
+// State of the run: the steps of the last second; and the rules of its verdict that are broken since the start.
 function health() {
   const late = status.lateness, {late_ms, late_share} = about.limits, paced = about.pace === "realtime" && late_ms > 0;
   const broken = Object.entries(status.links).filter(([, link]) => link.error).map(([name]) => `link ${name}`);
   if (document.querySelector("#ledger [data-sound=false]")) broken.push("ledger");
   if (paced && late.worst_gap_us > 1e3 * late_ms) broken.push(`worst step ${duration(late.worst_gap_us)} late`);
   if (paced && late.frames_late > late_share * status.frames) broken.push(`${share(late.frames_late, status.frames)} of the steps late`);
-  lateBefore.push(late.frames_late);
-  const fresh = late.frames_late - lateBefore[0];
-  if (lateBefore.length > 10) lateBefore.shift();
-  const [text, kind] = broken.length ? [`bad: ${broken.join(", ")}`, "bad"]
-    : paced && fresh ? [`late: ${fresh} of the last steps`, "late"] : [paced ? "in time" : "no rule broken", "good"];
-  $("health").textContent = text; $("health").className = kind;
+  const {steps, steps_late} = status;
+  mark("now", paced ? `now: ${steps_late ? `${steps_late} of ${steps} steps late` : "in time"}` : "", steps_late ? "late" : "good");
+  mark("health", `since the start: ${broken.length ? `bad: ${broken.join(", ")}` : "good"}`, broken.length ? "bad" : "good");
 }
+
+function mark(id, text, kind) { put($(id), text); $(id).className = kind; }
+
+function ratio(part, whole) { return whole > 0 ? part / whole : 0; }
 
 function share(part, whole) { return `${Number((100 * part / Math.max(whole, 1)).toPrecision(2))} %`; }
 
@@ -124,11 +128,12 @@ function duration(us) {
 
 function numbers(table) {
   const list = $("numbers");
-  if (!list.children.length) for (const name of Object.keys(table)) {
-    const box = document.createElement("div"), dt = document.createElement("dt"), dd = document.createElement("dd");
-    dt.textContent = name; dd.dataset.name = name; box.append(dt, dd); list.append(box);
-  }
-  for (const dd of list.querySelectorAll("dd")) dd.textContent = table[dd.dataset.name];
+  if (!list.children.length) list.replaceChildren(...Object.keys(table).map((name) => {
+    const box = document.createElement("div"), [dt, dd, note] = ["dt", "dd", "dd"].map((tag) => document.createElement(tag));
+    dt.textContent = name; dd.dataset.name = name; note.className = "note"; box.append(dt, dd, note);
+    return box;
+  }));
+  Object.values(table).forEach((texts, k) => texts.forEach((text, n) => { list.children[k].children[n + 1].textContent = text; }));
 }
 
 function si(value) {
@@ -165,15 +170,36 @@ function ledger() {
 }
 
 function links() {
-  const rows = Object.entries(status.links).map(([name, link]) => {
-    const row = document.createElement("div"), more = document.createElement("span");
+  const box = $("links"), all = Object.entries(status.links);
+  if (!all.length) box.textContent = "This rig has no link.";
+  else if (box.children.length !== all.length) box.replaceChildren(...all.map(([name]) => {
+    const row = document.createElement("div");
     row.className = "link";
-    more.textContent = ` ${link.state}${link.address && !link.state.includes(link.address) ? ` at ${link.address}` : ""}, ${link.faults} faults, ${link.edges} triggers`;
-    row.append(name, more);
-    if (link.error) { const bad = document.createElement("div"); bad.className = "bad"; bad.textContent = link.error; row.append(bad); }
+    row.innerHTML = "<b></b> <span></span><div class=\"bad\"></div><div class=\"attach\"><code></code><button type=\"button\">copy</button></div>";
+    const [head, , , attach] = row.children, [command, copy] = attach.children;
+    head.textContent = name;
+    copy.setAttribute("aria-label", `copy the command that attaches a host to ${name}`);
+    copy.onclick = () => copied(command, copy);
     return row;
+  }));
+  all.forEach(([, link], k) => {
+    const [, state, bad, attach] = box.children[k].children;
+    put(state, `${link.state}${link.address && !link.state.includes(link.address) ? ` at ${link.address}` : ""}, ${link.faults} faults, ${link.edges} triggers`);
+    put(bad, link.error || "");
+    put(attach.firstChild, link.attach_command);
+    attach.hidden = !link.attach_command;
   });
-  $("links").replaceChildren(...rows.length ? rows : ["This rig has no link."]);
+}
+
+function put(element, text) { if (element.textContent !== text) element.textContent = text; }  // a selection stays
+
+async function copied(command, button) {
+  try { await navigator.clipboard.writeText(command.textContent); } catch {  // not at an address of another machine
+    getSelection().selectAllChildren(command);
+    document.execCommand("copy");
+  }
+  button.textContent = "copied";
+  setTimeout(() => { button.textContent = "copy"; }, 2000);
 }
 
 // ---- controls ----

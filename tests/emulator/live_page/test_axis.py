@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from emulator.live_page.axis import TimeAxis
+from emulator.live_page.axis import RunHistory, TimeAxis
 from emulator.run.outcome import RunStatus
 from emulator.run.pacing import Lateness
 from firmware_protocol.device.items import ReadingKind
@@ -68,3 +68,39 @@ def test_faults_of_the_rig_and_by_hand_are_there():
     assert shown[-1] == {
         "link": "a", "number": 49, "kind": "stall", "began_s": 49.0, "ended_s": None, "hits": 2, "events_lost": 5,
     }  # fmt: skip
+
+
+def _point(k):
+    imu = [1.0, 2.0, float(k)] if k % 2 else None
+    return {"t_s": 0.1 * k, "rate": k, "p50": k, "p99": k, "edges": k % 3, "imu_hz": 500, "imu": imu}
+
+
+def _statuses(count):
+    """Yield statuses with two points and frames each, so that each comes twice."""
+    for k in range(1, count):
+        yield {"points": [_point(k - 1), _point(k)], "frames_read": [[0, 0, 0, k - 1], [0, 0, 0, k]]}
+
+
+def test_the_history_has_every_point_once():
+    history = RunHistory()
+    assert not any([history.take(status) for status in _statuses(1000)])
+    assert history.as_json()["points"] == [_point(k) for k in range(1000)]
+    assert history.as_json()["frames_read"] == [[0, 0, 0, k] for k in range(1000)]
+
+
+def test_the_history_of_a_long_run_begins_at_its_start_and_does_not_grow():
+    history, most, count = RunHistory(), 0, 30_000
+    for status in _statuses(count):
+        if history.take(status):
+            most = max(most, len(history.as_json()["points"]))
+    points = history.as_json()["points"]
+    assert 1200 < most < 2500
+    assert len(history.as_json()["frames_read"]) == 3000
+    assert points[0]["t_s"] < 10
+    assert points[-600:] == [_point(k) for k in range(count - 600, count)]
+    assert [point["t_s"] for point in points] == sorted(point["t_s"] for point in points)
+    assert sum(point["edges"] for point in points) == sum(k % 3 for k in range(count))
+    joined = points[0]
+    length = round(joined["t_s"] / 0.1) + 1
+    assert joined["rate"] == sum(range(length)) / length
+    assert (joined["p99"], joined["imu_hz"], joined["imu"][:2]) == (length - 1, 500, [1.0, 2.0])

@@ -105,6 +105,34 @@ def _press_space_until(browser, state):
             time.sleep(0.05)
 
 
+def _numbers_and_attach_command(browser):
+    """Check rates and latency; attach a reader with the command of the page."""
+    text = "document.querySelector('dd[data-name=\"{}\"]').parentElement.textContent".format
+    browser.until(f"/^event rate\\d.*\\/s since the start$/.test({text('event rate')})")
+    assert browser.value(text("latency")) == "latencynoneno event has left a link"
+    browser.value("navigator.clipboard.writeText = async text => { window.clipboardText = text; }")
+    browser.click(".attach button")
+    browser.until("document.querySelector('.attach button').textContent === 'copied'")
+    command = browser.value("window.clipboardText")
+    port = re.fullmatch(r"evstim listen serial (/dev/\S+) --baud 3000000", command)[1]
+    with open(port, "rb"):
+        browser.until("document.querySelector('.attach').hidden")
+        browser.until(f"/^latency\\d.*99 %: .*, since the start$/.test({text('latency')})")
+    browser.until("!document.querySelector('.attach').hidden")
+
+
+def _history_after_a_reload(browser):
+    points = "import('/page.js').then(page => page.axis.points.map(point => point.t_s))"
+    browser.until("parseFloat(document.querySelector('dd[data-name=\"stream time\"]').textContent) > 2")
+    browser.call("Page.reload")
+    browser.until("document.querySelectorAll('#ledger .head').length === 2")
+    times = browser.value(points)
+    assert times[0] < 1
+    assert times[-1] > 2
+    browser.click("input[name=span][value=Infinity]")
+    assert browser.value("import('/page.js').then(page => page.axis.from)") == 0
+
+
 def test_a_click_injects_a_fault_and_a_slider_changes_the_rate(folder, tmp_path):
     with _run(folder) as (url, summary), Browser(folder / "profile") as browser:
         browser.open(url)
@@ -112,10 +140,13 @@ def test_a_click_injects_a_fault_and_a_slider_changes_the_rate(folder, tmp_path)
         browser.until("document.querySelectorAll('#ledger .head').length === 2")
         assert browser.value("document.querySelector('#ledger .head').dataset.sound") == "true"
 
-        health = browser.value(
-            "[document.querySelector('#health').className, document.querySelector('#health').textContent]"
+        now, health = browser.value(
+            "['now', 'health'].map(id => document.getElementById(id)).map(e => [e.className, e.textContent])"
         )
-        assert health[1].startswith({"good": "in time", "late": "late: ", "bad": "bad: "}[health[0]])
+        assert re.fullmatch({"good": "now: in time", "late": r"now: \d+ of \d+ steps late"}[now[0]], now[1])
+        assert health[1].startswith({"good": "since the start: good", "bad": "since the start: bad: "}[health[0]])
+        _numbers_and_attach_command(browser)
+        _history_after_a_reload(browser)
 
         browser.until("document.querySelector('#fault-serial-text').textContent.startsWith('Single inverted bits')")
         browser.value("document.querySelector('#faults [data-key=for_s]').value = '1000'")
@@ -195,6 +226,14 @@ def test_the_picture_is_largest_bright_readable_and_accessible(folder):
             assert _violations(browser) == []
         for width, height in ((390, 844), (2560, 1300), (1280, 900)):
             browser.resize(width, height)
+            beside = browser.value("""(() => {
+                const time = document.querySelector('#time').getBoundingClientRect(), middle = time.x + time.width / 2;
+                const inColumn = [...document.querySelectorAll('section')].map(e => e.getBoundingClientRect())
+                    .filter(box => box.x < middle && middle < box.right);
+                const main = document.querySelector('main').clientHeight;
+                return inColumn.reduce((sum, box) => sum + box.height, 0) / main;
+            })()""")
+            assert beside > 0.6  # of the column with the time axis is in use
             for view in ("both", "light", "overlay"):
                 browser.value(f"document.querySelector('input[value={view}]').click()")
                 assert browser.value("document.documentElement.scrollWidth") <= width

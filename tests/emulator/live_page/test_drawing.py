@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from emulator.live_page.messages import light_of_codes
 from emulator.live_page.process import Canvas, reduction
 from firmware_protocol.events import EVENT
+from tests.emulator.live_page.pictures import light_of_codes
 
 
 def _events(rows):

@@ -12,12 +12,11 @@ from hypothesis import strategies as st
 from emulator.live_page.messages import (
     BadMessage,
     Picture,
-    decode_picture,
     encode_picture,
     light_codes,
-    light_of_codes,
     parse_command,
 )
+from tests.emulator.live_page.pictures import decode_picture, light_of_codes
 
 _COMMANDS = [
     {"do": "hello", "token": "ab"},
@@ -88,12 +87,6 @@ def test_light_that_is_no_number_has_a_code():
     assert list(codes[:4]) == [0, 0, 0, 0]
     assert np.isfinite(light_of_codes(codes)).all()
     assert light_of_codes(codes)[4] > 9e37
-
-
-@given(st.binary(max_size=200), st.booleans())
-def test_bytes_that_are_no_picture_are_refused(data, with_magic):
-    with pytest.raises(BadMessage):
-        decode_picture(b"EVP2" + data if with_magic and len(data) != 36 else data[:30])
 
 
 @pytest.mark.parametrize("command", _COMMANDS, ids=lambda c: c["do"])

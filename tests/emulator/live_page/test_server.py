@@ -15,10 +15,11 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from emulator.live_page.messages import Access, decode_picture
+from emulator.live_page.messages import Access
 from emulator.live_page.process import Canvas, PageProcess, PageSetup, SharedView
 from emulator.live_page.server import BAD_MESSAGE, FULL, MOST_VIEWERS, REFUSED
 from firmware_protocol.events import EVENT
+from tests.emulator.live_page.pictures import decode_picture
 
 pytestmark = pytest.mark.socket
 
@@ -142,17 +143,33 @@ def test_the_files_come_and_load_nothing_from_elsewhere():
 
 def test_viewers_see_the_events_and_the_light():
     with served() as page, page.viewer() as one, page.viewer() as other:
-        assert _text(one) == {"kind": "about", "name": "test"}
+        assert _text(one) == {"kind": "about", "name": "test", "points": [], "frames_read": []}
         for client in (one, other):
             picture = _picture(page, client)
             assert picture.light.shape == _SIZE[::-1]
             assert list(picture.place) == [0, 1, 2, 3, 4]
             assert (picture.last > 0).all()
-        page.pipe.send({"kind": "status", "t_s": 1.5, "commands_done": 0})
+        page.pipe.send({"kind": "status", "t_s": 1.5, "commands_done": 0, "axis": {"points": [], "frames_read": []}})
         for client in (one, other):
             while (message := _text(client))["kind"] != "status":
                 pass
             assert message["viewers"] == 2
+
+
+def test_a_viewer_that_comes_later_sees_the_run_since_its_start(monkeypatch):
+    monkeypatch.setattr("emulator.live_page.axis._BATCH", 4)
+    points = [{"t_s": k / 10, "rate": k, "edges": 1, "imu_hz": 0, "imu": None} for k in range(9)]
+    with served() as page, page.viewer() as early:
+        assert _text(early)["points"] == []
+        for point in points:
+            page.pipe.send({"kind": "status", "commands_done": 0, "axis": {"points": [point], "frames_read": []}})
+        while (history := _text(early))["kind"] != "history":  # older points have been joined
+            pass
+        assert [point["t_s"] for point in history["points"]] == [0.3, 0.4, 0.5, 0.6, 0.7]
+        page.until(lambda: page.process._history.as_json()["points"][-1]["t_s"] == 0.8)
+        with page.viewer() as late:
+            about = _text(late)
+    assert about["points"] == [{**points[3], "rate": 1.5, "edges": 4}, *points[4:]]
 
 
 def test_a_command_reaches_the_session_and_its_answer_the_one_who_asked():

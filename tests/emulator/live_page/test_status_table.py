@@ -3,8 +3,8 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulator.live_page.page import Rates, ledger_table, status_table
-from emulator.run.outcome import RunStatus
+from emulator.live_page.page import ledger_table, status_table
+from emulator.run.outcome import Rates, RunStatus
 from emulator.run.pacing import Lateness
 from firmware_protocol.device.fates import Fates
 from transports.link.report import LinkReport
@@ -12,8 +12,8 @@ from transports.link.report import LinkReport
 _count = st.integers(0, 10**12)
 
 
-def _status(sim_s=1.0, wall_s=1.0, read_out=0, **more):
-    return RunStatus(sim_s, wall_s, 5, read_out, Lateness(), **{"links": {}, **more})
+def _status(sim_s=1.0, wall_s=1.0, read_out=0, frames=5, lateness=None, **more):
+    return RunStatus(sim_s, wall_s, frames, read_out, lateness or Lateness(), **{"links": {}, **more})
 
 
 @given(_count, _count, _count, _count, st.lists(st.tuples(_count, _count), max_size=3))
@@ -48,10 +48,24 @@ def test_events_before_a_host_reads_are_apart_from_those_that_the_camera_drops()
 def test_rates_are_those_of_the_last_second():
     rates = Rates()
     assert rates.renew(_status(0.0, 0.0))["events_per_s"] == 0
-    assert rates.renew(_status(0.5, 1.0, 1000)) == {"events_per_s": 2000.0, "real_time_factor": 0.5}
+    assert rates.renew(_status(0.5, 1.0, 1000)) == {
+        "events_per_s": 2000.0, "real_time_factor": 0.5, "steps": 0, "steps_late": 0,
+    }  # fmt: skip
+
+
+def test_steps_that_were_late_before_the_last_second_are_not_late_now():
+    rates, late = Rates(), Lateness()  # one object for the whole run, as in a session
+    for k in range(30):
+        if k < 10:
+            late.add(1_000_000, 1)
+        now = rates.renew(_status(0.1 * k, 0.1 * k, frames=2 * k, lateness=late))
+        if k == 9:
+            assert (now["steps"], now["steps_late"]) == (18, 9)
+    assert (now["steps"], now["steps_late"], late.frames_late) == (18, 0, 10)
 
 
 def test_the_table_names_each_link():
-    table = status_table(_status(links={"a": LinkReport("open", address="x:1")}), {"events_per_s": 1.0})
-    assert table["links"]["a"]["address"] == "x:1"
+    link = LinkReport("open", address="x:1", attach_command="read x")
+    table = status_table(_status(links={"a": link}), {"events_per_s": 1.0})
+    assert (table["links"]["a"]["address"], table["links"]["a"]["attach_command"]) == ("x:1", "read x")
     assert table["t_s"] == 1.0

@@ -85,11 +85,16 @@ def test_packets_that_the_camera_keeps_no_more_are_not_sent_again(bench):
 
 def test_a_heartbeat_that_is_lost_takes_control_away(bench):
     here = bench()
+    command = here.link.report().attach_command
+    assert command == f"evstim listen gige 127.0.0.1:{here.port}"
     host = here.connect()
     host.start()
+    here.turn()
+    assert here.link.report().attach_command == ""
     here.link.endpoint.inject(LostHeartbeat())
     while here.link._device.owner is not None:
         here.turn()
+    assert here.link.report().attach_command == command
     here.clock.advance(2_000_000_000)
     with pytest.raises(CameraGone, match="control was taken away"):
         host.read(0.001)

@@ -73,6 +73,9 @@ def test_nobody_at_the_line_means_not_running(bench):
     report = b.link.report()
     assert report.camera.not_running == report.dropped_in_device == 100
     assert report.state.startswith("waiting for a reader of /dev/pts")
+    assert report.attach_command == f"evstim listen serial {report.address} --baud 3000000"
+    b.plug()
+    assert b.link.report().attach_command == ""
 
 
 def test_readers_come_and_go_and_nothing_old_is_left(bench):

@@ -111,10 +111,13 @@ def test_a_camera_that_is_pulled_out_is_lost_and_found_again():
             link.tick()
             await asyncio.sleep(0.01)
 
+        assert link.report().attach_command == f"sudo usbip --tcp-port {port} attach -r 127.0.0.1 -b 1-1"
         host = await attach()
         assert link.endpoint.state.startswith("attached by")
+        assert link.report().attach_command == ""
         await reach(110_000)
         assert link.endpoint.state == "unplugged, by a fault"
+        assert link.report().attach_command == ""
         with pytest.raises(UsbHostError):
             await asyncio.to_thread(host.control_in, SetupPacket(0x80, 6, 0x0100, 0, 18))
         host.close()

@@ -40,6 +40,7 @@ __all__ = ["UsbipEndpoint", "UsbipFactory", "UsbipServer"]
 log = logging.getLogger(__name__)
 
 _PLACES = Places()
+_TOOL_PORT = 3240  # of `usbip` without --tcp-port
 _BUSID = re.compile(r"([1-9]\d{0,2})-([1-9]\d{0,2})")
 
 
@@ -290,6 +291,14 @@ class UsbipEndpoint(Endpoint):
     def address(self) -> str:
         """Host and port that the server listens on."""
         return f"{self._at.host}:{self._server.port}"
+
+    @property
+    def attach_command(self) -> str:
+        """Command of a Linux kernel with vhci-hcd, while no host holds the camera."""
+        if self._is_gone or self._at.busid in self._server.attached:
+            return ""
+        port = f" --tcp-port {self._server.port}" if self._server.port != _TOOL_PORT else ""
+        return f"sudo usbip{port} attach -r {self._at.host} -b {self._at.busid}"
 
     @property
     def trouble(self) -> str:
