@@ -351,7 +351,7 @@ def print_summary(rig: Rig, result: RunResult) -> None:
                 f"p99 {quantile_text(report.latency.p99)} us, "
                 f"max {report.latency.max:.0f} us"
             )
-    if advice := undersampled_advice(result.undersampled_share):
+    if advice := undersampled_advice(result):
         console.print(advice)
     if result.scene_counts:
         console.print(f"scene: {', '.join(f'{n} {name}' for name, n in result.scene_counts.items())}")

@@ -395,9 +395,13 @@ class Sensor:
         """
         if name not in self.adjustable:
             raise ValueError(f"{name} cannot be changed while this sensor runs")
+        if name in ("scan_us", "off_latency_us") and value == 0:
+            raise ValueError(f"{name} must stay above 0 while the sensor runs: at 0 it would be another sensor")
         if name == "scan_us" and isinstance(self._readout, ScanReadOut):
+            dataclasses.replace(self.parameters.readout, scan_us=value)  # raises outside its bounds
             self._readout.set_scan_us(value)
         elif name == "off_latency_us" and self._jitter is not None:
+            dataclasses.replace(self.parameters.jitter, off_latency_us=value)
             self._jitter.set_off_latency(value)
         else:
             self._adjust_pixels(name, value)

@@ -5,6 +5,9 @@ a union of dataclasses with a class attribute `kind`, and the table's own `kind`
 checks plain values; unknown keys, missing ones and the path of the key at fault are found here. A dataclass that
 refuses a value in its `__post_init__` starts its message with the key's name.
 
+The bounds of a number stand once, in the annotation of its field: `Annotated[float, Meta(ge=0, le=1)]`. `check_bounds`
+holds a dataclass to them wherever it is made; the schema, the reference of rigs and the live page show them.
+
 Files that a rig names are found beside the rig file, not in the folder of the command. A dataclass of a rig marks such
 a key by the type `RigFile`.
 """
@@ -19,21 +22,26 @@ import typing
 from collections.abc import Collection, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, NewType, TypeVar
+from typing import Annotated, Any, Literal, NewType, TypeVar
 
 import msgspec
+from msgspec import Meta
 
 __all__ = [
     "NO_FILE",
     "KeyPath",
     "RigFile",
+    "Share",
     "TableError",
     "beside",
+    "bounds_of",
+    "check_bounds",
     "convert",
     "convert_kind",
     "field_types",
     "item_type",
     "kinds_of",
+    "range_text",
     "split_kind",
     "table_type",
     "unknown",
@@ -45,6 +53,8 @@ T = TypeVar("T")
 
 _AT = re.compile(r" - at `\$(.*)`$")
 _INDEX = re.compile(r"\[(\d+)\]")
+_NUMBERS = {int: "a whole number", float: "a number"}
+_UNITS = ("ns", "us", "ms", "s", "hz", "px", "um", "mm", "m", "deg", "bytes")  # ends of keys
 
 
 class TableError(Exception):
@@ -131,6 +141,34 @@ def table_type(annotation: Any) -> Any:
     return next((member for member in members if dataclasses.is_dataclass(member)), None)
 
 
+Share = Annotated[float, Meta(ge=0, le=1)]
+"""A part of a whole."""
+
+
+@cache
+def bounds_of(target: type) -> Mapping[str, Meta]:
+    """Return the bounds of a dataclass's numbers, by field."""
+    hints = typing.get_type_hints(target, include_extras=True)
+    return {name: of.__metadata__[0] for name, of in hints.items() if typing.get_origin(of) is Annotated}
+
+
+def range_text(bounds: Meta) -> str:
+    """Return bounds in words, such as "0 to 1"."""
+    if bounds.gt is None and bounds.le is not None:
+        return f"{bounds.ge:.10g} to {bounds.le:.10g}"
+    low = f"at least {bounds.ge:.10g}" if bounds.gt is None else f"above {bounds.gt:.10g}"
+    return low if bounds.le is None else f"{low}, at most {bounds.le:.10g}"
+
+
+def check_bounds(owner: Any) -> None:
+    """Raise ValueError where a number of a dataclass lies outside the bounds of its field, or is NaN."""
+    for name, bounds in bounds_of(type(owner)).items():
+        value = getattr(owner, name)
+        above = value >= bounds.ge if bounds.gt is None else value > bounds.gt
+        if not above or (bounds.le is not None and not value <= bounds.le):
+            raise ValueError(f"{name} must be {range_text(bounds)}, got {value!r}")
+
+
 def _is_union(annotation: Any) -> bool:
     return typing.get_origin(annotation) in (typing.Union, types.UnionType)
 
@@ -147,6 +185,8 @@ def _value(value: object, annotation: Any, path: KeyPath) -> object:
 
 
 def _plain(value: object, annotation: Any, path: KeyPath) -> object:
+    if typing.get_origin(annotation) is Literal and isinstance(value, str) and value not in typing.get_args(annotation):
+        raise TableError(unknown(value, [str(one) for one in typing.get_args(annotation)]), path)
     try:
         return msgspec.convert(value, annotation)
     except msgspec.ValidationError as error:
@@ -154,6 +194,9 @@ def _plain(value: object, annotation: Any, path: KeyPath) -> object:
         if at := _AT.search(message):
             message = message[: at.start()]
             path = (*path, *(int(index) for index in _INDEX.findall(at.group(1))))
+        if annotation in _NUMBERS:
+            unit = next((f" of {unit}" for unit in _UNITS if str(path[-1]).endswith(f"_{unit}")), "")
+            raise TableError(f"must be {_NUMBERS[annotation]}{unit}, got {value!r}", path) from error
         raise TableError(f"{message}; here it is {value!r}", path) from error
 
 

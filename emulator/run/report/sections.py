@@ -74,7 +74,7 @@ def _rules(of: ReportContent) -> Section:
     made = Section("Rules").table("All rules of this run, with figure and bound", columns, rows)
     unset = [f"verdict.{name}" for name in _OWN_RULES if not any(name in one.rule for one in of.rules)]
     made.text(f"Not judged, because the rig sets no limit: {', '.join(unset)}." if unset else "", "note")
-    return made.text(undersampled_advice(of.result.undersampled_share))
+    return made.text(undersampled_advice(of.result))
 
 
 def _run(of: ReportContent) -> Section:
