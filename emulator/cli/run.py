@@ -226,7 +226,7 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
         setups = serving.wired(link_setups(rig, files.record, truth.clock, files.fault_log))
         setups = begin_trace(setups, files.trace)
         session = _session(rig, scene, setups, truth_file)
-        stop_on_signals(partial(_stop, session, parts.repeats))
+        stop_on_signals(partial(_stop, session, parts.repeats), session.interrupt)
         with (
             fault_injection(rig, Operator(session, "evstim")) as faults,
             serving.page(session) as page,

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import os
 import re
 import types
 import typing
@@ -31,8 +32,10 @@ __all__ = [
     "NO_FILE",
     "KeyPath",
     "RigFile",
+    "Seed",
     "Share",
     "TableError",
+    "TimeScale",
     "beside",
     "bounds_of",
     "check_bounds",
@@ -144,6 +147,12 @@ def table_type(annotation: Any) -> Any:
 Share = Annotated[float, Meta(ge=0, le=1)]
 """A part of a whole."""
 
+Seed = Annotated[int, Meta(ge=0, le=(1 << 63) - 1)]
+"""Seed of random numbers."""
+
+TimeScale = Annotated[float, Meta(gt=0, le=1e6)]
+"""Speed of motion relative to reality."""
+
 
 @cache
 def bounds_of(target: type) -> Mapping[str, Meta]:
@@ -154,18 +163,17 @@ def bounds_of(target: type) -> Mapping[str, Meta]:
 
 def range_text(bounds: Meta) -> str:
     """Return bounds in words, such as "0 to 1"."""
-    if bounds.gt is None and bounds.le is not None:
-        return f"{bounds.ge:.10g} to {bounds.le:.10g}"
-    low = f"at least {bounds.ge:.10g}" if bounds.gt is None else f"above {bounds.gt:.10g}"
-    return low if bounds.le is None else f"{low}, at most {bounds.le:.10g}"
+    named = {"above": bounds.gt, "at least": bounds.ge, "at most": bounds.le}
+    words = {name: str(n) if isinstance(n, int) else f"{n:.10g}" for name, n in named.items() if n is not None}
+    return " to ".join(words.values()) if [*words] == ["at least", "at most"] else ", ".join(map(" ".join, words.items()))
 
 
 def check_bounds(owner: Any) -> None:
     """Raise ValueError where a number of a dataclass lies outside the bounds of its field, or is NaN."""
     for name, bounds in bounds_of(type(owner)).items():
         value = getattr(owner, name)
-        above = value >= bounds.ge if bounds.gt is None else value > bounds.gt
-        if not above or (bounds.le is not None and not value <= bounds.le):
+        above = value > bounds.gt if bounds.gt is not None else bounds.ge is None or value >= bounds.ge
+        if not (above and (bounds.le is None or value <= bounds.le)):
             raise ValueError(f"{name} must be {range_text(bounds)}, got {value!r}")
 
 
@@ -231,10 +239,10 @@ def beside(value: T, folder: Path) -> T:
     for name, annotation in types.items():
         old = getattr(value, name)
         if annotation == tuple[RigFile, ...]:
-            found = tuple(str(folder / one) if (folder / one).is_file() else one for one in old)
+            found = tuple(str(folder / one) if os.path.isfile(folder / one) else one for one in old)
             new = old if found == old else found
         else:
-            is_file = annotation is RigFile and (folder / old).is_file()
+            is_file = annotation is RigFile and os.path.isfile(folder / old)  # False for names that no file can have
             new = RigFile(str(folder / old)) if is_file else beside(old, folder)
         if new is not old:
             changed[name] = new

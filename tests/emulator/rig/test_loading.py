@@ -211,6 +211,20 @@ def test_mistakes_in_a_can_link_are_told_by_line(more, told):
         parse_rig(CAN + more, "r.toml", "r")
 
 
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ('[[links]]\nkind = "loopback"\nname = "a/b"\n', "line 5.*name: 'a/b' cannot be part of a file's name"),
+        ('[run]\npace = "real_time"\n', "line 4.*'real_time' is not known here; did you mean 'realtime'"),
+        ("[run]\nstep_us = 0.5\n", "line 4.*step_us: must be a whole number of us, got 0.5"),
+        ("[camera.sensor]\nleak_hz = 1e5\n", "line 4.*leak_hz must be 0 to 10000, got 100000.0"),
+    ],
+)
+def test_a_mistake_is_named_with_what_is_allowed(more, told):
+    with pytest.raises(RigError, match=told):
+        parse_rig('[scene]\nkind = "checkerboard"\n' + more, "r.toml", "r")
+
+
 def test_an_evk4_takes_hexadecimal_serials_alone():
     rig = '[scene]\nkind = "checkerboard"\n[camera]\nmodel = "evk4"\nserial = "{}"\n[[links]]\nkind = "usbip"\n'
     assert parse_rig(rig.format("c0ffee"), "r.toml", "r").camera.size == (1280, 720)
