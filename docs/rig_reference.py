@@ -87,10 +87,9 @@ def _section(cls: type, titles: list[str]) -> str:
     if types:
         lines += ["| key | type | default | meaning |", "|---|---|---|---|"]
     rows = (f for f in dataclasses.fields(cls) if f.name in types)
-    lines += [
-        f"| {_heading(titles[0], f.name)} | {_words(types[f.name])}{ranges.get(f.name, '')} | {_default(f)} | {texts.get(f.name, '')} |"
-        for f in rows
-    ]
+    for f in rows:
+        of = _words(types[f.name]) + ranges.get(f.name, "")
+        lines.append(f"| {_heading(titles[0], f.name)} | {of} | {_default(f)} | {texts.get(f.name, '')} |")
     return "\n".join(lines).rstrip()
 
 

@@ -42,7 +42,8 @@ class StopSignals:
         now_s: Callable[[], float] = time.monotonic,
         interrupt: Callable[[], object] | None = None,
     ) -> None:
-        self._stop, self._interrupt = stop, interrupt or _interrupt
+        self._stop = stop
+        self._interrupt = interrupt or _interrupt
         self._now_s = now_s
         self._count = 0
         self._first_s = 0.0

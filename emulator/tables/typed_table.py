@@ -165,7 +165,8 @@ def range_text(bounds: Meta) -> str:
     """Return bounds in words, such as "0 to 1"."""
     named = {"above": bounds.gt, "at least": bounds.ge, "at most": bounds.le}
     words = {name: str(n) if isinstance(n, int) else f"{n:.10g}" for name, n in named.items() if n is not None}
-    return " to ".join(words.values()) if [*words] == ["at least", "at most"] else ", ".join(map(" ".join, words.items()))
+    is_range = [*words] == ["at least", "at most"]
+    return " to ".join(words.values()) if is_range else ", ".join(map(" ".join, words.items()))
 
 
 def check_bounds(owner: Any) -> None:
