@@ -171,7 +171,7 @@ def range_text(bounds: Meta) -> str:
 
 def check_bounds(owner: Any) -> None:
     """Raise ValueError where a number of a dataclass lies outside the bounds of its field, or is NaN."""
-    for name, bounds in bounds_of(type(owner)).items():
+    for name, bounds in bounds_of(owner.__class__).items():
         value = getattr(owner, name)
         above = value > bounds.gt if bounds.gt is not None else bounds.ge is None or value >= bounds.ge
         if not (above and (bounds.le is None or value <= bounds.le)):
