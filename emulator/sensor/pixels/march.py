@@ -267,7 +267,7 @@ def _store(pixels: Pixels, table: SubstepTable, j: int, c: StepConstants) -> Non
         leaked = rows[row.P1 + j]
         leaks = c.parasitic * rows[row.ON + j] * photocurrent(pixels.fields[here + _U])
         pixels.fields[here + _P] = (leaked if level == _ZERO else _ZERO) - leaks * c.since_epoch_1
-    if rows[row.COUNT + j] >= (MOST_FOLLOWED if c.refractory_ns > 0 else MOST_EVENTS):
+    if (level == level) & (rows[row.COUNT + j] >= (MOST_FOLLOWED if c.refractory_ns > 0 else MOST_EVENTS)):
         pixels.fields[here + _REF] = _last_reference(rows, j, c)
         return
     moved = level - leaked if level != _ZERO else _ZERO
