@@ -239,8 +239,8 @@ def with_options(rig: Rig, seconds: float | None = None, seed: int | None = None
     try:
         run = convert({**vars(rig.run), **changed}, Run)
     except TableError as error:
-        name, message = str(error.path[-1]), str(error)
-        raise ValueError(message if message.startswith(name) else f"{name} {message}") from error
+        name = str(error.path[-1])
+        raise ValueError(str(error) if str(error).startswith(name) else f"{name} {error}") from error
     source = rig.source
     if source is not None:
         source = dataclasses.replace(source, options={**source.options, **changed})
