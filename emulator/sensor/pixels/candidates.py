@@ -27,7 +27,6 @@ from emulator.sensor.pixels.state import (
     BEFORE_ROWS,
     BLOCK,
     MOST_EVENTS,
-    MOST_FOLLOWED,
     Field,
     Keys,
     Pixels,
@@ -456,7 +455,7 @@ def solve(
     keys, n_keys, lost, undersampled = solve_substeps(pixels, table.substep_table, in_substeps, keys, n_keys, c)
     event = 0
     while n > 0:
-        if event >= (MOST_FOLLOWED if c.refractory_ns > 0 else MOST_EVENTS):
+        if (event >= MOST_EVENTS) & (c.refractory_ns == 0):
             lost += _pass_over(pixels, table, n, c)
             break
         _cross(table.rows, whole_vectors(n))

@@ -26,7 +26,6 @@ from emulator.sensor.pixels.march_table import SubstepTable
 from emulator.sensor.pixels.state import (
     BLOCK,
     MOST_EVENTS,
-    MOST_FOLLOWED,
     Field,
     Keys,
     Pixels,
@@ -230,7 +229,7 @@ def _fire(
         if rows[row.COUNT + j] < MOST_EVENTS:
             keys[n_keys] = pack(dt_ns, pixel, to > rows[row.LEVEL + j], c.pixel_bits)
             n_keys += 1
-        elif rows[row.COUNT + j] >= (MOST_FOLLOWED if c.refractory_ns > 0 else MOST_EVENTS):
+        elif c.refractory_ns == 0:
             lost += _pass_over(rows, j)
             continue
         else:
@@ -267,7 +266,7 @@ def _store(pixels: Pixels, table: SubstepTable, j: int, c: StepConstants) -> Non
         leaked = rows[row.P1 + j]
         leaks = c.parasitic * rows[row.ON + j] * photocurrent(pixels.fields[here + _U])
         pixels.fields[here + _P] = (leaked if level == _ZERO else _ZERO) - leaks * c.since_epoch_1
-    if (level == level) & (rows[row.COUNT + j] >= (MOST_FOLLOWED if c.refractory_ns > 0 else MOST_EVENTS)):
+    if (rows[row.COUNT + j] >= MOST_EVENTS) & (c.refractory_ns == 0):
         pixels.fields[here + _REF] = _last_reference(rows, j, c)
         return
     moved = level - leaked if level != _ZERO else _ZERO

@@ -43,7 +43,6 @@ __all__ = [
     "EPOCH_BITS",
     "FIELDS",
     "MOST_EVENTS",
-    "MOST_FOLLOWED",
     "MOST_LOST",
     "NEAR_BLOCKS",
     "PART",
@@ -415,10 +414,6 @@ class Levels:
 
 MOST_EVENTS = 64
 """Most events of a pixel in a step; further crossings are counted as lost in the pixel."""
-
-MOST_FOLLOWED = 1 << 10
-"""Crossings of a pixel in a step, beyond which they are not found one by one, also where a refractory period sets
-references anew: a bound on the work of a step."""
 
 MOST_LOST = 1 << 32
 """Most lost crossings of a pixel that are counted for a monotone part of its curve; a count that no int64 holds."""

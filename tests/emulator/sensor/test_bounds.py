@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import evstim
-from emulator.light import LightFrame
 from emulator.rig.top_level import rig_schema
 from emulator.sensor import parameters
 from emulator.sensor.parameters import BackgroundParameters, DefectParameters, JitterParameters, NoiseParameters
@@ -97,12 +96,3 @@ def test_frames_too_far_apart_for_the_events_between_them_are_refused_in_python(
     sensor.reset(np.ones((6, 8)))
     with pytest.raises(ValueError, match="give frames more often"):
         sensor.expose(np.ones((6, 8)), 2**61)
-
-
-def test_crossings_beyond_those_that_are_followed_are_counted():
-    p = dataclasses.replace(SMALL, leak_hz=1e4, leak_spread=0.0, refractory_us=0.001, jitter=JitterParameters())
-    sensor = Sensor(p, 1)
-    sensor.reset(LightFrame(0, np.ones((6, 8), np.float32)))
-    sensor.expose(LightFrame(10**9, np.ones((6, 8), np.float32)))
-    assert sensor.lost_in_pixel == pytest.approx(p.width * p.height * (1e4 - 64), rel=0.02)
-
