@@ -16,7 +16,7 @@ from typing import Any
 
 from emulator.rig.top_level import TOP_LEVEL, TopLevelKey
 from emulator.sensor.presets import PRESETS
-from emulator.tables.typed_table import RigFile, field_types, item_type, kinds_of, table_type
+from emulator.tables.typed_table import RigFile, bounds_of, field_types, item_type, kinds_of, range_text, table_type
 
 PAGE = Path(__file__).with_name("rigs.md")
 MARKER = "<!-- from here on written by docs/rig_reference.py -->"
@@ -81,15 +81,15 @@ def _section(cls: type, titles: list[str]) -> str:
     """Return the section of a table type, which may stand in several places."""
     texts = meanings(cls)
     types = {name: of for name, of in field_types(cls).items() if not list(_tables("", of))}
+    ranges = {name: f", {range_text(bounds)}" for name, bounds in bounds_of(cls).items()}
     also = f"Also `{'`, `'.join(titles[1:])}`. " if titles[1:] else ""
     lines = [f"## `{titles[0]}`", "", also + (inspect.getdoc(cls) or "").partition("\n\n")[0], ""]
     if types:
         lines += ["| key | type | default | meaning |", "|---|---|---|---|"]
     rows = (f for f in dataclasses.fields(cls) if f.name in types)
-    lines += [
-        f"| {_heading(titles[0], f.name)} | {_words(types[f.name])} | {_default(f)} | {texts.get(f.name, '')} |"
-        for f in rows
-    ]
+    for f in rows:
+        of = _words(types[f.name]) + ranges.get(f.name, "")
+        lines.append(f"| {_heading(titles[0], f.name)} | {of} | {_default(f)} | {texts.get(f.name, '')} |")
     return "\n".join(lines).rstrip()
 
 

@@ -188,6 +188,11 @@ class Sensor:
         at_ns = _time_ns(t_ns)
         if at_ns <= self._t_ns:
             raise ValueError(f"t_ns is {at_ns}: it must be later than the frame before, {self._t_ns} ns")
+        if at_ns - self._t_ns > (most_ns := self._sensor.longest_step_ns):
+            raise ValueError(
+                f"t_ns is {at_ns}: with these parameters a step of more than {most_ns} ns takes minutes or gigabytes: "
+                "give frames more often, or lower leak, noise and background"
+            )
         slope = None if rate is None else self._frame(rate, "rate")
         events = self._sensor.expose(LightFrame(at_ns, self._light(light), slope))
         self._t_ns = at_ns

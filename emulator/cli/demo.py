@@ -210,7 +210,7 @@ def _run(rig: Rig, sent: Path, received: Path, seconds: float) -> RunResult:
 
         try:
             plan = dataclasses.replace(schedule(rig), duration_ns=round((seconds + 60) * 1e9))
-            stop_on_signals(session.stop)
+            stop_on_signals(session.stop, session.interrupt)
             return session.run(plan, follow)
         finally:
             if receiver is not None and receiver.poll() is None:

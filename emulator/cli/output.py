@@ -19,10 +19,12 @@ import json
 import logging
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -47,10 +49,22 @@ __all__ = [
 
 GOOD, BAD_VERDICT, WRONG_USE, LACKING = range(4)
 
-console = Console(highlight=False, soft_wrap=True)
+_ESCAPES = {code: repr(chr(code))[1:-1] for code in (*range(32), *range(127, 160)) if chr(code) not in "\t\n"}
+
+
+class _SafeConsole(Console):
+    """Console that shows control characters of names, titles and peers' messages as escapes: a terminal obeys them."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """Yield the parts of a renderable; those that move the cursor stay as they are."""
+        for part in super().render(renderable, options):
+            yield part if part.control else Segment(part.text.translate(_ESCAPES), part.style)
+
+
+console = _SafeConsole(highlight=False, soft_wrap=True)
 """Results, on stdout."""
 
-status = Console(stderr=True, highlight=False)
+status = _SafeConsole(stderr=True, highlight=False)
 """Progress and errors, on stderr."""
 
 

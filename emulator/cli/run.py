@@ -226,7 +226,7 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
         setups = serving.wired(link_setups(rig, files.record, truth.clock, files.fault_log))
         setups = begin_trace(setups, files.trace)
         session = _session(rig, scene, setups, truth_file)
-        stop_on_signals(partial(_stop, session, parts.repeats))
+        stop_on_signals(partial(_stop, session, parts.repeats), session.interrupt)
         with (
             fault_injection(rig, Operator(session, "evstim")) as faults,
             serving.page(session) as page,
@@ -353,7 +353,7 @@ def print_summary(rig: Rig, result: RunResult) -> None:
                 f"p99 {quantile_text(report.latency.p99)} us, "
                 f"max {report.latency.max:.0f} us"
             )
-    if advice := undersampled_advice(result.undersampled_share):
+    if advice := undersampled_advice(result):
         console.print(advice)
     if result.scene_counts:
         console.print(f"scene: {', '.join(f'{n} {name}' for name, n in result.scene_counts.items())}")

@@ -3,7 +3,9 @@
     signal                          before a run       during a run                 while its summary is written
     first                           interrupts         ends it after this step      does nothing
     second, within _PATIENCE_S      does nothing       does nothing                 does nothing
-    second, later; third            interrupts         interrupts                   does nothing
+    second, later; third            interrupts         ends it within this step     does nothing
+
+A run that ends within a step has its summary too: see `Session.interrupt`.
 
 One Ctrl-C often arrives twice: from the terminal to the whole process group, and from a wrapper (`uv run`, `make`,
 `docker`) that forwards its own. The second must not prevent the summary that follows the first.
@@ -32,22 +34,28 @@ _INSISTING = 3  # signals
 
 
 class StopSignals:
-    """Signal handler: the first signal calls `stop`; a third one, or a second one after some seconds, interrupts."""
+    """Signal handler: the first signal calls `stop`; a third one, or a second one after some seconds, `interrupt`."""
 
-    def __init__(self, stop: Callable[[], object], now_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        stop: Callable[[], object],
+        now_s: Callable[[], float] = time.monotonic,
+        interrupt: Callable[[], object] | None = None,
+    ) -> None:
         self._stop = stop
+        self._interrupt = interrupt or _interrupt
         self._now_s = now_s
         self._count = 0
         self._first_s = 0.0
 
     def __call__(self, *_: object) -> None:
-        """Handle a signal; raises KeyboardInterrupt."""
+        """Handle a signal; may raise KeyboardInterrupt."""
         self._count += 1
         if self._count == 1:
             self._first_s = self._now_s()
             self._stop()
         elif self._count >= _INSISTING or self._now_s() - self._first_s >= _PATIENCE_S:
-            raise KeyboardInterrupt
+            self._interrupt()
 
 
 def exit_on_stop_signals() -> None:
@@ -60,12 +68,12 @@ def interrupt_on_stop_signals() -> None:
     _handle(StopSignals(_interrupt))
 
 
-def stop_on_signals(stop: Callable[[], object]) -> None:
-    """Make the first signal call `stop`, such as that of a Session, from now on.
+def stop_on_signals(stop: Callable[[], object], interrupt: Callable[[], object] | None = None) -> None:
+    """Make the first signal call `stop`, such as that of a Session, from now on, and an insistent one `interrupt`.
 
     This stays so when the run has ended: a second signal may arrive at any moment after the first.
     """
-    _handle(StopSignals(stop))
+    _handle(StopSignals(stop, interrupt=interrupt))
 
 
 def ignore_stop_signals() -> None:

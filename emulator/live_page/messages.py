@@ -360,11 +360,11 @@ class Access:
             return False
         if not self.token and not _names_loopback(host):
             return False
-        return origin is None or urlsplit(origin).netloc == host
+        return origin is None or origin.partition("://")[2] == host
 
     def permits(self, token: str) -> bool:
         """Return whether this is the token, in a time that does not depend on it."""
-        return not self.token or secrets.compare_digest(token.encode(), self.token.encode())
+        return not self.token or secrets.compare_digest(token.encode("utf-8", "surrogatepass"), self.token.encode())
 
 
 def _names_loopback(host: str) -> bool:

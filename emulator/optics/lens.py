@@ -32,12 +32,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
 from emulator.geometry.camera import Pinhole, Rays
 from emulator.photometry.reflectance import LUMENS_A_WATT
+from emulator.tables.typed_table import check_bounds
 
 __all__ = ["CHIPS", "Chip", "Distortion", "DistortionError", "LensParameters", "bent_rays", "straight_columns_and_rows"]
 
@@ -79,6 +82,9 @@ CHIPS = {
 """Chips by camera model; the module docstring gives the sources."""
 
 
+_Coefficient = Annotated[float, Meta(ge=-10, le=10)]
+
+
 @dataclass(frozen=True)
 class LensParameters:
     """The lens of a camera, for scenes in units of radiance.
@@ -108,34 +114,22 @@ class LensParameters:
         for usual lenses (not verified). Every change of light then changes all pixels, so none can be skipped.
     """
 
-    field_of_view_deg: float = 25.0
-    f_number: float = 2.0
-    transmission: float = 0.9
-    reference_lux: float = 50.0
-    blur_px: float = 0.0
-    focus_m: float = 0.0
+    field_of_view_deg: Annotated[float, Meta(ge=0.001, le=170)] = 25.0
+    f_number: Annotated[float, Meta(ge=0.5, le=128)] = 2.0
+    transmission: Annotated[float, Meta(ge=0.001, le=1)] = 0.9
+    reference_lux: Annotated[float, Meta(ge=1e-6, le=1e6)] = 50.0
+    blur_px: Annotated[float, Meta(ge=0, le=20)] = 0.0
+    focus_m: Annotated[float, Meta(ge=0, le=1e12)] = 0.0
     vignetting: bool = True
-    k1: float = 0.0
-    k2: float = 0.0
-    k3: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
-    veiling_glare: float = 0.0
+    k1: _Coefficient = 0.0
+    k2: _Coefficient = 0.0
+    k3: _Coefficient = 0.0
+    p1: _Coefficient = 0.0
+    p2: _Coefficient = 0.0
+    veiling_glare: Annotated[float, Meta(ge=0, le=0.5)] = 0.0
 
     def __post_init__(self) -> None:
-        bounds = {
-            "field_of_view_deg": (0.001, 170.0),
-            "f_number": (0.5, 128.0),
-            "transmission": (0.001, 1.0),
-            "reference_lux": (1e-6, 1e6),
-            "blur_px": (0.0, 20.0),
-            "focus_m": (0.0, 1e12),
-            "veiling_glare": (0.0, 0.5),
-            **dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), (-10.0, 10.0)),
-        }
-        for name, (low, high) in bounds.items():
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must be {low:g} to {high:g}")
+        check_bounds(self)
 
     @property
     def chip_share(self) -> float:

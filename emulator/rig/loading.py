@@ -19,17 +19,16 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import logging
-import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.rig.top_level import values_of
 from emulator.scene.kind import SceneParameters
 from emulator.tables.toml_text import TextFileError, TomlError, dotted, line_of, read_text, read_toml, shortened
-from emulator.tables.typed_table import TableError, beside, field_types, unknown
+from emulator.tables.typed_table import TableError, beside, convert, unknown
 from transports.faults.kinds import Fault
 from transports.link.kind import LinkParameters
 from transports.usb.kind import LoopbackLink, UsbipLink
@@ -233,48 +232,22 @@ def _rig(table: dict[str, Any], name: str) -> Rig:
     return Rig(name, **{**values, "title": title})
 
 
-_PACES = get_args(field_types(Run)["pace"])
-
-
 def with_options(rig: Rig, seconds: float | None = None, seed: int | None = None, pace: str | None = None) -> Rig:
     """Return the rig with the values that are not None; raises ValueError, its message begins with the name."""
     given = {"seconds": seconds, "seed": seed, "pace": pace}
-    changed = {name: _converted(name, value) for name, value in given.items() if value is not None}
+    changed = {name: getattr(value, "item", lambda v=value: v)() for name, value in given.items() if value is not None}
+    try:
+        run = convert({**vars(rig.run), **changed}, Run)
+    except TableError as error:
+        name = str(error.path[-1])
+        raise ValueError(str(error) if str(error).startswith(name) else f"{name} {error}") from error
     source = rig.source
     if source is not None:
         source = dataclasses.replace(source, options={**source.options, **changed})
-    made = dataclasses.replace(rig, run=dataclasses.replace(rig.run, **changed), source=source)
+    made = dataclasses.replace(rig, run=run, source=source)
     if made.run.pace == "free" and not made.run.seconds and getattr(made.scene, "loop", False):
         raise ValueError(
             'seconds must be above 0 here, got 0: with pace "free" a recording or video that loops '
             "(scene.loop) never ends"
         )
     return made
-
-
-def _converted(name: str, value: Any) -> Any:
-    """Return a value as the table has it; raises ValueError where it is of another type."""
-    convert, wanted = _TYPES[name]
-    try:
-        return convert(value)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} must be {wanted}, got {value!r}") from None
-
-
-def _number(value: Any) -> float:
-    if isinstance(value, str):
-        raise TypeError
-    return float(value)
-
-
-def _pace(value: Any) -> str:
-    if value not in _PACES:
-        raise ValueError
-    return str(value)
-
-
-_TYPES: Mapping[str, tuple[Callable[[Any], Any], str]] = {
-    "seconds": (_number, "a number of seconds, 0 (until Ctrl-C) to 3.2e7"),
-    "seed": (operator.index, "a whole number, 0 to 2^63 - 1"),
-    "pace": (_pace, " or ".join(f'"{pace}"' for pace in _PACES)),
-}

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 from emulator.optics.lens import LensParameters
 from emulator.sensor.parameters import FrameParameters, ImuParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
+from emulator.tables.typed_table import Seed, Share, check_bounds
 from firmware_protocol.device.clock import ClockSettings
 from firmware_protocol.events import EdgeKind
 from firmware_protocol.prophesee.biases import BiasModel, BiasSlopes
@@ -61,8 +64,8 @@ class Camera:
     serial: str = "00000346"
     speed: Literal["super", "high"] = "super"
     layout: Literal["upright", "turned"] = "upright"
-    fifo_bytes: int = 256 * 1024
-    start_delay_ms: float = 300.0
+    fifo_bytes: Annotated[int, Meta(ge=4096, le=1 << 30)] = 256 * 1024
+    start_delay_ms: Annotated[float, Meta(ge=0, le=4000)] = 300.0
     activity_filter: bool = False
     sensor: SensorParameters = field(default_factory=lambda: PRESETS["davis346"])
     clock: ClockSettings | None = None
@@ -72,12 +75,9 @@ class Camera:
     bias_slopes: BiasSlopes | None = None
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         if not 1 <= len(self.serial) <= 8 or not self.serial.isascii() or not self.serial.isprintable():
             raise ValueError(f"serial must have 1 to 8 printable ASCII characters, got {self.serial!r}")
-        if not 4096 <= self.fifo_bytes <= 1 << 30:
-            raise ValueError(f"fifo_bytes must be 4096 to {1 << 30}, got {self.fifo_bytes}")
-        if not 0 <= self.start_delay_ms <= 4000:
-            raise ValueError(f"start_delay_ms must be 0 to 4000 (drivers give up at 5000), got {self.start_delay_ms}")
 
     @property
     def size(self) -> tuple[int, int]:
@@ -142,50 +142,29 @@ class Run:
         sequences of 300 events, those that may not be right. 1: steps are held to times alone.
     """
 
-    seconds: float = 0.0
-    step_us: int = 1000
-    seed: int = 1
+    seconds: Annotated[float, Meta(ge=0, le=3.2e7)] = 0.0
+    step_us: Annotated[int, Meta(ge=1, le=1_000_000)] = 1000
+    seed: Seed = 1
     pace: Literal["realtime", "free", "lockstep"] = "realtime"
-    lockstep_us: int = 0
-    lead_us: int = 10_000
-    max_late_ms: float = 1000.0
-    max_late_share: float = 0.01
+    lockstep_us: Annotated[int, Meta(ge=0, le=3_600_000_000)] = 0
+    lead_us: Annotated[int, Meta(ge=0, le=10_000_000)] = 10_000
+    max_late_ms: Annotated[float, Meta(ge=0, le=3.6e6)] = 1000.0
+    max_late_share: Share = 0.01
     restart_links: bool = False
-    fifo_priority: int = 0
+    fifo_priority: Annotated[int, Meta(ge=0, le=99)] = 0
     method: Method = "hermite"
     painter: Literal["cpu", "gl"] = "cpu"
-    threads: int = 0
-    tolerance_us: float = 0.0
-    tolerated_wrong_share: float = 0.01
+    threads: Annotated[int, Meta(ge=0, le=64)] = 0
+    tolerance_us: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
+    tolerated_wrong_share: Share = 0.01
 
     def __post_init__(self) -> None:
-        if not 0 <= self.seconds <= 3.2e7:
-            raise ValueError(f"seconds must be 0 (until Ctrl-C) to 3.2e7 (a year), got {self.seconds}")
-        if not 1 <= self.step_us <= 1_000_000:
-            raise ValueError(f"step_us must be 1 to 1000000, got {self.step_us}")
-        if not 0 <= self.seed < 1 << 63:
-            raise ValueError(f"seed must be 0 to 2^63 - 1, got {self.seed}")
-        if not 0 <= self.lockstep_us <= 3_600_000_000:
-            raise ValueError(f"lockstep_us must be 0 to 3600000000, got {self.lockstep_us}")
+        check_bounds(self)
         if (self.pace == "lockstep") != bool(self.lockstep_us):
             raise ValueError('lockstep_us and pace = "lockstep" go together: give both or neither')
-        if not 0 <= self.threads <= 64:
-            raise ValueError(f"threads must be 0 (chosen) to 64, got {self.threads}")
-        if not 0 <= self.fifo_priority <= 99:
-            raise ValueError(f"fifo_priority must be 0 (none) to 99, got {self.fifo_priority}")
-        if not 0 <= self.max_late_ms <= 3.6e6:
-            raise ValueError(f"max_late_ms must be 0 (not judged) to 3.6e6, got {self.max_late_ms}")
-        if not 0 <= self.max_late_share <= 1:
-            raise ValueError(f"max_late_share must be 0 (no step) to 1 (any), got {self.max_late_share}")
-        if not 0 <= self.lead_us <= 10_000_000:
-            raise ValueError(f"lead_us must be 0 to 10000000, got {self.lead_us}")
         if self.tolerance_us != 0 and not 0.01 <= self.tolerance_us <= 1e6:
             raise ValueError(f"tolerance_us must be 0 (none) or 0.01 to 1e6, got {self.tolerance_us}")
-        if not 0 <= self.tolerated_wrong_share <= 1:
-            raise ValueError(f"tolerated_wrong_share must be 0 to 1, got {self.tolerated_wrong_share}")
 
-
-_LATEST_MS = 1e10
 
 Kind = Literal["pulse", "rising", "falling"]
 
@@ -206,14 +185,13 @@ class TriggerEdges:
         Number of edges in all; 0: without end. Without a period: once.
     """
 
-    at_ms: float
+    at_ms: Annotated[float, Meta(ge=0, le=1e10)]
     kind: Kind = "pulse"
     every_ms: float = 0.0
     count: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.at_ms <= _LATEST_MS:
-            raise ValueError(f"at_ms must be 0 to {_LATEST_MS:g}, got {self.at_ms}")
+        check_bounds(self)
         if self.every_ms != 0 and not 0.01 <= self.every_ms <= 1e7:
             raise ValueError(f"every_ms must be 0 (once) or 0.01 to 1e7, got {self.every_ms}")
         if self.count < 0 or (self.count > 1 and not self.every_ms):
@@ -258,14 +236,15 @@ class Trigger:
     period_ms: float = 0.0
     edges: tuple[TriggerEdges, ...] = ()
     kind: Kind = "pulse"
-    channel: int = 0
-    latency_us: float = 0.0
-    jitter_us: float = 0.0
-    pulse_us: int = 100
-    holdback_us: int = 2000
+    channel: Annotated[int, Meta(ge=0, le=255)] = 0
+    latency_us: Annotated[float, Meta(ge=0, le=1e7)] = 0.0
+    jitter_us: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
+    pulse_us: Annotated[int, Meta(ge=1, le=1_000_000)] = 100
+    holdback_us: Annotated[int, Meta(ge=0, le=1_000_000)] = 2000
     send_period_ms: float = 0.0
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         if self.source and self.period_ms:
             raise ValueError("period_ms makes edges without a bus; leave it out, or leave out source")
         if self.edges and (self.source or self.period_ms):
@@ -276,17 +255,13 @@ class Trigger:
             value = getattr(self, name)
             if value != 0 and not 0.01 <= value <= 1e7:
                 raise ValueError(f"{name} must be 0 (none) or 0.01 to 1e7, got {value}")
-        if not 0 <= self.channel <= 255:
-            raise ValueError(f"channel must be 0 to 255, got {self.channel}")
-        for name, most in (("latency_us", 1e7), ("jitter_us", 1e6), ("holdback_us", 1e6)):
-            if not 0 <= getattr(self, name) <= most:
-                raise ValueError(f"{name} must be 0 to {most:g}, got {getattr(self, name)}")
-        if not 1 <= self.pulse_us <= 1_000_000:
-            raise ValueError(f"pulse_us must be 1 to 1000000, got {self.pulse_us}")
 
     def timing(self, seed: int) -> EdgeTiming:
         """Return the timing of an edge of this trigger."""
         return EdgeTiming(EdgeKind[self.kind.upper()], self.channel, self.latency_us, self.jitter_us, seed)
+
+
+_Limit = Annotated[float, Meta(ge=0)]
 
 
 @dataclass(frozen=True)
@@ -306,18 +281,14 @@ class Verdict:
         Share of the solved pixel-steps whose light may have changed unseen between two light frames.
     """
 
-    max_drop: float = -1.0
-    min_rate_hz: float = 0.0
-    max_rate_hz: float = 0.0
-    max_latency_us: float = 0.0
-    max_undersampled: float = 0.0
+    max_drop: Annotated[float, Meta(le=1)] = -1.0
+    min_rate_hz: _Limit = 0.0
+    max_rate_hz: _Limit = 0.0
+    max_latency_us: _Limit = 0.0
+    max_undersampled: _Limit = 0.0
 
     def __post_init__(self) -> None:
-        if self.max_drop > 1:
-            raise ValueError(f"max_drop is a share, at most 1, got {self.max_drop}")
-        for name in ("min_rate_hz", "max_rate_hz", "max_latency_us", "max_undersampled"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must be 0 (no limit) or more, got {getattr(self, name)}")
+        check_bounds(self)
         if 0 < self.max_rate_hz < self.min_rate_hz:
             raise ValueError(f"max_rate_hz {self.max_rate_hz} is below min_rate_hz {self.min_rate_hz}")
 

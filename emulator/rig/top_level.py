@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 
@@ -32,6 +33,7 @@ from emulator.tables.registry import PluginError, Record, Registry
 from emulator.tables.typed_table import KeyPath as KeyPath
 from emulator.tables.typed_table import (
     TableError,
+    bounds_of,
     convert,
     field_types,
     item_type,
@@ -48,6 +50,7 @@ __all__ = ["TOP_LEVEL", "TopLevelKey", "rig_schema", "values_of"]
 
 
 R = TypeVar("R", bound=Record)
+_LINK_NAME = re.compile(r"\w[\w.-]{0,63}", re.ASCII)
 
 
 class _Values(dict[str, Any]):
@@ -130,7 +133,7 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
     if not isinstance(table, dict):
         raise TableError(f"expected a table, got {table!r}", path)
     model = table.get("model", "davis346")
-    if model not in CAMERA_MODELS:
+    if not isinstance(model, str) or model not in CAMERA_MODELS:
         raise TableError(unknown(str(model), list(CAMERA_MODELS)), (*path, "model"))
     own = {k: v for k, v in table.items() if k != "sensor"}
     camera = convert(_with_slopes(own, CAMERA_MODELS[model]), Camera, path)
@@ -236,6 +239,9 @@ def _links(tables: object, rig: Mapping[str, Any]) -> tuple[LinkParameters, ...]
 def _link(table: object, camera: Camera, path: KeyPath) -> LinkParameters:
     kind, rest = _of_kind(table, LINKS, path)
     link: LinkParameters = convert(kind.complete(rest), kind.parameters, path)
+    if not _LINK_NAME.fullmatch(link.name):
+        message = f"{link.name!r} cannot be part of a file's name: take 1 to 64 of the letters A-Z a-z 0-9 . _ -"
+        raise TableError(f"{message}, the first no dot or hyphen", (*path, "name"))
     try:
         kind.check(link, CameraFacts(camera.model, camera.size, usb_sizes(), gige_models()))
     except Unsuitable as error:
@@ -332,8 +338,9 @@ def _table(cls: type, definitions: _Definitions, kind: str = "") -> dict[str, st
 
 
 def _definition(cls: type, definitions: _Definitions, kind: str) -> dict[str, Any]:
-    types = field_types(cls)
-    properties = {f.name: _field(f, types[f.name], definitions) for f in dataclasses.fields(cls)}
+    types, bounds = field_types(cls), bounds_of(cls)
+    bounded = {name: Annotated[types[name], limits] for name, limits in bounds.items()}
+    properties = {f.name: _field(f, {**types, **bounded}[f.name], definitions) for f in dataclasses.fields(cls)}
     required = [f.name for f in dataclasses.fields(cls) if not _is_optional(f)]
     if kind:
         properties, required = {"kind": {"const": kind}, **properties}, ["kind", *required]

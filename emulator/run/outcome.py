@@ -312,6 +312,7 @@ def _latency(most_us: float, name: str, link: LinkReport) -> Judgement:
     return Judgement(rule, p99_us <= most_us, finding, p99_us, most_us, "us (p99)", "at most")
 
 
+_STRETCHED_SHARE = 0.01  # fewer longer steps than this change no result
 _MANY = 0.1  # above it, shorter steps for all pixels are cheaper than refining single ones
 
 
@@ -320,11 +321,15 @@ def undersampled_text(share: float | None) -> str:
     return "not measured" if share is None else f"{share:.3g} of the solved pixel-steps"
 
 
-def undersampled_advice(share: float | None) -> str:
-    """Return advice where the share is large; "" where it is not."""
+def undersampled_advice(result: RunResult) -> str:
+    """Return advice where the share is large; "" where it is not. In a late run it follows from lateness."""
+    share, stretched = result.undersampled_share, result.lateness.steps_stretched
     if share is None or share <= _MANY:
         return ""
+    remedy = "shorten run.step_us, or give run.tolerance_us"
+    if result.too_late or stretched > _STRETCHED_SHARE * result.steps:
+        remedy = f"the run was late, and {stretched} of {result.steps} steps were made longer: let it keep up first"
     return (
         f"light frames too far apart: in {share:.0%} of the solved pixel-steps the light changed unseen between them; "
-        "shorten run.step_us, or give run.tolerance_us"
+        f"{remedy}"
     )

@@ -19,6 +19,7 @@ A part of the start that takes long is reported in the log.
 
 from __future__ import annotations
 
+import dataclasses
 import gc
 import logging
 import threading
@@ -102,6 +103,15 @@ class Schedule:
     simulation: Simulation | None = None
 
 
+class _StepInterrupted(KeyboardInterrupt):
+    """End of a run within a step, see `Session.interrupt`."""
+
+
+def _cut_off(ledger: Ledger) -> Ledger:
+    """Return the fates of a sensor's events if it gives none from now on: those that wait are lost at the read-out."""
+    return dataclasses.replace(ledger, lost_at_readout=ledger.raised - ledger.lost_in_pixel - ledger.read_out)
+
+
 class Session:
     """One run from the first light to the last report.
 
@@ -146,6 +156,8 @@ class Session:
         self._t_ns = 0
         self._lateness = Lateness()
         self._stopping = False
+        self._may_interrupt = True
+        self._cut_off: Ledger | None = None
         self._scene_trouble = ""
         self._on_events: Callable[[Events], None] = lambda _: None
         self._lockstep: Lockstep | None = None
@@ -160,11 +172,18 @@ class Session:
         second.record_in(self._changes)
 
     def stop(self) -> None:
-        """End the run after the present step; for `on_status`, and for a signal handler.
+        """End the run after the present step; for `on_status`, and for a signal handler."""
+        self._stopping = True
 
-        An exception inside a step, such as KeyboardInterrupt, would leave events without a fate.
+    def interrupt(self) -> None:
+        """End the run within the present step, for a signal handler; raises KeyboardInterrupt where that is possible.
+
+        Light and events of the step are discarded. Before the first step it interrupts the start; while events are
+        handed over and after the last step, which have bounds of their own, it does nothing: every event has a fate.
         """
         self._stopping = True
+        if self._may_interrupt:
+            raise _StepInterrupted
 
     @property
     def stopping(self) -> bool:
@@ -252,11 +271,7 @@ class Session:
             start_ns = self._clock.now_ns()
             self._run_steps(schedule, on_status)
             wall_seconds = (self._clock.now_ns() - start_ns) * 1e-9
-            events = self._sensor.finish()
-            self._hand_over(events, schedule, self._links_of())
-            self._on_events(events)
-            if self._second is not None:
-                self._hand_over(self._second.finish(), schedule, self._links_of(second=True))
+            self._finish(schedule)
             reports = self._stop_links(schedule.drain_s)
         scene, ledger = self._frames.scene, self._ledger(reports)
         return RunResult(
@@ -278,6 +293,15 @@ class Session:
             changes_beyond=self._changes.beyond,
             scene_trouble=self._scene_trouble,
         )
+
+    def _finish(self, schedule: Schedule) -> None:
+        """Hand over the events that the read-outs still hold."""
+        if self._cut_off is None:
+            events = self._sensor.finish()
+            self._hand_over(events, schedule, self._links_of())
+            self._on_events(events)
+        if self._second is not None:
+            self._hand_over(self._second.finish(), schedule, self._links_of(second=True))
 
     def _open_links(self) -> None:
         """Start the processes of the links, and load the sensor's kernels while they start."""
@@ -301,6 +325,7 @@ class Session:
             self._second.begin()
 
     def _run_steps(self, schedule: Schedule, on_status: Callable[[RunStatus], None]) -> None:
+        self._may_interrupt = False
         start_ns = self._clock.now_ns()
         self._lockstep = self._locked(schedule)
         self._drive = schedule.simulation or self._lockstep
@@ -332,6 +357,11 @@ class Session:
             self._scene_trouble = self._trouble_of(error, schedule)
             log.info("the scene ends at %g s: %s", self._t_ns * 1e-9, error)
             return False
+        except _StepInterrupted:
+            self._scene_trouble = f"interrupted within the step after {self._t_ns * 1e-9:g} s, which is discarded"
+            return False
+        finally:
+            self._may_interrupt = False
         return True
 
     def _trouble_of(self, error: SceneError, schedule: Schedule) -> str:
@@ -380,18 +410,24 @@ class Session:
 
     def _step(self, rule: StepRule, schedule: Schedule, goes_on: Callable[[], bool]) -> None:
         t1_ns = self._t_ns + rule.step_ns
+        if isinstance(self._sensor, AdjustableSource):
+            t1_ns = min(t1_ns, self._t_ns + self._sensor.longest_step_ns)
         if self._drive is not None:
             t1_ns = min(t1_ns, self._drive.limit_ns)
         if schedule.lockstep_ns:  # steps end with each period, however many SYNCs have come
             t1_ns = min(t1_ns, (self._t_ns // schedule.lockstep_ns + 1) * schedule.lockstep_ns)
         if schedule.duration_ns is not None:
             t1_ns = min(t1_ns, schedule.duration_ns)
-        frame = self._frames.draw(t1_ns)
+        with self._interruptible():
+            frame = self._frames.draw(t1_ns)
         self._follow_cameras(schedule, goes_on)
         readings = self._last_readings = self._readings.read(frame)
         if schedule.paced:  # they may leave while the events are computed
             self._hand_over_readings(readings, self._links_of())
-        events = self._sensor.expose(frame)
+        self._cut_off = _cut_off(ledger_of(self._sensor, {}))
+        with self._interruptible():
+            events = self._sensor.expose(frame)
+        self._cut_off = None
         self._step_source.observe(frame)
         t0_ns, self._t_ns = self._t_ns, t1_ns
         self._steps += 1
@@ -399,6 +435,15 @@ class Session:
         self._on_events(events)
         if self._second is not None:
             self._hand_over_step(self._second.step(t1_ns), t0_ns, schedule, self._links_of(second=True))
+
+    @contextmanager
+    def _interruptible(self) -> Iterator[None]:
+        """Let `interrupt` act within the block."""
+        self._may_interrupt = True
+        try:
+            yield
+        finally:
+            self._may_interrupt = False
 
     def _follow_cameras(self, schedule: Schedule, goes_on: Callable[[], bool]) -> None:
         """Apply to the sensors, at the end of a step, the changes that hosts made at their cameras before it.
@@ -488,7 +533,7 @@ class Session:
 
     def _ledger(self, reports: dict[str, LinkReport]) -> Ledger:
         second = None if self._second is None else self._second.ledger(reports)
-        return ledger_of(self._sensor, self._of_first(reports), second)
+        return ledger_of(self._cut_off or self._sensor, self._of_first(reports), second)
 
     def _of_first(self, of_links: Mapping[str, _T]) -> dict[str, _T]:
         """Return the entries of the links that carry the first camera."""

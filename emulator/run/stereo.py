@@ -149,7 +149,7 @@ def wired(slaves: Sequence[str], setups: Sequence[LinkSetup[Any]]) -> list[LinkS
     return [at_the_cable(setup) for setup in setups]
 
 
-def ledger_of(sensor: EventSource, reports: Mapping[str, LinkReport], second: Ledger | None = None) -> Ledger:
+def ledger_of(sensor: EventSource | Ledger, reports: Mapping[str, LinkReport], second: Ledger | None = None) -> Ledger:
     """Return the fates of the events of a sensor over its links."""
     return Ledger(
         raised=sensor.raised,

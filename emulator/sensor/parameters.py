@@ -35,13 +35,16 @@ Sources of the defaults of `ImuParameters`:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+from emulator.tables.typed_table import Share, check_bounds
 
 __all__ = [
     "DARK_DOUBLES_EVERY_K",
     "LEAK_DOUBLES_EVERY_K",
-    "MOST_LATENCY_US",
     "REFERENCE_CELSIUS",
     "BackgroundParameters",
     "ComparatorParameters",
@@ -55,37 +58,27 @@ __all__ = [
     "RadiationParameters",
     "ResetParameters",
     "TemperatureParameters",
-    "check",
-    "check_finite",
 ]
-
-
-def check(owner: Any, name: str, low: float, high: float = math.inf, *, above: bool = False) -> None:
-    """Raise ValueError unless low <= owner.name <= high (low < with `above`); NaN is always refused.
-
-    The message begins with `name = value`, so that the key of a rig is found.
-    """
-    value = getattr(owner, name)
-    good = low < value <= high if above else low <= value <= high
-    if not good:
-        least = "above" if above else "at least"
-        most = "" if math.isinf(high) else f" and at most {high:g}"
-        raise ValueError(f"{name} = {value!r}: must be {least} {low:g}{most}")
-
-
-def check_finite(owner: Any, unbounded: tuple[str, ...] = ()) -> None:
-    """Raise ValueError if a field other than those in `unbounded` is infinite."""
-    for one in fields(owner):
-        value = getattr(owner, one.name)
-        if isinstance(value, float) and math.isinf(value) and one.name not in unbounded:
-            raise ValueError(f"{one.name} = {value!r}: must be finite")
 
 
 REFERENCE_CELSIUS = 20.0
 """Temperature at which the parameters of a sensor hold."""
 
-MOST_LATENCY_US = 100_000
-"""Longest mean delay of an event."""
+Rate = Annotated[float, Meta(ge=0, le=10_000)]
+"""Rate of one pixel, Hz."""
+
+Spread = Annotated[float, Meta(ge=0, le=3)]
+"""Standard deviation of a logarithm."""
+
+Deviation = Annotated[float, Meta(ge=0, le=0.3)]
+"""Standard deviation, as a share."""
+
+_Latency = Annotated[float, Meta(ge=0, le=100_000)]
+_Dose = Annotated[float, Meta(ge=0, le=1e4)]
+_Efficiency = Annotated[float, Meta(gt=0, le=100)]
+_Dn = Annotated[float, Meta(ge=0, le=200)]
+_ReadUs = Annotated[float, Meta(ge=0, le=1000)]
+_Density = Annotated[float, Meta(ge=0, le=1e6)]
 
 LEAK_DOUBLES_EVERY_K, DARK_DOUBLES_EVERY_K = 9.0, 8.0
 """Rise in temperature that doubles the leak of a junction, and the dark current."""
@@ -104,10 +97,10 @@ class TemperatureParameters:
         20.
     """
 
-    celsius: float = REFERENCE_CELSIUS
+    celsius: Annotated[float, Meta(ge=-200, le=200)] = REFERENCE_CELSIUS
 
     def __post_init__(self) -> None:
-        check(self, "celsius", -200, 200)
+        check_bounds(self)
 
     @property
     def warmer_k(self) -> float:
@@ -142,18 +135,15 @@ class DefectParameters:
     dead_pixels : more of them by place, [x, y] each.
     """
 
-    hot_share: float = 0.0
+    hot_share: Share = 0.0
     hot_pixels: tuple[tuple[int, int], ...] = ()
-    hot_hz: float = 20.0
-    hot_spread: float = 1.0
-    dead_share: float = 0.0
+    hot_hz: Rate = 20.0
+    hot_spread: Spread = 1.0
+    dead_share: Share = 0.0
     dead_pixels: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("hot_share", "dead_share"):
-            check(self, name, 0, 1)
-        check(self, "hot_hz", 0, 10_000)
-        check(self, "hot_spread", 0, 3)
+        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,17 +166,14 @@ class NoiseParameters:
         of each pixel on a fine grid of time, for sensors of some thousand pixels and for comparison.
     """
 
-    rms: float = 0.0
-    corner_hz: float = 0.0
+    rms: Share = 0.0
+    corner_hz: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
     grade: Literal["points", "grid"] = "points"
-    spread: float = 0.0
-    history_s: float = 0.0
+    spread: Share = 0.0
+    history_s: Annotated[float, Meta(ge=0, le=10_000)] = 0.0
 
     def __post_init__(self) -> None:
-        check(self, "rms", 0, 1)
-        check(self, "history_s", 0, 10_000)
-        check(self, "spread", 0, 1)
-        check(self, "corner_hz", 0, 1e6)
+        check_bounds(self)
         if 0 < self.corner_hz < 1:
             raise ValueError(f"corner_hz = {self.corner_hz!r}: must be 0 (the signal's) or at least 1")
         if self.grade not in ("points", "grid"):
@@ -218,30 +205,21 @@ class BackgroundParameters:
     hot_pair_share : `pair_share` of hot pixels.
     """
 
-    hz: float = 0.0
-    spread: float = 0.0
-    off_share: float = 0.5
-    pair_share: float = 0.0
-    on_pair_factor: float = 1.0
-    again_share: float = 0.0
-    pair_us: float = 1000.0
-    on_wait_factor: float = 1.0
-    hot_share: float = 0.0
-    hot_hz: float = 0.0
-    hot_spread: float = 0.0
-    hot_pair_share: float = 0.0
+    hz: Rate = 0.0
+    spread: Spread = 0.0
+    off_share: Share = 0.5
+    pair_share: Share = 0.0
+    on_pair_factor: Annotated[float, Meta(ge=0, le=100)] = 1.0
+    again_share: Annotated[float, Meta(ge=0, le=0.95)] = 0.0
+    pair_us: Annotated[float, Meta(ge=1, le=10_000_000)] = 1000.0
+    on_wait_factor: Annotated[float, Meta(ge=0.01, le=100)] = 1.0
+    hot_share: Share = 0.0
+    hot_hz: Rate = 0.0
+    hot_spread: Spread = 0.0
+    hot_pair_share: Share = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("hz", "hot_hz"):
-            check(self, name, 0, 10_000)
-        for name in ("spread", "hot_spread"):
-            check(self, name, 0, 3)
-        for name in ("off_share", "pair_share", "hot_share", "hot_pair_share"):
-            check(self, name, 0, 1)
-        check(self, "again_share", 0, 0.95)
-        check(self, "on_pair_factor", 0, 100)
-        check(self, "on_wait_factor", 0.01, 100)
-        check(self, "pair_us", 1, 10_000_000)
+        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,19 +240,15 @@ class JitterParameters:
     late_us : mean further delay of those, us; exponential.
     """
 
-    latency_us: float = 0.0
-    deviation_us: float = 0.0
-    leak_share: float = 0.0
-    off_latency_us: float = 0.0
-    late_share: float = 0.0
-    late_us: float = 1000.0
+    latency_us: _Latency = 0.0
+    deviation_us: _Latency = 0.0
+    leak_share: Share = 0.0
+    off_latency_us: _Latency = 0.0
+    late_share: Share = 0.0
+    late_us: Annotated[float, Meta(ge=1, le=1_000_000)] = 1000.0
 
     def __post_init__(self) -> None:
-        for name in ("latency_us", "off_latency_us", "deviation_us"):
-            check(self, name, 0, MOST_LATENCY_US)
-        check(self, "late_us", 1, 1_000_000)
-        for name in ("late_share", "leak_share"):
-            check(self, name, 0, 1)
+        check_bounds(self)
         if self.deviation_us > 0 and self.latency_us == 0:
             raise ValueError(f"deviation_us = {self.deviation_us!r}: must be 0 without a latency_us to vary")
         for name in ("off_latency_us", "late_share"):
@@ -299,14 +273,12 @@ class ComparatorParameters:
         the thresholds, theta = contrast_per_e ln(I_on / I_diff). 0.0714 is jAER's value for a DAVIS.
     """
 
-    on_us: float = 0.0
-    off_us: float = 0.0
-    contrast_per_e: float = 0.0714
+    on_us: Annotated[float, Meta(ge=0, le=10_000)] = 0.0
+    off_us: Annotated[float, Meta(ge=0, le=10_000)] = 0.0
+    contrast_per_e: Annotated[float, Meta(ge=1e-3, le=10)] = 0.0714
 
     def __post_init__(self) -> None:
-        check(self, "on_us", 0, 10_000)
-        check(self, "off_us", 0, 10_000)
-        check(self, "contrast_per_e", 1e-3, 10)
+        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,13 +298,12 @@ class ResetParameters:
         begins there; false: it begins at the crossing.
     """
 
-    offset: float = 0.0
-    noise: float = 0.0
+    offset: Annotated[float, Meta(ge=-1, le=1)] = 0.0
+    noise: Share = 0.0
     at_acknowledge: bool = False
 
     def __post_init__(self) -> None:
-        check(self, "offset", -1, 1)
-        check(self, "noise", 0, 1)
+        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,22 +324,17 @@ class ImagerParameters:
     shot_grid_us : time over which electrons are counted, us; between two counts the light follows a straight line.
     """
 
-    system_efficiency: float = 1.0
-    quantum_efficiency: float = 1.0
-    prnu: float = 0.0
-    dcnu: float = 0.0
+    system_efficiency: _Efficiency = 1.0
+    quantum_efficiency: _Efficiency = 1.0
+    prnu: Deviation = 0.0
+    dcnu: Spread = 0.0
     photon_shot_noise: bool = False
     dark_shot_noise: bool = False
-    electrons_per_s_at_reference: float = 2e8
-    shot_grid_us: int = 8192
+    electrons_per_s_at_reference: Annotated[float, Meta(ge=1, le=1e15)] = 2e8
+    shot_grid_us: Annotated[int, Meta(ge=100, le=10_000_000)] = 8192
 
     def __post_init__(self) -> None:
-        for name in ("system_efficiency", "quantum_efficiency"):
-            check(self, name, 0, 100, above=True)
-        check(self, "prnu", 0, 0.3)
-        check(self, "dcnu", 0, 3)
-        check(self, "electrons_per_s_at_reference", 1, 1e15)
-        check(self, "shot_grid_us", 100, 10_000_000)
+        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -395,24 +361,17 @@ class RadiationParameters:
     hot_share_per_krad : share of the pixels that a krad makes hot; their rates are those of `defects`.
     """
 
-    hits_per_cm2_s: float = 0.0
-    pixel_pitch_um: float = 18.5
-    depth_um: float = 10.0
-    off_share: float = 0.3
-    recovery_us: float = 1000.0
-    dose_krad: float = 0.0
-    dose_krad_per_day: float = 0.0
-    hot_share_per_krad: float = 1e-3
+    hits_per_cm2_s: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
+    pixel_pitch_um: Annotated[float, Meta(ge=0.5, le=1000)] = 18.5
+    depth_um: Annotated[float, Meta(ge=0, le=1000)] = 10.0
+    off_share: Share = 0.3
+    recovery_us: Annotated[float, Meta(ge=1, le=1_000_000)] = 1000.0
+    dose_krad: _Dose = 0.0
+    dose_krad_per_day: _Dose = 0.0
+    hot_share_per_krad: Share = 1e-3
 
     def __post_init__(self) -> None:
-        check(self, "hits_per_cm2_s", 0, 1e6)
-        check(self, "pixel_pitch_um", 0.5, 1000)
-        check(self, "depth_um", 0, 1000)
-        check(self, "off_share", 0, 1)
-        check(self, "recovery_us", 1, 1_000_000)
-        for name in ("dose_krad", "dose_krad_per_day"):
-            check(self, name, 0, 1e4)
-        check(self, "hot_share_per_krad", 0, 1)
+        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -430,21 +389,16 @@ class KickParameters:
         before its frame begins.
     """
 
-    share: float = 0.10
-    signal_excess: float = 0.024
-    spread: float = 0.02
-    frame_spread: float = 0.0007
-    delay_us: float = 35.0
-    reset_lead_us: float = 12.0
-    signal_lead_us: float = 28.0
+    share: Annotated[float, Meta(ge=0, le=0.9)] = 0.10
+    signal_excess: Annotated[float, Meta(ge=-1, le=1)] = 0.024
+    spread: Deviation = 0.02
+    frame_spread: Deviation = 0.0007
+    delay_us: _ReadUs = 35.0
+    reset_lead_us: _ReadUs = 12.0
+    signal_lead_us: _ReadUs = 28.0
 
     def __post_init__(self) -> None:
-        check(self, "share", 0, 0.9)
-        check(self, "signal_excess", -1, 1)
-        check(self, "spread", 0, 0.3)
-        check(self, "frame_spread", 0, 0.3)
-        for name in ("delay_us", "reset_lead_us", "signal_lead_us"):
-            check(self, name, 0, 1000)
+        check_bounds(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -465,27 +419,20 @@ class FrameParameters:
     kicks : disturbance of events by reading.
     """
 
-    sensitivity_dn_ms: float = 100.0
-    reset_dn: float = 900.0
-    electrons_per_dn: float = 9.5
-    read_noise_dn: float = 2.0
-    column_noise_dn: float = 1.7
-    row_noise_dn: float = 0.4
-    column_pattern_dn: float = 8.0
-    column_fixed_dn: float = 3.7
-    gain_spread: float = 0.01
-    line_us: float = 35.25
+    sensitivity_dn_ms: Annotated[float, Meta(gt=0, le=1e9)] = 100.0
+    reset_dn: Annotated[float, Meta(ge=384, le=1023)] = 900.0  # hosts take lower reset reads for saturated pixels
+    electrons_per_dn: Annotated[float, Meta(ge=0, le=1e6)] = 9.5
+    read_noise_dn: _Dn = 2.0
+    column_noise_dn: _Dn = 1.7
+    row_noise_dn: _Dn = 0.4
+    column_pattern_dn: _Dn = 8.0
+    column_fixed_dn: _Dn = 3.7
+    gain_spread: Deviation = 0.01
+    line_us: Annotated[float, Meta(ge=1, le=1000)] = 35.25
     kicks: KickParameters = field(default_factory=KickParameters)
 
     def __post_init__(self) -> None:
-        check(self, "sensitivity_dn_ms", 0, above=True)
-        check(self, "reset_dn", 384, 1023)  # hosts take lower reset reads for saturated pixels
-        check(self, "electrons_per_dn", 0, 1e6)
-        for name in ("read_noise_dn", "column_noise_dn", "row_noise_dn", "column_pattern_dn", "column_fixed_dn"):
-            check(self, name, 0, 200)
-        check(self, "gain_spread", 0, 0.3)
-        check(self, "line_us", 1, 1000)
-        check_finite(self)
+        check_bounds(self)
 
 
 _Triple = tuple[float, float, float]
@@ -523,18 +470,18 @@ class ImuParameters:
     unit: Literal["mpu_9250", "mpu_6050", "bmi160"] = "mpu_9250"
     q_camera_from_imu: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     gravity_m_s2: _Triple | None = None
-    gm_m3_s2: float = 0.0
-    gyroscope_noise_deg_s: float = 0.007
-    accelerometer_noise_ug: float = 160.0
-    gyroscope_walk_deg_s: float = 2e-4
-    accelerometer_walk_g: float = 1e-5
+    gm_m3_s2: Annotated[float, Meta(ge=0, le=1e22)] = 0.0
+    gyroscope_noise_deg_s: _Density = 0.007
+    accelerometer_noise_ug: _Density = 160.0
+    gyroscope_walk_deg_s: _Density = 2e-4
+    accelerometer_walk_g: _Density = 1e-5
     gyroscope_bias_deg_s: _Triple | None = None
     accelerometer_bias_g: _Triple | None = None
-    temperature_c: float = 28.5
-    clock_ppm: float = 1500.0
+    temperature_c: Annotated[float, Meta(ge=-60, le=125)] = 28.5
+    clock_ppm: Annotated[float, Meta(ge=-50_000, le=50_000)] = 1500.0
 
     def __post_init__(self) -> None:
-        check_finite(self)
+        check_bounds(self)
         for name in ("gravity_m_s2", "gyroscope_bias_deg_s", "accelerometer_bias_g", "q_camera_from_imu"):
             value = getattr(self, name)
             if value is not None and not all(abs(part) < 1e9 for part in value):  # NaN compares false
@@ -543,8 +490,3 @@ class ImuParameters:
             raise ValueError(f"q_camera_from_imu = {self.q_camera_from_imu}: must be a unit quaternion (w, x, y, z)")
         if self.gravity_m_s2 is not None and self.gm_m3_s2:
             raise ValueError("gm_m3_s2: gravity is either gravity_m_s2 or that of a point mass, not both")
-        for name in ("gyroscope_noise_deg_s", "accelerometer_noise_ug", "gyroscope_walk_deg_s", "accelerometer_walk_g"):
-            check(self, name, 0.0, 1e6)
-        check(self, "gm_m3_s2", 0.0)
-        check(self, "temperature_c", -60, 125)
-        check(self, "clock_ppm", -50_000, 50_000)

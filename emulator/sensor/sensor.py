@@ -14,6 +14,7 @@ An `EventSource` is the source of a session's events: a sensor, or a recording i
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
@@ -26,11 +27,12 @@ from emulator.sensor.chip.defects import NEVER_NS, Defects, Leaks, at_temperatur
 from emulator.sensor.chip.imager import Imager, part_of_the_way
 from emulator.sensor.chip.readout import ArbiterReadOut, Jitter, ReadOut
 from emulator.sensor.chip.scan import ScanReadOut
-from emulator.sensor.chip.sources import BackgroundEvents, Particles
+from emulator.sensor.chip.sources import BackgroundEvents, Particles, hits_per_second
 from emulator.sensor.methods.base import MakePixels, PixelMethod
 from emulator.sensor.methods.circuit import CircuitPixels
 from emulator.sensor.noise.draws import insert
-from emulator.sensor.noise.grid import NoisyPixels
+from emulator.sensor.noise.grid import NoisyPixels, grid_ns
+from emulator.sensor.noise.law import corner_hz, of_array
 from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.parameters import DefectParameters, KickParameters
 from emulator.sensor.pixels.array import PixelArray
@@ -48,6 +50,7 @@ __all__ = [
     "ThresholdSource",
     "dead_pixels",
     "finished",
+    "longest_step_ns",
     "make_jitter",
     "make_noise",
     "make_readout",
@@ -188,6 +191,11 @@ class AdjustableSource(Protocol):
     """A source with parameters that can change between two steps."""
 
     @property
+    def longest_step_ns(self) -> int:
+        """Longest step whose work and memory are bounded; see `longest_step_ns`."""
+        ...
+
+    @property
     def adjustable(self) -> dict[str, float]:
         """Fields of SensorParameters that can change, with their present values."""
         ...
@@ -203,6 +211,39 @@ class ThresholdSource(Protocol):
     def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
         """Return the ON and OFF threshold of a pixel; raises ValueError where there is none."""
         ...
+
+
+_MOST_RANDOM = 1 << 25  # events of a step: 3 GB
+_MOST_MOVED = 1 << 29  # pixels of all moves within a step: half a minute
+_LIGHTS = np.geomspace(1e-6, 1e6, 60)
+
+
+def longest_step_ns(p: SensorParameters) -> int:
+    """Return the longest step whose work and memory are bounded: seconds for usual sensors, at least 1 us.
+
+    Bounded are the mean number of events that do not come from changing light, of pixels that all are as noisy as in
+    the worst light, and the pixels that are moved where the sensor has a grid of times of its own.
+    """
+    pixels, b, r = p.width * p.height, p.background, p.radiation
+    each_hz = p.leak_hz + p.parasitic_hz_at_reference + b.hz + b.hot_share * b.hot_hz + _noise_hz(p)
+    hot_hz = p.defects.hot_hz * math.exp(p.defects.hot_spread**2 / 2)
+    track = (1 + r.off_share) * min(1 + 2 * r.depth_um / r.pixel_pitch_um, p.width + p.height)
+    random_hz = pixels * (each_hz + p.defects.hot_share * hot_hz) + hits_per_second(p) * track
+    grids_ns = [p.imager.shot_grid_us * 1000] if p.imager.photon_shot_noise or p.imager.dark_shot_noise else []
+    if p.noise.rms and p.noise.grade == "grid":
+        grids_ns.append(grid_ns(p))
+    most_ns = [_MOST_RANDOM / random_hz * 1e9] if random_hz else []
+    most_ns += [_MOST_MOVED / pixels * step_ns for step_ns in grids_ns]
+    return max(round(min(*most_ns, 2.0**62, 2.0**62)), 1000)
+
+
+def _noise_hz(p: SensorParameters) -> float:
+    """Return the rate of a pixel's noise events in the light where they are most frequent."""
+    if not p.noise.rms:
+        return 0.0
+    with np.errstate(all="ignore"):  # noise so small that no number holds its rate
+        found = of_array(p, np.asarray((p.threshold_on + p.threshold_off) / 2), corner_hz(p, _LIGHTS))
+        return float(np.nan_to_num(found.on + found.off).max())
 
 
 def _load_rare_kernels() -> None:
@@ -234,6 +275,8 @@ class Sensor:
         As given.
     pixels : PixelMethod
         The pixels.
+    longest_step_ns : int
+        Longest step whose work and memory are bounded; `expose` takes longer ones too.
 
     Raises
     ------
@@ -261,6 +304,7 @@ class Sensor:
         self._seed = seed
         self._kicks: RowKicks | None = None
         self._reads: LineReads | None = None
+        self.longest_step_ns = longest_step_ns(own)
 
     def with_kicks(self, kicks: KickParameters) -> Callable[[LineReads], None] | None:
         """Let reads of active pixels disturb the events; None where the method of the pixels cannot.
@@ -395,9 +439,13 @@ class Sensor:
         """
         if name not in self.adjustable:
             raise ValueError(f"{name} cannot be changed while this sensor runs")
+        if name in ("scan_us", "off_latency_us") and value == 0:
+            raise ValueError(f"{name} must stay above 0 while the sensor runs: at 0 it would be another sensor")
         if name == "scan_us" and isinstance(self._readout, ScanReadOut):
+            dataclasses.replace(self.parameters.readout, scan_us=value)  # raises outside its bounds
             self._readout.set_scan_us(value)
         elif name == "off_latency_us" and self._jitter is not None:
+            dataclasses.replace(self.parameters.jitter, off_latency_us=value)
             self._jitter.set_off_latency(value)
         else:
             self._adjust_pixels(name, value)
@@ -419,6 +467,7 @@ class Sensor:
 
     def _adjust_pixels(self, name: str, value: float) -> None:
         self.pixels.adjust(name, value)
+        self.longest_step_ns = longest_step_ns(self.pixels.parameters)
         if name == "refractory_us":
             self._set_refractory(value)
         if self._noise is not None:

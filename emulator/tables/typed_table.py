@@ -5,6 +5,9 @@ a union of dataclasses with a class attribute `kind`, and the table's own `kind`
 checks plain values; unknown keys, missing ones and the path of the key at fault are found here. A dataclass that
 refuses a value in its `__post_init__` starts its message with the key's name.
 
+The bounds of a number stand once, in the annotation of its field: `Annotated[float, Meta(ge=0, le=1)]`. `check_bounds`
+holds a dataclass to them wherever it is made; the schema, the reference of rigs and the live page show them.
+
 Files that a rig names are found beside the rig file, not in the folder of the command. A dataclass of a rig marks such
 a key by the type `RigFile`.
 """
@@ -13,27 +16,35 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import os
 import re
 import types
 import typing
 from collections.abc import Collection, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, NewType, TypeVar
+from typing import Annotated, Any, Literal, NewType, TypeVar
 
 import msgspec
+from msgspec import Meta
 
 __all__ = [
     "NO_FILE",
     "KeyPath",
     "RigFile",
+    "Seed",
+    "Share",
     "TableError",
+    "TimeScale",
     "beside",
+    "bounds_of",
+    "check_bounds",
     "convert",
     "convert_kind",
     "field_types",
     "item_type",
     "kinds_of",
+    "range_text",
     "split_kind",
     "table_type",
     "unknown",
@@ -45,6 +56,8 @@ T = TypeVar("T")
 
 _AT = re.compile(r" - at `\$(.*)`$")
 _INDEX = re.compile(r"\[(\d+)\]")
+_NUMBERS = {int: "a whole number", float: "a number"}
+_UNITS = ("ns", "us", "ms", "s", "hz", "px", "um", "mm", "m", "deg", "bytes")  # ends of keys
 
 
 class TableError(Exception):
@@ -131,6 +144,40 @@ def table_type(annotation: Any) -> Any:
     return next((member for member in members if dataclasses.is_dataclass(member)), None)
 
 
+Share = Annotated[float, Meta(ge=0, le=1)]
+"""A part of a whole."""
+
+Seed = Annotated[int, Meta(ge=0, le=(1 << 63) - 1)]
+"""Seed of random numbers."""
+
+TimeScale = Annotated[float, Meta(gt=0, le=1e6)]
+"""Speed of motion relative to reality."""
+
+
+@cache
+def bounds_of(target: type) -> Mapping[str, Meta]:
+    """Return the bounds of a dataclass's numbers, by field."""
+    hints = typing.get_type_hints(target, include_extras=True)
+    return {name: of.__metadata__[0] for name, of in hints.items() if typing.get_origin(of) is Annotated}
+
+
+def range_text(bounds: Meta) -> str:
+    """Return bounds in words, such as "0 to 1"."""
+    named = {"above": bounds.gt, "at least": bounds.ge, "at most": bounds.le}
+    words = {name: str(n) if isinstance(n, int) else f"{n:.10g}" for name, n in named.items() if n is not None}
+    is_range = [*words] == ["at least", "at most"]
+    return " to ".join(words.values()) if is_range else ", ".join(map(" ".join, words.items()))
+
+
+def check_bounds(owner: Any) -> None:
+    """Raise ValueError where a number of a dataclass lies outside the bounds of its field, or is NaN."""
+    for name, bounds in bounds_of(owner.__class__).items():
+        value = getattr(owner, name)
+        above = value > bounds.gt if bounds.gt is not None else bounds.ge is None or value >= bounds.ge
+        if not (above and (bounds.le is None or value <= bounds.le)):
+            raise ValueError(f"{name} must be {range_text(bounds)}, got {value!r}")
+
+
 def _is_union(annotation: Any) -> bool:
     return typing.get_origin(annotation) in (typing.Union, types.UnionType)
 
@@ -147,6 +194,8 @@ def _value(value: object, annotation: Any, path: KeyPath) -> object:
 
 
 def _plain(value: object, annotation: Any, path: KeyPath) -> object:
+    if typing.get_origin(annotation) is Literal and isinstance(value, str) and value not in typing.get_args(annotation):
+        raise TableError(unknown(value, [str(one) for one in typing.get_args(annotation)]), path)
     try:
         return msgspec.convert(value, annotation)
     except msgspec.ValidationError as error:
@@ -154,6 +203,9 @@ def _plain(value: object, annotation: Any, path: KeyPath) -> object:
         if at := _AT.search(message):
             message = message[: at.start()]
             path = (*path, *(int(index) for index in _INDEX.findall(at.group(1))))
+        if annotation in _NUMBERS:
+            unit = next((f" of {unit}" for unit in _UNITS if str(path[-1]).endswith(f"_{unit}")), "")
+            raise TableError(f"must be {_NUMBERS[annotation]}{unit}, got {value!r}", path) from error
         raise TableError(f"{message}; here it is {value!r}", path) from error
 
 
@@ -188,10 +240,10 @@ def beside(value: T, folder: Path) -> T:
     for name, annotation in types.items():
         old = getattr(value, name)
         if annotation == tuple[RigFile, ...]:
-            found = tuple(str(folder / one) if (folder / one).is_file() else one for one in old)
+            found = tuple(str(folder / one) if os.path.isfile(folder / one) else one for one in old)
             new = old if found == old else found
         else:
-            is_file = annotation is RigFile and (folder / old).is_file()
+            is_file = annotation is RigFile and os.path.isfile(folder / old)  # False for names that no file can have
             new = RigFile(str(folder / old)) if is_file else beside(old, folder)
         if new is not old:
             changed[name] = new

@@ -3,11 +3,12 @@
     threshold_on         e^(diff_on      x steps of diff_on)
     threshold_off        e^(diff_off     x steps of diff_off); above the factory's value diff_off_above
     off_latency_us       e^(off_delay    x steps of diff_off)
-    refractory_us    1 / (1 + refr       x steps of refr)
+    refractory_us    1 / max(1 + refr    x steps of refr, refr)
     corner_max_hz         1 + fo         x steps of fo; source_follower_hz if the sensor has a source follower
 
 `steps` are those away from the factory's value, and the slopes are those of `BiasSlopes`: at the factory's biases all
-factors are 1, and the parameters are those of the sensor's preset or of the rig. Factors end at 0.1 and 1000.
+factors are 1, and the parameters are those of the sensor's preset or of the rig. Factors end at 0.1 and 1000. The
+register of refr at 0 acts as at 1, the least current: without one a pixel would never leave its reset.
 
 No formula is public. Basis of the model:
 
@@ -92,12 +93,12 @@ class BiasModel:
     def factors(self, steps: Mapping[str, int]) -> dict[str, float]:
         """Return the factors that are not 1, by parameter, for biases by name in steps from the factory's value."""
         slopes, off = self.slopes, steps.get("diff_off", 0)
-        faster = 1 + slopes.refr * steps.get("refr", 0)
+        faster = max(1 + slopes.refr * steps.get("refr", 0), slopes.refr)
         factors = {
             "threshold_on": math.exp(slopes.diff_on * steps.get("diff_on", 0)),
             "threshold_off": math.exp((slopes.diff_off if off < 0 else slopes.diff_off_above) * off),
             "off_latency_us": math.exp(slopes.off_delay * off) if self.has_delay else 1.0,
-            "refractory_us": 1 / faster if faster > 0 else MOST_FACTOR,
+            "refractory_us": 1 / faster,
             self.low_pass: 1 + slopes.fo * steps.get("fo", 0),
         }
         limited = {name: min(max(factor, LEAST_FACTOR), MOST_FACTOR) for name, factor in factors.items()}

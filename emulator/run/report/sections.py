@@ -79,7 +79,7 @@ def _rules(of: ReportContent) -> Section:
         made.text("The verdict is on the rig: the test judges its program, and lateness where it matters.", "note")
     elif unset:
         made.text(f"Not judged, because the rig sets no limit: {', '.join(unset)}.", "note")
-    return made.text(undersampled_advice(of.result.undersampled_share))
+    return made.text(undersampled_advice(of.result))
 
 
 def _run(of: ReportContent) -> Section:

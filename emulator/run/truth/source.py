@@ -109,6 +109,11 @@ class TruthSource:
         return self._sensor.undersampled_share
 
     @property
+    def longest_step_ns(self) -> int:
+        """Longest step of `sensor`."""
+        return self._sensor.longest_step_ns
+
+    @property
     def adjustable(self) -> dict[str, float]:
         """Parameters of `sensor` that can change."""
         return self._sensor.adjustable

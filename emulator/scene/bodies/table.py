@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Annotated, ClassVar
+
+from msgspec import Meta
 
 from emulator.photometry.reflectance import LommelSeeliger, Reflectance, Sun
 from emulator.scene.kind import SceneKind
-from emulator.tables.typed_table import NO_FILE, RigFile
+from emulator.tables.typed_table import NO_FILE, RigFile, Seed, Share, TimeScale, check_bounds
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
 
 __all__ = ["BODIES", "Bare", "BodiesParameters", "BodyTable", "Clouds", "Detail", "Regolith"]
-
-
-def _require(owner: object, name: str, low: float, high: float) -> None:
-    value = getattr(owner, name)
-    if not low <= value <= high:
-        raise ValueError(f"{name} is {value:g}: it must be {low:g} to {high:g}")
 
 
 @dataclass(frozen=True)
@@ -61,31 +57,20 @@ class Regolith:
     """
 
     kind: ClassVar[str] = "regolith"
-    seed: int = 1
-    boulders_km2: float = 949.0
-    boulder_power: float = -3.1
-    craters: float = 0.01
-    crater_depth: float = 0.12
-    slope_deg: float = 6.0
-    albedo_rms: float = 0.08
-    smooth_share: float = 0.0
-    smallest_m: float = 0.5
-    facet_px: float = 3.0
-    most_facets: int = 100_000
+    seed: Seed = 1
+    boulders_km2: Annotated[float, Meta(ge=0, le=1e6)] = 949.0
+    boulder_power: Annotated[float, Meta(ge=-5, le=-1)] = -3.1
+    craters: Annotated[float, Meta(ge=0, le=0.3)] = 0.01
+    crater_depth: Annotated[float, Meta(ge=0.01, le=0.3)] = 0.12
+    slope_deg: Annotated[float, Meta(ge=0, le=20)] = 6.0
+    albedo_rms: Annotated[float, Meta(ge=0, le=0.5)] = 0.08
+    smooth_share: Annotated[float, Meta(ge=0, le=0.9)] = 0.0
+    smallest_m: Annotated[float, Meta(ge=1e-3, le=1e6)] = 0.5
+    facet_px: Annotated[float, Meta(ge=0.5, le=100)] = 3.0
+    most_facets: Annotated[int, Meta(ge=100, le=2_000_000)] = 100_000
 
     def __post_init__(self) -> None:
-        if not 0 <= self.seed < 1 << 63:
-            raise ValueError(f"seed is {self.seed}: it must be 0 to 2^63 - 1")
-        _require(self, "boulders_km2", 0, 1e6)
-        _require(self, "boulder_power", -5, -1)
-        _require(self, "craters", 0, 0.3)
-        _require(self, "crater_depth", 0.01, 0.3)
-        _require(self, "slope_deg", 0, 20)
-        _require(self, "albedo_rms", 0, 0.5)
-        _require(self, "smooth_share", 0, 0.9)
-        _require(self, "smallest_m", 1e-3, 1e6)
-        _require(self, "facet_px", 0.5, 100)
-        _require(self, "most_facets", 100, 2_000_000)
+        check_bounds(self)
 
 
 @dataclass(frozen=True)
@@ -103,15 +88,12 @@ class Clouds:
     """
 
     kind: ClassVar[str] = "clouds"
-    seed: int = 1
-    cloud_cover: float = 0.6
-    facet_px: float = 8.0
+    seed: Seed = 1
+    cloud_cover: Share = 0.6
+    facet_px: Annotated[float, Meta(ge=1, le=1000)] = 8.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.seed < 1 << 63:
-            raise ValueError(f"seed is {self.seed}: it must be 0 to 2^63 - 1")
-        _require(self, "cloud_cover", 0, 1)
-        _require(self, "facet_px", 1, 1000)
+        check_bounds(self)
 
 
 Detail = Bare | Regolith | Clouds
@@ -153,7 +135,7 @@ class BodyTable:
 
     name: str = ""
     shape: RigFile = NO_FILE
-    units_m: float = 1.0
+    units_m: Annotated[float, Meta(gt=0, le=1e9)] = 1.0
     path: TrajectoryParameters = field(default_factory=FixedPath)
     fixed_to: str = ""
     reflectance: Reflectance = field(default_factory=LommelSeeliger)
@@ -164,10 +146,9 @@ class BodyTable:
     repeat: bool = False
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         if not self.shape:
             raise ValueError("shape is missing: name a file or a shipped model")
-        if not 0 < self.units_m <= 1e9:
-            raise ValueError(f"units_m is {self.units_m:g}: it must be above 0 and at most 1e9")
 
 
 @dataclass(frozen=True)
@@ -197,22 +178,15 @@ class BodiesParameters:
     kind: ClassVar[str] = "bodies"
     camera: TrajectoryParameters = field(default_factory=FixedPath)
     sun: Sun = field(default_factory=Sun)
-    ambient_w_m2: float = 0.0
-    samples: int = 2
-    detail_px: float = 0.5
+    ambient_w_m2: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
+    samples: Annotated[int, Meta(ge=1, le=4)] = 2
+    detail_px: Annotated[float, Meta(ge=0, le=100)] = 0.5
     shadows: bool = True
-    time_scale: float = 1.0
+    time_scale: TimeScale = 1.0
     bodies: tuple[BodyTable, ...] = ()
 
     def __post_init__(self) -> None:
-        if not 0 <= self.ambient_w_m2 <= 1e6:
-            raise ValueError(f"ambient_w_m2 is {self.ambient_w_m2}: it must be 0 to 1e6")
-        if self.samples not in (1, 2, 3, 4):
-            raise ValueError(f"samples is {self.samples}: it must be 1, 2, 3 or 4")
-        if not 0 <= self.detail_px <= 100:
-            raise ValueError(f"detail_px is {self.detail_px}: it must be 0 to 100")
-        if not 0 < self.time_scale <= 1e6:
-            raise ValueError(f"time_scale is {self.time_scale}: it must be above 0 and at most 1e6")
+        check_bounds(self)
         if not self.bodies:
             raise ValueError("bodies is empty: a [[scene.bodies]] table is needed for each body")
         self._require_order()

@@ -40,6 +40,8 @@ _SRGB_KNEE = 0.04045
 _MOST = 1e9
 _MOST_RATE = 3e38
 _KEPT = 6
+_LEAST_NS = 1000  # between two images: the shortest period of requested ones
+_MOST_A_FRAME = 4096  # images: a signal ends the run between two light frames
 
 _entry = entry_of(__name__, _nrt=False)
 
@@ -129,7 +131,10 @@ class ImageQueue:
             self._restart(t_ns)
         if not self._images and not self._pushed:
             self._next_ns = t_ns // self._p.period_ns * self._p.period_ns
+        before = self.taken
         while not self._images or self._images[-1].t_ns < t_ns:
+            if self.taken - before == _MOST_A_FRAME:
+                raise RendererError(f"more than {_MOST_A_FRAME} images came for one light frame: give fewer")
             self._receive()
         self._request(self._p.ahead)
 
@@ -188,9 +193,15 @@ class ImageQueue:
                     f"must be {_BOUNDS[name][0]:g} to {_BOUNDS[name][1]:g}"
                 )
         t_ns = self._stream_ns(drawn)
-        if self._images and t_ns <= self._images[-1].t_ns:
+        since_ns = t_ns - self._images[-1].t_ns if self._images else _LEAST_NS
+        if since_ns <= 0:
             raise RendererError(
                 f"image {drawn.head.number} is of {drawn.head.t_ns} ns, not later than the one before: times must go on"
+            )
+        if since_ns < _LEAST_NS:
+            raise RendererError(
+                f"image {drawn.head.number} is {since_ns} ns after the one before, at least {_LEAST_NS} are expected: "
+                "times are in nanoseconds; does the renderer give milliseconds or seconds?"
             )
         if "motion" in planes:
             planes["motion"] = front_motion(planes["motion"], planes.get("depth"))

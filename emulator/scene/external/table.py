@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
+
+from msgspec import Meta
 
 from emulator.scene.kind import SceneKind
+from emulator.tables.typed_table import check_bounds
 from emulator.trajectory.parameters import TrajectoryParameters
 from transports.network import check_allow
 
@@ -47,33 +50,21 @@ class ExternalParameters:
 
     kind: ClassVar[str] = "external"
     host: str = "127.0.0.1"
-    port: int = 5560
+    port: Annotated[int, Meta(ge=1, le=65535)] = 5560
     allow: tuple[str, ...] = ()
     images: Literal["requested", "pushed"] = "requested"
-    period_ms: float = 10.0
-    ahead: int = 1
-    delay_ms: float = 0.0
-    white_w_m2_sr: float = 30.0
+    period_ms: Annotated[float, Meta(ge=0.001, le=60_000)] = 10.0
+    ahead: Annotated[int, Meta(ge=0, le=16)] = 1
+    delay_ms: Annotated[float, Meta(ge=0, le=10_000)] = 0.0
+    white_w_m2_sr: Annotated[float, Meta(ge=1e-12, le=1e9)] = 30.0
     camera: TrajectoryParameters | None = None
-    time_scale: float = 1.0
-    wait_s: float = 60.0
-    timeout_s: float = 5.0
+    time_scale: Annotated[float, Meta(ge=1e-6, le=1e6)] = 1.0
+    wait_s: Annotated[float, Meta(ge=0.1, le=3600)] = 60.0
+    timeout_s: Annotated[float, Meta(ge=0.1, le=600)] = 5.0
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         check_allow(self.host, self.allow)
-        bounds = {
-            "port": (1, 65535),
-            "period_ms": (0.001, 60_000.0),
-            "ahead": (0, 16),
-            "delay_ms": (0.0, 10_000.0),
-            "white_w_m2_sr": (1e-12, 1e9),
-            "time_scale": (1e-6, 1e6),
-            "wait_s": (0.1, 3600.0),
-            "timeout_s": (0.1, 600.0),
-        }
-        for name, (low, high) in bounds.items():
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} is {getattr(self, name):g}: it must be {low:g} to {high:g}")
         if self.images == "pushed" and self.camera is not None:
             raise ValueError('camera: the pose is sent with requests; with images = "pushed" there are no times for it')
 

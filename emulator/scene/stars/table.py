@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
+
+from msgspec import Meta
 
 from emulator.photometry.reflectance import Sun
 from emulator.scene.kind import SceneKind
 from emulator.scene.stars.catalogue import FAINTEST_V
 from emulator.scene.stars.skies import GAIA_FAINTEST_G, DrawnField
+from emulator.tables.typed_table import TimeScale, check_bounds
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
 from transports.needs import Need, package
 
@@ -30,14 +33,11 @@ class MovingPoint:
     """
 
     path: TrajectoryParameters = field(default_factory=FixedPath)
-    radius_m: float = 1.0
-    albedo: float = 0.2
+    radius_m: Annotated[float, Meta(gt=0, le=1e9)] = 1.0
+    albedo: Annotated[float, Meta(ge=0, le=2)] = 0.2
 
     def __post_init__(self) -> None:
-        if not 0 < self.radius_m <= 1e9:
-            raise ValueError(f"radius_m is {self.radius_m}: it must be above 0 and at most 1e9")
-        if not 0 <= self.albedo <= 2:
-            raise ValueError(f"albedo is {self.albedo}: it must be 0 to 2")
+        check_bounds(self)
 
 
 @dataclass(frozen=True)
@@ -70,27 +70,18 @@ class StarsParameters:
 
     kind: ClassVar[str] = "stars"
     camera: TrajectoryParameters = field(default_factory=FixedPath)
-    faintest_v: float = 6.5
+    faintest_v: Annotated[float, Meta(ge=-2, le=FAINTEST_V)] = 6.5
     catalogue: Literal["hipparcos", "gaia"] = "hipparcos"
-    faintest_g: float = GAIA_FAINTEST_G
+    faintest_g: Annotated[float, Meta(ge=-2, le=GAIA_FAINTEST_G)] = GAIA_FAINTEST_G
     drawn: DrawnField | None = None
-    epoch_year: float = 2026.0
-    sky_w_m2_sr: float = 0.0
+    epoch_year: Annotated[float, Meta(ge=1900, le=2200)] = 2026.0
+    sky_w_m2_sr: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
     sun: Sun = field(default_factory=Sun)
-    time_scale: float = 1.0
+    time_scale: TimeScale = 1.0
     points: tuple[MovingPoint, ...] = ()
 
     def __post_init__(self) -> None:
-        if not -2 <= self.faintest_v <= FAINTEST_V:
-            raise ValueError(f"faintest_v is {self.faintest_v}: it must be -2 to {FAINTEST_V}")
-        if not -2 <= self.faintest_g <= GAIA_FAINTEST_G:
-            raise ValueError(f"faintest_g is {self.faintest_g}: it must be -2 to {GAIA_FAINTEST_G:g}")
-        if not 1900 <= self.epoch_year <= 2200:
-            raise ValueError(f"epoch_year is {self.epoch_year}: it must be 1900 to 2200")
-        if not 0 <= self.sky_w_m2_sr <= 1e6:
-            raise ValueError(f"sky_w_m2_sr is {self.sky_w_m2_sr}: it must be 0 to 1e6")
-        if not 0 < self.time_scale <= 1e6:
-            raise ValueError(f"time_scale is {self.time_scale}: it must be above 0 and at most 1e6")
+        check_bounds(self)
 
 
 def _needs(parameters: StarsParameters) -> tuple[Need, ...]:

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Annotated, ClassVar
+
+from msgspec import Meta
 
 from emulator.photometry.reflectance import EARTHLIGHT_W_M2, LunarLambert, Reflectance
 from emulator.scene.kind import SceneKind
-from emulator.tables.typed_table import NO_FILE, RigFile
+from emulator.tables.typed_table import NO_FILE, RigFile, Seed, TimeScale, check_bounds
 from emulator.trajectory.parameters import DescentPath, TrajectoryParameters
 from transports.needs import Need, package
 
 __all__ = ["TERRAIN", "GroundParameters", "Heightmap", "Ridge", "TerrainParameters"]
-
-
-def _require(owner: object, name: str, low: float, high: float) -> None:
-    value = getattr(owner, name)
-    if not low <= value <= high:
-        raise ValueError(f"{name} is {value:g}: it must be {low:g} to {high:g}")
 
 
 @dataclass(frozen=True)
@@ -51,28 +47,20 @@ class Ridge:
     """
 
     kind: ClassVar[str] = "ridge"
-    size_m: float = 32768.0
-    finest_m: float = 0.04
+    size_m: Annotated[float, Meta(ge=1, le=600_000)] = 32768.0
+    finest_m: Annotated[float, Meta(ge=0.001, le=1000)] = 0.04
     posts: int = 1024
-    ridge_m: float = 5000.0
-    slope_deg: float = 4.0
-    crater_density: float = 0.046
-    boulder_cover: float = 0.02
-    albedo_rms: float = 0.08
-    seed: int = 1
+    ridge_m: Annotated[float, Meta(ge=0, le=10_000)] = 5000.0
+    slope_deg: Annotated[float, Meta(ge=0, le=30)] = 4.0
+    crater_density: Annotated[float, Meta(ge=0, le=0.3)] = 0.046
+    boulder_cover: Annotated[float, Meta(ge=0, le=0.1)] = 0.02
+    albedo_rms: Annotated[float, Meta(ge=0, le=0.5)] = 0.08
+    seed: Seed = 1
 
     def __post_init__(self) -> None:
-        _require(self, "size_m", 1, 600_000)
-        _require(self, "finest_m", 0.001, 1000)
+        check_bounds(self)
         if self.posts not in [1 << k for k in range(6, 13)]:
             raise ValueError(f"posts is {self.posts}: it must be a power of two, 64 to 4096")
-        _require(self, "ridge_m", 0, 10_000)
-        _require(self, "slope_deg", 0, 30)
-        _require(self, "crater_density", 0, 0.3)
-        _require(self, "boulder_cover", 0, 0.1)
-        _require(self, "albedo_rms", 0, 0.5)
-        if not 0 <= self.seed < 1 << 63:
-            raise ValueError(f"seed is {self.seed}: it must be 0 to 2^63 - 1")
         if self.ridge_m > self.size_m / 3:
             raise ValueError(
                 f"ridge_m is {self.ridge_m:g}: its base, three times as wide, does not fit on {self.size_m:g} m"
@@ -100,18 +88,17 @@ class Heightmap:
 
     kind: ClassVar[str] = "heightmap"
     path: RigFile = NO_FILE
-    units_m: float = 1.0
-    post_m: float = 0.0
+    units_m: Annotated[float, Meta(ge=1e-6, le=1e6)] = 1.0
+    post_m: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
     centre_m: tuple[float, float] | None = None
-    fill_share: float = 0.01
+    fill_share: Annotated[float, Meta(ge=0, le=0.5)] = 0.01
 
     def __post_init__(self) -> None:
+        check_bounds(self)
+        if 0 < self.post_m < 1e-3:
+            raise ValueError(f"post_m must be 0 or at least 0.001, got {self.post_m!r}")
         if not self.path:
             raise ValueError("path is missing: name a .npy or .tif file")
-        _require(self, "units_m", 1e-6, 1e6)
-        if self.post_m != 0:
-            _require(self, "post_m", 1e-3, 1e5)
-        _require(self, "fill_share", 0, 0.5)
 
 
 GroundParameters = Ridge | Heightmap
@@ -155,30 +142,21 @@ class TerrainParameters:
     kind: ClassVar[str] = "terrain"
     ground: GroundParameters = field(default_factory=Ridge)
     camera: TrajectoryParameters = field(default_factory=DescentPath)
-    sun_azimuth_deg: float = 60.0
-    sun_elevation_deg: float = 4.0
-    sun_distance_au: float = 1.0
-    ambient_w_m2: float = EARTHLIGHT_W_M2
+    sun_azimuth_deg: Annotated[float, Meta(ge=-360, le=360)] = 60.0
+    sun_elevation_deg: Annotated[float, Meta(ge=-90, le=90)] = 4.0
+    sun_distance_au: Annotated[float, Meta(ge=0.01, le=1000)] = 1.0
+    ambient_w_m2: Annotated[float, Meta(ge=0, le=1e6)] = EARTHLIGHT_W_M2
     reflectance: Reflectance = field(default_factory=LunarLambert)
-    body_radius_m: float = 1_737_400.0
-    detail_px: float = 2.0
-    most_facets: int = 45_000
-    samples: int = 2
-    time_scale: float = 1.0
+    body_radius_m: Annotated[float, Meta(ge=0, le=1e9)] = 1_737_400.0
+    detail_px: Annotated[float, Meta(ge=0, le=64)] = 2.0
+    most_facets: Annotated[int, Meta(ge=1000, le=100_000_000)] = 45_000
+    samples: Annotated[int, Meta(ge=1, le=4)] = 2
+    time_scale: TimeScale = 1.0
 
     def __post_init__(self) -> None:
-        _require(self, "sun_azimuth_deg", -360, 360)
-        _require(self, "sun_elevation_deg", -90, 90)
-        _require(self, "sun_distance_au", 0.01, 1000)
-        _require(self, "ambient_w_m2", 0, 1e6)
-        if self.body_radius_m != 0:
-            _require(self, "body_radius_m", 100, 1e9)
-        _require(self, "detail_px", 0, 64)
-        _require(self, "most_facets", 1000, 100_000_000)
-        if self.samples not in (1, 2, 3, 4):
-            raise ValueError(f"samples is {self.samples}: it must be 1, 2, 3 or 4")
-        if not 0 < self.time_scale <= 1e6:
-            raise ValueError(f"time_scale is {self.time_scale:g}: it must be above 0 and at most 1e6")
+        check_bounds(self)
+        if 0 < self.body_radius_m < 100:
+            raise ValueError(f"body_radius_m must be 0 or at least 100, got {self.body_radius_m!r}")
 
 
 def _needs(parameters: TerrainParameters) -> tuple[Need, ...]:

@@ -21,15 +21,17 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Meta
 
 from emulator.light import MachineLacks, SceneError
 from emulator.scene.kind import SceneKind
 from emulator.scene.video.frames import linear_light
 from emulator.scene.video.video import Around, JoinedFrames, resampled
+from emulator.tables.typed_table import check_bounds
 from emulator.trajectory.live import SceneClock
 from firmware_protocol.ros2.messages import IMAGE, CdrError, ImageError, levels_of, parse_image
 from transports.needs import Need, install_command, package
@@ -174,11 +176,11 @@ class Ros2ImageParameters:
     kind: ClassVar[str] = "ros2"
     topic: str = "/image_raw"
     levels: Literal["srgb", "linear"] = "srgb"
-    light_at_white: float = 1.0
-    floor: float = 1e-3
+    light_at_white: Annotated[float, Meta(ge=1e-9, le=1e9)] = 1.0
+    floor: Annotated[float, Meta(ge=1e-6, le=1)] = 1e-3
     stamps: Literal["arrival", "header"] = "arrival"
-    delay_ms: float = 50.0
-    wait_s: float = 10.0
+    delay_ms: Annotated[float, Meta(ge=0, le=10_000)] = 50.0
+    wait_s: Annotated[float, Meta(ge=0, le=3600)] = 10.0
     reliable: bool = False
     domain: int = 0
     interfaces: tuple[str, ...] = ()
@@ -186,16 +188,8 @@ class Ros2ImageParameters:
     multicast: bool = False
 
     def __post_init__(self) -> None:
+        check_bounds(self)
         check_topic("topic", self.topic)
-        bounds = {
-            "light_at_white": (1e-9, 1e9),
-            "floor": (1e-6, 1.0),
-            "delay_ms": (0.0, 10_000.0),
-            "wait_s": (0.0, 3600.0),
-        }
-        for name, (low, high) in bounds.items():
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(f"{name} is {getattr(self, name)}: it must be {low:g} to {high:g}")
         _ = self.network
 
     @property

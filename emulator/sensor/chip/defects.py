@@ -24,7 +24,7 @@ from emulator.sensor.numerics.keyed import Purpose, normal, normals, root_of, st
 from emulator.sensor.parameters import REFERENCE_CELSIUS
 from emulator.sensor.presets import SensorParameters
 
-__all__ = ["LEAST_DARK", "MOST_DARK", "MOST_HZ", "NEVER_NS", "Defects", "Leaks", "at_temperature", "draw_defects"]
+__all__ = ["NEVER_NS", "Defects", "Leaks", "at_temperature", "draw_defects"]
 
 
 _DAY_NS = 86_400 * 10**9
@@ -132,13 +132,6 @@ class Leaks:
         self.next_ns = next_ns
 
 
-MOST_HZ = 10_000.0
-"""Leak rate of any pixel, as in `defects`."""
-
-LEAST_DARK, MOST_DARK = 1e-30, 1e6
-"""Bounds of dark current over photocurrent at the reference light, for the float32 of the pixels."""
-
-
 def at_temperature(p: SensorParameters) -> SensorParameters:
     """Return the sensor's parameters at `temperature.celsius`, from those at the reference temperature.
 
@@ -148,30 +141,21 @@ def at_temperature(p: SensorParameters) -> SensorParameters:
     Raises
     ------
     ValueError
-        The pixels, hot ones where there are any, would leak at more than `MOST_HZ`, or the dark current would not lie
-        between `LEAST_DARK` and `MOST_DARK`.
+        A leak, of hot pixels where there are any, or the dark current would be outside its bounds.
     """
     t = p.temperature
-    leak = t.leak_factor
-    hot_hz = p.defects.hot_hz * leak if _may_have_hot_pixels(p) else p.defects.hot_hz
-    dark = p.dark_current_relative * t.dark_factor
-    if t.warmer_k and max(p.leak_hz * leak, hot_hz) > MOST_HZ:
-        raise ValueError(
-            f"temperature.celsius = {t.celsius:g}: pixels would leak at {max(p.leak_hz * leak, hot_hz):.3g} Hz, and "
-            f"{MOST_HZ:g} is the most; lower it, or leak_hz and defects.hot_hz"
+    hot_hz = p.defects.hot_hz * (t.leak_factor if _may_have_hot_pixels(p) else 1)
+    try:
+        return dataclasses.replace(
+            p,
+            leak_hz=p.leak_hz * t.leak_factor,
+            defects=dataclasses.replace(p.defects, hot_hz=hot_hz),
+            dark_current_relative=p.dark_current_relative * t.dark_factor,
+            corner_min_hz=min(p.corner_min_hz * t.dark_factor, p.corner_max_hz),
+            temperature=dataclasses.replace(t, celsius=REFERENCE_CELSIUS),
         )
-    if t.warmer_k and not LEAST_DARK <= dark <= MOST_DARK:
-        raise ValueError(
-            f"temperature.celsius = {t.celsius:g}: the dark current would be {dark:.3g} of the reference light"
-        )
-    return dataclasses.replace(
-        p,
-        leak_hz=p.leak_hz * leak,
-        defects=dataclasses.replace(p.defects, hot_hz=hot_hz),
-        dark_current_relative=dark,
-        corner_min_hz=min(p.corner_min_hz * t.dark_factor, p.corner_max_hz),
-        temperature=dataclasses.replace(t, celsius=REFERENCE_CELSIUS),
-    )
+    except ValueError as error:
+        raise ValueError(f"temperature.celsius = {t.celsius:g}: {error}") from error
 
 
 def _may_have_hot_pixels(p: SensorParameters) -> bool:

@@ -39,7 +39,7 @@ from emulator.sensor.chip.sources import LONGEST_NS, Pending, Window, new_pendin
 from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, lane, log_compilation
 from emulator.sensor.numerics.elementary import lowest_bit
 from emulator.sensor.numerics.keyed import Purpose, high, low, normal_from, root_of, stream, unit, word
-from emulator.sensor.parameters import MOST_LATENCY_US, JitterParameters
+from emulator.sensor.parameters import JitterParameters
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined, unpacked
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events, copy_events
@@ -526,9 +526,7 @@ class Jitter:
         self._t_ns = t_ns
 
     def set_off_latency(self, latency_us: float) -> None:
-        """Set the mean delay of OFF events that cross from now on, above 0; raises ValueError."""
-        if not 0 < latency_us <= MOST_LATENCY_US:
-            raise ValueError(f"off_latency_us must be above 0 and at most {MOST_LATENCY_US}, got {latency_us}")
+        """Set the mean delay of OFF events that cross from now on, above 0."""
         longer = math.log(latency_us / self.off_latency_us)
         self._delays, self.off_latency_us = self._delays._replace(off=self._delays.off + longer), latency_us
 

@@ -31,7 +31,7 @@ PROGRAM = '[program]\nargv = ["true"]\n'
         ("", '[[parameters]]\nkey = "faults[0].rate"\nkind = "list"\nvalues = [1]', "not in the rig, which has 0"),
         ("", '[[parameters]]\nkey = "scene.brigth"\nkind = "list"\nvalues = [1]', "did you mean 'bright'"),
         ("", '[[parameters]]\nkey = "program.gain"\nkind = "list"\nvalues = [1]', "there is no .program."),
-        ("", '[[parameters]]\nkey = "run.step_us"\nkind = "uniform"\nlow = 1\nhigh = 9', "Expected `int`, got `float`"),
+        ("", '[[parameters]]\nkey = "run.step_us"\nkind = "uniform"\nlow = 1\nhigh = 9', "a whole number of us"),
         ("", "[program]\nargv = []", "argv must name a program"),
         ("", '[program]\nargv = ["a"]\nstart = "after"\nends_run = true', "cannot end it"),
         ("", '[program]\nargv = ["no-such-program"]', "no-such-program"),

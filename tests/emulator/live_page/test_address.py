@@ -33,6 +33,8 @@ def test_a_token_is_made_where_others_can_reach_the_page_and_it_alone_is_permitt
     assert closed.permits(closed.token)
     assert not closed.permits("")
     assert not closed.permits(closed.token[:-1] + "\N{SNOWMAN}")
+    assert not closed.permits("\ud800")
+    assert not closed.origin_permitted("http://[", "10.0.0.1:81")
     assert Access.for_host("0.0.0.0").token != closed.token
 
 
@@ -46,6 +48,7 @@ def test_a_token_is_made_where_others_can_reach_the_page_and_it_alone_is_permitt
         ("null", "127.0.0.1:81", False),
         ("http://evil.example:81", "evil.example:81", False),  # a name that resolves to 127.0.0.1
         ("http://[::1", "[::1", False),
+        ("http://[", "127.0.0.1:81", False),
         (None, None, False),
     ],
 )

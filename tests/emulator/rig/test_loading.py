@@ -77,7 +77,7 @@ def test_a_rig_is_typed_and_frozen():
     ("old", "new", "line", "told"),
     [
         ("square_px = 20.0", "sqare_px = 20.0", 4, ["scene.sqare_px", "did you mean 'square_px'"]),
-        ("square_px = 20.0", 'square_px = "wide"', 4, ["scene.square_px", "float", "str"]),
+        ("square_px = 20.0", 'square_px = "wide"', 4, ["scene.square_px: must be a number of px, got 'wide'"]),
         ("square_px = 20.0", "square_px = nan", 4, ["scene.square_px", "finite"]),
         ("square_px = 20.0", "square_px = -1", 4, ["scene.square_px", "-1"]),
         ("square_px = 20.0", "dark = 2.0", 4, ["scene.dark", "bright"]),
@@ -85,13 +85,13 @@ def test_a_rig_is_typed_and_frozen():
         ('model = "davis346"', 'model = "davis364"', 6, ["camera.model", "did you mean 'davis346'"]),
         ('model = "davis346"', 'model = "imx636"', 14, ["links[0].kind", "no USB model", "loopback"]),
         ('model = "davis346"', 'serial = "0123456789"', 6, ["camera.serial", "1 to 8"]),
-        ("threshold_on = 0.2", "threshold_on = 0.0", 8, ["camera.sensor.threshold_on", "above 0"]),
+        ("threshold_on = 0.2", "threshold_on = 0.0", 8, ["camera.sensor.threshold_on", "0.001 to 100"]),
         ("threshold_on = 0.2", "refractory_us = -1.0", 8, ["camera.sensor.refractory_us"]),
         ("threshold_on = 0.2", "width = -5", 8, ["camera.sensor.width"]),
         ("event_ns = 100.0", "evnt_ns = 1.0", 10, ["camera.sensor.readout.evnt_ns", "event_ns"]),
         ("event_ns = 100.0", "event_ns = 0.0", 10, ["camera.sensor.readout.event_ns"]),
         ("step_us = 500", "step_us = 0", 12, ["run.step_us", "1 to"]),
-        ("step_us = 500", "step_us = 1.5", 12, ["run.step_us", "int"]),
+        ("step_us = 500", "step_us = 1.5", 12, ["run.step_us", "a whole number of us"]),
         ("step_us = 500", 'pace = "fast"', 12, ["run.pace", "fast"]),
         ("port = 0", "port = 70000", 15, ["links[0].port", "65535"]),
         ("port = 0", 'busid = "usb1"', 15, ["links[0].busid", "1-1"]),
@@ -209,6 +209,20 @@ def test_the_identifiers_of_a_can_link_follow_its_node():
 def test_mistakes_in_a_can_link_are_told_by_line(more, told):
     with pytest.raises(RigError, match=told):
         parse_rig(CAN + more, "r.toml", "r")
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ('[[links]]\nkind = "loopback"\nname = "a/b"\n', "line 5.*name: 'a/b' cannot be part of a file's name"),
+        ('[run]\npace = "real_time"\n', "line 4.*'real_time' is not known here; did you mean 'realtime'"),
+        ("[run]\nstep_us = 0.5\n", "line 4.*step_us: must be a whole number of us, got 0.5"),
+        ("[camera.sensor]\nleak_hz = 1e5\n", "line 4.*leak_hz must be 0 to 10000, got 100000.0"),
+    ],
+)
+def test_a_mistake_is_named_with_what_is_allowed(more, told):
+    with pytest.raises(RigError, match=told):
+        parse_rig('[scene]\nkind = "checkerboard"\n' + more, "r.toml", "r")
 
 
 def test_an_evk4_takes_hexadecimal_serials_alone():

@@ -30,6 +30,8 @@ IDEAL = dataclasses.replace(PRESETS["ideal"], width=8, height=4, threshold_on=0.
 class Adjusted:
     """A sensor that remembers what was adjusted."""
 
+    longest_step_ns = 1 << 62
+
     def __init__(self, refuses=()):
         self.adjustable = {"threshold_on": 0.2, "corner_max_hz": 3000.0}
         self.refuses = refuses

@@ -157,6 +157,65 @@ def test_a_signal_inside_a_step_ends_the_run_after_it(number):
     assert result.ledger.balanced
 
 
+def insist(running):
+    """Send three signals, as a user does who presses Ctrl-C again and again."""
+    stop_on_signals(running.stop, running.interrupt)
+    for _ in range(3):
+        signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.parametrize("of", ["light", "sensor"])
+def test_signals_within_a_step_end_it_with_a_balanced_ledger(of):
+    clock = FakeClock()
+
+    class Insisting(Flashing):
+        def light(self, t_ns, out):
+            if of == "light" and t_ns == 7 * STEP_NS:
+                insist(running)
+            super().light(t_ns, out)
+
+    running = session(Insisting(clock), clock)
+    expose = running._sensor.expose
+
+    def exposed(frame):
+        if of == "sensor" and frame.t_ns == 7 * STEP_NS:
+            expose(frame)  # its events are discarded
+            insist(running)
+        return expose(frame)
+
+    running._sensor.expose = exposed
+    taken = []
+    result = running.run(Schedule(paced=False), on_events=taken.append)
+    assert result.steps == 6
+    assert "interrupted within the step after 0.006 s" in result.scene_trouble
+    assert result.ledger.balanced
+    assert result.ledger.read_out == sum(map(len, taken)) > 0
+
+
+def test_signals_while_events_are_handed_over_lose_none():
+    clock, taken = FakeClock(), []
+    running = session(Flashing(clock), clock)
+
+    def take(events):
+        taken.append(events)
+        if len(taken) == 5:
+            insist(running)
+
+    result = running.run(Schedule(paced=False), on_events=take)
+    assert result.ledger.balanced
+    assert result.ledger.read_out == sum(map(len, taken)) > 0
+    assert (result.steps, result.scene_trouble) == (5, "")
+
+
+def test_a_step_is_no_longer_than_its_work_allows():
+    clock = FakeClock()
+    scene = Flashing(clock)
+    running = session(scene, clock)
+    running._sensor.longest_step_ns = STEP_NS // 4
+    running.run(Schedule(duration_ns=2 * STEP_NS, paced=False))
+    assert scene.times == [k * STEP_NS // 4 for k in range(9)]
+
+
 def test_a_run_can_be_stopped_from_its_status():
     clock = FakeClock()
     running = session(Flashing(clock, STEP_NS), clock)

@@ -134,6 +134,7 @@ def test_a_point_stands_apart_in_both_pictures_by_its_parallax_at_the_same_times
 
 class _Adjusted:
     adjustable = {"threshold_on": 0.2}
+    longest_step_ns = 1 << 62
 
     def adjust(self, name, value):
         self.adjustable = {name: value}

@@ -116,7 +116,7 @@ def test_noise_needs_a_pole():
     ],
 )  # fmt: skip
 def test_what_makes_no_sense_is_refused_by_name_and_value(field, value):
-    with pytest.raises(ValueError, match=f"{field} = .*must be"):
+    with pytest.raises(ValueError, match=f"^{field} must be"):
         dataclasses.replace(PLAIN, **{field: value})
 
 
@@ -131,7 +131,7 @@ def test_what_is_extreme_but_makes_sense_is_accepted(field, value):
 
 @pytest.mark.parametrize(("event_ns", "row_ns"), [(0.0, 10), (-1.0, 10), (math.nan, 10), (80.0, -1), (math.inf, 10)])
 def test_an_arbiter_needs_times(event_ns, row_ns):
-    with pytest.raises(ValueError, match="_ns = "):
+    with pytest.raises(ValueError, match="_ns must be"):
         ReadoutParameters(event_ns=event_ns, row_ns=row_ns)
 
 

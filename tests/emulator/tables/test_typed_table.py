@@ -54,7 +54,7 @@ def test_a_list_of_tables_and_a_table_that_may_be_left_out():
         (
             {"others": [{"kind": "circle"}, {"kind": "circle", "radius_m": "x"}]},
             ("others", 1, "radius_m"),
-            "Expected `float`",
+            "must be a number of m, got 'x'",
         ),
         ({"others": {"kind": "circle"}}, ("others",), "expected a list of tables"),
         ({"others": [3]}, ("others", 0), "expected a table, got 3"),

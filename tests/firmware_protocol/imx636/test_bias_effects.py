@@ -33,12 +33,18 @@ def test_the_factory_biases_change_nothing():
         ("fo", -20, "corner_max_hz", 0.5),
         ("refr", 75, "refractory_us", 0.25),
         ("refr", -20, "refractory_us", 5.0),
-        ("refr", -25, "refractory_us", MOST_FACTOR),
+        ("refr", -24, "refractory_us", 25.0),
+        ("refr", -25, "refractory_us", 25.0),  # register 0 acts as 1
         ("diff_on", -250, "threshold_on", LEAST_FACTOR),
     ],
 )
 def test_a_bias_moves_its_figure_alone(bias, steps, figure, factor):
     assert BiasModel(SLOPES).factors({bias: steps}) == {figure: pytest.approx(factor)}
+
+
+def test_the_longest_dead_time_is_that_of_the_least_current():
+    factors = [BiasModel().factors({"refr": steps})["refractory_us"] for steps in (-18, -19, -20)]
+    assert factors == [pytest.approx(10.0), pytest.approx(20.0), pytest.approx(20.0)]
 
 
 def test_the_low_pass_is_the_source_follower_where_there_is_one():

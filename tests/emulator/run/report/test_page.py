@@ -38,6 +38,20 @@ def test_the_share_of_undersampled_pixel_steps_is_in_every_report(share, told, p
     assert re.search(rf">undersampled</th><td[^>]*>{told}", text)
 
 
+@pytest.mark.parametrize(
+    "late",
+    [
+        {"lateness": dataclasses.replace(RESULT.lateness, steps_stretched=30)},
+        {"lateness": dataclasses.replace(RESULT.lateness, worst_gap_us=9e6), "max_late_us": 1e6},
+    ],
+)
+def test_a_late_run_has_no_opposite_advice(late, capsys):
+    print_summary(load_rig("checkerboard"), dataclasses.replace(RESULT, undersampled_share=0.25, **late))
+    shown = capsys.readouterr().out
+    assert "the run was late" in shown
+    assert "shorten run.step_us" not in shown
+
+
 @pytest.mark.parametrize("share", [0.25, 0.02])
 def test_the_report_has_the_advice_of_the_terminal(share, page, capsys):
     result = dataclasses.replace(RESULT, undersampled_share=share)

@@ -174,6 +174,22 @@ def test_times_that_do_not_go_on_are_an_error():
         lit(scene, 15)
 
 
+def test_milliseconds_in_the_place_of_nanoseconds_are_an_error():
+    with (
+        scene_of(lambda _, k: k, {"images": "pushed"}, times_ms=[0, 1e-6, 2e-6, 3e-6]) as (scene, _),
+        pytest.raises(SceneError, match=r"image 1 is 1 ns after the one before.*nanoseconds; does the renderer give"),
+    ):
+        lit(scene, 15)
+
+
+def test_the_images_for_one_light_frame_have_a_bound(monkeypatch):
+    monkeypatch.setattr("emulator.scene.external.external._MOST_A_FRAME", 5)
+    with scene_of(lambda _, k: k, {"images": "pushed"}, times_ms=range(20)) as (scene, _):
+        lit(scene, 4)
+        with pytest.raises(SceneError, match="more than 5 images came for one light frame"):
+            lit(scene, 15)
+
+
 @pytest.mark.parametrize(
     ("layer", "value"),
     [
