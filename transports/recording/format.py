@@ -52,6 +52,8 @@ class Format:
         Time that is written at once, if events are few.
     live
         True if a file that was not closed can be read up to its last whole piece.
+    has_pulses
+        False if its triggers are rising and falling edges alone, so that a pulse that a camera reports has no record.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Format:
     is_folder: bool = False
     piece_us: int = 10_000  # the packet length of cameras
     live: bool = True
+    has_pulses: bool = True
 
     def open_writer(self, path: Path, facts: Facts) -> Writer:
         """Return a writer of `path`, which is overwritten; raises OSError or RecordingError."""
@@ -113,19 +116,21 @@ _FORMATS = (
     ),
     Format(
         "evt3", "EVT3", (".raw",), f"{_HERE}.evt_file:Evt3Writer", f"{_HERE}.evt_file:EvtReader", _WORDS, _WORDS,
-        "Metavision, OpenEB, faery, evlib, evt3", "", (1 << 11, 1 << 11),
+        "Metavision, OpenEB, faery, evlib, evt3", "", (1 << 11, 1 << 11), has_pulses=False,
     ),
     Format(
         "evt2", "EVT2", (".evt2.raw", ".evt2"), f"{_HERE}.evt_file:Evt2Writer", f"{_HERE}.evt_file:EvtReader",
         _WORDS, _WORDS, "Metavision, OpenEB, faery, evlib, expelliarmus", "", (1 << 11, 1 << 11), 1 << 34,
+        has_pulses=False,
     ),
     Format(
         "evt21", "EVT2.1", (".evt21.raw", ".evt21"), f"{_HERE}.evt_file:Evt21Writer", f"{_HERE}.evt_file:EvtReader",
-        _WORDS, _WORDS, "Metavision, OpenEB, evlib", "", (1 << 11, 1 << 11), 1 << 34,
+        _WORDS, _WORDS, "Metavision, OpenEB, evlib", "", (1 << 11, 1 << 11), 1 << 34, has_pulses=False,
     ),
     Format(
         "evt21-legacy", "EVT2.1 as of an IMX636", (".evt21-legacy.raw",), f"{_HERE}.evt_file:Evt21LegacyWriter",
         f"{_HERE}.evt_file:EvtReader", _WORDS, _WORDS, "Metavision, OpenEB", "", (1 << 11, 1 << 11), 1 << 34,
+        has_pulses=False,
     ),
     Format(
         "dat", "DAT", (".dat",), f"{_HERE}.faery_files:DatWriter", f"{_HERE}.faery_files:DatReader", ("events",), (),
@@ -145,7 +150,7 @@ _FORMATS = (
     ),
     Format(
         "ros1", "ROS 1 bag", (".bag",), f"{_HERE}.rosbag:Ros1Writer", f"{_HERE}.rosbag:BagReader", _ALL, _WORDS,
-        "event_camera_msgs (evt3)", "rosbags", (1 << 11, 1 << 11), live=False,
+        "event_camera_msgs (evt3)", "rosbags", (1 << 11, 1 << 11), live=False, has_pulses=False,
     ),
     Format(
         "ros1-dvs", "ROS 1 bag of dvs_msgs", (".dvs.bag",), f"{_HERE}.rosbag:Ros1DvsWriter",
@@ -153,7 +158,7 @@ _FORMATS = (
     ),
     Format(
         "ros2", "ROS 2 bag", (".ros2",), f"{_HERE}.rosbag:Ros2Writer", f"{_HERE}.rosbag:BagReader", _ALL, _WORDS,
-        "event_camera_msgs (evt3)", "rosbags", (1 << 11, 1 << 11), is_folder=True, live=False,
+        "event_camera_msgs (evt3)", "rosbags", (1 << 11, 1 << 11), is_folder=True, live=False, has_pulses=False,
     ),
     Format(
         "ros2-dvs", "ROS 2 bag of dvs_msgs", (".dvs.ros2",), f"{_HERE}.rosbag:Ros2DvsWriter",

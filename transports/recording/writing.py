@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.events import EDGE, EVENT, Events, join_events
+from firmware_protocol.events import EDGE, EVENT, EdgeKind, Events, join_events
 from transports.recording.format import Format, with_addition
 from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, Writer, counts_of
 
@@ -189,7 +189,11 @@ class RecordingFile:
             self._starts_us.append(int(part.events["t"][0]))
             self._last_us = int(part.events["t"][-1])
             self._since_flush += len(part.events)
-        for name, records in (("events", part.events), ("edges", part.edges), ("imu", part.imu)):
+        edges = part.edges
+        if not self._form.has_pulses:
+            edges = edges[edges["kind"] != EdgeKind.PULSE]
+            self.left_out["edges"] += len(part.edges) - len(edges)
+        for name, records in (("events", part.events), ("edges", edges), ("imu", part.imu)):
             if len(records) and name in self._streams:
                 self._hold_records(name, records if name == "events" else _sorted(records))
         if part.frames and "frames" in self._streams:
