@@ -194,14 +194,21 @@ def host_imu_settings(unit: str) -> ImuSettings:
     return driver_imu_settings(IMU_UNITS[unit])
 
 
+def _common(camera: Camera, usb: UsbSettings) -> dict[str, Any]:
+    """Return the settings of every camera on USB."""
+    return {
+        "serial": camera.serial,
+        "speed": Speed[camera.speed.upper()],
+        "fifo_bytes": camera.fifo_bytes,
+        "start_delay_us": round(usb.start_delay_ms * 1000),
+    }
+
+
 def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     settings = Davis346Settings(
-        serial=camera.serial,
+        **_common(camera, usb),
         size=camera.size,
-        speed=Speed[camera.speed.upper()],
         layout=Layout[camera.layout.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
         system=SystemInfo(timestamp_master=usb.is_master),
         imu_unit=IMU_UNITS[camera.imu.unit] if camera.imu is not None and camera.imu.unit in _DAVIS_UNITS else 0,
         frames=camera.frames is not None,
@@ -213,10 +220,7 @@ def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
 
 def _dvxplorer(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     settings = DvxplorerSettings(
-        serial=camera.serial,
-        speed=Speed[camera.speed.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
+        **_common(camera, usb),
         system=dataclasses.replace(dvxplorer_registers.SYSTEM, timestamp_master=usb.is_master),
         imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
         pulse_us=usb.pulse_us,
@@ -226,11 +230,8 @@ def _dvxplorer(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
 
 def _dvxplorer_micro(bcd_device: int, camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     settings = DvxplorerMicroSettings(
-        serial=camera.serial,
+        **_common(camera, usb),
         bcd_device=bcd_device,
-        speed=Speed[camera.speed.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
         imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
     )
     return partial(DvxplorerMicro, settings)
@@ -245,10 +246,7 @@ def _micro(bcd_device: int) -> CameraModel:
 def _evk4(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     sensor = camera.sensor
     settings = Evk4Settings(
-        serial=camera.serial,
-        speed=Speed[camera.speed.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
+        **_common(camera, usb),
         surroundings=Surroundings(celsius=sensor.temperature.celsius, dead_time_us=sensor.refractory_us),
         biases=camera.bias_model,
         board=BOARDS[camera.model],
@@ -260,10 +258,7 @@ def _evk4(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
 def _genx320(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     sensor = camera.sensor
     settings = Genx320Settings(
-        serial=camera.serial,
-        speed=Speed[camera.speed.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
+        **_common(camera, usb),
         surroundings=genx320_registers.Surroundings(sensor.temperature.celsius, dead_time_us=sensor.refractory_us),
         pulse_us=usb.pulse_us,
         biases=camera.bias_model,

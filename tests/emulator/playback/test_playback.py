@@ -12,8 +12,8 @@ from emulator.rig.loading import RigError, parse_rig
 from emulator.run.assembly import build_sensor
 from emulator.sensor.presets import PRESETS
 from firmware_protocol.events import EVENT
+from tests.npz_records import save_record
 from tests.transports.recording.samples import sample_events, write
-from transports.recording.record import save_record
 
 SENSOR = PRESETS["davis346"]
 DARK = np.zeros((260, 346), np.float32)

@@ -1,4 +1,4 @@
-"""Pulses at a camera's input: every camera and format records each one as it was sent, by count, polarity and length."""
+"""Pulses at a camera's input: every camera and format records each as it was sent, by count, polarity and length."""
 
 import evt3
 import numpy as np
@@ -12,10 +12,10 @@ from firmware_protocol.events import EDGE, EVENT, EdgeKind
 from firmware_protocol.evt.words import evt3_header
 from tests.firmware_protocol.evt2_words import by_the_tables
 from tests.firmware_protocol.gige_host import Host as GigeHost
+from tests.npz_records import load_edges
 from tests.transports.recording.test_other_readers import dv_processing, messages_of
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Part
-from transports.recording.record import load_edges
 from transports.recording.rosbag import EVENT_PACKET
 from transports.recording.writing import RecordingFile
 from transports.usb.cameras import driver_of
