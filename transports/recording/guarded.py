@@ -73,8 +73,7 @@ class OpenRecording:
             events = part.events
             if self._strict and (wrong := wrong_event(events, last_us, size)) is not None:
                 yield Part(events[: wrong[0]])
-                advice = "evstim.read_events with strict=False returns all events"
-                raise RecordingError(f"event {count + wrong[0]} {wrong[1]}; {advice}")
+                raise RecordingError(f"event {count + wrong[0]} {wrong[1]}; read_events with strict=False returns all")
             yield part
             count, last_us = count + len(events), int(events["t"][-1]) if len(events) else last_us
 
