@@ -224,10 +224,9 @@ class Truth:
                 raise Failure(f"--truth: {error}", WRONG_USE) from error
             except ImportError as error:
                 raise Failure(f"--truth: {error}", LACKING) from error
-            pictures_hz, bytes_a_second = pictures_bytes(rig, every)
+            rate_hz, bytes_a_second = pictures_bytes(rig, every)
             size = f"{bytes_a_second * (rig.run.seconds or 1) / 1e6:.2g} MB{'' if rig.run.seconds else ' a second'}"
-            text = f"truth: {pictures_hz:g} light frames a second, at most {size} of them in {path}"
-            status.print(text, markup=False)
+            status.print(f"truth: {rate_hz:g} light frames a second, at most {size} of them in {path}", markup=False)
         elif rig.camera.clock is None or not rig.links:
             raise Failure(
                 "--truth: give an .h5 file for the truth of scene and sensor; any other file is for the error of the "

@@ -228,10 +228,9 @@ def format_to_read(path: Path) -> Format:
 
 def is_recording(path: Path) -> bool:
     """Return true if a path is that of a recording by its suffix or by its first bytes."""
-    with suppress(RecordingError):
-        return bool(format_to_write(path))
-    with suppress(RecordingError, OSError):
-        return bool(format_to_read(path))
+    for format_of in (format_to_write, format_to_read):
+        with suppress(RecordingError, OSError):
+            return bool(format_of(path))
     return False
 
 

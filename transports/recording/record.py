@@ -97,9 +97,11 @@ def _member(archive: zipfile.ZipFile, name: str) -> _Array:
         raise ArrayFileError(
             f"{name} would grow from {info.compress_size} to {info.file_size} bytes, beyond {_MOST_GROWTH} times"
         )
-    is_stored = info.compress_type == zipfile.ZIP_STORED and archive.fp is not None
+    size = info.file_size
+    if info.compress_type == zipfile.ZIP_STORED and archive.fp is not None:
+        size = min(size, os.fstat(archive.fp.fileno()).st_size)
     with archive.open(info) as file:
-        return _array(file, min(info.file_size, os.fstat(archive.fp.fileno()).st_size) if is_stored else info.file_size)
+        return _array(file, size)
 
 
 def _array(file: IO[bytes], size: int) -> _Array:
