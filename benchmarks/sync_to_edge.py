@@ -27,7 +27,6 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import EdgeKind
-from transports.recording.record import load_edges
 
 __all__ = ["main"]
 
@@ -117,7 +116,7 @@ def measure(folder: Path, seconds: float, priority: int) -> dict[str, Any]:
         sent_ns = send_syncs(joined(port), running)
         said, _ = running.communicate()
     monotonic_ns, stream_us = np.loadtxt(folder / "t-loopback.csv", delimiter=",", skiprows=1)[-1, :2]
-    edges, _ = load_edges(folder / "r-loopback.npz")
+    edges = np.load(folder / "r-loopback.npz")["edges"]
     rising = edges[edges["kind"] == EdgeKind.RISING]["t"].astype(np.int64)
     error = errors_us(sent_ns, rising * 1000 + int(monotonic_ns - stream_us * 1000))
     link = json.loads(said.splitlines()[-1])["links"]["loopback"]["edges"]

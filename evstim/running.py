@@ -62,7 +62,7 @@ def run(
     pace: Pace | None = None,
     record: str | Path | None = None,
     truth: str | Path | None = None,
-    truth_every: int = 1,
+    truth_every: int | None = None,
 ) -> LiveRun[Events]: ...
 
 
@@ -76,7 +76,7 @@ def run(
     pace: Pace | None = None,
     record: str | Path | None = None,
     truth: str | Path | None = None,
-    truth_every: int = 1,
+    truth_every: int | None = None,
 ) -> LiveRun[Delivery]: ...
 
 
@@ -89,7 +89,7 @@ def run(
     pace: Pace | None = None,
     record: str | Path | None = None,
     truth: str | Path | None = None,
-    truth_every: int = 1,
+    truth_every: int | None = None,
 ) -> LiveRun[Any]:
     """Return a run of a rig: a context manager that starts it, and an iterator of its events or deliveries.
 
@@ -103,7 +103,7 @@ def run(
     pace : "realtime": every event leaves at its own time; "free": as fast as the machine can, losing nothing.
     record : file for what the links deliver, in the format of its suffix; see `read_events` and docs/recordings.md.
     truth : .h5 file for the truth of the run: light, depth, flow, labels, poses, origins; see docs/truth.md.
-    truth_every : light, depth, flow and labels of every n-th light frame go into it.
+    truth_every : light, depth, flow and labels of every n-th light frame go into it, by default of 25 a second.
 
     Raises
     ------
@@ -156,7 +156,7 @@ class LiveRun(Generic[Batch]):
         rig: Rig,
         record: Path | None = None,
         truth: Path | None = None,
-        truth_every: int = 1,
+        truth_every: int | None = None,
         link: str | None = None,
     ) -> None:
         self.rig = rig

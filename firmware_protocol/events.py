@@ -40,6 +40,7 @@ __all__ = [
     "empty_edges",
     "empty_events",
     "join_events",
+    "level_changes",
 ]
 
 
@@ -97,3 +98,14 @@ class EdgeKind(IntEnum):
 def empty_edges(n: int = 0) -> Edges:
     """Return an array of `n` zeroed edges."""
     return np.zeros(n, EDGE)
+
+
+def level_changes(edges: Edges, pulse_us: int) -> Edges:
+    """Return edges (n,) EDGE as changes of the signal, sorted: a pulse rises at its time and falls `pulse_us` later."""
+    is_pulse = edges["kind"] == EdgeKind.PULSE
+    begins, ends = edges.copy(), edges[is_pulse]
+    begins["kind"][is_pulse] = EdgeKind.RISING
+    ends["kind"] = EdgeKind.FALLING
+    ends["t"] += np.uint64(pulse_us)
+    both = np.concatenate([begins, ends])
+    return both[np.argsort(both["t"], kind="stable")]

@@ -53,7 +53,7 @@ _COMMANDS = {
             "listen.cameras:verbs",
             "Read a camera, real or emulated: on USB (the default), a serial line or a CAN bus.",
         ),
-        ("picture", "picture:picture", "Write a PNG of a rig: its light and its events."),
+        ("picture", "picture:picture", "Write a picture or movie of a rig or a recording: its light and its events."),
         ("doctor", "doctor:doctor", "Show which parts this machine has and lacks, with the command that adds each."),
     ),
     "Rigs": (

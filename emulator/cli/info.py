@@ -160,7 +160,7 @@ def info(
     if (truth := truth_in(file)) is not None:
         return show_truth(file, truth, json=json)
     survey, trouble = Survey(), ""
-    with reading(file), OpenRecording(file, parsed_size(size)) as recording:
+    with reading(file), OpenRecording(file, parsed_size(size), strict=False) as recording:
         try:
             for part in recording.parts():
                 survey.add(part)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
+import shutil
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
@@ -72,7 +74,7 @@ class Files:
         event, the events of an ideal sensor; see docs/truth.md. Or the true error of the camera's clock to this .csv,
         ten lines per second; the rig needs [camera.clock]. Of several links each has a .csv, NAME-LINK.csv.
     truth_every
-        Light, depth, flow and labels of every n-th light frame go into the .h5.
+        Light, depth, flow and labels of every n-th light frame go into the .h5; by default of 25 a second.
     fault_log
         Write a line of JSON to this file for each begin, hit, loss and end of a fault.
     ready_file
@@ -87,7 +89,7 @@ class Files:
 
     record: Path | None = None
     truth: Path | None = None
-    truth_every: int = 1
+    truth_every: int | None = None
     fault_log: Path | None = None
     ready_file: Path | None = None
     trace: Path | None = None
@@ -146,7 +148,8 @@ def run(
         print_json({**summary(loaded, result), "truth_trouble": truth.trouble})
     else:
         print_summary(loaded, result)
-        truth.print_trouble()
+        if truth.trouble:
+            console.print(f"--truth: {truth.trouble}", markup=False)
     return GOOD if good(judge(loaded.verdict, result)) and not truth.trouble else BAD_VERDICT
 
 
@@ -268,7 +271,11 @@ def _session(rig: Rig, scene: Scene, setups: list[LinkSetup[Any]], truth: Any) -
     try:
         return build_session(rig, scene, setups, MonotonicClock(), truth)
     except OSError as error:
-        raise Failure(f"--truth: {error.filename}: {error.strerror or error}", WRONG_USE) from error
+        text = f"--truth: {error.filename}: {error.strerror or error}"
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise Failure(text, WRONG_USE) from error
+        free_mb = shutil.disk_usage(Path(error.filename).parent).free / 1e6
+        raise Failure(f"{text}: {free_mb:.1f} MB free; free more, or name a file on another disk", LACKING) from error
 
 
 def _signal_ready(ready: ReadySignal, now: RunStatus) -> None:

@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from emulator.cli.checks import check_output
-from emulator.cli.output import LACKING, WRONG_USE, Failure, console
+from emulator.cli.output import LACKING, WRONG_USE, Failure, status
 from emulator.rig.loading import Rig
 from emulator.run.kernels import TRUTH, Part
 from emulator.run.link_process import traced
 from emulator.run.outcome import Judgement, LinkLedger, RunResult
-from emulator.run.truth.source import SUFFIXES, TruthRefused, check_truth
+from emulator.run.truth.source import SUFFIXES, TruthFile, TruthRefused, pictures_bytes
 from firmware_protocol.device.fates import Counts
 from transports.faults.script import FaultRecord
 from transports.link.process import LinkSetup
@@ -211,14 +211,22 @@ class Truth:
     clock : the file for the error of the camera's clock.
     """
 
-    def __init__(self, rig: Rig, path: Path | None, every: int) -> None:
+    def __init__(self, rig: Rig, path: Path | None, every: int | None) -> None:
         is_scene = path is not None and path.suffix in SUFFIXES
         self.clock = None if is_scene else path
         self._file: Any = None
         if path is None:
             return
         if is_scene:
-            self._file = _truth_file(rig, path, every)
+            try:
+                self._file = TruthFile(rig, path, every)
+            except TruthRefused as error:
+                raise Failure(f"--truth: {error}", WRONG_USE) from error
+            except ImportError as error:
+                raise Failure(f"--truth: {error}", LACKING) from error
+            rate_hz, bytes_a_second = pictures_bytes(rig, every)
+            size = f"{bytes_a_second * (rig.run.seconds or 1) / 1e6:.2g} MB{'' if rig.run.seconds else ' a second'}"
+            status.print(f"truth: {rate_hz:g} light frames a second, at most {size} of them in {path}", markup=False)
         elif rig.camera.clock is None or not rig.links:
             raise Failure(
                 "--truth: give an .h5 file for the truth of scene and sensor; any other file is for the error of the "
@@ -240,23 +248,6 @@ class Truth:
     def begin(self) -> AbstractContextManager[Any]:
         """Return the context of the truth file, for `build_session`; its value is None without a file."""
         return nullcontext() if self._file is None else self._file
-
-    def print_trouble(self) -> None:
-        """Print the reason why the file is not complete, if it is not."""
-        if self.trouble:
-            console.print(f"--truth: {self.trouble}", markup=False)
-
-
-def _truth_file(rig: Rig, path: Path, every: int) -> Any:
-    try:
-        check_truth(rig, path, every)
-    except TruthRefused as error:
-        raise Failure(f"--truth: {error}", WRONG_USE) from error
-    except ImportError as error:
-        raise Failure(f"--truth: {error}", LACKING) from error
-    from emulator.run.truth.source import TruthFile
-
-    return TruthFile(rig, path, every)
 
 
 def begin_trace(setups: Sequence[LinkSetup[Any]], path: Path | None) -> list[LinkSetup[Any]]:

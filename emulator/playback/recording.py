@@ -1,18 +1,16 @@
 """Recordings of events that a rig plays, and their readers.
 
-    .npz       written by `--record` and the listeners; the part after the last restart of the camera's clock
-    others     every format that `evstim convert` reads, in a child process, see docs/recordings.md
-
-A recording is read whole into memory, 13 bytes an event.
+Every format that `evstim convert` reads is played, see docs/recordings.md; of an `.npz` record the part after the last
+restart of the camera's clock. A recording is read whole into memory, 13 bytes an event.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
-
-import numpy as np
 
 from emulator.light import MachineLacks, SceneError
 from emulator.scene.kind import SceneKind
@@ -21,8 +19,7 @@ from firmware_protocol.events import Events, join_events
 from transports.needs import Need, package
 from transports.recording.format import format_to_read, format_to_write
 from transports.recording.guarded import LibraryMissing, OpenRecording
-from transports.recording.part import Frame, RecordingError
-from transports.recording.record import ArrayFileError, load_record
+from transports.recording.part import Frame, RecordingError, wrong_event
 
 __all__ = ["RECORDING", "RecordingParameters", "load_recording", "read_events", "read_frames"]
 
@@ -59,8 +56,6 @@ class RecordingParameters:
 
 def _needs(parameters: RecordingParameters) -> tuple[Need, ...]:
     path = Path(parameters.path)
-    if path.suffix == ".npz":
-        return ()
     try:
         needed = (format_to_read(path) if path.exists() else format_to_write(path)).needs
     except (OSError, RecordingError):  # reported when it is opened
@@ -81,14 +76,11 @@ def read_events(path: Path, known: tuple[int, int] | None = None) -> tuple[Event
 
     Raises SceneError where the file cannot be read, holds no events, or goes back in time.
     """
-    events, size = _read(path, known)
+    with _opened(path, known) as recording:
+        events = join_events([part.events for part in recording.parts()]).copy()
     if not len(events):
         raise SceneError(f"{path}: holds no events")
-    back = np.flatnonzero(events["t"][1:] < events["t"][:-1])
-    if back.size:
-        k = int(back[0]) + 1
-        raise SceneError(f"{path}: event {k} goes back in time, from {events['t'][k - 1]} to {events['t'][k]} us")
-    return events, size
+    return events, recording.facts.size
 
 
 def read_frames(path: Path) -> list[Frame]:
@@ -96,18 +88,9 @@ def read_frames(path: Path) -> list[Frame]:
 
     Raises SceneError where the file cannot be read.
     """
-    if path.suffix == ".npz":
-        return []
-    try:
-        with OpenRecording(path, None) as recording:
-            frames = [frame for part in recording.parts() for frame in part.frames]
-            size = recording.facts.size
-    except LibraryMissing as error:
-        raise MachineLacks(f"{path}: {error}") from error
-    except RecordingError as error:
-        raise SceneError(f"{path}: {error}") from error
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be read: {error.strerror or error}") from error
+    with _opened(path, None) as recording:
+        frames = [frame for part in recording.parts() for frame in part.frames]
+    size = recording.facts.size
     return [frame for frame in frames if size is None or frame.pixels.shape[:2] == size[::-1]]
 
 
@@ -120,37 +103,21 @@ def load_recording(path: Path, size: tuple[int, int]) -> Events:
         The file cannot be read, holds no events, or events that a sensor of `size` = (width, height) cannot have.
     """
     events, _ = read_events(path, size)
-    outside = np.flatnonzero((events["x"] >= size[0]) | (events["y"] >= size[1]))
-    if outside.size:
-        k = int(outside[0])
-        raise SceneError(
-            f"{path}: event {k} is at ({events['x'][k]}, {events['y'][k]}), outside a sensor of {size[0]} x {size[1]} "
-            "pixels; give the camera the model that recorded it"
-        )
+    if (wrong := wrong_event(events, 0, size)) is not None:
+        raise SceneError(f"{path}: event {wrong[0]} {wrong[1]}; give the camera the model that recorded it")
     events["t"] -= events["t"][0]
     return events
 
 
-def _read(path: Path, known: tuple[int, int] | None) -> tuple[Events, tuple[int, int] | None]:
-    if path.suffix == ".npz":
-        return _read_npz(path), known
+@contextmanager
+def _opened(path: Path, known: tuple[int, int] | None) -> Iterator[OpenRecording]:
+    """Open a recording, and turn its errors into SceneError or MachineLacks."""
     try:
         with OpenRecording(path, known) as recording:
-            events = join_events([part.events for part in recording.parts()])
-            return events.copy(), recording.facts.size
+            yield recording
     except LibraryMissing as error:
         raise MachineLacks(f"{path}: {error}") from error
     except RecordingError as error:
         raise SceneError(f"{path}: {error}") from error
     except OSError as error:
         raise SceneError(f"{path}: cannot be read: {error.strerror or error}") from error
-
-
-def _read_npz(path: Path) -> Events:
-    try:
-        events, restarts = load_record(path)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except ArrayFileError as error:
-        raise SceneError(str(error)) from error
-    return events[restarts[-1] :].copy() if restarts else events

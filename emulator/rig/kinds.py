@@ -126,13 +126,10 @@ def assigned_fault(fault: Fault, links: Sequence[LinkParameters], path: KeyPath 
 
 @dataclass(frozen=True)
 class UsbSettings:
-    """Settings of a run for a camera's USB device; `pulse_us` None: no trigger is connected.
-
-    `is_master` False: its clock follows that of another camera.
-    """
+    """Settings of a run for a camera's USB device; `is_master` False: its clock follows that of another camera."""
 
     start_delay_ms: float
-    pulse_us: int | None = None
+    pulse_us: int = 100
     is_master: bool = True
 
 
@@ -197,43 +194,44 @@ def host_imu_settings(unit: str) -> ImuSettings:
     return driver_imu_settings(IMU_UNITS[unit])
 
 
+def _common(camera: Camera, usb: UsbSettings) -> dict[str, Any]:
+    """Return the settings of every camera on USB."""
+    return {
+        "serial": camera.serial,
+        "speed": Speed[camera.speed.upper()],
+        "fifo_bytes": camera.fifo_bytes,
+        "start_delay_us": round(usb.start_delay_ms * 1000),
+    }
+
+
 def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     settings = Davis346Settings(
-        serial=camera.serial,
+        **_common(camera, usb),
         size=camera.size,
-        speed=Speed[camera.speed.upper()],
         layout=Layout[camera.layout.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
         system=SystemInfo(timestamp_master=usb.is_master),
         imu_unit=IMU_UNITS[camera.imu.unit] if camera.imu is not None and camera.imu.unit in _DAVIS_UNITS else 0,
         frames=camera.frames is not None,
         activity_filter=camera.activity_filter,
-        pulse_us=Davis346Settings.pulse_us if usb.pulse_us is None else usb.pulse_us,
+        pulse_us=usb.pulse_us,
     )
     return partial(Davis346, settings)
 
 
 def _dvxplorer(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     settings = DvxplorerSettings(
-        serial=camera.serial,
-        speed=Speed[camera.speed.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
+        **_common(camera, usb),
         system=dataclasses.replace(dvxplorer_registers.SYSTEM, timestamp_master=usb.is_master),
         imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
-        pulse_us=DvxplorerSettings.pulse_us if usb.pulse_us is None else usb.pulse_us,
+        pulse_us=usb.pulse_us,
     )
     return partial(Dvxplorer, settings)
 
 
 def _dvxplorer_micro(bcd_device: int, camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     settings = DvxplorerMicroSettings(
-        serial=camera.serial,
+        **_common(camera, usb),
         bcd_device=bcd_device,
-        speed=Speed[camera.speed.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
         imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
     )
     return partial(DvxplorerMicro, settings)
@@ -248,14 +246,11 @@ def _micro(bcd_device: int) -> CameraModel:
 def _evk4(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     sensor = camera.sensor
     settings = Evk4Settings(
-        serial=camera.serial,
-        speed=Speed[camera.speed.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
+        **_common(camera, usb),
         surroundings=Surroundings(celsius=sensor.temperature.celsius, dead_time_us=sensor.refractory_us),
         biases=camera.bias_model,
         board=BOARDS[camera.model],
-        pulse_us=Evk4Settings.pulse_us if usb.pulse_us is None else usb.pulse_us,
+        pulse_us=usb.pulse_us,
     )
     return partial(Evk4, settings)
 
@@ -263,12 +258,9 @@ def _evk4(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
 def _genx320(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     sensor = camera.sensor
     settings = Genx320Settings(
-        serial=camera.serial,
-        speed=Speed[camera.speed.upper()],
-        fifo_bytes=camera.fifo_bytes,
-        start_delay_us=round(usb.start_delay_ms * 1000),
+        **_common(camera, usb),
         surroundings=genx320_registers.Surroundings(sensor.temperature.celsius, dead_time_us=sensor.refractory_us),
-        pulse_us=Genx320Settings.pulse_us if usb.pulse_us is None else usb.pulse_us,
+        pulse_us=usb.pulse_us,
         biases=camera.bias_model,
     )
     return partial(Genx320, settings)

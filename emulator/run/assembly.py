@@ -209,7 +209,11 @@ def initial_readings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
 
 def plain_camera(rig: Rig) -> Callable[[], PlainDevice]:
     """Return the factory of the device of a link that takes frames and samples, for its process."""
-    return partial(PlainDevice, readings=initial_readings(rig))
+    return partial(PlainDevice, readings=initial_readings(rig), pulse_us=_pulse_us(rig))
+
+
+def _pulse_us(rig: Rig) -> int:
+    return Trigger.pulse_us if rig.trigger is None else rig.trigger.pulse_us
 
 
 def _driver_settings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
@@ -407,7 +411,7 @@ def _facts(rig: Rig, kind: LinkKind[Any]) -> Facts:
 
 def _device(rig: Rig, link: LinkParameters, kind: LinkKind[Any], is_master: bool) -> Callable[[], Any]:
     if kind.serves == "plain":
-        return plain_camera(rig) if kind.has_readings else PlainDevice
+        return plain_camera(rig) if kind.has_readings else partial(PlainDevice, pulse_us=_pulse_us(rig))
     if kind.serves == "gige":
         return _gige_camera(rig, link)
     return _instrument(rig, link) if kind.serves == "instrument" else _usb_camera(rig, kind, is_master)
@@ -432,6 +436,7 @@ def _gige_camera(rig: Rig, link: Any) -> Callable[[], Triton2]:
         biases=rig.camera.bias_model,
         ptp=link.ptp,
         ptp_domain=link.ptp_domain,
+        pulse_us=_pulse_us(rig),
     )
     return partial(Triton2, settings)
 
@@ -441,5 +446,4 @@ def _usb_camera(rig: Rig, kind: LinkKind[Any], is_master: bool) -> Callable[[], 
     if usb is None:
         raise RigError(f"{rig.name}: there is no USB model for a {rig.camera.model} yet")
     delay_ms = rig.camera.start_delay_ms if kind.start_delay else 0.0
-    pulse_us = None if rig.trigger is None else rig.trigger.pulse_us
-    return usb.device(rig.camera, UsbSettings(delay_ms, pulse_us, is_master))
+    return usb.device(rig.camera, UsbSettings(delay_ms, _pulse_us(rig), is_master))

@@ -1,4 +1,4 @@
-"""An event camera without electronics: its input waits, unchanged, for a receiver.
+"""An event camera without electronics: its input waits for a receiver, unchanged except that a pulse is two edges.
 
     offer, offer_edges, offer_readings --> ItemQueue: one for each clock --> take, in the order of time
 
@@ -17,7 +17,7 @@ import numpy as np
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Counts, Fates
 from firmware_protocol.device.items import Items, Numbers, Reading, ReadingKind, Readings, count_kinds
-from firmware_protocol.events import EVENT, Edges, Events, copy_events, empty_edges, empty_events
+from firmware_protocol.events import EVENT, Edges, Events, copy_events, empty_edges, empty_events, level_changes
 
 __all__ = ["ItemQueue", "PlainDevice", "own_time"]
 
@@ -154,6 +154,8 @@ class PlainDevice(EventDevice):
         Most events that it holds, with those whose fate is open; edges likewise.
     readings
         Settings of each kind of readings that it takes, as `EventDevice.reading_settings`; others are refused.
+    pulse_us
+        Length of a pulse at its input.
 
     Attributes
     ----------
@@ -162,9 +164,13 @@ class PlainDevice(EventDevice):
     """
 
     def __init__(
-        self, capacity: int = _CAPACITY, readings: Mapping[ReadingKind, tuple[int, ...]] = _NO_SETTINGS
+        self,
+        capacity: int = _CAPACITY,
+        readings: Mapping[ReadingKind, tuple[int, ...]] = _NO_SETTINGS,
+        pulse_us: int = 100,
     ) -> None:
         self._capacity = capacity
+        self._pulse_us = pulse_us
         self._settings = dict(readings)
         self.takes_edges = True
         self._running = True
@@ -211,13 +217,16 @@ class PlainDevice(EventDevice):
             self._now_us = int(events["t"][fitting - 1])
 
     def offer_edges(self, edges: Edges) -> None:
-        """Queue edges (n,) EDGE, as many as fit."""
+        """Queue edges (n,) EDGE, as many as fit: both changes of a pulse."""
         counts = self._fates.edges
+        counts.offered += len(edges)
         if self._running and self.takes_edges:
-            room = self._capacity - self._waiting.edges - counts.queued
-            self._queue.put(empty_events(), edges[: self._fitting(counts, len(edges), room)], [])
+            changes = level_changes(edges, self._pulse_us)
+            fitting = changes[: max(0, self._capacity - self._waiting.edges - counts.queued)]
+            counts.added += len(changes) - len(edges)
+            counts.dropped_fifo += len(changes) - len(fitting)
+            self._queue.put(empty_events(), fitting, [])
         else:
-            counts.offered += len(edges)
             counts.ignored += len(edges)
 
     def reading_settings(self, kind: ReadingKind) -> tuple[int, ...]:

@@ -107,12 +107,6 @@ class BlockOutflow(Outflow[Outgoing]):
         self.number = number
         self.shift_ns: int | None = None
 
-    def put_edges(self, edges: Edges) -> int:
-        """Queue edges (n,) EDGE in the order of their times."""
-        count = super().put_edges(edges)
-        self._edges = self._edges[np.argsort(self._edges["t"], kind="stable")]
-        return count
-
     def take(self, now_us: int, room: int, *, at_once: bool = False) -> Outgoing | None:
         """Return the next block; None while it is empty, or may still grow and `at_once` is false.
 
@@ -172,7 +166,7 @@ class Triton2(PropheseeCamera[BlockOutflow]):
 
     def __init__(self, settings: Triton2Settings | None = None) -> None:
         self.settings = settings = settings or Triton2Settings()
-        super().__init__(settings.size, settings.biases, BlockOutflow(0, settings))
+        super().__init__(settings.size, settings.biases, BlockOutflow(0, settings), settings.pulse_us)
         self._selection = RangeSelection(settings.size)
         rules = triton2_rules(settings) | self._selection.rules() | self._own_rules()
         self._memory = Memory(triton2_areas(settings), rules)

@@ -102,6 +102,8 @@ class Triton2Settings:
         True if the camera can follow a master of the Precision Time Protocol; a host switches that on.
     ptp_domain
         Domain of that protocol.
+    pulse_us
+        Length of a pulse at the trigger input.
     """
 
     size: tuple[int, int] = (1280, 720)
@@ -114,6 +116,7 @@ class Triton2Settings:
     biases: BiasModel = field(default_factory=BiasModel)
     ptp: bool = False
     ptp_domain: int = 0
+    pulse_us: int = 100
 
     def __post_init__(self) -> None:
         ipaddress.IPv4Address(self.address)

@@ -28,7 +28,7 @@ import numpy as np
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import Items, Numbers
-from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events, join_events
+from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events, join_events, level_changes
 from firmware_protocol.evt.words import Coder
 from firmware_protocol.prophesee.biases import BiasModel
 from firmware_protocol.prophesee.selection import Selected
@@ -106,9 +106,10 @@ class Outflow(ABC, Generic[_Taken]):
         return len(fitting)
 
     def put_edges(self, edges: Edges) -> int:
-        """Queue as many of edges (n,) EDGE as fit; return their number."""
+        """Queue as many of edges (n,) EDGE as fit, in the order of their times; return their number."""
         fitting = edges[: max(0, self._limits.edges - len(self._edges))]
-        self._edges = np.concatenate([self._edges, fitting])
+        joined = np.concatenate([self._edges, fitting])
+        self._edges = joined[np.argsort(joined["t"], kind="stable")]
         return len(fitting)
 
     def clear(self) -> None:
@@ -189,10 +190,13 @@ class PropheseeCamera(EventDevice, Generic[_Out]):
         (width, height) of the array.
     biases
         Effect of the biases on the sensor.
+    pulse_us
+        Length of a pulse at the trigger input.
     """
 
-    def __init__(self, size: tuple[int, int], biases: BiasModel, outflow: _Out) -> None:
+    def __init__(self, size: tuple[int, int], biases: BiasModel, outflow: _Out, pulse_us: int) -> None:
         self._size = size
+        self._pulse_us = pulse_us
         self._bias_model = biases
         self._outflow = outflow
         self._fates = Fates()
@@ -285,8 +289,11 @@ class PropheseeCamera(EventDevice, Generic[_Out]):
         """Return the part of events, (n,) EVENT, that the registers select."""
 
     def _put_edges(self, edges: Edges) -> None:
-        """Queue edges, (n,) EDGE, that the input has detected."""
-        self._fates.edges.dropped_fifo += len(edges) - self._outflow.put_edges(edges)
+        """Queue edges, (n,) EDGE, that the input has detected: both changes of a pulse."""
+        changes = level_changes(edges, self._pulse_us)
+        changes["seq"] = 0  # of the source of triggers; a word has no room for it
+        self._fates.edges.added += len(changes) - len(edges)
+        self._fates.edges.dropped_fifo += len(changes) - self._outflow.put_edges(changes)
 
     def _check(self, events: Events) -> None:
         if int(events["t"][0]) < self._now_us or bool((events["t"][1:] < events["t"][:-1]).any()):

@@ -28,10 +28,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
-import numpy as np
-
 from firmware_protocol.device.items import Numbers
-from firmware_protocol.events import EdgeKind, Edges, Events
+from firmware_protocol.events import Events
 from firmware_protocol.evt.evt2 import Evt2Encoder
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.evt.words import Coder
@@ -338,8 +336,7 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
     def __init__(self, settings: TreuzellSettings, registers: ChipRegisters, selection: ChipSelection) -> None:
         self.settings = settings
         self._registers, self._selection = registers, selection
-        super().__init__(settings.size, settings.biases, self._new_outflow(0))
-        self._pulse_us = settings.pulse_us
+        super().__init__(settings.size, settings.biases, self._new_outflow(0), settings.pulse_us)
         self._standard = StandardControl(settings.descriptors())
         self._kind = bytes((settings.identity_of_board.kind, 0))
         self._board = Board(settings.facts(), self)
@@ -445,18 +442,6 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
     @property
     def _bias_steps(self) -> Mapping[str, int]:
         return self._registers.bias_steps
-
-    def _put_edges(self, edges: Edges) -> None:
-        """Queue edges that the input has detected; a pulse is two of them, the second one due when it ends."""
-        is_pulse = edges["kind"] == EdgeKind.PULSE
-        begins, ends = edges.copy(), edges[is_pulse]
-        begins["kind"][is_pulse] = EdgeKind.RISING
-        ends["kind"] = EdgeKind.FALLING
-        ends["t"] += np.uint64(self._pulse_us)
-        self._fates.edges.added += len(ends)
-        both = np.concatenate([begins, ends])
-        both["seq"] = 0  # of the source of triggers; a word has no room for it
-        super()._put_edges(both[np.argsort(both["t"], kind="stable")])
 
     def _select(self, events: Events) -> Selected:
         return self._selection.apply(events, self._epoch_us)

@@ -9,7 +9,7 @@ import pytest
 
 import evstim
 from evstim import running
-from transports.recording.record import load_edges, load_frames, load_imu
+from tests.npz_records import load_edges, load_frames, load_imu
 
 SCENE = evstim.CheckerboardScene(square_px=8.0, speed_px_s=200.0)
 

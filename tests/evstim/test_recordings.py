@@ -67,3 +67,33 @@ def test_what_is_no_recording(tmp_path):
 def test_a_recording_without_events(tmp_path):
     path = written(tmp_path / "a.npz", FORMATS["npz"], np.zeros(0, evstim.EVENT))
     assert evstim.read_events(path).shape == (0,)
+
+
+@pytest.mark.parametrize(("name", "field", "value", "message"), [
+    ("npz", "t", 1, r"event 99999 goes back in time, from 299994 to 1 us; .* strict=False returns all"),
+    ("npz", "x", 346, r"event 99999 is at \(346, .*\), outside a sensor of 346 x 260 pixels; .*strict=False"),
+])  # fmt: skip
+def test_events_that_no_camera_sends_are_damage(name, field, value, message, events, tmp_path):
+    wrong = events.copy()
+    wrong[field][-1] = value
+    path = tmp_path / f"a.{name}"
+    writer = FORMATS[name].open_writer(path, Facts((346, 260)))
+    writer.write(Part(wrong))
+    writer.close()
+    pieces = []
+    with pytest.raises(evstim.RecordingError, match=message):
+        pieces.extend(evstim.iter_events(path))
+    assert np.array_equal(np.concatenate(pieces), events[:-1])
+    assert np.array_equal(evstim.read_events(path, strict=False), wrong)
+
+
+def test_changed_octets_give_no_wrong_events(events, tmp_path):
+    path = written(tmp_path / "a.raw", FORMATS["evt3"], events)
+    octets = bytearray(path.read_bytes())
+    for place in np.random.default_rng(3).integers(1000, len(octets), 40):
+        octets[place] ^= 0x41
+    path.write_bytes(octets)
+    with pytest.raises(evstim.RecordingError, match=r"goes back in time|outside a sensor"):
+        evstim.read_events(path)
+    all_events = evstim.read_events(path, strict=False)
+    assert (np.diff(all_events["t"].astype(np.int64)) < 0).any() or all_events["x"].max() >= 346

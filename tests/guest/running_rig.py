@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from firmware_protocol.events import Edges, Events
-from transports.recording.record import load_edges, load_frames, load_imu, load_record
+from tests.npz_records import load_edges, load_frames, load_imu
+from transports.recording.record import load_record
 
 __all__ = ["Delivered", "RunningRig"]
 

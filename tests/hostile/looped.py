@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from firmware_protocol.events import EVENT, Events, copy_events, join_events
-from transports.recording.record import save_record
+from tests.npz_records import save_record
 
 __all__ = ["Follower", "Looped"]
 

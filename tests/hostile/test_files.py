@@ -32,9 +32,9 @@ from emulator.trajectory.parameters import FilePath
 from emulator.trajectory.pose import TrajectoryError
 from firmware_protocol.events import EVENT
 from tests.hostile.mutation import damaged_archive, damaged_array, damaged_bytes, damaged_text
+from tests.npz_records import save_record
 from transports import guarded_reader
 from transports.guarded_reader import serve
-from transports.recording.record import save_record
 
 COUNT = int(os.environ.get("EVSTIM_HOSTILE_FILES", "30"))
 SEED = int(os.environ.get("EVSTIM_HOSTILE_SEED", "1"))

@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 
+from emulator.cli.app import _main
 from emulator.cli.checks import check_output
 from emulator.cli.output import Failure
 from firmware_protocol.events import EVENT
@@ -141,3 +142,12 @@ def test_a_check_leaves_no_file_and_changes_none(tmp_path):
     (tmp_path / "old.npz").write_bytes(b"old")
     check_output("--record", tmp_path / "old.npz", ".npz")
     assert (tmp_path / "old.npz").read_bytes() == b"old"
+
+
+@pytest.mark.system
+def test_a_truth_that_cannot_begin_names_the_file_the_room_and_what_to_do(tiny, capsys):
+    with pytest.raises(OSError, match=NO_SPACE):
+        (tiny / "other").write_bytes(bytes(1 << 20))
+    assert _main(["run", "loopback", "--seconds", "0.01", "--truth", str(tiny / "t.h5")]) == 3
+    printed = " ".join(capsys.readouterr().err.split())
+    assert f"--truth: {tiny / 't.h5'}: {NO_SPACE}: 0.0 MB free; free more, or name a file on another disk" in printed

@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 from firmware_protocol.device.items import Items, Numbers, ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
-from transports.link.deliveries import Delivered, DeliveredParts, Deliveries
+from transports.link.deliveries import DeliveredParts, Deliveries
 from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
 from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
 from transports.needs import Need, package
@@ -73,11 +73,8 @@ def _check(link: FileLink, camera: CameraFacts) -> None:
         raise Unsuitable(f"{form.title} numbers {most} pixels, not {camera.size}", "path")
 
 
-_OF_WORDS = ("evt2", "evt21", "evt21-legacy", "evt3", "ros1", "ros2")
-
-
 def _has_evt(link: FileLink) -> bool:
-    return format_to_write(Path(link.path), link.format).name in _OF_WORDS
+    return format_to_write(Path(link.path), link.format).is_evt
 
 
 def _needs(link: FileLink) -> tuple[Need, ...]:
@@ -153,7 +150,7 @@ class FileEndpoint(Endpoint):
     def _hand_over(self, recorder: LiveRecorder, taken: Items) -> None:
         restarted = taken.epoch_us != self._epoch_us
         self._epoch_us = taken.epoch_us
-        part = self._parts.part(Delivered(taken.events, taken.edges, taken.readings), taken.epoch_us)
+        part = self._parts.part(taken.events, taken.edges, taken.readings, taken.epoch_us)
         if restarted or counts_of(part):
             recorder.append(part, restarted=restarted, unix_us=self._deliveries.unix_us(taken.epoch_us))
         self._deliveries.add(taken.events, taken.epoch_us, taken.edges, taken.readings)

@@ -17,7 +17,7 @@ import math
 import time
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ import numpy.typing as npt
 from firmware_protocol.device.clock import DeviceClock
 from firmware_protocol.device.items import Reading, ReadingKind
 from firmware_protocol.device.plain_device import own_time
-from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events
+from firmware_protocol.events import Edges, Events, copy_events, empty_edges
 from firmware_protocol.frames import FrameAssembler, WholeFrame
 from firmware_protocol.imu_samples import ImuSamples, no_samples, physical
 from transports.link.pacing import Clock
@@ -35,7 +35,6 @@ from transports.recording.live import AnyRecorder, ForwardingRecorder
 from transports.recording.part import IMU, Frame, Part, RecordingSummary, counts_of
 
 __all__ = [
-    "Delivered",
     "DeliveredParts",
     "Deliveries",
     "DeliveryTally",
@@ -139,15 +138,6 @@ def digest_of(events: Events, before: int = 0) -> int:
     return zlib.crc32(np.ascontiguousarray(events).data, before) if len(events) else before
 
 
-@dataclass(frozen=True)
-class Delivered:
-    """Events (n,) EVENT, edges (m,) EDGE and readings that left together, in the device's time."""
-
-    events: Events = field(default_factory=empty_events)
-    edges: Edges = field(default_factory=empty_edges)
-    readings: Sequence[Reading] = ()
-
-
 class DeliveredParts:
     """Converter from delivered data to parts of a recording; assembles frames from their lines.
 
@@ -167,17 +157,17 @@ class DeliveredParts:
         self._frames = FrameAssembler()
         self.frame_records: list[int] = []
 
-    def part(self, delivered: Delivered, epoch_us: int) -> Part:
-        """Return copies of the delivered data, less `epoch_us`, the time at which the device's clock was zero.
+    def part(self, events: Events, edges: Edges, readings: Sequence[Reading], epoch_us: int) -> Part:
+        """Return copies of data that left together, less `epoch_us`, the time at which the device's clock was zero.
 
         `epoch_us` is negative if the clock was zero before the run.
         """
-        imu = recorded_imu(_imu_of(delivered.readings), self._imu_unit)
-        events, edges = copy_events(delivered.events), delivered.edges.copy()
+        imu = recorded_imu(_imu_of(readings), self._imu_unit)
+        events, edges = copy_events(events), edges.copy()
         for records in (events, edges, imu):
             if len(records):
                 records["t"] -= np.uint64(epoch_us % (1 << 64))
-        frames = self._frames.add(tuple(delivered.readings))
+        frames = self._frames.add(tuple(readings))
         self.frame_records += [frame.records for frame in frames]
         return Part(events, edges, imu, tuple(_frame(frame, epoch_us) for frame in frames))
 
@@ -256,7 +246,7 @@ class Deliveries:
             if len(events) or len(edges):
                 self._follow(own_time(events, epoch_us), epoch_us)
             return
-        part = self._parts.part(Delivered(events, edges, readings), epoch_us)
+        part = self._parts.part(events, edges, readings, epoch_us)
         if counts_of(part):
             self._record_part(part, epoch_us)
 

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import ClassVar
+from typing import cast
 
 from firmware_protocol.evt.evt2 import Evt2Decoder, Evt2Encoder, Form, evt2_header
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 from firmware_protocol.evt.words import evt3_header
+from transports.recording.format import format_to_read
 from transports.recording.part import Facts, Part, RecordingError
 
 __all__ = ["Evt2Writer", "Evt3Writer", "Evt21LegacyWriter", "Evt21Writer", "EvtReader"]
@@ -21,13 +23,14 @@ _PIECE_BYTES = 1 << 17  # at most twelve events in each word: 786 432 events
 _MOST_HEADER = 1 << 16
 
 
-class _Writer:
-    """Writer of the words of an encoder after a header."""
+class _EvtWriter:
+    """Writer of events and triggers as words of a form, None: EVT3, after its header."""
 
-    def __init__(self, path: Path, header: bytes, encoder: Evt2Encoder | Evt3Encoder) -> None:
+    def __init__(self, form: Form | None, path: Path, facts: Facts) -> None:
+        size = facts.size or (0, 0)
+        self._encoder = Evt3Encoder(width=size[0]) if form is None else Evt2Encoder(form)
         self._file = path.open("wb", buffering=1 << 16)
-        self._encoder = encoder
-        self._file.write(header)
+        self._file.write(evt3_header(size) if form is None else evt2_header(size, form))
 
     def write(self, part: Part) -> None:
         """Append words."""
@@ -39,33 +42,10 @@ class _Writer:
         self._file.close()
 
 
-class Evt3Writer(_Writer):
-    """Writer of EVT3: events and triggers."""
-
-    def __init__(self, path: Path, facts: Facts) -> None:
-        size = facts.size or (0, 0)
-        super().__init__(path, evt3_header(size), Evt3Encoder(width=size[0]))
-
-
-class Evt2Writer(_Writer):
-    """Writer of EVT2: events and triggers."""
-
-    form: ClassVar[Form] = "evt2"
-
-    def __init__(self, path: Path, facts: Facts) -> None:
-        super().__init__(path, evt2_header(facts.size or (0, 0), self.form), Evt2Encoder(self.form))
-
-
-class Evt21Writer(Evt2Writer):
-    """Writer of EVT2.1, little-endian, as a GenX320 sends it: events and triggers."""
-
-    form = "evt21"
-
-
-class Evt21LegacyWriter(Evt2Writer):
-    """Writer of EVT2.1 in the order of octets of an IMX636 and its siblings: events and triggers."""
-
-    form = "evt21-legacy"
+Evt3Writer = partial(_EvtWriter, None)
+Evt2Writer = partial(_EvtWriter, "evt2")
+Evt21Writer = partial(_EvtWriter, "evt21")  # little-endian, as a GenX320 sends it
+Evt21LegacyWriter = partial(_EvtWriter, "evt21-legacy")  # in the order of octets of an IMX636 and its siblings
 
 
 class EvtReader:
@@ -76,8 +56,9 @@ class EvtReader:
             head = file.read(_MOST_HEADER)
         self._path, self._start = path, _end_of_header(head)
         text = head[: self._start]
-        self._form = _form_of(text)
-        self.facts = Facts(_size(text) or size, self._form or "evt3")
+        name = format_to_read(path).name
+        self._form = None if name == "evt3" else cast("Form", name)
+        self.facts = Facts(_size(text) or size, name)
 
     def parts(self) -> Iterator[Part]:
         """Yield events and triggers, half a mebibyte of words at a time."""
@@ -100,13 +81,6 @@ def _end_of_header(head: bytes) -> int:
     if not start:
         raise RecordingError("it is no .raw file of Prophesee's cameras: they begin with a line of text, '% ...'")
     return start
-
-
-def _form_of(text: bytes) -> Form | None:
-    """Return the form of EVT2 or EVT2.1; None for EVT3."""
-    if re.search(rb"(?mi)^% (evt 2\.1|format EVT2\.?1)", text):
-        return "evt21-legacy" if re.search(rb"(?mi)endianness[ =]legacy", text) else "evt21"
-    return "evt2" if re.search(rb"(?mi)^% (evt 2\.0|format EVT2\b)", text) else None
 
 
 def _size(text: bytes) -> tuple[int, int] | None:

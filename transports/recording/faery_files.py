@@ -27,12 +27,6 @@ _SIZE = (1280, 720)  # for a file without it: faery's own default
 _DAT_EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("payload", "u1")])
 
 
-def _size(facts: Facts) -> tuple[int, int]:
-    if facts.size is None:
-        raise RecordingError("the size of the sensor is needed")
-    return facts.size
-
-
 class _Events:
     """Writer of events only, with an encoder of faery."""
 
@@ -57,7 +51,7 @@ class DatWriter(_Events):
     """Writer of DAT, version 2."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
-        super().__init__(dat.Encoder(path, version="dat2", event_type="cd", zero_t0=False, dimensions=_size(facts)))
+        super().__init__(dat.Encoder(path, version="dat2", event_type="cd", zero_t0=False, dimensions=facts.size))
 
     def _packet(self, events: Events) -> Any:
         return events.view(_DAT_EVENT)
@@ -67,8 +61,8 @@ class EsWriter(_Events):
     """Writer of Event Stream files, rows from the bottom."""
 
     def __init__(self, path: Path, facts: Facts) -> None:
-        self._top = _size(facts)[1] - 1
-        super().__init__(es.Encoder(path, event_type="dvs", zero_t0=False, dimensions=_size(facts)))
+        self._top = (facts.size or _SIZE)[1] - 1
+        super().__init__(es.Encoder(path, event_type="dvs", zero_t0=False, dimensions=facts.size))
 
     def _packet(self, events: Events) -> Any:
         return _turned(events, self._top)
@@ -79,7 +73,7 @@ class CsvWriter(_Events):
 
     def __init__(self, path: Path, facts: Facts) -> None:
         super().__init__(
-            csv.Encoder(path, separator=_COMMA, header=True, dimensions=_size(facts), enforce_monotonic=True)
+            csv.Encoder(path, separator=_COMMA, header=True, dimensions=facts.size, enforce_monotonic=True)
         )
 
 

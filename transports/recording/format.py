@@ -12,6 +12,7 @@ import importlib
 import os
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from typing import Any
 from transports.needs import install_command
 from transports.recording.part import Facts, LibraryMissing, Reader, RecordingError, Writer
 
-__all__ = ["FORMATS", "Format", "format_to_read", "format_to_write", "reason", "with_addition"]
+__all__ = ["FORMATS", "Format", "format_to_read", "format_to_write", "is_recording", "reason", "with_addition"]
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,8 @@ class Format:
         Time that is written at once, if events are few.
     live
         True if a file that was not closed can be read up to its last whole piece.
+    is_evt
+        True if it has words of EVT: rising and falling edges, and no record for a pulse that a camera reports.
     """
 
     name: str
@@ -68,6 +71,7 @@ class Format:
     is_folder: bool = False
     piece_us: int = 10_000  # the packet length of cameras
     live: bool = True
+    is_evt: bool = False
 
     def open_writer(self, path: Path, facts: Facts) -> Writer:
         """Return a writer of `path`, which is overwritten; raises OSError or RecordingError."""
@@ -113,19 +117,21 @@ _FORMATS = (
     ),
     Format(
         "evt3", "EVT3", (".raw",), f"{_HERE}.evt_file:Evt3Writer", f"{_HERE}.evt_file:EvtReader", _WORDS, _WORDS,
-        "Metavision, OpenEB, faery, evlib, evt3", "", (1 << 11, 1 << 11),
+        "Metavision, OpenEB, faery, evlib, evt3", "", (1 << 11, 1 << 11), is_evt=True,
     ),
     Format(
         "evt2", "EVT2", (".evt2.raw", ".evt2"), f"{_HERE}.evt_file:Evt2Writer", f"{_HERE}.evt_file:EvtReader",
         _WORDS, _WORDS, "Metavision, OpenEB, faery, evlib, expelliarmus", "", (1 << 11, 1 << 11), 1 << 34,
+        is_evt=True,
     ),
     Format(
         "evt21", "EVT2.1", (".evt21.raw", ".evt21"), f"{_HERE}.evt_file:Evt21Writer", f"{_HERE}.evt_file:EvtReader",
-        _WORDS, _WORDS, "Metavision, OpenEB, evlib", "", (1 << 11, 1 << 11), 1 << 34,
+        _WORDS, _WORDS, "Metavision, OpenEB, evlib", "", (1 << 11, 1 << 11), 1 << 34, is_evt=True,
     ),
     Format(
         "evt21-legacy", "EVT2.1 as of an IMX636", (".evt21-legacy.raw",), f"{_HERE}.evt_file:Evt21LegacyWriter",
         f"{_HERE}.evt_file:EvtReader", _WORDS, _WORDS, "Metavision, OpenEB", "", (1 << 11, 1 << 11), 1 << 34,
+        is_evt=True,
     ),
     Format(
         "dat", "DAT", (".dat",), f"{_HERE}.faery_files:DatWriter", f"{_HERE}.faery_files:DatReader", ("events",), (),
@@ -145,7 +151,7 @@ _FORMATS = (
     ),
     Format(
         "ros1", "ROS 1 bag", (".bag",), f"{_HERE}.rosbag:Ros1Writer", f"{_HERE}.rosbag:BagReader", _ALL, _WORDS,
-        "event_camera_msgs (evt3)", "rosbags", (1 << 11, 1 << 11), live=False,
+        "event_camera_msgs (evt3)", "rosbags", (1 << 11, 1 << 11), live=False, is_evt=True,
     ),
     Format(
         "ros1-dvs", "ROS 1 bag of dvs_msgs", (".dvs.bag",), f"{_HERE}.rosbag:Ros1DvsWriter",
@@ -153,7 +159,7 @@ _FORMATS = (
     ),
     Format(
         "ros2", "ROS 2 bag", (".ros2",), f"{_HERE}.rosbag:Ros2Writer", f"{_HERE}.rosbag:BagReader", _ALL, _WORDS,
-        "event_camera_msgs (evt3)", "rosbags", (1 << 11, 1 << 11), is_folder=True, live=False,
+        "event_camera_msgs (evt3)", "rosbags", (1 << 11, 1 << 11), is_folder=True, live=False, is_evt=True,
     ),
     Format(
         "ros2-dvs", "ROS 2 bag of dvs_msgs", (".dvs.ros2",), f"{_HERE}.rosbag:Ros2DvsWriter",
@@ -220,6 +226,14 @@ def format_to_read(path: Path) -> Format:
     return _of_text(head, path)
 
 
+def is_recording(path: Path) -> bool:
+    """Return true if a path is that of a recording by its suffix or by its first bytes."""
+    for format_of in (format_to_write, format_to_read):
+        with suppress(RecordingError, OSError):
+            return bool(format_of(path))
+    return False
+
+
 def _of_percent(head: bytes, path: Path) -> Format:
     """Return the format of a file of Prophesee's: its lines of text begin with a percent sign."""
     if path.suffix == ".dat" and b"% evt" not in head and b"% format" not in head:
@@ -254,7 +268,7 @@ def reason(error: BaseException) -> str:
     if isinstance(error, MemoryError):
         return "it needs more memory than an intact file of its kind does"
     if isinstance(error, OSError) and error.strerror:
-        return error.strerror
+        return os.strerror(error.errno) if error.errno else error.strerror  # HDF5 puts a paragraph there
     if "failed to fill whole buffer" in str(error) or "FileDataTable" in str(error):
         return "it is cut short; for AEDAT 4.0 `evstim recover IN OUT` makes a file that others read"
     text = " ".join(str(error).split()) or type(error).__name__

@@ -1,6 +1,7 @@
 """Recordings of unknown origin, read part by part in a child process (see `guarded_reader`).
 
-The child's memory does not grow with the file. Damaged data become a RecordingError, after all parts before them.
+The child's memory does not grow with the file. Damaged data become a RecordingError, after all data before them. Events
+that go back in time or lie outside the sensor are damage in every format, because none of them has such events.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from transports.recording.part import (
     encoded_facts,
     encoded_part,
     facts_of,
+    wrong_event,
 )
 
 __all__ = ["LibraryMissing", "OpenRecording", "read_messages"]
@@ -37,6 +39,8 @@ class OpenRecording:
     ----------
     size : tuple[int, int] or None
         (width, height) of the sensor, for files without it.
+    strict : bool
+        False: events that go back in time or lie outside the sensor are no error.
 
     Raises
     ------
@@ -49,7 +53,8 @@ class OpenRecording:
         Its format, and the facts available before its first event.
     """
 
-    def __init__(self, path: Path, size: tuple[int, int] | None = None) -> None:
+    def __init__(self, path: Path, size: tuple[int, int] | None = None, *, strict: bool = True) -> None:
+        self._strict = strict
         self.format: Format = format_to_read(path)
         arguments = (f"{__name__}:read_messages", path, self.format.name, size)
         self._reader = GuardedReader(*arguments, limits=Limits.in_pieces(path))
@@ -61,8 +66,16 @@ class OpenRecording:
             raise
 
     def parts(self) -> Iterator[Part]:
-        """Yield all parts; raises RecordingError after the parts before damaged data."""
-        yield from self._messages
+        """Yield all parts; raises RecordingError after the data before damaged data."""
+        count = last_us = 0
+        size = self.facts.size or (1 << 16, 1 << 16)
+        for part in self._messages:
+            events = part.events
+            if self._strict and (wrong := wrong_event(events, last_us, size)) is not None:
+                yield Part(events[: wrong[0]])
+                raise RecordingError(f"event {count + wrong[0]} {wrong[1]}; read_events with strict=False returns all")
+            yield part
+            count, last_us = count + len(events), int(events["t"][-1]) if len(events) else last_us
 
     def _received(self) -> Iterator[Any]:
         """Yield the facts and the parts; raises RecordingError."""

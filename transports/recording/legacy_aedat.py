@@ -102,7 +102,7 @@ class Aedat31Writer:
 
     def __init__(self, path: Path, facts: Facts) -> None:
         self._file = path.open("wb", buffering=1 << 16)
-        started = _date(facts.unix_us, "%Y-%m-%d %H:%M:%S (TZ+0000)") or "1970-01-01 00:00:00 (TZ+0000)"
+        started = time.strftime("%Y-%m-%d %H:%M:%S (TZ+0000)", time.gmtime(facts.unix_us // 1_000_000))
         self._file.write(aedat31_header(facts.camera, started))
 
     def write(self, part: Part) -> None:
@@ -154,7 +154,3 @@ def _pieces(path: Path, start: int) -> Iterator[bytes]:
         file.seek(start)
         while data := file.read(_PIECE_BYTES):
             yield data
-
-
-def _date(unix_us: int, form: str) -> str:
-    return time.strftime(form, time.gmtime(unix_us // 1_000_000)) if unix_us else ""

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from firmware_protocol.events import EDGE, EVENT
+from firmware_protocol.events import EDGE, EVENT, Events
 from firmware_protocol.recordings.part import IMU, Frame, Part
 
 __all__ = [
@@ -42,6 +42,7 @@ __all__ = [
     "encoded_restart",
     "facts_of",
     "named",
+    "wrong_event",
 ]
 
 
@@ -273,3 +274,20 @@ class RecordingSummary:
 def named(counts: Mapping[str, int]) -> str:
     """Return "3 events, 2 triggers" of counts by stream."""
     return ", ".join(f"{counts[name]} {text}" for name, text in _NAMES.items() if counts.get(name))
+
+
+def wrong_event(events: Events, before_us: int, size: tuple[int, int]) -> tuple[int, str] | None:
+    """Return index and fault of the first of events (n,) EVENT that goes back in time or lies outside; None for none.
+
+    `before_us` is the time of the event before them, `size` that of the sensor.
+    """
+    before = np.append(np.uint64(before_us), events["t"][:-1])[: len(events)]
+    is_back = events["t"] < before
+    is_wrong = is_back | (events["x"] >= size[0]) | (events["y"] >= size[1])
+    if not is_wrong.any():
+        return None
+    k = int(is_wrong.argmax())
+    t, x, y, _ = events[k].item()
+    if is_back[k]:
+        return k, f"goes back in time, from {before[k]} to {t} us"
+    return k, f"is at ({x}, {y}), outside a sensor of {size[0]} x {size[1]} pixels"

@@ -38,7 +38,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from firmware_protocol.events import EDGE, EVENT, Edges, Events
+from firmware_protocol.events import EDGE, EVENT, Events
 from transports.output_file import OutputFile
 from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, RecordingSummary
 
@@ -50,11 +50,7 @@ __all__ = [
     "frame_record",
     "load_array",
     "load_arrays",
-    "load_edges",
-    "load_frames",
-    "load_imu",
     "load_record",
-    "save_record",
 ]
 
 
@@ -101,14 +97,11 @@ def _member(archive: zipfile.ZipFile, name: str) -> _Array:
         raise ArrayFileError(
             f"{name} would grow from {info.compress_size} to {info.file_size} bytes, beyond {_MOST_GROWTH} times"
         )
-    stored = info.compress_type == zipfile.ZIP_STORED
-    size = min(info.file_size, _size_of(archive)) if stored else info.file_size
+    size = info.file_size
+    if info.compress_type == zipfile.ZIP_STORED and archive.fp is not None:
+        size = min(size, os.fstat(archive.fp.fileno()).st_size)
     with archive.open(info) as file:
         return _array(file, size)
-
-
-def _size_of(archive: zipfile.ZipFile) -> int:
-    return os.fstat(archive.fp.fileno()).st_size if archive.fp is not None else 0
 
 
 def _array(file: IO[bytes], size: int) -> _Array:
@@ -312,58 +305,19 @@ class _Raw:
         self._file.path.unlink()
 
 
-def save_record(path: Path, events: Events, resets: list[int]) -> None:
-    """Write events (n,) in device time and the indices of clock restarts; no edges."""
-    with path.open("wb") as file:
-        np.savez(file, events=events, resets=np.array(resets, np.int64))
-
-
 def load_record(path: str | Path) -> tuple[Events, list[int]]:
     """Read a record: events (n,) EVENT in device time, and the indices of clock restarts.
 
     Raises ArrayFileError with the file's name, or OSError if it cannot be opened.
     """
-    return _load(Path(path), EVENT, "events", "resets")
-
-
-def load_edges(path: Path) -> tuple[Edges, list[int]]:
-    """Read a record's edges, (m,) EDGE in device time, and the indices of clock restarts.
-
-    Raises ArrayFileError with the file's name, or OSError if it cannot be opened.
-    """
-    return _load(path, EDGE, "edges", "edge_resets")
-
-
-def load_imu(path: Path) -> tuple[npt.NDArray[np.void], list[int]]:
-    """Read a record's inertial samples, (n,) IMU in device time, and the indices of clock restarts.
-
-    Raises ArrayFileError with the file's name, or OSError if it cannot be opened.
-    """
-    return _load(path, IMU, "imu", "imu_resets")
-
-
-def load_frames(path: Path) -> tuple[npt.NDArray[np.void], list[int]]:
-    """Read a record's frames, (n,) of `frame_record`, and the indices of clock restarts.
-
-    Both are empty if it has no frames.
-    """
-    with np.load(path) as arrays:
-        if "frames" not in arrays:
-            return np.zeros(0, frame_record((0, 0))), []
-        return arrays["frames"], arrays["frame_resets"].tolist()
-
-
-def _load(path: Path, dtype: np.dtype[np.void], name: str, resets: str) -> tuple[npt.NDArray[np.void], list[int]]:
     try:
-        there = load_arrays(path, (name, resets))
-        if name not in there and name != "events":  # records of events alone have none
-            return np.zeros(0, dtype), []
-        records, starts = (there.get(key, np.zeros(0)) for key in (name, resets))
-        if records.dtype != dtype or records.ndim != 1:
-            raise ArrayFileError(f"its {name} are {records.dtype} of shape {records.shape}, not a list of {dtype}")
-        if starts.ndim != 1 or (starts.size and (starts.dtype.kind not in "iu" or _outside(starts, len(records)))):
-            raise ArrayFileError(f"its {resets} are no list of places among {len(records)} {name}")
-        return records, [int(i) for i in starts]
+        there = load_arrays(Path(path), ("events", "resets"))
+        events, starts = (there.get(key, np.zeros(0)) for key in ("events", "resets"))
+        if events.dtype != EVENT or events.ndim != 1:
+            raise ArrayFileError(f"its events are {events.dtype} of shape {events.shape}, not a list of {EVENT}")
+        if starts.ndim != 1 or (starts.size and (starts.dtype.kind not in "iu" or _outside(starts, len(events)))):
+            raise ArrayFileError(f"its resets are no list of places among {len(events)} events")
+        return events, [int(i) for i in starts]
     except ArrayFileError as error:
         raise ArrayFileError(f"{path}: cannot be read as a recording of evstim: {error}") from error
 
@@ -496,9 +450,8 @@ def _numbers(count: int, most: int) -> Iterator[int]:
 
 def _count(file: Any, dtype: np.dtype[np.void]) -> int:
     try:
-        npy.read_magic(file)
-        shape, _, found = npy.read_array_header_1_0(file)
-    except ValueError as error:
+        shape, _, found = _header(file)
+    except ArrayFileError as error:
         raise RecordingError(f"it is damaged: {error}") from error
     if found != dtype or len(shape) != 1:
         raise RecordingError(f"it holds {found} of shape {shape}, not a list of {dtype}")

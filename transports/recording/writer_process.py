@@ -151,7 +151,7 @@ class WriterProcess:
         if "opened" not in answer:
             self._close_pipes()
             ended = f"its writer ended (exit code {self._process.returncode})"
-            raise OSError(0, answer.get("error", ended), str(order["path"]))
+            raise OSError(answer.get("errno", 0), answer.get("error", ended), str(order["path"]))
         self._thread = threading.Thread(target=self._send_all, name="recording", daemon=True)
         self._thread.start()
 
@@ -164,11 +164,6 @@ class WriterProcess:
     def room_bytes(self) -> int:
         """Size of the messages that `put` accepts now."""
         return self._queue.room_bytes
-
-    @property
-    def waiting_bytes(self) -> int:
-        """Size of the messages that wait."""
-        return self._queue.waiting_bytes
 
     def put(self, messages: Sequence[bytes], *, wait: bool) -> bool:
         """Send messages, all or none; False where there is no room, or, with `wait`, where nothing is written."""
@@ -226,7 +221,7 @@ def serve_writer(
     try:
         file = opened()
     except BaseException as error:  # noqa: BLE001 a panic of Rust is no Exception
-        _report(error=reason(error))
+        _report(error=reason(error), errno=getattr(error, "errno", None) or 0)
         return
     _report(opened=True)
     trouble = ""

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.events import EDGE, EVENT, Events, join_events
+from firmware_protocol.events import EDGE, EVENT, EdgeKind, join_events
 from transports.recording.format import Format, with_addition
-from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, Writer, counts_of
+from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, Writer, counts_of, wrong_event
 
 __all__ = ["HeldFrames", "HeldRecords", "RecordingFile"]
 
@@ -185,11 +185,16 @@ class RecordingFile:
         self._is_new = False
         self.left_out.update({name: n for name, n in counts_of(part).items() if name not in self._streams})
         if len(part.events):
-            self._check(part.events)
+            if (wrong := wrong_event(part.events, self._last_us, self._facts.size or (0, 0))) is not None:
+                raise RecordingError(f"an event {wrong[1]}")
             self._starts_us.append(int(part.events["t"][0]))
             self._last_us = int(part.events["t"][-1])
             self._since_flush += len(part.events)
-        for name, records in (("events", part.events), ("edges", part.edges), ("imu", part.imu)):
+        edges = part.edges
+        if self._form.is_evt:
+            edges = edges[edges["kind"] != EdgeKind.PULSE]
+            self.left_out["edges"] += len(part.edges) - len(edges)
+        for name, records in (("events", part.events), ("edges", edges), ("imu", part.imu)):
             if len(records) and name in self._streams:
                 self._hold_records(name, records if name == "events" else _sorted(records))
         if part.frames and "frames" in self._streams:
@@ -229,17 +234,6 @@ class RecordingFile:
         if name in self._form.ordered:
             return max(0, self._limit_us)
         return self._written_us[name] if name != "frames" else -_FOREVER_US
-
-    def _check(self, events: Events) -> None:
-        t = events["t"]
-        before = np.concatenate((np.array([self._last_us], np.uint64), t[:-1]))
-        back = np.flatnonzero(t < before)
-        if len(back):
-            k = int(back[0])
-            raise RecordingError(f"an event goes back in time, from {before[k]} to {t[k]} us: a file holds one clock")
-        width, height = self._facts.size or (0, 0)
-        if int(events["x"].max()) >= width or int(events["y"].max()) >= height:
-            raise RecordingError(f"an event lies outside the sensor of {width} x {height} pixels")
 
     def flush(self) -> None:
         """Write all waiting data."""

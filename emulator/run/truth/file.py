@@ -10,7 +10,7 @@
           /camera_q_world_from_camera   (m, 4) f8         scalar first; camera axes x right, y down, z out
           /bodies_position_m            (m, b, 3) f8      body k - 1 has label k
           /bodies_q_world_from_body     (m, b, 4) f8
-    /pictures/t         (n,) f8, us                 every light frame, or every n-th
+    /pictures/t         (n,) f8, us                 25 light frames a second, or every n-th
              /light     (n, height, width) f4       what the sensor gets, linear, 1 at the sensor's reference
              /depth     (n, height, width) f4, m    along the boresight (z); inf: sky
              /flow      (n, height, width, 2) f4    px/s to the right and down, of the point at the pixel's middle

@@ -36,8 +36,22 @@ from emulator.sensor.sensor import EventSource, Sensor, own_pixels
 from firmware_protocol.events import Events, join_events
 from transports.needs import install_command
 
-__all__ = ["SUFFIXES", "TruthFile", "TruthRefused", "TruthSource", "check_truth", "ideal_of"]
+__all__ = [
+    "PICTURES_HZ",
+    "SUFFIXES",
+    "TruthFile",
+    "TruthRefused",
+    "TruthSource",
+    "check_truth",
+    "ideal_of",
+    "pictures_bytes",
+]
 
+
+PICTURES_HZ = 25
+"""Light frames a second of stream time that are written, where no other number is chosen."""
+
+_PIXEL_BYTES = 18  # of light, depth, flow and labels together
 
 _CLEAN = ("threshold_on", "threshold_off")  # parameters that may change while the clean sensor runs
 
@@ -62,7 +76,7 @@ class TruthSource:
     ----------
     clean : the ideal sensor.
     geometry : of the scene; None where it has none.
-    every : depth, flow, labels and light are written of every n-th light frame.
+    every : depth, flow, labels and light are written of every n-th light frame; None: of `PICTURES_HZ` a second.
     """
 
     def __init__(
@@ -71,7 +85,7 @@ class TruthSource:
         clean: Sensor,
         geometry: SceneGeometry | None,
         recorder: TruthRecorder,
-        every: int = 1,
+        every: int | None = None,
     ) -> None:
         self._sensor, self._clean, self._geometry = sensor, clean, geometry
         self._recorder, self._every = recorder, every
@@ -79,7 +93,8 @@ class TruthSource:
         self._seen = Seen.of(self.parameters.width, self.parameters.height)
         self._labels = np.zeros_like(self._seen.labels)
         self._gives = frozenset() if geometry is None else geometry.gives
-        self._count, self._labelled_us = 0, -math.inf
+        self._count, self._number = 0, -1
+        self._labelled_us = -math.inf
         self._events = _Queue("events")
         self._clean_events = _Queue("clean_events")
 
@@ -139,7 +154,7 @@ class TruthSource:
         """Start at the time of `frame`."""
         self._sensor.reset(frame)
         self._clean.reset(frame)
-        self._count = 0
+        self._count, self._number = 0, -1
         self._record(frame)
 
     def expose(self, frame: LightFrame) -> Events:
@@ -159,11 +174,12 @@ class TruthSource:
         return events
 
     def _record(self, frame: LightFrame) -> None:
-        """Record the poses of a frame, and of every n-th the rest with the events up to it."""
+        """Record the poses of a frame, and of some the rest with the events up to it."""
         rows = self._pose_rows(frame.t_ns)
-        if self._count % self._every == 0:
+        number = frame.t_ns * PICTURES_HZ // 10**9 if self._every is None else self._count // self._every
+        if number != self._number:
             rows |= self._frame_rows(frame)
-        self._count += 1
+        self._count, self._number = self._count + 1, number
         if rows:
             self._recorder.put(rows)
 
@@ -240,16 +256,24 @@ class TruthRefused(ValueError):
     """There can be no truth of this run; the message contains the reason."""
 
 
-def check_truth(rig: Rig, path: Path, every: int = 1) -> None:
+def check_truth(rig: Rig, path: Path, every: int | None = None) -> None:
     """Raise TruthRefused where no truth of the rig can be written to `path`, ImportError where h5py is missing."""
     if path.suffix not in SUFFIXES:
         raise TruthRefused(f"{path} must end in {' or '.join(SUFFIXES)}")
-    if every < 1:
+    if every is not None and every < 1:
         raise TruthRefused(f"every {every}th picture: it must be 1 or more")
     if SCENES[rig.scene.kind].events:
         raise TruthRefused(f"a {rig.scene.kind} plays events that exist already: their origin is not known")
     if find_spec("h5py") is None:
         raise ImportError(f"it needs h5py: {install_command('files')}")
+
+
+def pictures_bytes(rig: Rig, every: int | None) -> tuple[float, float]:
+    """Return the number of light frames a second in the truth of a run, and their bytes a second, not compressed."""
+    step_hz = 1e6 / rig.run.step_us
+    pictures_hz = min(step_hz, PICTURES_HZ) if every is None else step_hz / every
+    width, height = rig.camera.size
+    return pictures_hz, pictures_hz * width * height * _PIXEL_BYTES
 
 
 _ABSENT = {
@@ -263,14 +287,14 @@ class TruthFile:
 
     Parameters
     ----------
-    every : depth, flow, labels and light are written of every n-th light frame.
+    every : see `TruthSource`.
 
     Attributes
     ----------
     trouble : reason why the file is not complete, for people; "" where it is. Valid after `close`.
     """
 
-    def __init__(self, rig: Rig, path: Path, every: int = 1) -> None:
+    def __init__(self, rig: Rig, path: Path, every: int | None = None) -> None:
         check_truth(rig, path, every)
         self._rig, self._path, self._every = rig, path, every
         self._recorder: TruthRecorder | None = None

@@ -14,9 +14,10 @@ import pytest
 
 from emulator.cli.app import _main
 from firmware_protocol.events import EVENT
+from tests.npz_records import load_edges
 from tests.transports.recording.samples import SIZE, sample_edges, sample_events, write
 from tests.transports.recording.test_files import read_all, read_until_damage
-from transports.recording.record import load_edges, load_record
+from transports.recording.record import load_record
 
 EVENTS = sample_events()
 EDGES = sample_edges(EVENTS)

@@ -12,8 +12,8 @@ from emulator.rig.loading import RigError, parse_rig
 from emulator.run.assembly import build_sensor
 from emulator.sensor.presets import PRESETS
 from firmware_protocol.events import EVENT
+from tests.npz_records import save_record
 from tests.transports.recording.samples import sample_events, write
-from transports.recording.record import save_record
 
 SENSOR = PRESETS["davis346"]
 DARK = np.zeros((260, 346), np.float32)
@@ -100,7 +100,7 @@ def test_what_cannot_be_played_is_told(tmp_path):
         ("back.npz", (346, 260), "event 1 goes back in time, from 5 to 4 us"),
         ("none.npz", (346, 260), "holds no events"),
         ("wide.npz", (2, 2), "outside a sensor of 2 x 2"),
-        ("junk.npz", (346, 260), "cannot be read as a recording"),
+        ("junk.npz", (346, 260), "it is none of the recordings that are read"),
         ("junk.aedat4", (346, 260), "it is none of the recordings that are read"),
         ("gone.aedat4", (346, 260), "No such file"),
     ):

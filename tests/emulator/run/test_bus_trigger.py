@@ -10,7 +10,7 @@ import pytest
 from emulator.cli.app import _main
 from firmware_protocol.events import EdgeKind
 from tests.free_ports import free_port
-from transports.recording.record import load_edges
+from tests.npz_records import load_edges
 
 RIG = """
 [scene]

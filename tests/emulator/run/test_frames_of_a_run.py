@@ -9,7 +9,7 @@ from emulator.cli.app import _main
 from emulator.rig.loading import RigError, parse_rig
 from emulator.run.assembly import build_scene, link_setups, reading_sources
 from emulator.sensor.parameters import FrameParameters
-from transports.recording.record import load_frames
+from tests.npz_records import load_frames
 
 SCENE = '[scene]\nkind = "checkerboard"\nspeed_px_s = 20.0\n'
 SMALL = "[camera.sensor]\nwidth = 64\nheight = 48\n"

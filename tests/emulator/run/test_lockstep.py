@@ -17,11 +17,11 @@ from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import EdgeKind
+from tests.npz_records import load_edges
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
-from transports.recording.record import load_edges
 from transports.usb.loopback import LoopbackFactory
 
 PERIOD_NS = 10_000_000

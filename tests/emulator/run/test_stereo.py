@@ -18,8 +18,9 @@ from emulator.trajectory.building import MountedPath, build_trajectory
 from emulator.trajectory.parameters import SpinPath
 from emulator.trajectory.pose import differences
 from firmware_protocol.events import EdgeKind
+from tests.npz_records import load_edges
 from transports.link.report import CameraSettings
-from transports.recording.record import load_edges, load_record
+from transports.recording.record import load_record
 
 SCENE = """
 [scene]

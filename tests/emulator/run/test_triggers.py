@@ -11,9 +11,10 @@ from emulator.rig.tables import Trigger
 from emulator.run.assembly import TriggerPaths
 from firmware_protocol.device.clock import ClockSettings, ClockStep
 from firmware_protocol.events import EdgeKind
+from tests.npz_records import load_edges
 from transports.link.edges import EdgeRing, PeriodicEdges
 from transports.link.rings import EventRing
-from transports.recording.record import load_edges, load_record
+from transports.recording.record import load_record
 
 SCENE = '[scene]\nkind = "checkerboard"\nspeed_px_s = 20.0\n'
 SMALL = "[camera.sensor]\nwidth = 64\nheight = 48\n"

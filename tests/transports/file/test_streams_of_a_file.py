@@ -27,6 +27,7 @@ from firmware_protocol.events import EVENT, EdgeKind
 from firmware_protocol.evt.words import evt3_header
 from firmware_protocol.imu_samples import ImuScale, no_samples, physical
 from tests.firmware_protocol.evt2_words import by_the_tables
+from tests.npz_records import load_edges, load_frames, load_imu
 from tests.transports.recording.test_other_readers import (
     as_events,
     by_aedat,
@@ -42,7 +43,7 @@ from transports.link.process import Link
 from transports.link.rings import FREE_RUNNING
 from transports.recording.format import FORMATS
 from transports.recording.guarded import OpenRecording
-from transports.recording.record import load_edges, load_frames, load_imu, load_record
+from transports.recording.record import load_record
 from transports.recording.rosbag import EVENT_PACKET
 
 with warnings.catch_warnings(action="ignore"):  # it uses Python's old `imp`

@@ -9,12 +9,13 @@ import pytest
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.device.clock import ClockSettings, ClockStep
 from firmware_protocol.events import EVENT, EdgeKind
+from tests.npz_records import load_edges
 from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming, PeriodicEdges
 from transports.link.feed import EdgeReport, Feed, Timing
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
-from transports.recording.record import load_edges, load_record
+from transports.recording.record import load_record
 from transports.usb.loopback import LoopbackFactory
 
 ORIGIN_NS = 1_000_000_000

@@ -3,8 +3,9 @@
 import numpy as np
 
 from firmware_protocol.events import EVENT, empty_edges, empty_events
+from tests.npz_records import load_edges
 from transports.recording.part import Frame, Part
-from transports.recording.record import Recorder, load_edges, load_record
+from transports.recording.record import Recorder, load_record
 
 
 def test_a_record_holds_device_time_and_where_it_starts_anew(tmp_path):

@@ -51,16 +51,19 @@ def triggers_of(reader, count):
     return have
 
 
-@pytest.mark.parametrize(("compression", "kind", "told_as"), [
-    ("none", "pulse", dv.TriggerType.EXTERNAL_SIGNAL_PULSE),
-    ("none", "rising", dv.TriggerType.EXTERNAL_SIGNAL_RISING_EDGE),
-    ("lz4", "falling", dv.TriggerType.EXTERNAL_SIGNAL_FALLING_EDGE),
+RISING, FALLING = dv.TriggerType.EXTERNAL_SIGNAL_RISING_EDGE, dv.TriggerType.EXTERNAL_SIGNAL_FALLING_EDGE
+
+
+@pytest.mark.parametrize(("compression", "kind", "changes"), [
+    ("none", "pulse", [(0, RISING), (200, FALLING)]),
+    ("none", "rising", [(0, RISING)]),
+    ("lz4", "falling", [(0, FALLING)]),
 ])  # fmt: skip
-def test_triggers_come_on_their_own_port(compression, kind, told_as):
+def test_triggers_come_on_their_own_port(compression, kind, changes):
     port, events = free_port(), event_stream(20_000)
     link = opened(
         f'port = 0\ntrigger_port = {port}\ncompression = "{compression}"',
-        f'[trigger]\nperiod_ms = 0.5\nkind = "{kind}"',
+        f'[trigger]\nperiod_ms = 0.5\npulse_us = 200\nkind = "{kind}"',
     )
     with closing(DvReader(link)) as reader:
         triggers = dv.io.NetworkReader("127.0.0.1", port)
@@ -72,9 +75,9 @@ def test_triggers_come_on_their_own_port(compression, kind, told_as):
         np.testing.assert_array_equal(reader.read(len(events)), events)
         told = triggers_of(triggers, 119)
         report = link.stop(10.0)
-    assert told[:119] == [(500 * k, told_as) for k in range(1, 120)]
+    assert told[:119] == [(500 * k + after_us, change) for k in range(1, 120) for after_us, change in changes][:119]
     assert report.delivered == len(events)
-    assert report.camera.edges.delivered == 120
+    assert report.camera.edges.delivered == 120 * len(changes) - (kind == "pulse")  # the last one ends after the run
     assert report.counts["triggers: clients"] == 1
 
 

@@ -91,7 +91,7 @@ def test_what_a_file_cannot_hold_is_told(tmp_path):
     file = RecordingFile(tmp_path / "c.csv", FORMATS["csv"], Facts(SIZE))
     outside = events_at([1])
     outside["x"] = SIZE[0]
-    with pytest.raises(RecordingError, match="outside the sensor of 346 x 260"):
+    with pytest.raises(RecordingError, match="outside a sensor of 346 x 260"):
         file.write(Part(outside))
     file.close()
 

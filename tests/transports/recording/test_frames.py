@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from firmware_protocol.events import EVENT, empty_events
+from tests.npz_records import load_frames
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Frame, Part
-from transports.recording.record import Recorder, frame_record, load_frames
+from transports.recording.record import Recorder, frame_record
 from transports.recording.writing import RecordingFile
 
 SIZE = (346, 260)

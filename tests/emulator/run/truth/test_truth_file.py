@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import evstim
+from emulator.cli.app import _main
 from emulator.light import LightFrame
 from emulator.rig.loading import RigError, load_rig, parse_rig
 from emulator.run.assembly import build_scene
@@ -69,7 +70,7 @@ def small_rig(tmp_path, more=""):
 def made(tmp_path_factory):
     """The events of a run of 0.6 s, its rig and its truth."""
     folder = tmp_path_factory.mktemp("truth")
-    with evstim.run(small_rig(folder), seconds=0.6, pace="free", truth=folder / "t.h5") as run:
+    with evstim.run(small_rig(folder), seconds=0.6, pace="free", truth=folder / "t.h5", truth_every=1) as run:
         events = np.concatenate(list(run))
     assert run.truth_trouble == ""
     with h5py.File(folder / "t.h5") as file:
@@ -177,6 +178,16 @@ def test_every_nth_picture_of_a_run_within_a_program(tmp_path):
         evstim.run(rig, truth=tmp_path / "t.h5", truth_every=0)
 
 
+def test_by_default_25_pictures_a_second_are_written_and_their_size_is_reported_before(tmp_path, capsys):
+    command = ["run", str(small_rig(tmp_path)), "--seconds", "0.1", "--pace", "free", "--truth", str(tmp_path / "t.h5")]
+    assert _main([*command, "--json"]) == 0
+    printed = " ".join(capsys.readouterr().err.split())
+    assert f"truth: 25 light frames a second, at most 0.14 MB of them in {tmp_path / 't.h5'}" in printed
+    with h5py.File(tmp_path / "t.h5") as file:
+        assert file["pictures/t"][:].tolist() == [0, 40_000, 80_000]
+        assert len(file["poses/t"]) == 11
+
+
 def test_a_video_has_light_and_events_alone(tmp_path):
     np.save(tmp_path / "v.npy", np.random.default_rng(0).random((5, 48, 64)).astype(np.float32))
     text = RIG[: RIG.index("[scene]")] + '[scene]\nkind = "video"\npath = "v.npy"\n' + RIG[RIG.index("[camera]") :]
@@ -219,7 +230,8 @@ def test_a_full_disk_ends_the_truth_and_not_the_run(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
 
     command = [*EVSTIM, "run", small_rig(tmp_path), "--seconds", "0.6", "--pace", "free", "--json"]
-    done = subprocess.run([*command, "--truth", tmp_path / "t.h5"], capture_output=True, preexec_fn=limit, check=False)
+    command += ["--truth", tmp_path / "t.h5", "--truth-every", "1"]
+    done = subprocess.run(command, capture_output=True, preexec_fn=limit, check=False)
     told = json.loads(done.stdout.splitlines()[-1])
     assert done.returncode == 1
     assert told["sim_seconds"] == pytest.approx(0.6)
@@ -230,7 +242,7 @@ def test_a_full_disk_ends_the_truth_and_not_the_run(tmp_path):
 def endless(tmp_path):
     """A run without an end, in real time, that has written some pictures."""
     path = tmp_path / "t.h5"
-    command = [*EVSTIM, "run", small_rig(tmp_path), "--seconds", "0", "--truth", path]
+    command = [*EVSTIM, "run", small_rig(tmp_path), "--seconds", "0", "--truth", path, "--truth-every", "1"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     until = time.monotonic() + 120
     while not (path.exists() and (truth_in(path) or {"pictures": 0})["pictures"] > 20):
