@@ -31,7 +31,8 @@ from firmware_protocol.imx636.boards import BOARDS
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.imx636.registers import Surroundings
 from firmware_protocol.prophesee.biases import BiasSlopes
-from firmware_protocol.usb.device import Speed, UsbCamera
+from firmware_protocol.usb.descriptors import Speed
+from firmware_protocol.usb.device import UsbCamera
 from transports.faults.kinds import Fault
 from transports.link.kind import LinkKind, LinkParameters
 

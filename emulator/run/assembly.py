@@ -53,9 +53,9 @@ from emulator.scene.terrain.table import TerrainParameters
 from emulator.sensor.aps.frames import FrameSource
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuSource, ImuUnit
-from emulator.sensor.methods.base import MakePixels
 from emulator.sensor.methods.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.parameters import ImuParameters
+from emulator.sensor.pixels.method import MakePixels
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import EventSource, Sensor, own_pixels
 from emulator.tables.registry import imported
@@ -387,7 +387,8 @@ def _link_setup(
     rig = rig if is_master else dataclasses.replace(second_rig(rig), trigger=rig.trigger)
     facts = _facts(rig, kind)
     camera = CameraFacts(rig.camera.model, rig.camera.size, streams=facts.streams, imu_unit=facts.imu_unit)
-    endpoint = kind.endpoint(link, Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera))
+    wiring = Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera)
+    endpoint = imported(kind.endpoint)(link, wiring)
     setup = LinkSetup(
         link.name, ring, _device(rig, link, kind, is_master), endpoint, record, timing=timing, facts=facts
     )

@@ -30,9 +30,9 @@ from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EdgeKind, Events
 from transports.faults.kinds import Fault
 from transports.link.deliveries import DeliveryTally
-from transports.link.loop import EndFault, Happen, InjectFault, Stop
+from transports.link.loop import STOP_SIGNALS, EndFault, Happen, InjectFault, Stop, run_link_process
 from transports.link.pacing import Clock
-from transports.link.process import STOP_SIGNALS, LinkSetup, run_link_process
+from transports.link.process import LinkSetup
 from transports.link.report import CameraSettings, LinkReport, Occurrence
 from transports.recording.format import with_addition
 from transports.recording.part import RecordingSummary

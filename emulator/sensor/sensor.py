@@ -27,7 +27,6 @@ from emulator.sensor.chip.imager import Imager, part_of_the_way
 from emulator.sensor.chip.readout import ArbiterReadOut, Jitter, ReadOut
 from emulator.sensor.chip.scan import ScanReadOut
 from emulator.sensor.chip.sources import BackgroundEvents, Particles
-from emulator.sensor.methods.base import MakePixels, PixelMethod
 from emulator.sensor.methods.circuit import CircuitPixels
 from emulator.sensor.noise.draws import insert
 from emulator.sensor.noise.grid import NoisyPixels
@@ -35,6 +34,7 @@ from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.parameters import DefectParameters, KickParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
+from emulator.sensor.pixels.method import MakePixels, PixelMethod
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.pixels.workers import EventBuffers
 from emulator.sensor.presets import SensorParameters

@@ -15,7 +15,6 @@ from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan
 from transports.link.edges import EdgeSink
-from transports.link.endpoint import EndpointFactory
 from transports.needs import Need
 
 __all__ = [
@@ -137,8 +136,8 @@ class LinkKind(Generic[P]):
         The device behind it: "usb", the USB device of the camera's model; "gige", a GigE Vision device; "instrument",
         the camera without USB; "plain", no electronics: events go out as the sensor sends them.
     endpoint
-        Function that makes the endpoint's factory, which is passed to the link's process by pickling. Import modules
-        that load slowly inside this function.
+        Import path, "module:name", of the function that returns the `EndpointFactory` for the parameters and a Wiring;
+        imported when a link is set up.
     has_sync
         True if its bus has a SYNC, which can trigger the camera.
     faults
@@ -171,7 +170,7 @@ class LinkKind(Generic[P]):
 
     parameters: type[P]
     serves: Literal["usb", "gige", "instrument", "plain"]
-    endpoint: Callable[[P, Wiring], EndpointFactory[Any]]
+    endpoint: str
     has_sync: bool = False
     faults: Mapping[str, type[Fault]] = field(default_factory=dict)
     faults_of: Callable[[P], Mapping[str, type[Fault]]] | None = None

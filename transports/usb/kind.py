@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from transports.faults.usb import USB_FAULTS
-from transports.link.endpoint import EndpointFactory
-from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Unsuitable, Wiring
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Unsuitable
 from transports.needs import UDC, VHCI
 from transports.network import check_allow
-from transports.usb.functionfs.gadget import check_name
 
-__all__ = ["LOOPBACK", "USBIP", "USB_GADGET", "LoopbackLink", "UsbGadgetLink", "UsbipLink"]
+__all__ = ["LOOPBACK", "USBIP", "USB_GADGET", "LoopbackLink", "UsbGadgetLink", "UsbipLink", "check_name"]
 
 
 def _check_model(link: LinkParameters, camera: CameraFacts) -> None:
@@ -66,16 +64,10 @@ class UsbipLink:
         check_allow(self.host, self.allow)
 
 
-def _usbip_endpoint(link: UsbipLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.usb.usbip.server import UsbipFactory
-
-    return UsbipFactory(link.host, link.port, link.busid, wiring.faults, link.allow)
-
-
 USBIP = LinkKind(
     UsbipLink,
     serves="usb",
-    endpoint=_usbip_endpoint,
+    endpoint="transports.usb.usbip.server:factory_of",
     faults=USB_FAULTS,
     listener=Listener(
         "usb", "Read a DAVIS346, a DVXplorer, an EVK4 or a GenX320 on USB.", "emulator.cli.listen.cameras:listen"
@@ -84,6 +76,12 @@ USBIP = LinkKind(
     listens_on=lambda link: (link.host, link.port) if link.port else None,
     needs=lambda link: (VHCI,),
 )
+
+
+def check_name(name: str) -> None:
+    """Raise ValueError for a name that is not valid for a gadget, a function and a folder."""
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,30}", name):
+        raise ValueError(f"a gadget's name has 1 to 31 letters, digits, '-' and '_', got {name!r}")
 
 
 @dataclass(frozen=True)
@@ -110,16 +108,10 @@ class UsbGadgetLink:
         check_name(self.gadget)
 
 
-def _gadget_endpoint(link: UsbGadgetLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.usb.functionfs.endpoint import GadgetFactory
-
-    return GadgetFactory(link.gadget, link.udc, wiring.faults)
-
-
 USB_GADGET = LinkKind(
     UsbGadgetLink,
     serves="usb",
-    endpoint=_gadget_endpoint,
+    endpoint="transports.usb.functionfs.endpoint:factory_of",
     faults=USB_FAULTS,
     check=_check_model,
     needs=lambda link: (UDC,),
@@ -140,11 +132,11 @@ class LoopbackLink:
     name: str = "loopback"
 
 
-def _loopback_endpoint(link: LoopbackLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.usb.loopback import LoopbackFactory
-
-    return LoopbackFactory()
-
-
 # A DAVIS346 can have any size. This host loses no data at the start, so the camera need not wait.
-LOOPBACK = LinkKind(LoopbackLink, serves="usb", endpoint=_loopback_endpoint, usb_model="davis346", start_delay=False)
+LOOPBACK = LinkKind(
+    LoopbackLink,
+    serves="usb",
+    endpoint="transports.usb.loopback:factory_of",
+    usb_model="davis346",
+    start_delay=False,
+)

@@ -23,10 +23,12 @@ from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, LinkBroken
+from transports.link.kind import Wiring
 from transports.usb.cameras import driver_of
 from transports.usb.host import CameraHost, StallError, StreamSettings, TransferTimeout
+from transports.usb.kind import LoopbackLink
 
-__all__ = ["DirectHost", "DirectReader", "LoopbackEndpoint", "LoopbackFactory"]
+__all__ = ["DirectHost", "DirectReader", "LoopbackEndpoint", "LoopbackFactory", "factory_of"]
 
 
 class DirectReader:
@@ -130,6 +132,11 @@ class LoopbackFactory(EndpointFactory[UsbCamera]):
     def build(self, device: UsbCamera, deliveries: Deliveries) -> LoopbackEndpoint:
         """Return the host; it opens the camera when it is started."""
         return LoopbackEndpoint(FaultyDevice(device, FaultPlan(), deliveries.add))
+
+
+def factory_of(link: LoopbackLink, wiring: Wiring) -> LoopbackFactory:
+    """Return the endpoint's factory."""
+    return LoopbackFactory()
 
 
 class LoopbackEndpoint(Endpoint):
