@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -29,7 +29,6 @@ from emulator.cli.run_summary import (
 )
 from emulator.cli.signals import ignore_stop_signals, interrupt_on_stop_signals, stop_on_signals
 from emulator.light import Scene
-from emulator.live_page.controls import Repeats
 from emulator.rig.loading import Rig, load_rig, with_options
 from emulator.rig.remarks import remarks
 from emulator.run.assembly import build_scene, build_session, link_setups, schedule
@@ -43,6 +42,9 @@ from firmware_protocol.events import Events
 from transports.link.deliveries import LatencySummary
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
+
+if TYPE_CHECKING:
+    from emulator.live_page.controls import Repeats
 
 __all__ = [
     "NO_FILES",
@@ -134,6 +136,8 @@ def run(
     """
     with failures():
         loaded = rig_with_options(load_rig(rig), seconds, seed, pace)
+        from emulator.live_page.controls import Repeats
+
         repeats = Repeats(_obstacle(files))
         result, truth = run_with_files(loaded, files, show=not json, repeats=repeats)
         while (next_seed := repeats.take(loaded, result)) is not None:  # a viewer of the live page has sent a seed

@@ -21,12 +21,10 @@ from emulator.rig.loading import Rig
 from emulator.run.kernels import TRUTH, Part
 from emulator.run.link_process import traced
 from emulator.run.outcome import Judgement, LinkLedger, RunResult
-from emulator.run.truth.source import SUFFIXES, TruthRefused, check_truth
 from firmware_protocol.device.fates import Counts
 from transports.faults.script import FaultRecord
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
-from transports.usb.usbip.trace import both_files
 
 __all__ = [
     "Truth",
@@ -212,13 +210,14 @@ class Truth:
     """
 
     def __init__(self, rig: Rig, path: Path | None, every: int) -> None:
-        is_scene = path is not None and path.suffix in SUFFIXES
-        self.clock = None if is_scene else path
+        self.clock = path
         self._file: Any = None
         if path is None:
             return
-        if is_scene:
-            self._file = _truth_file(rig, path, every)
+        from emulator.run.truth.source import SUFFIXES
+
+        if path.suffix in SUFFIXES:
+            self._file, self.clock = _truth_file(rig, path, every), None
         elif rig.camera.clock is None or not rig.links:
             raise Failure(
                 "--truth: give an .h5 file for the truth of scene and sensor; any other file is for the error of the "
@@ -248,21 +247,25 @@ class Truth:
 
 
 def _truth_file(rig: Rig, path: Path, every: int) -> Any:
+    from emulator.run.truth.source import TruthFile, TruthRefused, check_truth
+
     try:
         check_truth(rig, path, every)
     except TruthRefused as error:
         raise Failure(f"--truth: {error}", WRONG_USE) from error
     except ImportError as error:
         raise Failure(f"--truth: {error}", LACKING) from error
-    from emulator.run.truth.source import TruthFile
-
     return TruthFile(rig, path, every)
 
 
 def begin_trace(setups: Sequence[LinkSetup[Any]], path: Path | None) -> list[LinkSetup[Any]]:
     """Return the links, with a trace of their USB cables in new files; raises Failure."""
+    if path is None:
+        return list(setups)
+    from transports.usb.usbip.trace import both_files
+
     links, traces = traced(setups, path)
-    if path is not None and not traces:
+    if not traces:
         raise Failure("--trace: this rig has no link of kind usbip, so there is no USB cable to trace", WRONG_USE)
     for file in [file for trace in traces for file in both_files(trace)]:
         check_output("--trace", file)

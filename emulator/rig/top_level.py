@@ -136,7 +136,7 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
     camera = convert(_with_slopes(own, CAMERA_MODELS[model]), Camera, path)
     camera = dataclasses.replace(camera, sensor=_sensor(table.get("sensor", {}), CAMERA_MODELS[model].sensor))
     if camera.bias_slopes is not None and CAMERA_MODELS[model].bias_slopes is None:
-        able = " or ".join(name for name, one in CAMERA_MODELS.items() if one.bias_slopes is not None)
+        able = " or ".join(name for name, one in CAMERA_MODELS.usable().items() if one.bias_slopes is not None)
         raise TableError(f"biases of a {model} have no slopes: leave it out, or take {able}", (*path, "bias_slopes"))
     usb = CAMERA_MODELS[model].usb
     if usb is not None:
@@ -236,8 +236,11 @@ def _links(tables: object, rig: Mapping[str, Any]) -> tuple[LinkParameters, ...]
 def _link(table: object, camera: Camera, path: KeyPath) -> LinkParameters:
     kind, rest = _of_kind(table, LINKS, path)
     link: LinkParameters = convert(kind.complete(rest), kind.parameters, path)
+    model = CAMERA_MODELS[camera.model]
+    usb_size = None if model.usb is None else model.usb.size
+    facts = CameraFacts(camera.model, camera.size, usb_size, model.gige, usb_sizes, gige_models)
     try:
-        kind.check(link, CameraFacts(camera.model, camera.size, usb_sizes(), gige_models()))
+        kind.check(link, facts)
     except Unsuitable as error:
         raise TableError(str(error), (*path, *error.key)) from error
     return link

@@ -33,7 +33,6 @@ from emulator.light import LightFrame, Scene
 from emulator.rig.kinds import LINKS, SCENES, usb_model
 from emulator.rig.loading import Rig
 from emulator.run.link_process import starting_a_process
-from emulator.scene.bodies.table import BodiesParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.compiled import cache_folder, checksum_of
 from transports.link.kind import LinkParameters
@@ -211,6 +210,8 @@ def _size(rig: Rig) -> tuple[int, int]:
 
     Tables for shadows take longer than the compilation, and a run shows the progress of them.
     """
+    from emulator.scene.bodies.table import BodiesParameters
+
     alone = isinstance(rig.scene, BodiesParameters) and not rig.scene.shadows
     return rig.camera.size if alone else (_WIDTH, _HEIGHT)
 

@@ -314,18 +314,15 @@ class LinkProcess:
         )
 
 
-def traced(setups: Sequence[LinkSetup[Any]], path: Path | None) -> tuple[list[LinkSetup[Any]], list[Path]]:
+def traced(setups: Sequence[LinkSetup[Any]], path: Path) -> tuple[list[LinkSetup[Any]], list[Path]]:
     """Return the links with a trace of those that have a USB cable, and the FILE of each trace.
 
-    FILE is `path`, with the link's name behind it where there are several; without a path nothing is traced.
+    FILE is `path`, with the link's name behind it where there are several.
     """
-    if path is None:
-        return list(setups), []
     names = [setup.name for setup in setups if setup.endpoint.traced(path) is not None]
     paths = {name: path if len(names) == 1 else path.with_name(f"{path.name}-{name}") for name in names}
-    return [_traced(setup, paths.get(setup.name)) for setup in setups], list(paths.values())
-
-
-def _traced(setup: LinkSetup[Any], path: Path | None) -> LinkSetup[Any]:
-    endpoint = None if path is None else setup.endpoint.traced(path)
-    return setup if endpoint is None else dataclasses.replace(setup, endpoint=endpoint)
+    links = [
+        dataclasses.replace(setup, endpoint=setup.endpoint.traced(paths[setup.name])) if setup.name in paths else setup
+        for setup in setups
+    ]
+    return links, list(paths.values())

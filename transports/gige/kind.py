@@ -77,8 +77,8 @@ class GigeLink:
 
 def _check(link: GigeLink, camera: CameraFacts) -> None:
     """Raise Unsuitable for a camera without a GigE Vision device."""
-    if camera.model not in camera.gige_models:
-        models = " or ".join(f'model = "{name}"' for name in camera.gige_models)
+    if not camera.has_gige:
+        models = " or ".join(f'model = "{name}"' for name in camera.gige_models())
         raise Unsuitable(f"a {camera.model} has no Ethernet plug; use {models}", "kind")
 
 

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.events import EdgeKind
@@ -32,8 +32,10 @@ from transports.link.feed import ClockReport, ClockTruth, Feed, Timing
 from transports.link.pacing import Clock
 from transports.link.report import CameraSettings, ChangeWatch, LinkReport, Occurrence
 from transports.link.rings import FOREVER_US, FREE_RUNNING, EventRing, ReadingRing
-from transports.recording.live import AnyRecorder, ForwardingRecorder, open_recorder
 from transports.recording.part import Facts
+
+if TYPE_CHECKING:
+    from transports.recording.live import AnyRecorder, ForwardingRecorder
 
 __all__ = ["Link", "LinkSetup"]
 
@@ -339,5 +341,9 @@ class Link:
 
 
 def _recorder(setup: LinkSetup[Any]) -> AnyRecorder | ForwardingRecorder | None:
+    if setup.record is None and setup.deliveries is None:
+        return None
+    from transports.recording.live import ForwardingRecorder, open_recorder
+
     own = None if setup.record is None else open_recorder(setup.record, setup.facts)
     return own if setup.deliveries is None else ForwardingRecorder(setup.deliveries, own)

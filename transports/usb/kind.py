@@ -16,21 +16,19 @@ __all__ = ["LOOPBACK", "USBIP", "USB_GADGET", "LoopbackLink", "UsbGadgetLink", "
 
 def _check_model(link: LinkParameters, camera: CameraFacts) -> None:
     """Raise Unsuitable for a camera without a USB device."""
-    if camera.usb_models.get(camera.model) == camera.size:
+    if camera.usb_size == camera.size:
         return
-    sizes = sorted(set(camera.usb_models.values()))
-    cures = " or ".join(f"{_named(camera, size)} with {size[0]}x{size[1]} pixels" for size in sizes)
+    models: dict[tuple[int, int], list[str]] = {}
+    for name, size in camera.usb_models().items():
+        models.setdefault(size, []).append(f'"{name}"')
+    cures = " or ".join(
+        f"model = {', '.join(names)} with {size[0]}x{size[1]} pixels" for size, names in sorted(models.items())
+    )
     raise Unsuitable(
         f"there is no USB model for a {camera.model} of {camera.size[0]}x{camera.size[1]} pixels yet; use "
         f'kind = "loopback", or {cures}',
         "kind",
     )
-
-
-def _named(camera: CameraFacts, size: tuple[int, int]) -> str:
-    """Return the keys of a rig that name the models of a size."""
-    names = ", ".join(f'"{name}"' for name, one in camera.usb_models.items() if one == size)
-    return f"model = {names}"
 
 
 @dataclass(frozen=True)

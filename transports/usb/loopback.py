@@ -24,7 +24,6 @@ from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, LinkBroken
 from transports.link.kind import Wiring
-from transports.usb.cameras import driver_of
 from transports.usb.host import CameraHost, StallError, StreamSettings, TransferTimeout
 from transports.usb.kind import LoopbackLink
 
@@ -151,6 +150,8 @@ class LoopbackEndpoint(Endpoint):
 
     async def start(self) -> None:
         """Open the camera, identify it, start it and reset its clock."""
+        from transports.usb.cameras import driver_of  # the drivers of all cameras: the session needs the factory alone
+
         self._host = DirectHost(self._device)
         self._camera = driver_of(self._host)
         self._camera.start(StreamSettings(edges=True, frames=True, imu=True))
