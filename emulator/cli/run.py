@@ -136,11 +136,10 @@ def run(
     """
     with failures():
         loaded = rig_with_options(load_rig(rig), seconds, seed, pace)
-        from emulator.live_page.controls import Repeats
-
-        repeats = Repeats(_obstacle(files))
+        repeats = _repeats(files)
         result, truth = run_with_files(loaded, files, show=not json, repeats=repeats)
-        while (next_seed := repeats.take(loaded, result)) is not None:  # a viewer of the live page has sent a seed
+        # A viewer of the live page sends a seed for a further run.
+        while repeats is not None and (next_seed := repeats.take(loaded, result)) is not None:
             if not json:
                 print_summary(loaded, result)
             interrupt_on_stop_signals()
@@ -154,12 +153,16 @@ def run(
     return GOOD if good(judge(loaded.verdict, result)) and not truth.trouble else BAD_VERDICT
 
 
-def _obstacle(files: Files) -> str:
-    """Return the reason why a run with these files cannot be started again; "" where it can."""
+def _repeats(files: Files) -> Repeats | None:
+    """Return the receiver of requests to start the run again; one for a run that writes files refuses them."""
+    if not files.serve:
+        return None
+    from emulator.live_page.controls import Repeats
+
     written = {"record": files.record, "truth": files.truth, "fault-log": files.fault_log, "trace": files.trace}
     written |= {"report": files.report, "ready-file": files.ready_file}
     found = [f"--{name}" for name, path in written.items() if path is not None]
-    return f"the new run would write over the files of {', '.join(found)}" if found else ""
+    return Repeats(f"the new run would write over the files of {', '.join(found)}" if found else "")
 
 
 def run_with_files(

@@ -26,7 +26,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from emulator.gl.context import selected_painter
 from emulator.light import Scene, SceneFrames
 from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
 from emulator.rig.kinds import (
@@ -90,10 +89,12 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
     size = size or rig.camera.size
     kind, lens, chip = SCENES[rig.scene.kind], rig.camera.lens, CAMERA_MODELS[rig.camera.model].chip
     threads = rig.run.threads
-    if kind.gl and selected_painter(rig.run.painter) == "gl":
-        build = partial(imported(kind.gl), rig.scene)
-    else:
-        build = partial(imported(kind.build), rig.scene, **({"threads": threads} if kind.threads else {}))
+    build = partial(imported(kind.build), rig.scene, **({"threads": threads} if kind.threads else {}))
+    if kind.gl:
+        from emulator.gl.context import selected_painter
+
+        if selected_painter(rig.run.painter) == "gl":
+            build = partial(imported(kind.gl), rig.scene)
     if kind.lens == "none":
         scene: Scene = build(size)
         return scene
@@ -360,7 +361,8 @@ def link_setups(
 def _wired(slaves: Sequence[str], setups: Sequence[LinkSetup[Any]]) -> list[LinkSetup[Any]]:
     """Return the links with the cable between the cameras: the first link of the first camera is the master's end.
 
-    The first camera's clock is the master: each link of the second one receives its resets. Raises RigError where the first camera has no link.
+    The first camera's clock is the master: each link of the second one receives its resets. Raises RigError where the
+    first camera has no link.
     """
     cables = {name: EdgeRing() for name in slaves}
     master = next((setup.name for setup in setups if setup.name not in cables), None)

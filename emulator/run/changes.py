@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from emulator.sensor.sensor import AdjustableSource
-from firmware_protocol.davis346.biases import LEAST_FACTOR, MOST_FACTOR
+from firmware_protocol.device.event_device import LEAST_FACTOR, MOST_FACTOR
 from firmware_protocol.events import EdgeKind
 from transports.faults.kinds import Fault
 from transports.link.report import CameraSettings

@@ -28,7 +28,6 @@ import numpy as np
 import numpy.typing as npt
 from numba import config
 
-from emulator.gl.context import selected_painter
 from emulator.light import LightFrame, Scene
 from emulator.rig.kinds import LINKS, SCENES, usb_model
 from emulator.rig.loading import Rig
@@ -93,7 +92,11 @@ def parts_of(rig: Rig) -> list[Part]:
     """Return the parts that a run of the rig compiles."""
     sensor = dataclasses.replace(rig.camera.sensor, width=_WIDTH, height=_HEIGHT)
     kind = SCENES[rig.scene.kind]
-    painter = f"by {selected_painter(rig.run.painter)}" if kind.gl else ""  # GL compiles other kernels
+    painter = ""
+    if kind.gl:
+        from emulator.gl.context import selected_painter
+
+        painter = f"by {selected_painter(rig.run.painter)}"  # GL compiles other kernels
     seconds = _LONG_SCENES_S.get(rig.scene.kind, _SCENE_S)
     parts = [Part(f"scene {rig.scene.kind}", seconds, partial(_draw, rig), painter)] if kind.kernels else []
     if parts and rig.run.tolerance_us:
@@ -410,9 +413,9 @@ def _note(part: Part) -> Path:
 
 @cache
 def _folder() -> Path:
-    from firmware_protocol.telemetry.reading import read_block
+    from emulator.sensor.pixels.step import unpack
 
-    return cache_folder(read_block)
+    return cache_folder(unpack)
 
 
 @cache

@@ -27,9 +27,7 @@ from emulator.sensor.chip.imager import Imager, part_of_the_way
 from emulator.sensor.chip.readout import ArbiterReadOut, Jitter, ReadOut
 from emulator.sensor.chip.scan import ScanReadOut
 from emulator.sensor.chip.sources import BackgroundEvents, Particles
-from emulator.sensor.methods.circuit import CircuitPixels
 from emulator.sensor.noise.draws import insert
-from emulator.sensor.noise.grid import NoisyPixels
 from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.parameters import DefectParameters, KickParameters
 from emulator.sensor.pixels.array import PixelArray
@@ -76,9 +74,14 @@ class Source(Protocol):
 def own_pixels(p: SensorParameters, seed: int, threads: int = 0) -> PixelMethod:
     """Return evstim's own pixels with the effects of the sensor; `threads` as in `PixelArray`."""
     if p.photoreceptor == "circuit":
+        from emulator.sensor.methods.circuit import CircuitPixels
+
         return CircuitPixels(p, seed)
-    on_grid = bool(p.noise.rms) and p.noise.grade == "grid"
-    return NoisyPixels(p, seed) if on_grid else PixelArray(p, seed, threads)
+    if p.noise.rms and p.noise.grade == "grid":
+        from emulator.sensor.noise.grid import NoisyPixels
+
+        return NoisyPixels(p, seed)
+    return PixelArray(p, seed, threads)
 
 
 def make_jitter(p: SensorParameters, seed: int) -> Jitter | None:

@@ -25,7 +25,7 @@ from transports.recording.part import (
     facts_of,
 )
 
-__all__ = ["LibraryMissing", "OpenRecording", "read_messages"]
+__all__ = ["OpenRecording", "read_messages"]
 
 _MOST_EVENTS = 1 << 16  # in one message
 
