@@ -32,12 +32,11 @@ from emulator.light import Scene
 from emulator.rig.loading import Rig, load_rig, with_options
 from emulator.rig.remarks import remarks
 from emulator.run.assembly import build_scene, build_session, link_setups, schedule
-from emulator.run.changes import Operator
 from emulator.run.control import ReadySignal, fault_injection
 from emulator.run.kernels import parts_of
 from emulator.run.outcome import RunResult, RunStatus, good, judge, undersampled_advice
 from emulator.run.pacing import Simulation
-from emulator.run.session import Session
+from emulator.run.session import Operator, Session
 from firmware_protocol.events import Events
 from transports.link.deliveries import LatencySummary
 from transports.link.pacing import MonotonicClock

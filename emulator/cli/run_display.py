@@ -25,10 +25,9 @@ from emulator.cli.output import LACKING, WRONG_USE, Failure, console, status
 from emulator.cli.run_summary import quantile_text
 from emulator.light import MachineLacks, Scene
 from emulator.rig.loading import Rig
-from emulator.run.changes import Operator
 from emulator.run.control import FaultInjection
 from emulator.run.outcome import RunResult, RunStatus, judge
-from emulator.run.session import Session
+from emulator.run.session import Operator, Session
 from firmware_protocol.events import Events
 from transports.link.edges import EdgeSink
 from transports.link.process import LinkSetup
