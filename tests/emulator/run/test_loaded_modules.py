@@ -38,6 +38,6 @@ def test_a_run_of_loopback_loads_few_modules(tmp_path):
     )
     processes = [OURS.findall(path.read_text()) for path in (tmp_path / "loaded").iterdir()]
     (session,) = (modules for modules in processes if "emulator.cli.run" in modules)
-    (link,) = (modules for modules in processes if "transports.link.loop" in modules and modules is not session)
+    (link,) = (modules for modules in processes if "transports.usb.cameras" in modules)
     assert len(session) <= MOST_IN_SESSION, sorted(session)
     assert len(link) <= MOST_IN_LINK, sorted(link)
