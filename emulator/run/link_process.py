@@ -321,8 +321,9 @@ def traced(setups: Sequence[LinkSetup[Any]], path: Path) -> tuple[list[LinkSetup
     """
     names = [setup.name for setup in setups if setup.endpoint.traced(path) is not None]
     paths = {name: path if len(names) == 1 else path.with_name(f"{path.name}-{name}") for name in names}
-    links = [
-        dataclasses.replace(setup, endpoint=setup.endpoint.traced(paths[setup.name])) if setup.name in paths else setup
-        for setup in setups
-    ]
-    return links, list(paths.values())
+    return [_traced(setup, paths.get(setup.name)) for setup in setups], list(paths.values())
+
+
+def _traced(setup: LinkSetup[Any], path: Path | None) -> LinkSetup[Any]:
+    endpoint = None if path is None else setup.endpoint.traced(path)
+    return setup if endpoint is None else dataclasses.replace(setup, endpoint=endpoint)

@@ -42,7 +42,6 @@ __all__ = [
     "moved_us",
     "reconstruct",
     "same_time_share",
-    "structural_similarity",
     "van_rossum_products",
 ]
 
@@ -233,10 +232,6 @@ class Stream:
         return cls.of(events["t"].astype(np.float64), pixel, events["on"], width * height)
 
 
-_WINDOW = 7
-"""Side of the window of the structural similarity, pixels, as scikit-image has it by default."""
-
-
 @dataclass(frozen=True, slots=True)
 class Scores:
     """Comparison of a stream with the truth, as defined in the module docstring; NaN where nothing can be compared.
@@ -332,40 +327,6 @@ def reconstruct(stream: Stream, on: npt.ArrayLike, off: npt.ArrayLike, start: np
 def mean_square_error(picture: npt.ArrayLike, truth: npt.ArrayLike) -> float:
     """Return the mean of the squared difference of two images of one shape."""
     return float(np.mean((np.asarray(picture, np.float64) - np.asarray(truth, np.float64)) ** 2))
-
-
-def structural_similarity(picture: npt.ArrayLike, truth: npt.ArrayLike, span: float | None = None) -> float:
-    """Return SSIM (Wang et al., IEEE TIP 13, 2004) in windows of 7 x 7 pixels of equal weight; 1 is the same.
-
-    Parameters
-    ----------
-    picture, truth : (height, width)
-        At least 7 x 7.
-    span : float, optional
-        Range of the possible values; that of the truth where not given.
-
-    Raises
-    ------
-    ValueError
-        The shapes differ or are too small.
-    """
-    a, b = np.asarray(picture, np.float64), np.asarray(truth, np.float64)
-    if a.shape != b.shape or a.ndim != 2 or min(a.shape) < _WINDOW:
-        raise ValueError(f"pictures of {a.shape} and {b.shape}: must be of one shape, at least {_WINDOW} x {_WINDOW}")
-    whole = float(np.ptp(b)) if span is None else span
-    c1, c2 = (0.01 * whole) ** 2, (0.03 * whole) ** 2
-    mean_a, mean_b = _windows(a), _windows(b)
-    unbiased = _WINDOW**2 / (_WINDOW**2 - 1)
-    var_a, var_b, cov = (unbiased * (_windows(p * q) - _windows(p) * _windows(q)) for p, q in ((a, a), (b, b), (a, b)))
-    above = (2 * mean_a * mean_b + c1) * (2 * cov + c2)
-    below = (mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2)
-    return float(np.mean(np.where(below > 0, above / np.where(below > 0, below, 1), 1)))
-
-
-def _windows(picture: _Float64s) -> _Float64s:
-    """Return the mean of each whole window."""
-    views = np.lib.stride_tricks.sliding_window_view(picture, (_WINDOW, _WINDOW))
-    return np.asarray(views.mean(axis=(2, 3)))
 
 
 def _ratio(part: float, whole: float) -> float:

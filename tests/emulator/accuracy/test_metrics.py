@@ -13,7 +13,6 @@ from emulator.evaluation.accuracy.scores import (
     mean_square_error,
     reconstruct,
     same_time_share,
-    structural_similarity,
 )
 from firmware_protocol.events import EVENT
 
@@ -155,19 +154,3 @@ def test_events_read_back_to_log_light():
     np.testing.assert_allclose(reconstruct(stream, 0.2, [0.1, 0.3], [1.0, 2.0], 2.0), [1.4, 1.7])
     np.testing.assert_allclose(reconstruct(stream, 0.2, [0.1, 0.3], [1.0, 2.0], 9.0), [1.3, 1.7])
     assert mean_square_error([1, 2], [1, 4]) == 2
-
-
-def test_structural_similarity():
-    rng = np.random.default_rng(1)
-    picture = rng.normal(size=(16, 20))
-    assert structural_similarity(picture, picture) == pytest.approx(1)
-    assert structural_similarity(10 - picture, 10 + picture) < 0
-    blurred = structural_similarity(picture + 0.2 * rng.normal(size=picture.shape), picture)
-    assert 0.7 < blurred < 1
-    flat = np.zeros((9, 9))
-    assert structural_similarity(flat, flat) == 1
-    # two flat pictures: only the first factor counts
-    c1 = 0.01**2
-    assert structural_similarity(flat, flat + 0.5, span=1.0) == pytest.approx(c1 / (0.25 + c1))
-    with pytest.raises(ValueError, match="shape"):
-        structural_similarity(np.zeros((6, 9)), np.zeros((6, 9)))
