@@ -438,31 +438,12 @@ _SOURCES = {name: module for module, names in _NAMES.items() for name in names} 
 }
 """Public name -> "module", or "module:name there" where the two names differ."""
 
-_RENAMED = {
-    "BodiesParameters": "BodiesScene",
-    "CanParameters": "CanLink",
-    "CheckerboardParameters": "CheckerboardScene",
-    "RecordingParameters": "RecordingScene",
-    "SerialParameters": "SerialLink",
-    "StarsParameters": "StarsScene",
-    "TerrainParameters": "TerrainScene",
-    "VideoParameters": "VideoScene",
-}
-"""Old name -> new name. Renamed in version 0.2; to be removed in the version after."""
-
 __version__: str
 
 if not TYPE_CHECKING:  # else a type checker would take any name for one of ours
 
     def __getattr__(name: str) -> Any:
-        """Import a public name on its first use; an old name with a DeprecationWarning, on every use."""
-        if name in _RENAMED:
-            import_module("warnings").warn(
-                f"evstim.{name} is now evstim.{_RENAMED[name]}; the old name goes with the next version",
-                DeprecationWarning,
-                stacklevel=2,
-            )
-            return getattr(import_module(__name__), _RENAMED[name])
+        """Import a public name on its first use."""
         if name == "__version__":
             value = import_module("importlib.metadata").version("evstim")
         elif name in _SOURCES:

@@ -22,7 +22,6 @@ from emulator.evaluation.accuracy.scores import Stream
 from emulator.scene.video.frames import linear_light, read_frames
 from emulator.scene.video.video import resampled
 from emulator.sensor.presets import SensorParameters
-from evstim.renamed import renamed_argument
 from evstim.sensor import Sensor, SensorOptions
 from firmware_protocol.events import Events, empty_events
 
@@ -58,7 +57,6 @@ class _Conversion:
             raise ValueError(f"light_at_white is {white}: it must be above 0")
 
 
-@renamed_argument("times_us", "t_us")
 def events_from_frames(  # noqa: PLR0913 - one call that names all it needs
     frames: Iterable[npt.ArrayLike],
     t_us: npt.ArrayLike,
@@ -162,7 +160,7 @@ def _times(t_us: npt.ArrayLike) -> _Float64s:
             "t_us holds floats: give whole microseconds, such as np.rint(1e6 * times_s).astype(np.int64); floats go "
             "with the next version",
             DeprecationWarning,
-            stacklevel=4,
+            stacklevel=3,
         )
     elif times.size and times.dtype.kind not in "iu":
         raise TypeError(f"t_us is an array of {times.dtype}: whole microseconds are needed, int64")
@@ -199,7 +197,7 @@ def _check_interval(interval_us: float) -> None:
     if interval_us < _LEAST_INTERVAL_US:
         raise ValueError(message)
     if interval_us < _SHORT_INTERVAL_US:
-        warnings.warn(message, stacklevel=6)
+        warnings.warn(message, stacklevel=5)
 
 
 def _lights(
@@ -256,7 +254,7 @@ def _warn_of_levels(values: npt.NDArray[Any], k: int) -> bool:
     warnings.warn(
         f"frame {k} reaches {brightest:g}: floats are linear light, 1.0 being white. For levels of 8 bits give uint8 "
         'frames and levels="srgb" or "linear"; for light, write the light of white: light_at_white=1.0',
-        stacklevel=6,
+        stacklevel=5,
     )
     return True
 

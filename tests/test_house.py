@@ -1,11 +1,18 @@
 """How the house is kept: what the plan promises about modules, and that the README's commands exist."""
 
 import ast
+import importlib.util
 import re
+import sys
 import tomllib
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parent.parent
+SPEC = importlib.util.spec_from_file_location("house", ROOT / ".ci" / "house.py")
+house = sys.modules["house"] = importlib.util.module_from_spec(SPEC)  # dataclasses look their module up
+SPEC.loader.exec_module(house)
 ROOMS = ("evstim", "emulator", "transports", "firmware_protocol")
 MODULES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
 LONGEST = 600
@@ -59,3 +66,58 @@ def test_nothing_installs_evstim_from_a_package_index():
     told += [path for ending in ("md", "py", "toml", "ipynb") for path in (ROOT / "examples").rglob(f"*.{ending}")]
     wrong = re.compile(r"pip install '?evstim\b|evstim\[\w")
     assert [path.name for path in told if path.name != "CHANGELOG.md" and wrong.search(path.read_text())] == []
+
+
+@pytest.mark.system
+def test_the_code_is_as_large_as_house_toml_allows():
+    assert house.differences(house.measured(ROOT), house.budget_of(ROOT)) == []
+
+
+@pytest.mark.parametrize(
+    ("present", "sentence"),
+    [
+        ((5001, 20), "emulator/scene has 5001 lines, house.toml allows 5000: remove 1"),
+        ((5000, 21), "emulator/scene has 21 modules, house.toml allows 20: remove 1"),
+        ((4849, 20), "emulator/scene has 4849 lines, house.toml allows 5000: lower it to 4849"),
+        ((5000, 16), "emulator/scene has 16 modules, house.toml allows 20: lower it to 16"),
+        ((4850, 17), ""),
+    ],
+)
+def test_a_folder_may_neither_grow_nor_stay_far_below_its_number(present, sentence):
+    budget = house.House(folders={"emulator/scene": (5000, 20)})
+    differences = house.differences(house.House(folders={"emulator/scene": present}), budget)
+    assert [text.removesuffix(f"; {house.RULE}") for text in differences] == ([sentence] if sentence else [])
+
+
+def test_a_small_folder_may_be_a_few_lines_below_its_number_and_a_new_one_has_none():
+    budget = house.House(folders={"emulator/truth": (100, 4)}, habits={"empty names": 10})
+    near = house.House(folders={"emulator/truth": (70, 1)}, habits={"empty names": 7})
+    assert house.differences(near, budget) == []
+    far = house.House(folders={"emulator/truth": (69, 1), "emulator/new": (9, 0)}, habits={"empty names": 6})
+    assert [sentence.partition(" has ")[0] for sentence in house.differences(far, budget)] == [
+        "emulator/new", "emulator/truth", "product",
+    ]  # fmt: skip
+
+
+def test_habits_are_counted_in_the_product_alone(tmp_path):
+    source = '''"""See `other`."""
+
+def _small(size: tuple[int, int], box: tuple[int, float], rest: tuple[int, ...]):
+    a, b, c = 1, 2, 3
+    return a
+
+found = _small((1, 1), (1, 2.0), ())
+'''
+    for package in ("emulator/scene", "laboratory"):
+        (tmp_path / package).mkdir(parents=True)
+        (tmp_path / package / "module.py").write_text(source)
+    counted = house.measured(tmp_path)
+    assert counted.total == {"product": (7, 1), "laboratory": (7, 1)}
+    assert counted.folders == {"emulator/scene": (7, 1), "laboratory": (7, 1)}
+    assert counted.habits == {
+        "bundled parameters": 1,
+        "empty names": 2,
+        "small private functions with one caller": 1,
+        "packed assignments": 1,
+        "empty docstrings": 1,
+    }

@@ -20,8 +20,7 @@ from emulator.run.kernels import Part, Preparation, prepare, uncompiled
 from emulator.run.link_process import LinkFailed
 from emulator.tables.registry import PluginError
 from transports.recording.format import Format, format_to_write, reason
-from transports.recording.guarded import LibraryMissing
-from transports.recording.part import RecordingError
+from transports.recording.part import LibraryMissing, RecordingError
 
 __all__ = ["check_output", "check_recording", "failures", "parsed_size", "prepared", "reading", "writing"]
 

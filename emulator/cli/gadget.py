@@ -112,7 +112,7 @@ def _descriptors(plug: UsbCameraOptions) -> DescriptorSet:
     """Return the descriptors that USB hosts read."""
     model = CAMERA_MODELS.get(plug.model)
     if model is None or model.usb is None:
-        known = ", ".join(name for name, one in CAMERA_MODELS.items() if one.usb is not None)
+        known = ", ".join(name for name, one in CAMERA_MODELS.usable().items() if one.usb is not None)
         raise Failure(f"there is no USB camera {plug.model!r}; there are: {known}", WRONG_USE)
     try:
         camera = Camera(model=plug.model, serial=plug.serial, speed=plug.speed)

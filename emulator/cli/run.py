@@ -9,7 +9,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -31,20 +31,21 @@ from emulator.cli.run_summary import (
 )
 from emulator.cli.signals import ignore_stop_signals, interrupt_on_stop_signals, stop_on_signals
 from emulator.light import Scene
-from emulator.live_page.controls import Repeats
 from emulator.rig.loading import Rig, load_rig, with_options
 from emulator.rig.remarks import remarks
 from emulator.run.assembly import build_scene, build_session, link_setups, schedule
-from emulator.run.changes import Operator
 from emulator.run.control import ReadySignal, fault_injection
 from emulator.run.kernels import parts_of
 from emulator.run.outcome import RunResult, RunStatus, good, judge, undersampled_advice
 from emulator.run.pacing import Simulation
-from emulator.run.session import Session
+from emulator.run.session import Operator, Session
 from firmware_protocol.events import Events
 from transports.link.deliveries import LatencySummary
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
+
+if TYPE_CHECKING:
+    from emulator.live_page.controls import Repeats
 
 __all__ = [
     "NO_FILES",
@@ -136,9 +137,10 @@ def run(
     """
     with failures():
         loaded = rig_with_options(load_rig(rig), seconds, seed, pace)
-        repeats = Repeats(_obstacle(files))
+        repeats = _repeats(files)
         result, truth = run_with_files(loaded, files, show=not json, repeats=repeats)
-        while (next_seed := repeats.take(loaded, result)) is not None:  # a viewer of the live page has sent a seed
+        # A viewer of the live page sends a seed for a further run.
+        while repeats is not None and (next_seed := repeats.take(loaded, result)) is not None:
             if not json:
                 print_summary(loaded, result)
             interrupt_on_stop_signals()
@@ -153,12 +155,16 @@ def run(
     return GOOD if good(judge(loaded.verdict, result)) and not truth.trouble else BAD_VERDICT
 
 
-def _obstacle(files: Files) -> str:
-    """Return the reason why a run with these files cannot be started again; "" where it can."""
+def _repeats(files: Files) -> Repeats | None:
+    """Return the receiver of requests to start the run again; one for a run that writes files refuses them."""
+    if not files.serve:
+        return None
+    from emulator.live_page.controls import Repeats
+
     written = {"record": files.record, "truth": files.truth, "fault-log": files.fault_log, "trace": files.trace}
     written |= {"report": files.report, "ready-file": files.ready_file}
     found = [f"--{name}" for name, path in written.items() if path is not None]
-    return f"the new run would write over the files of {', '.join(found)}" if found else ""
+    return Repeats(f"the new run would write over the files of {', '.join(found)}" if found else "")
 
 
 def run_with_files(

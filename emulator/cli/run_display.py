@@ -23,23 +23,20 @@ from rich.table import Table
 from emulator.cli.output import LACKING, WRONG_USE, Failure, console, status
 from emulator.cli.run_summary import quantile_text
 from emulator.light import MachineLacks, Scene
-from emulator.live_page.controls import Repeats
-from emulator.live_page.messages import Address, parse_address
 from emulator.rig.loading import Rig
-from emulator.run.changes import Operator
 from emulator.run.control import FaultInjection
 from emulator.run.outcome import Rates, RunResult, RunStatus, judge
-from emulator.run.report.content import Circumstances, ReportContent
-from emulator.run.report.files import begin_files, write_report
-from emulator.run.report.modelled import modelled
-from emulator.run.report.observation import Observation
-from emulator.run.session import Session
+from emulator.run.session import Operator, Session
 from firmware_protocol.events import Events
 from transports.link.edges import EdgeSink
 from transports.link.process import LinkSetup
 
 if TYPE_CHECKING:
+    from emulator.live_page.controls import Repeats
+    from emulator.live_page.messages import Address
     from emulator.live_page.page import LivePage
+    from emulator.run.report.content import Circumstances
+    from emulator.run.report.observation import Observation
 
 __all__ = ["LiveTable", "OptionalPage", "RunReporter", "begin_report", "check_serving"]
 
@@ -105,12 +102,19 @@ class RunReporter:
     def __init__(self, rig: Rig, folder: Path | None, began: datetime | None = None) -> None:
         self._rig = rig
         self._folder = folder
-        self._seen = Observation(rig.camera.size) if folder is not None else None
-        self._there = Circumstances(began)
+        self._seen: Observation | None = None
+        self._there: Circumstances
+        if folder is not None:
+            from emulator.run.report.content import Circumstances
+            from emulator.run.report.observation import Observation
+
+            self._seen, self._there = Observation(rig.camera.size), Circumstances(began)
 
     def plan(self, scene: Scene, *, is_driven: bool) -> None:
         """Record what the run models, before it begins; raises SceneError."""
         if self._seen is not None:
+            from emulator.run.report.modelled import modelled
+
             self._there = replace(self._there, modelled=modelled(self._rig, scene, is_driven=is_driven))
 
     def take(self, events: Events, session: Session) -> None:
@@ -130,6 +134,9 @@ class RunReporter:
         """
         if self._folder is None or self._seen is None:
             return
+        from emulator.run.report.content import ReportContent
+        from emulator.run.report.files import write_report
+
         judgements = judge(self._rig.verdict, result)
         there = replace(self._there, ended=datetime.now(UTC), truth_trouble=truth_trouble)
         reported = ReportContent(self._rig, result, self._seen, judgements, summary, version("evstim"), there)
@@ -147,6 +154,8 @@ def begin_report(rig: Rig, folder: Path | None) -> RunReporter:
     """Make the folder, which may exist already, with files that state no verdict; raises Failure."""
     if folder is None:
         return RunReporter(rig, None)
+    from emulator.run.report.files import begin_files
+
     began = datetime.now(UTC)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -226,6 +235,8 @@ def check_serving(requested: str | bool | None) -> None:
 def _address(requested: str | bool | None) -> Address | None:
     if requested is None or requested is False:
         return None
+    from emulator.live_page.messages import Address, parse_address
+
     try:
         return Address() if requested is True else parse_address(requested)
     except ValueError as error:

@@ -21,12 +21,10 @@ from emulator.rig.loading import Rig
 from emulator.run.kernels import TRUTH, Part
 from emulator.run.link_process import traced
 from emulator.run.outcome import Judgement, LinkLedger, RunResult
-from emulator.run.truth.source import SUFFIXES, TruthFile, TruthRefused, pictures_bytes
 from firmware_protocol.device.fates import Counts
 from transports.faults.script import FaultRecord
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
-from transports.usb.usbip.trace import both_files
 
 __all__ = [
     "Truth",
@@ -212,21 +210,14 @@ class Truth:
     """
 
     def __init__(self, rig: Rig, path: Path | None, every: int | None) -> None:
-        is_scene = path is not None and path.suffix in SUFFIXES
-        self.clock = None if is_scene else path
+        self.clock = path
         self._file: Any = None
         if path is None:
             return
-        if is_scene:
-            try:
-                self._file = TruthFile(rig, path, every)
-            except TruthRefused as error:
-                raise Failure(f"--truth: {error}", WRONG_USE) from error
-            except ImportError as error:
-                raise Failure(f"--truth: {error}", LACKING) from error
-            rate_hz, bytes_a_second = pictures_bytes(rig, every)
-            size = f"{bytes_a_second * (rig.run.seconds or 1) / 1e6:.2g} MB{'' if rig.run.seconds else ' a second'}"
-            status.print(f"truth: {rate_hz:g} light frames a second, at most {size} of them in {path}", markup=False)
+        from emulator.run.truth.source import SUFFIXES
+
+        if path.suffix in SUFFIXES:
+            self._file, self.clock = _truth_file(rig, path, every), None
         elif rig.camera.clock is None or not rig.links:
             raise Failure(
                 "--truth: give an .h5 file for the truth of scene and sensor; any other file is for the error of the "
@@ -250,10 +241,29 @@ class Truth:
         return nullcontext() if self._file is None else self._file
 
 
+def _truth_file(rig: Rig, path: Path, every: int | None) -> Any:
+    from emulator.run.truth.source import TruthFile, TruthRefused, pictures_bytes
+
+    try:
+        file = TruthFile(rig, path, every)
+    except TruthRefused as error:
+        raise Failure(f"--truth: {error}", WRONG_USE) from error
+    except ImportError as error:
+        raise Failure(f"--truth: {error}", LACKING) from error
+    rate_hz, bytes_a_second = pictures_bytes(rig, every)
+    size = f"{bytes_a_second * (rig.run.seconds or 1) / 1e6:.2g} MB{'' if rig.run.seconds else ' a second'}"
+    status.print(f"truth: {rate_hz:g} light frames a second, at most {size} of them in {path}", markup=False)
+    return file
+
+
 def begin_trace(setups: Sequence[LinkSetup[Any]], path: Path | None) -> list[LinkSetup[Any]]:
     """Return the links, with a trace of their USB cables in new files; raises Failure."""
+    if path is None:
+        return list(setups)
+    from transports.usb.usbip.trace import both_files
+
     links, traces = traced(setups, path)
-    if path is not None and not traces:
+    if not traces:
         raise Failure("--trace: this rig has no link of kind usbip, so there is no USB cable to trace", WRONG_USE)
     for file in [file for trace in traces for file in both_files(trace)]:
         check_output("--trace", file)

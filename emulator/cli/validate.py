@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -9,13 +10,28 @@ from cyclopts import Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
-from emulator.evaluation.validation.experiments import EXPERIMENTS
-from emulator.evaluation.validation.findings import Findings
+from emulator.evaluation.validation.background import background
+from emulator.evaluation.validation.findings import Experiment, Findings
+from emulator.evaluation.validation.latency import latency, opposite, region, spread
 from emulator.evaluation.validation.page import write
+from emulator.evaluation.validation.recordings import davis346, evk4
+from emulator.evaluation.validation.stars import stars
 from emulator.light import MachineLacks
 from emulator.report.page import ChartsLacking, check_charts
 
-__all__ = ["validate"]
+__all__ = ["EXPERIMENTS", "validate"]
+
+EXPERIMENTS: Mapping[str, Experiment] = {
+    "latency": latency,
+    "region": region,
+    "spread": spread,
+    "opposite": opposite,
+    "davis346_street": davis346,
+    "evk4_quiet": evk4,
+    "background": background,
+    "stars": stars,
+}
+"""Experiments by name, in the order of the page. An experiment is one function."""
 
 
 def validate(

@@ -18,8 +18,8 @@ from emulator.tables.typed_table import NO_FILE, RigFile
 from firmware_protocol.events import Events, join_events
 from transports.needs import Need, package
 from transports.recording.format import format_to_read, format_to_write
-from transports.recording.guarded import LibraryMissing, OpenRecording
-from transports.recording.part import Frame, RecordingError, wrong_event
+from transports.recording.guarded import OpenRecording
+from transports.recording.part import Frame, LibraryMissing, RecordingError, wrong_event
 
 __all__ = ["RECORDING", "RecordingParameters", "load_recording", "read_events", "read_frames"]
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 
-from emulator.raster.compiled import kernel, lane
-from emulator.raster.layout import Data, Floats, Ints, W, WHighest, WLowest, XHigh, XLow, YHigh, YLow
+from emulator.raster.compiled import entry, kernel, lane
+from emulator.raster.layout import BAND, Data, Floats, Ints, W, WHighest, WLowest, XHigh, XLow, YHigh, YLow
 
-__all__ = ["alone", "fill_depth", "mark_seen", "shows"]
+__all__ = ["alone", "fill_depth", "mark_seen", "nearest_facets", "shows"]
 
 _ON_A_SIDE = 1e-9  # pixels: a middle so near a facet's side lies on it
 
@@ -117,3 +117,26 @@ def alone(nearest: Ints, r: int, c: int) -> int:
             if nearest[i, j] != f:
                 f = -1
     return f
+
+
+@entry
+def nearest_facets(data: Data, lists: Data, scratch: tuple[Floats, Ints, Ints], out: Ints) -> None:
+    """Write the facet that is the nearest at each pixel's middle, (height, width); -1 for none.
+
+    Parameters
+    ----------
+    data : vertices, faces, across, smooth, facets, kinds, over.
+    lists : `starts` and `listed` of `projection.bucket`.
+    scratch : depth and nearest of one band, and a number for each facet.
+    """
+    starts, listed = lists
+    depth, nearest, held = scratch
+    height, width = out.shape
+    for band in range(-(-height // BAND)):
+        here = listed[starts[band] : starts[band + 1]]
+        first, last = band * BAND, min((band + 1) * BAND, height)
+        depth[:] = 0.0
+        nearest[:] = -1
+        fill_depth(data, here, depth, nearest, held, (first, last, band))
+        for r in range(first, last):
+            out[r] = nearest[r - first + 1, 1 : width + 1]

@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.raster.bands import draw_bands, query_bands
+from emulator.raster.depth import nearest_facets
 from emulator.raster.layout import BAND, FACET_FIELDS, VERTEX_FIELDS, Box, Bytes, Float32s, Floats, Ints, Screen, View
 from emulator.raster.lines import LINE_FIELDS, SIDE_FIELDS
-from emulator.raster.nearest import nearest_facets
 from emulator.raster.projection import bucket, clip, project, set_up
 from emulator.raster.topology import Topology
 from emulator.threads import ThreadPool

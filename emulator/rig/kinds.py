@@ -1,8 +1,8 @@
 """The kinds of links, scenes, faults and cameras that a rig can name.
 
-A registry has the built-in kinds, and those of installed packages (groups "evstim.links" and "evstim.scenes"). A fault
-is converted from a table of a rig, or of `evstim fault`. A camera model has one record: its sensor, its chip, and its
-USB device where there is one.
+A registry has the built-in kinds, and those of installed packages (groups "evstim.links", "evstim.scenes" and
+"evstim.cameras"). A fault is converted from a table of a rig, or of `evstim fault`. A camera model has one record: its
+sensor, its chip, and its USB device where there is one.
 """
 
 from __future__ import annotations
@@ -10,28 +10,17 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from emulator.optics.lens import CHIPS, Chip
 from emulator.rig.tables import Camera
 from emulator.scene.kind import SceneKind
-from emulator.sensor.presets import PRESETS, SensorParameters
+from emulator.sensor.presets import SensorParameters
 from emulator.tables.registry import Registry
 from emulator.tables.typed_table import KeyPath, TableError, convert_kind, unknown
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo
-from firmware_protocol.davis346.registers import driver_imu_settings
-from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, DvxplorerSettings
-from firmware_protocol.dvxplorer import registers as dvxplorer_registers
-from firmware_protocol.genx320 import registers as genx320_registers
-from firmware_protocol.genx320.biases import SLOPES as GENX320_SLOPES
-from firmware_protocol.genx320.device import Genx320, Genx320Settings
-from firmware_protocol.imu_samples import BMI160, ImuSettings
-from firmware_protocol.imx636.boards import BOARDS
-from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
-from firmware_protocol.imx636.registers import Surroundings
+from firmware_protocol.imu_samples import BMI160
 from firmware_protocol.prophesee.biases import BiasSlopes
-from firmware_protocol.usb.device import Speed, UsbCamera
+from firmware_protocol.usb.device import UsbCamera
 from transports.faults.kinds import Fault
 from transports.link.kind import LinkKind, LinkParameters
 
@@ -47,7 +36,6 @@ __all__ = [
     "convert_fault",
     "faults_of",
     "gige_models",
-    "host_imu_settings",
     "known_faults",
     "usb_model",
     "usb_sizes",
@@ -163,12 +151,15 @@ class CameraModel:
 
     Attributes
     ----------
+    name
+        Name of the model, the value of `camera.model` in rigs.
     gige
         Whether it is a GigE Vision device.
     bias_slopes
         Effects of its biases where a rig gives none, if `camera.bias_slopes` may change them.
     """
 
+    name: str
     sensor: SensorParameters
     chip: Chip
     usb: UsbModel | None = None
@@ -181,122 +172,32 @@ class CameraModel:
         return self.chip is CHIPS["imx636"]
 
 
+CAMERA_MODELS: Registry[CameraModel] = Registry(
+    "evstim.cameras",
+    CameraModel,
+    {
+        "davis346": "emulator.cameras.davis346:DAVIS346",
+        "dvxplorer": "emulator.cameras.dvxplorer:DVXPLORER",
+        "dvxplorer_micro": "emulator.cameras.dvxplorer:DVXPLORER_MICRO",
+        "dvxplorer_micro_firmware9": "emulator.cameras.dvxplorer:DVXPLORER_MICRO_FIRMWARE9",
+        "imx636": "emulator.cameras.imx636:IMX636",
+        "evk4": "emulator.cameras.imx636:EVK4",
+        "evk3_hd": "emulator.cameras.imx636:EVK3_HD",
+        "silkyevcam_hd": "emulator.cameras.imx636:SILKYEVCAM_HD",
+        "silkyevcam_hd_lite": "emulator.cameras.imx636:SILKYEVCAM_HD_LITE",
+        "ueye_xcp_e": "emulator.cameras.imx636:UEYE_XCP_E",
+        "ueye_xls_e": "emulator.cameras.imx636:UEYE_XLS_E",
+        "triton2": "emulator.cameras.imx636:TRITON2",
+        "gen31": "emulator.cameras.imx636:GEN31",
+        "genx320": "emulator.cameras.genx320:GENX320",
+        "ideal": "emulator.cameras.davis346:IDEAL",
+    },
+)
+"""Camera models by the name that rigs write."""
+
+
 IMU_UNITS = {"mpu_6050": 1, "mpu_9250": 2, "bmi160": BMI160}
 """Register TYPE of an inertial unit."""
-
-_DAVIS_UNITS = ("mpu_9250", "mpu_6050")
-
-
-def host_imu_settings(unit: str) -> ImuSettings:
-    """Return the settings that the drivers of a unit's cameras write by default."""
-    if IMU_UNITS[unit] == BMI160:
-        return dvxplorer_registers.driver_imu_settings()
-    return driver_imu_settings(IMU_UNITS[unit])
-
-
-def _common(camera: Camera, usb: UsbSettings) -> dict[str, Any]:
-    """Return the settings of every camera on USB."""
-    return {
-        "serial": camera.serial,
-        "speed": Speed[camera.speed.upper()],
-        "fifo_bytes": camera.fifo_bytes,
-        "start_delay_us": round(usb.start_delay_ms * 1000),
-    }
-
-
-def _davis346(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
-    settings = Davis346Settings(
-        **_common(camera, usb),
-        size=camera.size,
-        layout=Layout[camera.layout.upper()],
-        system=SystemInfo(timestamp_master=usb.is_master),
-        imu_unit=IMU_UNITS[camera.imu.unit] if camera.imu is not None and camera.imu.unit in _DAVIS_UNITS else 0,
-        frames=camera.frames is not None,
-        activity_filter=camera.activity_filter,
-        pulse_us=usb.pulse_us,
-    )
-    return partial(Davis346, settings)
-
-
-def _dvxplorer(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
-    settings = DvxplorerSettings(
-        **_common(camera, usb),
-        system=dataclasses.replace(dvxplorer_registers.SYSTEM, timestamp_master=usb.is_master),
-        imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
-        pulse_us=usb.pulse_us,
-    )
-    return partial(Dvxplorer, settings)
-
-
-def _dvxplorer_micro(bcd_device: int, camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
-    settings = DvxplorerMicroSettings(
-        **_common(camera, usb),
-        bcd_device=bcd_device,
-        imu_unit=0 if camera.imu is None else IMU_UNITS[camera.imu.unit],
-    )
-    return partial(DvxplorerMicro, settings)
-
-
-def _micro(bcd_device: int) -> CameraModel:
-    """Return the model of a DVXplorer Micro with a version of its device."""
-    usb = UsbModel((640, 480), partial(_dvxplorer_micro, bcd_device), has_groups=True, imu_units=("bmi160",))
-    return CameraModel(PRESETS["dvxplorer_micro"], CHIPS["dvxplorer_micro"], usb)
-
-
-def _evk4(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
-    sensor = camera.sensor
-    settings = Evk4Settings(
-        **_common(camera, usb),
-        surroundings=Surroundings(celsius=sensor.temperature.celsius, dead_time_us=sensor.refractory_us),
-        biases=camera.bias_model,
-        board=BOARDS[camera.model],
-        pulse_us=usb.pulse_us,
-    )
-    return partial(Evk4, settings)
-
-
-def _genx320(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
-    sensor = camera.sensor
-    settings = Genx320Settings(
-        **_common(camera, usb),
-        surroundings=genx320_registers.Surroundings(sensor.temperature.celsius, dead_time_us=sensor.refractory_us),
-        pulse_us=usb.pulse_us,
-        biases=camera.bias_model,
-    )
-    return partial(Genx320, settings)
-
-
-_SLOPES = BiasSlopes()
-
-CAMERA_MODELS: Mapping[str, CameraModel] = {
-    "davis346": CameraModel(
-        PRESETS["davis346"], CHIPS["davis346"], UsbModel((346, 260), _davis346, imu_units=_DAVIS_UNITS)
-    ),
-    "dvxplorer": CameraModel(
-        PRESETS["dvxplorer_micro"],
-        CHIPS["dvxplorer_micro"],
-        UsbModel((640, 480), _dvxplorer, has_groups=True, imu_units=("bmi160",)),
-    ),
-    "dvxplorer_micro": _micro(0x040A),
-    "dvxplorer_micro_firmware9": _micro(0x0409),
-    "imx636": CameraModel(PRESETS["imx636"], CHIPS["imx636"], bias_slopes=_SLOPES),
-    **dict.fromkeys(
-        BOARDS,
-        CameraModel(
-            PRESETS["imx636"], CHIPS["imx636"], UsbModel((1280, 720), _evk4, has_evt=True), bias_slopes=_SLOPES
-        ),
-    ),
-    "triton2": CameraModel(PRESETS["imx636"], CHIPS["imx636"], gige=True, bias_slopes=_SLOPES),
-    "gen31": CameraModel(PRESETS["gen31"], CHIPS["gen31"]),
-    "genx320": CameraModel(
-        PRESETS["genx320"],
-        CHIPS["genx320"],
-        UsbModel((320, 320), _genx320, has_evt=True),
-        bias_slopes=GENX320_SLOPES,
-    ),
-    "ideal": CameraModel(PRESETS["ideal"], CHIPS["davis346"], UsbModel((346, 260), _davis346, imu_units=_DAVIS_UNITS)),
-}
-"""Camera models by the name that rigs write."""
 
 
 def usb_model(camera: Camera, kind: LinkKind[Any]) -> UsbModel | None:
@@ -312,9 +213,9 @@ def usb_model(camera: Camera, kind: LinkKind[Any]) -> UsbModel | None:
 
 def gige_models() -> tuple[str, ...]:
     """Return the camera models that have a GigE Vision device."""
-    return tuple(name for name, model in CAMERA_MODELS.items() if model.gige)
+    return tuple(name for name, model in CAMERA_MODELS.usable().items() if model.gige)
 
 
 def usb_sizes() -> dict[str, tuple[int, int]]:
     """Return the size of each camera model that has a USB device."""
-    return {name: model.usb.size for name, model in CAMERA_MODELS.items() if model.usb is not None}
+    return {name: model.usb.size for name, model in CAMERA_MODELS.usable().items() if model.usb is not None}

@@ -13,16 +13,9 @@ import numpy as np
 
 from emulator.light import SceneError
 from emulator.rig.loading import Rig, RigError
-from emulator.scene.bodies.mesh import find_shape
-from emulator.scene.bodies.models import MODEL_READERS, read_model
-from emulator.scene.bodies.table import BodyTable
 from emulator.sensor.noise.law import beyond_the_law, corner_hz
 from emulator.sensor.presets import SensorParameters
 from emulator.tables.typed_table import RigFile, field_types
-from emulator.trajectory.building import read_path
-from emulator.trajectory.parameters import BasiliskPath, FilePath, SpicePath
-from emulator.trajectory.pose import TrajectoryError
-from emulator.trajectory.spice import read_spice
 
 __all__ = ["OpenedFile", "open_files", "remarks"]
 
@@ -40,7 +33,8 @@ def remarks(rig: Rig) -> list[str]:
                 f"camera.sensor.{name} is {value:g}: an event for each change of light by a factor of "
                 f"{math.exp(value):.3g}; real sensors have 0.1 to 0.5"
             )
-    return [*found, *_noise(rig.camera.sensor), *_short_paths(rig), *_waiting_paths(rig)]
+    paths = _paths(rig) if hasattr(rig.scene, "camera") else ()
+    return [*found, *_noise(rig.camera.sensor), *paths]
 
 
 def _noise(sensor: SensorParameters) -> Iterator[str]:
@@ -51,17 +45,16 @@ def _noise(sensor: SensorParameters) -> Iterator[str]:
             yield f'camera.sensor.noise: {beyond}; grade = "grid" follows the noise itself'
 
 
-def _waiting_paths(rig: Rig) -> Iterator[str]:
-    """Yield a sentence on each path that needs a simulation, where there is none."""
+def _paths(rig: Rig) -> Iterator[str]:
+    """Yield a sentence on each path that ends before the run, or needs a simulation where there is none."""
+    from emulator.trajectory.building import read_path
+    from emulator.trajectory.parameters import BasiliskPath, FilePath
+    from emulator.trajectory.pose import TrajectoryError
+
+    scale = getattr(rig.scene, "time_scale", 1.0)
     for where, table in _tables(rig.scene, "scene"):
         if type(table) is BasiliskPath:  # one that is connected has a type of its own
             yield f"{where} stays where the rig puts it: only `evstim vizard` meets a Basilisk simulation"
-
-
-def _short_paths(rig: Rig) -> Iterator[str]:
-    """Yield a sentence on each trajectory that ends before the run."""
-    scale = getattr(rig.scene, "time_scale", 1.0)
-    for where, table in _tables(rig.scene, "scene"):
         if not isinstance(table, FilePath):
             continue
         try:
@@ -94,6 +87,14 @@ class OpenedFile:
 
 def open_files(rig: Rig) -> list[OpenedFile]:
     """Open every file that the rig names, and read its trajectories; raises RigError with the key."""
+    from emulator.scene.bodies.mesh import find_shape
+    from emulator.scene.bodies.models import MODEL_READERS, read_model
+    from emulator.scene.bodies.table import BodyTable
+    from emulator.trajectory.building import read_path
+    from emulator.trajectory.parameters import FilePath, SpicePath
+    from emulator.trajectory.pose import TrajectoryError
+    from emulator.trajectory.spice import read_spice
+
     opened = []
     for where, table in _tables(rig.scene, "scene"):
         is_model = isinstance(table, BodyTable) and Path(table.shape).suffix.lower() in MODEL_READERS
@@ -105,23 +106,18 @@ def open_files(rig: Rig) -> list[OpenedFile]:
                 path = find_shape(file) if isinstance(table, BodyTable) else Path(file)
                 size = _open(f"{rig.name}: {where}.{name}", path)
                 opened.append(OpenedFile(f"{where}.{name}", str(path), size, is_read))
-        if isinstance(table, BodyTable) and is_model:
-            _read_model(f"{rig.name}: {where}.shape", Path(table.shape))
         try:
-            if isinstance(table, FilePath):
+            if isinstance(table, BodyTable) and is_model:
+                read_model(Path(table.shape))
+            elif isinstance(table, FilePath):
                 read_path(table)
             elif isinstance(table, SpicePath):
                 read_spice(table)
+        except SceneError as error:
+            raise RigError(f"{rig.name}: {where}.shape: {error}") from error
         except TrajectoryError as error:
             raise RigError(f"{rig.name}: {where}: {error}") from error
     return opened
-
-
-def _read_model(where: str, path: Path) -> None:
-    try:
-        read_model(path)
-    except SceneError as error:
-        raise RigError(f"{where}: {error}") from error
 
 
 def _open(where: str, path: Path) -> int | None:

@@ -139,7 +139,7 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
     camera = convert(_with_slopes(own, CAMERA_MODELS[model]), Camera, path)
     camera = dataclasses.replace(camera, sensor=_sensor(table.get("sensor", {}), CAMERA_MODELS[model].sensor))
     if camera.bias_slopes is not None and CAMERA_MODELS[model].bias_slopes is None:
-        able = " or ".join(name for name, one in CAMERA_MODELS.items() if one.bias_slopes is not None)
+        able = " or ".join(name for name, one in CAMERA_MODELS.usable().items() if one.bias_slopes is not None)
         raise TableError(f"biases of a {model} have no slopes: leave it out, or take {able}", (*path, "bias_slopes"))
     usb = CAMERA_MODELS[model].usb
     if usb is not None:
@@ -242,8 +242,11 @@ def _link(table: object, camera: Camera, path: KeyPath) -> LinkParameters:
     if not _LINK_NAME.fullmatch(link.name):
         message = f"{link.name!r} cannot be part of a file's name: take 1 to 64 of the letters A-Z a-z 0-9 . _ -"
         raise TableError(f"{message}, the first no dot or hyphen", (*path, "name"))
+    model = CAMERA_MODELS[camera.model]
+    usb_size = None if model.usb is None else model.usb.size
+    facts = CameraFacts(camera.model, camera.size, usb_size, model.gige, usb_sizes, gige_models)
     try:
-        kind.check(link, CameraFacts(camera.model, camera.size, usb_sizes(), gige_models()))
+        kind.check(link, facts)
     except Unsuitable as error:
         raise TableError(str(error), (*path, *error.key)) from error
     return link

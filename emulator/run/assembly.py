@@ -1,8 +1,8 @@
 """Assembly of a run from its rig: scene, sensor, inertial unit, trigger, devices and links.
 
 Scenes in units of radiance are seen through the camera's lens; the others have their own light, relative to the
-sensor's reference. The module of a kind of scene is imported only for a rig that has such a scene. An inertial unit has
-the path that carries it, and the gravity along this path.
+sensor's reference. The modules of a scene, a camera, a link, an inertial unit and a plan are imported only for a rig
+that has them.
 
 The trigger of a rig gives the edges on the camera's input. They reach each link and the session through rings:
 
@@ -26,14 +26,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from emulator.gl.context import selected_painter
 from emulator.light import Scene, SceneFrames
-from emulator.optics.glare import Veiled, veiled
-from emulator.optics.through import Through
-from emulator.plan.plan import limits, make_plan
-from emulator.plan.scene_probe import probe
 from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
 from emulator.rig.kinds import (
     CAMERA_MODELS,
@@ -41,36 +34,25 @@ from emulator.rig.kinds import (
     LINKS,
     SCENES,
     UsbSettings,
-    host_imu_settings,
     usb_model,
 )
 from emulator.rig.loading import Rig, RigError, Run
-from emulator.rig.tables import Trigger
+from emulator.rig.second_camera import carries_second, second_rig
+from emulator.rig.tables import OWN_METHODS, Trigger
 from emulator.run.readings import ReadingSource, ReadingSources
 from emulator.run.session import Schedule, Session
-from emulator.run.stereo import SecondView, carries_second, second_rig, wired
-from emulator.scene.terrain.table import TerrainParameters
-from emulator.sensor.aps.frames import FrameSource
+from emulator.run.stereo import SecondView
 from emulator.sensor.chip.defects import at_temperature
-from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuSource, ImuUnit
-from emulator.sensor.methods.base import MakePixels
-from emulator.sensor.methods.other_simulators import OTHER_SIMULATORS
-from emulator.sensor.parameters import ImuParameters
+from emulator.sensor.pixels.method import MakePixels
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import EventSource, Sensor, own_pixels
 from emulator.tables.registry import imported
-from emulator.trajectory.building import HasCameraPath
-from emulator.trajectory.parameters import OrbitPath
-from emulator.trajectory.pose import Fixed, Timescale
 from firmware_protocol.device.clock import ClockSettings
+from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.frames import FrameSettings
 from firmware_protocol.imu_samples import IMU_SAMPLE
-from firmware_protocol.imx636.triton2 import Triton2
-from firmware_protocol.imx636.triton2_registers import Triton2Settings
-from firmware_protocol.instrument.instrument import Instrument
-from firmware_protocol.instrument.settings import Imx636Biases
 from firmware_protocol.usb.device import UsbCamera
 from transports.faults.script import FaultPlan
 from transports.link.edges import EdgeRing, EdgeSink, EdgeSource, ListedEdges, PeriodicEdges
@@ -92,8 +74,6 @@ __all__ = [
     "build_sensor",
     "build_session",
     "build_steps",
-    "carried",
-    "imu_source",
     "initial_readings",
     "link_setups",
     "plain_camera",
@@ -109,40 +89,19 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
     size = size or rig.camera.size
     kind, lens, chip = SCENES[rig.scene.kind], rig.camera.lens, CAMERA_MODELS[rig.camera.model].chip
     threads = rig.run.threads
-    if kind.gl and selected_painter(rig.run.painter) == "gl":
-        build = partial(imported(kind.gl), rig.scene)
-    else:
-        build = partial(imported(kind.build), rig.scene, **({"threads": threads} if kind.threads else {}))
-    if kind.lens == "applied":
-        return veiled(Through(lens, chip, size, build, threads), lens)
-    scene: Scene = build(size, lens, chip) if kind.lens == "own" else build(size)
-    return veiled(scene, lens) if kind.lens == "own" else scene
+    build = partial(imported(kind.build), rig.scene, **({"threads": threads} if kind.threads else {}))
+    if kind.gl:
+        from emulator.gl.context import selected_painter
 
+        if selected_painter(rig.run.painter) == "gl":
+            build = partial(imported(kind.gl), rig.scene)
+    if kind.lens == "none":
+        scene: Scene = build(size)
+        return scene
+    from emulator.optics.glare import veiled
+    from emulator.optics.through import Through
 
-def imu_source(rig: Rig, scene: Scene) -> ImuSource | None:
-    """Return the source of inertial samples on the path of the scene's camera; None for a rig without inertial unit."""
-    imu = rig.camera.imu
-    return None if imu is None else ImuSource(ImuUnit(imu, carried(rig, imu, scene), rig.run.seed))
-
-
-def carried(rig: Rig, imu: ImuParameters, scene: Scene) -> Carried:
-    """Return path, gravity and time of the unit; on a bench where the scene's camera has no path."""
-    inner = scene
-    while isinstance(inner, Through | Veiled):
-        inner = inner.scene
-    given = Gravity(np.zeros(3) if imu.gravity_m_s2 is None else np.array(imu.gravity_m_s2), imu.gm_m3_s2)
-    is_given = imu.gravity_m_s2 is not None or imu.gm_m3_s2 > 0
-    if not isinstance(inner, HasCameraPath):
-        return Carried(Fixed(), given if is_given else EARTH_IN_THE_PICTURE, Timescale())
-    return Carried(inner.camera_path, given if is_given else _gravity_of(rig), inner.path_time)
-
-
-def _gravity_of(rig: Rig) -> Gravity:
-    """Return the gravity that the scene implies."""
-    if isinstance(rig.scene, TerrainParameters):
-        return MOON_BELOW
-    path = getattr(rig.scene, "camera", None)
-    return dataclasses.replace(WEIGHTLESS, gm_m3_s2=path.gm_m3_s2) if isinstance(path, OrbitPath) else WEIGHTLESS
+    return veiled(build(size, lens, chip) if kind.lens == "own" else Through(lens, chip, size, build, threads), lens)
 
 
 class TriggerPaths:
@@ -225,6 +184,8 @@ def _driver_settings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
         )
         settings[ReadingKind.FRAMES] = dataclasses.astuple(frames)
     if rig.camera.imu is not None:
+        from emulator.run.inertial import host_imu_settings
+
         settings[ReadingKind.IMU] = dataclasses.astuple(host_imu_settings(rig.camera.imu.unit))
     return settings
 
@@ -261,6 +222,9 @@ def planned_sensor(rig: Rig, scene: Scene) -> SensorParameters:
     run, sensor = rig.run, rig.camera.sensor
     if not run.tolerance_us:
         return sensor
+    from emulator.plan.plan import make_plan
+    from emulator.plan.scene_probe import probe
+
     return make_plan(rig, probe(scene, sensor, run.step_us * 1000, run.seconds or 10.0)).sensor
 
 
@@ -269,6 +233,8 @@ def build_steps(rig: Rig, frames: SceneFrames, sensor: SensorParameters) -> Step
     first_ns = rig.run.step_us * 1000
     if not rig.run.tolerance_us:
         return FixedSteps(first_ns)
+    from emulator.plan.plan import limits
+
     threshold = min(sensor.threshold_on, sensor.threshold_off)
     refinement = None if frames.last.at is None else RefinementModel(threshold)
     dark = at_temperature(sensor).dark_current_relative
@@ -285,14 +251,23 @@ def _second_view(rig: Rig, parameters: SensorParameters, setups: Sequence[LinkSe
 
 def reading_sources(rig: Rig, scene: Scene, sensor: EventSource | None = None) -> list[ReadingSource]:
     """Return the sources of readings of the rig's camera; they disturb the events of `sensor`, where it allows this."""
-    imu = imu_source(rig, scene)
-    return [*_frame_sources(rig, sensor), *([] if imu is None else [imu])]
+    return [*_frame_sources(rig, sensor), *_imu_sources(rig, scene)]
+
+
+def _imu_sources(rig: Rig, scene: Scene) -> list[ReadingSource]:
+    if rig.camera.imu is None:
+        return []
+    from emulator.run.inertial import imu_source
+
+    return [imu_source(rig, rig.camera.imu, scene)]
 
 
 def _frame_sources(rig: Rig, sensor: EventSource | None = None) -> list[ReadingSource]:
     frames = rig.camera.frames
     if frames is None:
         return []
+    from emulator.sensor.aps.frames import FrameSource
+
     disturb = None
     if frames.kicks.share and sensor is not None:
         disturb = sensor.with_kicks(frames.kicks)
@@ -339,7 +314,11 @@ def build_sensor(rig: Rig, parameters: SensorParameters, kind: type[Sensor] = Se
 
 
 def _pixels(run: Run) -> MakePixels:
-    return OTHER_SIMULATORS.get(run.method) or partial(own_pixels, threads=run.threads)
+    if run.method in OWN_METHODS:
+        return partial(own_pixels, threads=run.threads)
+    from emulator.sensor.methods.other_simulators import OTHER_SIMULATORS
+
+    return OTHER_SIMULATORS[run.method]
 
 
 def build_frames(rig: Rig, scene: Scene) -> SceneFrames:
@@ -378,9 +357,28 @@ def link_setups(
         _link_setup(rig, link, path, triggers, triggers.timing(link.name, rig.camera.clock, shown), fault_log)
         for link, path, shown in paths
     ]
-    setups = setups if rig.second_camera is None else wired(rig.second_camera.links, setups)
+    setups = setups if rig.second_camera is None else _wired(rig.second_camera.links, setups)
     run = rig.run
     return [dataclasses.replace(setup, fifo_priority=run.fifo_priority, restart=run.restart_links) for setup in setups]
+
+
+def _wired(slaves: Sequence[str], setups: Sequence[LinkSetup[Any]]) -> list[LinkSetup[Any]]:
+    """Return the links with the cable between the cameras: the first link of the first camera is the master's end.
+
+    The first camera's clock is the master: each link of the second one receives its resets. Raises RigError where the
+    first camera has no link.
+    """
+    cables = {name: EdgeRing() for name in slaves}
+    master = next((setup.name for setup in setups if setup.name not in cables), None)
+    if master is None:
+        raise RigError("second_camera: the first camera needs a link too, as the master of the clocks")
+
+    def at_the_cable(setup: LinkSetup[Any]) -> LinkSetup[Any]:
+        out = tuple(cables.values()) if setup.name == master else ()
+        timing = dataclasses.replace(setup.timing, sync_out=out, sync_in=cables.get(setup.name))
+        return dataclasses.replace(setup, timing=timing)
+
+    return [at_the_cable(setup) for setup in setups]
 
 
 def _link_setup(
@@ -391,7 +389,8 @@ def _link_setup(
     rig = rig if is_master else dataclasses.replace(second_rig(rig), trigger=rig.trigger)
     facts = _facts(rig, kind)
     camera = CameraFacts(rig.camera.model, rig.camera.size, streams=facts.streams, imu_unit=facts.imu_unit)
-    endpoint = kind.endpoint(link, Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera))
+    wiring = Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera)
+    endpoint = imported(kind.endpoint)(link, wiring)
     setup = LinkSetup(
         link.name, ring, _device(rig, link, kind, is_master), endpoint, record, timing=timing, facts=facts
     )
@@ -421,12 +420,18 @@ def _faults(rig: Rig, link: LinkParameters, log: Path | None) -> FaultPlan:
     return FaultPlan(link.name, tuple(f for f in rig.faults if f.link == link.name), rig.run.seed, log)
 
 
-def _instrument(rig: Rig, link: Any) -> Callable[[], Instrument]:
+def _instrument(rig: Rig, link: Any) -> Callable[[], EventDevice]:
+    from firmware_protocol.instrument.instrument import Instrument
+    from firmware_protocol.instrument.settings import Imx636Biases
+
     biases = Imx636Biases(rig.camera.bias_model) if CAMERA_MODELS[rig.camera.model].is_imx636 else None
     return partial(Instrument, rig.camera.size, link.instrument, biases)
 
 
-def _gige_camera(rig: Rig, link: Any) -> Callable[[], Triton2]:
+def _gige_camera(rig: Rig, link: Any) -> Callable[[], EventDevice]:
+    from firmware_protocol.imx636.triton2 import Triton2
+    from firmware_protocol.imx636.triton2_registers import Triton2Settings
+
     settings = Triton2Settings(
         size=rig.camera.size,
         address=link.host,

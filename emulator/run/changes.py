@@ -20,16 +20,16 @@ import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from emulator.sensor.sensor import AdjustableSource
-from firmware_protocol.davis346.biases import LEAST_FACTOR, MOST_FACTOR
-from firmware_protocol.events import EdgeKind
-from transports.faults.kinds import Fault
+from firmware_protocol.device.event_device import LEAST_FACTOR, MOST_FACTOR
 from transports.link.report import CameraSettings
 
-__all__ = ["BiasFollowing", "Change", "Changes", "Operator"]
+__all__ = ["BiasFollowing", "Change", "Changes"]
 
+
+log = logging.getLogger(__name__)
 
 _MOST = 10_000
 
@@ -114,106 +114,6 @@ class Changes:
     def listed(self) -> tuple[Change, ...]:
         """Listed changes, sorted by the stream time from which they act."""
         return tuple(sorted(self._listed, key=lambda change: change.t_ns))
-
-
-class _Session(Protocol):
-    def stop(self) -> None:
-        """See `Session.stop`."""
-
-    @property
-    def stopping(self) -> bool:
-        """See `Session.stopping`."""
-        ...
-
-    @property
-    def adjustable(self) -> dict[str, float]:
-        """See `Session.adjustable`."""
-        ...
-
-    @property
-    def changes(self) -> tuple[Change, ...]:
-        """See `Session.changes`."""
-        ...
-
-    def adjust(self, name: str, value: float, by: str) -> None:
-        """See `Session.adjust`."""
-
-    def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
-        """See `Session.thresholds_of`."""
-        ...
-
-    def inject(self, fault: Fault, by: str) -> None:
-        """See `Session.inject`."""
-
-    def end_fault(self, link: str, number: int, by: str) -> None:
-        """See `Session.end_fault`."""
-
-    def happen(self, link: str, kind: EdgeKind | None, by: str) -> None:
-        """See `Session.happen`."""
-
-    def record(self, change: Change) -> None:
-        """See `Session.record`."""
-
-
-class Operator:
-    """Access to a running session for a user; the record of changes contains the user's name.
-
-    Parameters
-    ----------
-    by : the name.
-    """
-
-    def __init__(self, session: _Session, by: str) -> None:
-        self._session, self._by = session, by
-
-    def stop(self) -> None:
-        """End the run after the present step."""
-        self._session.stop()
-
-    @property
-    def stopping(self) -> bool:
-        """True when the run ends after the present step."""
-        return self._session.stopping
-
-    @property
-    def adjustable(self) -> dict[str, float]:
-        """Sensor parameters that can change, with their present values."""
-        return self._session.adjustable
-
-    @property
-    def changes(self) -> tuple[Change, ...]:
-        """Changes from outside so far, in the order in which they came."""
-        return self._session.changes
-
-    def adjust(self, name: str, value: float, *, undo: bool = False) -> None:
-        """Change a parameter from the next step on; raises ValueError.
-
-        With `undo` the record shows that the value was set back.
-        """
-        self._session.adjust(name, value, f"{self._by}, undo" if undo else self._by)
-
-    def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
-        """Return the ON and OFF threshold of a pixel; raises ValueError where there is none."""
-        return self._session.thresholds_of(x, y)
-
-    def inject(self, fault: Fault) -> None:
-        """Begin a fault on the link that it names."""
-        self._session.inject(fault, self._by)
-
-    def end_fault(self, link: str, number: int) -> None:
-        """End the fault with this number on a link."""
-        self._session.end_fault(link, number, self._by)
-
-    def happen(self, link: str, kind: EdgeKind | None) -> None:
-        """Give the input of a link's camera an edge, or reset its clock."""
-        self._session.happen(link, kind, self._by)
-
-    def record(self, t_us: int, what: str) -> None:
-        """Record a change of all cameras that acts at a stream time."""
-        self._session.record(Change(t_us * 1000, self._by, what))
-
-
-log = logging.getLogger(__name__)
 
 
 class BiasFollowing:

@@ -30,12 +30,10 @@ import numpy as np
 import numpy.typing as npt
 from numba import config
 
-from emulator.gl.context import selected_painter
 from emulator.light import LightFrame, Scene
 from emulator.rig.kinds import LINKS, SCENES, usb_model
 from emulator.rig.loading import Rig
 from emulator.run.link_process import starting_a_process
-from emulator.scene.bodies.table import BodiesParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.compiled import cache_folder, checksum_of
 from transports.link.kind import LinkParameters
@@ -96,7 +94,11 @@ def parts_of(rig: Rig) -> list[Part]:
     """Return the parts that a run of the rig compiles."""
     sensor = dataclasses.replace(rig.camera.sensor, width=_WIDTH, height=_HEIGHT)
     kind = SCENES[rig.scene.kind]
-    painter = f"by {selected_painter(rig.run.painter)}" if kind.gl else ""  # GL compiles other kernels
+    painter = ""
+    if kind.gl:
+        from emulator.gl.context import selected_painter
+
+        painter = f"by {selected_painter(rig.run.painter)}"  # GL compiles other kernels
     seconds = _LONG_SCENES_S.get(rig.scene.kind, _SCENE_S)
     parts = [Part(f"scene {rig.scene.kind}", seconds, partial(_draw, rig), painter)] if kind.kernels else []
     if parts and rig.run.tolerance_us:
@@ -219,6 +221,8 @@ def _size(rig: Rig) -> tuple[int, int]:
 
     Tables for shadows take longer than the compilation, and a run shows the progress of them.
     """
+    from emulator.scene.bodies.table import BodiesParameters
+
     alone = isinstance(rig.scene, BodiesParameters) and not rig.scene.shadows
     return rig.camera.size if alone else (_WIDTH, _HEIGHT)
 
@@ -414,9 +418,9 @@ def _note(part: Part) -> Path:
 
 @cache
 def _folder() -> Path:
-    from firmware_protocol.telemetry.reading import read_block
+    from emulator.sensor.pixels.step import unpack
 
-    return cache_folder(read_block)
+    return cache_folder(unpack)
 
 
 @cache

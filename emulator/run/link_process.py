@@ -30,9 +30,9 @@ from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EdgeKind, Events
 from transports.faults.kinds import Fault
 from transports.link.deliveries import DeliveryTally
-from transports.link.loop import EndFault, Happen, InjectFault, Stop
+from transports.link.loop import STOP_SIGNALS, EndFault, Happen, InjectFault, Stop, run_link_process
 from transports.link.pacing import Clock
-from transports.link.process import STOP_SIGNALS, LinkSetup, run_link_process
+from transports.link.process import LinkSetup
 from transports.link.report import CameraSettings, LinkReport, Occurrence
 from transports.recording.format import with_addition
 from transports.recording.part import RecordingSummary
@@ -314,13 +314,11 @@ class LinkProcess:
         )
 
 
-def traced(setups: Sequence[LinkSetup[Any]], path: Path | None) -> tuple[list[LinkSetup[Any]], list[Path]]:
+def traced(setups: Sequence[LinkSetup[Any]], path: Path) -> tuple[list[LinkSetup[Any]], list[Path]]:
     """Return the links with a trace of those that have a USB cable, and the FILE of each trace.
 
-    FILE is `path`, with the link's name behind it where there are several; without a path nothing is traced.
+    FILE is `path`, with the link's name behind it where there are several.
     """
-    if path is None:
-        return list(setups), []
     names = [setup.name for setup in setups if setup.endpoint.traced(path) is not None]
     paths = {name: path if len(names) == 1 else path.with_name(f"{path.name}-{name}") for name in names}
     return [_traced(setup, paths.get(setup.name)) for setup in setups], list(paths.values())

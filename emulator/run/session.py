@@ -45,7 +45,7 @@ from transports.link.process import LinkSetup
 from transports.link.report import CameraSettings, LinkReport, Occurrence
 from transports.link.rings import FREE_RUNNING
 
-__all__ = ["Schedule", "Session", "log_if_slow"]
+__all__ = ["Operator", "Schedule", "Session", "log_if_slow"]
 
 
 log = logging.getLogger(__name__)
@@ -539,3 +539,61 @@ class Session:
         """Return the entries of the links that carry the first camera."""
         carried = frozenset() if self._second is None else self._second.links
         return {name: one for name, one in of_links.items() if name not in carried}
+
+
+class Operator:
+    """Access to a running session for a user; the record of changes contains the user's name.
+
+    Parameters
+    ----------
+    by : the name.
+    """
+
+    def __init__(self, session: Session, by: str) -> None:
+        self._session, self._by = session, by
+
+    def stop(self) -> None:
+        """End the run after the present step."""
+        self._session.stop()
+
+    @property
+    def stopping(self) -> bool:
+        """True when the run ends after the present step."""
+        return self._session.stopping
+
+    @property
+    def adjustable(self) -> dict[str, float]:
+        """Sensor parameters that can change, with their present values."""
+        return self._session.adjustable
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """Changes from outside so far, in the order in which they came."""
+        return self._session.changes
+
+    def adjust(self, name: str, value: float, *, undo: bool = False) -> None:
+        """Change a parameter from the next step on; raises ValueError.
+
+        With `undo` the record shows that the value was set back.
+        """
+        self._session.adjust(name, value, f"{self._by}, undo" if undo else self._by)
+
+    def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
+        """Return the ON and OFF threshold of a pixel; raises ValueError where there is none."""
+        return self._session.thresholds_of(x, y)
+
+    def inject(self, fault: Fault) -> None:
+        """Begin a fault on the link that it names."""
+        self._session.inject(fault, self._by)
+
+    def end_fault(self, link: str, number: int) -> None:
+        """End the fault with this number on a link."""
+        self._session.end_fault(link, number, self._by)
+
+    def happen(self, link: str, kind: EdgeKind | None) -> None:
+        """Give the input of a link's camera an edge, or reset its clock."""
+        self._session.happen(link, kind, self._by)
+
+    def record(self, t_us: int, what: str) -> None:
+        """Record a change of all cameras that acts at a stream time."""
+        self._session.record(Change(t_us * 1000, self._by, what))

@@ -24,10 +24,10 @@ import numpy.typing as npt
 from emulator.light import LightFrame
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.chip.sources import BackgroundEvents, Particles
-from emulator.sensor.methods.base import MakePixels
 from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.numerics.compiled import cached_entry
 from emulator.sensor.pixels.crossings import Crossings, joined, merged
+from emulator.sensor.pixels.method import MakePixels
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor, finished, make_jitter, make_readout, own_pixels

@@ -28,15 +28,13 @@ from emulator.sensor.chip.imager import Imager, part_of_the_way
 from emulator.sensor.chip.readout import ArbiterReadOut, Jitter, ReadOut
 from emulator.sensor.chip.scan import ScanReadOut
 from emulator.sensor.chip.sources import BackgroundEvents, Particles, hits_per_second
-from emulator.sensor.methods.base import MakePixels, PixelMethod
-from emulator.sensor.methods.circuit import CircuitPixels
 from emulator.sensor.noise.draws import insert
-from emulator.sensor.noise.grid import NoisyPixels, grid_ns
 from emulator.sensor.noise.law import corner_hz, of_array
 from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.parameters import DefectParameters, KickParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
+from emulator.sensor.pixels.method import MakePixels, PixelMethod
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.pixels.workers import EventBuffers
 from emulator.sensor.presets import SensorParameters
@@ -79,9 +77,14 @@ class Source(Protocol):
 def own_pixels(p: SensorParameters, seed: int, threads: int = 0) -> PixelMethod:
     """Return evstim's own pixels with the effects of the sensor; `threads` as in `PixelArray`."""
     if p.photoreceptor == "circuit":
+        from emulator.sensor.methods.circuit import CircuitPixels
+
         return CircuitPixels(p, seed)
-    on_grid = bool(p.noise.rms) and p.noise.grade == "grid"
-    return NoisyPixels(p, seed) if on_grid else PixelArray(p, seed, threads)
+    if p.noise.rms and p.noise.grade == "grid":
+        from emulator.sensor.noise.grid import NoisyPixels
+
+        return NoisyPixels(p, seed)
+    return PixelArray(p, seed, threads)
 
 
 def make_jitter(p: SensorParameters, seed: int) -> Jitter | None:

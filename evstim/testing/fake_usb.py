@@ -30,8 +30,8 @@ import usb.util
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.events import Events
-from firmware_protocol.usb.descriptors import DescriptorSet
-from firmware_protocol.usb.device import NotReady, SetupPacket, Speed, Stall, Transfer, UsbDevice
+from firmware_protocol.usb.descriptors import DescriptorSet, Speed
+from firmware_protocol.usb.device import NotReady, SetupPacket, Stall, Transfer, UsbDevice
 
 __all__ = ["FakeCamera", "FakeUsbBus"]
 

@@ -29,10 +29,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
+from firmware_protocol.device.event_device import LEAST_FACTOR, MOST_FACTOR
+
 __all__ = [
     "BIASES",
-    "LEAST_FACTOR",
-    "MOST_FACTOR",
     "BiasDefinition",
     "BiasValue",
     "CoarseFine",
@@ -210,7 +210,6 @@ BIASES: tuple[BiasDefinition, ...] = (
 )
 
 
-LEAST_FACTOR, MOST_FACTOR = 0.1, 1000.0
 _ADDRESSES = {bias.name: bias.address for bias in BIASES}
 _DEFAULTS = {bias.address: int(bias.default) for bias in BIASES}
 

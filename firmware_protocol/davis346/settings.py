@@ -36,9 +36,10 @@ from firmware_protocol.usb.descriptors import (
     DeviceDescriptor,
     Endpoint,
     Interface,
+    Speed,
     TransferType,
 )
-from firmware_protocol.usb.device import Identity, Speed, UsbCameraSettings
+from firmware_protocol.usb.device import Identity, UsbCameraSettings
 
 __all__ = ["DATA_ENDPOINT", "DEBUG_ENDPOINT", "Davis346Settings", "Fx3Settings"]
 

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from firmware_protocol.davis346.biases import LEAST_FACTOR, MOST_FACTOR
+from firmware_protocol.device.event_device import LEAST_FACTOR, MOST_FACTOR
 
 __all__ = ["STEP", "level_factors", "sensor_factors", "without_effect"]
 

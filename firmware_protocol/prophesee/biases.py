@@ -32,9 +32,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
-__all__ = ["LEAST_FACTOR", "MOST_FACTOR", "BiasModel", "BiasSlopes"]
+from firmware_protocol.device.event_device import LEAST_FACTOR, MOST_FACTOR
 
-LEAST_FACTOR, MOST_FACTOR = 0.1, 1000.0
+__all__ = ["BiasModel", "BiasSlopes"]
+
 _WITHOUT_EFFECT = {
     "hpf": "the simulated pixel has no high-pass filter",
     "diff": "the reference that both thresholds share is not modelled; Prophesee advises not to change it",

@@ -46,13 +46,13 @@ from firmware_protocol.usb.descriptors import (
     DeviceDescriptor,
     Endpoint,
     Interface,
+    Speed,
     TransferType,
 )
 from firmware_protocol.usb.device import (
     Identity,
     RequestKind,
     SetupPacket,
-    Speed,
     Stall,
     Transfer,
     UsbCamera,

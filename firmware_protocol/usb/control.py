@@ -22,8 +22,8 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from firmware_protocol.usb.descriptors import DescriptorSet, DescriptorType
-from firmware_protocol.usb.device import RequestKind, SetupPacket, Speed, Stall
+from firmware_protocol.usb.descriptors import DescriptorSet, DescriptorType, Speed
+from firmware_protocol.usb.device import RequestKind, SetupPacket, Stall
 
 __all__ = ["Feature", "Recipient", "StandardControl", "StandardRequest", "name_request"]
 

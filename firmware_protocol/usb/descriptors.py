@@ -25,8 +25,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from firmware_protocol.usb.device import Speed
-
 __all__ = [
     "BULK_PACKET",
     "OTHER_SPEED",
@@ -37,10 +35,21 @@ __all__ = [
     "DeviceDescriptor",
     "Endpoint",
     "Interface",
+    "Speed",
     "TransferType",
     "language_descriptor",
     "string_descriptor",
 ]
+
+
+class Speed(IntEnum):
+    """Speed codes as USB/IP and the kernel number them."""
+
+    LOW = 1
+    FULL = 2
+    HIGH = 3
+    SUPER = 5
+
 
 ENGLISH_US = 0x0409
 MAX_STRING_CHARACTERS = 126

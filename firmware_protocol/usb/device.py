@@ -16,20 +16,17 @@ import struct
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.items import Items
-
-if TYPE_CHECKING:
-    from firmware_protocol.usb.descriptors import DescriptorSet  # it imports Speed from here
+from firmware_protocol.usb.descriptors import DescriptorSet, Speed
 
 __all__ = [
     "Identity",
     "NotReady",
     "RequestKind",
     "SetupPacket",
-    "Speed",
     "Stall",
     "Transfer",
     "UsbCamera",
@@ -44,15 +41,6 @@ class Stall(Exception):
 
 class NotReady(Exception):
     """The device has no answer yet (NAK): repeat the request with the same SetupPacket object, which identifies it."""
-
-
-class Speed(IntEnum):
-    """Speed codes as USB/IP and the kernel number them."""
-
-    LOW = 1
-    FULL = 2
-    HIGH = 3
-    SUPER = 5
 
 
 class RequestKind(IntEnum):

@@ -22,8 +22,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-from firmware_protocol.usb.descriptors import ENGLISH_US, Interface
-from firmware_protocol.usb.device import SetupPacket, Speed
+from firmware_protocol.usb.descriptors import ENGLISH_US, Interface, Speed
+from firmware_protocol.usb.device import SetupPacket
 
 __all__ = ["EVENT_BYTES", "Event", "EventKind", "Flag", "descriptor_block", "string_block"]
 

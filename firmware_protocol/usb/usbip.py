@@ -42,7 +42,8 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from firmware_protocol.usb import usbip
-from firmware_protocol.usb.device import Identity, Speed
+from firmware_protocol.usb.descriptors import Speed
+from firmware_protocol.usb.device import Identity
 
 __all__ = [
     "FILE_HEADER",

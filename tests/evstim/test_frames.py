@@ -158,13 +158,6 @@ def test_floats_work_for_one_version_with_a_warning():
     assert np.array_equal(events, evstim.events_from_frames(ramp(), 10_000 * np.arange(5), **PLAIN))
 
 
-def test_the_old_name_of_the_times_works_for_one_version_with_a_warning():
-    with pytest.warns(DeprecationWarning, match="times_us is now t_us") as warned:
-        events = evstim.events_from_frames(ramp(), times_us=10_000 * np.arange(5), **PLAIN)
-    assert warned[0].filename == __file__
-    assert np.array_equal(events, evstim.events_from_frames(ramp(), 10_000 * np.arange(5), **PLAIN))
-
-
 @pytest.mark.parametrize("times", [["0", "1"], [0j, 1j], np.array([0, 1], "M8[us]")])
 def test_times_of_another_type(times):
     with pytest.raises(TypeError, match=r"t_us is an array of .*: whole microseconds are needed"):

@@ -73,15 +73,6 @@ def test_type_checkers_see_the_same_names():
     assert sorted(evstim.__all__) == sorted(sources)
 
 
-@pytest.mark.parametrize(("old", "new"), sorted(evstim._RENAMED.items()))
-def test_an_old_name_works_with_a_warning_that_names_the_new_one(old, new):
-    for _ in range(2):
-        with pytest.warns(DeprecationWarning, match=rf"evstim\.{old} is now evstim\.{new};") as warned:
-            assert getattr(evstim, old) is getattr(evstim, new)
-        assert warned[0].filename == __file__
-    assert old not in dir(evstim)
-
-
 def test_a_name_that_is_not_there():
     with pytest.raises(AttributeError, match="no attribute 'Sensr'"):
         evstim.Sensr  # noqa: B018

@@ -72,6 +72,10 @@ class BeaconEndpoint(Endpoint):
         return f"{self._events} events"
 
 
+def factory_of(link, wiring):
+    return BeaconFactory(link.path)
+
+
 def check(link, camera):
     if camera.size[0] > 400:
         raise Unsuitable("too large a camera for a beacon", "path")
@@ -80,7 +84,7 @@ def check(link, camera):
 BEACON = LinkKind(
     BeaconLink,
     serves="instrument",
-    endpoint=lambda link, wiring: BeaconFactory(link.path),
+    endpoint="beacon_package:factory_of",
     check=check,
     listener=Listener("beacon", "Read a beacon.", "beacon_package:listen"),
 )

@@ -36,9 +36,10 @@ from transports.link.endpoint import (
     LineUse,
     Reopening,
 )
+from transports.link.kind import Wiring
 from transports.link.pacing import Clock
 
-__all__ = ["CanEndpoint", "CanFactory"]
+__all__ = ["CanEndpoint", "CanFactory", "factory_of"]
 
 _RETRY_NS = 1_000_000_000
 _SECOND_NS = 1_000_000_000
@@ -66,6 +67,11 @@ class CanFactory(EndpointFactory[Instrument]):
         faults = BusFaults(self.faults, p.rates, deliveries)
         node = Node(p, device, deliveries, self.sink)
         return CanEndpoint(buses, faults, node, sources(device, deliveries, p), clock)
+
+
+def factory_of(parameters: CanLink, wiring: Wiring) -> CanFactory:
+    """Return the endpoint's factory."""
+    return CanFactory(parameters, wiring.sink, wiring.faults)
 
 
 @dataclass

@@ -16,8 +16,7 @@ from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.receiver.can import CanReceiverSettings
 from transports.faults.bus import CAN_FAULTS, ErrorFrames
 from transports.faults.kinds import Fault
-from transports.link.endpoint import EndpointFactory
-from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable, Wiring, check_region
+from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable, check_region
 from transports.needs import Need, network_interface
 from transports.network import check_allow, check_port
 
@@ -188,12 +187,6 @@ _OWN_BUSES = ("served", "virtual")
 """Interfaces that transmit a given error frame; with the others the controller makes its own."""
 
 
-def _endpoint(parameters: CanLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.can_bus.endpoint import CanFactory
-
-    return CanFactory(parameters, wiring.sink, wiring.faults)
-
-
 def _faults_of(parameters: CanLink) -> Mapping[str, type[Fault]]:
     own = parameters.interface in _OWN_BUSES
     return {kind: fault for kind, fault in CAN_FAULTS.items() if own or fault is not ErrorFrames}
@@ -232,7 +225,7 @@ def _needs(parameters: CanLink) -> tuple[Need, ...]:
 CAN = LinkKind(
     CanLink,
     serves="instrument",
-    endpoint=_endpoint,
+    endpoint="transports.can_bus.endpoint:factory_of",
     has_sync=True,
     faults=CAN_FAULTS,
     faults_of=_faults_of,

@@ -23,7 +23,7 @@ from transports.recording.format import Format, format_to_write, with_addition
 from transports.recording.live import LiveRecorder
 from transports.recording.part import Facts, RecordingError, RecordingSummary, counts_of
 
-__all__ = ["FILE", "FileEndpoint", "FileFactory", "FileLink"]
+__all__ = ["FILE", "FileEndpoint", "FileFactory", "FileLink", "factory_of"]
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,8 @@ class FileLink:
             raise ValueError(str(error)) from error
 
 
-def _endpoint(link: FileLink, wiring: Wiring) -> EndpointFactory[Any]:
+def factory_of(link: FileLink, wiring: Wiring) -> EndpointFactory[Any]:
+    """Return the endpoint's factory."""
     form = format_to_write(Path(link.path), link.format)
     camera = link.camera or wiring.camera.model or "evstim"
     facts = Facts(wiring.camera.size, camera, streams=wiring.camera.streams, imu_unit=wiring.camera.imu_unit)
@@ -83,7 +84,13 @@ def _needs(link: FileLink) -> tuple[Need, ...]:
 
 
 FILE = LinkKind(
-    FileLink, serves="plain", endpoint=_endpoint, check=_check, has_evt=_has_evt, needs=_needs, has_readings=True
+    FileLink,
+    serves="plain",
+    endpoint="transports.file.kind:factory_of",
+    check=_check,
+    has_evt=_has_evt,
+    needs=_needs,
+    has_readings=True,
 )
 
 

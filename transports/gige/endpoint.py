@@ -34,9 +34,10 @@ from transports.gige.packet_faults import FaultyPackets, Packet
 from transports.gige.sockets import StreamSocket
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory
+from transports.link.kind import Wiring
 from transports.network import AllowList, ByteBudget
 
-__all__ = ["BlockFates", "GigeEndpoint", "GigeFactory"]
+__all__ = ["BlockFates", "GigeEndpoint", "GigeFactory", "factory_of"]
 
 
 _PATIENCE_NS = 200_000_000  # Aravis discards an incomplete block 100 ms after its last packet
@@ -101,6 +102,11 @@ class GigeFactory(EndpointFactory[Triton2]):
     def build(self, device: Triton2, deliveries: Deliveries) -> GigeEndpoint:
         """Return the endpoint; its sockets are not open yet."""
         return GigeEndpoint(self, device, deliveries)
+
+
+def factory_of(link: GigeLink, wiring: Wiring) -> GigeFactory:
+    """Return the endpoint's factory."""
+    return GigeFactory(link, wiring.faults)
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import ipaddress
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from firmware_protocol.gige.gvcp import GVCP_PORT
 from transports.gige.packet_faults import PACKET_FAULTS
-from transports.link.endpoint import EndpointFactory
-from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable, Wiring
+from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable
 from transports.network import check_allow
 
 __all__ = ["GIGE", "GigeLink"]
@@ -76,23 +75,17 @@ class GigeLink:
         check_allow(self.host, self.allow)
 
 
-def _endpoint(link: GigeLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.gige.endpoint import GigeFactory
-
-    return GigeFactory(link, wiring.faults)
-
-
 def _check(link: GigeLink, camera: CameraFacts) -> None:
     """Raise Unsuitable for a camera without a GigE Vision device."""
-    if camera.model not in camera.gige_models:
-        models = " or ".join(f'model = "{name}"' for name in camera.gige_models)
+    if not camera.has_gige:
+        models = " or ".join(f'model = "{name}"' for name in camera.gige_models())
         raise Unsuitable(f"a {camera.model} has no Ethernet plug; use {models}", "kind")
 
 
 GIGE = LinkKind(
     GigeLink,
     serves="gige",
-    endpoint=_endpoint,
+    endpoint="transports.gige.endpoint:factory_of",
     faults=PACKET_FAULTS,
     listener=Listener("gige", "Read a GigE Vision event camera.", "emulator.cli.listen.cameras:gige"),
     check=_check,

@@ -18,7 +18,7 @@ import time
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -31,8 +31,10 @@ from firmware_protocol.frames import FrameAssembler, WholeFrame
 from firmware_protocol.imu_samples import ImuSamples, no_samples, physical
 from transports.link.pacing import Clock
 from transports.link.rings import FREE_RUNNING, EventRing, SharedMemory
-from transports.recording.live import AnyRecorder, ForwardingRecorder
 from transports.recording.part import IMU, Frame, Part, RecordingSummary, counts_of
+
+if TYPE_CHECKING:
+    from transports.recording.live import AnyRecorder, ForwardingRecorder
 
 __all__ = [
     "DeliveredParts",

@@ -9,14 +9,15 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, TypeVar
 
-from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan
 from transports.link.edges import EdgeSink
-from transports.link.endpoint import EndpointFactory
 from transports.needs import Need
+
+if TYPE_CHECKING:
+    from firmware_protocol.instrument.settings import InstrumentSettings
 
 __all__ = [
     "CameraFacts",
@@ -62,10 +63,14 @@ class CameraFacts:
     ----------
     size
         (width, height) of the rig's sensor, pixels.
+    usb_size
+        Size of its model's USB device; None if there is none.
+    has_gige
+        True if it is a GigE Vision device.
     usb_models
-        Size of each camera model that has a USB device.
+        Function that returns the size of each camera model that has a USB device.
     gige_models
-        Camera models that have a GigE Vision device.
+        Function that returns the camera models that have a GigE Vision device.
     streams
         Streams of the camera beside events, as `Facts.streams`.
     imu_unit
@@ -74,8 +79,10 @@ class CameraFacts:
 
     model: str
     size: tuple[int, int]
-    usb_models: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-    gige_models: tuple[str, ...] = ()
+    usb_size: tuple[int, int] | None = None
+    has_gige: bool = False
+    usb_models: Callable[[], Mapping[str, tuple[int, int]]] = dict
+    gige_models: Callable[[], tuple[str, ...]] = tuple
     streams: frozenset[str] = frozenset({"edges"})
     imu_unit: int = 2
 
@@ -137,8 +144,8 @@ class LinkKind(Generic[P]):
         The device behind it: "usb", the USB device of the camera's model; "gige", a GigE Vision device; "instrument",
         the camera without USB; "plain", no electronics: events go out as the sensor sends them.
     endpoint
-        Function that makes the endpoint's factory, which is passed to the link's process by pickling. Import modules
-        that load slowly inside this function.
+        Import path, "module:name", of the function that returns the `EndpointFactory` for the parameters and a Wiring;
+        imported when a link is set up.
     has_sync
         True if its bus has a SYNC, which can trigger the camera.
     faults
@@ -171,7 +178,7 @@ class LinkKind(Generic[P]):
 
     parameters: type[P]
     serves: Literal["usb", "gige", "instrument", "plain"]
-    endpoint: Callable[[P, Wiring], EndpointFactory[Any]]
+    endpoint: str
     has_sync: bool = False
     faults: Mapping[str, type[Fault]] = field(default_factory=dict)
     faults_of: Callable[[P], Mapping[str, type[Fault]]] | None = None

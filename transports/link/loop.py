@@ -1,4 +1,4 @@
-"""Ticks of a link in the event loop of its process: when something is due, and when a request or a publication comes.
+"""Process of a link, and the ticks in its event loop: when something is due, a request or a publication comes.
 
     timer -------------------------------> turn: Link.tick, changes, a report ten times a second
     session --the ring's counter---------> a turn, because events were published that are due before the next one
@@ -23,24 +23,40 @@ USB do, because a tick costs nearly the same for 300 events as for 1500.
 from __future__ import annotations
 
 import asyncio
+import gc
+import os
 import select
+import signal
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING
+from typing import Any
 
 from firmware_protocol.events import EdgeKind
 from transports.faults.kinds import Fault
-from transports.link.pacing import Clock
+from transports.link.background_log import log_in_background
+from transports.link.endpoint import LinkBroken
+from transports.link.pacing import Clock, FineSelector, MonotonicClock
+from transports.link.process import Link, LinkSetup
+from transports.link.report import LinkReport
 from transports.link.rings import FOREVER_US
+from transports.priority import LINK_NICE, run_before_others
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+__all__ = [
+    "STOP_SIGNALS",
+    "EndFault",
+    "Happen",
+    "InjectFault",
+    "LinkLoop",
+    "Stop",
+    "run_link",
+    "run_link_process",
+]
 
-    from transports.link.process import Link
-
-__all__ = ["EndFault", "Happen", "InjectFault", "LinkLoop", "Stop"]
-
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that end a run: to the session alone or to its whole process group."""
 
 _REPORT_PERIOD_NS = 100_000_000
 _LONGEST_DRAIN_TURN_NS = 5_000_000
@@ -245,3 +261,63 @@ def _is_read(control: Connection) -> bool:
     room = select.poll()
     room.register(control, select.POLLOUT)
     return bool(room.poll(0))
+
+
+def run_link_process(setup: LinkSetup[Any], control: Connection) -> None:
+    """Run one link in the process of which this is the target; the session, which computes all the time, yields to it.
+
+    Orders of the session come through `control`, signals to its group of processes do not come here.
+    """
+    run_before_others(LINK_NICE)
+    run_link(setup, control)
+
+
+def run_link(setup: LinkSetup[Any], control: Connection) -> None:
+    """Run one link until the session sends Stop or ends."""
+    for number in STOP_SIGNALS:  # they are for the session, which then sends Stop
+        signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
+    log = log_in_background()
+    with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(FineSelector())) as runner:
+        runner.run(_serve(setup, control))
+    log.drain()
+
+
+async def _serve(setup: LinkSetup[Any], control: Connection) -> None:
+    with suppress(EOFError, ConnectionError):  # the session has ended: no process reads a report
+        await _report_all(setup, control)
+
+
+async def _report_all(setup: LinkSetup[Any], control: Connection) -> None:
+    """Open the link, run it, and send its reports; raises EOFError or ConnectionError when the session has ended."""
+    clock = MonotonicClock()
+    try:
+        _take_priority(setup.fifo_priority)
+        link = Link(setup, clock)
+        await link.endpoint.start()
+        gc.freeze()  # what is loaded stays: a full collection of numba's objects alone takes some ten milliseconds
+    except OSError as error:
+        control.send(LinkReport("failed", final=True, error=str(error)))
+        return
+    broken: str | None = None
+    try:
+        control.send(link.report())
+        await LinkLoop(link, control, clock).run()
+    except LinkBroken as error:
+        broken = str(error)
+    finally:
+        await link.close()
+    control.send(link.report(final=True, error=broken))
+
+
+def _take_priority(fifo_priority: int) -> None:
+    """Set the real-time priority of this process; raises OSError, with the remedy, if that is not permitted."""
+    if not fifo_priority:
+        return
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(fifo_priority))
+    except PermissionError as error:
+        raise OSError(
+            f"may not run with run.fifo_priority = {fifo_priority}: leave it out, run as root, or give this user "
+            "'rtprio' in /etc/security/limits.conf",
+        ) from error

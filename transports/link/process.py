@@ -15,38 +15,29 @@ link determines the sending time of an event: its own time in a paced run, other
 
 from __future__ import annotations
 
-import asyncio
-import gc
-import os
-import signal
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.events import EdgeKind
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultRecord
-from transports.link.background_log import log_in_background
 from transports.link.deliveries import Deliveries, DeliveryTally
-from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory, LinkBroken
+from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory
 from transports.link.feed import ClockReport, ClockTruth, Feed, Timing
-from transports.link.loop import LinkLoop
-from transports.link.pacing import Clock, FineSelector, MonotonicClock
+from transports.link.pacing import Clock
 from transports.link.report import CameraSettings, ChangeWatch, LinkReport, Occurrence
 from transports.link.rings import FOREVER_US, FREE_RUNNING, EventRing, ReadingRing
-from transports.priority import LINK_NICE, run_before_others
-from transports.recording.live import AnyRecorder, ForwardingRecorder, open_recorder
 from transports.recording.part import Facts
 
-__all__ = ["STOP_SIGNALS", "Link", "LinkSetup", "run_link", "run_link_process"]
+if TYPE_CHECKING:
+    from transports.recording.live import AnyRecorder, ForwardingRecorder
 
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that end a run: to the session alone or to its whole process group."""
+__all__ = ["Link", "LinkSetup"]
 
 _TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
 _MANY_EVENTS = 1024  # a tick that fed so many, of a run without pacing, is followed by the next one at once
@@ -351,65 +342,9 @@ class Link:
 
 
 def _recorder(setup: LinkSetup[Any]) -> AnyRecorder | ForwardingRecorder | None:
+    if setup.record is None and setup.deliveries is None:
+        return None
+    from transports.recording.live import ForwardingRecorder, open_recorder
+
     own = None if setup.record is None else open_recorder(setup.record, setup.facts)
     return own if setup.deliveries is None else ForwardingRecorder(setup.deliveries, own)
-
-
-def run_link_process(setup: LinkSetup[Any], control: Connection) -> None:
-    """Run one link in the process of which this is the target; the session, which computes all the time, yields to it.
-
-    Orders of the session come through `control`, signals to its group of processes do not come here.
-    """
-    run_before_others(LINK_NICE)
-    run_link(setup, control)
-
-
-def run_link(setup: LinkSetup[Any], control: Connection) -> None:
-    """Run one link until the session sends Stop or ends."""
-    for number in STOP_SIGNALS:  # they are for the session, which then sends Stop
-        signal.signal(number, signal.SIG_IGN)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)
-    log = log_in_background()
-    with asyncio.Runner(loop_factory=lambda: asyncio.SelectorEventLoop(FineSelector())) as runner:
-        runner.run(_serve(setup, control))
-    log.drain()
-
-
-async def _serve(setup: LinkSetup[Any], control: Connection) -> None:
-    with suppress(EOFError, ConnectionError):  # the session has ended: no process reads a report
-        await _report_all(setup, control)
-
-
-async def _report_all(setup: LinkSetup[Any], control: Connection) -> None:
-    """Open the link, run it, and send its reports; raises EOFError or ConnectionError when the session has ended."""
-    clock = MonotonicClock()
-    try:
-        _take_priority(setup.fifo_priority)
-        link = Link(setup, clock)
-        await link.endpoint.start()
-        gc.freeze()  # what is loaded stays: a full collection of numba's objects alone takes some ten milliseconds
-    except OSError as error:
-        control.send(LinkReport("failed", final=True, error=str(error)))
-        return
-    broken: str | None = None
-    try:
-        control.send(link.report())
-        await LinkLoop(link, control, clock).run()
-    except LinkBroken as error:
-        broken = str(error)
-    finally:
-        await link.close()
-    control.send(link.report(final=True, error=broken))
-
-
-def _take_priority(fifo_priority: int) -> None:
-    """Set the real-time priority of this process; raises OSError, with the remedy, if that is not permitted."""
-    if not fifo_priority:
-        return
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(fifo_priority))
-    except PermissionError as error:
-        raise OSError(
-            f"may not run with run.fifo_priority = {fifo_priority}: leave it out, run as root, or give this user "
-            "'rtprio' in /etc/security/limits.conf",
-        ) from error

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from firmware_protocol.network_streams.coders import (
     CaerConnectionCoder,
@@ -13,21 +12,18 @@ from firmware_protocol.network_streams.coders import (
     ConnectionCoder,
     DatagramCoder,
     DvCoder,
-    DvTriggerCoder,
     FaeryLongCoder,
     FaeryShortCoder,
     JaerCoder,
     PictureSettings,
     SpifCoder,
-    StreamFacts,
 )
 from firmware_protocol.network_streams.pictures import DisplayCoder, EventImageCoder
-from transports.link.endpoint import EndpointFactory
-from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
+from transports.link.kind import CameraFacts, LinkKind, Unsuitable
 from transports.needs import package
 from transports.network import check_allow, check_destination, check_port
 
-__all__ = ["TCP", "UDP", "TcpLink", "UdpLink"]
+__all__ = ["CONNECTION_CODERS", "DATAGRAM_CODERS", "TCP", "UDP", "TcpLink", "UdpLink"]
 
 
 @dataclass(frozen=True)
@@ -125,13 +121,13 @@ class UdpLink:
         check_destination(self.host, elsewhere=self.elsewhere)
 
 
-_CONNECTION_CODERS: Mapping[str, type[ConnectionCoder]] = {
+CONNECTION_CODERS: Mapping[str, type[ConnectionCoder]] = {
     "dv": DvCoder,
     "caer": CaerConnectionCoder,
     "event_image": EventImageCoder,
     "display": DisplayCoder,
 }
-_DATAGRAM_CODERS: Mapping[str, type[DatagramCoder]] = {
+DATAGRAM_CODERS: Mapping[str, type[DatagramCoder]] = {
     "jaer": JaerCoder,
     "caer": CaerDatagramCoder,
     "spif": SpifCoder,
@@ -140,28 +136,12 @@ _DATAGRAM_CODERS: Mapping[str, type[DatagramCoder]] = {
 }
 
 
-def _tcp_endpoint(link: TcpLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.network_streams.tcp import TcpFactory
-
-    camera = link.camera or wiring.camera.model.upper()
-    facts = StreamFacts(wiring.camera.size, camera, round(link.frame_ms * 1000), link.compression, link.pictures)
-    triggers = None if link.trigger_port is None else partial(DvTriggerCoder, facts)
-    return TcpFactory(link, partial(_CONNECTION_CODERS[link.format], facts), triggers)
-
-
-def _udp_endpoint(link: UdpLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.network_streams.udp import UdpFactory
-
-    facts = StreamFacts(wiring.camera.size, wiring.camera.model.upper())
-    return UdpFactory(link, partial(_DATAGRAM_CODERS[link.format], facts))
-
-
 def _check_tcp(link: TcpLink, camera: CameraFacts) -> None:
-    _check_size(link.format, _CONNECTION_CODERS[link.format].limit_px, camera)
+    _check_size(link.format, CONNECTION_CODERS[link.format].limit_px, camera)
 
 
 def _check_udp(link: UdpLink, camera: CameraFacts) -> None:
-    _check_size(link.format, _DATAGRAM_CODERS[link.format].limit_px, camera)
+    _check_size(link.format, DATAGRAM_CODERS[link.format].limit_px, camera)
 
 
 def _check_size(form: str, limit_px: tuple[int, int], camera: CameraFacts) -> None:
@@ -174,10 +154,10 @@ def _check_size(form: str, limit_px: tuple[int, int], camera: CameraFacts) -> No
 TCP = LinkKind(
     TcpLink,
     serves="plain",
-    endpoint=_tcp_endpoint,
+    endpoint="transports.network_streams.tcp:factory_of",
     check=_check_tcp,
     listens_on=lambda link: (link.host, link.port) if link.port else None,
     needs=lambda link: (package("lz4"),) if link.compression == "lz4" else (),
 )
 
-UDP = LinkKind(UdpLink, serves="plain", endpoint=_udp_endpoint, check=_check_udp)
+UDP = LinkKind(UdpLink, serves="plain", endpoint="transports.network_streams.udp:factory_of", check=_check_udp)

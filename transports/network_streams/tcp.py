@@ -17,21 +17,23 @@ import socket
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 
 from firmware_protocol.device.items import Items
 from firmware_protocol.device.plain_device import PlainDevice, own_time
 from firmware_protocol.events import empty_edges, empty_events
-from firmware_protocol.network_streams.coders import ConnectionCoder
+from firmware_protocol.network_streams.coders import ConnectionCoder, DvTriggerCoder, StreamFacts
 from transports.connections import Admission, Listener, Seat
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
+from transports.link.kind import Wiring
 from transports.link.pacing import Clock
 from transports.needs import install_command
 from transports.network import AllowList
-from transports.network_streams.kind import TcpLink
+from transports.network_streams.kind import CONNECTION_CODERS, TcpLink
 
-__all__ = ["Client", "ClientGroup", "ClientTerms", "TcpEndpoint", "TcpFactory"]
+__all__ = ["Client", "ClientGroup", "ClientTerms", "TcpEndpoint", "TcpFactory", "factory_of"]
 
 
 _MOST_OPEN = 1 << 22  # events whose fate, or that of earlier events, is open
@@ -381,6 +383,14 @@ class TcpFactory(EndpointFactory[PlainDevice]):
     def build(self, device: PlainDevice, deliveries: Deliveries) -> TcpEndpoint:
         """Return the server; it does not listen yet."""
         return TcpEndpoint(self, device, deliveries)
+
+
+def factory_of(link: TcpLink, wiring: Wiring) -> TcpFactory:
+    """Return the endpoint's factory."""
+    camera = link.camera or wiring.camera.model.upper()
+    facts = StreamFacts(wiring.camera.size, camera, round(link.frame_ms * 1000), link.compression, link.pictures)
+    triggers = None if link.trigger_port is None else partial(DvTriggerCoder, facts)
+    return TcpFactory(link, partial(CONNECTION_CODERS[link.format], facts), triggers)
 
 
 class TcpEndpoint(Endpoint):

@@ -8,17 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 
 from firmware_protocol.device.items import Items
 from firmware_protocol.device.plain_device import PlainDevice, own_time
-from firmware_protocol.network_streams.coders import Datagram, DatagramCoder
+from firmware_protocol.network_streams.coders import Datagram, DatagramCoder, StreamFacts
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointFactory
+from transports.link.kind import Wiring
 from transports.network import ByteBudget, DatagramOutlet
-from transports.network_streams.kind import UdpLink
+from transports.network_streams.kind import DATAGRAM_CODERS, UdpLink
 
-__all__ = ["UdpEndpoint", "UdpFactory"]
+__all__ = ["UdpEndpoint", "UdpFactory", "factory_of"]
 
 
 _MOST_EVENTS = 1 << 14  # encoded at once
@@ -34,6 +36,12 @@ class UdpFactory(EndpointFactory[PlainDevice]):
     def build(self, device: PlainDevice, deliveries: Deliveries) -> UdpEndpoint:
         """Return the endpoint; its socket is not open yet."""
         return UdpEndpoint(self, device, deliveries)
+
+
+def factory_of(link: UdpLink, wiring: Wiring) -> UdpFactory:
+    """Return the endpoint's factory."""
+    facts = StreamFacts(wiring.camera.size, wiring.camera.model.upper())
+    return UdpFactory(link, partial(DATAGRAM_CODERS[link.format], facts))
 
 
 class UdpEndpoint(Endpoint):

@@ -27,7 +27,7 @@ from transports.recording.part import (
     wrong_event,
 )
 
-__all__ = ["LibraryMissing", "OpenRecording", "read_messages"]
+__all__ = ["OpenRecording", "read_messages"]
 
 _MOST_EVENTS = 1 << 16  # in one message
 

@@ -29,13 +29,14 @@ from firmware_protocol.network_streams.pictures import chosen, coloured, frames_
 from firmware_protocol.ros2.messages import EVENT_PACKET, IMAGE, Header, Image, event_packet, image_message, mono_events
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
+from transports.link.kind import Wiring
 from transports.needs import install_command
 from transports.ros2.kind import Ros2Link
 
 if TYPE_CHECKING:
     from transports.ros2.dds import DdsParticipant, TopicWriter
 
-__all__ = ["MessageBuffer", "PacketCoder", "PictureCoder", "Ros2Endpoint", "Ros2Factory", "Window"]
+__all__ = ["MessageBuffer", "PacketCoder", "PictureCoder", "Ros2Endpoint", "Ros2Factory", "Window", "factory_of"]
 
 
 class PacketCoder:
@@ -188,6 +189,11 @@ class Ros2Factory(EndpointFactory[PlainDevice]):
     def build(self, device: PlainDevice, deliveries: Deliveries) -> Ros2Endpoint:
         """Return the endpoint; it has not joined its domain yet."""
         return Ros2Endpoint(self, device, deliveries)
+
+
+def factory_of(link: Ros2Link, wiring: Wiring) -> Ros2Factory:
+    """Return the endpoint's factory."""
+    return Ros2Factory(link, wiring.camera.size)
 
 
 class Ros2Endpoint(Endpoint):

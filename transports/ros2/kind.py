@@ -11,13 +11,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 from xml.sax.saxutils import quoteattr
 
 from firmware_protocol.evt.words import LIMIT_PX
 from firmware_protocol.network_streams.coders import PictureSettings
-from transports.link.endpoint import EndpointFactory
-from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
+from transports.link.kind import CameraFacts, LinkKind, Unsuitable
 from transports.needs import Need, package
 from transports.network import is_loopback
 
@@ -178,12 +177,6 @@ class Ros2Link:
 _MONO_LIMIT_PX = 1 << 15
 
 
-def _endpoint(link: Ros2Link, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.ros2.endpoint import Ros2Factory
-
-    return Ros2Factory(link, wiring.camera.size)
-
-
 def _check(link: Ros2Link, camera: CameraFacts) -> None:
     limit = LIMIT_PX if link.encoding == "evt3" else _MONO_LIMIT_PX
     if max(camera.size) > limit:
@@ -199,4 +192,11 @@ def _needs(_: Ros2Link) -> tuple[Need, ...]:
     return (package("cyclonedds"),)
 
 
-ROS2 = LinkKind(Ros2Link, serves="plain", endpoint=_endpoint, check=_check, has_evt=_has_evt, needs=_needs)
+ROS2 = LinkKind(
+    Ros2Link,
+    serves="plain",
+    endpoint="transports.ros2.endpoint:factory_of",
+    check=_check,
+    has_evt=_has_evt,
+    needs=_needs,
+)

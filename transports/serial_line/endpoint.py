@@ -46,10 +46,11 @@ from transports.link.endpoint import (
     LineUse,
     Reopening,
 )
+from transports.link.kind import Wiring
 from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import Port, open_port, remove_abandoned
 
-__all__ = ["BaudClock", "Frame", "SerialEndpoint", "SerialFactory", "Transmitter"]
+__all__ = ["BaudClock", "Frame", "SerialEndpoint", "SerialFactory", "Transmitter", "factory_of"]
 
 
 _BEHIND_NS = 50_000_000  # limit of the time that a late tick may catch up: the size of a driver's transmit buffer
@@ -262,6 +263,11 @@ class SerialFactory(EndpointFactory[Instrument]):
         """Remove the symbolic link to a pty that no longer exists."""
         if self.line.symlink:
             remove_abandoned(Path(self.line.symlink))
+
+
+def factory_of(line: SerialLink, wiring: Wiring) -> SerialFactory:
+    """Return the endpoint's factory."""
+    return SerialFactory(line, wiring.faults)
 
 
 class SerialEndpoint(Endpoint):

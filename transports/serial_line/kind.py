@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.faults.line import SERIAL_FAULTS
-from transports.link.endpoint import EndpointFactory
-from transports.link.kind import LinkKind, Listener, Wiring, check_region
+from transports.link.kind import LinkKind, Listener, check_region
 
 __all__ = ["SERIAL", "SerialLink"]
 
@@ -75,16 +74,10 @@ class SerialLink:
         return 1 + self.data_bits + _PARITY_BITS[self.parity] + self.stop_bits
 
 
-def _endpoint(line: SerialLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.serial_line.endpoint import SerialFactory
-
-    return SerialFactory(line, wiring.faults)
-
-
 SERIAL = LinkKind(
     SerialLink,
     serves="instrument",
-    endpoint=_endpoint,
+    endpoint="transports.serial_line.endpoint:factory_of",
     faults=SERIAL_FAULTS,
     listener=Listener("serial", "Read a camera on a serial line.", "emulator.cli.listen.packets:serial"),
     check=check_region,

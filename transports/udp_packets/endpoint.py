@@ -24,13 +24,14 @@ from transports.faults.datagrams import FaultyDatagrams
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointFactory
+from transports.link.kind import Wiring
 from transports.link.pacing import Clock
 from transports.link.reception import InstrumentReception, Receiving, receive
 from transports.network import ByteBudget, DatagramInlet, DatagramOutlet
 from transports.recording.record import Recorder
 from transports.udp_packets.kind import UdpPacketsLink
 
-__all__ = ["Ports", "UdpPacketEndpoint", "UdpPacketFactory", "listen_udp"]
+__all__ = ["Ports", "UdpPacketEndpoint", "UdpPacketFactory", "factory_of", "listen_udp"]
 
 
 _AT_A_TIME = 64
@@ -46,6 +47,11 @@ class UdpPacketFactory(EndpointFactory[Instrument]):
     def build(self, device: Instrument, deliveries: Deliveries) -> UdpPacketEndpoint:
         """Return the endpoint; its sockets are not open yet."""
         return UdpPacketEndpoint(self, device, deliveries)
+
+
+def factory_of(link: UdpPacketsLink, wiring: Wiring) -> UdpPacketFactory:
+    """Return the endpoint's factory."""
+    return UdpPacketFactory(link, wiring.faults)
 
 
 class UdpPacketEndpoint(Endpoint):

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.faults.datagrams import DATAGRAM_FAULTS
-from transports.link.endpoint import EndpointFactory
-from transports.link.kind import LinkKind, Listener, Wiring, check_region
+from transports.link.kind import LinkKind, Listener, check_region
 from transports.network import check_allow, check_destination, check_port
 
 __all__ = ["UDP_PACKETS", "UdpPacketsLink"]
@@ -59,16 +58,10 @@ class UdpPacketsLink:
         check_allow(self.command_host, self.allow, "command_host")
 
 
-def _endpoint(link: UdpPacketsLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.udp_packets.endpoint import UdpPacketFactory
-
-    return UdpPacketFactory(link, wiring.faults)
-
-
 UDP_PACKETS = LinkKind(
     UdpPacketsLink,
     serves="instrument",
-    endpoint=_endpoint,
+    endpoint="transports.udp_packets.endpoint:factory_of",
     faults=DATAGRAM_FAULTS,
     listener=Listener("udp", "Read a camera whose packets come in UDP datagrams.", "emulator.cli.listen.packets:udp"),
     check=check_region,

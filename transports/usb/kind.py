@@ -4,35 +4,31 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from transports.faults.usb import USB_FAULTS
-from transports.link.endpoint import EndpointFactory
-from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Unsuitable, Wiring
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Unsuitable
 from transports.needs import UDC, VHCI
 from transports.network import check_allow
-from transports.usb.functionfs.gadget import check_name
 
-__all__ = ["LOOPBACK", "USBIP", "USB_GADGET", "LoopbackLink", "UsbGadgetLink", "UsbipLink"]
+__all__ = ["LOOPBACK", "USBIP", "USB_GADGET", "LoopbackLink", "UsbGadgetLink", "UsbipLink", "check_name"]
 
 
 def _check_model(link: LinkParameters, camera: CameraFacts) -> None:
     """Raise Unsuitable for a camera without a USB device."""
-    if camera.usb_models.get(camera.model) == camera.size:
+    if camera.usb_size == camera.size:
         return
-    sizes = sorted(set(camera.usb_models.values()))
-    cures = " or ".join(f"{_named(camera, size)} with {size[0]}x{size[1]} pixels" for size in sizes)
+    models: dict[tuple[int, int], list[str]] = {}
+    for name, size in camera.usb_models().items():
+        models.setdefault(size, []).append(f'"{name}"')
+    cures = " or ".join(
+        f"model = {', '.join(names)} with {size[0]}x{size[1]} pixels" for size, names in sorted(models.items())
+    )
     raise Unsuitable(
         f"there is no USB model for a {camera.model} of {camera.size[0]}x{camera.size[1]} pixels yet; use "
         f'kind = "loopback", or {cures}',
         "kind",
     )
-
-
-def _named(camera: CameraFacts, size: tuple[int, int]) -> str:
-    """Return the keys of a rig that name the models of a size."""
-    names = ", ".join(f'"{name}"' for name, one in camera.usb_models.items() if one == size)
-    return f"model = {names}"
 
 
 @dataclass(frozen=True)
@@ -66,16 +62,10 @@ class UsbipLink:
         check_allow(self.host, self.allow)
 
 
-def _usbip_endpoint(link: UsbipLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.usb.usbip.server import UsbipFactory
-
-    return UsbipFactory(link.host, link.port, link.busid, wiring.faults, link.allow)
-
-
 USBIP = LinkKind(
     UsbipLink,
     serves="usb",
-    endpoint=_usbip_endpoint,
+    endpoint="transports.usb.usbip.server:factory_of",
     faults=USB_FAULTS,
     listener=Listener(
         "usb", "Read a DAVIS346, a DVXplorer, an EVK4 or a GenX320 on USB.", "emulator.cli.listen.cameras:listen"
@@ -84,6 +74,12 @@ USBIP = LinkKind(
     listens_on=lambda link: (link.host, link.port) if link.port else None,
     needs=lambda link: (VHCI,),
 )
+
+
+def check_name(name: str) -> None:
+    """Raise ValueError for a name that is not valid for a gadget, a function and a folder."""
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,30}", name):
+        raise ValueError(f"a gadget's name has 1 to 31 letters, digits, '-' and '_', got {name!r}")
 
 
 @dataclass(frozen=True)
@@ -110,16 +106,10 @@ class UsbGadgetLink:
         check_name(self.gadget)
 
 
-def _gadget_endpoint(link: UsbGadgetLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.usb.functionfs.endpoint import GadgetFactory
-
-    return GadgetFactory(link.gadget, link.udc, wiring.faults)
-
-
 USB_GADGET = LinkKind(
     UsbGadgetLink,
     serves="usb",
-    endpoint=_gadget_endpoint,
+    endpoint="transports.usb.functionfs.endpoint:factory_of",
     faults=USB_FAULTS,
     check=_check_model,
     needs=lambda link: (UDC,),
@@ -140,11 +130,11 @@ class LoopbackLink:
     name: str = "loopback"
 
 
-def _loopback_endpoint(link: LoopbackLink, wiring: Wiring) -> EndpointFactory[Any]:
-    from transports.usb.loopback import LoopbackFactory
-
-    return LoopbackFactory()
-
-
 # A DAVIS346 can have any size. This host loses no data at the start, so the camera need not wait.
-LOOPBACK = LinkKind(LoopbackLink, serves="usb", endpoint=_loopback_endpoint, usb_model="davis346", start_delay=False)
+LOOPBACK = LinkKind(
+    LoopbackLink,
+    serves="usb",
+    endpoint="transports.usb.loopback:factory_of",
+    usb_model="davis346",
+    start_delay=False,
+)

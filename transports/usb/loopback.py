@@ -23,10 +23,11 @@ from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, LinkBroken
-from transports.usb.cameras import driver_of
+from transports.link.kind import Wiring
 from transports.usb.host import CameraHost, StallError, StreamSettings, TransferTimeout
+from transports.usb.kind import LoopbackLink
 
-__all__ = ["DirectHost", "DirectReader", "LoopbackEndpoint", "LoopbackFactory"]
+__all__ = ["DirectHost", "DirectReader", "LoopbackEndpoint", "LoopbackFactory", "factory_of"]
 
 
 class DirectReader:
@@ -132,6 +133,11 @@ class LoopbackFactory(EndpointFactory[UsbCamera]):
         return LoopbackEndpoint(FaultyDevice(device, FaultPlan(), deliveries.add))
 
 
+def factory_of(link: LoopbackLink, wiring: Wiring) -> LoopbackFactory:
+    """Return the endpoint's factory."""
+    return LoopbackFactory()
+
+
 class LoopbackEndpoint(Endpoint):
     """Driver that reads a camera as soon as it has data, and compares the data with those sent."""
 
@@ -144,6 +150,8 @@ class LoopbackEndpoint(Endpoint):
 
     async def start(self) -> None:
         """Open the camera, identify it, start it and reset its clock."""
+        from transports.usb.cameras import driver_of  # the drivers of all cameras: the session needs the factory alone
+
         self._host = DirectHost(self._device)
         self._camera = driver_of(self._host)
         self._camera.start(StreamSettings(edges=True, frames=True, imu=True))

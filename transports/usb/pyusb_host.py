@@ -15,7 +15,8 @@ import usb.backend
 import usb.core
 import usb.util
 
-from firmware_protocol.usb.device import Identity, SetupPacket, Speed
+from firmware_protocol.usb.descriptors import Speed
+from firmware_protocol.usb.device import Identity, SetupPacket
 from transports.usb.host import (
     AccessDenied,
     DeviceAbsent,

@@ -46,10 +46,10 @@ from emulator.evaluation.accuracy.scenes import (
 from emulator.evaluation.accuracy.scores import Scores, Stream, compare
 from emulator.evaluation.accuracy.truth import true_events
 from emulator.light import LightFrame, PixelLight
-from emulator.sensor.methods.base import MakePixels
 from emulator.sensor.methods.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import Crossings
+from emulator.sensor.pixels.method import MakePixels
 from emulator.sensor.presets import SensorParameters
 
 __all__ = [

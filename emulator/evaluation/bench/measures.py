@@ -9,7 +9,6 @@ from typing import Literal
 from emulator.evaluation.bench import coders as word
 from emulator.evaluation.bench import links as link
 from emulator.evaluation.bench import pixels as pixel
-from emulator.evaluation.bench import serial_lines as serial_line
 from emulator.evaluation.bench.coders import (
     COMPILER,
     BlockBits,
@@ -110,7 +109,7 @@ MEASURES = (
     *(_IN_C if COMPILER else ()),
     *(measure for rig in _RIGS for measure in _of_a_rig(*rig)),
     *(Measure(f"gpu_frame_{w}x{h}", "ms", "lower", None, Drawing((w, h))) for w, h in (SMALL, LARGE)),
-    Measure("serial_fill", "%", "higher", 98, serial_line.serial_fill),
+    Measure("serial_fill", "%", "higher", 98, link.serial_fill),
     Measure("usbip_events", "Mev/s", "higher", 12, link.usbip_events),
     Measure("latency_p50", "us", "lower", 1000, link.latency_p50),
     Measure("latency_p99", "us", "lower", 3000, link.latency_p99),

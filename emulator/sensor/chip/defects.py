@@ -19,9 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.methods.base import PixelMethod
 from emulator.sensor.numerics.keyed import Purpose, normal, normals, root_of, streams, uniform
 from emulator.sensor.parameters import REFERENCE_CELSIUS
+from emulator.sensor.pixels.method import PixelMethod
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["NEVER_NS", "Defects", "Leaks", "at_temperature", "draw_defects"]

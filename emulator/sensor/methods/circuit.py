@@ -33,9 +33,9 @@ import numpy.typing as npt
 
 from emulator.light import LightFrame
 from emulator.sensor.chip.sources import Pending, new_pending, reserve
-from emulator.sensor.methods.base import Capabilities, DrawnPixels, time_of
 from emulator.sensor.numerics.compiled import cached_entry, kernel, kernel_that_allocates
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, unpacked
+from emulator.sensor.pixels.method import Capabilities, DrawnPixels, time_of
 from emulator.sensor.pixels.state import draw, levels_passed
 from emulator.sensor.presets import SensorParameters
 

@@ -60,9 +60,9 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame
-from emulator.sensor.methods.base import PixelMethod, time_of
 from emulator.sensor.numerics.keyed import Purpose, normal, uniform
 from emulator.sensor.pixels.crossings import Crossings
+from emulator.sensor.pixels.method import PixelMethod, time_of
 from emulator.sensor.pixels.state import MOST_LOST, draw
 from emulator.sensor.presets import SensorParameters
 

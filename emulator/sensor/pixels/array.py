@@ -15,13 +15,13 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame, PixelLight, Region
-from emulator.sensor.methods.base import Capabilities, PixelMethod, time_of
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.numerics.keyed import Purpose, root_of, streams
 from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.pixels.curve import UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, touch, wake
+from emulator.sensor.pixels.method import Capabilities, PixelMethod, time_of
 from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
 from emulator.sensor.pixels.state import (
     BLOCK,

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from emulator.live_page.controls import ChangeList, Repeats, fault_menu, totals
 from emulator.live_page.messages import ViewerCommands
 from emulator.rig.kinds import known_faults
-from emulator.run.changes import Change, Changes, Operator
+from emulator.run.changes import Change, Changes
 from emulator.run.outcome import Ledger, RunResult, RunStatus
 from emulator.run.pacing import Lateness
+from emulator.run.session import Operator
 from transports.faults.script import FaultRecord
 from transports.link.report import LinkReport
 

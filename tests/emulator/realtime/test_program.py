@@ -11,9 +11,7 @@ import pytest
 
 from emulator.cli.app import _main
 from emulator.evaluation.bench.streams import BenchFailed
-from emulator.evaluation.realtime.process_use import children, use_of
-from emulator.evaluation.realtime.program import Span, _speed, measure_speed
-from emulator.evaluation.realtime.receiver import Received
+from emulator.evaluation.realtime.program import Received, Span, _speed, children, measure_speed, use_of
 from emulator.evaluation.realtime.variants import SIZES, variant_of
 
 BOARD = '[scene]\nkind = "checkerboard"\nspeed_px_s = 30.0\n[run]\nstep_us = 5000\n'

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from emulator.light import LightFrame
-from emulator.sensor.methods.base import ADJUSTABLE
 from emulator.sensor.parameters import JitterParameters, NoiseParameters, TemperatureParameters
+from emulator.sensor.pixels.method import ADJUSTABLE
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 

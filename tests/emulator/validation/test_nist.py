@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from emulator.cli.app import _main
-from emulator.evaluation.validation.experiments import EXPERIMENTS
+from emulator.cli.validate import EXPERIMENTS
 from emulator.evaluation.validation.nist import (
     Edges,
     Statistics,

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from emulator.cli.validate import EXPERIMENTS
 from emulator.evaluation.characterise.still_light import StillLight, still_light
-from emulator.evaluation.validation.experiments import EXPERIMENTS
 from emulator.evaluation.validation.recordings import DATA, kick_lags, sequences
 from firmware_protocol.events import EVENT
 from firmware_protocol.recordings.part import Frame

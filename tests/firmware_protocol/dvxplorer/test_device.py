@@ -15,7 +15,8 @@ from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerSettings
 from firmware_protocol.events import EDGE
 from firmware_protocol.imu_samples import ImuSettings, no_samples, physical
-from firmware_protocol.usb.device import Speed, Stall
+from firmware_protocol.usb.descriptors import Speed
+from firmware_protocol.usb.device import Stall
 
 IMU = ReadingKind.IMU
 

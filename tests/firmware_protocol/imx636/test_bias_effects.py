@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_protocol.device.event_device import LEAST_FACTOR, MOST_FACTOR
 from firmware_protocol.gige.control import Write
 from firmware_protocol.imx636.evk4 import Evk4
 from firmware_protocol.imx636.registers import BIASES
 from firmware_protocol.imx636.triton2 import Triton2
 from firmware_protocol.imx636.triton2_registers import BIASES as OFFSETS
-from firmware_protocol.prophesee.biases import LEAST_FACTOR, MOST_FACTOR, BiasModel, BiasSlopes
+from firmware_protocol.prophesee.biases import BiasModel, BiasSlopes
 
 SLOPES = BiasSlopes(diff_on=0.01, diff_off=0.02, diff_off_above=0.015, fo=0.025, refr=0.04)
 

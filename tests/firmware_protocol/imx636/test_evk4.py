@@ -10,7 +10,8 @@ from evk4_requests import DATA, START, STOP, Host, events_of
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.events import EDGE, EdgeKind
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
-from firmware_protocol.usb.device import SetupPacket, Speed, Stall
+from firmware_protocol.usb.descriptors import Speed
+from firmware_protocol.usb.device import SetupPacket, Stall
 
 PROMPT = Evk4Settings(start_delay_us=0)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from firmware_protocol.events import EVENT
+from firmware_protocol.imx636.evk4 import Selection
 from firmware_protocol.imx636.registers import Registers
-from firmware_protocol.imx636.selection import Selection
 
 ON, KEEP_INSIDE, TAKE_OVER = 0x2, 0x40, 0x20
 

@@ -13,11 +13,11 @@ from firmware_protocol.usb.descriptors import (
     DeviceDescriptor,
     Endpoint,
     Interface,
+    Speed,
     TransferType,
     language_descriptor,
     string_descriptor,
 )
-from firmware_protocol.usb.device import Speed
 
 SPEEDS = [Speed.SUPER, Speed.HIGH, Speed.FULL]
 

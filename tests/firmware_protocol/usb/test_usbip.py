@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from usbip import protocol as other
 
-from firmware_protocol.usb.device import Identity, Speed
+from firmware_protocol.usb.descriptors import Speed
+from firmware_protocol.usb.device import Identity
 from firmware_protocol.usb.usbip import (
     DeviceListReply,
     DeviceListRequest,

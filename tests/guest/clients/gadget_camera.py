@@ -26,11 +26,11 @@ from looped_streams import SIZE, frames, samples
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
-from firmware_protocol.usb.device import Speed
+from firmware_protocol.usb.descriptors import Speed
 from transports.link.edges import EdgeTiming, PeriodicEdges
 from transports.link.feed import Timing
-from transports.link.loop import Stop
-from transports.link.process import LinkSetup, run_link
+from transports.link.loop import Stop, run_link
+from transports.link.process import LinkSetup
 from transports.link.rings import EventRing, ReadingRing
 from transports.recording.part import Facts
 from transports.usb.functionfs.endpoint import GadgetFactory

@@ -36,12 +36,12 @@ class Whole(Bare):
 )
 def test_parameters_that_lack_something(parameters, serves, told):
     with pytest.raises(ValueError, match=told):
-        LinkKind(parameters, serves, lambda link, wiring: None)
+        LinkKind(parameters, serves, "beacon:factory_of")
 
 
 @pytest.mark.parametrize(("parameters", "serves"), [(Bare, "usb"), (Whole, "instrument")])
 def test_parameters_that_have_all(parameters, serves):
-    kind = LinkKind(parameters, serves, lambda link, wiring: None)
+    kind = LinkKind(parameters, serves, "beacon:factory_of")
     assert kind.name == "beacon"
     assert kind.possible_faults(parameters()) == {}
     assert kind.listens_on(parameters()) is None

@@ -7,8 +7,8 @@ from functools import partial
 import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from transports.link.loop import Stop
-from transports.link.process import LinkSetup, run_link
+from transports.link.loop import Stop, run_link
+from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
 from transports.link.rings import EventRing
 from transports.usb.loopback import LoopbackFactory

@@ -11,7 +11,8 @@ from collections import deque
 import pytest
 
 from evstim.testing.fake_usb import FakeUsbBus
-from firmware_protocol.usb.device import Identity, SetupPacket, Speed, Stall, Transfer, UsbDevice
+from firmware_protocol.usb.descriptors import Speed
+from firmware_protocol.usb.device import Identity, SetupPacket, Stall, Transfer, UsbDevice
 from transports.usb.usbip.connection import ConnectionSettings
 from transports.usb.usbip.server import UsbipServer
 

@@ -9,7 +9,8 @@ import pytest
 from firmware_protocol.events import EVENT
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
 from firmware_protocol.prophesee.treuzell import Frame, Property
-from firmware_protocol.usb.device import Identity, Speed
+from firmware_protocol.usb.descriptors import Speed
+from firmware_protocol.usb.device import Identity
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import UsbSilence

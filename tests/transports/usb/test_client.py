@@ -8,7 +8,8 @@ import threading
 
 import pytest
 
-from firmware_protocol.usb.device import Identity, SetupPacket, Speed
+from firmware_protocol.usb.descriptors import Speed
+from firmware_protocol.usb.device import Identity, SetupPacket
 from firmware_protocol.usb.usbip import (
     DeviceListReply,
     DeviceRecord,

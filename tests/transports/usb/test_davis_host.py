@@ -7,7 +7,8 @@ import pytest
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo, WordEncoder
 from firmware_protocol.events import EVENT
-from firmware_protocol.usb.device import Identity, SetupPacket, Speed
+from firmware_protocol.usb.descriptors import Speed
+from firmware_protocol.usb.device import Identity, SetupPacket
 from transports.usb.davis_host import DavisHost
 from transports.usb.host import PeerGone, StallError, StreamSettings, TransferTimeout, UnsuitableDevice
 from transports.usb.pyusb_host import PyusbHost

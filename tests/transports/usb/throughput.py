@@ -15,7 +15,8 @@ import sys
 import time
 from multiprocessing.connection import Connection
 
-from firmware_protocol.usb.device import Identity, SetupPacket, Speed, Stall, Transfer, UsbDevice
+from firmware_protocol.usb.descriptors import Speed
+from firmware_protocol.usb.device import Identity, SetupPacket, Stall, Transfer, UsbDevice
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.server import UsbipServer
 

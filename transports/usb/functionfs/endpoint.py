@@ -8,17 +8,20 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from firmware_protocol.usb.device import Speed, UsbCamera
+from firmware_protocol.usb.descriptors import Speed
+from firmware_protocol.usb.device import UsbCamera
 from firmware_protocol.usb.functionfs import descriptor_block, string_block
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, LinkBroken
+from transports.link.kind import Wiring
 from transports.usb.functionfs.cable import Cable
 from transports.usb.functionfs.files import WAKE_SIGNAL, FunctionFiles, with_spares
 from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of
+from transports.usb.kind import UsbGadgetLink
 
-__all__ = ["GadgetEndpoint", "GadgetFactory"]
+__all__ = ["GadgetEndpoint", "GadgetFactory", "factory_of"]
 
 log = logging.getLogger(__name__)
 
@@ -36,6 +39,11 @@ class GadgetFactory(EndpointFactory[UsbCamera]):
     def build(self, device: UsbCamera, deliveries: Deliveries) -> GadgetEndpoint:
         """Return the gadget; it is not visible to hosts yet."""
         return GadgetEndpoint(self, device, deliveries)
+
+
+def factory_of(link: UsbGadgetLink, wiring: Wiring) -> GadgetFactory:
+    """Return the endpoint's factory."""
+    return GadgetFactory(link.gadget, link.udc, wiring.faults)
 
 
 class GadgetEndpoint(Endpoint):

@@ -16,16 +16,15 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import re
 import subprocess
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from firmware_protocol.usb.descriptors import DescriptorSet
-from firmware_protocol.usb.device import Speed
+from firmware_protocol.usb.descriptors import DescriptorSet, Speed
+from transports.usb.kind import check_name
 
-__all__ = ["Gadget", "GadgetError", "Places", "check_name", "controller_of", "mount_functionfs"]
+__all__ = ["Gadget", "GadgetError", "Places", "controller_of", "mount_functionfs"]
 
 _ENGLISH = "0x409"
 _CONFIGURATION = "c.1"
@@ -63,12 +62,6 @@ def _tool(command: list[str]) -> None:
         raise GadgetError(f"cannot run {command[0]}: {error}") from error
     if done.returncode:
         raise GadgetError(f"{' '.join(command)}: {done.stderr.strip()}")
-
-
-def check_name(name: str) -> None:
-    """Raise ValueError for a name that is not valid for a gadget, a function and a folder."""
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,30}", name):
-        raise ValueError(f"a gadget's name has 1 to 31 letters, digits, '-' and '_', got {name!r}")
 
 
 def controller_of(wanted: str, places: Places) -> str:

@@ -30,11 +30,13 @@ from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory
+from transports.link.kind import Wiring
 from transports.network import AllowList, is_loopback
+from transports.usb.kind import UsbipLink
 from transports.usb.usbip.connection import Connection, ConnectionSettings, UrbObserver
 from transports.usb.usbip.trace import UrbTrace
 
-__all__ = ["UsbipEndpoint", "UsbipFactory", "UsbipServer"]
+__all__ = ["UsbipEndpoint", "UsbipFactory", "UsbipServer", "factory_of"]
 
 
 log = logging.getLogger(__name__)
@@ -220,6 +222,11 @@ class UsbipFactory(EndpointFactory[UsbCamera]):
         faulty = FaultyDevice(device, self.faults, deliveries.add)
         trace = None if self.trace is None else UrbTrace(self.trace, faulty, time.time_ns)
         return UsbipEndpoint(self, faulty, trace)
+
+
+def factory_of(link: UsbipLink, wiring: Wiring) -> UsbipFactory:
+    """Return the endpoint's factory."""
+    return UsbipFactory(link.host, link.port, link.busid, wiring.faults, link.allow)
 
 
 class UsbipEndpoint(Endpoint):

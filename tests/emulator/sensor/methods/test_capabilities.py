@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from emulator.light import LightFrame, Region
-from emulator.sensor.methods.base import ADJUSTABLE
 from emulator.sensor.methods.circuit import CircuitPixels
 from emulator.sensor.methods.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.noise.grid import NoisyPixels
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.method import ADJUSTABLE
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor, own_pixels
 

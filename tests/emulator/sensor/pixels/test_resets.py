@@ -8,12 +8,12 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from emulator.light import LightFrame, Region
-from emulator.sensor.methods.base import Capabilities
 from emulator.sensor.numerics.compiled import cached_entry
 from emulator.sensor.numerics.keyed import Purpose, normal
 from emulator.sensor.parameters import ComparatorParameters, NoiseParameters, ResetParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.comparator import LONGEST_S, delay_s
+from emulator.sensor.pixels.method import Capabilities
 from emulator.sensor.pixels.state import StepConstants
 from emulator.sensor.presets import SensorParameters
 

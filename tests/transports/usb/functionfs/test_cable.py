@@ -7,7 +7,8 @@ from evstim.testing.link_contract import event_stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.genx320.device import Genx320, Genx320Settings
 from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
-from firmware_protocol.usb.device import SetupPacket, Speed, Transfer
+from firmware_protocol.usb.descriptors import Speed
+from firmware_protocol.usb.device import SetupPacket, Transfer
 from firmware_protocol.usb.functionfs import EventKind
 from tests.transports.usb.conftest import FakeDevice
 from tests.transports.usb.gadget_port import PACKET_BYTES, PATIENCE_S, GadgetBench, PortHost

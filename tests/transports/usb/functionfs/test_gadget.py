@@ -7,7 +7,7 @@ import pytest
 
 from firmware_protocol.davis346 import Davis346Settings
 from firmware_protocol.imx636.evk4 import Evk4Settings
-from firmware_protocol.usb.device import Speed
+from firmware_protocol.usb.descriptors import Speed
 from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of
 
 DAVIS = Davis346Settings(serial="00000042").descriptors()

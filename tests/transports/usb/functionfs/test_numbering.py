@@ -4,8 +4,7 @@ import pytest
 
 from firmware_protocol.davis346 import Davis346Settings
 from firmware_protocol.imx636.evk4 import Evk4Settings
-from firmware_protocol.usb.descriptors import Endpoint, Interface, TransferType
-from firmware_protocol.usb.device import Speed
+from firmware_protocol.usb.descriptors import Endpoint, Interface, Speed, TransferType
 from transports.usb.functionfs.files import with_spares
 
 ORDER = {"dummy_udc.0": ((1, 6, 11, 2), (2, 7, 12, 1)), "fe980000.usb": (range(1, 16), range(1, 16))}

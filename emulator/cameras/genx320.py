@@ -1,0 +1,37 @@
+"""Record of a GenX320."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from emulator.optics.lens import CHIPS
+from emulator.rig.kinds import CameraModel, UsbModel, UsbSettings
+from emulator.rig.tables import Camera
+from emulator.sensor.presets import PRESETS
+from firmware_protocol.genx320.biases import SLOPES
+from firmware_protocol.genx320.device import Genx320, Genx320Settings
+from firmware_protocol.genx320.registers import Surroundings
+from firmware_protocol.usb.descriptors import Speed
+from firmware_protocol.usb.device import UsbCamera
+
+__all__ = ["GENX320"]
+
+
+def _device(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
+    sensor = camera.sensor
+    settings = Genx320Settings(
+        serial=camera.serial,
+        speed=Speed[camera.speed.upper()],
+        fifo_bytes=camera.fifo_bytes,
+        start_delay_us=round(usb.start_delay_ms * 1000),
+        surroundings=Surroundings(sensor.temperature.celsius, dead_time_us=sensor.refractory_us),
+        pulse_us=usb.pulse_us,
+        biases=camera.bias_model,
+    )
+    return partial(Genx320, settings)
+
+
+GENX320 = CameraModel(
+    "genx320", PRESETS["genx320"], CHIPS["genx320"], UsbModel((320, 320), _device, has_evt=True), bias_slopes=SLOPES
+)
