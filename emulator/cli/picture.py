@@ -203,7 +203,7 @@ def _recorded_looks(
         nonlocal light
         while frames and frames[0].t_us - start_us <= t_us:
             light = frames.pop(0).pixels.astype(np.float32)
-        return t_us * 1e-6, light, seen[(seen["t"] >= _begin_us(t_us * 1e-6, window_ms)) & (seen["t"] <= t_us)]
+        return t_us * 1e-6, light, seen[(seen["t"] >= _begin_us(t_us * 1e-6, window_ms)) & (seen["t"] < t_us)]
 
     for part in recording.parts():
         frames += (frame for frame in part.frames if frame.pixels.shape == size[::-1])
@@ -221,4 +221,4 @@ def _recorded_looks(
             return
     if start_us < 0:
         raise RecordingError("holds no events")
-    yield at(last_us)
+    yield at(last_us + 1)

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.system  # each command reads the file in a process
 SIZE, ON, OFF, BLACK = (346, 260), (230, 159, 0), (86, 180, 233), (0, 0, 0)
 START_US = 7_000_000  # a recording need not begin at zero
 EVENTS = np.array(
-    [(START_US, 1, 2, True), (START_US + 480_000, 30, 40, True), (START_US + 500_000, 50, 60, False),
+    [(START_US, 1, 2, True), (START_US + 480_000, 30, 40, True), (START_US + 499_000, 50, 60, False),
      (START_US + 900_000, 70, 80, True)], EVENT,
 )  # fmt: skip
 
