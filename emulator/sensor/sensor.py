@@ -234,7 +234,7 @@ def longest_step_ns(p: SensorParameters) -> int:
     random_hz = pixels * (each_hz + p.defects.hot_share * hot_hz) + hits_per_second(p) * track
     grids_ns = [p.imager.shot_grid_us * 1000] if p.imager.photon_shot_noise or p.imager.dark_shot_noise else []
     if p.noise.rms and p.noise.grade == "grid":
-        grids_ns.append(grid_ns(p))
+        grids_ns.append(imported("laboratory.methods.grid:grid_ns")(p))
     most_ns = [_MOST_RANDOM / random_hz * 1e9] if random_hz else []
     most_ns += [_MOST_MOVED / pixels * step_ns for step_ns in grids_ns]
     return max(round(min(*most_ns, 2.0**62, 2.0**62)), 1000)
