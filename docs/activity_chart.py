@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from emulator.evaluation.bench.pixels import grating
 from emulator.light import Light, LightFrame, Region
 from emulator.report.page import pyplot, save
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS
+from laboratory.bench.pixels import grating
 
 SIZES = (346, 260), (640, 480), (1280, 720), (2048, 2048), (4096, 4096)
 SHARES = 0.0, 0.001, 0.01, 0.1, 1.0

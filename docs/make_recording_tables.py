@@ -3,7 +3,7 @@
     python docs/make_recording_tables.py STREET.aedat4 EVK4.raw
 
 STREET is tests/data/test_data.aedat4 of the source distribution of the Python package aedat 2.3.0; EVK4 is
-tests/data/evt3.raw of that of faery 0.7.1. See emulator/evaluation/validation/data/SOURCES.md.
+tests/data/evt3.raw of that of faery 0.7.1. See laboratory/validation/data/SOURCES.md.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from emulator.evaluation.characterise.recordings import still_pixels
-from emulator.evaluation.characterise.still_light import still_light
-from emulator.evaluation.validation.recordings import DATA, QUIET_HZ, kick_lags, sequences
 from emulator.playback.recording import read_events, read_frames
+from laboratory.characterise.recordings import still_pixels
+from laboratory.characterise.still_light import still_light
+from laboratory.validation.recordings import DATA, QUIET_HZ, kick_lags, sequences
 
 
 def street(path: Path) -> None:

@@ -17,13 +17,13 @@ from typing import Any, Literal, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from emulator.evaluation.accuracy import scores as metrics
-from emulator.evaluation.accuracy.scores import Stream
 from emulator.scene.video.frames import linear_light, read_frames
 from emulator.scene.video.video import resampled
 from emulator.sensor.presets import SensorParameters
 from evstim.sensor import Sensor, SensorOptions
 from firmware_protocol.events import Events, empty_events
+from laboratory.accuracy import scores as metrics
+from laboratory.accuracy.scores import Stream
 
 __all__ = ["events_from_frames", "events_from_video", "reconstruct"]
 

@@ -316,7 +316,7 @@ def build_sensor(rig: Rig, parameters: SensorParameters, kind: type[Sensor] = Se
 def _pixels(run: Run) -> MakePixels:
     if run.method in OWN_METHODS:
         return partial(own_pixels, threads=run.threads)
-    from emulator.sensor.methods.other_simulators import OTHER_SIMULATORS
+    from laboratory.methods.other_simulators import OTHER_SIMULATORS
 
     return OTHER_SIMULATORS[run.method]
 

@@ -77,11 +77,11 @@ class Source(Protocol):
 def own_pixels(p: SensorParameters, seed: int, threads: int = 0) -> PixelMethod:
     """Return evstim's own pixels with the effects of the sensor; `threads` as in `PixelArray`."""
     if p.photoreceptor == "circuit":
-        from emulator.sensor.methods.circuit import CircuitPixels
+        from laboratory.methods.circuit import CircuitPixels
 
         return CircuitPixels(p, seed)
     if p.noise.rms and p.noise.grade == "grid":
-        from emulator.sensor.noise.grid import NoisyPixels
+        from laboratory.methods.grid import NoisyPixels
 
         return NoisyPixels(p, seed)
     return PixelArray(p, seed, threads)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from emulator.light import LightFrame
-from emulator.sensor.methods.circuit import CircuitPixels
-from emulator.sensor.methods.other_simulators import Pangu
-from emulator.sensor.noise.grid import NoisyPixels
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
+from laboratory.methods.circuit import CircuitPixels
+from laboratory.methods.grid import NoisyPixels
+from laboratory.methods.other_simulators import Pangu
 
 MS = 1_000_000
 WIDTH, HEIGHT = 6, 4

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from emulator.light import LightFrame
-from emulator.sensor.methods.other_simulators import OTHER_SIMULATORS
 from emulator.sensor.origins import Origin, TracedSensor
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
+from laboratory.methods.other_simulators import OTHER_SIMULATORS
 
 WIDTH, HEIGHT = 40, 30
 IDEAL = dataclasses.replace(PRESETS["ideal"], width=WIDTH, height=HEIGHT)

@@ -16,7 +16,6 @@ from emulator.light import LightFrame
 from emulator.sensor import sensor as sensor_module
 from emulator.sensor.chip.defects import at_temperature, draw_defects
 from emulator.sensor.chip.readout import ArbiterReadOut
-from emulator.sensor.methods.other_simulators import Pangu
 from emulator.sensor.parameters import (
     ComparatorParameters,
     DefectParameters,
@@ -32,6 +31,7 @@ from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import Field
 from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
+from laboratory.methods.other_simulators import Pangu
 
 ALPHA = 1e-4
 MS = 1_000_000

@@ -22,11 +22,11 @@ from multiprocessing.connection import Connection
 
 import numpy as np
 
-from emulator.evaluation.bench.streams import DavisBatch, davis_batches
 from firmware_protocol.davis346 import Davis346, Davis346Settings, WordEncoder
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import EdgeKind, empty_edges
 from firmware_protocol.usb.device import SetupPacket, Transfer
+from laboratory.bench.streams import DavisBatch, davis_batches
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.server import UsbipServer
 

@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from emulator.evaluation.accuracy.sampled_scenes import SampledBodies
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Lambert
 from emulator.scene.bodies.lit_surface import lit_surface, subdivide
@@ -16,6 +15,7 @@ from emulator.scene.bodies.regolith import coarser, flat
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.tables.typed_table import RigFile
 from emulator.trajectory.parameters import FixedPath
+from laboratory.accuracy.sampled_scenes import SampledBodies
 
 # A box of 2 m with its front, at z = -1, in two halves along x; the right one is a quarter as bright.
 BOX = """

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.evaluation.accuracy.sampled_scenes import SampledBodies
 from emulator.geometry.camera import Pinhole
 from emulator.optics.lens import LensParameters
 from emulator.optics.through import Through
@@ -17,6 +16,7 @@ from emulator.rig.loading import load_rig
 from emulator.scene.bodies.raster_bodies import RasterBodies
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.trajectory.parameters import FixedPath, SpinPath
+from laboratory.accuracy.sampled_scenes import SampledBodies
 
 SIZE = (96, 72)
 CAMERA = Pinhole.of_field(SIZE, 30.0)

@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from emulator.evaluation.accuracy.sampled_scenes import SampledTerrain
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Hapke, Lambert
 from emulator.raster.layout import FACET_FIELDS, W, WHighest, WLowest
@@ -17,6 +16,7 @@ from emulator.scene.terrain.relief import make_ridge
 from emulator.scene.terrain.table import Heightmap, Ridge, TerrainParameters
 from emulator.trajectory.descent import Gate
 from emulator.trajectory.parameters import DescentPath, FixedPath, Keyframe, KeyframePath
+from laboratory.accuracy.sampled_scenes import SampledTerrain
 
 CAMERA = Pinhole.of_field((96, 64), 60.0)
 DOWN = (0.0, 1.0, 0.0, 0.0)

@@ -12,11 +12,11 @@ from scipy import stats
 
 from emulator.light import LightFrame
 from emulator.plan.costs import noise_shift
-from emulator.sensor.noise.grid import NoisyPixels
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor
+from laboratory.methods.grid import NoisyPixels
 
 Z = stats.norm.isf(1e-4 / 2)
 THRESHOLD, A, NODE_CROSSINGS = 0.3, 12, 4000

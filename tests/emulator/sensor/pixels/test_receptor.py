@@ -8,10 +8,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from emulator.light import LightFrame, Region
-from emulator.sensor.noise.grid import NoisyPixels
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import SensorParameters
+from laboratory.methods.grid import NoisyPixels
 
 K = 2 * math.pi * 3000
 DARK = 1e-3

@@ -6,7 +6,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from emulator.evaluation.accuracy.scores import Stream, compare
 from emulator.light import LightFrame
 from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
@@ -14,6 +13,7 @@ from emulator.sensor.pixels import array as pixels
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
 from emulator.sensor.presets import PRESETS
+from laboratory.accuracy.scores import Stream, compare
 
 MS = 1_000_000
 OMEGA = 2 * np.pi * 50

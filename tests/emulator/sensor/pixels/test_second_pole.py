@@ -5,13 +5,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from emulator.evaluation.accuracy.harness import SEED, Case, Method, events, truth
-from emulator.evaluation.accuracy.scenes import Flash, SineGrating
-from emulator.evaluation.accuracy.scores import compare
 from emulator.light import LightFrame
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import BLOCK, Field
 from emulator.sensor.presets import PRESETS, SensorParameters
+from laboratory.accuracy.harness import SEED, Case, Method, events, truth
+from laboratory.accuracy.scenes import Flash, SineGrating
+from laboratory.accuracy.scores import compare
 
 OURS = Method("hermite", PixelArray, rate=True)
 POLES_HZ = 100.0, 286.0, 1000.0

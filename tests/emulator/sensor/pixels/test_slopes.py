@@ -10,13 +10,13 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from emulator.evaluation.accuracy.scenes import BlurredCheckerboard, Flash, Flicker, MovingEdge, SineGrating
-from emulator.evaluation.accuracy.scores import Stream
-from emulator.evaluation.accuracy.truth import true_events
 from emulator.light import LightFrame
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import BLOCK, Field
 from emulator.sensor.presets import SensorParameters
+from laboratory.accuracy.scenes import BlurredCheckerboard, Flash, Flicker, MovingEdge, SineGrating
+from laboratory.accuracy.scores import Stream
+from laboratory.accuracy.truth import true_events
 
 MS = 1_000_000
 PIXELS, SEED, DURATION_S = 40, 3, 0.3

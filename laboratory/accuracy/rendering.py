@@ -1,0 +1,301 @@
+"""Accuracy of the events of drawn scenes against drawing time: false and missed events, times, traces of frame rates.
+
+A rig's scene is drawn in several ways, at the size in the rig, and each time the same sensor, without leak and noise,
+observes it for the same stretch of time. The truth is the same scene by 16 x 16 point samples a pixel at a sixteenth of
+the step (terrain: 8 x 8 at an eighth), joined by straight lines, from code that shares nothing with the renderers but
+the surface (facets, normals, albedo, the map), the paths and the laws of reflection (`sampled_scenes`). For each pixel
+the two sequences of polarities are aligned:
+
+    false          events that cannot be paired in order with one of the truth         both over the events of the truth
+    missed         events of the truth that cannot be paired
+    t50, t95       quantiles of the time error of pixels whose sequence is right, ms
+
+Three measures show traces of the frame rate in event times, which a sensor under continuous light would not have:
+
+    middle share   share of the events in the middle twentieth of their step: 0.05 where the step leaves no trace
+    second half    events in the second half of their step over those in the first, less 1
+    line           strongest line of the spectrum of event counts at the frame rate and its multiples, over the median
+                   power of the spectrum
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.light import LightFrame, Scene, SceneFrames
+from emulator.optics.glare import veiled
+from emulator.optics.through import Through
+from emulator.rig.kinds import CAMERA_MODELS
+from emulator.rig.loading import Rig
+from emulator.scene.bodies.gl_bodies import GlBodies
+from emulator.scene.bodies.raster_bodies import RasterBodies
+from emulator.scene.bodies.table import BodiesParameters
+from emulator.scene.terrain.gl_terrain import GlTerrain
+from emulator.scene.terrain.raster_terrain import RasterTerrain
+from emulator.scene.terrain.table import TerrainParameters
+from emulator.sensor.parameters import NoiseParameters
+from emulator.sensor.presets import SensorParameters
+from emulator.sensor.sensor import Sensor
+from firmware_protocol.events import empty_events
+from laboratory.accuracy.sampled_scenes import SampledBodies, SampledTerrain
+from laboratory.accuracy.scores import PixelEvents as Sequences
+from laboratory.accuracy.scores import Stream, common_subsequences, compare
+
+__all__ = [
+    "SETTINGS",
+    "TERRAIN_SETTINGS",
+    "Comb",
+    "Drawn",
+    "Look",
+    "Setting",
+    "Stretch",
+    "comb_of",
+    "fits",
+    "looks_of",
+    "quiet",
+    "rendering_rows",
+    "rows_of",
+]
+
+
+_BINS_A_STEP = 64
+_HARMONICS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Comb:
+    """Traces of the frame rate; the module docstring defines each. NaN: too few events."""
+
+    middle_share: float
+    second_half: float
+    line: float
+
+
+def comb_of(t_us: npt.ArrayLike, step_us: float) -> Comb:
+    """Return the traces that steps of `step_us`, the first at 0, leave in event times, (n,) us."""
+    times = np.asarray(t_us, np.float64)
+    if times.size < 2:
+        return Comb(np.nan, np.nan, np.nan)
+    phase = (times / step_us) % 1.0
+    middle = float(np.mean(np.abs(phase - 0.5) < 0.025))
+    first = int(np.count_nonzero(phase < 0.5))
+    second_half = (times.size - first) / first - 1 if first else np.inf
+    return Comb(middle, float(second_half), _line(times, step_us))
+
+
+def _line(times_us: npt.NDArray[np.float64], step_us: float) -> float:
+    """Return the strongest power at multiples of the frame rate over the median power."""
+    steps = int(np.ceil(times_us.max() / step_us))
+    counts, _ = np.histogram(times_us, steps * _BINS_A_STEP, (0.0, steps * step_us))
+    # A window keeps the slow change of the event rate out of the other lines.
+    power = np.abs(np.fft.rfft((counts - counts.mean()) * np.hanning(counts.size))) ** 2
+    median = float(np.median(power[1:]))
+    lines = power[steps : steps * (_HARMONICS + 1) : steps]
+    return float(lines.max() / median) if median > 0 and lines.size else float("nan")
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A part of a rig's stream, and the sampling of its truth.
+
+    Attributes
+    ----------
+    start_s : of the stream.
+    steps : of the rig; a multiple of four.
+    samples : of the truth, along each side of a pixel.
+    finer : light frames of the truth in a step of the rig.
+    """
+
+    start_s: float = 0.0
+    steps: int = 12
+    samples: int = 16
+    finer: int = 16
+
+
+_STRETCHES = {
+    "rendezvous": (Stretch(steps=4),),  # its truth has the most facets, and casts rays from each
+    "malapert": tuple(Stretch(start_s, samples=8, finer=8) for start_s in (20.0, 40.0, 120.0, 150.0)),
+}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Settings for drawing a scene.
+
+    Attributes
+    ----------
+    name : for the chart.
+    samples : along each side of a pixel, by GL; 0: exact coverage, by the CPU.
+    with_rate : True: the sensor gets the time derivative.
+    step_share : length of the step, times the rig's.
+    parts : of a pixel of terrain, along its shorter side, by the CPU; 0: that of the rig.
+    """
+
+    name: str
+    samples: int = 0
+    with_rate: bool = True
+    step_share: float = 1.0
+    parts: int = 0
+
+
+SETTINGS = (
+    Setting("exact light and rate"),
+    Setting("exact light and rate, steps x 2", step_share=2.0),
+    Setting("exact light and rate, steps x 4", step_share=4.0),
+    Setting("exact light, line", with_rate=False),
+    Setting("exact light, line, steps x 4", with_rate=False, step_share=4.0),
+    Setting("GL, 2 x 2 samples, line", 2, with_rate=False),
+    Setting("GL, 4 x 4 samples, line", 4, with_rate=False),
+)
+TERRAIN_SETTINGS = (
+    Setting("CPU, as shipped"),
+    Setting("CPU, as shipped, steps x 2", step_share=2.0),
+    Setting("CPU, line", with_rate=False),
+    Setting("CPU, 1 part", parts=1),
+    Setting("CPU, 4 x 4 parts", parts=4),
+    Setting("GL, 2 x 2 samples, line", 2, with_rate=False),
+    Setting("GL, 4 x 4 samples, line", 4, with_rate=False),
+)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One point of the chart.
+
+    Attributes
+    ----------
+    rig, setting : names; with the start of the stretch where it is not 0.
+    ms : CPU milliseconds a light frame, least.
+    false, missed : over the events of the truth.
+    t50_ms, t95_ms : quantiles of time errors.
+    middle, line : traces of the frame rate.
+    events : of the truth.
+    """
+
+    rig: str
+    setting: str
+    ms: float
+    false: float
+    missed: float
+    t50_ms: float
+    t95_ms: float
+    middle: float
+    line: float
+    events: int
+
+    def row(self) -> dict[str, Any]:
+        """Return it for tables."""
+        return dataclasses.asdict(self)
+
+
+@dataclass(frozen=True)
+class Look:
+    """A rig's camera over a stretch of its stream."""
+
+    rig: Rig
+    stretch: Stretch
+
+    @property
+    def step_ns(self) -> int:
+        """The rig's step."""
+        return self.rig.run.step_us * 1000
+
+    def scene(self, build: Callable[..., Scene]) -> Scene:
+        """Return the scene that `build(parameters, pinhole)` makes, through the rig's lens."""
+        camera = self.rig.camera
+        chip = CAMERA_MODELS[camera.model].chip
+        return veiled(Through(camera.lens, chip, camera.size, partial(build, self.rig.scene)), camera.lens)
+
+    def truth(self) -> Stream:
+        """Return the events of the scene by point samples."""
+        build = SampledTerrain if _is_ground(self.rig) else SampledBodies
+        with self.scene(partial(build, samples=self.stretch.samples)) as scene:
+            return self.events(scene, self.step_ns // self.stretch.finer, with_rate=False)[0]
+
+    def events(self, scene: Scene, step_ns: int, *, with_rate: bool) -> tuple[Stream, float]:
+        """Return the events of the stretch in steps of `step_ns`, and the least CPU milliseconds a frame."""
+        sensor = Sensor(self.quiet, self.rig.run.seed)
+        frames, first_ns = SceneFrames(scene, with_rate=with_rate), round(self.stretch.start_s * 1e9)
+        sensor.reset(LightFrame(0, frames.draw(first_ns).light))
+        events, spent_s = [empty_events()], []
+        for t_ns in range(step_ns, self.stretch.steps * self.step_ns + 1, step_ns):
+            start_s = time.process_time()
+            frame = frames.draw(first_ns + t_ns)
+            spent_s.append(time.process_time() - start_s)
+            events.append(sensor.expose(LightFrame(t_ns, frame.light, frame.rate)))
+        events.append(sensor.finish())
+        return Stream.from_events(np.concatenate(events), *self.rig.camera.size), 1e3 * min(spent_s)
+
+    @property
+    def quiet(self) -> SensorParameters:
+        """The rig's sensor without leak and noise."""
+        return quiet(self.rig.camera.sensor)
+
+
+def quiet(sensor: SensorParameters) -> SensorParameters:
+    """Return a sensor without leak and noise, whose events follow from the light alone."""
+    return dataclasses.replace(sensor, leak_hz=0.0, noise=NoiseParameters())
+
+
+def fits(rig: Rig) -> bool:
+    """Return whether a rig's scene is one of bodies or terrain."""
+    return isinstance(rig.scene, BodiesParameters | TerrainParameters)
+
+
+def rendering_rows(rigs: Sequence[Rig], stretch: Stretch | None = None) -> Iterator[Drawn]:
+    """Yield a row for each rig, stretch and setting; of each rig `stretch` alone, where it is given."""
+    for look in looks_of(rigs, stretch):
+        rig, start_s = look.rig, look.stretch.start_s
+        name = f"{rig.name}, {start_s:g} s" if start_s else rig.name
+        truth = look.truth()
+        for setting in _settings_of(rig):
+            own_ns = round(look.step_ns * setting.step_share)
+            with look.scene(_builder(rig, setting)) as scene:
+                stream, ms = look.events(scene, own_ns, with_rate=setting.with_rate)
+            yield _compared((name, setting.name), stream, truth, ms, own_ns)
+
+
+def rows_of(rigs: Sequence[Rig], stretch: Stretch | None = None) -> int:
+    """Return how many rows there will be."""
+    return sum(len(_settings_of(look.rig)) for look in looks_of(rigs, stretch))
+
+
+def looks_of(rigs: Sequence[Rig], stretch: Stretch | None) -> Iterator[Look]:
+    """Yield the stretches of each rig; `stretch` alone, where it is given."""
+    for rig in rigs:
+        for own in (stretch,) if stretch else _STRETCHES.get(rig.name, (Stretch(),)):
+            yield Look(rig, own)
+
+
+def _settings_of(rig: Rig) -> tuple[Setting, ...]:
+    return TERRAIN_SETTINGS if _is_ground(rig) else SETTINGS
+
+
+def _is_ground(rig: Rig) -> bool:
+    return isinstance(rig.scene, TerrainParameters)
+
+
+def _builder(rig: Rig, setting: Setting) -> Callable[..., Scene]:
+    by_cpu, by_gl = (RasterTerrain, GlTerrain) if _is_ground(rig) else (RasterBodies, GlBodies)
+    drawn: Callable[..., Scene] = by_gl if setting.samples else by_cpu
+    samples = setting.samples or setting.parts
+    if not samples:
+        return drawn
+    return lambda parameters, pinhole: drawn(dataclasses.replace(parameters, samples=samples), pinhole)
+
+
+def _compared(names: tuple[str, str], stream: Stream, truth: Stream, ms: float, step_ns: int) -> Drawn:
+    ours, known = (Sequences(s.t_us, s.on, s.first) for s in (stream, truth))
+    common, total = int(common_subsequences(ours, known).sum()), max(1, len(truth))
+    scores, comb = compare(stream, truth), comb_of(stream.t_us, step_ns / 1000)
+    false, missed = (len(stream) - common) / total, (len(truth) - common) / total
+    times = scores.t50_us / 1000, scores.t95_us / 1000
+    return Drawn(*names, ms, false, missed, *times, comb.middle_share, comb.line, len(truth))

@@ -1,0 +1,61 @@
+"""Time and error of the shading of terrain, of the rig malapert:
+
+    python -m laboratory.benchmarks.terrain [--check] [SECONDS ...]
+
+Process time a pixel of one thread, the least of nine, without and with the rate of light; with --check, errors of light
+in % of the mean light against 8 x 8 point samples of every facet of the map (`SampledTerrain`), which takes seconds to
+a minute a light frame.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+
+from emulator.geometry.camera import Pinhole
+from emulator.rig.loading import load_rig
+from emulator.scene.terrain.raster_terrain import RasterTerrain, camera_motion
+from laboratory.accuracy.sampled_scenes import SampledTerrain
+
+SIZES = (346, 260), (1280, 720)
+FIELD_DEG = 60.0
+TIMES_S = 20, 45, 70
+SAMPLES = 8
+
+
+def main(arguments: list[str]) -> None:
+    times_s = [int(a) for a in arguments if a != "--check"] or TIMES_S
+    parameters = load_rig("malapert").scene
+    for size in SIZES:
+        pinhole = Pinhole.of_field(size, FIELD_DEG)
+        light = np.zeros(size[::-1], np.float32)
+        with RasterTerrain(parameters, pinhole) as scene:
+            for t_s in times_s:
+                scene.light(t_s * 10**9, light)
+                error = errors(parameters, pinhole, t_s, light.copy()) if "--check" in arguments else ""
+                alone, both = (shading_ns(scene, t_s, light, with_rate=wanted) for wanted in (False, True))
+                print(f"{size[0]} x {size[1]}, {t_s} s: {alone:.0f} ns a pixel, with rate {both:.0f} ns{error}")
+
+
+def shading_ns(scene: RasterTerrain, t_s: int, light: np.ndarray, *, with_rate: bool) -> float:
+    motion, rate = camera_motion(t_s * 10**9, scene.camera_path, scene.path_time), np.zeros_like(light)
+    spent_s = []
+    for _ in range(9):
+        start_s = time.process_time()
+        scene._shade(motion, light, rate, with_rate=with_rate)
+        spent_s.append(time.process_time() - start_s)
+    return min(spent_s) / light.size * 1e9
+
+
+def errors(parameters, pinhole, t_s: int, light: np.ndarray) -> str:
+    truth = np.zeros_like(light)
+    with SampledTerrain(parameters, pinhole, SAMPLES) as sampled:
+        sampled.light(t_s * 10**9, truth)
+    off = np.abs(light - truth) / truth.mean() * 100
+    return f"; error: median {np.median(off):.3f}, p99 {np.percentile(off, 99):.1f}, mean {off.mean():.3f} %"
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

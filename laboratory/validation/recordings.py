@@ -1,0 +1,373 @@
+"""Two recordings of real cameras beside the simulated sensors, by two-sample tests under the recordings' own light.
+
+A distance is Kolmogorov and Smirnov's, of at most 10^4 values of each side; as the real value stands the distance of
+two halves of the recording. `data/SOURCES.md` names the recordings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from emulator.report.page import BLUE, INK, figure_legend, panels, save
+from emulator.sensor.chip.sources import BackgroundEvents
+from emulator.sensor.parameters import KickParameters
+from emulator.sensor.presets import PRESETS
+from firmware_protocol.events import EVENT, Events
+from laboratory.characterise.still_light import StillLight, still_events
+from laboratory.validation.findings import Datum, Findings, Kind, Source
+
+__all__ = ["DATA", "QUIET_HZ", "davis346", "evk4", "kick_lags", "sequences"]
+
+DATA = Path(__file__).with_name("data")
+"""Tables of the real recordings."""
+
+QUIET_HZ = 0.02
+"""Quiet pixels of the EVK4's recording: those whose neighbours fire at this rate at most."""
+
+_MOST = 10_000
+_LEVELS = (0, 10, 20, 40, 80, 120, 170, 256)
+_LINE_US = 35.25
+_LINES_US = 260 * _LINE_US
+_KICK_US = 40
+_Array = npt.NDArray[np.generic]
+
+
+def davis346(seed: int) -> Findings:
+    """Return the still half of the recording of a street beside the preset davis346 under the mean of its frames."""
+    with np.load(DATA / "davis346_street.npz") as table:
+        seen, real = _street(dict(table))
+        seconds, lags = float(table["seconds"]), table["lags"]
+    ours = still_events(PRESETS["davis346"], seen, seconds, seed)
+    ours = ours[seen.still[ours["y"], ours["x"]]]
+    data = [*_rates(real, ours, seen, seconds), *_still_distances(real, ours, seen), *_kicks(real, ours, seen, lags)]
+    return Findings(
+        "davis346_street",
+        "DAVIS346, still half of a street",
+        "davis346",
+        "A DAVIS346 looks at a street for 2.36 s. The half of its pixels that see no motion, chosen by its frames"
+        " alone, is compared with the simulated sensor under the mean of the frames (level 80 of 255 is light 1), noise"
+        " and frames on. A distance is alike where Kolmogorov and Smirnov's test does not separate the two (p > 0.05).",
+        (
+            Source(
+                "aedat 2.3.0, tests/data/test_data.aedat4",
+                "https://github.com/neuromorphicsystems/aedat",
+                "MIT, Copyright (c) 2020 International Centre for Neuromorphic Systems",
+                "recording shipped with the package; mean frame and still events are stored here",
+            ),
+        ),
+        tuple(data),
+        (
+            "Leak, kicks and noise of the preset were fitted to this recording: the distances show how well the model"
+            " can follow it, not what another camera does.",
+            "Where pixels of level 0 to 10 are still, they fire no more than brighter ones; the higher rate that was"
+            " reported for such pixels, with a third of OFF events, is that of motion near them.",
+            "The light of moving pixels between two frames is not known, so their rates are not compared.",
+        ),
+        partial(_draw_street, real, ours, seen),
+    )
+
+
+def _street(table: dict[str, npt.NDArray[np.generic]]) -> tuple[StillLight, Events]:
+    level = (table["level"].astype(np.float32) / 16).astype(np.float32)
+    still = np.unpackbits(table["still"].astype(np.uint8), count=level.size).astype(np.bool_).reshape(level.shape)
+    events = np.zeros(len(table["t"]), EVENT)
+    for name in ("t", "x", "y", "on"):
+        events[name] = table[name]
+    first, interval, exposure = (int(value) for value in table["frames"].astype(np.int64))
+    return StillLight(level, still, first, interval, exposure), events
+
+
+def _rates(real: Events, ours: Events, seen: StillLight, seconds: float) -> list[Datum]:
+    """Return events in all, ON share, and rates by level, each with the bound of Poisson numbers (2.6 deviations)."""
+    fano = 1.8  # of the recording's events in a frame
+    data = [
+        Datum("events", len(real), len(ours), "", "difference", _chance(len(real), len(ours), fano)),
+        Datum("ON share", float(real["on"].mean()), float(ours["on"].mean()), "", "difference", 0.02),
+    ]
+    levels = seen.level[seen.still]
+    for low, high in pairwise(_LEVELS):
+        pixels = int(((levels >= low) & (levels < high)).sum())
+        recorded, emulated = (_between(_levels(events, seen), low, high) for events in (real, ours))
+        unit = 1000 / (pixels * seconds)
+        bound = unit * _chance(recorded, emulated, fano)
+        what = f"rate at level {low} to {high} ({pixels} pixels)"
+        data.append(Datum(what, unit * recorded, unit * emulated, "mHz", "difference", bound))
+    return data
+
+
+def _chance(real: int, ours: int, fano: float) -> float:
+    return 2.6 * math.sqrt(fano * max(real + ours, 3))
+
+
+def _between(values: npt.NDArray[np.float32], low: int, high: int) -> int:
+    return int(np.count_nonzero((values >= low) & (values < high)))
+
+
+def _levels(events: Events, seen: StillLight) -> npt.NDArray[np.float32]:
+    return np.asarray(seen.level[events["y"], events["x"]])
+
+
+def _still_distances(real: Events, ours: Events, seen: StillLight) -> list[Datum]:
+    halves = [real[(real["x"] + real["y"]) % 2 == k] for k in (0, 1)]
+    return [
+        _separable(name, *(of(events, seen) for events in (real, ours, *halves)))
+        for name, of in {"counts of the pixels": _counts, **_SAMPLES}.items()
+    ]
+
+
+def _counts(events: Events, seen: StillLight) -> _Array:
+    width = seen.level.shape[1]
+    counts = np.bincount(events["y"].astype(np.int64) * width + events["x"], minlength=seen.level.size)
+    return counts[seen.still.reshape(-1)]
+
+
+def _phase_us(events: Events, seen: StillLight) -> _Array:
+    since = events["t"].astype(np.float64) - seen.first_us - _LINE_US * events["y"] + _LINE_US
+    return since % seen.interval_us
+
+
+def _leaps(events: Events, _: StillLight) -> _Array:
+    ordered = events[np.argsort(events["t"], kind="stable")]
+    return np.hypot(*(np.diff(ordered[name].astype(np.float64)) for name in ("x", "y")))
+
+
+_SAMPLES: dict[str, Callable[[Events, StillLight], _Array]] = {
+    "gaps between successive events": lambda events, _: np.diff(np.sort(events["t"].astype(np.int64))),
+    "events in 10 ms": lambda events, _: np.bincount((events["t"] // 10_000).astype(int), minlength=236),
+    "time in the frame, of the own row": _phase_us,
+    "level of the pixels that fire": _levels,
+    "neighbours: distance to the last event, pixels": _leaps,
+}
+
+
+def _separable(what: str, real: _Array, ours: _Array, first: _Array, second: _Array) -> Datum:
+    """Return a distance whose bound is that of p = 0.05."""
+    few = [_few(one) for one in (real, ours, first, second)]
+    n, m = len(few[0]), len(few[1])
+    bound = float(stats.kstwobign.isf(0.05)) * math.sqrt((n + m) / (n * m))
+    return Datum(what, _ks(*few[2:]), _ks(*few[:2]), "", "statistic", bound, f"n = {n} and {m}")
+
+
+def _few(values: _Array) -> _Array:
+    """Return at most 10^4 of the values, spread evenly over their order."""
+    return values[:: -(-values.size // _MOST)]
+
+
+def _ks(a: _Array, b: _Array) -> float:
+    return float(stats.ks_2samp(a, b, method="asymp").statistic) if a.size and b.size else math.nan
+
+
+def kick_lags(events: Events, seen: StillLight) -> npt.NDArray[np.float64]:
+    """Return the times of ON events from the kicks of their rows on, us, those of reset and of signal reads together.
+
+    A kick begins before its read, see `KickParameters`; times from -2 to 4 ms are of use.
+    """
+    kicks, on = KickParameters(), events[events["on"]]
+    since = on["t"].astype(np.float64) - seen.first_us - _LINE_US * on["y"]
+    starts = -kicks.reset_lead_us, _LINES_US + seen.exposure_us - kicks.signal_lead_us
+    half_us = seen.interval_us / 2
+    return np.concatenate([(since - start + half_us) % seen.interval_us - half_us for start in starts])
+
+
+def _kicks(real: Events, ours: Events, seen: StillLight, lags: _Array) -> list[Datum]:
+    """Return the share of still events in a kick, and the fall of the rate of moving pixels after one."""
+    inside, emulated = (_in_kick(kick_lags(events, seen)) / max(len(events), 1) for events in (real, ours))
+    since_us = np.arange(-2000, 4000)
+    before = float(lags[since_us < -50].mean())
+    data = [Datum("still events within 40 us of a kick, share", inside, emulated, "", "difference", 0.05)]
+    for low, high in ((_KICK_US, 500), (500, 1000), (1000, 2000)):
+        rate = float(lags[(since_us >= low) & (since_us < high)].mean()) / before
+        what = f"moving pixels, rate from {low} to {high} us after a kick, over that before"
+        data.append(Datum(what, rate, math.nan, "", "difference", math.nan, "the light of moving pixels is not known"))
+    return data
+
+
+def _in_kick(lags_us: npt.NDArray[np.float64]) -> int:
+    return int(np.count_nonzero((lags_us >= -1) & (lags_us < _KICK_US)))
+
+
+_LIKE = 0.1
+_TAIL = 8
+_KINDS = {"off_on": (False, True), "on_off": (True, False), "off_off": (False, False), "on_on": (True, True)}
+_SEQUENCES = {
+    "intervals of a pixel": tuple(_KINDS),
+    "lengths of runs of one polarity": ("runs",),
+    "counts of the pixels": ("counts",),
+    "intervals from OFF to ON": ("off_on",),
+    "intervals from ON to OFF": ("on_off",),
+    "intervals from OFF to OFF": ("off_off",),
+    "intervals from ON to ON": ("on_on",),
+}
+_HALVES = "left", "right"
+
+
+def sequences(events: Events, width: int, pixels: int) -> dict[str, _Array]:
+    """Return statistics of the sequences of events in each of `pixels` pixels; those above 8 events only in counts.
+
+    Returns
+    -------
+    Intervals between successive events, us, by their polarities ("off_on", ...); lengths of runs of one polarity;
+    numbers of pixels with 0, 1, 2, ... events; ON and all events.
+    """
+    pixel = events["y"].astype(np.int64) * width + events["x"]
+    order = np.lexsort([events["t"], pixel])
+    pixel, on, t_us = pixel[order], events["on"][order], events["t"][order].astype(np.int64)
+    _, place, counts = np.unique(pixel, return_inverse=True, return_counts=True)
+    ordinary = counts[place] <= _TAIL
+    same = (np.diff(pixel) == 0) & ordinary[1:]
+    waits = np.diff(t_us)
+    found: dict[str, _Array] = {
+        name: np.sort(waits[same & (on[:-1] == a) & (on[1:] == b)]).astype(np.uint32) for name, (a, b) in _KINDS.items()
+    }
+    begins = np.flatnonzero(np.append(True, ~same | (on[1:] != on[:-1])))
+    found["runs"] = np.bincount(np.diff(np.append(begins, len(pixel)))[ordinary[begins]])
+    found["counts"] = np.append(pixels - len(counts), np.bincount(counts)[1:])
+    found["events"] = np.array([np.count_nonzero(on[ordinary]), np.count_nonzero(ordinary)])
+    return found
+
+
+def evk4(seed: int) -> Findings:
+    """Return the quiet pixels of the recording of an EVK4 beside the background activity of the preset imx636."""
+    with np.load(DATA / "evk4_quiet.npz") as table:
+        halves = [{name: table[f"{name}_{half}"] for name in (*_KINDS, "runs", "counts", "events")} for half in _HALVES]
+        seconds = float(table["seconds"])
+    pixels = sum(int(half["counts"].sum()) for half in halves)
+    ours = _background(seed, seconds, pixels)
+    return Findings(
+        "evk4_quiet",
+        "EVK4, quiet pixels",
+        "imx636",
+        "An EVK4 (IMX636) records for 10.8 s. The pixels whose neighbours fire at 0.02 Hz at most are compared with as"
+        " many of the simulated sensor's for the same time, by the sequences of events in a pixel. Pixels with more"
+        " than 8 events count in the tail alone. A distance is alike up to 0.1.",
+        (
+            Source(
+                "faery 0.7.1, tests/data/evt3.raw",
+                "https://github.com/aestream/faery",
+                "LGPL-3.0 (the package); only statistics are used",
+                "recording shipped with the package's sources; intervals, runs and counts are stored here",
+            ),
+        ),
+        (*_shares(halves, ours, seconds), *_sequence_distances(halves, ours)),
+        (
+            "The background of the preset was fitted to this recording; its light and its biases are not known.",
+            "The recording has no frames: light on the pixels, and so noise over light, cannot be compared.",
+            "The background alone is simulated; the preset's noise adds less than 0.0005 Hz a pixel from light 4 on.",
+        ),
+        partial(_draw_quiet, halves, ours),
+    )
+
+
+def _background(seed: int, seconds: float, pixels: int) -> dict[str, _Array]:
+    """Return the statistics of the first pixels of the simulated chip: the background depends on no light."""
+    p = PRESETS["imx636"]
+    source = BackgroundEvents(p, seed, np.zeros(0, np.int64))
+    crossings = source.step(np.zeros(1, np.float32), round(seconds * 1e9))
+    chosen = crossings.pixel < pixels
+    events = np.zeros(np.count_nonzero(chosen), EVENT)
+    pixel = crossings.pixel[chosen]
+    events["t"], events["on"] = crossings.t_ns[chosen] // 1000, crossings.on[chosen]
+    events["x"], events["y"] = pixel % p.width, pixel // p.width
+    return sequences(events, p.width, pixels)
+
+
+def _sum(halves: list[dict[str, _Array]], name: str) -> npt.NDArray[np.int64]:
+    """Return the histograms of both halves, added."""
+    longest = max(len(half[name]) for half in halves)
+    padded = [np.pad(half[name].astype(np.int64), (0, longest - len(half[name]))) for half in halves]
+    return np.asarray(np.sum(padded, axis=0))
+
+
+def _shares(halves: list[dict[str, _Array]], ours: dict[str, _Array], seconds: float) -> list[Datum]:
+    real = {name: np.concatenate([half[name] for half in halves]) for name in _KINDS}
+    real |= {name: _sum(halves, name) for name in ("counts", "events")}
+    return [
+        Datum(what, _share(real, what, seconds), _share(ours, what, seconds), unit, kind, bound)
+        for what, unit, kind, bound in _SHARES
+    ]
+
+
+_SHARES: tuple[tuple[str, str, Kind, float], ...] = (
+    ("rate of ordinary pixels", "mHz", "relative", 0.1),
+    ("ON share", "", "difference", 0.02),
+    ("silent pixels", "", "difference", 0.005),
+    ("median from OFF to ON", "s", "relative", 0.2),
+    ("pixels above 8 events", "", "factor", 1.5),
+    ("pixels above 50 events", "", "factor", 2.0),
+)
+
+
+def _share(of: dict[str, _Array], what: str, seconds: float) -> float:
+    """Return one of `_SHARES`."""
+    counts, (on, events) = of["counts"].astype(np.int64), (int(n) for n in of["events"].astype(np.int64))
+    values = {
+        "rate of ordinary pixels": 1e3 * events / float(counts.sum()) / seconds,
+        "ON share": on / events,
+        "silent pixels": float(counts[0] / counts.sum()),
+        "median from OFF to ON": float(np.median(of["off_on"].astype(np.float64))) * 1e-6,
+        "pixels above 8 events": float(counts[_TAIL + 1 :].sum()),
+        "pixels above 50 events": float(counts[51:].sum()),
+    }
+    return values[what]
+
+
+def _sequence_distances(halves: list[dict[str, _Array]], ours: dict[str, _Array]) -> list[Datum]:
+    data = []
+    for what, names in _SEQUENCES.items():
+        parts = [_samples(half, names) for half in halves]
+        real, emulated = np.concatenate(parts), _samples(ours, names)
+        remark = f"n = {real.size} and {emulated.size}"
+        data.append(Datum(what, _ks(*parts), _ks(real, emulated), "", "statistic", _LIKE, remark))
+    return data
+
+
+def _samples(of: dict[str, _Array], names: tuple[str, ...]) -> _Array:
+    """Return the samples of intervals, joined, or those of a histogram."""
+    if names[0] in _KINDS:
+        return np.concatenate([of[name] for name in names])
+    return np.repeat(np.arange(len(of[names[0]])), of[names[0]].astype(np.int64))
+
+
+def _cumulative(axes: Any, values: _Array, **style: Any) -> None:
+    """Draw the share of the values up to each of them; at most 10^4 of them."""
+    ordered = np.sort(_few(values))
+    axes.step(ordered, np.arange(1, ordered.size + 1) / max(ordered.size, 1), where="post", **style)
+
+
+def _draw_street(real: Events, ours: Events, seen: StillLight, stem: Path) -> list[Path]:
+    """Draw the distributions that are compared, but for the counts: nearly all pixels have none."""
+    titles = [f"{name}{', us' if of is _phase_us or 'gaps' in name else ''}" for name, of in _SAMPLES.items()]
+    figure, every = panels(len(_SAMPLES), 3, (3.8, 3.0))
+    for (axes,), of, title in zip(every, _SAMPLES.values(), titles, strict=True):
+        _cumulative(axes, of(real, seen), color=INK, label="recording")
+        _cumulative(axes, of(ours, seen), color=BLUE, label="ours")
+        axes.set(xlabel=title, ylabel="share of values up to x", ylim=(0, 1.02))
+    figure_legend(figure)
+    return save(figure, stem)
+
+
+def _draw_quiet(halves: list[dict[str, _Array]], ours: dict[str, _Array], stem: Path) -> list[Path]:
+    """Draw the distributions of the intervals by polarities, and the number of pixels over their events."""
+    figure, every = panels(len(_KINDS) + 1, 3, (3.8, 3.0))
+    for (axes,), kind in zip(every, _KINDS, strict=False):
+        real = np.concatenate([half[kind] for half in halves])
+        _cumulative(axes, real.astype(np.float64) * 1e-6, color=INK, label="recording")
+        _cumulative(axes, ours[kind].astype(np.float64) * 1e-6, color=BLUE, label="ours")
+        first, second = kind.upper().split("_")
+        axes.set(xlabel=f"interval from {first} to {second}, s", ylabel="share of values up to x", ylim=(0, 1.02))
+    (axes,) = every[-1]
+    for counts, colour in ((_sum(halves, "counts"), INK), (ours["counts"], BLUE)):
+        above = np.cumsum(counts[::-1].astype(np.int64))[::-1]
+        axes.loglog(np.arange(1, len(above)), above[1:], color=colour)
+    axes.set(xlabel="events of a pixel, at least", ylabel="pixels")
+    figure_legend(figure)
+    return save(figure, stem)

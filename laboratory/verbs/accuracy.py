@@ -1,0 +1,150 @@
+"""`evstim accuracy`: our methods and the rules of others against the truth.
+
+`evstim accuracy peers`, `export` and `score`: other simulators as they are, on the same scenes (`accuracy_peers`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar
+
+from cyclopts import App, Parameter
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from emulator.cli.checks import failures
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.report.page import ChartsLacking, check_charts
+from emulator.rig.loading import Rig, load_rig, shipped_rigs
+from laboratory.accuracy.harness import CASES, QUICK, methods
+from laboratory.accuracy.rendering import Stretch, fits, rendering_rows, rows_of
+from laboratory.accuracy.report import (
+    write_against_line,
+    write_rendering,
+    write_stability,
+    write_work_precision,
+)
+from laboratory.accuracy.stability import QUICK_SWEEPS, SWEEPS, cells
+from laboratory.accuracy.sweeps import (
+    BLURS_PX,
+    EFFECTS,
+    QUICK_EFFECTS,
+    QUICK_SCENES,
+    SCENES,
+    SPEEDS_PX,
+    cells_against_line,
+    effect_rows,
+    settings,
+    sweep,
+)
+
+__all__ = ["accuracy", "verbs"]
+
+_Item = TypeVar("_Item")
+_EFFECTS_STEP_S = 1e-3
+_QUICK_STRETCH = Stretch(steps=4, samples=4, finer=4)
+
+
+def accuracy(
+    what: Literal["chart", "stability", "rendering"] = "chart",
+    *,
+    out: Path,
+    rig: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    quick: Annotated[bool, Parameter(negative="")] = False,
+    json: Annotated[bool, Parameter(negative="")] = False,
+) -> int:
+    """Compare the pixel model, and the rules of other simulators, with the truth; write charts, tables and a page.
+
+    Parameters
+    ----------
+    what
+        "chart": timestamp error and wrong events against work, and the cost and the effect on events of each effect.
+        "stability": where each method fails, and the map of hermite against line over blur and speed.
+        "rendering": false and missed events of the shipped rigs' scenes against the time of a light frame.
+    out
+        Folder to write into; created if missing.
+    rig
+        For "rendering": only these rigs, shipped or files; give it once for each. All shipped ones take an hour.
+    quick
+        Fewer scenes and steps; takes seconds.
+    json
+        Print one JSON object as the last line on stdout.
+    """
+    try:
+        check_charts()
+        out.mkdir(parents=True, exist_ok=True)
+    except ChartsLacking as error:
+        raise Failure(str(error), LACKING) from error
+    except OSError as error:
+        raise Failure(f"--out {out}: {error.strerror}", WRONG_USE) from error
+    ways: dict[str, Callable[[Path, bool], list[Path]]] = {
+        "chart": _chart,
+        "stability": _stability,
+        "rendering": partial(_rendering, rig),
+    }
+    files = ways[what](out, quick)
+    if json:
+        print_json({"files": files})
+    else:
+        for path in files:
+            console.print(str(path))
+    return GOOD
+
+
+def _chart(out: Path, quick: bool) -> list[Path]:
+    chosen, ways = QUICK if quick else CASES, methods()
+    points = _all(sweep(chosen, ways), settings(chosen, ways), "points")
+    board = next(swept.case for swept in chosen if swept.case.name == "checkerboard")
+    switched = QUICK_EFFECTS if quick else EFFECTS
+    effects = _all(effect_rows(board, _EFFECTS_STEP_S, switched), len(switched), "effects")
+    return _written(lambda: write_work_precision(points, effects, chosen, out))
+
+
+def _stability(out: Path, quick: bool) -> list[Path]:
+    chosen, ways = QUICK_SWEEPS if quick else SWEEPS, methods()
+    found = _all(cells(chosen, ways), len(ways) * sum(len(axis.values) for axis in chosen), "cells")
+    scenes = QUICK_SCENES if quick else tuple(SCENES)
+    count = len(scenes) * len(BLURS_PX) * len(SPEEDS_PX)
+    against = _all(cells_against_line(scenes, ways), count, "against line")
+    return _written(lambda: [*write_stability(found, chosen, out), *write_against_line(against, out)])
+
+
+def _rendering(names: tuple[str, ...], out: Path, quick: bool) -> list[Path]:
+    with failures():
+        rigs = _rigs(names)
+        stretch = _QUICK_STRETCH if quick else None
+        if quick:
+            rigs = rigs[:1]
+        rows = _all(rendering_rows(rigs, stretch), rows_of(rigs, stretch), "settings")
+    return _written(lambda: write_rendering(rows, out))
+
+
+def _rigs(names: tuple[str, ...]) -> list[Rig]:
+    rigs = [load_rig(name) for name in names or shipped_rigs()]
+    unfit = [rig.name for rig in rigs if not fits(rig)]
+    if names and unfit:
+        raise Failure(f"--rig {unfit[0]}: its scene has no bodies and no terrain", WRONG_USE)
+    return [rig for rig in rigs if fits(rig)]
+
+
+def _all(items: Iterable[_Item], count: int, what: str) -> list[_Item]:
+    """Collect items under a progress bar."""
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=status, transient=True) as progress:
+        return list(progress.track(items, total=count, description=what))
+
+
+def _written(write: Callable[[], list[Path]]) -> list[Path]:
+    with status.status("drawing ..."):
+        return write()
+
+
+verbs = App(name="accuracy")
+verbs.default(accuracy)
+for verb, summary in (
+    ("peers", "Run other simulators over closed-form scenes: a table of their errors and costs."),
+    ("export", "Write the frames of the closed-form scenes, and the events of ideal pixels."),
+    ("score", "Score the events that a simulator made of exported frames."),
+):
+    verbs.command(f"laboratory.verbs.accuracy_peers:{verb}", name=verb, help=summary)

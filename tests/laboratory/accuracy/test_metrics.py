@@ -1,0 +1,154 @@
+"""Scores of streams made by hand, whose answers are known."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.events import EVENT
+from laboratory.accuracy.scores import (
+    Stream,
+    compare,
+    reconstruct,
+    same_time_share,
+)
+
+TRUTH = Stream.of([10, 20, 30, 15], [0, 0, 0, 1], [True, True, False, True], 3)
+
+
+def test_a_stream_sorts_by_pixel_and_time_and_reads_events():
+    events = np.array([(5, 1, 0, True), (6, 0, 0, False), (9, 1, 0, False)], EVENT)
+    stream = Stream.from_events(events, width=2, height=1)
+    assert stream.t_us.tolist() == [6, 5, 9]
+    assert stream.pixel.tolist() == [0, 1, 1]
+    assert stream.on.tolist() == [False, True, False]
+    assert stream.counts.tolist() == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("t", "pixel", "on"), [([1, 2], [0], [True]), ([math.nan], [0], [True]), ([1], [3], [True]), ([1], [-1], [True])]
+)
+def test_a_stream_refuses_what_is_no_stream(t, pixel, on):
+    with pytest.raises(ValueError, match="must"):
+        Stream.of(t, pixel, on, 3)
+
+
+def test_the_truth_agrees_with_itself():
+    score = compare(TRUTH, TRUTH)
+    assert (score.right, score.t50_us, score.t95_us, score.count, score.wrong_events) == (1, 0, 0, 1, 0)
+    assert (score.van_rossum, score.earth_mover_us, score.same_time) == (0, 0, 0)
+
+
+def test_late_events_are_right_and_late():
+    late = Stream.of([14, 22, 31, 15], [0, 0, 0, 1], TRUTH.on, 3)
+    score = compare(late, TRUTH)
+    assert (score.right, score.wrong_events) == (1, 0)
+    assert score.t50_us == pytest.approx(1.5)
+    assert score.t95_us == pytest.approx(np.quantile([4, 2, 1, 0], 0.95))
+    # ON of pixel 0 moves by 4 and 2, its OFF by 1, pixel 1 by nothing
+    assert score.earth_mover_us == pytest.approx((2 * 3 + 1 + 0) / 4)
+
+
+def test_a_silent_sensor():
+    score = compare(Stream.of([], [], [], 3), TRUTH)
+    assert (score.right, score.count, score.wrong_events, score.van_rossum) == (0, 0, 1, 1)
+    assert math.isnan(score.t50_us)
+    assert math.isnan(score.earth_mover_us)
+
+
+def test_nothing_against_nothing_has_no_score():
+    nothing = Stream.of([], [], [], 3)
+    score = compare(nothing, nothing)
+    assert all(math.isnan(x) for x in (score.right, score.count, score.wrong_events, score.van_rossum))
+
+
+@pytest.mark.parametrize(
+    ("on", "wrong", "right"),
+    [
+        ([True, True, False], 0, 1),
+        ([True, False], 1, 0.5),  # one ON missed
+        ([True, True, False, True], 1, 0.5),  # one invented
+        ([False, True, False], 2, 0.5),  # one of the other sign: struck out and put in
+        ([False, False, False], 4, 0.5),
+    ],
+)
+def test_wrong_events_are_those_to_strike_out_and_to_put_in(on, wrong, right):
+    t, pixel = [*range(len(on)), 15], [0] * len(on) + [1]
+    score = compare(Stream.of(t, pixel, [*on, True], 3), TRUTH)
+    assert score.wrong_events == pytest.approx(wrong / 4)
+    assert score.right == right
+
+
+def test_an_event_at_a_silent_pixel_makes_it_active_and_wrong():
+    score = compare(Stream.of([10, 20, 30, 15, 1], [0, 0, 0, 1, 2], [True, True, False, True, True], 3), TRUTH)
+    assert score.right == pytest.approx(2 / 3)
+    assert score.wrong_events == pytest.approx(1 / 4)
+
+
+def test_van_rossum_of_one_event_moved():
+    one, other = Stream.of([0], [0], [True], 1), Stream.of([500], [0], [True], 1)
+    assert compare(one, other, tau_us=1000).van_rossum == pytest.approx(math.sqrt(1 - math.exp(-0.5)))
+    opposite = Stream.of([0], [0], [False], 1)
+    assert compare(one, opposite).van_rossum == pytest.approx(1)
+
+
+def test_van_rossum_is_the_integral_that_it_stands_for():
+    a, b, tau = [100.0, 130.0, 900.0], [110.0, 700.0], 200.0
+    grid = np.arange(0, 8000, 0.05)
+
+    def trace(times):
+        return sum(np.where(grid >= t, np.exp(-(grid - t) / tau), 0) for t in times)
+
+    apart = np.sum((trace(a) - trace(b)) ** 2)
+    alone = np.sum(trace(a) ** 2) + np.sum(trace(b) ** 2)
+    score = compare(Stream.of(a, [0] * 3, [True] * 3, 1), Stream.of(b, [0] * 2, [True] * 2, 1), tau_us=tau)
+    assert score.van_rossum == pytest.approx(math.sqrt(apart / alone), rel=1e-3)
+
+
+def test_the_earth_mover_takes_each_train_as_mass_one():
+    two, one = Stream.of([0, 10], [0, 0], [True, True], 1), Stream.of([4], [0], [True], 1)
+    assert compare(two, one).earth_mover_us == pytest.approx(0.5 * 4 + 0.5 * 6)
+
+
+def test_same_time():
+    assert same_time_share([1, 1, 2, 3]) == 0.5
+    assert same_time_share([1, 2, 3]) == 0
+    assert math.isnan(same_time_share([]))
+
+
+@pytest.mark.parametrize("tau", [0.0, -1.0, math.nan])
+def test_a_time_constant_must_be_positive(tau):
+    with pytest.raises(ValueError, match="tau_us"):
+        compare(TRUTH, TRUTH, tau)
+
+
+def test_streams_must_be_of_the_same_pixels():
+    with pytest.raises(ValueError, match="pixels"):
+        compare(TRUTH, Stream.of([], [], [], 4))
+
+
+trains = st.lists(st.tuples(st.integers(0, 50), st.integers(0, 3), st.booleans()), max_size=40)
+
+
+def stream_of(train):
+    t, pixel, on = zip(*train, strict=True) if train else ((), (), ())
+    return Stream.of(t, pixel, on, 4)
+
+
+@given(trains, trains)
+def test_scores_stay_within_their_bounds(a, b):
+    score, back = compare(stream_of(a), stream_of(b)), compare(stream_of(b), stream_of(a))
+    if a or b:
+        assert 0 <= score.right <= 1
+        assert 0 <= score.van_rossum <= 1 + 1e-12
+        assert score.van_rossum == pytest.approx(back.van_rossum)
+    if b:
+        assert abs(len(a) - len(b)) / len(b) <= score.wrong_events <= (len(a) + len(b)) / len(b)
+
+
+def test_events_read_back_to_log_light():
+    stream = Stream.of([1, 2, 3, 2], [0, 0, 0, 1], [True, True, False, False], 2)
+    np.testing.assert_allclose(reconstruct(stream, 0.2, [0.1, 0.3], [1.0, 2.0], 2.0), [1.4, 1.7])
+    np.testing.assert_allclose(reconstruct(stream, 0.2, [0.1, 0.3], [1.0, 2.0], 9.0), [1.3, 1.7])

@@ -1,0 +1,57 @@
+"""That the benches compare what they say: loads of noise have their rate, and scenes alike about as many events."""
+
+import numpy as np
+import pytest
+
+from emulator.sensor.noise.points import NoiseEvents
+from laboratory.bench import scenes as scenes_alike
+from laboratory.bench.measures import MEASURES
+from laboratory.bench.pixels import NoiseLoad, noisy_sensor
+from laboratory.bench.scenes import Drawing, ScenesAlike
+from laboratory.verbs.bench import bench
+
+
+@pytest.mark.parametrize("events_hz", [0.1, 1.0, 10.0])
+def test_a_load_of_noise_has_its_rate(events_hz):
+    p = noisy_sensor(events_hz)
+    pixels = p.width * p.height
+    noise = NoiseEvents(p, 1, np.full(pixels, (p.threshold_on + p.threshold_off) / 2))
+    # levels start in the middle, where passages are rarest: each needs an event or two
+    light, settled_s = np.full(pixels, 0.05, np.float32), 2 + 20 / events_hz
+    noise.step(light, round(settled_s * 1e9))
+    found = noise.step(light, round((settled_s + 0.5) * 1e9))
+    assert len(found) / pixels / 0.5 == pytest.approx(events_hz, rel=0.05)
+
+
+def test_a_load_takes_some_time(monkeypatch):
+    for name, less in (("_STEPS", 20), ("_BLOCKS", 3)):
+        monkeypatch.setattr(f"laboratory.bench.pixels.{name}", less)
+    assert 0 < NoiseLoad(10.0)() < 1e5
+    assert abs(NoiseLoad(10.0, with_readout=True)()) < 1e5  # a difference, which a busy machine may turn round
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("events", [64, 1024])
+def test_scenes_alike_have_as_many_events(monkeypatch, events):
+    monkeypatch.setattr(scenes_alike, "_STEPS", 30)
+    found = {name: number for name, (_, number) in ScenesAlike(events).times().items()}
+    assert found["grating"] == pytest.approx(events, rel=0.5)
+    assert all(number == pytest.approx(events, rel=0.35) for name, number in found.items() if name != "grating")
+    assert ScenesAlike(events)() >= 1
+
+
+@pytest.mark.gl
+@pytest.mark.usefixtures("gl")
+def test_a_frame_drawn_by_gl_takes_some_time(monkeypatch):
+    monkeypatch.setattr(scenes_alike, "_REPEAT_S", 0.01)
+    assert 0 < Drawing((32, 24))() < 1e4
+
+
+def test_a_pattern_selects_all_that_match(monkeypatch, capsys):
+    monkeypatch.setattr("laboratory.verbs.bench.MEASURES", [m for m in MEASURES if m.name.startswith(("gpu_", "words"))])
+    monkeypatch.setattr("laboratory.verbs.bench._value", lambda measure: 1.0)
+    assert bench(only=["gpu_*", "words_encode"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("gpu_frame_") == 2
+    assert "words_encode" in printed
+    assert "words_decode" not in printed

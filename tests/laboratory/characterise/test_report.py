@@ -1,0 +1,166 @@
+"""What is published is well kept, comparisons say what they should, and the verb writes what it says."""
+
+import csv
+import dataclasses
+import json
+from functools import partial
+
+import numpy as np
+import pytest
+
+import laboratory.verbs.characterise as verb
+from emulator.cli.output import LACKING, WRONG_USE, Failure
+from emulator.report import page as drawing
+from emulator.sensor.parameters import DefectParameters
+from emulator.sensor.presets import PRESETS
+from laboratory.characterise.measurements import burst, figures, latency, leak_light, measurements, s_curve
+from laboratory.characterise.published import PUBLISHED
+from laboratory.characterise.report import comparisons, reading
+from laboratory.characterise.stimuli import CURVES, FIGURE, Point, on_the_bench
+
+DAVIS = PRESETS["davis346"]
+SMALL = on_the_bench(DAVIS)
+
+
+def some_measurements(p, quick):
+    return [
+        partial(s_curve, SMALL, "as configured", 0.035, np.array([-1.0, 1.0])),
+        partial(leak_light, SMALL, "as configured", 1.0, 20.0),
+        partial(latency, SMALL, 0.7, 1.0),
+        partial(burst, p, 300, (64, 48)),
+    ]
+
+
+def compared(told, points):
+    return next(c for c in comparisons(points) if c.published.description.startswith(told))
+
+
+def test_every_published_figure_has_a_source_a_status_and_a_place():
+    for known in PUBLISHED:
+        assert known.source
+        assert known.how in ("cited", "measured", "from memory")
+        assert known.curve in CURVES or (known.curve == FIGURE and known.series)
+        assert known.tolerance >= 1 or known.remark, known.told
+        assert known.x or known.y
+        if len(known.x) > 2:
+            assert len(known.x) == len(known.y)
+
+
+def test_v2es_law_is_the_one_that_it_prints():
+    law = next(known for known in PUBLISHED if known.curve == "noise_law")
+    rate = np.interp([3.0, 3.5], np.sort(law.x), np.array(law.y)[np.argsort(law.x)])
+    assert rate == pytest.approx([0.11, 0.030], rel=0.05)  # as tabulated beside the first-passage rates
+
+
+def test_a_figure_is_compared_where_it_is_known():
+    line = [Point("bandwidth", "s", x, 2000 * x) for x in (0.1, 1.0, 10.0)]
+    assert compared("3 kHz", line).verdict == "differs"
+    assert compared("3 kHz", line).low == pytest.approx(2000)
+    near = [dataclasses.replace(p, y=1.3 * p.y) for p in line]
+    assert compared("3 kHz", near).verdict == "as preset"
+    assert compared("3 kHz", line[:1]).verdict == "not compared"  # the place lies outside
+
+
+def test_a_figure_without_a_place_is_held_against_the_whole_line():
+    low, high = (Point("leak_light", "as configured", 1.0, hz) for hz in (0.1, 0.19))
+    assert compared("about 0.2 Hz", [low]).verdict == "differs"
+    assert compared("about 0.2 Hz", [low, high]).verdict == "agrees"
+    other = dataclasses.replace(high, series="example")
+    assert compared("about 0.2 Hz", [low, other]).verdict == "differs"
+
+
+def test_a_law_is_compared_point_by_point():
+    law = next(known for known in PUBLISHED if known.curve == "noise_law")
+    on_it = [Point("noise_law", "as configured", x, y) for x, y in zip(law.x, law.y, strict=True)]
+    assert compared("v2e's law", on_it).verdict == "agrees"
+    assert compared("v2e's law", [dataclasses.replace(p, y=2 * p.y) for p in on_it]).verdict == "differs"
+
+
+def test_what_cannot_be_fairly_compared_is_not():
+    assert compared("3 us at best", [Point("latency", "s", 1.0, 3.0)]).verdict == "not compared"
+
+
+def test_the_doubling_of_leak_is_fitted_and_the_read_outs_speed_taken_from_the_largest_burst():
+    leak = [Point("leak_temperature", "as configured", t, 0.1 * 2 ** (t / 9)) for t in (0.0, 20.0, 40.0)]
+    bursts = [Point("burst", "s", 100, 20.0), Point("burst", "s", 10_000, 800.0)]
+    found = {p.series: p.y for p in figures([*leak, *bursts])}
+    assert found == pytest.approx({"leak doubles every, K": 9.0, "read-out, Mev/s": 12.5})
+
+
+def test_the_reading_names_agreement_and_difference():
+    points = [
+        Point("bandwidth", "s", 1.0, 3000.0, model=3000.0),
+        Point("leak_light", "as configured", 1.0, 0.1, model=0.1),
+    ]
+    points.append(Point("burst", "s", 10_000, 900.0, model=800.0))
+    *_, told, agree, differ = reading(points, "x")
+    assert "3 kHz at 1 klux" in told
+    assert "10 000 at once" not in told
+    assert "about 0.2 Hz" in differ
+    assert "about 0.2 Hz" not in agree
+    assert "10 000 at once" in agree
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_has_its_measurements_and_every_chart_its_curve(name):
+    quick, full = (len(measurements(PRESETS[name], quick)) for quick in (True, False))
+    assert 50 < quick < full
+
+
+def test_defects_by_place_stay_behind():
+    p = dataclasses.replace(DAVIS, defects=DefectParameters(hot_pixels=((300, 200),), hot_share=0.01))
+    small = on_the_bench(p)
+    assert (small.width, small.height) == (64, 48)
+    assert small.defects.hot_pixels == ()
+    assert small.defects.hot_share == 0.01
+
+
+@pytest.mark.system
+def test_the_verb_writes_a_page_tables_and_charts(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(verb, "measurements", some_measurements)
+    assert verb.characterise("davis346", out=tmp_path / "new", json=True) == 0
+    told = json.loads(capsys.readouterr().out.splitlines()[-1])
+    names = {path.name for path in (tmp_path / "new").iterdir()}
+    assert {path.rsplit("/", 1)[1] for path in told["files"]} == names
+    assert {"characterise.html", "points.csv", "published.csv", "latency.svg", "latency.png"} <= names
+    page = (tmp_path / "new/characterise.html").read_text()
+    assert "<svg" in page
+    assert "Lichtsteiner" in page
+    assert "src=" not in page
+    whole = json.loads((tmp_path / "new/characterise.json").read_text())
+    rows = list(csv.DictReader((tmp_path / "new/points.csv").read_text().splitlines()))
+    assert len(rows) == len(whole["points"])
+    assert {row["curve"] for row in rows} == {
+        "s_curve_on",
+        "s_curve_off",
+        "leak_light",
+        "latency",
+        "bandwidth",
+        "burst",
+        FIGURE,
+    }
+
+
+def test_the_verb_takes_a_rig(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(verb, "measurements", lambda p, quick: [partial(leak_light, on_the_bench(p), "x", 1.0, 2.0)])
+    assert verb.characterise("checkerboard", out=tmp_path) == 0
+    assert "characterise.html" in capsys.readouterr().out
+
+
+def test_the_verb_says_whose_fault_it_is(tmp_path, monkeypatch):
+    with pytest.raises(Failure) as no_such:
+        verb.characterise("no_such_camera", out=tmp_path)
+    assert no_such.value.exit_code == WRONG_USE
+    file = tmp_path / "file"
+    file.write_text("")
+    with pytest.raises(Failure, match="--out") as taken:
+        verb.characterise("davis346", out=file)
+    assert taken.value.exit_code == WRONG_USE
+
+    def lacking(name):
+        raise ImportError(name)
+
+    monkeypatch.setattr(drawing.importlib, "import_module", lacking)
+    with pytest.raises(Failure, match="matplotlib") as lacks:
+        verb.characterise("davis346", out=tmp_path)
+    assert lacks.value.exit_code == LACKING

@@ -1,0 +1,198 @@
+"""Noise followed in time: the law of its events, the pixel without noise, and steps that do not matter."""
+
+import copy
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from emulator.light import LightFrame
+from emulator.sensor.chip.defects import draw_defects
+from emulator.sensor.noise.law import bandwidth_hz, corner_hz, noise_events, rms
+from emulator.sensor.parameters import (
+    DefectParameters,
+    ImagerParameters,
+    JitterParameters,
+    NoiseParameters,
+    RadiationParameters,
+    TemperatureParameters,
+)
+from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.crossings import joined
+from emulator.sensor.pixels.state import draw
+from emulator.sensor.presets import ReadoutParameters, SensorParameters
+from emulator.sensor.sensor import Sensor
+from laboratory.methods.grid import NoisyPixels, grid_ns
+from laboratory.methods.other_simulators import Pangu
+
+MS = 1_000_000
+S = 1000 * MS
+PLAIN = SensorParameters(
+    width=8, height=5, threshold_on=0.2, threshold_off=0.2, mismatch=0.03, leak_hz=0.0, corner_hz_at_reference=300.0,
+)  # fmt: skip
+
+
+def noisy(a, p=PLAIN, **changes):
+    """A sensor whose noise at light 1 is 1/a of a threshold; f and the fixed pole are both 300 Hz there."""
+    return dataclasses.replace(p, noise=NoiseParameters(0.2 / a * 2**0.5, 300.0, "grid"), **changes)
+
+
+def still(level=1.0, p=PLAIN):
+    return np.full((p.height, p.width), level, np.float32)
+
+
+def drifting(t_ns):
+    y, x = np.mgrid[:5, :8]
+    return np.exp(0.8 * np.sin(0.3 * x + 0.2 * y - 40e-9 * t_ns)).astype(np.float32)
+
+
+def run(p, times, scene=lambda t: still(), seed=1, make=NoisyPixels):
+    pixels = make(p, seed)
+    pixels.reset(LightFrame(0, scene(0)))
+    parts = [copy.deepcopy(pixels.step(LightFrame(t, scene(t)))) for t in times]
+    return joined(parts), pixels
+
+
+def test_the_grid_is_a_tenth_of_the_noises_time_constant():
+    assert grid_ns(noisy(3)) == 32_000  # corner up to 3 kHz, so noise up to 273 Hz, tau 583 us
+    fast = dataclasses.replace(PLAIN, noise=NoiseParameters(0.05, 1e6, "grid"), corner_max_hz=1e6)
+    assert grid_ns(fast) == 1000
+
+
+@pytest.mark.system
+@pytest.mark.parametrize("refractory_us", [0.0, 200.0, 5000.0])
+@pytest.mark.parametrize("a", [2.5, 3.0])
+def test_events_come_at_the_rate_of_the_law(a, refractory_us):
+    p = noisy(a, refractory_us=refractory_us)
+    found, _ = run(p, [S // 2, 5 * S // 2])
+    found_hz = np.count_nonzero(found.t_ns > S // 2) / 2 / 40 / 2
+    f, drawn = corner_hz(p, 1.0), draw(p, 1)
+    f_n = bandwidth_hz(p, f)
+    mean = (drawn.on + drawn.off) / 2
+    law = noise_events(mean / rms(p, f), (drawn.on - drawn.off) / mean, refractory_us * 1e-6 * 2 * np.pi * f_n)
+    assert found_hz == pytest.approx((f_n * (law.on + law.off)).mean() / 2, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [{}, {"source_follower_hz": 150.0}, {"parasitic_hz_at_reference": 20.0}, {"corner_hz_at_reference": math.inf}],
+    ids=["one pole", "two poles", "parasitic leak", "no low-pass"],
+)
+def test_with_little_noise_it_is_the_pixel_itself(effects):
+    p = noisy(1000, refractory_us=300.0, leak_hz=3.0, **effects)
+    times = range(MS, 301 * MS, MS)
+    found, _ = run(p, times, drifting)
+    expected, _ = run(p, times, drifting, make=PixelArray)
+    n = len(found)
+    assert abs(n - len(expected)) < 0.005 * n
+    assert n > 900
+    order, order_expected = (np.lexsort([e.t_ns, e.pixel]) for e in (found, expected))
+    counts = [np.bincount(e.pixel, minlength=40) for e in (found, expected)]
+    same = np.flatnonzero(counts[0] == counts[1])
+    assert same.size >= 36
+    a, b = np.isin(found.pixel[order], same), np.isin(expected.pixel[order_expected], same)
+    assert np.array_equal(found.on[order][a], expected.on[order_expected][b])
+    off_ns = np.abs(found.t_ns[order][a] - expected.t_ns[order_expected][b])
+    assert np.median(off_ns) < 30_000  # of a grid of 32 000, and noise worth some 10 000
+
+
+@pytest.mark.parametrize("step_ns", [500_000, 5 * MS, 20 * MS, 333_333])
+def test_steps_do_not_matter(step_ns):
+    p = noisy(3, leak_hz=5.0, refractory_us=100.0)
+    one, pixels = run(p, range(MS, 200 * MS + 1, MS))
+    other, _ = run(p, [*range(step_ns, 200 * MS, step_ns), 200 * MS])
+    assert len(one) > 400
+    for name in ("t_ns", "pixel", "on"):
+        assert np.array_equal(getattr(one, name), getattr(other, name))
+    assert pixels.settled_ns == 200 * MS // 32_000 * 32_000
+
+
+def test_the_sensor_uses_it_and_reads_out_what_is_settled():
+    p = noisy(3)
+    sensor = Sensor(p, 1)
+    sensor.reset(LightFrame(12_345, still()))
+    parts = [sensor.expose(LightFrame(t, still())) for t in range(MS, 200 * MS, MS)]
+    events = np.concatenate([*parts, sensor.finish()])
+    assert isinstance(sensor.pixels, NoisyPixels)
+    assert len(events) == sensor.read_out > 300
+    assert sensor.raised == sensor.lost_at_readout + sensor.read_out
+    assert np.all(np.diff(events["t"].astype(int)) >= 0)
+
+
+def test_it_is_a_method_of_its_own():
+    with pytest.raises(ValueError, match="is a method of its own"):
+        Sensor(noisy(3), 1, Pangu)
+
+
+def test_hot_pixels_leak_at_their_rate_and_dead_ones_not_at_all():
+    p = noisy(1000, leak_hz=1.0, leak_spread=0.0, parasitic_hz_at_reference=1.0,
+              defects=DefectParameters(hot_share=0.3, hot_hz=20.0, dead_share=0.3))  # fmt: skip
+    sensor, drawn = Sensor(p, 1), draw_defects(p, 1)
+    sensor.reset(LightFrame(0, still()))
+    events = sensor.expose(LightFrame(5 * S, still()))
+    counts = np.bincount(events["y"].astype(int) * 8 + events["x"], minlength=40)
+    expected = np.full(40, 10.0)
+    expected[drawn.hot], expected[drawn.dead] = 5 * (drawn.hot_hz + 1), 0
+    assert min(drawn.hot.size, drawn.dead.size) > 5
+    assert np.abs(counts - expected).max() <= 1
+    assert np.all(counts[drawn.dead] == 0)
+
+
+def everything():
+    return noisy(
+        3.5, leak_hz=1.0, refractory_us=50.0, parasitic_hz_at_reference=0.5, source_follower_hz=400.0,
+        readout=ReadoutParameters(event_ns=1.0, row_ns=0),
+        temperature=TemperatureParameters(celsius=25.0),
+        defects=DefectParameters(hot_share=0.05, dead_share=0.1),
+        jitter=JitterParameters(latency_us=3.0, deviation_us=1.0, leak_share=0.2),
+        imager=ImagerParameters(
+            system_efficiency=0.8, quantum_efficiency=0.9, prnu=0.02, dcnu=0.3, photon_shot_noise=True,
+            dark_shot_noise=True, electrons_per_s_at_reference=1e6,
+        ),
+        radiation=RadiationParameters(hits_per_cm2_s=1e6, dose_krad=5.0, dose_krad_per_day=1e4),
+    )  # fmt: skip
+
+
+def test_with_every_other_effect_nothing_is_lost_and_a_copy_goes_on_the_same():
+    sensor = Sensor(everything(), 3)
+    sensor.reset(LightFrame(0, drifting(0)))
+    parts = [sensor.expose(LightFrame(t, drifting(t))) for t in range(333_333, 100 * MS, 333_333)]
+    found = sum(map(len, parts))
+    again = copy.deepcopy(sensor)
+    for one in (sensor, again):
+        late = [one.expose(LightFrame(t, drifting(t))) for t in range(100 * MS, 150 * MS, MS)]
+        one.found = np.concatenate([*late, one.finish()])
+        assert one.pending == 0
+        assert one.raised == one.lost_in_pixel + one.lost_at_readout + one.read_out
+        assert one.read_out == found + one.found.size
+    assert np.array_equal(sensor.found, again.found)
+    assert found > 400
+
+
+@pytest.mark.parametrize("step_ns", [500_000, 5 * MS, 20 * MS])
+def test_with_every_other_effect_steps_do_not_matter_in_still_light(step_ns):
+    imager = dataclasses.replace(everything().imager, photon_shot_noise=False, dark_shot_noise=False)  # see `imager`
+
+    def events(step_ns):
+        sensor = Sensor(dataclasses.replace(everything(), imager=imager), 1)
+        sensor.reset(LightFrame(0, still()))
+        return np.concatenate([*(sensor.expose(LightFrame(t, still())) for t in range(step_ns, 200 * MS + 1, step_ns))])
+
+    one, other = events(MS), events(step_ns)
+    assert len(one) > 300
+    assert np.array_equal(other, one)
+
+
+def test_unreadable_light_is_counted_and_time_does_not_go_back():
+    light = still()
+    light[0, 0], light[0, 1] = np.nan, np.inf
+    pixels = NoisyPixels(noisy(4), 1)
+    pixels.reset(LightFrame(0, still()))
+    pixels.step(LightFrame(MS, light))
+    assert pixels.quiet_nan == 2
+    with pytest.raises(ValueError, match="time does not go back"):
+        pixels.step(LightFrame(MS - 1, still()))
+    with pytest.raises(ValueError, match="must be"):
+        pixels.step(LightFrame(2 * MS, np.ones((2, 2), np.float32)))
+    assert len(pixels.step(LightFrame(MS, still()))) == 0

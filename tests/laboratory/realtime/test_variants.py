@@ -1,0 +1,83 @@
+"""Variants of rigs: every shipped one loads at both sizes, and a rig file is written as it is read."""
+
+import dataclasses
+import math
+
+import pytest
+
+from emulator.rig.loading import load_rig, parse_rig, shipped_rigs
+from emulator.tables.toml_text import read_toml, toml_of
+from laboratory.realtime.variants import SHIPPED, SIZES, Setting, distinct, settings_of, variant_of
+from laboratory.realtime.wrong_events import middle_of
+
+
+@pytest.mark.parametrize("path", shipped_rigs().values(), ids=lambda path: path.stem)
+def test_toml_is_read_as_it_is_written(path):
+    tables = read_toml(path.read_text())
+    assert read_toml(toml_of(tables)) == tables
+
+
+def test_all_values_of_toml_are_written():
+    tables = {
+        "a b": 'quote " back \\ line\nunit µ 😀 \x7f',
+        "x": {"yes": True, "no": False, "n": -3, "tiny": 1e-9, "huge": 1e300, "inf": math.inf},
+        "list": [[1.5, 2.5], [{"k": "v"}], []],
+    }
+    assert read_toml(toml_of(tables)) == tables
+
+
+@pytest.mark.parametrize("size", SIZES, ids=lambda size: size.name)
+@pytest.mark.parametrize("name", distinct(shipped_rigs()))
+def test_every_rig_has_both_sizes_and_its_own_scene(name, size):
+    variant, own = variant_of(name, size), load_rig(name)
+    rig = parse_rig(variant.text(4321), "file.toml", name)
+    assert "x".join(map(str, rig.camera.size)) == size.name
+    assert rig.scene == own.scene
+    assert rig.camera.lens == own.camera.lens
+    assert rig.camera.sensor.temperature == own.camera.sensor.temperature
+    assert (rig.run.step_us, rig.run.method, rig.run.seed) == (own.run.step_us, own.run.method, own.run.seed)
+    assert [(link.kind, link.port) for link in rig.links] == [("usbip", 4321)]
+
+
+def test_rigs_that_differ_in_links_alone_are_measured_once():
+    groups = distinct(shipped_rigs())
+    assert groups["checkerboard"] == ["loopback"]
+    assert {"stars-dv", "stars-udp", "stars-ros2"} <= set(groups["stars"])
+    assert groups["itokawa"] == groups["itokawa-gige"] == []  # another size of facets
+    assert {"eros", "malapert", "rendezvous"} <= set(groups)
+
+
+def test_a_rig_has_the_settings_that_it_has_a_choice_of(tmp_path):
+    board = {one.name for one in settings_of(variant_of("checkerboard", SIZES[0]))}
+    assert {"as shipped", "steps x 2", "line", "adaptive, 100 us"} <= board
+    assert not any("parts" in name for name in board)
+    controlled = tmp_path / "controlled.toml"
+    text = '[scene]\nkind = "checkerboard"\n[run]\nstep_us = 1000\nthreads = 1\nmethod = "line"\ntolerance_us = 50.0\n'
+    controlled.write_text(text)
+    names = {one.name for one in settings_of(variant_of(str(controlled), SIZES[0]))}
+    assert names == {"as shipped", "steps x 0.5", "steps x 2", "steps x 4", "fixed steps"}
+
+
+def test_terrain_has_parts_of_pixels():
+    names = {one.name for one in settings_of(variant_of("malapert", SIZES[0]))}
+    assert {"1 x 1 parts", "4 x 4 parts"} <= names
+    assert "2 x 2 parts" not in names  # as shipped
+
+
+def test_a_setting_changes_its_key_alone():
+    shipped = variant_of("eros", SIZES[0])
+    step_us = shipped.loaded().run.step_us
+    changed = shipped.changed(Setting("half", {("run", "step_us"): step_us // 2}))
+    assert changed.loaded().run == dataclasses.replace(shipped.loaded().run, step_us=step_us // 2)
+    assert changed.loaded().scene == shipped.loaded().scene
+    assert shipped.loaded().run.step_us == step_us
+    assert shipped.setting == SHIPPED
+
+
+def test_the_middle_of_a_large_sensor_has_its_focal_length():
+    whole = variant_of("eros", SIZES[1]).loaded()
+    middle = middle_of(whole)
+    assert middle.camera.size == (346, 260)
+    focal = [r.camera.size[0] / math.tan(math.radians(r.camera.lens.field_of_view_deg) / 2) for r in (whole, middle)]
+    assert focal[0] == pytest.approx(focal[1])
+    assert middle_of(variant_of("eros", SIZES[0]).loaded()).camera.lens.field_of_view_deg == pytest.approx(21.0)

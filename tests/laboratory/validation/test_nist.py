@@ -1,0 +1,87 @@
+"""NIST's tables and protocol on simulated sensors whose latencies are known."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+
+from emulator.cli.app import _main
+from emulator.sensor.parameters import BackgroundParameters, JitterParameters, NoiseParameters
+from emulator.sensor.presets import IMX636_W_M2, PRESETS, ReadoutParameters
+from firmware_protocol.events import EVENT
+from laboratory.validation.nist import (
+    Edges,
+    Statistics,
+    at_biases,
+    first_latencies,
+    pulsed,
+    regions,
+    statistics,
+    table,
+)
+from laboratory.verbs.validate import EXPERIMENTS
+
+
+def test_the_tables_hold_every_condition_and_their_origin():
+    rows = table("latency")
+    assert len({(row["polarity"], row["irradiance_w_m2"], row["diff_on"]) for row in rows}) == len(rows) == 70
+    assert {row["side"] for row in table("region")} == {32, 64, 128, 256, 420}
+    assert all(row["median_lo"] <= row["median_us"] <= row["median_hi"] for row in rows)
+
+
+def test_biases_change_the_thresholds_and_the_delay_of_off_events_alone():
+    p = at_biases(PRESETS["imx636"], -42, 47)
+    assert p.threshold_on == pytest.approx(0.223 * math.exp(-42 * 0.0149))
+    assert p.threshold_off == pytest.approx(0.223 * math.exp(47 * 0.0117))
+    assert p.jitter.off_latency_us == pytest.approx(PRESETS["imx636"].jitter.off_latency_us * math.exp(47 * 0.042))
+    nominal = dataclasses.replace(p, threshold_on=0.223, threshold_off=0.223, jitter=PRESETS["imx636"].jitter)
+    assert nominal == PRESETS["imx636"]
+
+
+def events(*rows):
+    return np.array(list(rows), EVENT)
+
+
+def test_first_events_after_an_edge_count_by_pixel_and_by_key():
+    found = events((100, 0, 0, True), (110, 0, 0, True), (120, 10, 0, True), (125, 0, 1, True), (130, 1, 1, False))
+    assert first_latencies(found, 90, True).tolist() == [10, 30, 35]
+    assert first_latencies(found, 90, False).tolist() == [40]
+    edges = Edges(found, np.array([-1, 90]), np.array([], np.int64))
+    got = statistics(edges, True)
+    # pixels (10, 0) and (0, 1) share the key 10, whose first event is at 120
+    assert (got.median_us, got.least_us, got.most_us) == (20, 10, 30)
+    assert got.responders == pytest.approx(2 / 9)
+    assert got.opposite == pytest.approx(1 / 9)
+
+
+def test_latencies_of_a_plain_pixel_are_those_of_its_law():
+    p = dataclasses.replace(
+        regions(), mismatch=0.0, source_follower_hz=0.0, jitter=JitterParameters(), background=BackgroundParameters(),
+        noise=NoiseParameters(), readout=ReadoutParameters(event_ns=0.001, row_ns=0), random_start=False,
+    )  # fmt: skip
+    edges = pulsed(p, 0.0457, 1, cycles=1)
+    late_us = first_latencies(edges.after(int(edges.on_us[0])), int(edges.on_us[0]), True)
+    assert late_us.size == 99 * 11
+    dark, bright = p.dark_current_relative, 0.0457 / IMX636_W_M2 + p.dark_current_relative
+    # w = e^-V follows w' + K i w = K: from 1 / dark to e^-0.223 / dark
+    shares = (1 / dark - 1 / bright) / (math.exp(-0.223) / dark - 1 / bright)
+    assert late_us == pytest.approx(1e6 * math.log(shares) / (2 * math.pi * 3000 * bright), abs=1.5)
+
+
+def test_validate_writes_a_page_and_prints_the_counts(tmp_path, capsys, monkeypatch):
+    quick = EXPERIMENTS["spread"]
+    assert list(EXPERIMENTS)[:2] == ["latency", "region"]
+    monkeypatch.setattr("laboratory.validation.latency.latencies", lambda *condition: (_same(), _same()))
+    assert len(quick(1).data) == 20
+    assert _main(["validate", "spread", "--out", str(tmp_path), "--json"]) == 0
+    last = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert last["judged"] == {"spread": 0}
+    assert (tmp_path / "validation.md").exists()
+    assert (tmp_path / "validation" / "spread.png").exists()
+    assert _main(["validate", "nothing", "--out", str(tmp_path)]) == 2
+
+
+def _same():
+    return Statistics(50.0, 25.0, 100.0, 55.0, 111.0, 3.0)

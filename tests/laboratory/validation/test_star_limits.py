@@ -1,0 +1,76 @@
+"""Star limits: distributions with known answers, and a small field before a sensor."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from emulator.optics.lens import CHIPS
+from emulator.rig.loading import load_rig
+from emulator.scene.stars.skies import stars_per_deg2
+from emulator.scene.stars.stars import StarField
+from emulator.sensor.parameters import BackgroundParameters, NoiseParameters
+from emulator.sensor.presets import PRESETS
+from laboratory.validation.star_fields import FALSE_SOURCES, Observatory, Seen, observe
+from laboratory.validation.stars import AMOS_G, AMOS_SHARE, Limits, amos_found
+
+NOTHING = np.zeros((1, 1), np.float32)
+
+
+def seen(limit, n=200_000, chance=0.0, seed=1):
+    """A camera that finds all stars to a magnitude, none beyond, and any star by chance."""
+    draws = np.random.default_rng(seed)
+    magnitudes = draws.uniform(5.5, 12.5, n)
+    return Seen(magnitudes, (magnitudes < limit) | (draws.random(n) < chance), chance, 0.0, NOTHING)
+
+
+@pytest.mark.parametrize("chance", [0.0, 0.2])
+def test_matched_stars_of_a_sharp_limit_are_distributed_as_the_sky_s(chance):
+    limits = Limits.of([seen(10.0, chance=chance)])
+    for percent in (10, 50, 90):
+        g = limits.brighter_than(percent)
+        assert stars_per_deg2(g) / stars_per_deg2(10.0) == pytest.approx(percent / 100, rel=0.06)
+    assert limits.half_found == pytest.approx(10.0, abs=0.05)
+
+
+def test_the_real_camera_s_share_gives_its_distribution_back():
+    found = amos_found()
+    again = np.cumsum(found * np.diff(stars_per_deg2(AMOS_G)))
+    np.testing.assert_allclose(again / again[-1], (AMOS_SHARE[1:] - AMOS_SHARE[0]) / (1 - AMOS_SHARE[0]), atol=1e-12)
+    assert found[np.searchsorted(AMOS_G, 7.5)] == 1
+    assert found[-1] < 0.01
+
+
+def test_the_rigs_drift_as_the_recording_did():
+    rig = load_rig("stars-limit")
+    size = rig.camera.sensor.width, rig.camera.sensor.height
+    with StarField(rig.scene, size, rig.camera.lens, CHIPS["imx636"]) as sky:
+        before, after = (dict(zip(g, places, strict=True)) for places, g in map(sky.stars_at, (0, 5_000_000_000)))
+    near = [g for g in before if g in after and np.hypot(*(before[g] - np.array(size) / 2)) < 200]
+    assert len(near) > 10
+    drift = np.mean([after[g] - before[g] for g in near], axis=0) / 5
+    assert drift == pytest.approx([-1.861, 0.549], abs=0.01)
+    assert np.degrees(2 * np.arctan(1280 * 4.86e-3 / 2 / 135)) == pytest.approx(
+        rig.camera.lens.field_of_view_deg, abs=1e-4
+    )
+    gen3 = load_rig("stars-limit-gen3").camera
+    assert np.degrees(2 * np.arctan(640 * 15e-3 / 2 / 85)) == pytest.approx(gen3.lens.field_of_view_deg, abs=1e-4)
+
+
+@pytest.mark.system
+def test_bright_stars_are_found_and_those_below_the_dark_current_are_not():
+    background = BackgroundParameters(hz=0.1)
+    effects = {"background": background, "noise": NoiseParameters(), "dark_current_relative": 0.001}
+    sensor = dataclasses.replace(PRESETS["imx636"], width=320, height=240, **effects)
+    scale = 320 / 1280
+    rig = load_rig("stars-limit")
+    lens = dataclasses.replace(rig.camera.lens, field_of_view_deg=rig.camera.lens.field_of_view_deg * scale)
+    camera = Observatory(sensor, lens, rig.scene, 100_000_000)
+    field = dataclasses.replace(rig.scene.drawn, numbers="ladder", per_deg2=150.0, radius_deg=1.0)
+    bright = observe(camera, dataclasses.replace(field, brightest_g=6.0, faintest_g=7.5), 1)
+    faint = observe(camera, dataclasses.replace(field, brightest_g=13.0, faintest_g=14.0), 1)
+    assert len(bright.magnitudes) > 10
+    assert bright.matched.mean() > 0.9
+    assert faint.matched.mean() < 0.1
+    assert bright.noise_hz == pytest.approx(0.05, rel=0.1)
+    assert FALSE_SOURCES * 9 * np.pi / (320 * 240) < 0.02
