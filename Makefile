@@ -12,30 +12,42 @@ APT_TEST := libegl1 libgl1 libgl1-mesa-dri qemu-system-x86 busybox-static usbip 
 # The tests start hundreds of processes, each of which would compile every module anew.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test long fast check packages prepare docs docs/rigs.md bench clean
+.PHONY: demo test long fast laboratory programs guests check packages prepare docs docs/rigs.md bench clean
 
 # Two cameras: on USB/IP, read by evstim's own receiver, and on GigE Vision, read by an unmodified driver of others.
 demo: $(VENV)/.installed
 	$(BIN)/evstim demo
 	$(BIN)/evstim demo stars-gige
 
-# Three parts: what is quick; whole programs and fresh compilations; what QEMU emulates, which has the machine to itself.
+# In parts, each a target of its own and a job of the forge's workflow. What QEMU emulates has the machine to itself.
 # Before them Python's packages come beside Debian's, and the type checker runs beside the compilation of kernels.
 test:
 	$(MAKE) -j2 packages $(VENV)/.installed-test
 	$(MAKE) -j2 check prepare
 	$(MAKE) fast
-	$(BIN)/pytest -m "(system or anew) and not guest and not arm and not long" -n 2 --dist loadfile --timeout 900
+	$(MAKE) laboratory
+	$(MAKE) programs
+	$(MAKE) guests
+
+# Should take under three minutes on two idle cores, once the kernels are compiled; two processes would each compile them.
+fast: prepare
+	$(BIN)/pytest -m "not guest and not arm and not anew and not system and not long" --ignore tests/laboratory -n 2 --dist loadfile
+
+# What judges the emulator, in laboratory/.
+laboratory: prepare
+	$(BIN)/pytest tests/laboratory -m "not guest and not arm and not long" -n 2 --dist loadfile --timeout 900
+
+# Whole programs and fresh compilations.
+programs: prepare
+	$(BIN)/pytest -m "(system or anew) and not guest and not arm and not long" --ignore tests/laboratory -n 2 --dist loadfile --timeout 900
+
+guests: packages prepare
 	$(BIN)/pytest -m "(guest or arm) and not long" --timeout 900
 
 # What `make test` leaves out: the other clients and models, and longer runs. For a release, and after a change of a camera.
 long: packages prepare
 	$(BIN)/pytest -m "long and not guest" -n 2 --dist loadfile --timeout 1800
 	$(BIN)/pytest -m "long and guest" --timeout 1800
-
-# Should take under two minutes on two idle cores, once the kernels are compiled; two processes would each compile them.
-fast: prepare
-	$(BIN)/pytest -m "not guest and not arm and not anew and not system and not long" -n 2 --dist loadfile
 
 packages:
 	@.ci/apt $(APT_TEST)

@@ -26,7 +26,7 @@ from pathlib import Path
 
 __all__ = ["offences"]
 
-FOLDERS = ("evstim", "emulator", "transports", "firmware_protocol")
+FOLDERS = ("evstim", "emulator", "transports", "firmware_protocol", "laboratory")
 
 OPENINGS = re.compile(r"(What|Where|Who|Whom|Whose|When|Whether|Nobody|Whoever|Whatever|Why|How)\b")
 SPEECH = re.compile(

@@ -22,8 +22,6 @@ from emulator.scene.video.video import resampled
 from emulator.sensor.presets import SensorParameters
 from evstim.sensor import Sensor, SensorOptions
 from firmware_protocol.events import Events, empty_events
-from laboratory.accuracy import scores as metrics
-from laboratory.accuracy.scores import Stream
 
 __all__ = ["events_from_frames", "events_from_video", "reconstruct"]
 
@@ -323,5 +321,7 @@ def reconstruct(
     if len(events) and (events["x"].max() >= width or events["y"].max() >= height):
         raise ValueError(f"there are events outside the {width} x {height} array")
     on, off = (np.broadcast_to(np.asarray(t, np.float64), start.shape).ravel() for t in (threshold_on, threshold_off))
-    stream = Stream.from_events(events, width, height)
-    return metrics.reconstruct(stream, on, off, start.ravel(), np.inf if t_us is None else t_us).reshape(start.shape)
+    counted = events if t_us is None else events[events["t"] <= t_us]
+    pixel = counted["y"].astype(np.int64) * width + counted["x"]
+    steps = np.where(counted["on"], on[pixel], -off[pixel])
+    return start + np.bincount(pixel, steps, minlength=start.size).reshape(start.shape)

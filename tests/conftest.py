@@ -34,3 +34,14 @@ def _signal_handlers():
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
+
+
+@pytest.fixture(scope="session")
+def gl():
+    """Skip, with the reason, where there is no GL; in CI that is a failure."""
+    from emulator.gl.context import probe  # most tests need no GL, and its import takes time
+
+    report = probe()
+    if not report.available:
+        (pytest.fail if os.environ.get("CI") == "true" else pytest.skip)(report.reason)
+    return report

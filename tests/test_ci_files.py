@@ -135,14 +135,30 @@ def test_a_rig_that_is_not_there_fails_the_job_and_starts_no_program(script_run,
     assert not (tmp_path / "seen").exists()
 
 
+@pytest.mark.parametrize("in_laboratory", [False, True])
 @pytest.mark.parametrize(
     "marked", [some for n in range(len(MARKERS) + 1) for some in combinations(MARKERS, n)], ids=" and ".join
 )
-def test_each_test_is_in_one_part_of_the_makefile(marked):
-    expressions = re.findall(r'pytest -m "([^"]*)"', (ROOT / "Makefile").read_text())
-    assert len(expressions) == 5
-    parts = [one for one in expressions if eval(one, {name: name in marked for name in MARKERS})]
+def test_each_test_is_in_one_part_of_the_makefile(marked, in_laboratory):
+    makefile = (ROOT / "Makefile").read_text()
+    calls = re.findall(r'pytest (tests/laboratory )?-m "([^"]*)"( --ignore tests/laboratory)?', makefile)
+    assert len(calls) == makefile.count("/pytest ") == 6
+    parts = [
+        expression
+        for only, expression, without in calls
+        if not (without if in_laboratory else only) and eval(expression, {name: name in marked for name in MARKERS})
+    ]
     assert len(parts) == 1, parts
+
+
+def test_the_forge_runs_the_parts_of_make_test():
+    (job,) = yaml.safe_load((ROOT / ".github/workflows/test.yml").read_text())["jobs"].values()
+    parts = set(job["strategy"]["matrix"]["part"])
+    recipe = re.search(r"^test:\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.MULTILINE)[1]
+    assert parts == set(re.findall(r"\w+", " ".join(re.findall(r"\$\(MAKE\)(?: -j2)? (.*)", recipe)))) - {
+        "packages", "prepare", "VENV", "installed", "test",
+    }  # fmt: skip
+    assert [step["run"] for step in job["steps"] if "run" in step] == ["make packages", 'make "$PART"']
 
 
 def test_the_first_parameters_of_a_sampled_test_are_not_long():

@@ -21,7 +21,7 @@ from numba.core.dispatcher import Dispatcher
 from firmware_protocol.compiled import RULE, entry_of, place_of
 
 ROOT = Path(__file__).parents[1]
-OURS = ("emulator", "firmware_protocol", "transports")
+OURS = ("emulator", "firmware_protocol", "transports", "laboratory")
 
 
 def modules_with_kernels():

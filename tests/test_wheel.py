@@ -126,7 +126,7 @@ def test_what_is_in_the_wheel(wheel):
     assert {f"evstim/rigs/{path.name}" for path in (ROOT / "rigs").glob("*.toml")} < names
     assert "evstim/py.typed" in names
     rooms = {name.partition("/")[0] for name in names if ".dist-info" not in name}
-    assert rooms == {"evstim", "emulator", "transports", "firmware_protocol"}
+    assert rooms == {"evstim", "emulator", "transports", "firmware_protocol", "laboratory"}
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +198,7 @@ def test_after_the_preparation_a_run_compiles_nothing(runs):
 def test_no_kernel_is_compiled_for_two_sets_of_types(runs):
     types = defaultdict(set)
     for _, kernel, arguments in runs[0].compiled:
-        if kernel.startswith(("emulator.", "firmware_protocol.")):
+        if kernel.startswith(("emulator.", "firmware_protocol.", "laboratory.")):
             types[kernel].add(re.sub(r"Literal\[int\]\(\d+\)", "int64", arguments))  # constants are on purpose
     assert len(types) > 100
     assert {kernel: found for kernel, found in types.items() if len(found) > 1} == {}

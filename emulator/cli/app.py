@@ -46,65 +46,93 @@ app = App(
 # Module by name, so that a command imports only its own modules: numba and GL would slow `evstim rigs` down.
 _COMMANDS = {
     "Run and read": (
-        ("demo", "demo:demo", "Run a rig, read its camera over USB/IP in a second process, and compare every event."),
-        ("run", "run:run", "Run a rig: render its scene, simulate its sensor, serve its links."),
+        (
+            "demo",
+            "emulator.cli.demo:demo",
+            "Run a rig, read its camera over USB/IP in a second process, and compare every event.",
+        ),
+        ("run", "emulator.cli.run:run", "Run a rig: render its scene, simulate its sensor, serve its links."),
         (
             "listen",
-            "listen.cameras:verbs",
+            "emulator.cli.listen.cameras:verbs",
             "Read a camera, real or emulated: on USB (the default), a serial line or a CAN bus.",
         ),
-        ("picture", "picture:picture", "Write a picture or movie of a rig or a recording: its light and its events."),
-        ("doctor", "doctor:doctor", "Show which parts this machine has and lacks, with the command that adds each."),
+        (
+            "picture",
+            "emulator.cli.picture:picture",
+            "Write a picture or movie of a rig or a recording: its light and its events.",
+        ),
+        (
+            "doctor",
+            "emulator.cli.doctor:doctor",
+            "Show which parts this machine has and lacks, with the command that adds each.",
+        ),
     ),
     "Rigs": (
-        ("rigs", "rigs:rigs", "List the rigs that are installed with evstim."),
-        ("check", "rigs:check", "Check a rig file without running it."),
-        ("plan", "plan:plan", "Show the plan of a run: step, effects and expected load."),
-        ("schema", "rigs:schema", "Print the JSON Schema of rig files, or of reports."),
+        ("rigs", "emulator.cli.rigs:rigs", "List the rigs that are installed with evstim."),
+        ("check", "emulator.cli.rigs:check", "Check a rig file without running it."),
+        ("plan", "emulator.cli.plan:plan", "Show the plan of a run: step, effects and expected load."),
+        ("schema", "emulator.cli.rigs:schema", "Print the JSON Schema of rig files, or of reports."),
     ),
     "While a rig runs": (
-        ("fault", "fault:fault", "Inject a fault into a link of a running rig."),
-        ("trigger", "fault:trigger", "Give the camera of a running rig an edge, or reset its clock."),
+        ("fault", "emulator.cli.fault:fault", "Inject a fault into a link of a running rig."),
+        ("trigger", "emulator.cli.fault:trigger", "Give the camera of a running rig an edge, or reset its clock."),
         (
             "dynamics",
-            "dynamics:dynamics",
+            "emulator.cli.dynamics:dynamics",
             "Fly an FMU: its poses go to a running rig, its inputs come from a file or a CAN bus.",
         ),
         (
             "vizard",
-            "vizard:vizard",
+            "emulator.cli.vizard:vizard",
             "Run a rig in step with a Basilisk simulation, which sends poses and requests images.",
         ),
     ),
     "Recordings": (
-        ("record", "record:record", "Record the events of a rig to a file: AEDAT4, EVT3, HDF5, a ROS bag, ..."),
-        ("info", "info:info", "Show the format and the content of a recording of events."),
-        ("convert", "convert:convert", "Convert a recording of events to another format."),
-        ("recover", "convert:recover", "Save the readable part of a recording that was cut."),
+        (
+            "record",
+            "emulator.cli.record:record",
+            "Record the events of a rig to a file: AEDAT4, EVT3, HDF5, a ROS bag, ...",
+        ),
+        ("info", "emulator.cli.info:info", "Show the format and the content of a recording of events."),
+        ("convert", "emulator.cli.convert:convert", "Convert a recording of events to another format."),
+        ("recover", "emulator.cli.convert:recover", "Save the readable part of a recording that was cut."),
     ),
     "Measure": (
         (
             "campaign",
-            "campaign:verbs",
+            "emulator.cli.campaign:verbs",
             "Run a rig many times over sampled parameters, and report on the table of all runs.",
         ),
         (
             "accuracy",
-            "accuracy:verbs",
+            "laboratory.verbs.accuracy:verbs",
             "Measure accuracy against speed, where each method fails, and other simulators on the same scenes.",
         ),
-        ("characterise", "characterise:characterise", "Measure a simulated sensor with the methods of a laboratory."),
-        ("validate", "validate:validate", "Repeat public measurements of real cameras on the simulated sensors."),
-        ("bench", "bench:verbs", "Measure the speeds that the documentation quotes."),
+        (
+            "characterise",
+            "laboratory.verbs.characterise:characterise",
+            "Measure a simulated sensor with the methods of a laboratory.",
+        ),
+        (
+            "validate",
+            "laboratory.verbs.validate:validate",
+            "Repeat public measurements of real cameras on the simulated sensors.",
+        ),
+        ("bench", "laboratory.verbs.bench:verbs", "Measure the speeds that the documentation quotes."),
     ),
     "Connect": (
         (
             "gadget",
-            "gadget:verbs",
+            "emulator.cli.gadget:verbs",
             "Make or remove the USB gadget for a camera on a real cable, at a machine with a USB device port.",
         ),
-        ("dbc", "listen.can:dbc", "Write the DBC file of a rig's CAN link."),
-        ("export", "export:export", "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark."),
+        ("dbc", "emulator.cli.listen.can:dbc", "Write the DBC file of a rig's CAN link."),
+        (
+            "export",
+            "emulator.cli.export:export",
+            "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark.",
+        ),
     ),
 }
 _TASKS = """\
@@ -123,7 +151,7 @@ def _add_commands() -> None:
     for sort_key, (title, commands) in enumerate(_COMMANDS.items()):
         group = Group(title, sort_key=sort_key)
         for verb, target, summary in commands:
-            app.command(f"emulator.cli.{target}", name=verb, help=summary, group=group)
+            app.command(target, name=verb, help=summary, group=group)
 
 
 _add_commands()

@@ -314,11 +314,11 @@ def build_sensor(rig: Rig, parameters: SensorParameters, kind: type[Sensor] = Se
 
 
 def _pixels(run: Run) -> MakePixels:
+    """Return what makes the pixels of the rig's method: evstim's own, or by the rule of another simulator."""
     if run.method in OWN_METHODS:
         return partial(own_pixels, threads=run.threads)
-    from laboratory.methods.other_simulators import OTHER_SIMULATORS
-
-    return OTHER_SIMULATORS[run.method]
+    rule: MakePixels = imported("laboratory.methods.other_simulators:OTHER_SIMULATORS")[run.method]
+    return rule
 
 
 def build_frames(rig: Rig, scene: Scene) -> SceneFrames:

@@ -430,6 +430,6 @@ def _version() -> str:
     import numba
 
     root = Path(__file__).parents[2]
-    sources = [checksum_of(root / folder) for folder in ("emulator", "firmware_protocol")]
+    sources = [checksum_of(root / folder) for folder in ("emulator", "firmware_protocol", "laboratory/methods")]
     words = f"{sources} {numba.__version__} {llvmlite.binding.get_host_cpu_name()}"
     return f"{zlib.crc32(words.encode()):08x}"

@@ -38,6 +38,7 @@ from emulator.sensor.pixels.method import MakePixels, PixelMethod
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.pixels.workers import EventBuffers
 from emulator.sensor.presets import SensorParameters
+from emulator.tables.registry import imported
 from firmware_protocol.events import Events
 
 __all__ = [
@@ -76,15 +77,15 @@ class Source(Protocol):
 
 def own_pixels(p: SensorParameters, seed: int, threads: int = 0) -> PixelMethod:
     """Return evstim's own pixels with the effects of the sensor; `threads` as in `PixelArray`."""
+    reference = ""
     if p.photoreceptor == "circuit":
-        from laboratory.methods.circuit import CircuitPixels
-
-        return CircuitPixels(p, seed)
-    if p.noise.rms and p.noise.grade == "grid":
-        from laboratory.methods.grid import NoisyPixels
-
-        return NoisyPixels(p, seed)
-    return PixelArray(p, seed, threads)
+        reference = "laboratory.methods.circuit:CircuitPixels"
+    elif p.noise.rms and p.noise.grade == "grid":
+        reference = "laboratory.methods.grid:NoisyPixels"
+    if not reference:
+        return PixelArray(p, seed, threads)
+    pixels: PixelMethod = imported(reference)(p, seed)
+    return pixels
 
 
 def make_jitter(p: SensorParameters, seed: int) -> Jitter | None:

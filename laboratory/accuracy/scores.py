@@ -1,4 +1,4 @@
-"""Measures of agreement between two event streams, and the light that a stream's events reconstruct.
+"""Measures of agreement between two event streams.
 
     right               share of the active pixels (those with events in either stream) whose whole sequence of
                         polarities is the true one; hard: one error in a hundred events fails a pixel
@@ -13,8 +13,6 @@
                         distribution of mass one, weighted by its true events; trains that are empty on either side
                         count in the wrong events only, us
     same time           share of the events whose timestamp another event of the stream has too ("timestamp batching")
-
-The reconstruction adds thresholds up again, from a known start, and compares with the true log light.
 
 A `Stream` is an event stream for comparison: times of any resolution, sorted by pixel and then by time.
 """
@@ -39,7 +37,6 @@ __all__ = [
     "common_subsequences",
     "compare",
     "moved_us",
-    "reconstruct",
     "same_time_share",
     "van_rossum_products",
 ]
@@ -304,23 +301,6 @@ def same_time_share(t: npt.ArrayLike) -> float:
     times = np.asarray(t)
     _, counts = np.unique(times, return_counts=True)
     return _ratio(counts[counts > 1].sum(), times.size)
-
-
-def reconstruct(stream: Stream, on: npt.ArrayLike, off: npt.ArrayLike, start: npt.ArrayLike, t_us: float) -> _Float64s:
-    """Return the log light at `t_us` reconstructed from the events up to then, (pixels,).
-
-    Parameters
-    ----------
-    on, off : (pixels,) or scalar
-        Thresholds, ln units.
-    start : (pixels,)
-        Log light before the first event.
-    """
-    up = np.broadcast_to(np.asarray(on, np.float64), stream.pixels)
-    down = np.broadcast_to(np.asarray(off, np.float64), stream.pixels)
-    past, pixel = stream.t_us <= t_us, stream.pixel
-    steps = np.where(stream.on, up[pixel], -down[pixel]) * past
-    return np.asarray(start, np.float64) + np.bincount(pixel, steps, minlength=stream.pixels)
 
 
 def _ratio(part: float, whole: float) -> float:

@@ -1,8 +1,8 @@
-"""How many updates a second `evstim vizard` keeps up with, with Basilisk and the shipped example.
+"""Updates a second that `evstim vizard` keeps up with, with Basilisk and the shipped example.
 
     python -m laboratory.benchmarks.basilisk_rate PYTHON_WITH_BSK [RIG] [SECONDS] [STEP_US]
 
-An update is one SIM_UPDATE and the image asked for after it, 346 x 260. CPU time is counted from the first update on:
+An update is one SIM_UPDATE and the image requested after it, 346 x 260. CPU time is counted from the first update on:
 on a machine that does nothing else the two programs take turns, so 1 / (evstim + Basilisk) is the rate to expect there.
 """
 

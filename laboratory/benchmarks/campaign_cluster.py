@@ -1,4 +1,4 @@
-"""The same campaign on a Dask cluster of this machine and by local workers: `python -m laboratory.benchmarks.campaign_cluster`.
+"""The same campaign on a Dask cluster of this machine and by local workers.
 
     python -m laboratory.benchmarks.campaign_cluster 10000 3      # runs, workers of the cluster
 

@@ -1,4 +1,6 @@
-"""What `evstim campaign` costs beside its runs:  python -m laboratory.benchmarks.campaign_overhead [RUNS] [MS] [WORKERS]
+"""Cost of `evstim campaign` beside its runs.
+
+    python -m laboratory.benchmarks.campaign_overhead [RUNS] [MS] [WORKERS]
 
 CPU time of all processes of the command, start and report included, less that of the runs (`machine.cpu_s` of each
 row), over the latter: a busy machine does not change it much. MS is stream time of a run of 32 x 32 pixels.

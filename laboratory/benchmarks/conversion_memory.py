@@ -61,7 +61,7 @@ def row_words(row: np.ndarray) -> np.ndarray:
 
 
 def converted(source: Path, target: Path) -> tuple[dict, Resident, float]:
-    """Convert; return what the command said, the memory of its two processes, and seconds."""
+    """Convert; return the command's JSON, the memory of its two processes, and seconds."""
     start_s = time.monotonic()
     convert = subprocess.Popen([*CONVERT, str(source), str(target), "--json"], stdout=subprocess.PIPE, text=True)
     while not (reader := children(convert.pid)):
@@ -90,17 +90,17 @@ def children(pid: int) -> list[int]:
 def measured(source: Path, events: int, suffix: str) -> bool:
     """Convert to one format and print what was seen; return whether it was good."""
     target = source.with_name(f"out{suffix}")
-    told, resident, seconds = converted(source, target)
+    printed, resident, seconds = converted(source, target)
     most = peaks(resident)
     size = sum(one.stat().st_size for one in target.parent.rglob("out*") if one.is_file())
-    rate = told["events"] / seconds * 1e-6
-    say(f"{source.suffix} to {suffix}: {told['events']} of {events} events in {seconds:.0f} s, {rate:.1f} Mev/s, load "
-        f"{os.getloadavg()[0]:.1f}; {source.stat().st_size / MIB:.0f} MiB to {size / MIB:.0f} MiB")  # fmt: skip
+    rate = printed["events"] / seconds * 1e-6
+    say(f"{source.suffix} to {suffix}: {printed['events']} of {events} events in {seconds:.0f} s, {rate:.1f} Mev/s, "
+        f"load {os.getloadavg()[0]:.1f}; {source.stat().st_size / MIB:.0f} MiB to {size / MIB:.0f} MiB")  # fmt: skip
     for name, (first, second) in zip(("convert", "reader"), most.T / MIB, strict=True):
         say(f"    {name}: at most {first:.1f} MiB in the first half, {second:.1f} MiB in the second")
     for one in target.parent.glob("out*"):
         subprocess.run(["rm", "-r", str(one)], check=True)
-    return told["events"] == events and not told["trouble"] and bool((most[1] - most[0] <= MOST_GROWN).all())
+    return printed["events"] == events and not printed["trouble"] and bool((most[1] - most[0] <= MOST_GROWN).all())
 
 
 def say(text: str) -> None:

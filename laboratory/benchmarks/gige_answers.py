@@ -1,8 +1,8 @@
-"""How soon a GigE Vision camera answers while it streams on a busy machine.
+"""Time until a GigE Vision camera answers while it streams on a busy machine.
 
     python -m laboratory.benchmarks.gige_answers [REQUESTS] [BUSY_LOOPS] [FIFO_PRIORITY]
 
-A rig plays 3 million events a second to a host that has control and asks for a register every 2 ms. BUSY_LOOPS
+A rig plays 3 million events a second to a host that has control and reads a register every 2 ms. BUSY_LOOPS
 processes do nothing but compute. The time of an answer is the kernel's own stamp of its arrival at the host's socket,
 and the host runs before everything else where that is allowed: its waiting for a processor is no part of the time.
 """
@@ -40,7 +40,7 @@ _DRIVERS_PATIENCE_MS = 25.0  # neuromorphic_drivers
 
 
 class Host:
-    """Has control of a camera whose stream goes to a socket that nobody reads."""
+    """Has control of a camera whose stream goes to an unread socket."""
 
     def __init__(self, address: str, port: int) -> None:
         self._number = 0

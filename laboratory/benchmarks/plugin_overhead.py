@@ -1,10 +1,10 @@
-"""What does the fixture `evstim_rig` add to a test? Empty tests with and without it, in one session of pytest.
+"""Time that the fixture `evstim_rig` adds to a test: empty tests with and without it, in one session of pytest.
 
     python -m laboratory.benchmarks.plugin_overhead [TESTS]
 
 The rig is `loopback`, and a test with it is given its address. Printed are the durations of setup, call and teardown as
 pytest reports them, medians without the first test, which loads and compiles; and the processor time that a test more
-costs, of all processes, from sessions of TESTS and of 3 TESTS: on a busy machine that one tells. Exit code 1 where
+costs, of all processes, from sessions of TESTS and of 3 TESTS: on a busy machine that one counts. Exit code 1 where
 setup and teardown take more than 0.5 s together.
 """
 
@@ -70,9 +70,9 @@ def main(count: int = 6) -> int:
             marks.append(processor_s())
     added_s = phases["setup"] + phases["teardown"]
     each_s = (marks[2] - marks[1] - (marks[1] - marks[0])) / (2 * count)
-    told = ", ".join(f"{phase} {seconds:.2f} s" for phase, seconds in phases.items())
+    durations = ", ".join(f"{phase} {seconds:.2f} s" for phase, seconds in phases.items())
     sys.stdout.write(
-        f"{told}; the fixture adds {added_s:.2f} s to a test, load {os.getloadavg()[0]:.1f}; "
+        f"{durations}; the fixture adds {added_s:.2f} s to a test, load {os.getloadavg()[0]:.1f}; "
         f"processor time of all processes {each_s:.2f} s a test\n"
     )
     return int(added_s > MOST_S)

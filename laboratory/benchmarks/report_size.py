@@ -1,4 +1,4 @@
-"""How large is the report of a long run? A slow checkerboard at pace "free", read by the loopback host.
+"""Size of the report of a long run: a slow checkerboard at pace "free", read by the loopback host.
 
     python -m laboratory.benchmarks.report_size [HOURS]
 
@@ -49,8 +49,8 @@ def measured(hours: float, folder: Path) -> dict[str, int]:
     summary = json.loads(done.stdout.splitlines()[-1])
     sizes = {path.name: path.stat().st_size for path in sorted(report.iterdir())}
     took_s, load = time.monotonic() - start_s, os.getloadavg()[0]
-    told = f"{hours:g} h of device time in {took_s:.0f} s, load {load:.1f}: {summary['events']}; {sizes}"
-    sys.stdout.write(f"{told}\n")
+    line = f"{hours:g} h of device time in {took_s:.0f} s, load {load:.1f}: {summary['events']}; {sizes}"
+    sys.stdout.write(f"{line}\n")
     sys.stdout.flush()
     return sizes
 

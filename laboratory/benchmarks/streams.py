@@ -5,7 +5,7 @@
 NAME is one or more of aedat4, evt3, dv and jaer (all by default), EVENTS 10^7 by default. The events are those of a
 saturated read-out (12.5 Mev/s), but for jaer, which sends 1 Mev/s in real time; the others go as fast as the link takes
 them. Files are read back by faery (AEDAT 4.0) and evt3, the stream of dv by dv_processing in another process, that of
-jaer by a receiver in another process with twice the receive buffer that jAER asks for. Seconds are those from the first
+jaer by a receiver in another process with twice the receive buffer that jAER requests. Seconds are those from the first
 event to the whole file, or to the last event at the reader; beside them the processor time of the link and of the
 process that writes the file. Exit code 1 where an event is missing or wrong, or where fewer than 10 million (jaer: all
 of its million) a second arrive.
@@ -155,30 +155,30 @@ def dv_measured(sent: Events, folder: Path) -> Measured:
             time.sleep(0.01)
         begun_s = time.monotonic()
         push_freely(link, sent)
-        _heard(process)
+        _next_line(process)
         seconds = time.monotonic() - begun_s
         report = used.stopped(len(sent))
-        _heard(process)
+        _next_line(process)
     return seconds, used, wrong(np.load(folder / "have.npy"), sent) or _trouble(report, len(sent))
 
 
 def jaer_measured(sent: Events, folder: Path) -> Measured:
     """Return the same of the datagrams of jaer, in real time."""
     with reader("jaer", "0", len(sent), folder) as process:
-        used = ProcessorTime(f'kind = "udp"\nport = {_heard(process)}\nmbit_s = 1000.0')
+        used = ProcessorTime(f'kind = "udp"\nport = {_next_line(process)}\nmbit_s = 1000.0')
         begun_s = time.monotonic()
         push_in_time(used.link, sent)
-        _heard(process)
+        _next_line(process)
         seconds = time.monotonic() - begun_s
         report = used.stopped(len(sent))
-        gaps = _heard(process)
+        gaps = _next_line(process)
     troubles = (wrong(np.load(folder / "have.npy"), sent), f"{gaps} gaps" * (gaps != "0"), _trouble(report, len(sent)))
     return seconds, used, ", ".join(filter(None, troubles))
 
 
 @contextlib.contextmanager
 def reader(name: str, port: str, count: int, folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """Start this program as a reader of `count` events; it says when it has them and when they are in have.npy."""
+    """Start this program as a reader of `count` events; it reports when it has them and when they are in have.npy."""
     command = [sys.executable, __file__, "--read", name, port, str(count), str(folder / "have.npy")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
@@ -241,16 +241,16 @@ def _events(t: npt.ArrayLike, x: npt.ArrayLike, y: npt.ArrayLike, on: npt.ArrayL
     return events
 
 
-def _heard(process: subprocess.Popen[str]) -> str:
+def _next_line(process: subprocess.Popen[str]) -> str:
     """Return the reader's next line."""
     line = process.stdout.readline().strip() if process.stdout else ""
     if not line:
-        raise SystemExit("the reader ended without a word")
+        raise SystemExit("the reader ended without an answer")
     return line
 
 
 def _trouble(report: LinkReport, count: int) -> str:
-    """Return what the link itself says is wrong."""
+    """Return the trouble that the link itself reports."""
     if report.error is None and report.delivered == count:
         return ""
     return f"{report.delivered} delivered, {report.dropped} dropped, {report.error}"

@@ -67,7 +67,7 @@ def normal_policy() -> None:
 
 
 def free_port() -> int:
-    """Return a TCP port that nobody uses."""
+    """Return a TCP port that is not in use."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port: int = listener.getsockname()[1]
     return port

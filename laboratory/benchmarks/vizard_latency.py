@@ -1,4 +1,6 @@
-"""Time from a pose to the first event on the link, of `evstim vizard`:  python -m laboratory.benchmarks.vizard_latency [UPDATES]
+"""Time from a pose to the first event on the link, of `evstim vizard`.
+
+    python -m laboratory.benchmarks.vizard_latency [UPDATES]
 
 A peer sends SIM_UPDATEs 40 ms of simulated time apart and reads the datagrams of the rig's UDP link. For each update it
 takes the time from handing it to the socket until the first datagram after it, until the reply, and until the image.

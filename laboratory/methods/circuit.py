@@ -33,11 +33,12 @@ import numpy.typing as npt
 
 from emulator.light import LightFrame
 from emulator.sensor.chip.sources import Pending, new_pending, reserve
-from emulator.sensor.numerics.compiled import cached_entry, kernel, kernel_that_allocates
+from emulator.sensor.numerics.compiled import SOURCES, kernel, kernel_that_allocates
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, unpacked
 from emulator.sensor.pixels.method import Capabilities, DrawnPixels, time_of
 from emulator.sensor.pixels.state import draw, levels_passed
 from emulator.sensor.presets import SensorParameters
+from firmware_protocol.compiled import entry_of
 
 __all__ = ["Circuit", "CircuitPixels", "Light", "State", "log_light", "rates", "rosenbrock"]
 
@@ -351,7 +352,7 @@ def _rests(pixel: int, light: Light, current: float, m: _Model, s: _Array) -> bo
     return True
 
 
-@cached_entry
+@entry_of(*SOURCES, __name__)
 def _advance(
     u: tuple[_Floats, _Floats, _Floats],
     slopes: tuple[_Floats, _Floats],
@@ -404,7 +405,7 @@ class CircuitPixels(DrawnPixels):
         super().__init__(parameters, seed)
         self._settled_ns = 0
         hz = p.corner_hz_at_reference, p.corner_max_hz, p.source_follower_hz
-        self._model = _Model(
+        self._model: _Model = _Model(
             drawn.on, drawn.off, drawn.leak, p.parasitic_hz_at_reference * drawn.on,
             Circuit(*(2 * math.pi * one for one in hz)), p.refractory_us * 1e-6,
         )  # fmt: skip

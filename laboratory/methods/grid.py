@@ -27,12 +27,13 @@ import numpy.typing as npt
 from emulator.light import LightFrame
 from emulator.sensor.chip.sources import Pending, new_pending, reserve
 from emulator.sensor.noise.law import bandwidth_hz, fixed_corner_hz, noise_scale
-from emulator.sensor.numerics.compiled import cached_entry, kernel, kernel_that_allocates
+from emulator.sensor.numerics.compiled import SOURCES, kernel, kernel_that_allocates
 from emulator.sensor.numerics.keyed import Purpose, high, low, normal, normal_from, root_of, stream, unit, word
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, unpacked
 from emulator.sensor.pixels.method import Capabilities, DrawnPixels, time_of
 from emulator.sensor.pixels.state import draw, levels_passed
 from emulator.sensor.presets import SensorParameters
+from firmware_protocol.compiled import entry_of
 
 __all__ = ["NoisyPixels", "grid_ns"]
 
@@ -215,7 +216,7 @@ def _fire(move: _Move, m: _Model, s: _State, pending: Pending, n: int) -> tuple[
     return pending, n, max(events - _MOST_EVENTS, 0)
 
 
-@cached_entry
+@entry_of(*SOURCES, __name__)
 def _advance(
     light: tuple[_Floats, _Floats],
     span: _Span,

@@ -17,6 +17,13 @@ def test_the_log_light_comes_back():
     assert np.array_equal(evstim.reconstruct(events, start, t_us=0, **thresholds), start)
 
 
+def test_each_event_adds_the_threshold_of_its_pixel():
+    events = np.array([(1, 0, 0, True), (2, 0, 0, True), (2, 1, 0, False), (3, 0, 0, False)], evstim.EVENT)
+    thresholds = {"threshold_on": 0.2, "threshold_off": [[0.1, 0.3]]}
+    np.testing.assert_allclose(evstim.reconstruct(events, [[1.0, 2.0]], t_us=2, **thresholds), [[1.4, 1.7]])
+    np.testing.assert_allclose(evstim.reconstruct(events, [[1.0, 2.0]], **thresholds), [[1.3, 1.7]])
+
+
 def test_events_outside_are_refused():
     events = np.zeros(1, evstim.EVENT)
     events["x"] = 4

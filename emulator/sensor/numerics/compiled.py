@@ -38,6 +38,7 @@ from firmware_protocol.compiled import entry_of
 
 __all__ = [
     "NONE",
+    "SOURCES",
     "Real",
     "cached_entry",
     "cached_kernel",
@@ -67,12 +68,13 @@ lane: _Decorator[Any] = njit(**_UNCOUNTED, fastmath={"contract"}, forceinline=Tr
 inlined: _Decorator[Any] = njit(**_UNCOUNTED, inline="always")
 kernel_that_allocates: _Decorator[Any] = njit(**_COMMON)
 
-_SOURCES = ("emulator.sensor", "firmware_protocol.device.clock")
+SOURCES = ("emulator.sensor", "firmware_protocol.device.clock")
+"""Sources of every entry of the sensor, as `entry_of` takes them."""
 
-cached_entry: _Decorator[Any] = entry_of(*_SOURCES)
+cached_entry: _Decorator[Any] = entry_of(*SOURCES)
 """Compile a function as an entry."""
 
-cached_kernel: _Decorator[Any] = entry_of(*_SOURCES, **_UNCOUNTED)
+cached_kernel: _Decorator[Any] = entry_of(*SOURCES, **_UNCOUNTED)
 """Compile a function for compiled callers, as `kernel` does, and caches it on disk for them.
 
 This is for the large parts of an entry: they can be compiled at the same time, in several processes, before it.

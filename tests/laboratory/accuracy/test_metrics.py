@@ -11,7 +11,6 @@ from firmware_protocol.events import EVENT
 from laboratory.accuracy.scores import (
     Stream,
     compare,
-    reconstruct,
     same_time_share,
 )
 
@@ -146,9 +145,3 @@ def test_scores_stay_within_their_bounds(a, b):
         assert score.van_rossum == pytest.approx(back.van_rossum)
     if b:
         assert abs(len(a) - len(b)) / len(b) <= score.wrong_events <= (len(a) + len(b)) / len(b)
-
-
-def test_events_read_back_to_log_light():
-    stream = Stream.of([1, 2, 3, 2], [0, 0, 0, 1], [True, True, False, False], 2)
-    np.testing.assert_allclose(reconstruct(stream, 0.2, [0.1, 0.3], [1.0, 2.0], 2.0), [1.4, 1.7])
-    np.testing.assert_allclose(reconstruct(stream, 0.2, [0.1, 0.3], [1.0, 2.0], 9.0), [1.3, 1.7])
