@@ -14,18 +14,6 @@ import numpy.typing as npt
 
 from emulator.geometry.camera import Rays, SceneGeometry
 
-__all__ = [
-    "Light",
-    "LightFrame",
-    "MachineLacks",
-    "PixelLight",
-    "Region",
-    "Scene",
-    "SceneEnded",
-    "SceneError",
-    "SceneFrames",
-]
-
 Light = npt.NDArray[np.float32]
 """(height, width) float32, row 0 on top: radiance relative to the sensor's reference level, linear, >= 0."""
 

@@ -10,8 +10,6 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-__all__ = ["MOST_THREADS", "ThreadPool", "available_threads"]
-
 MOST_THREADS = 4
 """More give no gain: memory, not arithmetic, is then the limit."""
 

@@ -22,8 +22,6 @@ from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, Part
 from transports.link.process import LinkSetup
 from transports.recording.part import PipeReader, Restart
 
-__all__ = ["Delivery", "forwarding"]
-
 _READ_BYTES = 1 << 20
 
 

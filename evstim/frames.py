@@ -23,9 +23,6 @@ from emulator.sensor.presets import SensorParameters
 from evstim.sensor import Sensor, SensorOptions
 from firmware_protocol.events import Events, empty_events
 
-__all__ = ["events_from_frames", "events_from_video", "reconstruct"]
-
-
 _Float32s = npt.NDArray[np.float32]
 _Float64s = npt.NDArray[np.float64]
 _MOST_STEP_US = 1_000_000

@@ -9,8 +9,6 @@ from firmware_protocol.events import Events, join_events
 from transports.recording.guarded import OpenRecording
 from transports.recording.part import RecordingError
 
-__all__ = ["iter_events", "read_events"]
-
 Size = tuple[int, int]
 
 

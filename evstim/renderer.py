@@ -34,8 +34,6 @@ from typing import Any, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Camera", "Image", "Images", "Pose", "Renderer", "RendererRefused"]
-
 _HEADER = struct.Struct("<4sHHQ")
 _HELLO = struct.Struct("<IBBHII64s")
 _CAMERA = struct.Struct("<IIdqIIQ")

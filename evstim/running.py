@@ -36,8 +36,6 @@ from transports.link.process import LinkSetup
 if TYPE_CHECKING:
     from emulator.run.truth.source import TruthFile
 
-__all__ = ["LiveRun", "run"]
-
 log = logging.getLogger(__name__)
 
 _MOST_QUEUED_BYTES = 52_000_000  # 4 million events

@@ -27,8 +27,6 @@ from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
 from emulator.tables.typed_table import TableError, convert, unknown
 from firmware_protocol.events import Events
 
-__all__ = ["Sensor", "SensorOptions", "sensor_parameters"]
-
 _Float32s = npt.NDArray[np.float32]
 _LAST_NS = 1 << 62
 

@@ -29,8 +29,6 @@ from numba import njit
 from numba.core import codegen, compiler
 from numba.core.runtime.nrt import rtsys
 
-__all__ = ["RULE", "cache_folder", "checksum_of", "entry_of", "kernel", "place_of", "valid_for"]
-
 
 def checksum_of(*places: Path) -> int:
     """Return the checksum of Python sources: of modules, and of all modules in and below folders."""

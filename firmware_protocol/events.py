@@ -29,21 +29,6 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "EDGE",
-    "EVENT",
-    "EdgeKind",
-    "Edges",
-    "Events",
-    "bytes_of",
-    "copy_events",
-    "empty_edges",
-    "empty_events",
-    "join_events",
-    "level_changes",
-]
-
-
 EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("on", "?")])
 
 Events = npt.NDArray[np.void]

@@ -23,8 +23,6 @@ import numpy.typing as npt
 
 from firmware_protocol.device.items import Reading, ReadingKind, Readings
 
-__all__ = ["FrameAssembler", "FrameSettings", "LineKind", "WholeFrame", "line_record"]
-
 
 class LineKind(IntEnum):
     """Kind of a record; lines have samples, moments have none."""

@@ -17,19 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "AXES_ON_THE_WIRE",
-    "BMI160",
-    "IMU_SAMPLE",
-    "PHYSICAL",
-    "THERMOMETERS",
-    "ImuSamples",
-    "ImuScale",
-    "ImuSettings",
-    "no_samples",
-    "physical",
-]
-
 BMI160 = 3
 """Number of the unit of a DVXplorer."""
 

@@ -19,8 +19,6 @@ import struct
 import zlib
 from dataclasses import dataclass
 
-__all__ = ["NOW", "POSE_BYTES", "PoseMessage", "PoseMessageError"]
-
 _LAYOUT = struct.Struct("<4sHHq3d4dI")
 _CRC = struct.Struct("<I")
 _MAGIC = b"EVPO"

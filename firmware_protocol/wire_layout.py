@@ -19,8 +19,6 @@ from functools import cached_property
 
 import numpy as np
 
-__all__ = ["Field", "Layout", "WrongLength", "choices_of"]
-
 
 class WrongLength(Exception):
     """The number of octets is not that of the layout."""

@@ -16,8 +16,6 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
-__all__ = ["Values", "decoded", "encoded"]
-
 Values = Mapping[str, Any]
 """Arrays and values of JSON by name."""
 

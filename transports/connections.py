@@ -27,8 +27,6 @@ from itertools import chain
 
 from transports.network import AllowList
 
-__all__ = ["Admission", "Listener", "Places", "Seat"]
-
 
 @dataclass(frozen=True)
 class Places:

@@ -31,8 +31,6 @@ from typing import Any, NoReturn, Self
 from transports.array_messages import Values, decoded, encoded
 from transports.needs import install_command
 
-__all__ = ["ForeignFileError", "GuardedReader", "Limits", "child_command", "read_guarded", "serve"]
-
 _MIB = 1 << 20
 _WALL_FACTOR = 10  # a busy machine gives the child a tenth of a processor
 _READ_BYTES = 1 << 20

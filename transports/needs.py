@@ -14,19 +14,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
-__all__ = [
-    "PYTHON_PACKAGES",
-    "UDC",
-    "VCAN",
-    "VHCI",
-    "By",
-    "Finding",
-    "Need",
-    "install_command",
-    "network_interface",
-    "package",
-]
-
 By = Literal["run", "driver"]
 
 _NETWORK = Path("/sys/class/net")

@@ -18,19 +18,6 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-__all__ = [
-    "LOOPBACK",
-    "AllowList",
-    "ByteBudget",
-    "DatagramInlet",
-    "DatagramOutlet",
-    "check_allow",
-    "check_destination",
-    "check_port",
-    "is_loopback",
-]
-
-
 LOOPBACK = ("127.0.0.0/8", "::1/128")
 """Addresses that may connect if a rig gives no list."""
 

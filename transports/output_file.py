@@ -6,8 +6,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["OutputFile"]
-
 
 class OutputFile:
     """File for bytes, opened at once.

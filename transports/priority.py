@@ -11,9 +11,6 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-__all__ = ["LINK_NICE", "MOST_NICE", "run_before_others"]
-
-
 MOST_NICE = -20
 """Nice value of a process that answers within milliseconds."""
 

@@ -13,8 +13,6 @@ from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, Syste
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
 
-__all__ = ["DAVIS346", "IDEAL"]
-
 _IMU_UNITS = ("mpu_9250", "mpu_6050")
 
 

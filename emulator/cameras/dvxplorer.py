@@ -15,8 +15,6 @@ from firmware_protocol.dvxplorer.registers import SYSTEM
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
 
-__all__ = ["DVXPLORER", "DVXPLORER_MICRO", "DVXPLORER_MICRO_FIRMWARE9"]
-
 
 def _large(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     settings = DvxplorerSettings(

@@ -15,8 +15,6 @@ from firmware_protocol.genx320.registers import Surroundings
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
 
-__all__ = ["GENX320"]
-
 
 def _device(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     sensor = camera.sensor

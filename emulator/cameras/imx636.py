@@ -16,18 +16,6 @@ from firmware_protocol.prophesee.biases import BiasSlopes
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
 
-__all__ = [
-    "EVK3_HD",
-    "EVK4",
-    "GEN31",
-    "IMX636",
-    "SILKYEVCAM_HD",
-    "SILKYEVCAM_HD_LITE",
-    "TRITON2",
-    "UEYE_XCP_E",
-    "UEYE_XLS_E",
-]
-
 
 def _device(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     sensor = camera.sensor

@@ -45,20 +45,6 @@ from emulator.tables.toml_text import shortened
 from emulator.tables.typed_table import KeyPath, TableError, unknown
 from transports.link.report import LinkReport
 
-__all__ = [
-    "POSE_PORT",
-    "Campaign",
-    "Row",
-    "addresses_as_placeholders",
-    "check_columns",
-    "check_placeholders",
-    "filled",
-    "judged",
-    "parameter_columns",
-    "result_columns",
-]
-
-
 Row = dict[str, Any]
 
 _OF_PROGRAM = ("program.", "result.")

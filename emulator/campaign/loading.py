@@ -28,22 +28,6 @@ from emulator.rig.loading import find_rig, parse_rig, read_rig
 from emulator.tables.toml_text import TextFileError, TomlError, line_of, read_text, read_toml, shortened
 from emulator.tables.typed_table import KeyPath, TableError, convert, convert_kind, field_types, unknown
 
-__all__ = [
-    "CampaignError",
-    "Plots",
-    "Program",
-    "Settings",
-    "Source",
-    "laid_over",
-    "load_source",
-    "located",
-    "parse_settings",
-    "path_of",
-    "text_of",
-    "with_value",
-    "with_worker",
-]
-
 
 @dataclass(frozen=True)
 class Program:

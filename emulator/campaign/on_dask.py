@@ -22,8 +22,6 @@ from emulator.campaign.one_run import CampaignStopped
 from emulator.campaign.workers import WarmWorker, Workers, lost_row
 from transports.needs import install_command
 
-__all__ = ["DaskWorkers"]
-
 _CONNECT_S = 15
 _FIRST_WORKER_S = 120
 _AHEAD = 2  # tasks for each thread of the cluster: no worker waits for its next run

@@ -50,9 +50,6 @@ from emulator.tables.toml_text import TextFileError, read_text
 from firmware_protocol.events import Events
 from transports.link.pacing import MonotonicClock
 
-__all__ = ["CampaignStopped", "Place", "RunningProgram", "end_leftover", "result_of", "run_folder", "run_row"]
-
-
 _MOST_BYTES = 1 << 20
 _MOST_COLUMNS = 200
 _TERMINATION_S = 3.0

@@ -38,23 +38,6 @@ from emulator.campaign.success import SuccessRule, proportion
 from emulator.report.document import Document, Section
 from emulator.report.page import BLUE, INK, RED, ChartsLacking, image, panels, svg
 
-__all__ = [
-    "Sensitivity",
-    "histograms",
-    "numbers",
-    "parameter_numbers",
-    "pawn",
-    "pawn_of_chance",
-    "quantiles",
-    "scatter",
-    "sensitivity",
-    "slices_of",
-    "success_by_parameter",
-    "worst_runs",
-    "write_report",
-]
-
-
 _MOST_SLICES = 10
 _FEWEST_IN_SLICE = 10
 _DRAWS = 40

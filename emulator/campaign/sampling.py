@@ -27,20 +27,6 @@ import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
-__all__ = [
-    "LAWS",
-    "Integers",
-    "Law",
-    "LogUniform",
-    "Normal",
-    "OneOf",
-    "Sampling",
-    "Uniform",
-    "grid_digits",
-    "unit_points",
-]
-
-
 Sampling = Literal["sobol", "latin-hypercube", "random", "saltelli", "grid"]
 _Points = npt.NDArray[np.float64]
 

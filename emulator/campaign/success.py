@@ -13,9 +13,6 @@ from typing import Any
 
 from scipy.stats import binomtest
 
-__all__ = ["Proportion", "SuccessRule", "margin", "parse_rule", "proportion", "succeeds"]
-
-
 _COMPARE: dict[str, Callable[[Any, Any], bool]] = {
     "<": operator.lt,
     "<=": operator.le,

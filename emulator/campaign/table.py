@@ -26,23 +26,6 @@ from typing import Any
 from emulator.campaign.campaign import Campaign, Row
 from transports.needs import install_command
 
-__all__ = [
-    "FolderError",
-    "RowUnreadable",
-    "TablesLacking",
-    "begin_folder",
-    "check_folder",
-    "check_tables",
-    "done_rows",
-    "read_row",
-    "read_rows",
-    "rows_folder",
-    "working_in",
-    "write_row",
-    "write_table",
-]
-
-
 _SUFFIX = ".parquet"
 _PLAIN = {"compression": "none", "use_dictionary": False, "write_statistics": False, "store_schema": False}
 

@@ -26,8 +26,6 @@ from emulator.campaign.one_run import CampaignStopped, Place, run_row
 from emulator.rig.loading import RigError
 from emulator.run.session import Session
 
-__all__ = ["main"]
-
 _PR_SET_PDEATHSIG = 1
 
 

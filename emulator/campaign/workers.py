@@ -29,20 +29,6 @@ from emulator.campaign.campaign import Campaign, Row, judged, parameter_columns
 from emulator.campaign.one_run import CampaignStopped, end_leftover, run_folder
 from emulator.campaign.table import done_rows, rows_folder, write_row
 
-__all__ = [
-    "Abandoned",
-    "LocalWorkers",
-    "Part",
-    "WarmWorker",
-    "Workers",
-    "cores",
-    "lost_row",
-    "part_of",
-    "remaining",
-    "run_campaign",
-]
-
-
 _TRIES = 3
 _STARTS = 10
 _START_TIMEOUT_S = 300.0  # a worker loads kernels from disk when it starts; long on a busy machine

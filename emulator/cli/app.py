@@ -32,8 +32,6 @@ from emulator.cli.output import (
 from emulator.cli.signals import ignore_stop_signals
 from transports.link.background_log import BackgroundWriter
 
-__all__ = ["app", "main"]
-
 app = App(
     name="evstim",
     help="Emulate an event camera: render a scene, simulate the sensor, send its events over USB, serial lines or CAN.",

@@ -48,9 +48,6 @@ from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, 
 from emulator.cli.signals import interrupt_on_stop_signals, stop_on_signals
 from emulator.run.kernels import parts_of
 
-__all__ = ["Progress", "again", "campaign", "campaign_failures", "finish", "report", "verbs"]
-
-
 _LINE_PERIOD_S = 10.0
 
 

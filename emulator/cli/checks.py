@@ -22,8 +22,6 @@ from emulator.tables.registry import PluginError
 from transports.recording.format import Format, format_to_write, reason
 from transports.recording.part import LibraryMissing, RecordingError
 
-__all__ = ["check_output", "check_recording", "failures", "parsed_size", "prepared", "reading", "writing"]
-
 
 @contextmanager
 def failures() -> Iterator[None]:

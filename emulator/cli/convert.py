@@ -21,8 +21,6 @@ from transports.recording.guarded import OpenRecording
 from transports.recording.part import Facts, Reader, RecordingError, counts_of, named
 from transports.recording.writing import RecordingFile
 
-__all__ = ["convert", "recover"]
-
 _PROGRESS_S = 2.0
 _LATE = "as they come in the file after data of a later time"
 

@@ -40,9 +40,6 @@ from transports.gige.kind import GigeLink
 from transports.link.pacing import MonotonicClock
 from transports.recording.record import load_record
 
-__all__ = ["DemoReader", "demo", "fly_landing", "reader_of"]
-
-
 _HEIGHT_M = 500.0
 _PARENTS = Path(__file__).parents
 

@@ -19,8 +19,6 @@ from emulator.run.kernels import CODER, DECODER, EVT, parts_of, uncompiled
 from emulator.run.machine import examine
 from transports.needs import Finding
 
-__all__ = ["doctor"]
-
 
 def doctor(
     rig: str | None = None,

@@ -15,8 +15,6 @@ from firmware_protocol.events import EVENT
 from transports.recording.part import Part
 from transports.recording.record import Recorder
 
-__all__ = ["DRIVER", "driver_works", "main"]
-
 DRIVER = "neuromorphic_drivers"
 _PACKET_OCTETS = 1400
 _RING_LENGTH = 1 << 16

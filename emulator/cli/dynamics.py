@@ -26,8 +26,6 @@ from emulator.dynamics.flight import (
 )
 from emulator.dynamics.fmu import Fmu
 
-__all__ = ["dynamics"]
-
 
 class _Stop:
     """Record of a signal that ended the flight."""

@@ -23,8 +23,6 @@ from transports.can_bus.kind import CanLink
 from transports.link.kind import LinkParameters
 from transports.udp_packets.kind import UdpPacketsLink
 
-__all__ = ["export"]
-
 
 @dataclass(frozen=True)
 class _Wanted:

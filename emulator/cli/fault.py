@@ -17,9 +17,6 @@ from emulator.cli.run_summary import fault_line
 from emulator.run.control import NoAnswer, send_request, sockets
 from transports.faults.script import FaultRecord
 
-__all__ = ["answer_of", "fault", "find_run", "trigger"]
-
-
 _POLL_PERIOD_S = 0.1
 _TIMEOUT_S = 20.0  # beyond the fault's own length
 

@@ -14,8 +14,6 @@ from emulator.rig.tables import Camera
 from firmware_protocol.usb.descriptors import DescriptorSet
 from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of
 
-__all__ = ["UsbCameraOptions", "down", "up", "verbs"]
-
 
 @dataclass(frozen=True)
 class UsbCameraOptions:

@@ -22,8 +22,6 @@ from firmware_protocol.events import Events
 from transports.recording.guarded import OpenRecording
 from transports.recording.part import Facts, Part, RecordingError
 
-__all__ = ["info", "show_truth"]
-
 
 def show_truth(file: Path, found: Mapping[str, Any], *, json: bool) -> int:
     """Print the summary of a truth file, from `truth_in`; return the exit code."""

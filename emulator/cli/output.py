@@ -30,22 +30,6 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
     from cyclopts import App
 
-__all__ = [
-    "BAD_VERDICT",
-    "GOOD",
-    "LACKING",
-    "WRONG_USE",
-    "Failure",
-    "ResultFile",
-    "break_lines",
-    "console",
-    "guard_stdout",
-    "help_console",
-    "log_handler",
-    "print_json",
-    "status",
-]
-
 
 GOOD, BAD_VERDICT, WRONG_USE, LACKING = range(4)
 

@@ -26,8 +26,6 @@ from transports.recording.format import is_recording
 from transports.recording.guarded import OpenRecording
 from transports.recording.part import Frame, RecordingError
 
-__all__ = ["PictureOptions", "look", "looks", "picture"]
-
 _WINDOWS_MS = (20.0, 50.0, 100.0, 200.0, 500.0)  # tried in this order
 _ENOUGH = 0.005  # events for each pixel of the sensor
 _FPS = 25

@@ -18,8 +18,6 @@ from emulator.run.assembly import build_scene
 from emulator.run.expected_speed import ExpectedSpeed, expected_speed
 from emulator.run.kernels import parts_of
 
-__all__ = ["plan"]
-
 _METHODS = {
     "hermite": "cubic in log light from value and derivative, low-pass solved in warped time",
     "line": "straight line in log light, low-pass solved exactly for it",

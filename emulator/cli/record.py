@@ -18,8 +18,6 @@ from emulator.run.kernels import parts_of
 from emulator.run.outcome import RunResult, good, judge
 from transports.file.kind import FileLink
 
-__all__ = ["record"]
-
 
 @dataclass(frozen=True)
 class RunOptions:

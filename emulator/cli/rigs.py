@@ -25,9 +25,6 @@ from emulator.run.machine import needs_of
 from emulator.run.report.content import report_schema
 from transports.needs import By, Finding
 
-__all__ = ["Needed", "check", "examined_needs", "rigs", "schema"]
-
-
 _WORDS = {"run": "needs", "driver": "drivers on this machine need"}
 
 

@@ -47,18 +47,6 @@ from transports.link.process import LinkSetup
 if TYPE_CHECKING:
     from emulator.live_page.controls import Repeats
 
-__all__ = [
-    "NO_FILES",
-    "Files",
-    "RunParts",
-    "print_summary",
-    "rig_with_options",
-    "run",
-    "run_rig",
-    "run_with_files",
-    "summary",
-]
-
 
 @dataclass(frozen=True)
 class Files:

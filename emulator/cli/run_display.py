@@ -38,8 +38,6 @@ if TYPE_CHECKING:
     from emulator.run.report.content import Circumstances
     from emulator.run.report.observation import Observation
 
-__all__ = ["LiveTable", "OptionalPage", "RunReporter", "begin_report", "check_serving"]
-
 
 _PLAIN_PERIOD_S = 5.0
 

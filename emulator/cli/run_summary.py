@@ -26,21 +26,6 @@ from transports.faults.script import FaultRecord
 from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
 
-__all__ = [
-    "Truth",
-    "begin_trace",
-    "changes_lines",
-    "fault_line",
-    "lateness_lines",
-    "link_json",
-    "link_lines",
-    "quantile_text",
-    "timing_json",
-    "timing_lines",
-    "verdict_line",
-]
-
-
 _CAUSES = {
     "not_running": "no host was streaming",
     "not_selected": "not selected",

@@ -20,14 +20,6 @@ import time
 from collections.abc import Callable
 from typing import Never
 
-__all__ = [
-    "StopSignals",
-    "exit_on_stop_signals",
-    "ignore_stop_signals",
-    "interrupt_on_stop_signals",
-    "stop_on_signals",
-]
-
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _PATIENCE_S = 3.0
 _INSISTING = 3  # signals

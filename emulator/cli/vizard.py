@@ -27,8 +27,6 @@ from transports.needs import install_command
 from transports.network import check_allow
 from transports.vizard.server import ForwardingServer, Other, VizardServer
 
-__all__ = ["vizard"]
-
 
 @dataclass(frozen=True)
 class ConnectionOptions:
@@ -101,7 +99,8 @@ def vizard(
         print_json(body)
     else:
         print_summary(loaded, result)
-        truth.print_trouble()
+        if truth.trouble:
+            console.print(f"--truth: {truth.trouble}", markup=False)
         _print(counts, problems)
     return GOOD if good(judge(loaded.verdict, result)) and not (truth.trouble or problems) else BAD_VERDICT
 

@@ -39,25 +39,6 @@ from emulator.tables.toml_text import TextFileError, TomlError, read_text, read_
 from emulator.tables.typed_table import TableError, convert
 from firmware_protocol.pose_message import NOW, PoseMessage, PoseMessageError
 
-__all__ = [
-    "Bus",
-    "CanInputs",
-    "DynamicsError",
-    "FileInputs",
-    "FlightEnded",
-    "FlightResult",
-    "InputFile",
-    "Inputs",
-    "Mapping",
-    "Pace",
-    "Signal",
-    "Stepping",
-    "fly",
-    "load_mapping",
-    "opened_inputs",
-    "wall_clock",
-]
-
 
 class DynamicsError(Exception):
     """The FMU, its mapping or its inputs cannot be used; the message contains the required change."""

@@ -14,8 +14,6 @@ from emulator.light import MachineLacks
 from emulator.run.link_process import starting_a_process
 from transports.needs import install_command
 
-__all__ = ["Fmu"]
-
 _START_S = 120.0
 _STEP_S = 30.0
 

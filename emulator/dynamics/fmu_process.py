@@ -21,8 +21,6 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
-__all__ = ["serve"]
-
 _KINDS = {"2.0": ("Real",), "3.0": ("Float64",)}
 _DESCRIPTION = "modelDescription.xml"
 _MOST_FILES = 10_000

@@ -13,20 +13,6 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "Matrix",
-    "Quaternion",
-    "Vector",
-    "conjugate",
-    "cross",
-    "matrix_of",
-    "multiply",
-    "quaternion_of",
-    "quaternion_of_vector",
-    "spin",
-    "unit",
-]
-
 Matrix = npt.NDArray[np.float64]
 """(3, 3) rotation."""
 

@@ -31,8 +31,6 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Cycle", "Given", "Pinhole", "Rays", "SceneGeometry", "ScenePoses", "Seen"]
-
 
 @dataclass(frozen=True)
 class Pinhole:

@@ -36,20 +36,6 @@ from emulator.light import MachineLacks, SceneError
 if TYPE_CHECKING:
     import moderngl
 
-__all__ = [
-    "PACKAGES",
-    "QUICK_LOOK",
-    "WANTED",
-    "GlReport",
-    "Painter",
-    "is_software",
-    "open_context",
-    "probe",
-    "renderer_name",
-    "renderers",
-    "selected_painter",
-]
-
 
 PACKAGES = "libegl1 libgl1 libgl1-mesa-dri"
 """The Debian packages that give a machine without a GPU its GL."""

@@ -26,8 +26,6 @@ from emulator.light import Light, SceneError
 if TYPE_CHECKING:
     import moderngl
 
-__all__ = ["MOST_PENDING", "Readback", "Rectangle", "RenderTarget", "depth_terms"]
-
 
 MOST_PENDING = 3
 """Light frames that can be drawn before the first of them is taken."""

@@ -20,9 +20,6 @@ from firmware_protocol.frames import LineKind
 from firmware_protocol.imu_samples import no_samples, physical
 from transports.link.report import LinkReport
 
-__all__ = ["RunHistory", "TimeAxis"]
-
-
 _POINTS = 20
 _FRAMES = 200
 _FAULTS = 30  # of each link

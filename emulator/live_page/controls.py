@@ -13,19 +13,19 @@ import dataclasses
 import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from emulator.rig.kinds import known_faults
 from emulator.rig.loading import Rig
-from emulator.run.changes import Change, Operator
+from emulator.run.changes import Change
 from emulator.run.outcome import RunResult, RunStatus, judge
 from emulator.tables.typed_table import field_types
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultRecord
 from transports.link.report import LinkReport
 
-__all__ = ["ChangeList", "Repeats", "fault_menu", "totals"]
-
+if TYPE_CHECKING:
+    from emulator.run.session import Operator
 
 _NOT_IN_THE_MENU = ("link", "at_s")
 _BY_HAND = ("live page", "live page, undo", "evstim", "program")

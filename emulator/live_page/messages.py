@@ -46,30 +46,18 @@ import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.live_page.controls import ChangeList, Repeats
-from emulator.run.changes import Operator
 from emulator.run.outcome import RunStatus
 from transports.network import is_loopback
 
-__all__ = [
-    "MOST_COMMAND_BYTES",
-    "Access",
-    "Address",
-    "BadMessage",
-    "Picture",
-    "ViewerCommands",
-    "encode_picture",
-    "light_codes",
-    "parse_address",
-    "parse_command",
-]
-
+if TYPE_CHECKING:
+    from emulator.run.session import Operator
 
 MOST_COMMAND_BYTES = 4096
 

@@ -37,9 +37,6 @@ from transports.link.process import LinkSetup
 from transports.link.report import LinkReport
 from transports.needs import install_command
 
-__all__ = ["LivePage", "Outbox", "check_ui", "describe", "ledger_table", "status_table", "with_trigger_button"]
-
-
 _MOST_WAITING = 64
 
 

@@ -30,9 +30,6 @@ from emulator.live_page.messages import MOST_COMMAND_BYTES, Access, Picture, enc
 from firmware_protocol.events import Events
 from transports.link.rings import EventRing
 
-__all__ = ["Canvas", "PageProcess", "PageSetup", "SharedView", "reduction", "serve_page"]
-
-
 _MOST_SIZE = (640, 480)
 _MOST_DRAWN = 60_000  # events of a picture; of more, each second, third ... is drawn
 _NEWEST = 127

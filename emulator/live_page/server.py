@@ -29,9 +29,6 @@ from emulator.live_page.messages import MOST_COMMAND_BYTES, Access, BadMessage, 
 from transports.connections import Admission, Places, Seat
 from transports.network import AllowList
 
-__all__ = ["BAD_MESSAGE", "FULL", "MOST_VIEWERS", "REFUSED", "Connections", "PageServer", "Viewer", "Viewers"]
-
-
 MOST_VIEWERS = 16
 STALLED_S = 10.0
 

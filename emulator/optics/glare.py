@@ -30,8 +30,6 @@ from emulator.light import Light, PixelLight, Region, Scene
 from emulator.optics.lens import LensParameters
 from firmware_protocol.compiled import entry_of
 
-__all__ = ["Veiled", "veiled"]
-
 
 def veiled(scene: Scene, lens: LensParameters) -> Scene:
     """Return a scene with the veiling glare of its lens: the scene itself where the lens has none."""

@@ -42,9 +42,6 @@ from emulator.geometry.camera import Pinhole, Rays
 from emulator.photometry.reflectance import LUMENS_A_WATT
 from emulator.tables.typed_table import check_bounds
 
-__all__ = ["CHIPS", "Chip", "Distortion", "DistortionError", "LensParameters", "bent_rays", "straight_columns_and_rows"]
-
-
 _WAVELENGTH_M = 555e-9
 _ELECTRON_C, _PLANCK_J_S, _LIGHT_M_S = 1.602176634e-19, 6.62607015e-34, 299_792_458.0
 _AIRY = 0.42

@@ -22,8 +22,6 @@ from numba import njit
 
 from firmware_protocol.compiled import entry_of
 
-__all__ = ["Bilinear", "Part", "bend", "blur", "blur_and_scale", "gaussian_taps", "scale", "strip_for"]
-
 _Float32s = npt.NDArray[np.float32]
 Part = tuple[int, int, int, int]
 """Rows and columns of a light frame: first row, last row, first column, last column, the last ones not included."""

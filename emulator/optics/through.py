@@ -29,9 +29,6 @@ from emulator.optics.lens import Chip, Distortion, DistortionError, LensParamete
 from emulator.optics.passes import Bilinear, Part, bend, blur, blur_and_scale, gaussian_taps, scale, strip_for
 from emulator.threads import ThreadPool, available_threads
 
-__all__ = ["BlurWorkers", "Through"]
-
-
 _WORTH_A_THREAD = 200_000
 """Pixels whose blur takes several times as long as starting a thread."""
 

@@ -44,21 +44,6 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "EARTHLIGHT_W_M2",
-    "LUMENS_A_WATT",
-    "SUN_W_M2",
-    "Glossy",
-    "Hapke",
-    "Lambert",
-    "LommelSeeliger",
-    "LunarLambert",
-    "Reflectance",
-    "Sun",
-    "henyey_greenstein",
-]
-
-
 Floats = npt.NDArray[np.float64]
 
 _TINY = 1e-12

@@ -19,8 +19,6 @@ import numpy.typing as npt
 from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, Reflectance
 from firmware_protocol.compiled import entry_of
 
-__all__ = ["Law", "law_of", "reflect"]
-
 Floats = npt.NDArray[np.float64]
 Law = tuple[int, Floats]
 """Number of the law, and its parameters: (4,), followed by tables where a law has some."""

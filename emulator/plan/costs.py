@@ -29,23 +29,6 @@ from emulator.sensor.noise.law import bandwidth_hz, beyond_the_law, fixed_corner
 from emulator.sensor.parameters import REFERENCE_CELSIUS
 from emulator.sensor.presets import SensorParameters
 
-__all__ = [
-    "EFFECTS",
-    "Decision",
-    "Tolerance",
-    "chip_costs",
-    "interval_s",
-    "least_current",
-    "lens_costs",
-    "noise_shift",
-    "over",
-    "pixel_costs",
-    "run_events",
-    "tau_us",
-    "threshold",
-]
-
-
 EFFECTS = (
     *("low-pass", "bandwidth following the light", "large signals", "source follower"),
     *("leak", "leak spread", "leak jitter", "parasitic", "mismatch", "refractory period"),

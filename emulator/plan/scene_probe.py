@@ -23,8 +23,6 @@ from emulator.plan.step_control import Sampled, error_us, sample, slips, weighte
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.presets import SensorParameters
 
-__all__ = ["Probe", "probe"]
-
 _INSTANTS = 8
 _FASTEST_CORNER_SHARE = 0.95
 

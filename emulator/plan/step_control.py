@@ -38,19 +38,6 @@ from emulator.light import LightFrame
 from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
 from emulator.sensor.pixels.refinement import LEVELS
 
-__all__ = [
-    "ControlledSteps",
-    "FixedSteps",
-    "Limits",
-    "RefinementModel",
-    "Sampled",
-    "StepSource",
-    "error_us",
-    "sample",
-    "slips",
-    "weighted_quantile",
-]
-
 Floats = npt.NDArray[np.float64]
 
 _SAMPLE_PIXELS = 4096

@@ -21,8 +21,6 @@ from transports.recording.format import format_to_read, format_to_write
 from transports.recording.guarded import OpenRecording
 from transports.recording.part import Frame, LibraryMissing, RecordingError, wrong_event
 
-__all__ = ["RECORDING", "RecordingParameters", "load_recording", "read_events", "read_frames"]
-
 
 @dataclass(frozen=True)
 class RecordingParameters:

@@ -21,8 +21,6 @@ from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events, copy_events, join_events
 
-__all__ = ["Replay", "blank", "replay"]
-
 _NS = 1000
 
 

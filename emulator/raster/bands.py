@@ -39,8 +39,6 @@ from emulator.raster.layout import (
 from emulator.raster.pixel import TOLERANCE, pixel_light
 from emulator.raster.rows import add_facet
 
-__all__ = ["draw_bands", "query_bands"]
-
 _EMPTY = 1e-9  # of a pixel: less is rounding of sums along a row
 
 

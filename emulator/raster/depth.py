@@ -10,8 +10,6 @@ import math
 from emulator.raster.compiled import entry, kernel, lane
 from emulator.raster.layout import BAND, Data, Floats, Ints, W, WHighest, WLowest, XHigh, XLow, YHigh, YLow
 
-__all__ = ["alone", "fill_depth", "mark_seen", "nearest_facets", "shows"]
-
 _ON_A_SIDE = 1e-9  # pixels: a middle so near a facet's side lies on it
 
 

@@ -13,37 +13,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "BAND",
-    "CULLED",
-    "FACET_FIELDS",
-    "FLAT",
-    "SHOWABLE",
-    "VERTEX_FIELDS",
-    "Box",
-    "Bytes",
-    "Data",
-    "Float32s",
-    "Floats",
-    "G",
-    "Ints",
-    "L",
-    "Plane",
-    "Screen",
-    "Sides",
-    "Sign",
-    "Valid",
-    "View",
-    "W",
-    "WHighest",
-    "WLowest",
-    "XHigh",
-    "XLow",
-    "YHigh",
-    "YLow",
-]
-
-
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 Bytes = npt.NDArray[np.uint8]

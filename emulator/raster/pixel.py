@@ -39,8 +39,6 @@ from emulator.raster.layout import (
 )
 from emulator.raster.lines import resolve
 
-__all__ = ["TOLERANCE", "flux", "is_still", "piece", "pixel_light"]
-
 
 @lane
 def piece(p: float, y0: float, q: float, y1: float) -> tuple[float, float, float]:

@@ -40,9 +40,6 @@ from emulator.raster.layout import (
 )
 from emulator.raster.topology import Topology
 
-__all__ = ["bucket", "clip", "project", "set_up"]
-
-
 _THINNEST_PX = 1e-5  # a facet that is thinner has no gradient: rounding would be amplified beyond 1e-8 of its light
 _FARTHEST_PX = 1e15  # far beyond any frame; keeps conversions to integers valid
 

@@ -15,8 +15,6 @@ from emulator.raster.projection import bucket, clip, project, set_up
 from emulator.raster.topology import Topology
 from emulator.threads import ThreadPool
 
-__all__ = ["Owners", "Renderer"]
-
 _FIRST_PAIRS = 1 << 14
 _RUNS_A_THREAD = 4  # of bands: with 6 a light frame took 3 % more processor time
 

@@ -15,8 +15,6 @@ from emulator.raster.compiled import lane, vector_kernel
 from emulator.raster.layout import Data, Floats, G, Ints, L, Plane, Sign
 from emulator.raster.pixel import flux, is_still, piece
 
-__all__ = ["add_facet"]
-
 
 @lane
 def _carry(cell: Floats, h: float, middle: float, area: float, light: Plane, rate: Plane) -> None:

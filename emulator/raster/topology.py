@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from emulator.raster.layout import Bytes, Ints
 
-__all__ = ["Patches", "Topology", "join", "prepare", "with_patches"]
-
 
 @dataclass(frozen=True, eq=False)
 class Topology:

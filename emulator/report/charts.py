@@ -17,20 +17,6 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "Axis",
-    "Chart",
-    "Lane",
-    "Mark",
-    "Quantiles",
-    "Share",
-    "escaped",
-    "number_text",
-    "printable",
-    "quantile_chart",
-    "share_bar",
-]
-
 Floats = npt.NDArray[np.floating]
 Numbers = npt.NDArray[np.floating] | npt.NDArray[np.integer]
 

@@ -15,8 +15,6 @@ from typing import Any, Literal, Self
 
 from emulator.report.charts import escaped, number_text
 
-__all__ = ["Column", "Document", "Section", "signature", "swatch_legend"]
-
 MOST_ROWS = 100
 """Rows of a table on a page; further ones are counted."""
 

@@ -21,8 +21,6 @@ from emulator.light import Light
 from emulator.report.charts import escaped
 from emulator.report.pictures import OFF_RGB, ON_RGB, white_of
 
-__all__ = ["ColourScale", "count_map", "image_element", "palette_png", "reduced", "scene_picture"]
-
 Bytes = npt.NDArray[np.uint8]
 Counts = npt.NDArray[np.int64]
 

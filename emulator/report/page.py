@@ -21,24 +21,6 @@ from emulator.report.charts import escaped
 from emulator.report.document import Document, Section
 from transports.needs import install_command
 
-__all__ = [
-    "BLUE",
-    "INK",
-    "RED",
-    "ChartsLacking",
-    "Page",
-    "check_charts",
-    "figure_legend",
-    "image",
-    "panels",
-    "pyplot",
-    "save",
-    "svg",
-    "write_csv",
-    "write_json",
-]
-
-
 Row = Mapping[str, Any]
 
 

@@ -20,22 +20,6 @@ from emulator.light import Light, MachineLacks, SceneError
 from firmware_protocol.events import Events
 from transports.needs import install_command
 
-__all__ = [
-    "MOVIES",
-    "OFF_RGB",
-    "ON_RGB",
-    "Rgb",
-    "captioned",
-    "check_png",
-    "event_picture",
-    "grey_png",
-    "save_movie",
-    "save_png",
-    "scaled",
-    "white_of",
-]
-
-
 Rgb = npt.NDArray[np.uint8]
 """(height, width, 3), row 0 on top."""
 

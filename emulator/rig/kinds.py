@@ -24,24 +24,6 @@ from firmware_protocol.usb.device import UsbCamera
 from transports.faults.kinds import Fault
 from transports.link.kind import LinkKind, LinkParameters
 
-__all__ = [
-    "CAMERA_MODELS",
-    "IMU_UNITS",
-    "LINKS",
-    "SCENES",
-    "CameraModel",
-    "UsbModel",
-    "UsbSettings",
-    "assigned_fault",
-    "convert_fault",
-    "faults_of",
-    "gige_models",
-    "known_faults",
-    "usb_model",
-    "usb_sizes",
-]
-
-
 LINKS: Registry[LinkKind[Any]] = Registry(
     "evstim.links",
     LinkKind,

@@ -17,8 +17,6 @@ from emulator.sensor.noise.law import beyond_the_law, corner_hz
 from emulator.sensor.presets import SensorParameters
 from emulator.tables.typed_table import RigFile, field_types
 
-__all__ = ["OpenedFile", "open_files", "remarks"]
-
 _QUESTIONABLE_THRESHOLD = 2.0
 _LIGHTS = 30
 

@@ -9,8 +9,6 @@ from emulator.rig.loading import Rig, RigError
 from emulator.rig.tables import Camera, SecondCamera
 from emulator.scene.kind import SceneParameters
 
-__all__ = ["carries_second", "second_rig"]
-
 
 def carries_second(rig: Rig, link: str) -> bool:
     """Return whether a link carries the rig's second camera."""

@@ -17,9 +17,6 @@ from firmware_protocol.events import EdgeKind
 from firmware_protocol.prophesee.biases import BiasModel, BiasSlopes
 from transports.link.edges import EdgeTiming, EdgeTrain
 
-__all__ = ["OWN_METHODS", "Camera", "Method", "Run", "SecondCamera", "Trigger", "TriggerEdges", "Verdict"]
-
-
 Method = Literal["hermite", "line", "pangu", "v2e", "v2e_exact_filter", "esim", "sikorski", "frame_difference"]
 
 OWN_METHODS = ("hermite", "line")

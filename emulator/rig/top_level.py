@@ -46,9 +46,6 @@ from firmware_protocol.prophesee.biases import BiasSlopes
 from transports.faults.kinds import Fault
 from transports.link.kind import CameraFacts, LinkParameters, Unsuitable
 
-__all__ = ["TOP_LEVEL", "TopLevelKey", "rig_schema", "values_of"]
-
-
 R = TypeVar("R", bound=Record)
 _LINK_NAME = re.compile(r"\w[\w.-]{0,63}", re.ASCII)
 

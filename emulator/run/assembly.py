@@ -67,22 +67,6 @@ from transports.recording.part import Facts
 if TYPE_CHECKING:
     from emulator.run.truth.source import TruthFile
 
-__all__ = [
-    "TriggerPaths",
-    "build_frames",
-    "build_scene",
-    "build_sensor",
-    "build_session",
-    "build_steps",
-    "initial_readings",
-    "link_setups",
-    "plain_camera",
-    "planned_sensor",
-    "reading_sources",
-    "record_paths",
-    "schedule",
-]
-
 
 def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
     """Return the rig's scene at `size` = (width, height) pixels, by default its camera's; raises SceneError."""

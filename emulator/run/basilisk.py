@@ -50,9 +50,6 @@ from firmware_protocol.vizard.messages import (
 from transports.link.deliveries import LatencyHistogram
 from transports.link.pacing import Clock
 
-__all__ = ["BasiliskCounters", "BasiliskRun", "Server", "camera_differs", "connected"]
-
-
 _LOOK_MS = 50
 _LAST_LOOKS = 20
 

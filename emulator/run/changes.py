@@ -26,9 +26,6 @@ from emulator.sensor.sensor import AdjustableSource
 from firmware_protocol.device.event_device import LEAST_FACTOR, MOST_FACTOR
 from transports.link.report import CameraSettings
 
-__all__ = ["BiasFollowing", "Change", "Changes"]
-
-
 log = logging.getLogger(__name__)
 
 _MOST = 10_000

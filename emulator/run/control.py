@@ -44,19 +44,6 @@ from emulator.tables.typed_table import TableError
 from firmware_protocol.events import EdgeKind
 from transports.faults.kinds import Fault
 
-__all__ = [
-    "ControlSocket",
-    "FaultInjection",
-    "Message",
-    "NoAnswer",
-    "ReadySignal",
-    "fault_injection",
-    "runtime_directory",
-    "send_request",
-    "sockets",
-]
-
-
 _MOST_LINE_BYTES = 1 << 16
 _MOST_ANSWER_BYTES = 1 << 20
 _MOST_CLIENTS = 16

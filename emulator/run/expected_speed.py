@@ -26,8 +26,6 @@ from emulator.run.assembly import build_frames, build_scene, build_sensor
 from emulator.sensor.sensor import EventSource
 from emulator.threads import available_threads
 
-__all__ = ["ExpectedSpeed", "StepCost", "expected_speed", "longer_step_us", "smaller_size"]
-
 _INSTANTS = 4
 _PROBE_S = 1.0
 _LEAST_STEPS = 2  # at an instant

@@ -21,8 +21,6 @@ from firmware_protocol.davis346.registers import driver_imu_settings
 from firmware_protocol.dvxplorer import registers as dvxplorer_registers
 from firmware_protocol.imu_samples import BMI160, ImuSettings
 
-__all__ = ["carried", "host_imu_settings", "imu_source"]
-
 
 def imu_source(rig: Rig, imu: ImuParameters, scene: Scene) -> ImuSource:
     """Return the source of inertial samples on the path of the scene's camera."""

@@ -14,8 +14,6 @@ from emulator.run.expected_speed import ExpectedSpeed, expected_speed
 from emulator.run.outcome import RunStatus
 from transports.link.pacing import MonotonicClock
 
-__all__ = ["RealTimeSpeed", "keeping_up"]
-
 _STREAM_S, _WALL_S = 2.0, 10.0
 
 

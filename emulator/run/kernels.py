@@ -38,21 +38,6 @@ from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.compiled import cache_folder, checksum_of
 from transports.link.kind import LinkParameters
 
-__all__ = [
-    "ACTIVITY_FILTER",
-    "CODER",
-    "DECODER",
-    "EVT",
-    "GROUPS",
-    "TRUTH",
-    "Part",
-    "Preparation",
-    "parts_of",
-    "prepare",
-    "uncompiled",
-]
-
-
 _WIDTH, _HEIGHT = 32, 24
 _SCENE_S = 3.0
 _LONG_SCENES_S = {"bodies": 9.0, "terrain": 9.0}  # a long part that began last would run alone on its core

@@ -37,9 +37,6 @@ from transports.link.report import CameraSettings, LinkReport, Occurrence
 from transports.recording.format import with_addition
 from transports.recording.part import RecordingSummary
 
-__all__ = ["LinkFailed", "LinkProcess", "starting_a_link", "starting_a_process", "traced"]
-
-
 _FOUND_BY = ("__file__", "__spec__")
 _one_at_a_time = threading.Lock()
 

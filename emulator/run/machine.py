@@ -24,18 +24,6 @@ from firmware_protocol.gige.gvcp import GVCP_PORT
 from transports.link.kind import LinkParameters
 from transports.needs import PYTHON_PACKAGES, UDC, VCAN, VHCI, Finding, Need, package
 
-__all__ = [
-    "GL",
-    "egl",
-    "examine",
-    "free_loopback_address",
-    "needs_of",
-    "on_a_free_pose_port",
-    "on_free_ports",
-    "pose_port",
-]
-
-
 _RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 _UDP_BUFFER = 1 << 24
 _STATUS = Path("/proc/self/status")

@@ -27,19 +27,6 @@ from emulator.run.changes import Change
 from emulator.run.pacing import Lateness
 from transports.link.report import LinkReport
 
-__all__ = [
-    "Judgement",
-    "Ledger",
-    "LinkLedger",
-    "Rates",
-    "RunResult",
-    "RunStatus",
-    "good",
-    "judge",
-    "undersampled_advice",
-    "undersampled_text",
-]
-
 
 @dataclass(frozen=True)
 class LinkLedger:

@@ -27,9 +27,6 @@ from transports.link.deliveries import LatencyHistogram, LatencySummary
 from transports.link.edges import EdgeRing
 from transports.link.pacing import Clock
 
-__all__ = ["Drive", "Lateness", "Lockstep", "Simulation", "StepRule"]
-
-
 LONGEST_STRETCH = 8
 _MEMORY = 0.9  # of the running mean of a length's load, a step
 

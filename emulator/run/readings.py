@@ -21,9 +21,6 @@ from firmware_protocol.events import Events
 from transports.link.process import LinkSetup
 from transports.link.rings import ReadingRing
 
-__all__ = ["ReadingSource", "ReadingSources", "StepOutput"]
-
-
 _CAPACITY = {ReadingKind.FRAMES: 4096, ReadingKind.IMU: 16384}
 
 

@@ -45,9 +45,6 @@ from transports.link.process import LinkSetup
 from transports.link.report import CameraSettings, LinkReport, Occurrence
 from transports.link.rings import FREE_RUNNING
 
-__all__ = ["Operator", "Schedule", "Session", "log_if_slow"]
-
-
 log = logging.getLogger(__name__)
 
 

@@ -10,8 +10,6 @@ from __future__ import annotations
 import os
 import sys
 
-__all__ = ["fill_standard_descriptors"]
-
 _STDERR = 2
 
 

@@ -13,8 +13,6 @@ from emulator.sensor.sensor import EventSource
 from firmware_protocol.events import Events
 from transports.link.report import CameraSettings, LinkReport
 
-__all__ = ["SecondView", "ledger_of"]
-
 _T = TypeVar("_T")
 
 

@@ -24,8 +24,6 @@ from emulator.light import MachineLacks, SceneError
 from transports.guarded_reader import ForeignFileError, Limits, read_guarded
 from transports.recording.record import ArrayFileError, load_array
 
-__all__ = ["Progress", "cache_folder", "cached_array", "cached_arrays", "read_array", "read_in_child"]
-
 
 def read_array(path: Path) -> npt.NDArray[Any]:
     """Return the array of a `.npy` file; raises SceneError with the file's name."""

@@ -13,8 +13,6 @@ from typing import Any, ClassVar, Literal, Protocol
 from emulator.light import Light, Region, Scene
 from transports.needs import Need
 
-__all__ = ["Blank", "SceneKind", "SceneParameters"]
-
 
 class SceneParameters(Protocol):
     """A [scene] table of a rig: a frozen dataclass with the name of its kind."""

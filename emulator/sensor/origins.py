@@ -33,8 +33,6 @@ from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor, finished, make_jitter, make_readout, own_pixels
 from firmware_protocol.events import Events
 
-__all__ = ["LeakShare", "Origin", "TracedSensor"]
-
 
 class Origin(IntEnum):
     """Origin of an event.

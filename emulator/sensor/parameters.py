@@ -42,25 +42,6 @@ from msgspec import Meta
 
 from emulator.tables.typed_table import Share, check_bounds
 
-__all__ = [
-    "DARK_DOUBLES_EVERY_K",
-    "LEAK_DOUBLES_EVERY_K",
-    "REFERENCE_CELSIUS",
-    "BackgroundParameters",
-    "ComparatorParameters",
-    "DefectParameters",
-    "FrameParameters",
-    "ImagerParameters",
-    "ImuParameters",
-    "JitterParameters",
-    "KickParameters",
-    "NoiseParameters",
-    "RadiationParameters",
-    "ResetParameters",
-    "TemperatureParameters",
-]
-
-
 REFERENCE_CELSIUS = 20.0
 """Temperature at which the parameters of a sensor hold."""
 

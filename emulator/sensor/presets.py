@@ -129,8 +129,6 @@ from emulator.sensor.parameters import (
 )
 from emulator.tables.typed_table import check_bounds
 
-__all__ = ["IMX636_W_M2", "PRESETS", "ReadoutParameters", "SensorParameters"]
-
 _MOST_PIXELS = 1 << 24  # 4096 x 4096: 3 GB of state; no event camera has as many
 
 _Side = Annotated[int, Meta(ge=1, le=65536)]

@@ -41,22 +41,6 @@ from emulator.sensor.presets import SensorParameters
 from emulator.tables.registry import imported
 from firmware_protocol.events import Events
 
-__all__ = [
-    "AdjustableSource",
-    "EventSource",
-    "Sensor",
-    "Source",
-    "ThresholdSource",
-    "dead_pixels",
-    "finished",
-    "longest_step_ns",
-    "make_jitter",
-    "make_noise",
-    "make_readout",
-    "make_sources",
-    "own_pixels",
-]
-
 _Float32s = npt.NDArray[np.float32]
 
 

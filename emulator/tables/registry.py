@@ -16,8 +16,6 @@ from functools import cached_property
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Protocol, TypeVar
 
-__all__ = ["PluginError", "Record", "Registry", "imported"]
-
 log = logging.getLogger(__name__)
 
 

@@ -14,9 +14,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-__all__ = ["TextFileError", "TomlError", "dotted", "line_of", "read_text", "read_toml", "shortened", "toml_of"]
-
-
 _MOST_SHOWN = 400
 
 

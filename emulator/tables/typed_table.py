@@ -28,29 +28,6 @@ from typing import Annotated, Any, Literal, NewType, TypeVar
 import msgspec
 from msgspec import Meta
 
-__all__ = [
-    "NO_FILE",
-    "KeyPath",
-    "RigFile",
-    "Seed",
-    "Share",
-    "TableError",
-    "TimeScale",
-    "beside",
-    "bounds_of",
-    "check_bounds",
-    "convert",
-    "convert_kind",
-    "field_types",
-    "item_type",
-    "kinds_of",
-    "range_text",
-    "split_kind",
-    "table_type",
-    "unknown",
-]
-
-
 KeyPath = tuple[str | int, ...]
 T = TypeVar("T")
 

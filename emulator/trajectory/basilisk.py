@@ -31,9 +31,6 @@ from emulator.trajectory.parameters import BasiliskPath
 from emulator.trajectory.pose import AT_REST, Motion, Pose, Trajectory, TrajectoryError, from_basilisk
 from firmware_protocol.vizard.messages import Update, UpdateError
 
-__all__ = ["ConnectedPath", "SimulatedPath", "pose_of", "simulated_path"]
-
-
 _KNOWN = 64
 
 

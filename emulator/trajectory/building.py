@@ -46,9 +46,6 @@ from emulator.trajectory.parameters import (
 from emulator.trajectory.pose import OPENGL_FROM_CAMERA, Fixed, Pose, Timescale, Trajectory, TrajectoryError
 from emulator.trajectory.spice import read_spice
 
-__all__ = ["HasCameraPath", "MountedPath", "build_trajectories", "build_trajectory", "read_path"]
-
-
 _MOST_BYTES = 1 << 28
 _LOG = logging.getLogger(__name__)
 

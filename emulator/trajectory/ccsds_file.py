@@ -72,19 +72,6 @@ from emulator.trajectory.pose import (
 if TYPE_CHECKING:
     from scipy.interpolate import KroghInterpolator
 
-__all__ = [
-    "CcsdsPath",
-    "PolynomialPath",
-    "Segment",
-    "Segmented",
-    "axes_of",
-    "epoch_ns",
-    "parse_aem",
-    "parse_oem",
-    "scale_of",
-    "world_is_a",
-]
-
 
 _EPOCH = re.compile(r"(\d{4})-(?:(\d{3})|(\d{2})-(\d{2}))T(\d{2}):(\d{2}):(\d{2})(\.\d+)?Z?$")
 _ORIGIN = datetime(2000, 1, 1)

@@ -37,8 +37,6 @@ from emulator.trajectory.pose import STILL, Motion, Pose, Trajectory, Trajectory
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
-__all__ = ["LANDING", "Descent", "Gate"]
-
 _UP = np.array([0.0, 0.0, 1.0])
 
 

@@ -38,9 +38,6 @@ from emulator.geometry.attitude import quaternion_of
 from emulator.trajectory.mounting import looking_along
 from emulator.trajectory.pose import FARTHEST_M, STILL, Pose, TrajectoryError
 
-__all__ = ["Flight", "Samples", "parse_flight", "parse_table"]
-
-
 _PLACE = ("x_m", "y_m", "z_m")
 _ATTITUDE = ("qw", "qx", "qy", "qz")
 

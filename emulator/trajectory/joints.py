@@ -23,8 +23,6 @@ import numpy.typing as npt
 
 from emulator.trajectory.pose import Pose, Trajectory, instants_between, measured_bounds
 
-__all__ = ["Joint", "JointPath", "Jointed", "Track"]
-
 _Floats = npt.NDArray[np.float64]
 _ALMOST_EQUAL = 1 - 1e-12
 

@@ -37,8 +37,6 @@ from emulator.trajectory.pose import (
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
-__all__ = ["Keyframes"]
-
 _WIDEST_TURN = math.radians(120)
 
 _Floats = npt.NDArray[np.float64]

@@ -53,20 +53,6 @@ from emulator.trajectory.pose import (
 )
 from firmware_protocol.pose_message import NOW, POSE_BYTES, PoseMessage, PoseMessageError
 
-__all__ = [
-    "LiveCounters",
-    "LivePoses",
-    "PoseReceiver",
-    "ReceivedPath",
-    "ReceiverCounters",
-    "SceneClock",
-    "between",
-    "close_receivers",
-    "known_motion",
-    "live_counts",
-]
-
-
 _KNOWN = 64
 _GOES_ON_NS = 1_000_000
 _MOST_LOST = 1 << 16

@@ -30,9 +30,6 @@ from emulator.geometry.attitude import Matrix, Vector, cross, quaternion_of, spi
 from emulator.geometry.camera import Cycle
 from emulator.trajectory.pose import Motion, Pose, Trajectory, TrajectoryError, measured_bounds, rate_of_frame
 
-__all__ = ["Looking", "Mounted", "PlaceAndAttitude", "Spinning", "Tilt", "looking_along"]
-
-
 _ALONG = 1e-9
 
 

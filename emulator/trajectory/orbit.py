@@ -16,8 +16,6 @@ import numpy as np
 from emulator.geometry.attitude import Matrix, Vector
 from emulator.trajectory.pose import STILL, Motion, Pose, Trajectory
 
-__all__ = ["Elements", "Orbit", "eccentric_anomaly"]
-
 _NEWTON_STEPS = 50
 
 

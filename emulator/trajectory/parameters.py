@@ -16,20 +16,6 @@ from emulator.tables.typed_table import NO_FILE, RigFile
 from emulator.trajectory.descent import LANDING, Gate
 from emulator.trajectory.orbit import Elements
 
-__all__ = [
-    "BasiliskPath",
-    "DescentPath",
-    "FilePath",
-    "FixedPath",
-    "Keyframe",
-    "KeyframePath",
-    "LivePath",
-    "OrbitPath",
-    "SpicePath",
-    "SpinPath",
-    "TrajectoryParameters",
-]
-
 _Triple = tuple[float, float, float]
 _Quaternion = tuple[float, float, float, float]
 _UP: _Triple = (0.0, 0.0, 1.0)

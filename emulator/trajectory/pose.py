@@ -54,33 +54,6 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import Matrix, Quaternion, Vector, conjugate, matrix_of, multiply
 
-__all__ = [
-    "AT_REST",
-    "CAMERA_FROM_MSI",
-    "FARTHEST_M",
-    "OPENGL_FROM_CAMERA",
-    "STILL",
-    "Fixed",
-    "Motion",
-    "Pose",
-    "Timescale",
-    "Trajectory",
-    "TrajectoryError",
-    "differences",
-    "from_basilisk",
-    "from_opengl",
-    "from_scalar_last",
-    "from_spice",
-    "instants_between",
-    "measured_bounds",
-    "rate_of_frame",
-    "rate_of_vector",
-    "require_increasing",
-    "rotation_vector",
-    "turn_rad",
-]
-
-
 _H_NS = 5_000_000
 _H_S = _H_NS * 1e-9
 _SMALL_RAD = 1e-4

@@ -30,9 +30,6 @@ from emulator.trajectory.parameters import SpicePath
 from emulator.trajectory.pose import STILL, Pose, TrajectoryError, turn_rad
 from transports.guarded_reader import ForeignFileError, Limits, read_guarded
 
-__all__ = ["read_kernels", "read_spice"]
-
-
 _LIMITS = Limits(1 << 30, 60)  # CSPICE reads records of a kernel, not all of it
 _KM = 1e3
 _PLACE_M, _ANGLE_RAD = 0.1, math.radians(0.1 / 3600)

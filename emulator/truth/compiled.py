@@ -4,7 +4,5 @@ from __future__ import annotations
 
 from firmware_protocol.compiled import entry_of
 
-__all__ = ["entry"]
-
 entry = entry_of("emulator.truth", "emulator.raster")
 """Compile a function for calls from Python; it releases the GIL."""

@@ -31,9 +31,6 @@ from emulator.raster.layout import W, WHighest, WLowest
 from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory
 from emulator.truth.compiled import entry
 
-__all__ = ["Instants", "NearestSurface", "Surface", "instants", "motion_of", "nearest_along", "write_depth_and_flow"]
-
-
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
 

@@ -26,8 +26,6 @@ from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Part
 from transports.recording.writing import RecordingFile
 
-__all__ = ["write_artefacts"]
-
 
 def write_artefacts(rig: RunningRig, test: str, folder: Path) -> list[Path]:
     """Write events, summary.json and the report of a rig that has been stopped; return their paths. `test` names it."""

@@ -33,8 +33,6 @@ from firmware_protocol.events import Events
 from firmware_protocol.usb.descriptors import DescriptorSet, Speed
 from firmware_protocol.usb.device import NotReady, SetupPacket, Stall, Transfer, UsbDevice
 
-__all__ = ["FakeCamera", "FakeUsbBus"]
-
 _PYUSB_SPEED = {Speed.LOW: 1, Speed.FULL: 2, Speed.HIGH: 3, Speed.SUPER: 4}
 
 P = ParamSpec("P")

@@ -51,9 +51,6 @@ from transports.link.deliveries import Deliveries
 from transports.link.pacing import FakeClock
 from transports.link.rings import EventRing
 
-__all__ = ["FakeCanBus", "FakeSerialPort", "moments"]
-
-
 _MOMENT_US = 1000
 
 

@@ -34,8 +34,6 @@ from transports.link.kind import LinkParameters
 from transports.link.pacing import MonotonicClock
 from transports.link.rings import FREE_RUNNING, EventRing
 
-__all__ = ["LinkContract", "NoReader", "Reader", "event_stream"]
-
 _RING_EVENTS = 20_000
 _LEAD_NS = 200_000_000  # a busy machine runs the link that much later than the command of the reader was sent
 _SPACING_US = 3

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from evstim.testing.fake_usb import FakeCamera
     from evstim.testing.running_rig import RunningRig
 
-__all__ = ["evstim_camera", "evstim_rig", "pytest_addoption", "pytest_configure", "pytest_runtest_makereport"]
-
 _MARK = "rig(name, seconds=0, seed=None, pace=None, keep_s=2): the rig that the fixture evstim_rig runs"
 _failed: pytest.StashKey[bool] = pytest.StashKey()
 

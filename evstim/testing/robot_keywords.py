@@ -24,8 +24,6 @@ from typing import Any
 from emulator.run.outcome import RunResult
 from evstim.testing.running_rig import RigOptions, RunningRig, faults_of_a_run
 
-__all__ = ["RobotKeywords"]
-
 
 class RobotKeywords:
     """One rig at a time."""

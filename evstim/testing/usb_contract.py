@@ -36,8 +36,6 @@ from transports.usb.dvxplorer_host import DvxplorerHost
 from transports.usb.host import StallError, StreamSettings, TransferTimeout, UsbHost
 from transports.usb.micro_host import MicroHost
 
-__all__ = ["DAVIS346", "DVXPLORER", "DVXPLORER_MICRO", "ContractCamera", "Plugged", "UsbContract"]
-
 _T = TypeVar("_T")
 
 _PATIENCE_S = 120.0

@@ -27,8 +27,6 @@ from functools import lru_cache
 
 from firmware_protocol.can_frames.frame import FD_LENGTHS, Frame
 
-__all__ = ["BitRates", "BusShare", "FrameBits", "crc15", "frame_bits"]
-
 _TAIL_BITS = 13
 _ERROR_BITS = 12 + 8 + 3
 _RUN = 5

@@ -23,26 +23,6 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum
 
-__all__ = [
-    "EMCY_NO_ERROR",
-    "EMCY_OVERRUN",
-    "SYNC_LAST",
-    "BusSelector",
-    "Emergency",
-    "NmtCommand",
-    "NmtOrder",
-    "NodeState",
-    "ObjectError",
-    "SelectorSettings",
-    "TimeOfDay",
-    "next_sync",
-    "parse_heartbeat",
-    "parse_scet",
-    "parse_sync",
-    "scet",
-]
-
-
 SYNC_LAST = 240
 """The SYNC counter goes from 1 to 240 and on from 1."""
 

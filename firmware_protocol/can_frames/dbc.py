@@ -27,9 +27,6 @@ from typing import Literal
 from firmware_protocol.can_frames.canopen import NmtCommand, NodeState
 from firmware_protocol.can_frames.raw_events import FD_CELLS, TICKS_US
 
-__all__ = ["CanMessage", "Identifiers", "Signal", "Transport", "can_messages", "dbc_text"]
-
-
 _LAST_STANDARD = 0x7FF
 
 

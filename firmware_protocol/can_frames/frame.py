@@ -25,9 +25,6 @@ from functools import cached_property
 
 from firmware_protocol.can_frames.canopen import ObjectError
 
-__all__ = ["FD_LENGTHS", "FollowUp", "Frame", "FrameError", "fd_length"]
-
-
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 """The data lengths that a CAN FD frame can have, by DLC (ISO 11898-1)."""
 

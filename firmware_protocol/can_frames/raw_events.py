@@ -60,26 +60,6 @@ from firmware_protocol.can_frames.canopen import ObjectError
 from firmware_protocol.can_frames.frame import fd_length
 from firmware_protocol.events import Edges, Events, empty_edges, empty_events
 
-__all__ = [
-    "FD_CELLS",
-    "RAW_LIMIT_PX",
-    "TICKS_US",
-    "Epoch",
-    "EventsFrame",
-    "FdEventsFrame",
-    "RawError",
-    "pack_clock",
-    "pack_events",
-    "pack_fd_events",
-    "pack_marks",
-    "unpack_clock",
-    "unpack_events",
-    "unpack_fd_events",
-    "unpack_mark",
-    "unwrapped",
-]
-
-
 TICKS_US = (1, 10, 100, 1000)
 """Ticks, us, by their code."""
 

@@ -24,8 +24,6 @@ from firmware_protocol.can_frames.raw_events import (
 )
 from firmware_protocol.events import Events, empty_events
 
-__all__ = ["Packed", "RawCounters", "RawReceiver", "RawSender", "RawSettings"]
-
 _HALF_SPAN_TICKS = 1 << 15
 _CLOCK_PERIOD_US = 1_000_000
 

@@ -30,9 +30,6 @@ from dataclasses import dataclass
 from firmware_protocol.can_frames.bus_time import BitRates, frame_bits
 from firmware_protocol.can_frames.frame import Frame, FrameError
 
-__all__ = ["GREETING", "Carried", "SocketcandSession", "Wire", "frame_line"]
-
-
 GREETING = b"< hi >"
 
 _ERROR_FLAG = 0x2000_0000  # CAN_ERR_FLAG of linux/can.h

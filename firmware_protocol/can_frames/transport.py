@@ -41,19 +41,6 @@ from enum import IntEnum
 
 from firmware_protocol.can_frames.frame import Frame, fd_length
 
-__all__ = [
-    "CFP_HEADER_BYTES",
-    "CfpReceiver",
-    "FlowStatus",
-    "IsoTpFailure",
-    "IsoTpReceiver",
-    "IsoTpSender",
-    "IsoTpSettings",
-    "cfp_frames",
-    "separation_ns",
-]
-
-
 _PADDING = 0xCC
 _SHORT_LENGTH = 0xFFF
 

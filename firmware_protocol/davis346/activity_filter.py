@@ -41,19 +41,6 @@ from firmware_protocol.compiled import entry_of, kernel
 from firmware_protocol.davis346.registers import Module, RegisterFile
 from firmware_protocol.events import Events, empty_events
 
-__all__ = [
-    "CELL_BITS",
-    "ISOLATED",
-    "PASSES",
-    "STAMP_MASK",
-    "TOO_SOON",
-    "ActivityFilter",
-    "ActivityLimits",
-    "ActivityResult",
-    "find_fates",
-]
-
-
 CELL_BITS = 2
 STAMP_MASK = (1 << 18) - 1
 PASSES, ISOLATED, TOO_SOON = 0, 1, 2

@@ -31,17 +31,6 @@ from typing import ClassVar
 
 from firmware_protocol.device.event_device import LEAST_FACTOR, MOST_FACTOR
 
-__all__ = [
-    "BIASES",
-    "BiasDefinition",
-    "BiasValue",
-    "CoarseFine",
-    "ShiftedSource",
-    "Vdac",
-    "sensor_factors",
-]
-
-
 _FULL_SCALE_A = (11e-12, 94e-12, 756e-12, 6.054e-9, 48.437e-9, 387.5e-9, 3.1e-6, 24.8e-6)
 
 

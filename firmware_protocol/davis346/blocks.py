@@ -54,30 +54,6 @@ from firmware_protocol.events import EDGE, EdgeKind, Edges
 from firmware_protocol.frames import LineKind
 from firmware_protocol.imu_samples import IMU_SAMPLE, ImuSamples
 
-__all__ = [
-    "GENERATOR_FALLING",
-    "GENERATOR_RISING",
-    "IMU_READ",
-    "MARK",
-    "NO_ROW",
-    "PLACE",
-    "Block",
-    "ImuReader",
-    "Marks",
-    "TimedWords",
-    "blocks_of",
-    "edges_of",
-    "frame_words",
-    "imu_words",
-    "is_imu",
-    "join_marks",
-    "no_marks",
-    "put_in_place",
-    "timed_words",
-    "with_places",
-]
-
-
 MARK = np.dtype([("t", "<u8"), ("code", "<u2")])
 
 Marks = npt.NDArray[np.void]

@@ -46,9 +46,6 @@ from firmware_protocol.davis346.words import (
 from firmware_protocol.events import EVENT, Edges, Events
 from firmware_protocol.imu_samples import ImuSamples
 
-__all__ = ["SPECIAL_EVENT", "Decoded", "Decoder", "FrameRead", "FrameReader", "WordFaults"]
-
-
 Times = npt.NDArray[np.int64]
 
 _KIND, _SPECIAL_END, _SAMPLE, _MISC8, _MISC10 = 0xF000, 0x1000, 0x4000, 0x5000, 0x6000

@@ -16,8 +16,6 @@ from firmware_protocol.davis346.words import WordEncoder
 from firmware_protocol.usb.control import name_request
 from firmware_protocol.usb.device import RequestKind, SetupPacket
 
-__all__ = ["Davis346", "name_answer", "name_davis_request"]
-
 
 class Davis346(Fx3Camera):
     """The camera. `offer` takes events, `advance` the passing of stream time; the other methods are the USB side."""

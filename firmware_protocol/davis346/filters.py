@@ -37,8 +37,6 @@ from firmware_protocol.events import Events
 if TYPE_CHECKING:
     from firmware_protocol.davis346.activity_filter import ActivityFilter, ActivityResult
 
-__all__ = ["DvsFilters", "FilterSettings", "Passed", "Statistics"]
-
 
 _HOT_PIXELS = 8
 

@@ -47,9 +47,6 @@ from firmware_protocol.events import Edges, Events, copy_events, empty_events
 from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.device import RequestKind, SetupPacket, Stall, Transfer, UsbCamera
 
-__all__ = ["ENTRY", "FLUSH", "LOG_LEVEL", "MULTI_WRITE", "REGISTER", "Fx3Camera", "Parts"]
-
-
 REGISTER = 0xBF
 MULTI_WRITE = 0xC2
 LOG_LEVEL = 0xB1

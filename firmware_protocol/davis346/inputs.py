@@ -48,8 +48,6 @@ from firmware_protocol.events import EdgeKind, Edges
 from firmware_protocol.frames import FrameSettings, LineKind
 from firmware_protocol.imu_samples import ImuSettings
 
-__all__ = ["DavisReadings", "ExternalInput", "InputSettings", "ReadingInput"]
-
 
 @dataclass(frozen=True)
 class InputSettings:

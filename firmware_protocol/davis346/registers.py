@@ -47,26 +47,6 @@ from firmware_protocol.davis346.biases import BIASES
 from firmware_protocol.frames import FrameSettings
 from firmware_protocol.imu_samples import ImuScale, ImuSettings
 
-__all__ = [
-    "Access",
-    "Layout",
-    "Module",
-    "Register",
-    "RegisterFile",
-    "Rows",
-    "RunGate",
-    "Statistic",
-    "SystemInfo",
-    "aps_waits_on_stall",
-    "declare",
-    "driver_imu_settings",
-    "external_input",
-    "frame_settings",
-    "imu_settings",
-    "registers",
-    "usb_registers",
-]
-
 
 class Module(IntEnum):
     """wValue of a register request."""

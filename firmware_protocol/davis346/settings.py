@@ -41,9 +41,6 @@ from firmware_protocol.usb.descriptors import (
 )
 from firmware_protocol.usb.device import Identity, UsbCameraSettings
 
-__all__ = ["DATA_ENDPOINT", "DEBUG_ENDPOINT", "Davis346Settings", "Fx3Settings"]
-
-
 VENDOR_ID = 0x152A
 PRODUCT_ID = 0x841A
 DEBUG_ENDPOINT = 0x81

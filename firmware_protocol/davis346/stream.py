@@ -32,9 +32,6 @@ from firmware_protocol.device.items import Numbers, Reading, count_kinds
 from firmware_protocol.events import Edges, Events, empty_edges, empty_events, join_events
 from firmware_protocol.usb.device import Transfer
 
-__all__ = ["Batch", "EventStream", "Fifo", "Flushed", "Late"]
-
-
 _MIN_BYTES = 1024
 _WRAP_RESERVE_WORDS = 64
 

@@ -51,19 +51,6 @@ from firmware_protocol.davis346.blocks import (
 )
 from firmware_protocol.events import Events
 
-__all__ = [
-    "Encoded",
-    "Special",
-    "TimedEncoder",
-    "WordEncoder",
-    "WordState",
-    "Words",
-    "is_column",
-    "is_mark",
-    "is_row",
-    "wrap_words",
-]
-
 Words = npt.NDArray[np.uint16]
 """Words in stream order, shape (n,), little-endian uint16."""
 

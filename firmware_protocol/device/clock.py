@@ -38,23 +38,6 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "GOLDEN",
-    "ClockSettings",
-    "ClockStep",
-    "DeviceClock",
-    "Draw",
-    "Words",
-    "as_words",
-    "mix",
-    "normal",
-    "normal_of",
-    "root_of",
-    "uniform_of",
-    "words_of",
-]
-
-
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 """Distance between two streams, and between two numbers of a stream."""
 

@@ -17,8 +17,6 @@ from typing import Literal, Self
 
 from firmware_protocol.device.items import Items, Numbers, ReadingKind
 
-__all__ = ["Counts", "Fate", "Fates"]
-
 Fate = Literal["dropped_fifo", "flushed", "delivered", "lost_on_link"]
 """A fate that ends the way of items together, whatever their kind."""
 

@@ -34,9 +34,6 @@ import numpy.typing as npt
 
 from firmware_protocol.events import Edges, Events, empty_edges, empty_events
 
-__all__ = ["ItemEncoder", "Items", "Numbers", "Reading", "ReadingKind", "Readings", "count_kinds"]
-
-
 Readings = npt.NDArray[Any]
 """Records of one kind, shape (n,), sorted by `t`."""
 

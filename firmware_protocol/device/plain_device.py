@@ -19,8 +19,6 @@ from firmware_protocol.device.fates import Counts, Fates
 from firmware_protocol.device.items import Items, Numbers, Reading, ReadingKind, Readings, count_kinds
 from firmware_protocol.events import EVENT, Edges, Events, copy_events, empty_edges, empty_events, level_changes
 
-__all__ = ["ItemQueue", "PlainDevice", "own_time"]
-
 _CAPACITY = 1 << 21  # events; edges likewise
 _MOST_READINGS = 1 << 14  # of each kind: 30 frames of a DAVIS346, 16 s of an inertial unit
 _FOREVER_US = 1 << 62

@@ -24,9 +24,6 @@ from collections.abc import Callable
 
 from firmware_protocol.device.event_device import LEAST_FACTOR, MOST_FACTOR
 
-__all__ = ["STEP", "level_factors", "sensor_factors", "without_effect"]
-
-
 STEP = 0.073
 _DEFAULT_LEVEL = 9
 _DEFAULT_SCAN_US = 199.0  # of the registers' power-on values

@@ -35,9 +35,6 @@ from firmware_protocol.events import empty_events
 from firmware_protocol.evt.words import EVENT_BYTES, put_short, put_time
 from firmware_protocol.imu_samples import AXES_ON_THE_WIRE
 
-__all__ = ["GroupDecoder"]
-
-
 _Bytes = npt.NDArray[np.uint8]
 _Int64s = npt.NDArray[np.int64]
 

@@ -36,8 +36,6 @@ from firmware_protocol.dvxplorer.registers import (
 from firmware_protocol.dvxplorer.words import GroupEncoder
 from firmware_protocol.imu_samples import AXES_ON_THE_WIRE, BMI160
 
-__all__ = ["PRODUCT_ID", "Dvxplorer", "DvxplorerSettings"]
-
 PRODUCT_ID = 0x8419
 
 _PAIRS = 1 << 7

@@ -31,9 +31,6 @@ from firmware_protocol.dvxplorer.registers import AREA_WORDS, SIZE, Chip, ChipSt
 from firmware_protocol.dvxplorer.words import ROWS_OF_GROUP, GroupEncoder
 from firmware_protocol.events import Events
 
-__all__ = ["ChipFilters", "ChipStatistics", "polarity_format", "sampled"]
-
-
 Mask = npt.NDArray[np.bool_]
 
 _FLATTEN, _ON_ONLY, _OFF_ONLY = 1 << 6, 1 << 5, 1 << 4

@@ -31,8 +31,6 @@ from firmware_protocol.events import Events, copy_events, empty_events, join_eve
 from firmware_protocol.imu_samples import IMU_SAMPLE, ImuSamples, ImuSettings
 from firmware_protocol.usb.device import Transfer
 
-__all__ = ["SAMPLE_BYTES", "FrameStream", "SampleOutput", "sample_bytes", "sample_of"]
-
 _BYTES_PER_EVENT = 8  # a column and a group
 _MIN_BYTES = 1024
 _IDLE_MS = 2  # time-out of a buffer that is not full (dv-processing writes 2000 us)

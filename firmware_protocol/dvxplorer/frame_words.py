@@ -31,8 +31,6 @@ from firmware_protocol.dvxplorer.words import LOWEST_BIT
 from firmware_protocol.events import Events, bytes_of, empty_events
 from firmware_protocol.evt.words import EVENT_BYTES, put_short, put_time, short_at, time_at
 
-__all__ = ["FRAME_WORD", "FrameDecoder", "FrameEncoder", "FrameTimes", "in_wire_order"]
-
 FRAME_WORD = np.dtype("<u4")
 FrameWords = npt.NDArray[np.uint32]
 

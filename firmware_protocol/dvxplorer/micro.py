@@ -44,8 +44,6 @@ from firmware_protocol.dvxplorer.registers import SIZE, Chip, chip_of, registers
 from firmware_protocol.imu_samples import ImuSettings
 from firmware_protocol.usb.device import RequestKind, SetupPacket, Stall, Transfer
 
-__all__ = ["DvxplorerMicro", "DvxplorerMicroSettings"]
-
 _IN = 0x80
 _NEW_FIRMWARE = 10
 _REGISTER_BYTES = 8

@@ -31,20 +31,6 @@ from firmware_protocol.davis346.registers import Access, Module, Register, Regis
 from firmware_protocol.dvxplorer.registers import SIZE, imu_settings_of, system_registers
 from firmware_protocol.imu_samples import BMI160, ImuSettings
 
-__all__ = [
-    "APPLY_CROP",
-    "BLOCK_AREA",
-    "CROP",
-    "POLARITY",
-    "RATE",
-    "RUN",
-    "SUBSAMPLING",
-    "THRESHOLDS",
-    "micro_imu_settings",
-    "micro_registers",
-    "micro_scan_us",
-]
-
 RUN, POLARITY, SUBSAMPLING, RATE, THRESHOLDS = 3, 4, 5, 13, 14
 BLOCK_AREA, CROP, APPLY_CROP = 18, 19, 23
 

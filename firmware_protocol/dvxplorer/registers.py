@@ -59,24 +59,6 @@ from firmware_protocol.davis346.registers import (
 )
 from firmware_protocol.imu_samples import BMI160, ImuScale, ImuSettings
 
-__all__ = [
-    "AREA_WORDS",
-    "CHIP_ID",
-    "SIZE",
-    "SYSTEM",
-    "Chip",
-    "ChipStatistic",
-    "chip_of",
-    "driver_imu_settings",
-    "imu_settings",
-    "imu_settings_of",
-    "registers",
-    "run_gate",
-    "scan_us",
-    "system_registers",
-]
-
-
 SIZE = (640, 480)
 CHIP_ID = 20
 SYSTEM = SystemInfo(chip_id=CHIP_ID, logic_patch=4)

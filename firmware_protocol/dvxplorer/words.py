@@ -55,9 +55,6 @@ from firmware_protocol.davis346.words import (
 from firmware_protocol.events import EVENT, Events, bytes_of
 from firmware_protocol.evt.words import EVENT_BYTES, short_at, time_at
 
-__all__ = ["ADDRESSES", "COLUMN", "GROUP_1", "GROUP_2", "ROWS_OF_GROUP", "SCAN_START", "GroupEncoder", "PixelWords"]
-
-
 COLUMN, GROUP_2, GROUP_1, ADDRESSES = 0x1000, 0x2000, 0x3000, 0x4000
 SCAN_START = 0x800
 COLUMN_BITS = 0x3FF

@@ -57,25 +57,6 @@ from firmware_protocol.evt.words import (
     window,
 )
 
-__all__ = [
-    "HIGH",
-    "HIGH_BITS",
-    "LOW_BITS",
-    "MASK_FIRST",
-    "MASK_LAST",
-    "NO_MASK",
-    "ON",
-    "TRIGGER",
-    "Evt2Decoder",
-    "Evt2Encoder",
-    "Form",
-    "count_evt2",
-    "evt2_header",
-    "read_evt2",
-    "write_evt2",
-]
-
-
 Form = Literal["evt2", "evt21", "evt21-legacy"]
 
 ON, HIGH, TRIGGER = 0x1, 0x8, 0xA

@@ -53,20 +53,6 @@ from firmware_protocol.evt.words import (
     window,
 )
 
-__all__ = [
-    "HIGH_READ",
-    "Evt3Decoder",
-    "Evt3Encoder",
-    "count_words",
-    "full_high",
-    "new_state",
-    "put_edge",
-    "put_event",
-    "read_words",
-    "write_words",
-]
-
-
 _Bytes = npt.NDArray[np.uint8]
 _Words = npt.NDArray[np.uint16]
 _State = npt.NDArray[np.int64]

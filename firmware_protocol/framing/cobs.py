@@ -13,8 +13,6 @@ from __future__ import annotations
 
 from firmware_protocol.framing.deframer import DEFAULT_MAX_PAYLOAD, DelimitedDeframer, FrameError
 
-__all__ = ["Deframer", "decode", "encode", "frame", "longest"]
-
 DELIMITER = 0x00
 _LONGEST_RUN = 254
 _CODES = [bytes([code]) for code in range(256)]

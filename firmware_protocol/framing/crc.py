@@ -18,8 +18,6 @@ from zlib import crc32 as _zlib_crc32
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["crc16", "crc32", "crc32c"]
-
 _CASTAGNOLI_REFLECTED = 0x82F63B78
 _ROW = 64
 

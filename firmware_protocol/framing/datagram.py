@@ -5,8 +5,6 @@ from __future__ import annotations
 from firmware_protocol.framing.deframer import DEFAULT_MAX_PAYLOAD, FrameError, StreamDeframer
 from firmware_protocol.framing.kiss import checked, sealed
 
-__all__ = ["Deframer", "SealedDeframer", "frame", "frame_sealed"]
-
 
 def frame(payload: bytes) -> bytes:
     """Return `payload` as it is."""

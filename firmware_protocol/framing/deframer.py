@@ -14,8 +14,6 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from dataclasses import dataclass, field
 
-__all__ = ["DEFAULT_MAX_PAYLOAD", "DelimitedDeframer", "FrameCounters", "FrameError", "StreamDeframer"]
-
 DEFAULT_MAX_PAYLOAD = 8192
 """Longest payload of a frame in bytes, by default: twice the length that CRC-16 protects well."""
 

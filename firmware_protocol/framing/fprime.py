@@ -20,8 +20,6 @@ import struct
 from firmware_protocol.framing.crc import crc32
 from firmware_protocol.framing.deframer import DEFAULT_MAX_PAYLOAD, StreamDeframer
 
-__all__ = ["Deframer", "frame"]
-
 _START = b"\xde\xad\xbe\xef"
 _HEADER = struct.Struct(">4sI")
 _CRC_BYTES = 4

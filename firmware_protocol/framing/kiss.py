@@ -15,8 +15,6 @@ from firmware_protocol.framing.crc import crc32c
 from firmware_protocol.framing.deframer import DEFAULT_MAX_PAYLOAD, DelimitedDeframer, FrameError
 from firmware_protocol.framing.slip import escape, unescape
 
-__all__ = ["Deframer", "checked", "frame", "sealed"]
-
 FEND = 0xC0
 _DATA = 0x00
 _CRC_BYTES = 4

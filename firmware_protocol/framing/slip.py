@@ -11,8 +11,6 @@ from __future__ import annotations
 
 from firmware_protocol.framing.deframer import DEFAULT_MAX_PAYLOAD, DelimitedDeframer, FrameError
 
-__all__ = ["Deframer", "escape", "frame", "unescape"]
-
 END = 0xC0
 _END, _ESC = b"\xc0", b"\xdb"
 _ESCAPED_END, _ESCAPED_ESC = b"\xdb\xdc", b"\xdb\xdd"

@@ -17,7 +17,5 @@ from __future__ import annotations
 
 from firmware_protocol.prophesee.biases import BiasSlopes
 
-__all__ = ["SLOPES"]
-
 SLOPES = BiasSlopes(diff_on=0.0298, diff_off=0.0508, diff_off_above=0.0234, off_delay=0.084, fo=1 / 34, refr=0.1)
 """Effect of one step of each bias."""

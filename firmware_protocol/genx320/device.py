@@ -22,9 +22,6 @@ from firmware_protocol.genx320.selection import Selection
 from firmware_protocol.prophesee.biases import BiasModel
 from firmware_protocol.prophesee.usb import BoardIdentity, TreuzellCamera, TreuzellSettings
 
-__all__ = ["BOARD", "CHIP_NAMES", "Genx320", "Genx320Settings"]
-
-
 _TRAIL = 0xD000, 0xD008, 0xD00C
 
 

@@ -31,9 +31,6 @@ from firmware_protocol.events import Events
 from firmware_protocol.genx320.registers import SIZE, Address, Registers
 from firmware_protocol.prophesee.selection import Mask
 
-__all__ = ["FlickerFilter", "NoiseFilter"]
-
-
 _ON_BITS, _ON = 5, 1  # of a pipeline control: bit 0 on, bit 2 bypass
 _RATE_BITS = 0x1F_FFFF
 

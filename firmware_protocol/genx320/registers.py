@@ -50,9 +50,6 @@ import numpy.typing as npt
 from firmware_protocol.prophesee.biases import BiasModel
 from firmware_protocol.prophesee.usb import Form
 
-__all__ = ["BIASES", "CHIP", "MASKS", "SIZE", "WINDOWS", "Address", "NoRegister", "Registers", "Surroundings"]
-
-
 SIZE = (320, 320)
 WINDOWS, MASKS = 18, 16
 CHIP = 0xB060_2003

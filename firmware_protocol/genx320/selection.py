@@ -18,9 +18,6 @@ from firmware_protocol.genx320.filters import FlickerFilter, NoiseFilter
 from firmware_protocol.genx320.registers import MASKS, SIZE, WINDOWS, Address, Registers
 from firmware_protocol.prophesee.selection import Mask, RateControl, Selected, unpacked
 
-__all__ = ["Selection"]
-
-
 _WIDTH, _HEIGHT = SIZE
 _LATCHES_ON, _TAKE_OVER = 1 << 1, 1 << 5
 _RUN, _OUTSIDE = 3, 1 << 2

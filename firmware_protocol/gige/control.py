@@ -48,23 +48,6 @@ from firmware_protocol.gige.gvcp import (
 )
 from firmware_protocol.gige.registers import ACTION_GROUPS, DISCOVERY_OCTETS, LONGEST_READ, Memory, Privilege, Register
 
-__all__ = [
-    "EDGE_EVENT",
-    "Control",
-    "Controlled",
-    "Datagram",
-    "DeviceTime",
-    "MessageSettings",
-    "Messages",
-    "Order",
-    "Owner",
-    "Peer",
-    "Pulse",
-    "TimeSource",
-    "Write",
-]
-
-
 Peer = tuple[str, int]
 
 

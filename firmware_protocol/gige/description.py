@@ -19,9 +19,6 @@ from xml.etree.ElementTree import Element, SubElement
 from firmware_protocol.gige.gvsp import LEAST_PACKET, MOST_PACKET
 from firmware_protocol.gige.registers import Register
 
-__all__ = ["TRANSPORT", "Description", "Feature", "Model", "identity_features", "stream_features", "time_features"]
-
-
 Kind = Literal["integer", "boolean", "command", "enumeration", "text"]
 
 

@@ -23,11 +23,6 @@ import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-__all__ = [
-    "ACTION_SCHEDULED", "EXTENDED_ID", "GVCP_PORT", "Action", "Command", "Flag", "ForcedAddress", "Refused", "Request",
-    "Resend", "Status", "answer", "request",
-]  # fmt: skip
-
 GVCP_PORT = 3956
 EXTENDED_ID = 0x10
 ACTION_SCHEDULED = 0x80

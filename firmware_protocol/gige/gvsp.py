@@ -25,19 +25,6 @@ from dataclasses import dataclass, field
 
 from firmware_protocol.gige.gvcp import Resend, Status
 
-__all__ = [
-    "BLOCK_OCTETS",
-    "HEADER_OCTETS",
-    "LEAST_PACKET",
-    "MOST_PACKET",
-    "Block",
-    "BlockAssembly",
-    "StreamPacket",
-    "removed",
-    "test_packet",
-]
-
-
 BLOCK_OCTETS = 64_000
 LEAST_PACKET, MOST_PACKET = 576, 9000
 _IP_UDP = 28

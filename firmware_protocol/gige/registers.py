@@ -31,29 +31,6 @@ from enum import IntEnum, IntFlag
 from firmware_protocol.gige.gvcp import Refused, Status
 from firmware_protocol.gige.gvsp import LEAST_PACKET, MOST_PACKET
 
-__all__ = [
-    "ACTION_GROUPS",
-    "DISCOVERY_OCTETS",
-    "DO_NOT_FRAGMENT",
-    "LONGEST_READ",
-    "PTP_ON",
-    "TEST_PACKET",
-    "TICK_HZ",
-    "Capability",
-    "DeviceIdentity",
-    "Memory",
-    "Privilege",
-    "Register",
-    "Rule",
-    "between",
-    "no_value",
-    "packet_size",
-    "standard_areas",
-    "standard_rules",
-    "unchanged",
-]
-
-
 DISCOVERY_OCTETS = 0xF8
 TICK_HZ = 1_000_000_000
 ACTION_GROUPS = 1

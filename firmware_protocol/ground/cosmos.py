@@ -14,8 +14,6 @@ from firmware_protocol.packets.ccsds import PRIMARY_HEADER
 from firmware_protocol.packets.pus import ERROR_CONTROL
 from firmware_protocol.wire_layout import Field
 
-__all__ = ["CosmosPorts", "cosmos_files"]
-
 _UNITS = {"us": "microseconds", "s": "seconds", "px": "pixels", "1/s": "per_second", "degC": "Celsius"}
 _HEX = frozenset({"apid", "error_control", "request_packet_id", "request_sequence_control"})
 

@@ -22,8 +22,6 @@ from firmware_protocol.packets.telecommands import FAILURE_LAYOUT, LONGEST_TEXT,
 from firmware_protocol.telemetry.layout import EDGE_LAYOUT, HEADER_LAYOUT
 from firmware_protocol.wire_layout import Field, Layout
 
-__all__ = ["Packet", "Placed", "Rest", "instrument_packets"]
-
 _NOTHING = Layout()
 
 

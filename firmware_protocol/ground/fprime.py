@@ -14,8 +14,6 @@ from typing import Any
 from firmware_protocol.ground.description import Packet
 from firmware_protocol.wire_layout import Field
 
-__all__ = ["fprime_text"]
-
 _Json = dict[str, Any]
 _WIDTHS = (8, 16, 32, 64)
 _CHANNELS_OF_A_PACKET = 256

@@ -16,8 +16,6 @@ from firmware_protocol.packets.ccsds import PRIMARY_HEADER
 from firmware_protocol.packets.pus import ERROR_CONTROL, TC_HEADER, TM_HEADER
 from firmware_protocol.wire_layout import Field, Layout
 
-__all__ = ["wireshark_text"]
-
 _HEX = frozenset({"apid", "error_control", "crc8", "request_packet_id", "request_sequence_control"})
 _TABLES, _FRAMES, _CAN = "--@PACKETS@\n", "--@FRAMES@\n", "--@CAN@\n"
 

@@ -19,8 +19,6 @@ from firmware_protocol.packets.ccsds import PRIMARY_HEADER
 from firmware_protocol.packets.pus import ERROR_CONTROL, TM_HEADER
 from firmware_protocol.wire_layout import Field, Layout
 
-__all__ = ["NAMESPACE", "xtce_text"]
-
 NAMESPACE = "http://www.omg.org/spec/XTCE/20180204"
 _SCHEMA = "https://www.omg.org/spec/XTCE/20180204/SpaceSystem.xsd"
 _XSI = "http://www.w3.org/2001/XMLSchema-instance"

@@ -34,8 +34,6 @@ from dataclasses import dataclass
 from firmware_protocol.imx636.registers import GEN41, IMX636, IMX646, Chip
 from firmware_protocol.prophesee.usb import BoardIdentity
 
-__all__ = ["BOARDS", "BoardModel"]
-
 
 @dataclass(frozen=True)
 class BoardModel(BoardIdentity):

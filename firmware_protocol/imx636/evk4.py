@@ -24,8 +24,6 @@ from firmware_protocol.imx636.registers import PIXEL_MASKS, SIZE, Address, Chip,
 from firmware_protocol.prophesee.selection import Mask, RateControl, Selected, unpacked
 from firmware_protocol.prophesee.usb import TreuzellCamera, TreuzellSettings
 
-__all__ = ["Evk4", "Evk4Settings", "Selection"]
-
 _MASKS_ON, _TAKE_OVER, _KEEP_INSIDE = 1 << 1, 1 << 5, 1 << 6
 _RATE = (Address.RATE_STATE, Address.RATE_PERIOD, Address.RATE_EVENTS, Address.RATE_ON, Address.RATE_DROPS)
 

@@ -48,22 +48,6 @@ import numpy.typing as npt
 
 from firmware_protocol.prophesee.biases import BiasModel
 
-__all__ = [
-    "BIASES",
-    "GEN41",
-    "IMX636",
-    "IMX646",
-    "PIXEL_MASKS",
-    "SIZE",
-    "Address",
-    "Chip",
-    "NoRegister",
-    "Registers",
-    "Surroundings",
-    "is_register",
-]
-
-
 SIZE = (1280, 720)
 PIXEL_MASKS = 64
 

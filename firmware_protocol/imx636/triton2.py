@@ -57,9 +57,6 @@ from firmware_protocol.imx636.triton2_registers import (
 from firmware_protocol.prophesee.camera import LONGEST_GAP_US, Outflow, OutflowLimits, PropheseeCamera
 from firmware_protocol.prophesee.selection import RateControl, Selected
 
-__all__ = ["Extra", "Outgoing", "RangeSelection", "Triton2"]
-
-
 _MOST_EXTRA = 4096  # requested datagrams that wait
 _MOST_SCHEDULED = 256
 _SENT_BLOCKS = 256

@@ -29,8 +29,6 @@ from firmware_protocol.imx636.triton2_registers import (
 from firmware_protocol.ptp.messages import clock_identity
 from firmware_protocol.ptp.slave import PortState, Slave
 
-__all__ = ["PtpClock", "Triton2Control", "ptp_identity"]
-
 _LATCH = 1 << 1
 _MOST_ORDERS = 4096
 _ALWAYS_SLAVE = 1 << 1  # of Ptp.SERVO

@@ -54,29 +54,6 @@ from firmware_protocol.gige.registers import (
 )
 from firmware_protocol.prophesee.biases import BiasModel
 
-__all__ = [
-    "ACQUISITION_START",
-    "ACQUISITION_STOP",
-    "BIASES",
-    "COLUMNS",
-    "INVERTED",
-    "MOST_RANGES",
-    "NOTIFY_WITH_DATA",
-    "PERIOD_US",
-    "ROWS",
-    "TEMPERATURE",
-    "Bias",
-    "Erc",
-    "Evs",
-    "Ptp",
-    "RangeRegisters",
-    "Triton2Settings",
-    "evs_rules",
-    "features",
-    "triton2_areas",
-    "triton2_rules",
-]
-
 
 @dataclass(frozen=True)
 class Triton2Settings:

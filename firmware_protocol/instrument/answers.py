@@ -16,9 +16,6 @@ from firmware_protocol.packets.profile import ReceivedCommand
 from firmware_protocol.packets.pus import Acknowledge
 from firmware_protocol.packets.telecommands import Failure, Stage, Verification
 
-__all__ = ["Answers", "Reporter", "State"]
-
-
 _MOST_ANSWERS = 256
 _MOST_HZ = 0xFFFF_FFFF
 

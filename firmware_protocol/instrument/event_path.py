@@ -19,9 +19,6 @@ from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.telemetry import BlockEncoder, BlockSettings, as_received
 from firmware_protocol.telemetry.layout import LONGEST_US
 
-__all__ = ["EdgePath", "EventPath", "Outgoing", "block_settings"]
-
-
 _MOST_REPORTED = 0xFFFF  # dropped events in one block's header; the next block reports the rest
 _BURST_S = 0.02
 

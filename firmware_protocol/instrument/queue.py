@@ -26,8 +26,6 @@ import numpy as np
 from firmware_protocol.events import EVENT, Events, empty_events, join_events
 from firmware_protocol.packets.housekeeping import TimeStatus
 
-__all__ = ["Dropped", "EventQueue", "OwnTime", "Policy", "QueueBounds", "Selection", "TokenBucket"]
-
 
 class Policy(StrEnum):
     """Selection of the events to drop when there are too many."""

@@ -19,8 +19,6 @@ from firmware_protocol.imx636.registers import BIASES as IMX_BIASES
 from firmware_protocol.instrument.queue import Policy, QueueBounds, Selection
 from firmware_protocol.prophesee.biases import BiasModel
 
-__all__ = ["DavisBiases", "Imx636Biases", "InstrumentSettings", "SensorBiases"]
-
 
 @dataclass(frozen=True)
 class InstrumentSettings:

@@ -62,32 +62,6 @@ import numpy.typing as npt
 from firmware_protocol.events import EVENT, EdgeKind, Edges, Events, empty_edges
 from firmware_protocol.recordings.aedat import encode_aedat2, encode_aedat31
 
-__all__ = [
-    "CHUNK_BYTES",
-    "DV_EVENT",
-    "FIRST",
-    "HEADER",
-    "MAGIC",
-    "RECORDS",
-    "CaerConnectionCoder",
-    "CaerDatagramCoder",
-    "Channel",
-    "Colour",
-    "ConnectionCoder",
-    "Datagram",
-    "DatagramCoder",
-    "DvCoder",
-    "DvTriggerCoder",
-    "FaeryLongCoder",
-    "FaeryShortCoder",
-    "JaerCoder",
-    "PictureSettings",
-    "SpifCoder",
-    "StreamFacts",
-    "reset_packet",
-]
-
-
 Channel = Literal["on", "off", "count", "first_us", "last_us", "level", "filtered"]
 Colour = tuple[int, int, int]
 

@@ -23,9 +23,6 @@ import numpy.typing as npt
 from firmware_protocol.events import Edges, Events
 from firmware_protocol.network_streams.coders import ConnectionCoder, PictureSettings, StreamFacts
 
-__all__ = ["CHANNELS", "DisplayCoder", "EventFrames", "EventImageCoder", "Image", "chosen", "coloured", "frames_for"]
-
-
 CHANNELS = ("on", "off", "first_us", "last_us", "level", "count", "filtered")
 """Channels of an image: ON and OFF events of the frame, times of the pixel's first and last one after the frame's
 start, us (NaN if it had none), ON less OFF events since the first frame, ON less OFF events of the frame, and the level

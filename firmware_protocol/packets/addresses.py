@@ -11,18 +11,6 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from enum import Enum
 
-__all__ = [
-    "DEFAULT_ADDRESSES",
-    "Addresses",
-    "Message",
-    "MessageKind",
-    "PacketError",
-    "Received",
-    "SequenceCounts",
-    "SequenceFollower",
-]
-
-
 _APIDS = range(1, 0x7FF)
 
 

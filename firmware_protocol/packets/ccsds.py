@@ -38,20 +38,6 @@ from enum import IntEnum
 from firmware_protocol.packets.addresses import PacketError
 from firmware_protocol.wire_layout import Field, Layout, choices_of
 
-__all__ = [
-    "APID_IDLE",
-    "OWN_EPOCH_4_3",
-    "PRIMARY_HEADER",
-    "SEQUENCE_MODULUS",
-    "CucFormat",
-    "Epoch",
-    "PacketType",
-    "SequenceFlags",
-    "SpacePacket",
-    "whole_packets",
-]
-
-
 APID_IDLE = 0x7FF
 SEQUENCE_MODULUS = 1 << 14
 _MOST_DATA = 1 << 16

@@ -25,8 +25,6 @@ from firmware_protocol.packets.ccsds import APID_IDLE, SEQUENCE_MODULUS, SpacePa
 from firmware_protocol.packets.pus import TC_OVERHEAD, TM_OVERHEAD, Acknowledge, TcPacket, TmPacket
 from firmware_protocol.packets.telecommands import RequestId, Telecommand, Verification
 
-__all__ = ["MESSAGE_TYPES", "SCIENCE", "VERIFICATION_SERVICE", "Decoded", "PacketCodec", "PusCodec", "Request"]
-
 
 @dataclass(frozen=True)
 class Decoded:

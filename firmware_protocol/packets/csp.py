@@ -40,9 +40,6 @@ from firmware_protocol.packets.codec import Decoded, PacketCodec, Request
 from firmware_protocol.packets.pus import Acknowledge
 from firmware_protocol.packets.telecommands import RequestId, Telecommand
 
-__all__ = ["HEADER_OCTETS", "CspCodec", "CspPacket", "CspVersion", "Priority"]
-
-
 _FIELDS = ("priority", "destination", "source", "destination_port", "source_port", "flags")
 
 

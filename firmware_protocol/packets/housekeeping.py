@@ -37,18 +37,6 @@ from firmware_protocol.packets.addresses import PacketError
 from firmware_protocol.packets.ccsds import CucFormat
 from firmware_protocol.wire_layout import Field, Layout, WrongLength, choices_of
 
-__all__ = [
-    "HOUSEKEEPING_LAYOUT",
-    "TIME_LAYOUT",
-    "EdgeCounts",
-    "EventCounts",
-    "Housekeeping",
-    "LinkCounts",
-    "Mode",
-    "TimeReport",
-    "TimeStatus",
-]
-
 _TIME = CucFormat(p_field=True)
 
 

@@ -39,8 +39,6 @@ from firmware_protocol.packets.csp import HEADER_OCTETS, CspCodec
 from firmware_protocol.packets.pus import Acknowledge
 from firmware_protocol.packets.telecommands import CommandRefused, Failure, RequestId, Telecommand, parse_telecommand
 
-__all__ = ["PROFILES", "CommandUnwrapper", "Profile", "ReceivedCommand", "Unwrapper", "UnwrapperCounters"]
-
 
 @dataclass(frozen=True)
 class _Make:

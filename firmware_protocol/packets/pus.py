@@ -27,17 +27,6 @@ from firmware_protocol.packets.addresses import PacketError
 from firmware_protocol.packets.ccsds import OWN_EPOCH_4_3, PRIMARY_HEADER, PacketType, SequenceFlags, SpacePacket
 from firmware_protocol.wire_layout import Field, Layout
 
-__all__ = [
-    "ERROR_CONTROL",
-    "TC_HEADER",
-    "TC_OVERHEAD",
-    "TM_HEADER",
-    "TM_OVERHEAD",
-    "Acknowledge",
-    "TcPacket",
-    "TmPacket",
-]
-
 _VERSION = 2
 _TYPE = (Field("service", 8, "PUS service type"), Field("subtype", 8, "PUS message subtype"))
 _TM_HEAD = Layout(

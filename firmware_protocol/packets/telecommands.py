@@ -41,32 +41,6 @@ from firmware_protocol.packets.addresses import PacketError
 from firmware_protocol.packets.ccsds import OWN_EPOCH_4_3, SpacePacket
 from firmware_protocol.wire_layout import Field, Layout, WrongLength, choices_of
 
-__all__ = [
-    "FAILURE_LAYOUT",
-    "LONGEST_TEXT",
-    "REQUEST_LAYOUT",
-    "TELECOMMANDS",
-    "TICKS_US",
-    "CommandRefused",
-    "Failure",
-    "FailureCode",
-    "Ping",
-    "RequestHousekeeping",
-    "RequestId",
-    "SetBias",
-    "SetRateLimit",
-    "SetRegion",
-    "SetTick",
-    "SetTime",
-    "Stage",
-    "Start",
-    "Stop",
-    "Telecommand",
-    "Verification",
-    "parse_telecommand",
-]
-
-
 LONGEST_TEXT = 80
 """Most characters of a failure's description."""
 

@@ -34,8 +34,6 @@ from typing import Literal
 
 from firmware_protocol.device.event_device import LEAST_FACTOR, MOST_FACTOR
 
-__all__ = ["BiasModel", "BiasSlopes"]
-
 _WITHOUT_EFFECT = {
     "hpf": "the simulated pixel has no high-pass filter",
     "diff": "the reference that both thresholds share is not modelled; Prophesee advises not to change it",

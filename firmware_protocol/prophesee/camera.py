@@ -33,9 +33,6 @@ from firmware_protocol.evt.words import Coder
 from firmware_protocol.prophesee.biases import BiasModel
 from firmware_protocol.prophesee.selection import Selected
 
-__all__ = ["LONGEST_GAP_US", "Outflow", "OutflowLimits", "PropheseeCamera", "before"]
-
-
 LONGEST_GAP_US = 1_000_000  # between words, without time words of a silence in between
 _LONGEST_SILENCE_US = 3_600_000_000  # made up for at once
 

@@ -13,9 +13,6 @@ import numpy.typing as npt
 
 from firmware_protocol.events import Events
 
-__all__ = ["Mask", "RateControl", "Selected", "unpacked"]
-
-
 Mask = npt.NDArray[np.bool_]
 
 

@@ -38,8 +38,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
 
-__all__ = ["Board", "BoardFacts", "Failed", "Frame", "Property", "RegisterBus"]
-
 MOST_ANSWER_BYTES = 1024
 UNKNOWN = 0x8000_0000
 FAILED = 0x8000_0000

@@ -59,21 +59,6 @@ from firmware_protocol.usb.device import (
     UsbCameraSettings,
 )
 
-__all__ = [
-    "ANSWER_ENDPOINT",
-    "DATA_ENDPOINT",
-    "REQUEST_ENDPOINT",
-    "BoardIdentity",
-    "ChipNames",
-    "ChipRegisters",
-    "ChipSelection",
-    "Form",
-    "TreuzellCamera",
-    "TreuzellSettings",
-    "UsbOutflow",
-]
-
-
 Form = Literal["evt3", "evt2", "evt21", "evt21-legacy"]
 """Form of the words: see `evt.words` and `evt.evt2`."""
 

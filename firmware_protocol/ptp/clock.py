@@ -19,8 +19,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-__all__ = ["Servo", "Timebase", "middle"]
-
 _PPB = 1_000_000_000
 _NS_PER_S = 1_000_000_000
 _MOST_PPB = 500_000

@@ -33,28 +33,6 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
-__all__ = [
-    "EVENT_PORT",
-    "GENERAL_PORT",
-    "GROUP",
-    "Announce",
-    "DelayResponse",
-    "Flag",
-    "FollowUp",
-    "Header",
-    "Message",
-    "MessageType",
-    "PortIdentity",
-    "Sync",
-    "announce",
-    "clock_identity",
-    "delay_request",
-    "delay_response",
-    "follow_up",
-    "parse",
-    "sync",
-]
-
 EVENT_PORT = 319
 GENERAL_PORT = 320
 GROUP = "224.0.1.129"

@@ -40,8 +40,6 @@ from firmware_protocol.ptp.messages import (
     parse,
 )
 
-__all__ = ["PortState", "PtpStatus", "Slave"]
-
 _NS_PER_S = 1_000_000_000
 _LOG_INTERVALS = (-4, 6)
 _TIMEOUT_INTERVALS = 3

@@ -24,8 +24,6 @@ from firmware_protocol.packets.housekeeping import Housekeeping
 from firmware_protocol.packets.profile import Profile, Unwrapper
 from firmware_protocol.receiver.instrument import MessageReader, Receiver
 
-__all__ = ["CanReceiver", "CanReceiverSettings"]
-
 _MOST_REPLIES = 64
 
 

@@ -23,9 +23,6 @@ from collections import deque
 from dataclasses import dataclass
 from itertools import pairwise
 
-__all__ = ["ClockEstimate", "ClockEstimator"]
-
-
 _MOST_CORNERS = 512
 
 

@@ -15,8 +15,6 @@ from dataclasses import asdict
 from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.receiver.instrument import Receiver
 
-__all__ = ["DavisReceiver"]
-
 
 class DavisReceiver(Receiver):
     """Decodes the word stream of endpoint 0x82; times are device time, which a timestamp reset sets to zero.

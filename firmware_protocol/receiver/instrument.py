@@ -24,9 +24,6 @@ from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import RequestId, Telecommand, Verification
 from firmware_protocol.telemetry import BlockEncoder, BlockError, BlockSettings, decode_block
 
-__all__ = ["Inbox", "MessageReader", "Receiver", "SerialReceiver"]
-
-
 _MOST_EVENTS = 1 << 22
 _MOST_EDGES = 1 << 16
 _MOST_REPORTS = 1024

@@ -50,31 +50,6 @@ import numpy.typing as npt
 from firmware_protocol.events import EDGE, EVENT, EdgeKind, Edges, Events, empty_edges
 from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, Part, ten_bits
 
-__all__ = [
-    "CHIPS",
-    "WORD",
-    "Aedat2Decoder",
-    "Aedat31Decoder",
-    "FrameWords",
-    "ImuWords",
-    "Words",
-    "aedat2_header",
-    "aedat31_header",
-    "edge_words",
-    "encode_aedat2",
-    "encode_aedat31",
-    "encode_frame",
-    "encode_imu",
-    "event_words",
-    "frame_words",
-    "guarded_start",
-    "imu_words",
-    "packed",
-    "parse_aedat2_header",
-    "parse_aedat31_header",
-]
-
-
 CHIPS: Mapping[tuple[int, int], str] = {
     (346, 260): "eu.seebetter.ini.chips.davis.Davis346blue",
     (240, 180): "eu.seebetter.ini.chips.davis.DAVIS240C",

@@ -27,9 +27,6 @@ import struct
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["MAGIC", "Aedat4Head", "aedat4_picture", "packet_at"]
-
-
 MAGIC = b"#!AER-DAT4.0\r\n"
 _MOST_HEADER = 1 << 24
 _TABLE_SLOT = 1  # of the fields of IOHE

@@ -77,26 +77,6 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import ClassVar
 
-__all__ = [
-    "ANY_TIME",
-    "HEADER_OCTETS",
-    "READY",
-    "Camera",
-    "Draw",
-    "End",
-    "Hello",
-    "Image",
-    "Layers",
-    "Levels",
-    "MessageError",
-    "Plane",
-    "Response",
-    "Type",
-    "parse_header",
-    "planes_of",
-    "slot_octets",
-]
-
 
 class MessageError(ValueError):
     """The octets are no valid message; the text gives the reason."""

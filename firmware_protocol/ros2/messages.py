@@ -41,26 +41,6 @@ import numpy.typing as npt
 
 from firmware_protocol.events import Events
 
-__all__ = [
-    "ENCODINGS",
-    "EVENT_PACKET",
-    "IMAGE",
-    "CdrError",
-    "CdrReader",
-    "CdrWriter",
-    "Header",
-    "Image",
-    "ImageError",
-    "MessageType",
-    "Octets",
-    "event_packet",
-    "image_message",
-    "levels_of",
-    "mono_events",
-    "parse_image",
-]
-
-
 Octets = bytes | bytearray | memoryview
 
 _LITTLE, _BIG = b"\0\1", b"\0\0"

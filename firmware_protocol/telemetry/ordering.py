@@ -13,8 +13,6 @@ import numpy.typing as npt
 
 from firmware_protocol.telemetry.layout import LONGEST_US, kernel
 
-__all__ = ["BACKWARDS", "OUTSIDE", "Form", "Scratch", "form_of", "load", "new_scratch", "sort"]
-
 OUTSIDE, BACKWARDS = -1, -2
 """Return value of `load`, in place of a count, for events that are not valid for this sensor."""
 

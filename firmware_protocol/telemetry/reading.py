@@ -28,9 +28,6 @@ from firmware_protocol.telemetry.layout import (
 )
 from firmware_protocol.telemetry.ordering import Form, form_of
 
-__all__ = ["Block", "as_received", "decode_block", "read_block", "read_events"]
-
-
 _Bytes = npt.NDArray[np.uint8]
 _Int64s = npt.NDArray[np.int64]
 

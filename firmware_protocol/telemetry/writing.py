@@ -32,19 +32,6 @@ from firmware_protocol.telemetry.layout import (
 )
 from firmware_protocol.telemetry.ordering import BACKWARDS, OUTSIDE, Form, Scratch, form_of, load, new_scratch, sort
 
-__all__ = [
-    "BlockEncoder",
-    "BlockSettings",
-    "Limits",
-    "Plan",
-    "find_spans",
-    "flat_count",
-    "planned",
-    "same_polarity",
-    "write_block",
-]
-
-
 _Int64s = npt.NDArray[np.int64]
 
 # Enumerations as plain numbers, as compiled code holds them.

@@ -25,8 +25,6 @@ from enum import IntEnum
 from firmware_protocol.usb.descriptors import DescriptorSet, DescriptorType, Speed
 from firmware_protocol.usb.device import RequestKind, SetupPacket, Stall
 
-__all__ = ["Feature", "Recipient", "StandardControl", "StandardRequest", "name_request"]
-
 
 class StandardRequest(IntEnum):
     """bRequest of a standard request."""

@@ -25,22 +25,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-__all__ = [
-    "BULK_PACKET",
-    "OTHER_SPEED",
-    "Bos",
-    "Configuration",
-    "DescriptorSet",
-    "DescriptorType",
-    "DeviceDescriptor",
-    "Endpoint",
-    "Interface",
-    "Speed",
-    "TransferType",
-    "language_descriptor",
-    "string_descriptor",
-]
-
 
 class Speed(IntEnum):
     """Speed codes as USB/IP and the kernel number them."""

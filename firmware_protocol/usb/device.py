@@ -22,18 +22,6 @@ from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.items import Items
 from firmware_protocol.usb.descriptors import DescriptorSet, Speed
 
-__all__ = [
-    "Identity",
-    "NotReady",
-    "RequestKind",
-    "SetupPacket",
-    "Stall",
-    "Transfer",
-    "UsbCamera",
-    "UsbCameraSettings",
-    "UsbDevice",
-]
-
 
 class Stall(Exception):
     """The device refuses a request; the host gets a STALL handshake (EPIPE)."""

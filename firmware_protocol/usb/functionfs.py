@@ -25,8 +25,6 @@ from enum import IntEnum, IntFlag
 from firmware_protocol.usb.descriptors import ENGLISH_US, Interface, Speed
 from firmware_protocol.usb.device import SetupPacket
 
-__all__ = ["EVENT_BYTES", "Event", "EventKind", "Flag", "descriptor_block", "string_block"]
-
 EVENT_BYTES = 12
 
 _DESCRIPTORS_MAGIC = 3

@@ -45,31 +45,6 @@ from firmware_protocol.usb import usbip
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import Identity
 
-__all__ = [
-    "FILE_HEADER",
-    "IN_PROGRESS",
-    "MOST_BYTES",
-    "DeviceListReply",
-    "DeviceListRequest",
-    "DeviceRecord",
-    "HostParser",
-    "ImportReply",
-    "ImportRequest",
-    "Limits",
-    "OpStatus",
-    "Reply",
-    "Request",
-    "ServerParser",
-    "Submit",
-    "Submitted",
-    "Unlink",
-    "Unlinked",
-    "UrbRecord",
-    "UrbStatus",
-    "UsbipError",
-]
-
-
 VERSION = 0x0111
 REQ_DEVLIST, REP_DEVLIST = 0x8005, 0x0005
 REQ_IMPORT, REP_IMPORT = 0x8003, 0x0003

@@ -30,29 +30,6 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-__all__ = [
-    "INPUT_REPLY",
-    "NO_IMAGE",
-    "OK",
-    "PONG",
-    "CameraState",
-    "ImageRequest",
-    "InputRequest",
-    "Ping",
-    "Request",
-    "RequestError",
-    "SimUpdate",
-    "State",
-    "Update",
-    "UpdateError",
-    "image_reply",
-    "merged",
-    "message_class",
-    "parse_request",
-    "refusal",
-]
-
-
 _PACKAGE = "vizProtobufferMessage"
 
 _FIELDS: Mapping[str, Mapping[str, tuple[int, str]]] = {

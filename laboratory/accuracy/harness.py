@@ -52,22 +52,6 @@ from laboratory.accuracy.scores import Scores, Stream, compare
 from laboratory.accuracy.truth import true_events
 from laboratory.methods.other_simulators import OTHER_SIMULATORS
 
-__all__ = [
-    "CASES",
-    "PLAIN",
-    "QUICK",
-    "SEED",
-    "Case",
-    "Method",
-    "Swept",
-    "events",
-    "methods",
-    "score",
-    "step_cost_us",
-    "truth",
-]
-
-
 SEED = 3
 """Fixes mismatch, leak rates and phases of every case."""
 

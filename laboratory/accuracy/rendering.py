@@ -49,23 +49,6 @@ from laboratory.accuracy.sampled_scenes import SampledBodies, SampledTerrain
 from laboratory.accuracy.scores import PixelEvents as Sequences
 from laboratory.accuracy.scores import Stream, common_subsequences, compare
 
-__all__ = [
-    "SETTINGS",
-    "TERRAIN_SETTINGS",
-    "Comb",
-    "Drawn",
-    "Look",
-    "Setting",
-    "Stretch",
-    "comb_of",
-    "fits",
-    "looks_of",
-    "quiet",
-    "rendering_rows",
-    "rows_of",
-]
-
-
 _BINS_A_STEP = 64
 _HARMONICS = 8
 

@@ -24,20 +24,6 @@ from laboratory.accuracy.sweeps import (
     reading_against_line,
 )
 
-__all__ = [
-    "draw_rendering",
-    "draw_stability",
-    "draw_work_precision",
-    "reading",
-    "reading_of_rendering",
-    "reading_of_the_map",
-    "write_against_line",
-    "write_rendering",
-    "write_stability",
-    "write_work_precision",
-]
-
-
 _COLOURS = {
     "hermite": "#000000",
     "refined": "#56b4e9",

@@ -40,9 +40,6 @@ from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.pose import Pose, Timescale
 from firmware_protocol.compiled import entry_of
 
-__all__ = ["PointSampler", "SampledBoard", "SampledBodies", "SampledTerrain", "clipped"]
-
-
 _Floats = npt.NDArray[np.float64]
 _compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = entry_of(__name__)
 

@@ -36,24 +36,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
-__all__ = [
-    "BlurredCheckerboard",
-    "ClosedLight",
-    "Dark",
-    "DriftingStar",
-    "Faded",
-    "Flash",
-    "Flicker",
-    "MovingEdge",
-    "ShadedEdge",
-    "SineGrating",
-    "SlowRamp",
-    "TexturedDisc",
-    "ThinLine",
-    "TurningBody",
-]
-
-
 Float64s = npt.NDArray[np.float64]
 
 

@@ -30,18 +30,6 @@ import numpy.typing as npt
 from firmware_protocol.compiled import entry_of
 from firmware_protocol.events import Events
 
-__all__ = [
-    "PixelEvents",
-    "Scores",
-    "Stream",
-    "common_subsequences",
-    "compare",
-    "moved_us",
-    "same_time_share",
-    "van_rossum_products",
-]
-
-
 _Float64s = npt.NDArray[np.float64]
 _Int64s = npt.NDArray[np.int64]
 _Bools = npt.NDArray[np.bool_]

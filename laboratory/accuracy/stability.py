@@ -28,8 +28,6 @@ from laboratory.accuracy.harness import PLAIN, Case, Method, events, truth
 from laboratory.accuracy.scenes import BlurredCheckerboard, Flash, SineGrating
 from laboratory.accuracy.scores import compare
 
-__all__ = ["QUICK_SWEEPS", "SWEEPS", "Cell", "Sweep", "boundary", "cells", "smooth_case"]
-
 _PIXELS = 40
 _MODULATION = 0.7
 _STEEPEST = 2 * math.pi * _MODULATION / math.sqrt(1 - _MODULATION**2)

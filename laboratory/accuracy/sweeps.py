@@ -49,31 +49,6 @@ from laboratory.accuracy.harness import (
 from laboratory.accuracy.scenes import Float64s, ShadedEdge, ThinLine, TurningBody
 from laboratory.accuracy.scores import Scores, Stream, compare
 
-__all__ = [
-    "BLURS_PX",
-    "EFFECTS",
-    "QUICK_EFFECTS",
-    "QUICK_SCENES",
-    "SCENES",
-    "SPEEDS_PX",
-    "WISHES_US",
-    "Controlled",
-    "Difference",
-    "Effect",
-    "EffectRow",
-    "Need",
-    "Point",
-    "cells_against_line",
-    "control",
-    "controlled",
-    "effect_rows",
-    "frames_needed",
-    "reading_against_line",
-    "settings",
-    "sweep",
-]
-
-
 _LEAST_ORDER = 0.5  # below it, an error does not count as falling with the step
 
 

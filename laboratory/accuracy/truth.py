@@ -35,8 +35,6 @@ from firmware_protocol.compiled import entry_of
 from laboratory.accuracy.scenes import ClosedLight
 from laboratory.accuracy.scores import Stream
 
-__all__ = ["ideal_events", "true_events"]
-
 _Float64s = npt.NDArray[np.float64]
 
 _CHUNK = 512

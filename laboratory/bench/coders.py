@@ -55,24 +55,6 @@ from laboratory.bench.streams import (
     target,
 )
 
-__all__ = [
-    "COMPILER",
-    "BlockBits",
-    "BlockDecoding",
-    "BlockEncoding",
-    "CDecoding",
-    "Evt3Bytes",
-    "Evt3Decoding",
-    "Evt3Encoding",
-    "Stream",
-    "groups_decode",
-    "groups_encode",
-    "words_decode",
-    "words_encode",
-    "words_encode_streams",
-]
-
-
 _EVENTS = 1_000_000
 _BATCH = 20_000
 _REPEATS = 9

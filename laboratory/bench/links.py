@@ -37,8 +37,6 @@ from transports.usb.davis_host import DavisHost
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.server import UsbipFactory
 
-__all__ = ["late_steps", "latency_p50", "latency_p99", "latency_p999", "paced_run", "serial_fill", "usbip_events"]
-
 _SUSTAINED_S = 10.0
 _BLOCK = 1_000_000
 _LATENCY_SPEED_PX_S = 60.0

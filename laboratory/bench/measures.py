@@ -22,8 +22,6 @@ from laboratory.bench.coders import (
 from laboratory.bench.pixels import NoiseLoad, NoiseShare
 from laboratory.bench.scenes import Drawing, ScenesAlike, Workload
 
-__all__ = ["MEASURES", "Measure"]
-
 
 @dataclass(frozen=True)
 class Measure:

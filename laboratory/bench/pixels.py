@@ -42,25 +42,6 @@ from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
 
-__all__ = [
-    "FiringRun",
-    "NoiseLoad",
-    "NoiseShare",
-    "TwoThreads",
-    "firing",
-    "grating",
-    "noisy_sensor",
-    "pixel_5pct",
-    "pixel_5pct_line",
-    "pixel_changing",
-    "pixel_edges",
-    "pixel_quiet",
-    "pixel_quiet_line",
-    "pixel_still",
-    "pixel_still_compared",
-]
-
-
 _DAVIS = dataclasses.replace(
     PRESETS["davis346"], source_follower_hz=0.0, parasitic_hz_at_reference=0.0, leak_hz=0.1
 )  # the sensor of all earlier measurements, for comparison: without its fixed pole

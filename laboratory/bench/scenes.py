@@ -40,9 +40,6 @@ from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
 
-__all__ = ["Drawing", "ScenesAlike", "Workload", "steps_per_second"]
-
-
 _REPEATS = 5
 _REPEAT_S = 1.0
 

@@ -25,18 +25,6 @@ from firmware_protocol.events import EVENT, Events, empty_events
 from firmware_protocol.frames import LineKind, line_record
 from firmware_protocol.imu_samples import ImuSamples, no_samples
 
-__all__ = [
-    "SIZE",
-    "BenchFailed",
-    "DavisBatch",
-    "checkerboard_stream",
-    "davis_batches",
-    "saturated_stream",
-    "scanned_stream",
-    "stars",
-    "target",
-]
-
 
 def saturated_stream(count: int, event_ns: int = 80, row_events: int = 8) -> Events:
     """Return the events of a saturated read-out: one every `event_ns`, `row_events` from each row that it serves.

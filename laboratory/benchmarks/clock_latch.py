@@ -24,8 +24,6 @@ from firmware_protocol.gige.registers import Register
 from firmware_protocol.receiver.clock_estimator import ClockEstimator
 from transports.gige.host import CameraGone, GigeHost
 
-__all__ = ["main"]
-
 ADDRESS = "127.0.0.17"
 LATCH = 1 << 1
 RIG = f"""

@@ -24,8 +24,6 @@ import numpy as np
 from firmware_protocol.evt.words import evt3_header
 from tests.hostile.memory import MIB, resident_bytes
 
-__all__ = ["main"]
-
 SIZE = (346, 260)
 ROW_US = 30  # between rows: 11.5 Mev/s
 CONVERT = [sys.executable, "-c", "from emulator.cli import main; main()", "convert"]

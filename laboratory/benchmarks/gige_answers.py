@@ -28,8 +28,6 @@ from firmware_protocol.gige.registers import Register
 from firmware_protocol.imx636.triton2_registers import ACQUISITION_START
 from tests.guest.gige_run import GigeRun, looped_1280x720
 
-__all__ = ["main"]
-
 _SO_TIMESTAMPNS = 35  # Linux: asm-generic/socket.h
 _EVENTS = 1_000_000
 _EVENTS_PER_US = 3.0

@@ -15,8 +15,6 @@ import sys
 import time
 from collections.abc import Callable
 
-__all__ = ["main"]
-
 _STARTED_S = time.process_time()
 EVENTS, BATCH = 100_000, 20_000
 STEP_NS = 1_000_000

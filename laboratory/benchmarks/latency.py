@@ -23,8 +23,6 @@ from contextlib import contextmanager
 
 from laboratory.bench.links import paced_run
 
-__all__ = ["main"]
-
 _ONE = "--one"
 _NAMES = (
     "p50",

@@ -18,8 +18,6 @@ from emulator.scene.bodies.world import Arrangement, PlacedBody
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.pose import Timescale
 
-__all__ = ["main"]
-
 RIGS = Path(__file__).parent.parent / "rigs"
 FLAT_SIZE_M = 0.2
 STEP_NS = 12_000_000  # between calls, as in a run: what is remembered of shadows counts

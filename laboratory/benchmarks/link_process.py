@@ -36,8 +36,6 @@ from laboratory.bench.streams import saturated_stream
 from transports.link.pacing import MonotonicClock
 from transports.link.report import LinkReport
 
-__all__ = ["main"]
-
 EVENT_NS = 667  # 1.5 Mev/s
 _STEP_US = 1000
 _LEAD_NS = 5_000_000  # events are published so long before they are due, as in a run

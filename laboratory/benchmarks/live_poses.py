@@ -27,8 +27,6 @@ import numpy as np
 
 from firmware_protocol.pose_message import NOW, PoseMessage
 
-__all__ = ["main"]
-
 RIG = """
 [scene]
 kind = "stars"

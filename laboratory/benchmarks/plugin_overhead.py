@@ -19,8 +19,6 @@ import sys
 import tempfile
 from pathlib import Path
 
-__all__ = ["main"]
-
 MOST_S = 0.5
 TEST = """
 import pytest

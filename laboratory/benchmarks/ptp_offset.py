@@ -23,8 +23,6 @@ from firmware_protocol.ptp.slave import PortState
 from tests.guest.own_network import OwnNetwork
 from transports.gige.ptp_port import PtpPort, ptp_slave, realtime_ahead_ns
 
-__all__ = ["main"]
-
 SLAVE, MASTER = "10.78.1.1", "10.78.1.2"
 SETTINGS = """[global]
 free_running 1

@@ -16,8 +16,6 @@ import tempfile
 import time
 from pathlib import Path
 
-__all__ = ["main"]
-
 MOST_BYTES = 5_000_000
 RIG = """
 title = "hours of a slow checkerboard"

@@ -36,8 +36,6 @@ from transports.link.pacing import MonotonicClock
 from transports.link.report import LinkReport
 from transports.link.rings import FREE_RUNNING
 
-__all__ = ["main"]
-
 SIZE = (346, 260)
 LEAST_MEV_S = {"aedat4": 10.0, "evt3": 10.0, "dv": 10.0, "jaer": 0.98}
 JAER_NS = 1000  # between events

@@ -28,8 +28,6 @@ import numpy.typing as npt
 
 from firmware_protocol.events import EdgeKind
 
-__all__ = ["main"]
-
 Times = npt.NDArray[np.int64]
 
 RIG = """

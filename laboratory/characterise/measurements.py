@@ -29,24 +29,6 @@ from laboratory.characterise.stimuli import (
     without_readout,
 )
 
-__all__ = [
-    "CONFIGURED",
-    "Measurement",
-    "burst",
-    "figures",
-    "flicker",
-    "latency",
-    "leak_light",
-    "leak_spread",
-    "leak_temperature",
-    "measurements",
-    "noise_law",
-    "noise_light",
-    "s_curve",
-    "spread",
-]
-
-
 _Floats = npt.NDArray[np.float64]
 
 _S = 1_000_000_000

@@ -17,8 +17,6 @@ import numpy as np
 
 from laboratory.characterise.stimuli import FIGURE
 
-__all__ = ["PUBLISHED", "Published"]
-
 _LICHTSTEINER = "Lichtsteiner, Posch and Delbruck, IEEE JSSC 2008, abstract"
 _BRANDLI = "Brandli et al., IEEE JSSC 2014 (DAVIS240)"
 _SCIDVS = "SciDVS, arXiv 2409.09648"

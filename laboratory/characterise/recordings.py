@@ -37,19 +37,6 @@ from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import Events
 from laboratory.characterise.still_light import REFERENCE_DN, StillLight, still_events, still_light
 
-__all__ = [
-    "Activity",
-    "Compared",
-    "activity",
-    "compare",
-    "distances",
-    "fit",
-    "still_pixels",
-    "toml",
-    "write_comparison",
-]
-
-
 _MOST_INTERVALS = 200_000
 _NEIGHBOURHOOD = 5
 

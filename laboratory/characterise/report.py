@@ -19,9 +19,6 @@ from emulator.report.page import Page, panels, save, write_csv, write_json
 from laboratory.characterise.published import PUBLISHED, Published
 from laboratory.characterise.stimuli import CURVES, FIGURE, Curve, Point
 
-__all__ = ["Comparison", "comparisons", "draw", "reading", "write"]
-
-
 _COLOURS = ("#0072b2", "#009e73", "#e69f00", "#7f5fa8")
 _RED = "#c0392b"
 _STARS = ("*", "P", "X", "d")

@@ -24,8 +24,6 @@ from firmware_protocol.events import Events
 from firmware_protocol.frames import FrameSettings
 from firmware_protocol.recordings.part import Frame, ten_bits
 
-__all__ = ["REFERENCE_DN", "StillLight", "still_events", "still_light"]
-
 REFERENCE_DN = 80.0
 """Level of a frame, of 255, that counts as light 1."""
 

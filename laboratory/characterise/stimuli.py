@@ -27,21 +27,6 @@ from emulator.sensor.presets import ReadoutParameters, SensorParameters
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import EVENT, Events
 
-__all__ = [
-    "CURVES",
-    "FIGURE",
-    "Bench",
-    "Curve",
-    "Point",
-    "lag_s",
-    "lags_s",
-    "log_current",
-    "on_the_bench",
-    "settled",
-    "without_readout",
-]
-
-
 _Floats = npt.NDArray[np.float64]
 
 _SIZE = 64, 48

@@ -40,9 +40,6 @@ from emulator.sensor.pixels.state import draw, levels_passed
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.compiled import entry_of
 
-__all__ = ["Circuit", "CircuitPixels", "Light", "State", "log_light", "rates", "rosenbrock"]
-
-
 _State = tuple[float, float, float]
 
 _LARGEST = 60.0  # of an exponent

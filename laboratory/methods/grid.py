@@ -35,8 +35,6 @@ from emulator.sensor.pixels.state import draw, levels_passed
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.compiled import entry_of
 
-__all__ = ["NoisyPixels", "grid_ns"]
-
 _MOST_EVENTS = 16  # of a pixel in a grid step
 _DRAWS = 4 * _MOST_EVENTS + 4  # numbers set apart for a grid step
 _HOPELESS = 40.0

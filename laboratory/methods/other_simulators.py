@@ -66,23 +66,6 @@ from emulator.sensor.pixels.method import PixelMethod, time_of
 from emulator.sensor.pixels.state import MOST_LOST, draw
 from emulator.sensor.presets import SensorParameters
 
-__all__ = [
-    "MOST_EVENTS",
-    "OTHER_SIMULATORS",
-    "RAW_CHANNELS",
-    "Esim",
-    "Fired",
-    "FrameDifference",
-    "Pangu",
-    "Rule",
-    "Sikorski",
-    "Step",
-    "V2e",
-    "V2eExactFilter",
-    "each",
-]
-
-
 MOST_EVENTS = 64
 """Crossings of one pixel in one step that are listed."""
 

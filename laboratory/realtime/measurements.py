@@ -23,8 +23,6 @@ from laboratory.realtime.program import Span, Speed, measure_speed
 from laboratory.realtime.variants import SHIPPED, Size, Variant, settings_of, variant_of
 from laboratory.realtime.wrong_events import Truth, Wrong, has_truth, truth_of, wrong_events
 
-__all__ = ["QUICK", "WHOLE", "Extent", "Measurement", "Measurements", "Store", "measurements_of"]
-
 
 @dataclass(frozen=True)
 class Extent:

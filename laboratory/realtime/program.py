@@ -35,8 +35,6 @@ from transports.usb.cameras import CameraReception, driver_of, receive
 from transports.usb.host import CameraHost, UsbHostError
 from transports.usb.usbip.client import UsbipHost
 
-__all__ = ["Meter", "ProcessUse", "Received", "Receiver", "Span", "Speed", "children", "measure_speed", "use_of"]
-
 _PROC = Path("/proc")
 _TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 _HELPER = b"resource_tracker"  # of multiprocessing: a child that does none of the run's work

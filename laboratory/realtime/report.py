@@ -15,8 +15,6 @@ from typing import Any
 from emulator.report.page import Page, figure_legend, panels, save, write_csv, write_json
 from laboratory.realtime.variants import SHIPPED, SIZES
 
-__all__ = ["BEGIN", "END", "Row", "draw", "line_of", "machine", "markdown", "put_section", "write_report"]
-
 Row = Mapping[str, Any]
 """A variant's names and values, as `Measurements.rows` returns them."""
 

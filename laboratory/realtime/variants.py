@@ -21,8 +21,6 @@ from emulator.scene.terrain.table import TerrainParameters
 from emulator.tables.toml_text import read_toml, toml_of
 from emulator.threads import available_threads
 
-__all__ = ["SHIPPED", "SIZES", "Setting", "Size", "Variant", "distinct", "settings_of", "variant_of"]
-
 
 @dataclass(frozen=True)
 class Size:

@@ -30,8 +30,6 @@ from laboratory.accuracy.sampled_scenes import SampledBoard
 from laboratory.accuracy.scores import Stream, compare
 from laboratory.realtime.variants import Variant
 
-__all__ = ["Truth", "Wrong", "has_truth", "middle_of", "truth_of", "wrong_events"]
-
 _MOST_PX = (346, 260)
 _BOARD = Stretch(steps=40)
 

@@ -11,8 +11,6 @@ from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
 from laboratory.validation.findings import Datum, Findings, Source
 
-__all__ = ["background", "rates_hz"]
-
 _IEBCS = Source(
     "Joubert et al., Event camera simulator improvements via characterized parameters (IEBCS), noise at 161 lux",
     "doi 10.3389/fnins.2021.702765, github.com/neuromorphicsystems/IEBCS",

@@ -18,8 +18,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-__all__ = ["Datum", "Draw", "Experiment", "Findings", "Kind", "Source"]
-
 Kind = Literal["relative", "factor", "difference", "statistic"]
 
 Draw = Callable[[Path], list[Path]]

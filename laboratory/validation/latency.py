@@ -16,8 +16,6 @@ from emulator.sensor.presets import IMX636_W_M2, PRESETS
 from laboratory.validation.findings import Datum, Findings
 from laboratory.validation.nist import NIST, Row, Statistics, first_latencies, latencies, pulsed, table
 
-__all__ = ["latency", "opposite", "region", "spread"]
-
 _HIGHEST_FITTED = 35
 _BOUND = 0.10
 _NOISE_BOUND = 1.5

@@ -29,20 +29,6 @@ from firmware_protocol.events import Events
 from firmware_protocol.prophesee.biases import BiasModel
 from laboratory.validation.findings import Source
 
-__all__ = [
-    "NIST",
-    "Edges",
-    "Row",
-    "Statistics",
-    "at_biases",
-    "first_latencies",
-    "latencies",
-    "pulsed",
-    "regions",
-    "statistics",
-    "table",
-]
-
 _DATA = Path(__file__).with_name("data")
 _Floats = npt.NDArray[np.float64]
 

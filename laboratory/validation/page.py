@@ -10,8 +10,6 @@ from pathlib import Path
 from emulator.report.page import write_csv, write_json
 from laboratory.validation.findings import Datum, Findings
 
-__all__ = ["write"]
-
 _INTRODUCTION = """# Validation
 
 How much the simulated sensors are like real cameras: public measurements, repeated by `evstim validate --out docs`.

@@ -25,8 +25,6 @@ from firmware_protocol.events import EVENT, Events
 from laboratory.characterise.still_light import StillLight, still_events
 from laboratory.validation.findings import Datum, Findings, Kind, Source
 
-__all__ = ["DATA", "QUIET_HZ", "davis346", "evk4", "kick_lags", "sequences"]
-
 DATA = Path(__file__).with_name("data")
 """Tables of the real recordings."""
 

@@ -27,9 +27,6 @@ from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor
 from transports.needs import install_command
 
-__all__ = ["FALSE_SOURCES", "SETTLE_S", "SLICE_S", "Observatory", "Seen", "observe", "source_finder"]
-
-
 SETTLE_S, SLICE_S = 5, 5
 FALSE_SOURCES = 40
 """Sources in a picture without stars at the threshold.

@@ -35,9 +35,6 @@ from emulator.sensor.presets import IMX636_W_M2
 from laboratory.validation.findings import Datum, Findings, Source
 from laboratory.validation.star_fields import FALSE_SOURCES, Observatory, Seen, observe, source_finder
 
-__all__ = ["stars"]
-
-
 AMOS_G = np.array([4.0, 5.0, 6.0, 6.5, 7.0, 7.5, 8.0, 8.5, 9.0, 9.5, 10.0, 10.5, 11.0, 11.5, 12.0])
 AMOS_SHARE = np.array([
     0.0013, 0.0052, 0.0170, 0.0284, 0.0543, 0.1025, 0.1893, 0.3153, 0.4791, 0.6683, 0.8598, 0.9690, 0.9900, 0.9960, 1.0,

@@ -39,8 +39,6 @@ from laboratory.accuracy.sweeps import (
     sweep,
 )
 
-__all__ = ["accuracy", "verbs"]
-
 _Item = TypeVar("_Item")
 _EFFECTS_STEP_S = 1e-3
 _QUICK_STRETCH = Stretch(steps=4, samples=4, finer=4)

@@ -35,8 +35,6 @@ from laboratory.accuracy.peers.sequences import (
 from laboratory.accuracy.peers.sequences import export as export_sequences
 from laboratory.realtime.report import machine, put_section
 
-__all__ = ["Sequences", "Simulators", "export", "peers", "score"]
-
 
 @dataclass(frozen=True)
 class Simulators:

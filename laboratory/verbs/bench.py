@@ -13,8 +13,6 @@ from emulator.tables.typed_table import unknown
 from laboratory.bench.measures import MEASURES, Measure
 from laboratory.bench.streams import BenchFailed
 
-__all__ = ["bench", "verbs"]
-
 
 def bench(
     *,

@@ -18,8 +18,6 @@ from laboratory.characterise.recordings import compare, write_comparison
 from laboratory.characterise.report import reading, write
 from laboratory.characterise.stimuli import Point
 
-__all__ = ["characterise"]
-
 
 def characterise(
     camera: str = "davis346",

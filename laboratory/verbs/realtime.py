@@ -23,8 +23,6 @@ from laboratory.realtime.measurements import QUICK, WHOLE, Measurements, Store, 
 from laboratory.realtime.report import BEGIN, line_of, machine, markdown, put_section, write_report
 from laboratory.realtime.variants import SIZES, distinct
 
-__all__ = ["Scope", "realtime"]
-
 _SizeName = Literal["346x260", "1280x720"]
 
 

@@ -19,8 +19,6 @@ from laboratory.validation.page import write
 from laboratory.validation.recordings import davis346, evk4
 from laboratory.validation.stars import stars
 
-__all__ = ["EXPERIMENTS", "validate"]
-
 EXPERIMENTS: Mapping[str, Experiment] = {
     "latency": latency,
     "region": region,

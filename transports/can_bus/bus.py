@@ -25,8 +25,6 @@ import can
 from firmware_protocol.can_frames.frame import Frame
 from transports.can_bus.kind import CanLink
 
-__all__ = ["BusDown", "CanBus", "PythonCanBus", "TimedFrame", "from_message", "to_message"]
-
 
 class BusDown(OSError):
     """Error: a bus cannot be opened, or was lost; the message gives the remedy."""

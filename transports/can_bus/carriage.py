@@ -33,8 +33,6 @@ from transports.can_bus.kind import CanLink
 from transports.faults.tracker import Load, Tracker
 from transports.link.deliveries import Deliveries
 
-__all__ = ["CfpTransport", "FrameSource", "IsoTpTransport", "RawEdges", "RawEvents", "sources"]
-
 _RAW_EVENTS_A_TIME = 8  # limits the events with an unknown outcome when a bus is lost
 
 

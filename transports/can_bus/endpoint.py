@@ -39,8 +39,6 @@ from transports.link.endpoint import (
 from transports.link.kind import Wiring
 from transports.link.pacing import Clock
 
-__all__ = ["CanEndpoint", "CanFactory", "factory_of"]
-
 _RETRY_NS = 1_000_000_000
 _SECOND_NS = 1_000_000_000
 _MAKE_UP_NS = 5_000_000  # bus time that a late tick may catch up

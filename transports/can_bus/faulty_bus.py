@@ -25,8 +25,6 @@ from transports.faults.script import FaultPlan, Faulty
 from transports.faults.tracker import Callbacks, FrameTracker, MessageTracker
 from transports.link.deliveries import Deliveries
 
-__all__ = ["BusFaults", "FaultyBus"]
-
 _AHEAD_NS = 1_000_000  # frames of a babbling node are queued this long before their time
 
 

@@ -20,9 +20,6 @@ from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable, ch
 from transports.needs import Need, network_interface
 from transports.network import check_allow, check_port
 
-__all__ = ["CAN", "CanLink", "Option"]
-
-
 Option = str | int | float | bool
 
 

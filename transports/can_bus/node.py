@@ -37,9 +37,6 @@ from transports.link.pacing import Clock
 from transports.link.reception import Arrivals, CountedReception
 from transports.recording.record import Recorder
 
-__all__ = ["CanReception", "Node", "TriggerCallback", "listen_can", "peer_of"]
-
-
 TriggerCallback = Callable[[int, int], None]
 """Callback with the time of a trigger (CLOCK_MONOTONIC, ns) and its number."""
 

@@ -29,9 +29,6 @@ from transports.connections import Admission, Listener, Places, Seat
 from transports.link.pacing import Clock
 from transports.network import AllowList
 
-__all__ = ["BusClient", "ServedBus"]
-
-
 _READ_BYTES = 4096
 _MOST_UNSENT_BYTES = 1 << 20
 _MOST_FRAMES = 48  # of one client that may wait for the bus before its reading pauses

@@ -16,23 +16,6 @@ from firmware_protocol.can_frames.frame import Frame
 from transports.faults.items import Delay, HitStage, ItemStage, Repetition
 from transports.faults.kinds import Fault, HitFault, LastingFault, Stage
 
-__all__ = [
-    "CAN_FAULTS",
-    "Babbler",
-    "BabblingIdiot",
-    "BusOff",
-    "BusStage",
-    "ChangedFrames",
-    "DeadBus",
-    "ErrorFrames",
-    "LostFrames",
-    "QueuedFrame",
-    "QueuedMessage",
-    "ReorderedFrames",
-    "RepeatedFrames",
-]
-
-
 _PROTOCOL_ERROR = 0x88  # CAN_ERR_PROT | CAN_ERR_BUSERROR of linux/can/error.h
 _BUSES = {"A": 0, "B": 1}
 

@@ -22,14 +22,6 @@ from transports.faults.kinds import Fault, HitFault, Stage
 from transports.faults.line import BitFlips, ByteStage
 from transports.faults.script import FaultPlan, Faulty
 
-__all__ = [
-    "DATAGRAM_FAULTS",
-    "FaultyDatagrams",
-    "LateDatagrams",
-    "LostDatagrams",
-    "RepeatedDatagrams",
-]
-
 
 @dataclass(frozen=True)
 class LostDatagrams(HitFault):

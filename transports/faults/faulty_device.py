@@ -49,9 +49,6 @@ from transports.faults.script import FaultPlan, Faulty
 from transports.faults.usb import USB_FAULTS, ControlStage, RegisterFlip, UsbStage, UsbUnplugged, WrongVersion
 from transports.faults.words import SentWords, WordStage, inserted
 
-__all__ = ["FalseAnswers", "FaultyDevice", "Survivors", "WordPath", "flip_register"]
-
-
 _ANY_SIZE = (MAX_ADDRESS + 1, MAX_ADDRESS + 1)  # faults change no address
 
 _MARKS = [

@@ -22,9 +22,6 @@ from firmware_protocol.packets.profile import Profile, Unwrapper
 from transports.faults.line import SERIAL_FAULTS, ByteStage
 from transports.faults.script import FaultPlan, Faulty
 
-__all__ = ["FaultyLine", "ReferenceReceiver"]
-
-
 _IN_STEP = 2  # consecutive messages: the beginning of the first one may have been damaged before
 
 

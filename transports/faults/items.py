@@ -14,8 +14,6 @@ import numpy as np
 from transports.faults.kinds import HitFault, Places, Stage
 from transports.faults.script import Faults
 
-__all__ = ["Delay", "HitStage", "ItemStage", "Loss", "Repetition", "pass_through"]
-
 T = TypeVar("T")
 
 

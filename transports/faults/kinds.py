@@ -18,9 +18,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-__all__ = ["Fault", "HitFault", "LastingFault", "Places", "Stage"]
-
-
 _LONGEST_S = 3.2e7  # a year, the longest run
 
 

@@ -15,21 +15,6 @@ import numpy as np
 
 from transports.faults.kinds import Fault, HitFault, LastingFault, Places, Stage
 
-__all__ = [
-    "SERIAL_FAULTS",
-    "BitFlips",
-    "Burst",
-    "ByteStage",
-    "InsertedBytes",
-    "LostBytes",
-    "Overrun",
-    "Stall",
-    "StuckLine",
-    "Unplugged",
-    "WrongBaud",
-]
-
-
 _NOISE_BYTES = 256
 _WEIGHTS = tuple(1 << n for n in range(8))
 

@@ -23,8 +23,6 @@ import numpy as np
 from transports.faults.kinds import Fault, Stage
 from transports.output_file import OutputFile
 
-__all__ = ["FaultPlan", "FaultRecord", "Faults", "Faulty"]
-
 _FOREVER_US = 1 << 62
 _MOST_PLACES = 16  # listed in one log line
 

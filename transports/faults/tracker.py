@@ -17,8 +17,6 @@ from firmware_protocol.packets.addresses import Received
 from transports.faults.bus import QueuedMessage
 from transports.faults.faulty_line import ReferenceReceiver
 
-__all__ = ["Callbacks", "FrameTracker", "Load", "MessageTracker", "Tracker"]
-
 
 @dataclass(frozen=True)
 class Load:

@@ -29,24 +29,6 @@ from transports.faults.words import (
     TimeFrozen,
 )
 
-__all__ = [
-    "DAVIS_FAULTS",
-    "USB_FAULTS",
-    "ControlStage",
-    "ControlStall",
-    "EmptyTransfers",
-    "FifoOverflow",
-    "RegisterFlip",
-    "ShortTransfers",
-    "SlowControl",
-    "UsbSilence",
-    "UsbStage",
-    "UsbStall",
-    "UsbUnplugged",
-    "WrongVersion",
-]
-
-
 _SAME = -1
 _UNICODE_MOST = 126  # characters of a string descriptor
 

@@ -15,21 +15,6 @@ import numpy.typing as npt
 from firmware_protocol.davis346.words import Special, Words, is_column
 from transports.faults.kinds import Fault, HitFault, LastingFault, Places, Stage
 
-__all__ = [
-    "INSERTED",
-    "MissedWraps",
-    "OddBytes",
-    "RepeatedEvents",
-    "SentWords",
-    "StaleData",
-    "TimeAhead",
-    "TimeBack",
-    "TimeFrozen",
-    "WordStage",
-    "inserted",
-]
-
-
 INSERTED = -1
 """Origin of a word that the camera did not send."""
 

@@ -23,8 +23,6 @@ from transports.recording.format import Format, format_to_write, with_addition
 from transports.recording.live import LiveRecorder
 from transports.recording.part import Facts, RecordingError, RecordingSummary, counts_of
 
-__all__ = ["FILE", "FileEndpoint", "FileFactory", "FileLink", "factory_of"]
-
 
 @dataclass(frozen=True)
 class FileLink:

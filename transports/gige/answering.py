@@ -35,22 +35,6 @@ from transports.gige.ptp_port import PtpPort, ptp_slave
 from transports.gige.sockets import ControlSockets
 from transports.priority import MOST_NICE, run_before_others
 
-__all__ = [
-    "TIME_CELLS",
-    "ControlSetup",
-    "Failed",
-    "Listening",
-    "Move",
-    "Mute",
-    "Release",
-    "Stop",
-    "main",
-    "read_time",
-    "read_timebase",
-    "write_timebase",
-]
-
-
 TIME_CELLS = 7
 """Number of 64-bit values in the shared memory.
 

@@ -34,8 +34,6 @@ from transports.gige.answering import (
 )
 from transports.link.endpoint import LinkBroken
 
-__all__ = ["ControlProcess"]
-
 _START_S = 120.0  # enough for a very busy machine
 _END_S = 10.0
 _AT_A_TIME = 1024

@@ -37,9 +37,6 @@ from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, Endp
 from transports.link.kind import Wiring
 from transports.network import AllowList, ByteBudget
 
-__all__ = ["BlockFates", "GigeEndpoint", "GigeFactory", "factory_of"]
-
-
 _PATIENCE_NS = 200_000_000  # Aravis discards an incomplete block 100 ms after its last packet
 
 

@@ -25,9 +25,6 @@ from transports.link.pacing import Clock
 from transports.link.reception import Arrivals, Reception
 from transports.recording.record import Recorder
 
-__all__ = ["CameraGone", "GigeHost", "GigeHostError", "GigeReception", "Identity", "receive"]
-
-
 _TIMEOUT_S = 0.5
 _ATTEMPTS = 5
 _HEARTBEAT_MS = 6000

@@ -11,8 +11,6 @@ from transports.gige.packet_faults import PACKET_FAULTS
 from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable
 from transports.network import check_allow
 
-__all__ = ["GIGE", "GigeLink"]
-
 
 @dataclass(frozen=True)
 class GigeLink:

@@ -19,16 +19,6 @@ from transports.faults.items import HitStage, ItemStage, Loss, pass_through
 from transports.faults.kinds import Fault, HitFault, LastingFault, Stage
 from transports.faults.script import FaultPlan, Faulty
 
-__all__ = [
-    "PACKET_FAULTS",
-    "FaultyPackets",
-    "IpChange",
-    "LinkDown",
-    "LostHeartbeat",
-    "Packet",
-    "RefusedResends",
-]
-
 
 @dataclass(frozen=True)
 class Packet:

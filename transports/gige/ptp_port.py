@@ -26,8 +26,6 @@ from firmware_protocol.ptp.messages import EVENT_PORT, GENERAL_PORT, GROUP
 from firmware_protocol.ptp.slave import PortState, Slave
 from transports.network import AllowList
 
-__all__ = ["PtpPort", "PtpSockets", "ptp_slave", "realtime_ahead_ns"]
-
 _LONGEST = 1500
 _AT_A_TIME = 64
 _SO_TIMESTAMPING, _IP_MULTICAST_ALL, _ERROR_QUEUE = (

@@ -11,8 +11,6 @@ from firmware_protocol.gige.control import Datagram, Peer
 from firmware_protocol.gige.gvsp import HEADER_OCTETS, Block
 from transports.network import AllowList
 
-__all__ = ["ControlSockets", "StreamSocket"]
-
 _LONGEST = 2048
 _AT_A_TIME = 64
 _SEND_BUFFER = 1 << 21

@@ -13,8 +13,6 @@ import time
 from collections import deque
 from contextlib import suppress
 
-__all__ = ["BackgroundWriter", "log_in_background"]
-
 _CAPACITY_BYTES = 1 << 20
 _CLOSE_TIMEOUT_S = 1.0
 

@@ -36,16 +36,6 @@ from transports.recording.part import IMU, Frame, Part, RecordingSummary, counts
 if TYPE_CHECKING:
     from transports.recording.live import AnyRecorder, ForwardingRecorder
 
-__all__ = [
-    "DeliveredParts",
-    "Deliveries",
-    "DeliveryTally",
-    "LatencyHistogram",
-    "LatencySummary",
-    "digest_of",
-    "recorded_imu",
-]
-
 
 _BIN_US = 10
 _EVEN_BINS = 20_000

@@ -21,8 +21,6 @@ from firmware_protocol.device.clock import Draw, normal
 from firmware_protocol.events import EDGE, EdgeKind, Edges, empty_edges
 from transports.link.rings import FOREVER_US, FREE_RUNNING, EventRing, SharedRing
 
-__all__ = ["EdgeRing", "EdgeSink", "EdgeSource", "EdgeTiming", "EdgeTrain", "ListedEdges", "PeriodicEdges"]
-
 
 class EdgeSource(Protocol):
     """Source of a link's edges."""

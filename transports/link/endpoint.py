@@ -20,18 +20,6 @@ from transports.link.pacing import Clock
 from transports.link.rings import FOREVER_US
 from transports.recording.part import RecordingSummary
 
-__all__ = [
-    "BUSY_NS",
-    "HOSTED_NS",
-    "REST_NS",
-    "Endpoint",
-    "EndpointFactory",
-    "LineUse",
-    "LinkBroken",
-    "Reopening",
-]
-
-
 BUSY_NS = 500_000
 """Time from one tick of a link to the next while data move or a fault is active."""
 

@@ -26,8 +26,6 @@ from transports.link.edges import EdgeRing, EdgeSource
 from transports.link.rings import FOREVER_US, EventRing, ReadingRing
 from transports.output_file import OutputFile
 
-__all__ = ["ClockReport", "ClockTruth", "EdgeReport", "Feed", "ReadingFeed", "ReadingReport", "Timing"]
-
 
 @dataclass(frozen=True)
 class ReadingReport:

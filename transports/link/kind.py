@@ -19,17 +19,6 @@ from transports.needs import Need
 if TYPE_CHECKING:
     from firmware_protocol.instrument.settings import InstrumentSettings
 
-__all__ = [
-    "CameraFacts",
-    "InstrumentLink",
-    "LinkKind",
-    "LinkParameters",
-    "Listener",
-    "Unsuitable",
-    "Wiring",
-    "check_region",
-]
-
 
 class LinkParameters(Protocol):
     """A [[links]] table of a rig: a frozen dataclass with the name of its kind and its own name."""

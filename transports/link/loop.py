@@ -44,17 +44,6 @@ from transports.link.report import LinkReport
 from transports.link.rings import FOREVER_US
 from transports.priority import LINK_NICE, run_before_others
 
-__all__ = [
-    "STOP_SIGNALS",
-    "EndFault",
-    "Happen",
-    "InjectFault",
-    "LinkLoop",
-    "Stop",
-    "run_link",
-    "run_link_process",
-]
-
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end a run: to the session alone or to its whole process group."""
 

@@ -16,8 +16,6 @@ import selectors
 import time
 from typing import Protocol
 
-__all__ = ["Clock", "FakeClock", "FineSelector", "MonotonicClock"]
-
 
 class Clock(Protocol):
     """Clock of a run; nanoseconds since an arbitrary start, never decreasing."""

@@ -37,8 +37,6 @@ from transports.recording.part import Facts
 if TYPE_CHECKING:
     from transports.recording.live import AnyRecorder, ForwardingRecorder
 
-__all__ = ["Link", "LinkSetup"]
-
 _TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
 _MANY_EVENTS = 1024  # a tick that fed so many, of a run without pacing, is followed by the next one at once
 _DENSE_EVENTS = 256  # a paced tick that fed so many is followed by the next one after a whole millisecond

@@ -21,8 +21,6 @@ from transports.link.pacing import Clock
 from transports.recording.part import Part
 from transports.recording.record import Recorder
 
-__all__ = ["Arrivals", "CountedReception", "InstrumentReception", "Receiving", "Reception", "receive"]
-
 
 @dataclass(frozen=True)
 class Reception:

@@ -27,9 +27,6 @@ from transports.link.endpoint import LineUse
 from transports.link.feed import ClockReport, EdgeReport, ReadingReport
 from transports.recording.part import RecordingSummary
 
-__all__ = ["CameraSettings", "ChangeWatch", "LinkReport", "Occurrence"]
-
-
 _MOST_WAITING = 1000  # changes that a busy session has not read
 _FOREVER_US = 1 << 62
 

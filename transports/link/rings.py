@@ -46,9 +46,6 @@ from firmware_protocol.device.event_device import ReadingKind, Readings
 from firmware_protocol.events import EVENT, Events
 from firmware_protocol.frames import LineKind
 
-__all__ = ["FOREVER_US", "FREE_RUNNING", "MOST_NUMBERS", "EventRing", "ReadingRing", "SharedMemory", "SharedRing"]
-
-
 _WRITTEN, _TAKEN, _REFUSED, _CELLS = range(4)
 _VIEWS = ("_head", "_body", "_times", "cells")  # of the memory, in each process
 

@@ -23,8 +23,6 @@ from transports.link.kind import CameraFacts, LinkKind, Unsuitable
 from transports.needs import package
 from transports.network import check_allow, check_destination, check_port
 
-__all__ = ["CONNECTION_CODERS", "DATAGRAM_CODERS", "TCP", "UDP", "TcpLink", "UdpLink"]
-
 
 @dataclass(frozen=True)
 class TcpLink:

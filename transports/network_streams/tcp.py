@@ -33,9 +33,6 @@ from transports.needs import install_command
 from transports.network import AllowList
 from transports.network_streams.kind import CONNECTION_CODERS, TcpLink
 
-__all__ = ["Client", "ClientGroup", "ClientTerms", "TcpEndpoint", "TcpFactory", "factory_of"]
-
-
 _MOST_OPEN = 1 << 22  # events whose fate, or that of earlier events, is open
 _MOST_RECEIVED = 1 << 16  # bytes that a client may send: these protocols have no requests
 _STALLED_NS = 2_000_000_000

@@ -20,9 +20,6 @@ from transports.link.kind import Wiring
 from transports.network import ByteBudget, DatagramOutlet
 from transports.network_streams.kind import DATAGRAM_CODERS, UdpLink
 
-__all__ = ["UdpEndpoint", "UdpFactory", "factory_of"]
-
-
 _MOST_EVENTS = 1 << 14  # encoded at once
 
 

@@ -28,9 +28,6 @@ from firmware_protocol.events import EDGE, EVENT, EdgeKind, Edges
 from firmware_protocol.recordings.aedat4 import MAGIC, Aedat4Head, aedat4_picture, packet_at
 from transports.recording.part import IMU, Facts, Frame, Part, RecordingError
 
-__all__ = ["Aedat4Reader", "Aedat4Writer", "RawEvents", "Saved", "recover_aedat4"]
-
-
 _TRIGGER = np.dtype([("t", "<u8"), ("source", "u1")])
 _SOURCES = {EdgeKind.RISING: 1, EdgeKind.FALLING: 2, EdgeKind.PULSE: 3}
 _NUMBERS = {"events": 0, "frames": 1, "imu": 2, "edges": 3}  # as cameras number them

@@ -18,8 +18,6 @@ import numpy as np
 from firmware_protocol.events import EVENT, Events
 from transports.recording.part import Facts, Part, RecordingError
 
-__all__ = ["DsecReader", "DsecWriter"]
-
 _CHUNK = 1 << 16
 _MS = 1000
 _FIELDS = {"x": "<u2", "y": "<u2", "t": "<u4", "p": "u1"}

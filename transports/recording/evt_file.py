@@ -17,8 +17,6 @@ from firmware_protocol.evt.words import evt3_header
 from transports.recording.format import format_to_read
 from transports.recording.part import Facts, Part, RecordingError
 
-__all__ = ["Evt2Writer", "Evt3Writer", "Evt21LegacyWriter", "Evt21Writer", "EvtReader"]
-
 _PIECE_BYTES = 1 << 17  # at most twelve events in each word: 786 432 events
 _MOST_HEADER = 1 << 16
 

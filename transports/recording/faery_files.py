@@ -18,10 +18,6 @@ from faery.extension import csv, dat, es
 from firmware_protocol.events import EVENT, Events
 from transports.recording.part import Facts, Part, RecordingError
 
-__all__ = [
-    "CsvReader", "CsvWriter", "DatReader", "DatWriter", "EsReader", "EsWriter",
-]  # fmt: skip
-
 _COMMA = 44
 _SIZE = (1280, 720)  # for a file without it: faery's own default
 _DAT_EVENT = np.dtype([("t", "<u8"), ("x", "<u2"), ("y", "<u2"), ("payload", "u1")])

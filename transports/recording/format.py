@@ -20,8 +20,6 @@ from typing import Any
 from transports.needs import install_command
 from transports.recording.part import Facts, LibraryMissing, Reader, RecordingError, Writer
 
-__all__ = ["FORMATS", "Format", "format_to_read", "format_to_write", "is_recording", "reason", "with_addition"]
-
 
 @dataclass(frozen=True)
 class Format:

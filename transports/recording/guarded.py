@@ -27,8 +27,6 @@ from transports.recording.part import (
     wrong_event,
 )
 
-__all__ = ["OpenRecording", "read_messages"]
-
 _MOST_EVENTS = 1 << 16  # in one message
 
 

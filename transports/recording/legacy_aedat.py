@@ -27,8 +27,6 @@ from firmware_protocol.recordings.aedat import (
 )
 from transports.recording.part import Facts, Part, RecordingError
 
-__all__ = ["Aedat2Reader", "Aedat2Writer", "Aedat31Reader", "Aedat31Writer"]
-
 _PIECE_BYTES = 1 << 19
 T = TypeVar("T")
 _MOST_HEADER = 1 << 22  # jAER writes all its preferences: 2100 lines

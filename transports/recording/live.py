@@ -40,9 +40,6 @@ from transports.recording.record import Recorder
 from transports.recording.writer_process import PipeQueue, WriterProcess, serve_writer
 from transports.recording.writing import RecordingFile
 
-__all__ = ["AnyRecorder", "ForwardingRecorder", "LiveRecorder", "main", "open_recorder"]
-
-
 _CAPACITY_BYTES = 1 << 27
 _READ_BYTES = 1 << 20
 _REACH_US = 50_000  # between two messages of the time reached

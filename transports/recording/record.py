@@ -42,18 +42,6 @@ from firmware_protocol.events import EDGE, EVENT, Events
 from transports.output_file import OutputFile
 from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, RecordingSummary
 
-__all__ = [
-    "ArrayFileError",
-    "NpzReader",
-    "NpzWriter",
-    "Recorder",
-    "frame_record",
-    "load_array",
-    "load_arrays",
-    "load_record",
-]
-
-
 _MOST_GROWTH = 100
 _ALWAYS_BYTES = 1 << 26
 _PIECE_BYTES = 1 << 24

@@ -43,26 +43,6 @@ from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, ten_bits
 from transports.recording.part import Facts, Part, RecordingError
 
-__all__ = [
-    "DVS_EVENT",
-    "EVENT_ARRAY",
-    "EVENT_PACKET",
-    "IMAGE",
-    "SAMPLE",
-    "BagReader",
-    "Ros1DvsWriter",
-    "Ros1Writer",
-    "Ros2DvsWriter",
-    "Ros2Writer",
-    "array_events",
-    "event_array",
-    "frame_of",
-    "image_of",
-    "imu_of",
-    "sample_of",
-]
-
-
 _HEADER = "std_msgs/Header header\nuint32 height\nuint32 width\n"
 EVENT_PACKET = f"{_HEADER}uint64 seq\nuint64 time_base\nstring encoding\nbool is_bigendian\nuint8[] events\n"
 """Definition of event_camera_msgs/msg/EventPacket."""

@@ -27,8 +27,6 @@ from typing import Any, Protocol, TypeVar
 from transports.guarded_reader import child_command
 from transports.recording.format import reason
 
-__all__ = ["PipeQueue", "WriterProcess", "serve_writer"]
-
 _PIPE_BYTES = 1 << 20
 _WRITE_BYTES = 1 << 20
 

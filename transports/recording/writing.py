@@ -26,9 +26,6 @@ from firmware_protocol.events import EDGE, EVENT, EdgeKind, join_events
 from transports.recording.format import Format, with_addition
 from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, Writer, counts_of, wrong_event
 
-__all__ = ["HeldFrames", "HeldRecords", "RecordingFile"]
-
-
 _Records = npt.NDArray[Any]
 
 

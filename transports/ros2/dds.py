@@ -24,8 +24,6 @@ from cyclonedds.topic import Topic
 from firmware_protocol.ros2.messages import EVENT_PACKET, IMAGE, MessageType
 from transports.ros2.kind import DdsNetwork
 
-__all__ = ["MESSAGE_TYPES", "DdsParticipant", "Message", "RawMessage", "TopicQos", "TopicReader", "TopicWriter"]
-
 
 class RawMessage(Protocol):
     """Message in encoded form."""

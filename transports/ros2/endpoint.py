@@ -36,8 +36,6 @@ from transports.ros2.kind import Ros2Link
 if TYPE_CHECKING:
     from transports.ros2.dds import DdsParticipant, TopicWriter
 
-__all__ = ["MessageBuffer", "PacketCoder", "PictureCoder", "Ros2Endpoint", "Ros2Factory", "Window", "factory_of"]
-
 
 class PacketCoder:
     """Encoder of packets of events of a sensor of `size` = (width, height), with the settings of `link`."""

@@ -20,9 +20,6 @@ from transports.link.kind import CameraFacts, LinkKind, Unsuitable
 from transports.needs import Need, package
 from transports.network import is_loopback
 
-__all__ = ["ROS2", "DdsNetwork", "Ros2Link", "check_topic"]
-
-
 _LOOPBACK = "127.0.0.1"
 _MOST_DOMAIN = 232  # beyond it DDS has no ports left
 _MOST_PROCESSES = 32  # on this machine, in one domain: as in rmw_cyclonedds

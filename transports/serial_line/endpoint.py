@@ -50,9 +50,6 @@ from transports.link.kind import Wiring
 from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import Port, open_port, remove_abandoned
 
-__all__ = ["BaudClock", "Frame", "SerialEndpoint", "SerialFactory", "Transmitter", "factory_of"]
-
-
 _BEHIND_NS = 50_000_000  # limit of the time that a late tick may catch up: the size of a driver's transmit buffer
 
 

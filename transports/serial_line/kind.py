@@ -9,9 +9,6 @@ from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.faults.line import SERIAL_FAULTS
 from transports.link.kind import LinkKind, Listener, check_region
 
-__all__ = ["SERIAL", "SerialLink"]
-
-
 _PARITY_BITS = {"none": 0, "even": 1, "odd": 1, "mark": 1, "space": 1}
 
 

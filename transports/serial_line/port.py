@@ -46,20 +46,6 @@ from transports.link.reception import InstrumentReception, Receiving, receive
 from transports.recording.record import Recorder
 from transports.serial_line.kind import SerialLink
 
-__all__ = [
-    "Descriptor",
-    "DescriptorPort",
-    "Port",
-    "PtyPort",
-    "PtySymlink",
-    "ThreadedPort",
-    "count_of",
-    "listen_serial",
-    "open_port",
-    "remove_abandoned",
-]
-
-
 _READ_BYTES = 4096
 _THREAD_BYTES = 4096  # limit of the bytes that wait for a blocking port: the size of a kernel's transmit buffer
 

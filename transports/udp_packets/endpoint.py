@@ -31,9 +31,6 @@ from transports.network import ByteBudget, DatagramInlet, DatagramOutlet
 from transports.recording.record import Recorder
 from transports.udp_packets.kind import UdpPacketsLink
 
-__all__ = ["Ports", "UdpPacketEndpoint", "UdpPacketFactory", "factory_of", "listen_udp"]
-
-
 _AT_A_TIME = 64
 
 

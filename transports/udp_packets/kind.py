@@ -10,8 +10,6 @@ from transports.faults.datagrams import DATAGRAM_FAULTS
 from transports.link.kind import LinkKind, Listener, check_region
 from transports.network import check_allow, check_destination, check_port
 
-__all__ = ["UDP_PACKETS", "UdpPacketsLink"]
-
 
 @dataclass(frozen=True)
 class UdpPacketsLink:

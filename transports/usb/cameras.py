@@ -45,18 +45,6 @@ from transports.usb.host import (
 from transports.usb.micro_host import CX3, MicroHost
 from transports.usb.pyusb_host import PyusbHost
 
-__all__ = [
-    "CAMERAS",
-    "EVK4_IDS",
-    "CameraReception",
-    "TreuzellHost",
-    "TreuzellInfo",
-    "driver_of",
-    "first_on_the_bus",
-    "receive",
-]
-
-
 EVK4_IDS = frozenset(board.usb_id for board in (*BOARDS.values(), genx320.BOARD))
 """(vendor, product) of an EVK4, of its siblings, and of the board with a GenX320."""
 

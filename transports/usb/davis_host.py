@@ -40,8 +40,6 @@ from transports.usb.host import (
     UsbHost,
 )
 
-__all__ = ["DAVIS_PRODUCT", "DAVIS_VENDOR", "DavisHost", "DavisInfo", "Entry", "Fx3Host", "WordDecoder"]
-
 DAVIS_VENDOR = 0x152A
 DAVIS_PRODUCT = 0x841A
 

@@ -12,8 +12,6 @@ from firmware_protocol.dvxplorer.registers import Chip, registers
 from transports.usb.davis_host import Entry, Fx3Host, WordDecoder
 from transports.usb.host import StreamSettings
 
-__all__ = ["DVXPLORER_PRODUCT", "DvxplorerHost"]
-
 DVXPLORER_PRODUCT = PRODUCT_ID
 
 _OFF, _STREAM = 0, 2

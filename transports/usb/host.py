@@ -27,23 +27,6 @@ from firmware_protocol.usb.device import Identity, SetupPacket
 if TYPE_CHECKING:
     from firmware_protocol.davis346.decoder import FrameRead, WordFaults  # it loads numba
 
-__all__ = [
-    "AccessDenied",
-    "BulkReader",
-    "CameraHost",
-    "DeviceAbsent",
-    "DeviceBusy",
-    "LibraryMissing",
-    "PeerBroken",
-    "PeerGone",
-    "StallError",
-    "StreamSettings",
-    "TransferTimeout",
-    "UnsuitableDevice",
-    "UsbHost",
-    "UsbHostError",
-]
-
 
 class UsbHostError(Exception):
     """Error between a driver and its device."""

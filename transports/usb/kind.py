@@ -11,8 +11,6 @@ from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener
 from transports.needs import UDC, VHCI
 from transports.network import check_allow
 
-__all__ = ["LOOPBACK", "USBIP", "USB_GADGET", "LoopbackLink", "UsbGadgetLink", "UsbipLink", "check_name"]
-
 
 def _check_model(link: LinkParameters, camera: CameraFacts) -> None:
     """Raise Unsuitable for a camera without a USB device."""

@@ -27,8 +27,6 @@ from transports.link.kind import Wiring
 from transports.usb.host import CameraHost, StallError, StreamSettings, TransferTimeout
 from transports.usb.kind import LoopbackLink
 
-__all__ = ["DirectHost", "DirectReader", "LoopbackEndpoint", "LoopbackFactory", "factory_of"]
-
 
 class DirectReader:
     """Reader of one IN endpoint by direct calls; returns None where a real host would wait."""

@@ -19,8 +19,6 @@ from firmware_protocol.usb.device import SetupPacket
 from transports.usb.davis_host import DAVIS_VENDOR, DavisInfo, Entry, Fx3Host, WordDecoder
 from transports.usb.host import BulkReader, StreamSettings, UnsuitableDevice
 
-__all__ = ["CX3", "MicroHost"]
-
 CX3 = 4
 """High byte of bcdDevice of a Micro."""
 

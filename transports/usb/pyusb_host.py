@@ -28,8 +28,6 @@ from transports.usb.host import (
     UsbHostError,
 )
 
-__all__ = ["UDEV_RULE", "PyusbHost", "PyusbReader"]
-
 UDEV_RULE = 'SUBSYSTEM=="usb", ATTR{idVendor}=="152a|04b4", MODE="0666"'
 """Rule that permits every user to open the devices of these vendors: those of the DAVIS346, and of the EVK4's USB chip.
 """

@@ -26,9 +26,6 @@ from typing import Any, Protocol
 from firmware_protocol.vizard.messages import merged, refusal
 from transports.network import AllowList
 
-__all__ = ["MOST_BYTES", "ForwardingServer", "Other", "VizardServer"]
-
-
 MOST_BYTES = 1 << 24
 _MOST_PARTS = 16
 _KEEP_ALIVE = {"TCP_KEEPALIVE": 1, "TCP_KEEPALIVE_IDLE": 10, "TCP_KEEPALIVE_INTVL": 5, "TCP_KEEPALIVE_CNT": 3}

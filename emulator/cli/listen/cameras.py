@@ -19,9 +19,6 @@ from transports.usb.cameras import CameraReception, driver_of, first_on_the_bus,
 from transports.usb.host import UsbHost, UsbHostError
 from transports.usb.usbip.client import UsbipHost
 
-__all__ = ["gige", "listen", "verbs"]
-
-
 _NO_LIMITS = Limits()
 _USB_GONE = "the camera went away before the reception was to end: it was unplugged, or its run ended or died"
 

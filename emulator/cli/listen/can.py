@@ -23,8 +23,6 @@ from transports.can_bus.node import CanReception, listen_can, peer_of
 from transports.link.pacing import MonotonicClock
 from transports.recording.record import Recorder
 
-__all__ = ["can", "dbc"]
-
 _NO_LIMITS = Limits()
 _GONE = "the bus went away, and the camera's heartbeat had not reported a stop: its run died"
 

@@ -34,8 +34,6 @@ from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import listen_serial
 from transports.udp_packets.endpoint import Ports, listen_udp
 
-__all__ = ["serial", "udp"]
-
 
 @dataclass(frozen=True)
 class Line:

@@ -18,8 +18,6 @@ from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, console, pr
 from transports.link.reception import Reception
 from transports.recording.record import Recorder
 
-__all__ = ["Limits", "Source", "lacking", "listen_to"]
-
 _R = TypeVar("_R", bound=Reception)
 _LINE_PERIOD_S = 1.0
 

@@ -26,21 +26,6 @@ from emulator.run.outcome import Judgement, RunResult, good
 from emulator.run.report.modelled import Modelled
 from emulator.run.report.observation import Observation
 
-__all__ = [
-    "SCHEMA",
-    "Circumstances",
-    "Fate",
-    "Happening",
-    "ReportContent",
-    "environment",
-    "fates",
-    "happenings",
-    "numbers",
-    "report_schema",
-    "rig_file",
-    "verdict_words",
-]
-
 SCHEMA = "evstim-report-1"
 """Name and version of the schema of report.json."""
 

@@ -13,8 +13,6 @@ from emulator.run.report.content import Fate, Happening, ReportContent
 from emulator.run.report.observation import INTERVAL_EDGES_US, BinnedCounts, Observation
 from transports.link.deliveries import LatencySummary
 
-__all__ = ["fate_bars", "interval_chart", "latency_chart", "letters", "pixel_maps", "strip", "timeline"]
-
 _PICTURES = 6
 _MOST_TIMES = 400  # of a train of edges
 _LANES = {"fault": "faults", "trigger": "triggers", "command": "commands"}

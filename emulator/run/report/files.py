@@ -19,8 +19,6 @@ from emulator.run.outcome import Judgement
 from emulator.run.report.content import SCHEMA, ReportContent, numbers, rig_file
 from emulator.run.report.sections import page_of, unfinished_page
 
-__all__ = ["begin_files", "write_junit", "write_report"]
-
 
 def begin_files(rig: Rig, folder: Path, began: datetime) -> None:
     """Write the page and the JSON of a run that has not ended, and remove an earlier junit.xml; raises OSError."""

@@ -19,8 +19,6 @@ from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.rig.remarks import remarks
 
-__all__ = ["Effect", "Modelled", "Part", "is_drawn_here", "modelled"]
-
 _LENSES = {
     "none": "not modelled: the scene gives the light on the sensor",
     "applied": "modelled: radiance seen through the lens, with its point spread and distortion",

@@ -20,8 +20,6 @@ from emulator.light import Light
 from emulator.run.outcome import RunStatus
 from firmware_protocol.events import Events
 
-__all__ = ["INTERVAL_EDGES_US", "BinnedCounts", "Observation", "PictureStrip", "RateSeries", "TakenPicture"]
-
 Counts = npt.NDArray[np.int64]
 
 _BIN_US = 100_000

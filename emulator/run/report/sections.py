@@ -26,8 +26,6 @@ from emulator.run.report.figures import (
     timeline,
 )
 
-__all__ = ["page_of", "unfinished_page"]
-
 _MOST_FILE_CHARACTERS = 30_000
 _LEAST_SHARE = 1e-9
 _OWN_RULES = ("max_drop", "min_rate_hz", "max_rate_hz", "max_latency_us", "max_undersampled")

@@ -55,18 +55,6 @@ from transports.recording.writer_process import WriterProcess
 if TYPE_CHECKING:
     import h5py
 
-__all__ = [
-    "FORMAT",
-    "VERSION",
-    "About",
-    "Rows",
-    "TruthRecorder",
-    "create",
-    "is_hdf5",
-    "survey",
-    "truth_in",
-]
-
 
 FORMAT, VERSION = "evstim-truth", 1
 

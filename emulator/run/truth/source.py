@@ -36,18 +36,6 @@ from emulator.sensor.sensor import EventSource, Sensor, own_pixels
 from firmware_protocol.events import Events, join_events
 from transports.needs import install_command
 
-__all__ = [
-    "PICTURES_HZ",
-    "SUFFIXES",
-    "TruthFile",
-    "TruthRefused",
-    "TruthSource",
-    "check_truth",
-    "ideal_of",
-    "pictures_bytes",
-]
-
-
 PICTURES_HZ = 25
 """Light frames a second of stream time that are written, where no other number is chosen."""
 

@@ -19,8 +19,6 @@ from emulator.run.truth.file import About, create
 from transports.array_messages import decoded
 from transports.recording.writer_process import serve_writer
 
-__all__ = ["main"]
-
 _FLUSH_S = 0.5
 
 

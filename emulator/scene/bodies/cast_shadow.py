@@ -39,22 +39,6 @@ import numpy.typing as npt
 
 from emulator.scene.bodies.compiled import entry, kernel
 
-__all__ = [
-    "MIXED",
-    "Arrays",
-    "Frame",
-    "TriangleTree",
-    "after",
-    "axes_around",
-    "blank_memory",
-    "build_tree",
-    "covered",
-    "dim",
-    "dim_remembering",
-    "edge_area",
-    "seen_above",
-]
-
 
 @kernel
 def seen_above(x: float) -> tuple[float, float]:

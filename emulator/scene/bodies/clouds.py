@@ -26,9 +26,6 @@ from emulator.scene.bodies.lit_surface import split_sides
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.table import Clouds
 
-__all__ = ["clouded", "fractal_noise", "mean_albedo", "with_albedo"]
-
-
 Floats = npt.NDArray[np.float64]
 
 

@@ -55,8 +55,6 @@ from emulator.scene.bodies.mesh import Mesh
 if TYPE_CHECKING:
     import moderngl
 
-__all__ = ["SUNLIT_GLSL", "Cells", "Facets", "Frame", "ShadowCaster", "ShadowMap", "draw"]
-
 
 _CELLS_A_SIDE = 4  # of each of the cube's six faces: 96 cells
 

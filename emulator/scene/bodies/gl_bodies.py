@@ -39,8 +39,6 @@ from emulator.trajectory.pose import Pose, Timescale, Trajectory
 if TYPE_CHECKING:
     import moderngl
 
-__all__ = ["GlBodies", "box_corners", "touched_region"]
-
 
 _BLACK = Rectangle(0, 0, 1, 1)
 _ROUNDING_PX = 1  # what float32 and GL's rounding may add

@@ -27,8 +27,6 @@ import numpy.typing as npt
 from emulator.light import SceneError
 from emulator.scene.bodies.textures import MOST_PIXELS, REPEAT, WRAPS, base_colour, decoded, mean_of, transformed
 
-__all__ = ["ModelContents", "read_gltf", "require_at_most"]
-
 _MOST_BYTES = 1 << 28
 _MOST = {
     "nodes": 10_000,

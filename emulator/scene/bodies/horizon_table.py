@@ -28,8 +28,6 @@ from emulator.scene.bodies.cast_shadow import Arrays, Frame, TriangleTree, after
 from emulator.scene.bodies.compiled import allocating_entry, entry, kernel
 from emulator.scene.files import Progress, cached_array
 
-__all__ = ["AZIMUTHS", "Horizons", "dim_below", "horizon_table", "lost_light"]
-
 AZIMUTHS = 64
 _FULL = 65535.0  # the number that stands for a sine of 1
 _CHUNK = 2048  # points between two reports of progress

@@ -44,19 +44,6 @@ from emulator.scene.bodies.world import RigidGroup, rigid_groups
 from emulator.threads import ThreadPool
 from emulator.trajectory.pose import Pose, Timescale, Trajectory
 
-__all__ = [
-    "LOST_AT_MOST",
-    "Lighting",
-    "Motion",
-    "Poses",
-    "Radiance",
-    "choose",
-    "dim_at_plane",
-    "motion_at",
-    "write_radiance",
-]
-
-
 Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int32]
 

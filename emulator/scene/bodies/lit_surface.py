@@ -17,8 +17,6 @@ import numpy.typing as npt
 
 from emulator.scene.bodies.mesh import Mesh
 
-__all__ = ["Surface", "cut_facets", "lit_surface", "near_in_memory", "shadow_triangles", "split_sides", "subdivide"]
-
 _LIFT = 1e-4  # of the mean length of sides
 _INWARD = 1e-3  # of the way to the middle of the facets around
 _MOST_FACETS = 1e7

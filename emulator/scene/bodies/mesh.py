@@ -34,19 +34,6 @@ from emulator.scene.files import cached_arrays, read_in_child
 from emulator.tables.toml_text import TextFileError, read_text, shortened
 from firmware_protocol.compiled import checksum_of
 
-__all__ = [
-    "SHAPES",
-    "Mesh",
-    "build_mesh",
-    "facet_vectors",
-    "find_shape",
-    "load_mesh",
-    "read_dsk",
-    "read_surface",
-    "vertex_normals",
-]
-
-
 SHAPES = Path(__file__).parent / "shapes"
 """The folder of the shape models that come with the program; its SOURCES.md gives the origin of each."""
 

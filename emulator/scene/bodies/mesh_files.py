@@ -35,8 +35,6 @@ from typing import NoReturn
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["PlateTable", "PlateTableError", "parse_plates", "parse_wavefront"]
-
 
 class PlateTableError(ValueError):
     """The text has no valid format; the message names the line."""

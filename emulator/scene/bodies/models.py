@@ -46,9 +46,6 @@ from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
 from emulator.trajectory.pose import Pose
 from transports.guarded_reader import Limits
 
-__all__ = ["MODEL_READERS", "Bodies", "law_of", "load_bodies", "read_model"]
-
-
 _USD = "emulator.scene.bodies.usd:read_usd"
 _USD_BYTES = 2 << 30  # address space that its library and its threads take
 

@@ -24,8 +24,6 @@ from emulator.scene.bodies.lit_surface import cut_facets, split_sides
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.textures import CLAMP, MIRROR, REPEAT
 
-__all__ = ["Texture", "painted"]
-
 _UNEVEN = 0.05
 _DARKEST = 0.02  # of the mean of the texture: what is darker is even
 _LEAST_PX = 2.0

@@ -15,24 +15,6 @@ import numpy.typing as npt
 from emulator.scene.bodies.cast_shadow import Arrays, Frame, after
 from emulator.scene.bodies.compiled import kernel
 
-__all__ = [
-    "MOST_PIECES",
-    "ROOM",
-    "Extent",
-    "Pieces",
-    "copy_corners",
-    "covers",
-    "cut",
-    "cut_around",
-    "double_area",
-    "extent_of",
-    "list_near",
-    "may_cover",
-    "side_of",
-    "without_short_sides",
-]
-
-
 ROOM = 24
 """Corners of a polygon; a cut adds one."""
 MOST_PIECES = 64

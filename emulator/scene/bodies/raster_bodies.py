@@ -38,9 +38,6 @@ from emulator.threads import available_threads
 from emulator.trajectory.pose import Pose, Timescale, Trajectory
 from emulator.truth.surfaces import NearestSurface, motion_of, write_depth_and_flow
 
-__all__ = ["LINEAR_WITHIN", "LONGEST_PX", "BodiesGeometry", "RasterBodies", "build_bodies", "move"]
-
-
 _NEAREST_SHARE = 1e-6  # of the range to the nearest body: facets are cut this near the camera
 
 

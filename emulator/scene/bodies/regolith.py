@@ -57,21 +57,6 @@ from firmware_protocol.compiled import checksum_of
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-__all__ = [
-    "FADED",
-    "Features",
-    "Law",
-    "coarser",
-    "detailed",
-    "facet_size_m",
-    "faded",
-    "features",
-    "flat",
-    "number_above",
-    "smallest_feature_m",
-    "weathered",
-]
-
 
 Floats = npt.NDArray[np.float64]
 

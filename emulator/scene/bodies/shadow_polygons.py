@@ -52,20 +52,6 @@ from emulator.scene.bodies.world import rigid_groups
 from emulator.threads import ThreadPool
 from emulator.trajectory.pose import Pose
 
-__all__ = [
-    "Polygons",
-    "Receivers",
-    "Room",
-    "SharpShadows",
-    "Surroundings",
-    "blank_memories",
-    "blank_room",
-    "cast_polygons",
-    "receivers_of",
-    "with_narrow_penumbras",
-]
-
-
 _LEAST_COSINE = 1e-3  # of incidence: a facet with less is nearly dark, and its shadows would be infinitely long
 _LEAST_AREA = 1e-7  # of the facet's area
 _WHOLE = 1.0 - 1e-6  # of a facet's area: all of it is covered

@@ -22,8 +22,6 @@ import numpy.typing as npt
 
 from emulator.scene.bodies.mesh import Mesh, facet_vectors
 
-__all__ = ["potential", "smooth_ground"]
-
 Floats = npt.NDArray[np.float64]
 
 _SHELLS = 6  # point masses along each cone from the origin to a facet

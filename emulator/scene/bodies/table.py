@@ -12,8 +12,6 @@ from emulator.scene.kind import SceneKind
 from emulator.tables.typed_table import NO_FILE, RigFile, Seed, Share, TimeScale, check_bounds
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
 
-__all__ = ["BODIES", "Bare", "BodiesParameters", "BodyTable", "Clouds", "Detail", "Regolith"]
-
 
 @dataclass(frozen=True)
 class Bare:

@@ -19,8 +19,6 @@ import numpy.typing as npt
 
 from emulator.light import SceneError
 
-__all__ = ["CLAMP", "MIRROR", "MOST_PIXELS", "REPEAT", "WRAPS", "base_colour", "decoded", "mean_of", "transformed"]
-
 REPEAT, CLAMP, MIRROR = 10497, 33071, 33648
 WRAPS = REPEAT, CLAMP, MIRROR
 """Repetition of an image beyond its sides, of its border, and mirror images; numbers of glTF."""

@@ -25,8 +25,6 @@ from emulator.geometry.attitude import quaternion_of
 from emulator.light import SceneError
 from emulator.scene.bodies.gltf import ModelContents, require_at_most
 
-__all__ = ["read_usd"]
-
 _WITHIN = 1e-5
 _MOST_SAMPLES = 1 << 14
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB, ITU-R BT.709

@@ -29,9 +29,6 @@ from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.parameters import FixedPath
 from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory, TrajectoryError
 
-__all__ = ["Arrangement", "BodyWorld", "PlacedBody", "RigidGroup", "middle", "rigid_groups"]
-
-
 _LOOKS = 64
 _LOOK_S = 60.0
 

@@ -34,8 +34,6 @@ from emulator.light import Light, PixelLight, Region, Scene
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from firmware_protocol.compiled import entry_of
 
-__all__ = ["BoardGeometry", "Checkerboard"]
-
 
 class BoardGeometry(SceneGeometry):
     """The motion of a board, px/s to the right and down."""

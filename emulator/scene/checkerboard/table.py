@@ -8,8 +8,6 @@ from typing import ClassVar
 
 from emulator.scene.kind import SceneKind
 
-__all__ = ["CHECKERBOARD", "CheckerboardParameters"]
-
 _BRIGHTEST = 1e9  # far above the range of any sensor, and safe in float32
 
 

@@ -33,8 +33,6 @@ from firmware_protocol.compiled import entry_of
 from firmware_protocol.renderer.messages import Camera, Hello, Levels, MessageError, Response
 from transports.renderer.server import Drawn, RendererConnection, RendererEnded, RendererError, RendererServer
 
-__all__ = ["External", "ExternalOnPath", "ImageQueue", "open_external"]
-
 _LOG = logging.getLogger(__name__)
 _SRGB_KNEE = 0.04045
 _MOST = 1e9

@@ -40,8 +40,6 @@ from emulator.scene.external.sampling import bounded, sampled
 from emulator.threads import ThreadPool, available_threads
 from firmware_protocol.compiled import entry_of, kernel
 
-__all__ = ["Joined", "Pair", "TimedImage", "compile_kernels", "front_motion"]
-
 _entry = entry_of(__name__, "emulator.scene.external.sampling", _nrt=False)
 _Floats = npt.NDArray[np.float32]
 _NONE = np.zeros((0, 0), np.float32)

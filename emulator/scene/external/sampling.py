@@ -31,8 +31,6 @@ import numpy.typing as npt
 
 from firmware_protocol.compiled import kernel
 
-__all__ = ["bounded", "sampled"]
-
 _Floats = npt.NDArray[np.float32]
 _DARK_SHARE = 0.1
 _PLATEAU = 1.5

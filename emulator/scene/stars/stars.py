@@ -36,9 +36,6 @@ from emulator.trajectory.parameters import BasiliskPath, LivePath
 from emulator.trajectory.pose import Pose, Timescale, Trajectory, TrajectoryError
 from emulator.truth.surfaces import Instants, instants, motion_of, write_depth_and_flow
 
-__all__ = ["Sky", "StarField", "StarsGeometry", "stars_of"]
-
-
 _REACH = 2.0  # standard deviations
 
 

@@ -15,8 +15,6 @@ from emulator.tables.typed_table import TimeScale, check_bounds
 from emulator.trajectory.parameters import FixedPath, TrajectoryParameters
 from transports.needs import Need, package
 
-__all__ = ["STARS", "MovingPoint", "StarsParameters"]
-
 
 @dataclass(frozen=True)
 class MovingPoint:

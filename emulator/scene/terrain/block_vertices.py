@@ -31,8 +31,6 @@ from emulator.scene.terrain.compiled import entry
 from emulator.scene.terrain.ground import BP, BQ, MOMENTS, B, Halves
 from emulator.scene.terrain.quadtree import BLOCK
 
-__all__ = ["CORNERS", "GRAZING", "LATER_S", "around", "block_vertices", "grazing"]
-
 SIDE = BLOCK + 1
 CORNERS = SIDE * SIDE
 _FIRST, _SPAN = 0.7, 0.29  # of a level's range: where the slide begins, and how long it is

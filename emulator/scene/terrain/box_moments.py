@@ -35,8 +35,6 @@ from emulator.scene.terrain.compiled_vectors import (
 from emulator.scene.terrain.ground import MOMENTS
 from emulator.scene.terrain.tile import RATES
 
-__all__ = ["MOST_POSTS", "add_box", "add_box_and_rate", "half_at"]
-
 _types: Any = numba.types  # numba's functions here have no types that mypy could read
 _code: Any = cgutils
 _make_array: Any = arrayobj.make_array

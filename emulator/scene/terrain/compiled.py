@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from firmware_protocol.compiled import entry_of
 
-__all__ = ["entry", "map_entry"]
-
 _SOURCES = ("emulator.scene.terrain", "emulator.photometry", "emulator.raster.layout", "emulator.sensor.numerics")
 
 entry = entry_of(*_SOURCES, fastmath={"contract"}, _nrt=False)

@@ -12,17 +12,6 @@ from typing import Any
 from llvmlite import ir
 from numba.core import cgutils
 
-__all__ = [
-    "FUSED",
-    "INT",
-    "constant",
-    "lane",
-    "magnitude",
-    "product_sum",
-    "spread",
-    "within",
-]
-
 FUSED = ("contract",)
 """Flag of a product and a sum that may have one rounding, where the processor has such an operation."""
 

@@ -49,8 +49,6 @@ from emulator.trajectory.pose import Pose, Timescale, Trajectory
 if TYPE_CHECKING:
     import moderngl
 
-__all__ = ["GlTerrain", "GroundMesh", "GroundView", "shading"]
-
 
 _VERTEX = """
 #version 430

@@ -35,24 +35,6 @@ import numpy.typing as npt
 
 from emulator.scene.terrain.compiled import map_entry
 
-__all__ = [
-    "BP",
-    "BPP",
-    "BPQ",
-    "BQ",
-    "BQQ",
-    "MOMENTS",
-    "B",
-    "Ground",
-    "Halves",
-    "P",
-    "Pyramid",
-    "Q",
-    "build_pyramid",
-    "nested",
-]
-
-
 Heights = npt.NDArray[np.float32]
 
 

@@ -30,9 +30,6 @@ from emulator.scene.terrain.ground import Ground, nested
 from emulator.scene.terrain.table import Heightmap
 from emulator.tables.toml_text import shortened
 
-__all__ = ["filled", "load_heightmap", "read_geotiff"]
-
-
 Floats = npt.NDArray[np.float64]
 
 _STEEPEST_DEG = 75.0

@@ -82,8 +82,6 @@ from emulator.scene.terrain.tile import (
 )
 from emulator.sensor.numerics.compiled import lane, vector_kernel
 
-__all__ = ["box_means", "footprints", "mismatches"]
-
 _BLEND = 0.9  # of a level's range: where the next one begins to be mixed in
 
 _f = np.float32

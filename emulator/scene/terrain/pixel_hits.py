@@ -67,21 +67,6 @@ from emulator.scene.terrain.tile import (
 )
 from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 
-__all__ = [
-    "Posts",
-    "Screen",
-    "Sight",
-    "Table",
-    "clamp",
-    "corner_hits",
-    "keep_row",
-    "level_for",
-    "lowest_level",
-    "meet_first",
-    "meet_map",
-    "write_levels",
-]
-
 Table = npt.NDArray[np.int64]
 Screen = tuple[float, float, float]
 """Focal length in pixels, column and row of the boresight."""

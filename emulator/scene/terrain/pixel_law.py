@@ -42,8 +42,6 @@ from emulator.scene.terrain.tile import (
 )
 from emulator.sensor.numerics.compiled import vector_kernel
 
-__all__ = ["Sunlight", "mean_light"]
-
 _f = np.float32
 _TINY, _ZERO, _HALF, _ONE, _TWO, _LEAST = (_f(v) for v in (1e-9, 0.0, 0.5, 1.0, 2.0, 0.02))
 _SMALLEST, _LARGEST = _f(0.3), _f(3.0)

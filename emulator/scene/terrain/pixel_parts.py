@@ -54,19 +54,6 @@ from emulator.scene.terrain.tile import (
 )
 from emulator.sensor.numerics.compiled import NONE, kernel, lane, vector_kernel
 
-__all__ = [
-    "COLUMN",
-    "LINE_FIELDS",
-    "MEAN_B",
-    "MEAN_BP",
-    "MEAN_BQ",
-    "MEAN_REFLECTED",
-    "Triple",
-    "into_world",
-    "part_means",
-    "shorter_side",
-]
-
 Triple = tuple[float, float, float]
 _Plane = tuple[Triple, Triple, Triple, Triple, Triple, float, float, float, float]
 """A pixel's middle from the camera, unit vector to the eye, change of the middle for lifting the facet by a metre, for

@@ -53,8 +53,6 @@ from emulator.scene.terrain.tile import (
 )
 from emulator.sensor.numerics.compiled import lane, vector_kernel
 
-__all__ = ["footprint_moves", "light_rate", "rate_of_doubtful"]
-
 _f = np.float32
 _TINY, _ZERO, _QUARTER, _ONE = _f(1e-20), _f(0.0), _f(0.25), _f(1.0)
 _SHARE = _f(1.0 / 16.0)  # of the footprint's shorter side, moved in the moment

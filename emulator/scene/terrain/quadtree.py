@@ -20,8 +20,6 @@ import numpy.typing as npt
 from emulator.scene.terrain.compiled import map_entry
 from emulator.scene.terrain.ground import Ground
 
-__all__ = ["BLOCK", "LEAST_REACH", "Quadtree", "block_facets", "level_count"]
-
 BLOCK = 8
 LEAST_REACH = 80.0
 """Below it a block is larger than the part of the range in which levels meet."""

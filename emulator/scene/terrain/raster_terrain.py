@@ -41,9 +41,6 @@ from emulator.threads import ThreadPool, available_threads
 from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory
 from emulator.truth.surfaces import instants, motion_of, nearest_along, write_depth_and_flow
 
-__all__ = ["CameraMotion", "RasterTerrain", "TerrainGeometry", "build_terrain", "camera_motion"]
-
-
 Facets = Callable[[int], tuple[npt.NDArray[np.int32], npt.NDArray[np.float64]]]
 """Function from a stream time to the facet at each pixel without distortion, and the facets, see `nearest_along`."""
 

@@ -43,23 +43,6 @@ from emulator.scene.terrain.compiled import map_entry
 from emulator.scene.terrain.ground import Ground, nested
 from emulator.scene.terrain.table import Ridge
 
-__all__ = [
-    "HURST",
-    "boulder_sizes",
-    "brighten",
-    "crater_places",
-    "crater_shapes",
-    "crater_sizes",
-    "fractal",
-    "height_of_boulder",
-    "height_of_crater",
-    "make_albedo",
-    "make_ridge",
-    "raise_boulders",
-    "sink_craters",
-]
-
-
 Floats = npt.NDArray[np.float64]
 
 DEPTH, RIM, REACH = 0.2, 0.04, 3.0

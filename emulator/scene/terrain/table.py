@@ -13,8 +13,6 @@ from emulator.tables.typed_table import NO_FILE, RigFile, Seed, TimeScale, check
 from emulator.trajectory.parameters import DescentPath, TrajectoryParameters
 from transports.needs import Need, package
 
-__all__ = ["TERRAIN", "GroundParameters", "Heightmap", "Ridge", "TerrainParameters"]
-
 
 @dataclass(frozen=True)
 class Ridge:

@@ -9,8 +9,6 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["FIELDS", "MEANS", "PLACES", "RATES", "TILE", "Floats32", "Ints32", "new_tile"]
-
 TILE = 64
 """Corners in a row of a tile; it has one pixel less."""
 

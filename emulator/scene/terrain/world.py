@@ -37,9 +37,6 @@ from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.pose import Pose, Timescale, TrajectoryError, measured_bounds
 
-__all__ = ["TerrainWorld", "build_ground", "horizon_slopes", "sunlit_share"]
-
-
 Slopes = npt.NDArray[np.float32]
 
 

@@ -24,19 +24,6 @@ from emulator.scene.files import read_array, read_in_child
 from emulator.tables.toml_text import shortened
 from transports.guarded_reader import Limits
 
-__all__ = [
-    "MOST_BYTES",
-    "VIDEO_SUFFIXES",
-    "Frames",
-    "Levels",
-    "linear_light",
-    "read_frames",
-    "read_images",
-    "read_video",
-    "stacked",
-]
-
-
 MOST_BYTES = 1 << 31
 """Of all frames together."""
 

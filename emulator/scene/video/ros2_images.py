@@ -40,16 +40,6 @@ from transports.ros2.kind import DdsNetwork, check_topic
 if TYPE_CHECKING:
     from transports.ros2.dds import Message
 
-__all__ = [
-    "ROS2_IMAGES",
-    "ImageCounters",
-    "ImageSource",
-    "LiveImages",
-    "Ros2ImageParameters",
-    "Ros2Images",
-    "open_ros2_images",
-]
-
 
 _Float32s = npt.NDArray[np.float32]
 

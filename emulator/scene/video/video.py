@@ -28,8 +28,6 @@ from emulator.scene.video.frames import VIDEO_SUFFIXES, Frames, linear_light, re
 from emulator.tables.typed_table import NO_FILE, RigFile
 from transports.needs import Need, package
 
-__all__ = ["VIDEO", "Around", "JoinedFrames", "Video", "VideoParameters", "coarsest_level", "resampled"]
-
 _Float32s = npt.NDArray[np.float32]
 
 _TYPICAL_THRESHOLD = 0.2

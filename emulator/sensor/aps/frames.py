@@ -40,9 +40,6 @@ from emulator.sensor.parameters import FrameParameters
 from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.frames import FrameSettings, LineKind, line_record
 
-__all__ = ["Converter", "Exposure", "FrameSource", "FrameTimes", "Schedule", "frame_times"]
-
-
 _MOST = 1023
 
 Floats = npt.NDArray[np.float32]

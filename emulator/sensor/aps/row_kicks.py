@@ -34,8 +34,6 @@ from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, merged
 from emulator.sensor.pixels.state import Levels
 from emulator.sensor.presets import SensorParameters
 
-__all__ = ["LineReads", "RowKicks"]
-
 _Int64s = npt.NDArray[np.int64]
 _Float32s = npt.NDArray[np.float32]
 _Floats = npt.NDArray[np.float64]

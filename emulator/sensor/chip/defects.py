@@ -24,9 +24,6 @@ from emulator.sensor.parameters import REFERENCE_CELSIUS
 from emulator.sensor.pixels.method import PixelMethod
 from emulator.sensor.presets import SensorParameters
 
-__all__ = ["NEVER_NS", "Defects", "Leaks", "at_temperature", "draw_defects"]
-
-
 _DAY_NS = 86_400 * 10**9
 NEVER_NS = (1 << 63) - 1
 

@@ -34,8 +34,6 @@ from emulator.sensor.numerics.elementary import decay, natural_log
 from emulator.sensor.numerics.keyed import Purpose, normal, normals, root_of, streams
 from emulator.sensor.presets import SensorParameters
 
-__all__ = ["Imager", "part_of_the_way"]
-
 _LEAST_GAIN = 0.1
 _LARGEST = np.finfo(np.float32).max
 _ARRAY_SHARE = 0.01  # of the dark current, given to the array when counting can reduce it

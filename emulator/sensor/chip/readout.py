@@ -44,9 +44,6 @@ from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined, un
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT, Events, copy_events
 
-__all__ = ["ArbiterReadOut", "Arrivals", "Jitter", "ReadOut", "new_busy"]
-
-
 _FOREVER_NS = (1 << 63) - 1
 
 _Words = npt.NDArray[np.uint64]

@@ -27,8 +27,6 @@ from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, log_co
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import Events
 
-__all__ = ["ScanReadOut"]
-
 _FOREVER_NS = (1 << 63) - 1
 _FREE, _OFF, _ON = range(3)
 

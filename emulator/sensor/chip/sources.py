@@ -31,23 +31,6 @@ from emulator.sensor.numerics.keyed import Purpose, high, low, normal, root_of, 
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined, merged, unpacked
 from emulator.sensor.presets import SensorParameters
 
-__all__ = [
-    "LONGEST_NS",
-    "SLOT_NS",
-    "BackgroundEvents",
-    "Particles",
-    "Pending",
-    "SlottedEvents",
-    "Window",
-    "hits_per_second",
-    "new_pending",
-    "path",
-    "primaries_hz",
-    "release",
-    "reserve",
-]
-
-
 SLOT_NS = 1_024_000
 """Length of a slot, in which events are drawn."""
 

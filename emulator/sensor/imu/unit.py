@@ -51,26 +51,6 @@ from emulator.trajectory.pose import Timescale, Trajectory
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.imu_samples import IMU_SAMPLE, THERMOMETERS, ImuSamples, ImuScale, ImuSettings, no_samples
 
-__all__ = [
-    "AXES",
-    "EARTH_IN_THE_PICTURE",
-    "IMU_MOTION",
-    "MOON_BELOW",
-    "STANDARD_GRAVITY_M_S2",
-    "WEIGHTLESS",
-    "Carried",
-    "Converter",
-    "ElementErrors",
-    "Errors",
-    "Gravity",
-    "ImuMotion",
-    "ImuSource",
-    "ImuUnit",
-    "errors_of",
-    "no_motion",
-]
-
-
 AXES = 6
 _BLOCK = 1 << 14
 

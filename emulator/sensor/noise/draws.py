@@ -38,34 +38,6 @@ from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel
 from emulator.sensor.numerics.elementary import fetch
 from emulator.sensor.numerics.keyed import high, low, normal_from, stream, unit, word
 
-__all__ = [
-    "CROSSED",
-    "DRIFT",
-    "HORIZON_NS",
-    "NEVER_NS",
-    "NEXT",
-    "OFFSET",
-    "RATE",
-    "READ",
-    "SEEN",
-    "WINDOW_NS",
-    "Constants",
-    "Count",
-    "Lists",
-    "Packed",
-    "PixelNoise",
-    "Setting",
-    "cross",
-    "draw_first",
-    "due",
-    "fire",
-    "insert",
-    "look_again",
-    "open_horizon",
-    "open_window",
-    "settle",
-]
-
 WINDOW_NS, HORIZON_NS = 1 << 22, 1 << 26
 NEVER_NS = 1 << 61
 """Time of the next candidate of a pixel that has none."""

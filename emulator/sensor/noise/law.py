@@ -63,29 +63,6 @@ import numpy.typing as npt
 from emulator.sensor.numerics.keyed import Purpose, normal
 from emulator.sensor.presets import SensorParameters
 
-__all__ = [
-    "DIFFERENCE",
-    "LEAST_A",
-    "MOST_UNDER_WAY",
-    "REFRACTORY",
-    "TABLE",
-    "A",
-    "NoiseStatistics",
-    "Statistics",
-    "bandwidth_hz",
-    "beyond_the_law",
-    "corner_hz",
-    "exits",
-    "fixed_corner_hz",
-    "noise_events",
-    "noise_scale",
-    "of_array",
-    "rms",
-    "statistics",
-    "write_table",
-]
-
-
 _Floats = npt.NDArray[np.float64]
 
 A = np.array([1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0, 6.0, 7.0])

@@ -24,8 +24,6 @@ import numpy.typing as npt
 from emulator.sensor.noise.law import exits
 from emulator.sensor.numerics.compiled import kernel
 
-__all__ = ["FIRST", "NODES", "STEP", "TABLE", "passage_rates", "passage_table", "write_table"]
-
 FIRST, STEP, NODES = -4.0, 0.25, 65
 """Nodes of the table, in deviations: -4 to 12. Farther thresholds count as the last ones."""
 

@@ -56,8 +56,6 @@ from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings
 from emulator.sensor.presets import SensorParameters
 from emulator.threads import ThreadPool, available_threads
 
-__all__ = ["NoiseEvents"]
-
 _Float32s = npt.NDArray[np.float32]
 _Floats = npt.NDArray[np.float64]
 _Pixels = npt.NDArray[np.int64]

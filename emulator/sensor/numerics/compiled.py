@@ -36,20 +36,6 @@ from numba import njit
 
 from firmware_protocol.compiled import entry_of
 
-__all__ = [
-    "NONE",
-    "SOURCES",
-    "Real",
-    "cached_entry",
-    "cached_kernel",
-    "inlined",
-    "kernel",
-    "kernel_that_allocates",
-    "lane",
-    "log_compilation",
-    "vector_kernel",
-]
-
 _LOG = logging.getLogger(__name__)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Decorator = Callable[[_Function], _Function]

@@ -32,19 +32,6 @@ from numba.extending import intrinsic
 
 from emulator.sensor.numerics.compiled import lane
 
-__all__ = [
-    "aligned_zeros",
-    "decay",
-    "exponential",
-    "exponential_less_one",
-    "fetch",
-    "log_of_one_more",
-    "lowest_bit",
-    "natural_log",
-    "use_widest_vectors",
-]
-
-
 _SQRT_HALF_BITS = 0x3F3504F3
 _MANTISSA_BITS = 23
 _EXPONENT_BIAS = 127

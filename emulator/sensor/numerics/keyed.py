@@ -28,22 +28,6 @@ from emulator.sensor.numerics.elementary import natural_log
 from firmware_protocol.device import clock as keyed_draws
 from firmware_protocol.device.clock import GOLDEN, as_words, mix, normal_of, uniform_of, words_of
 
-__all__ = [
-    "Purpose",
-    "high",
-    "low",
-    "normal",
-    "normal_from",
-    "normals",
-    "root_of",
-    "stream",
-    "streams",
-    "uniform",
-    "unit",
-    "word",
-    "words",
-]
-
 
 class Purpose(IntEnum):
     """Purpose of a draw. The values define the meaning of a seed: never reuse or renumber them."""

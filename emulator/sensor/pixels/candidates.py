@@ -41,8 +41,6 @@ from emulator.sensor.pixels.state import (
 )
 from emulator.sensor.pixels.subset import pixel_at
 
-__all__ = ["BATCH", "Table", "gather", "new_table", "select", "solve"]
-
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 

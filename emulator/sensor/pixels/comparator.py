@@ -29,8 +29,6 @@ import math
 from emulator.sensor.numerics.compiled import kernel
 from emulator.sensor.pixels.state import StepConstants
 
-__all__ = ["LONGEST_S", "delay_s"]
-
 LONGEST_S = 0.1
 """Longest delay: of a signal that has hardly a slope."""
 

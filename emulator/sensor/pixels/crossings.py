@@ -11,8 +11,6 @@ import numpy.typing as npt
 from emulator.sensor.numerics.compiled import cached_entry
 from emulator.sensor.pixels.step import unpack
 
-__all__ = ["NO_CROSSINGS", "Crossings", "joined", "merged", "unpacked"]
-
 _Arrays = tuple[npt.NDArray[np.int64], npt.NDArray[np.uint32], npt.NDArray[np.bool_]]
 
 

@@ -48,31 +48,6 @@ from emulator.sensor.numerics.compiled import Real, lane
 from emulator.sensor.numerics.elementary import decay, exponential
 from emulator.sensor.pixels.state import StepConstants
 
-__all__ = [
-    "LARGEST_CHANGE",
-    "REFINED_UNSEEN_SHARE",
-    "UNSEEN_SHARE",
-    "WORTH_BENDING",
-    "Course",
-    "Filtered",
-    "Transient",
-    "bend_width",
-    "capped",
-    "completed",
-    "is_jump",
-    "is_smooth",
-    "is_undersampled",
-    "limit",
-    "missed_by_cubic",
-    "passed_by_second_pole",
-    "photocurrent",
-    "rise_behind_second_pole",
-    "rise_of_filter",
-    "transient",
-    "warped_time",
-]
-
-
 _ZERO, _ONE, _TWO, _THREE, _FOUR, _SIX = (np.float32(x) for x in (0, 1, 2, 3, 4, 6))
 _HALF, _QUARTER, _EIGHTH, _THIRD = (np.float32(x) for x in (0.5, 0.25, 0.125, 1 / 3))
 LARGEST_CHANGE = np.float32(0.5)

@@ -27,23 +27,6 @@ from emulator.sensor.numerics.compiled import cached_entry, kernel, vector_kerne
 from emulator.sensor.numerics.elementary import exponential, exponential_less_one
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, EPOCH_BITS, PART, PARTS, Field, StepConstants
 
-__all__ = [
-    "NO_PART",
-    "Idle",
-    "Touched",
-    "block_is_touched",
-    "is_same",
-    "mark",
-    "may_rest",
-    "new_idle",
-    "part_at",
-    "part_is_same",
-    "part_is_touched",
-    "touch",
-    "wake",
-]
-
-
 _BLOCK, _PART = np.int64(BLOCK), np.int64(PART)  # as literals, they would be compiled for one by one
 _Bytes = npt.NDArray[np.uint8]
 

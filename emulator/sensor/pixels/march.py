@@ -40,9 +40,6 @@ from emulator.sensor.pixels.state import (
 )
 from emulator.sensor.pixels.substeps import begin, begin_substep
 
-__all__ = ["SETTLED", "Bracket", "Cubic", "bisect", "newton", "solve_substeps", "value"]
-
-
 SETTLED = np.float32(3e-5)
 """Largest last Newton correction of a root that is accepted; the error is of the order of its square."""
 

@@ -15,8 +15,6 @@ from emulator.sensor.numerics.compiled import Real, kernel
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.pixels.state import BLOCK
 
-__all__ = ["CAPACITY", "STEP_ROWS", "Start", "SubstepTable", "enter", "new_substep_table"]
-
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 

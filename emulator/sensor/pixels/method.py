@@ -15,8 +15,6 @@ from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.pixels.state import DEAD_THRESHOLD, Levels
 from emulator.sensor.presets import SensorParameters
 
-__all__ = ["ADJUSTABLE", "Capabilities", "DrawnPixels", "MakePixels", "PixelMethod", "time_of"]
-
 _Float32s = npt.NDArray[np.float32]
 _Floats = npt.NDArray[np.float64]
 _Int64s = npt.NDArray[np.int64]

@@ -65,8 +65,6 @@ from emulator.sensor.pixels.receptor import (
 )
 from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, PART, Field, StepConstants
 
-__all__ = ["Ahead", "list_flags", "move_quietly", "move_quietly_from_memory", "replace_light_of_block"]
-
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 _Bytes = npt.NDArray[np.uint8]

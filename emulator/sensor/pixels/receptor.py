@@ -45,18 +45,6 @@ from emulator.sensor.pixels.curve import (
     transient,
 )
 
-__all__ = [
-    "MOST_BEHIND",
-    "Response",
-    "bounds_of_receptor",
-    "excess_of",
-    "fourth_derivative",
-    "response",
-    "rise_behind_second_pole_of_receptor",
-    "rise_of_receptor",
-    "weight_of_exponential",
-]
-
 _ZERO, _ONE, _TWO, _SIX = (np.float32(x) for x in (0, 1, 2, 6))
 _THIRD, _A_64TH = np.float32(1 / 3), np.float32(1 / 64)
 _LEAST_W = np.float32(-0.9999999)  # of w's rise: w stays positive

@@ -24,8 +24,6 @@ from emulator.sensor.pixels.state import BLOCK, FIELDS, Pixels, StepConstants
 from emulator.sensor.pixels.step import Buffers, Share, Tally, advance, new_scratch
 from emulator.sensor.pixels.subset import Subset, new_subset, renumbered, scatter
 
-__all__ = ["LEVELS", "SHORTEST_NS", "Refinement"]
-
 LEVELS = 3
 """Most refinements of a step."""
 

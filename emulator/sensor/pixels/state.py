@@ -36,40 +36,6 @@ from emulator.sensor.numerics.keyed import Purpose, normal, normal_from, uniform
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.device.clock import GOLDEN
 
-__all__ = [
-    "BEFORE_ROWS",
-    "BLOCK",
-    "DEAD_THRESHOLD",
-    "EPOCH_BITS",
-    "FIELDS",
-    "MOST_EVENTS",
-    "MOST_LOST",
-    "NEAR_BLOCKS",
-    "PART",
-    "PARTS",
-    "Drawn",
-    "Field",
-    "Keys",
-    "Levels",
-    "PixelState",
-    "Pixels",
-    "StepConstants",
-    "count_reset",
-    "draw",
-    "field_index",
-    "leak_phase",
-    "levels_passed",
-    "light_constants",
-    "pack",
-    "put_field",
-    "reserve",
-    "reset_offset",
-    "slot",
-    "take_field",
-    "whole_vectors",
-]
-
-
 BLOCK = 512
 """Pixels of a block. The speed depends on it, the arithmetic of a pixel does not."""
 

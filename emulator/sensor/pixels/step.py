@@ -35,20 +35,6 @@ from emulator.sensor.pixels.subset import (
     scatter_parts,
 )
 
-__all__ = [
-    "RUN",
-    "Buffers",
-    "Scratch",
-    "Share",
-    "Tally",
-    "advance",
-    "compile_parts",
-    "new_scratch",
-    "replace_light",
-    "unpack",
-    "unpack_both",
-]
-
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 _Bytes = npt.NDArray[np.uint8]

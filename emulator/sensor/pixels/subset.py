@@ -32,21 +32,6 @@ from emulator.sensor.pixels.state import (
     slot,
 )
 
-__all__ = [
-    "MOST_PACKED",
-    "Subset",
-    "gather_parts",
-    "gather_undersampled",
-    "list_active",
-    "list_all",
-    "new_subset",
-    "pixel_at",
-    "renumbered",
-    "scatter",
-    "scatter_parts",
-]
-
-
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 _Frame = tuple[_Float32s, _Float32s]

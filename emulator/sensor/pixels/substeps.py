@@ -43,8 +43,6 @@ from emulator.sensor.pixels.receptor import (
 )
 from emulator.sensor.pixels.state import StepConstants
 
-__all__ = ["begin", "begin_substep"]
-
 _Float32s = npt.NDArray[np.float32]
 
 _NAN = np.float32(np.nan)

@@ -21,9 +21,6 @@ from emulator.sensor.pixels.step import RUN, Buffers, Share, Tally, advance, new
 from emulator.sensor.pixels.subset import new_subset
 from emulator.threads import available_threads
 
-__all__ = ["EventBuffers", "Workers"]
-
-
 _Keys = npt.NDArray[np.uint64]
 _Frame = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
 

@@ -22,20 +22,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "dvs_voltmeter",
-    "esim",
-    "eventcv",
-    "evlib",
-    "evstim",
-    "evstim_line",
-    "evstim_refined",
-    "iebcs",
-    "neurosim",
-    "openeb",
-    "v2e",
-]
-
 Events = tuple[Any, Any, Any, Any]
 
 

@@ -16,8 +16,6 @@ from emulator.report.page import Page, figure_legend, panels, save, write_csv, w
 from laboratory.accuracy.peers.scoring import Report, Summary, read_report
 from laboratory.accuracy.peers.sequences import SCENES, TIMING
 
-__all__ = ["BEGIN", "END", "markdown", "read_results", "table", "write_page"]
-
 BEGIN, END = "<!-- measured by evstim accuracy peers: begin -->", "<!-- measured by evstim accuracy peers: end -->"
 
 _TITLE = "Simulators of event cameras on scenes in closed form"

@@ -21,8 +21,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-__all__ = ["BUNDLED", "NEEDS_NO_PATH", "OURS", "Adapter", "Outcome", "run_adapter"]
-
 _WORKER = Path(__file__).with_name("worker.py")
 _ADAPTERS = Path(__file__).with_name("adapters.py")
 _MOST_LOST = 3

@@ -24,19 +24,6 @@ import numpy.typing as npt
 from laboratory.accuracy.peers.sequences import TIMING, FrameSequence, SequenceFolder
 from laboratory.accuracy.scores import Stream, compare
 
-__all__ = [
-    "EventsError",
-    "FrameTime",
-    "PeerEvents",
-    "Report",
-    "SequenceScore",
-    "Summary",
-    "read_events",
-    "read_report",
-    "score_events",
-    "write_report",
-]
-
 _COLUMNS = ("t_us", "x", "y", "on")
 _TOLERANCE_US = 1.0
 _WARM_UP = 3

@@ -42,21 +42,6 @@ from laboratory.accuracy.scenes import (
 from laboratory.accuracy.scores import Stream
 from laboratory.accuracy.truth import ideal_events
 
-__all__ = [
-    "IMAGES_PER_S",
-    "SCENES",
-    "THRESHOLD",
-    "TIMING",
-    "FolderError",
-    "FrameSequence",
-    "SequenceFolder",
-    "TimedScene",
-    "export",
-    "light_of",
-    "open_folder",
-    "timing_sequences",
-]
-
 FORMAT = 1
 THRESHOLD = 0.2
 """Both thresholds, ln units."""

@@ -40,8 +40,6 @@ from typing import IO, Any, NamedTuple, Protocol
 
 import numpy as np
 
-__all__ = ["ABOUT", "MOST_EVENTS", "Frame", "Settings", "Simulator", "load_adapter", "main", "run_sequence"]
-
 ABOUT = ("name", "version", "date", "takes", "notes", "device", "whole")
 """Attributes of a simulator that are shown in the table."""
 

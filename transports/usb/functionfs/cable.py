@@ -46,9 +46,6 @@ from firmware_protocol.usb.device import NotReady, SetupPacket, Stall, Transfer,
 from firmware_protocol.usb.functionfs import EventKind
 from transports.usb.functionfs.files import ControlPipe, DataPipe, Function
 
-__all__ = ["Cable", "ControlThread", "InThread", "OutThread", "Request", "Sent"]
-
-
 log = logging.getLogger(__name__)
 
 _TURNS = (EventKind.ENABLE, EventKind.DISABLE, EventKind.UNBIND)

@@ -21,8 +21,6 @@ from transports.usb.functionfs.files import WAKE_SIGNAL, FunctionFiles, with_spa
 from transports.usb.functionfs.gadget import Gadget, GadgetError, Places, controller_of
 from transports.usb.kind import UsbGadgetLink
 
-__all__ = ["GadgetEndpoint", "GadgetFactory", "factory_of"]
-
 log = logging.getLogger(__name__)
 
 _SPEEDS = (Speed.FULL, Speed.HIGH, Speed.SUPER)

@@ -40,18 +40,6 @@ from typing import Protocol
 from firmware_protocol.usb.descriptors import Endpoint, Interface, TransferType
 from firmware_protocol.usb.functionfs import EVENT_BYTES, Event
 
-__all__ = [
-    "WAKE_SIGNAL",
-    "ControlFile",
-    "ControlPipe",
-    "DataPipe",
-    "EndpointFile",
-    "Function",
-    "FunctionFiles",
-    "with_spares",
-]
-
-
 WAKE_SIGNAL = signal.SIGUSR2
 """Signal that ends a blocked call of an endpoint; the process needs a handler for it, which may be empty."""
 

@@ -24,8 +24,6 @@ from pathlib import Path
 from firmware_protocol.usb.descriptors import DescriptorSet, Speed
 from transports.usb.kind import check_name
 
-__all__ = ["Gadget", "GadgetError", "Places", "controller_of", "mount_functionfs"]
-
 _ENGLISH = "0x409"
 _CONFIGURATION = "c.1"
 _SPEED = {Speed.FULL: "full-speed", Speed.HIGH: "high-speed", Speed.SUPER: "super-speed"}

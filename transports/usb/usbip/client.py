@@ -45,9 +45,6 @@ from transports.usb.host import (
     UsbHostError,
 )
 
-__all__ = ["UrbStream", "UsbipHost", "Wire", "connect", "list_devices"]
-
-
 _RECEIVE_BYTES = 256 << 10
 
 

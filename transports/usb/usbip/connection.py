@@ -56,9 +56,6 @@ from firmware_protocol.usb.usbip import (
     UsbipError,
 )
 
-__all__ = ["Bus", "Connection", "ConnectionSettings", "EarlyUnlinks", "Found", "UrbObserver"]
-
-
 _HALF = 1 << 31
 
 

@@ -36,9 +36,6 @@ from transports.usb.kind import UsbipLink
 from transports.usb.usbip.connection import Connection, ConnectionSettings, UrbObserver
 from transports.usb.usbip.trace import UrbTrace
 
-__all__ = ["UsbipEndpoint", "UsbipFactory", "UsbipServer", "factory_of"]
-
-
 log = logging.getLogger(__name__)
 
 _PLACES = Places()

@@ -28,8 +28,6 @@ from firmware_protocol.usb.usbip import FILE_HEADER, IN_PROGRESS, Submit, Unlink
 from transports.output_file import OutputFile
 from transports.usb.usbip.connection import Found
 
-__all__ = ["UrbTrace", "both_files", "trace_paths", "transfer_types"]
-
 
 def both_files(path: Path) -> tuple[Path, Path]:
     """Return PATH.txt and PATH.pcap."""
