@@ -179,9 +179,9 @@ class _Guest:
         self._missing = self._missing[self.stream.read_some(self._missing, 0.0) :]
         if len(self._missing) > Hello.OCTETS:
             return None
-        kind, length = parse_header(self._octets[:HEADER_OCTETS])
+        kind, length = parse_header(bytes(self._octets[:HEADER_OCTETS]))
         _require(kind, length, Type.HELLO, Hello.OCTETS)
-        return None if self._missing else Hello.parse(self._octets[HEADER_OCTETS:][:length])
+        return None if self._missing else Hello.parse(bytes(self._octets[HEADER_OCTETS:][:length]))
 
 
 def _require(kind: Type, length: int, expected: Type, most: int) -> None:
@@ -306,8 +306,8 @@ class RendererConnection:
             )
         octets = np.empty(self._octets, np.uint8)
         if self._memory is None:
-            self._stream.read_into(memoryview(octets), until_s)  # type: ignore[arg-type]
-        elif os.preadv(self._memory.fileno(), [octets], draw.slot * self._octets) != self._octets:
+            self._stream.read_into(octets.data, until_s)
+        elif os.preadv(self._memory.fileno(), [octets.data], draw.slot * self._octets) != self._octets:
             raise RendererError("the shared memory could not be read completely")
         self._requested.popleft()
         return Drawn(head, {plane.name: self._view(plane, octets) for plane in self._planes})
