@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 import tomllib
 from pathlib import Path
@@ -38,7 +39,8 @@ def fault(
     kind
         Kind of fault, such as bit_flips; the rig reference lists all.
     run
-        Name of the rig if several run; or the path of its control socket.
+        Name of the rig, its process number, or the path of its control socket. Needed if several rigs run, or if the
+        one that runs was started in another folder.
     link
         Name of the link if several can have this fault.
     for_s
@@ -58,9 +60,9 @@ def fault(
         raise Failure(str(injected["error"]), WRONG_USE)
     record = _follow(path, injected, kind, float(table.get("for_s", 0.0)))
     if json:
-        print_json({"link": injected["link"], "fault": record})
+        print_json({"rig": faults["rig"], "pid": faults["pid"], "link": injected["link"], "fault": record})
     else:
-        console.print(f"{injected['link']}: {fault_line(record)}")
+        console.print(f"{_origin(faults)}, {injected['link']}: {fault_line(record)}", markup=False)
         if not record.hits:
             console.print(_why_no_hits(answer_of(path, {"request": "faults"})["links"][injected["link"]]), markup=False)
     return GOOD
@@ -84,14 +86,22 @@ def find_run(run: str | None) -> tuple[Path, dict[str, Any]]:
             found.append((path, send_request(path, {"request": "faults"})))
         except NoAnswer:
             continue  # its run has died
-    meant = [(path, faults) for path, faults in found if run in (None, faults["rig"])]
+    meant = [(path, faults) for path, faults in found if run in (None, faults["rig"], str(faults["pid"]))]
     if not meant:
         name = "no rig" if run is None else f"no rig {run!r}"
         raise Failure(f"{name} is running; start one: evstim run serial-demo", LACKING)
+    origins = "; ".join(f"{_origin(faults)} in {faults['folder']}" for _, faults in meant)
     if len(meant) > 1:
-        there = ", ".join(str(path) for path, _ in meant)
-        raise Failure(f"several rigs are running; choose one with --run: its name, or one of {there}", WRONG_USE)
+        raise Failure(f"several rigs are running: {origins}; choose one with --run and its name or process", WRONG_USE)
+    if run is None and meant[0][1]["folder"] != os.getcwd():
+        advice = f"if it is meant, add --run {meant[0][1]['rig']}"
+        raise Failure(f"{origins} was started in another folder: {advice}", WRONG_USE)
     return meant[0]
+
+
+def _origin(faults: dict[str, Any]) -> str:
+    """Return the rig and the process that gave an answer."""
+    return f"{faults['rig']} (process {faults['pid']})"
 
 
 def _list(faults: dict[str, Any], json: bool) -> int:
@@ -99,7 +109,8 @@ def _list(faults: dict[str, Any], json: bool) -> int:
         print_json(faults)
         return GOOD
     for name, link in faults["links"].items():
-        console.print(f"{faults['rig']}, link {name}: {', '.join(link['kinds']) or 'no faults for this kind of link'}")
+        kinds = ", ".join(link["kinds"]) or "no faults for this kind of link"
+        console.print(f"{_origin(faults)}, link {name}: {kinds}", markup=False)
         for record in link["injected"]:
             console.print(f"  {fault_line(FaultRecord(**record))}")
     return GOOD
@@ -155,19 +166,20 @@ def trigger(
     kind
         pulse, rising or falling: the edge at the input; reset: device time restarts at zero.
     run
-        Name of the rig if several run; or the path of its control socket.
+        Name of the rig, its process number, or the path of its control socket. Needed if several rigs run, or if the
+        one that runs was started in another folder.
     link
         Name of the link of one camera; without it, all cameras.
     json
         Print one JSON object as the last line on stdout.
     """
-    path, _ = find_run(run)
+    path, faults = find_run(run)
     message: dict[str, Any] = {"request": "trigger", "kind": kind}
     answer = answer_of(path, message if link is None else message | {"link": link})
     if "error" in answer:
         raise Failure(str(answer["error"]), WRONG_USE)
     if json:
-        print_json({"kind": kind, **answer})
+        print_json({"rig": faults["rig"], "pid": faults["pid"], "kind": kind, **answer})
     else:
-        console.print(f"{kind}: {', '.join(answer['links'])}", markup=False)
+        console.print(f"{_origin(faults)}: {kind} at {', '.join(answer['links'])}", markup=False)
     return GOOD

@@ -8,13 +8,12 @@ Only its owner can open it (directory 0700, socket 0600). The session polls it w
 second, and never waits for a client: lines, clients and the work of one poll are bounded, and the oldest connection is
 closed for a newer one. Requests and answers:
 
-{"request": "faults"}                    ->  {"rig": ..., "t_s": ..., "links": {NAME: {"kinds": [...], "injected": []}}}
+{"request": "faults"}                    ->  {"rig": ..., "pid": ..., "folder": where it was started, "t_s": ...,
+                                             "links": {NAME: {"kinds": [...], "injected": []}}}
 {"request": "inject", "fault": {table}}  ->  {"link": NAME, "after": number of its faults so far} or {"error": ...}
 {"request": "end", "link": NAME, "number": N}  ->  {"link": NAME, "kind": KIND} or {"error": ...}
 {"request": "trigger", "kind": KIND}     ->  {"links": [NAME, ...]}   "link": NAME for one alone
                                           KIND: pulse, rising, falling at the camera's input; reset: its clock
-
-For one version more, "throw" is accepted for "inject", and "injected" is there as "thrown" too.
 
 The ready signal is a file for scripts, and sd_notify for a service manager:
 
@@ -279,7 +278,7 @@ class FaultInjection:
         match message:
             case {"request": "faults"}:
                 return self._faults(status)
-            case {"request": "inject" | "throw", "fault": table}:
+            case {"request": "inject", "fault": table}:
                 return self._inject(table, status)
             case {"request": "end", "link": str(link), "number": int(number)}:
                 return self._end(link, number, status)
@@ -293,9 +292,10 @@ class FaultInjection:
         for link in self._rig.links:
             report = status.links.get(link.name)
             injected = [] if report is None else [dataclasses.asdict(record) for record in report.faults]
-            links[link.name] = {"kinds": list(faults_of(link)), "injected": injected, "thrown": injected}
+            links[link.name] = {"kinds": list(faults_of(link)), "injected": injected}
             links[link.name]["state"] = "" if report is None else report.state
-        return {"rig": self._rig.name, "t_s": status.sim_seconds, "links": links}
+        origin = {"rig": self._rig.name, "pid": os.getpid(), "folder": os.getcwd()}
+        return {**origin, "t_s": status.sim_seconds, "links": links}
 
     def _inject(self, table: object, status: RunStatus) -> Message:
         try:

@@ -6,6 +6,7 @@ import socket
 import stat
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -149,8 +150,8 @@ def test_the_control_lists_and_injects():
     told = control.answer({"request": "faults"}, now)
     assert "bit_flips" in told["links"]["serial"]["kinds"]
     assert told["links"]["serial"]["injected"][0]["ended_us"] == 6
-    assert told["links"]["loopback"] == {"kinds": [], "injected": [], "thrown": [], "state": ""}
-    answer = control.answer({"request": "throw", "fault": {"kind": "bit_flips", "rate": 0.5}}, now)
+    assert told["links"]["loopback"] == {"kinds": [], "injected": [], "state": ""}
+    answer = control.answer({"request": "inject", "fault": {"kind": "bit_flips", "rate": 0.5}}, now)
     assert answer == {"link": "serial", "after": 1}
     assert session.injected == [BitFlips(link="serial", rate=0.5)]
 
@@ -173,7 +174,7 @@ def test_the_control_ends_a_fault_that_lasts():
         ({}, "known requests"),
         ({"request": "inject"}, "known requests"),
         ({"request": "inject", "fault": 7}, "expected a table"),
-        ({"request": "throw", "fault": {"kind": "bit_flips", "rate": "x"}}, "rate"),
+        ({"request": "inject", "fault": {"kind": "bit_flips", "rate": "x"}}, "rate"),
         ({"request": "inject", "fault": {"kind": "lost_frames"}}, "no link"),
     ],
 )
@@ -226,8 +227,10 @@ def test_a_fault_injected_into_a_run_is_done_and_told(runtime, capsys):
             result = session.run(schedule(bench), on_status)
             client.join()
     assert codes == [0, 2, 2, 0]
+    where = {"rig": bench.name, "pid": os.getpid()}
     said = capsys.readouterr().out
     told = json.loads(said.splitlines()[0])
+    assert {key: told[key] for key in where} == where
     assert told["link"] == "serial"
     assert told["fault"]["kind"] == "stall"
     lasted_us = told["fault"]["ended_us"] - told["fault"]["began_us"]
@@ -235,6 +238,45 @@ def test_a_fault_injected_into_a_run_is_done_and_told(runtime, capsys):
     assert "fault 1, stall, " in said
     assert [record.kind for record in result.links["serial"].faults] == ["stall"]
     assert result.good
+
+
+def answers(monkeypatch, *runs):
+    """Let runs of these (rig, process, folder) be found by the commands."""
+    links = {"usbip": {"kinds": [], "injected": []}}
+    known = {
+        Path(f"{pid}.sock"): {"rig": name, "pid": pid, "folder": folder, "links": links} for name, pid, folder in runs
+    }
+    sent = []
+
+    def answer(path, message):
+        sent.append((path, message["request"]))
+        return known[path] if message["request"] == "faults" else {"links": ["usbip"]}
+
+    monkeypatch.setattr("emulator.cli.fault.sockets", lambda: list(known))
+    monkeypatch.setattr("emulator.cli.fault.send_request", answer)
+    return sent
+
+
+@pytest.mark.parametrize("verb", ["fault", "trigger"])
+@pytest.mark.parametrize(
+    ("runs", "options", "code", "text"),
+    [
+        ([("eros", 7, "here")], [], 0, "eros (process 7)"),
+        ([("eros", 7, "/another")], [], 2, "eros (process 7) in /another was started in another folder"),
+        ([("eros", 7, "/another")], ["--run", "eros"], 0, "eros (process 7)"),
+        ([("eros", 7, "/another")], ["--run", "7"], 0, "eros (process 7)"),
+        ([("eros", 7, "here"), ("stars", 8, "/another")], [], 2, "eros (process 7) in"),
+        ([("eros", 7, "here"), ("eros", 8, "here")], ["--run", "eros"], 2, "eros (process 8) in"),
+        ([("eros", 7, "here"), ("eros", 8, "here")], ["--run", "8"], 0, "eros (process 8)"),
+    ],
+)
+def test_a_run_of_another_terminal_is_reached_by_name_alone(verb, runs, options, code, text, monkeypatch, capsys):
+    runs = [(name, pid, os.getcwd() if folder == "here" else folder) for name, pid, folder in runs]
+    sent = answers(monkeypatch, *runs)
+    assert _main([verb, *options]) == code
+    printed = capsys.readouterr()
+    assert text in " ".join((printed.err if code else printed.out).split())
+    assert {request for _, request in sent} == {"faults"} | ({"trigger"} if verb == "trigger" and not code else set())
 
 
 def test_every_kind_is_in_the_schema(capsys):
