@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from emulator.sensor.sensor import AdjustableSource
-from firmware_protocol.device.event_device import LEAST_FACTOR, MOST_FACTOR
+from firmware_protocol.device import LEAST_FACTOR, MOST_FACTOR
 from transports.link.report import CameraSettings
 
 log = logging.getLogger(__name__)

@@ -132,7 +132,7 @@ from emulator.tables.typed_table import check_bounds
 _MOST_PIXELS = 1 << 24  # 4096 x 4096: 3 GB of state; no event camera has as many
 
 _Side = Annotated[int, Meta(ge=1, le=65536)]
-_Threshold = Annotated[float, Meta(ge=1e-3, le=100)]
+_Threshold = Annotated[float, Meta(ge=1e-4, le=100)]
 _Corner = Annotated[float, Meta(gt=0)]  # inf: no low-pass
 
 

@@ -29,7 +29,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
-from firmware_protocol.device.event_device import LEAST_FACTOR, MOST_FACTOR
+from firmware_protocol.device import LEAST_FACTOR, MOST_FACTOR
 
 _FULL_SCALE_A = (11e-12, 94e-12, 756e-12, 6.054e-9, 48.437e-9, 387.5e-9, 3.1e-6, 24.8e-6)
 

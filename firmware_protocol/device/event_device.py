@@ -20,10 +20,7 @@ from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import ItemEncoder, Items, Numbers, ReadingKind, Readings
 from firmware_protocol.events import Edges, Events
 
-__all__ = ["LEAST_FACTOR", "MOST_FACTOR", "EventDevice", "ReadingKind", "Readings"]
-
-LEAST_FACTOR, MOST_FACTOR = 0.1, 1000.0
-"""Bounds of each of `EventDevice.sensor_factors`: a host's biases move a parameter no further."""
+__all__ = ["EventDevice", "ReadingKind", "Readings"]
 
 _FOREVER_US = 1 << 62
 _NO_BOUND = 1 << 30

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from firmware_protocol.device.event_device import LEAST_FACTOR, MOST_FACTOR
+from firmware_protocol.device import LEAST_FACTOR, MOST_FACTOR
 
 STEP = 0.073
 _DEFAULT_LEVEL = 9

@@ -32,7 +32,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
-from firmware_protocol.device.event_device import LEAST_FACTOR, MOST_FACTOR
+from firmware_protocol.device import LEAST_FACTOR, MOST_FACTOR
 
 _WITHOUT_EFFECT = {
     "hpf": "the simulated pixel has no high-pass filter",

@@ -13,7 +13,7 @@ PROGRAM = '[program]\nargv = ["true"]\n'
     ("top", "more", "message"),
     [
         ("sucess = []", "", "line 4: sucess: 'sucess' is not known here; did you mean 'success'"),
-        ('sampling = "sobel"', "", "line 4: sampling: Invalid enum value"),
+        ('sampling = "sobel"', "", "line 4: sampling: 'sobel' is not known here; did you mean 'sobol'"),
         ("repeats = 0", "", "line 4: repeats: repeats must be 1"),
         ("timeout_s = 0", "", "timeout_s must be above 0"),
         ('record = "npz"', "", "record must be a suffix"),
@@ -22,7 +22,7 @@ PROGRAM = '[program]\nargv = ["true"]\n'
         ('success = ["events.readout > 3"]', "", "'events.readout' is not known here; did you mean 'events.read_out'"),
         ('success = ["program"]', "", "'program' needs a .program."),
         ("", '[report]\ncolumns = ["events.raise"]', "did you mean 'events.raised'"),
-        ("", '[report]\nworst_is = "low"', "worst_is: Invalid enum value"),
+        ("", '[report]\nworst_is = "low"', "worst_is: 'low' is not known here; did you mean 'lowest'"),
         ("", '[[parameters]]\nkey = "scene.bright"\nkind = "unifrom"', "did you mean 'uniform'"),
         ("", '[[parameters]]\nkey = "scene.bright"\nkind = "uniform"\nlow = 1', "line 24: parameters.2..low"),
         ("", '[[parameters]]\nkind = "uniform"\nlow = 1\nhigh = 2', "'key' is missing"),

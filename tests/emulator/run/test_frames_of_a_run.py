@@ -23,7 +23,7 @@ def rig(text):
 
 def test_the_table_is_typed_and_its_mistakes_are_told():
     assert rig("[camera.frames]\nreset_dn = 800\n").camera.frames == FrameParameters(reset_dn=800)
-    with pytest.raises(RigError, match="reset_dn = 100"):
+    with pytest.raises(RigError, match="reset_dn must be 384 to 1023, got 100"):
         rig("[camera.frames]\nreset_dn = 100\n")
     with pytest.raises(RigError, match=r"camera\.frames\.kicks\.share"):
         rig("[camera.frames.kicks]\nshare = 2\n")

@@ -18,7 +18,7 @@ SMALL = dataclasses.replace(
     PRESETS["dvxplorer_micro"], width=8, height=6, source_follower_hz=300.0, jitter=JitterParameters(latency_us=5.0)
 )
 TABLES = [SensorParameters, ReadoutParameters]
-TABLES += [getattr(parameters, name) for name in parameters.__all__ if name.endswith("Parameters")]
+TABLES += [table for name, table in vars(parameters).items() if name.endswith("Parameters")]
 NUMBERS = [(table, name) for table in TABLES for name in bounds_of(table)]
 
 

@@ -223,7 +223,7 @@ def test_actions_are_for_the_device_that_is_meant():
     for keys in ((10, 22, 2), (11, 21, 2), (11, 22, 0b1001)):
         assert host.send(Command.ACTION, struct.pack(">III", *keys), STRANGER) is None
     assert host.send(Command.ACTION, struct.pack(">III", 11, 22, 2), STRANGER) == (0, b"")
-    assert host.camera.counters.edges.added == 1
+    assert host.camera.counters.edges.added == 2, "one pulse, which rises and falls"
 
 
 def _forced(host, mac, address):
@@ -264,7 +264,7 @@ def test_a_scheduled_action_is_a_pulse_at_its_time():
     host.camera.advance(3000)
     assert host.camera.counters.edges.added == 0
     host.camera.advance(20_000)
-    assert host.collect()[1]["t"].tolist() == [4000, 4000, 9000, 9000]  # a pulse rises and falls
+    assert host.collect()[1]["t"].tolist() == [4000, 4100, 9000, 9100]  # a pulse rises and falls pulse_us later
 
 
 def test_an_action_that_comes_too_late_is_done_at_once_and_says_so():
@@ -274,7 +274,7 @@ def test_an_action_that_comes_too_late_is_done_at_once_and_says_so():
     host.camera.advance(5000)
     assert _scheduled(host, 4_000_000) == Status.ACTION_LATE
     host.camera.advance(9000)
-    assert host.collect()[1]["t"].tolist() == [5000, 5000]
+    assert host.collect()[1]["t"].tolist() == [5000, 5100]
 
 
 def test_scheduled_actions_end_with_the_acquisition_and_have_a_bound():

@@ -352,7 +352,7 @@ def test_a_run_that_may_wait_does_and_loses_nothing(tmp_path, monkeypatch):
     recorder = TruthRecorder(tmp_path / "t.h5", About((64, 48)), waits=True)
     for k in range(100):
         recorder.put({"pictures/t": np.full(1, float(k)), "pictures/light": np.ones((1, 48, 64), np.float32)})
-        assert recorder._writer.waiting_bytes <= 30_000
+        assert recorder._writer._queue.waiting_bytes <= 30_000
     recorder.close()
     assert recorder.trouble == ""
     with h5py.File(tmp_path / "t.h5") as file:

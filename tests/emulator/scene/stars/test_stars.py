@@ -237,5 +237,5 @@ def test_a_camera_inside_a_point_is_refused():
     ],
 )
 def test_nonsense_is_refused(make, name):
-    with pytest.raises(ValueError, match=f"{name} is "):
+    with pytest.raises(ValueError, match=f"{name} must be .*, got "):
         make()

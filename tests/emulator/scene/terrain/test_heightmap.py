@@ -156,7 +156,11 @@ def test_hostile_bytes_are_a_scene_error(tmp_path_factory, data):
 
 @pytest.mark.parametrize(
     ("changes", "message"),
-    [({}, "path is missing"), ({"post_m": -1.0}, "post_m is -1"), ({"units_m": 0.0}, "units_m is 0")],
+    [
+        ({}, "path is missing"),
+        ({"post_m": -1.0}, "post_m must be .*, got -1"),
+        ({"units_m": 0.0}, "units_m must be .*, got 0"),
+    ],
 )
 def test_nonsense_is_refused(changes, message):
     with pytest.raises(ValueError, match=message):

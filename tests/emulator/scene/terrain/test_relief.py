@@ -254,8 +254,8 @@ def test_progress_is_told_on_stderr(capsys):
     [
         ({"posts": 100}, "posts is 100"),
         ({"ridge_m": 5000.0, "size_m": 8000.0}, "does not fit"),
-        ({"seed": -1}, "seed is -1"),
-        ({"slope_deg": float("nan")}, "slope_deg is nan"),
+        ({"seed": -1}, "seed must be .*, got -1"),
+        ({"slope_deg": float("nan")}, "slope_deg must be .*, got nan"),
     ],
 )
 def test_nonsense_is_refused(changes, message):

@@ -189,9 +189,9 @@ def test_when_time_begins_anew_the_last_image_stays():
 
 @pytest.mark.parametrize(("changes", "message"), [
     ({"topic": "image"}, "a topic begins with"),
-    ({"delay_ms": -1.0}, "delay_ms is -1"),
-    ({"wait_s": math.nan}, "wait_s is nan"),
-    ({"floor": 0.0}, "floor is 0"),
+    ({"delay_ms": -1.0}, "delay_ms must be .*, got -1"),
+    ({"wait_s": math.nan}, "wait_s must be .*, got nan"),
+    ({"floor": 0.0}, "floor must be .*, got 0"),
     ({"domain": 500}, "domain must be"),
     ({"peers": ("192.0.2.7",)}, "name the network interface"),
 ])  # fmt: skip
