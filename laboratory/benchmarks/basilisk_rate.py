@@ -17,7 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
-EXAMPLE = Path(__file__).parents[1] / "examples" / "basilisk"
+EXAMPLE = Path(__file__).parents[2] / "examples" / "basilisk"
 PERIOD_S = 0.04
 START = "from emulator.cli import main; main()"
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.device.event_device import LEAST_FACTOR, MOST_FACTOR
+from firmware_protocol.device import LEAST_FACTOR, MOST_FACTOR
 from firmware_protocol.gige.control import Write
 from firmware_protocol.imx636.evk4 import Evk4
 from firmware_protocol.imx636.registers import BIASES

@@ -108,7 +108,7 @@ recorder = LiveRecorder(Path(sys.argv[1]), FORMATS["aedat4"], Facts((346, 260)))
 events = np.zeros(5000, EVENT)
 events["t"] = np.arange(5000)
 recorder.append(Part(events))
-while recorder._writer.waiting_bytes: pass
+while recorder._writer._queue.waiting_bytes: pass
 os.kill(os.getpid(), 9)
 """
 
