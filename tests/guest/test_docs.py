@@ -1,4 +1,4 @@
-"""What docs/drivers.md tells a new user to type works as it stands there: its rig, its commands, its programs.
+"""What docs/cameras.md tells a new user to type works as it stands there: its rig, its commands, its programs.
 
 Only where the camera is differs: it is served on the host, and a program in the guest forwards port 3240, as the page
 has ssh do. `sudo` is a shell function, for the guest's user is root.
@@ -21,7 +21,7 @@ from tests.guest.machine import HOST_ADDRESS, Finished, Guest
 from tests.guest.running_rig import RunningRig
 from tests.guest.turns import Turns, long_but, selected
 
-PAGE = Path(__file__).parents[2] / "docs" / "drivers.md"
+PAGE = Path(__file__).parents[2] / "docs" / "cameras.md"
 HEADINGS = {"dv2": "dv-processing 2", "dv1": "dv-processing 1.7 (libcaer)", "nd": "neuromorphic_drivers"}
 PORT = "3240"
 TIMEOUT_S = 300.0

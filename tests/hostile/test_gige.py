@@ -191,7 +191,7 @@ def _lengths(stranger):
 
 @pytest.mark.socket
 def test_a_flood_of_searches_gets_so_many_answers_a_second():
-    """2000 at once and 2000 a second (docs/gige.md), in the time that this machine takes for the flood.
+    """2000 at once and 2000 a second (docs/cameras.md), in the time that this machine takes for the flood.
 
     That this is less than a flood brings depends on how fast it comes; `test_control.py` counts by a clock of its own.
     """
