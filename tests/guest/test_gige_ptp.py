@@ -1,6 +1,6 @@
 """A GigE Vision camera follows a real PTP master: linuxptp's ptp4l on the other end of a veth pair, Aravis as the host.
 
-`EVSTIM_PTP_READINGS=600 pytest -s` prints what docs/clocks.md reports. ptp4l serves CLOCK_REALTIME and sets no clock.
+`EVSTIM_PTP_READINGS=600 pytest -s` prints what docs/gige.md reports. ptp4l serves CLOCK_REALTIME and sets no clock.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CLIENT = Path(__file__).with_name("clients") / "aravis_ptp.py"
 READINGS = int(os.environ.get("EVSTIM_PTP_READINGS", "10"))
 CAMERA, HOST = "10.78.0.1", "10.78.0.2"
 LINK = f'host = "{CAMERA}"\nallow = ["{HOST}"]\nptp = true\n'
-GENEROUS_NS = 1_000_000  # a busy machine may stamp late; what was measured is in docs/clocks.md
+GENEROUS_NS = 1_000_000  # a busy machine may stamp late; what was measured is in docs/timing.md
 MASTER = """
 [global]
 free_running 1
