@@ -10,6 +10,7 @@ left, on a link that began at 1.02 s and never waits.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -184,9 +185,10 @@ def _can() -> Iterator[tuple[str, str]]:
 _SECTION = """{begin}
 
 The capture [`{capture}`]({capture}) is of the link of the rig `{rig}`:
-five events, an edge, {contents} Each row explains one line. The instrument and the link are
-those of the rig; the events are given, not those of its scene. Times in the text are the camera's own; the column
-holds the time at which the last bit has left, on a link that began at 1.02 s. {form}
+five events, an edge, {contents} Each row explains one line, or several that are alike.
+The instrument and the link are those of the rig; the events are given, not those of its scene. Times in the text are
+the camera's own; the column holds the time at which the last bit has left, on a link that began at 1.02 s.
+{form}
 
 | line | time, s | {columns} |
 |---|---|{rule}|
@@ -200,8 +202,14 @@ def _page(name: str, lines: list[tuple[str, str]], **words: str) -> str:
     begin, end = MARKERS
     before, rest = (FOLDER / name).read_text(encoding="utf-8").split(begin)
     rule = "|".join("---" for _ in words["columns"].split("|"))
-    rows = "\n".join(f"| {i} | {line[1 : line.index(')')]} {row}" for i, (line, row) in enumerate(lines, 1))
-    return before + _SECTION.format(begin=begin, end=end, rule=rule, rows=rows, **words) + rest.split(end)[1]
+    rows, number = [], 1
+    for row, group in groupby(lines, key=lambda pair: pair[1]):
+        times = [line[1 : line.index(")")] for line, _ in group]
+        last = number + len(times) - 1
+        places = f"{number} to {last} | {times[0]} to {times[-1]}" if len(times) > 1 else f"{number} | {times[0]}"
+        rows.append(f"| {places} {row}")
+        number = last + 1
+    return before + _SECTION.format(begin=begin, end=end, rule=rule, rows="\n".join(rows), **words) + rest.split(end)[1]
 
 
 def files() -> dict[str, str]:

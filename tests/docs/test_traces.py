@@ -55,6 +55,8 @@ def test_the_can_capture_holds_the_events():
 def test_each_line_has_its_row_and_each_event_is_told_once(capture, page):
     rows = [line.split("|") for line in decode_on(page).splitlines() if re.match(r"\| \d", line)]
     times = [re.match(r"\((.*?)\)", line)[1] for line in trace(capture).splitlines()]
-    assert [row[2].strip() for row in rows] == times
+    lines = [[int(number) for number in row[1].split(" to ")] for row in rows]
+    assert [number for span in lines for number in range(span[0], span[-1] + 1)] == list(range(1, len(times) + 1))
+    assert [row[2].strip().split(" to ") for row in rows] == [[times[number - 1] for number in span] for span in lines]
     told = [tuple(map(int, found)) for found in re.findall(r"(\d+) us x (\d+) y (\d+)", decode_on(page))]
     assert told == [event[:3] for event in EVENTS]
