@@ -1,4 +1,4 @@
-"""Write docs/registers.md from the registers that the DAVIS346 model declares: python docs/make_register_page.py."""
+"""Write the tables of registers in docs/davis346_usb.md from the model: python docs/make_register_page.py."""
 
 from __future__ import annotations
 
@@ -11,31 +11,9 @@ from firmware_protocol.davis346.registers import Layout, Module, Register, Syste
 
 __all__ = ["PAGE", "page"]
 
-PAGE = Path(__file__).with_name("registers.md")
+PAGE = Path(__file__).with_name("davis346_usb.md")
 
-_HEAD = """# Registers of the DAVIS346
-
-This page lists every register of the emulated camera, for a sensor of 346 x 260 pixels. With the layout `turned` the
-sizes are those of the chip, 260 x 346, and ORIENTATION is 4. A register is a module (wValue) and a parameter (wIndex)
-of [request 0xBF](protocol.md#vendor-requests). All are 32 bits wide and big-endian on the wire. A register stores the
-low **bits** of a written value, as the published logic does, reads back those, and refuses nothing: of 0xFFFFFFFF,
-EXPOSURE stores 0x7FFFFFF (4.5 s), and of 2 a flag stores 0. A register that is not in these tables reads 0; a write to
-it, or to one that can only be read (*ro*), is ignored.
-
-The model limits values that are impossible: a region of interest is cut to the sensor, and gives no
-frames (of the DVS: no events) where it is empty; frames are at least 1 ms apart; a generator whose pulse is not shorter
-than its interval stands still, and reports at most one edge of each kind in a microsecond; factors of biases stay
-within 0.1 and 1000, also their product over several links. A bias acts on the pixels from the end of the step in
-which it was written, in real time somewhat later ([the rule](timing.md#changes-while-a-run-goes-on)).
-
-Registers 31 to 34 of module 1 act in a camera that has these filters: `activity_filter = true` in `[camera]`. Then 30
-reads 1.
-
-**Acts** is the effect in the model: *yes*, the register changes the data that are sent; *reported*, its value describes
-the camera; empty, it is stored and read back, without another effect.
-
-This page is made by `docs/make_register_page.py` from `firmware_protocol/davis346/registers.py`; a test compares them.
-"""
+MARKERS = [f"<!-- docs/make_register_page.py: {place} -->" for place in ("begin", "end")]
 
 _TITLES = {
     Module.MULTIPLEXER: "multiplexer",
@@ -153,10 +131,9 @@ def _acts(register: Register) -> str:
 
 
 def _lines() -> Iterator[str]:
-    yield _HEAD
     known = sorted(registers((346, 260), Layout.UPRIGHT, SystemInfo()), key=lambda r: (r.module, r.address))
     for module, title in _TITLES.items():
-        yield f"## Module {module.value}: {title}\n"
+        yield f"### Module {module.value}: {title}\n"
         yield "| parameter | name | access | bits | default | acts | meaning |\n|---|---|---|---|---|---|---|"
         for r in (r for r in known if r.module is module):
             access = "ro" if r.access.value == "read" else "rw"
@@ -166,8 +143,10 @@ def _lines() -> Iterator[str]:
 
 
 def page() -> str:
-    """Return the page."""
-    return "\n".join(_lines())
+    """Return the page with the tables between its markers."""
+    begin, end = MARKERS
+    before, rest = PAGE.read_text(encoding="utf-8").split(begin)
+    return "\n".join((before + begin, "", *_lines(), end + rest.split(end)[1]))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""Write docs/traces/, short captures of two shipped rigs' links with their decodes: python docs/make_traces.py.
+"""Write docs/traces/, short captures of two shipped rigs' links, and their decodes: python docs/make_traces.py.
+
+The decodes are in docs/serial.md and docs/can.md, between two markers.
 
 The instruments and links are those of the rigs `serial-demo` and `can-demo`; the events are a few that are given here,
 so that the captures are the same on every machine. The time of a line is that at which the last bit of a frame has
@@ -8,6 +10,7 @@ left, on a link that began at 1.02 s and never waits.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -29,9 +32,10 @@ from transports.can_bus.carriage import sources
 from transports.can_bus.kind import CanLink
 from transports.serial_line.kind import SerialLink
 
-__all__ = ["EDGES", "EVENTS", "FOLDER", "files"]
+__all__ = ["EDGES", "EVENTS", "FOLDER", "MARKERS", "files"]
 
-FOLDER = Path(__file__).with_name("traces")
+FOLDER = Path(__file__).parent
+MARKERS = [f"<!-- docs/make_traces.py: {place} -->" for place in ("begin", "end")]
 SIZE = (346, 260)
 START_US = 1_000_000
 EVENTS = np.array(
@@ -178,51 +182,63 @@ def _can() -> Iterator[tuple[str, str]]:
 
 # The files.
 
-_HEAD = """# {title}
+_SECTION = """{begin}
 
-{text}
+The capture [`{capture}`]({capture}) is of the link of the rig `{rig}`:
+five events, an edge, {contents} Each row explains one line, or several that are alike.
+The instrument and the link are those of the rig; the events are given, not those of its scene. Times in the text are
+the camera's own; the column holds the time at which the last bit has left, on a link that began at 1.02 s.
+{form}
 
 | line | time, s | {columns} |
 |---|---|{rule}|
-"""
+{rows}
+
+{end}"""
 
 
-def _page(lines: list[tuple[str, str]], title: str, text: str, columns: str) -> str:
-    rule = "|".join("---" for _ in columns.split("|"))
-    rows = [f"| {i} | {line[1 : line.index(')')]} {row}" for i, (line, row) in enumerate(lines, 1)]
-    return _HEAD.format(title=title, text=text, columns=columns, rule=rule) + "\n".join(rows) + "\n"
+def _page(name: str, lines: list[tuple[str, str]], **words: str) -> str:
+    """Return a page with the decode of its capture."""
+    begin, end = MARKERS
+    before, rest = (FOLDER / name).read_text(encoding="utf-8").split(begin)
+    rule = "|".join("---" for _ in words["columns"].split("|"))
+    rows, number = [], 1
+    for row, group in groupby(lines, key=lambda pair: pair[1]):
+        times = [line[1 : line.index(")")] for line, _ in group]
+        last = number + len(times) - 1
+        places = f"{number} to {last} | {times[0]} to {times[-1]}" if len(times) > 1 else f"{number} | {times[0]}"
+        rows.append(f"| {places} {row}")
+        number = last + 1
+    return before + _SECTION.format(begin=begin, end=end, rule=rule, rows="\n".join(rows), **words) + rest.split(end)[1]
 
 
 def files() -> dict[str, str]:
     """Return each file's name and content."""
     serial, can = list(_serial()), list(_can())
-    text = (
-        "This page decodes a capture of the link of the rig `{}`: five events, an edge, {}\nEach row explains one line "
-        "of [`{}`]({}). The instrument and the link are those of the rig; the events are given, not those of "
-        "its scene.\nTimes in the text are the camera's own; the column holds the time at which the last bit has left, "
-        "on a link that began at 1.02 s.\nThis page is made by `docs/make_traces.py`; a test compares."
-    )
     return {
-        "serial.hex": "\n".join(line for line, _ in serial) + "\n",
+        "traces/serial.hex": "\n".join(line for line, _ in serial) + "\n",
         "serial.md": _page(
+            "serial.md",
             serial,
-            "A trace of a serial line",
-            text.format("serial-demo", "a Ping and a housekeeping report.", *["serial.hex"] * 2)
-            + "\n`<` goes to the camera, `>` comes from it; the profile is `ccsds-cobs`.",
-            "APID | service, subtype | meaning",
+            capture="traces/serial.hex",
+            rig="serial-demo",
+            contents="a Ping and a housekeeping report.",
+            form="`<` goes to the camera, `>` comes from it; the profile is `ccsds-cobs`.",
+            columns="APID | service, subtype | meaning",
         ),
-        "can.log": "\n".join(line for line, _ in can) + "\n",
+        "traces/can.log": "\n".join(line for line, _ in can) + "\n",
         "can.md": _page(
+            "can.md",
             can,
-            "A trace of a CAN bus",
-            text.format("can-demo", "a SYNC and a housekeeping report.", *["can.log"] * 2)
-            + "\nThe format is that of `candump -L`; `canplayer -I can.log` sends it.",
-            "identifier | frame | meaning",
+            capture="traces/can.log",
+            rig="can-demo",
+            contents="a SYNC and a housekeeping report.",
+            form="The format is that of `candump -L`; `canplayer -I can.log` sends it.",
+            columns="identifier | frame | meaning",
         ),
     }
 
 
 if __name__ == "__main__":
-    FOLDER.mkdir(exist_ok=True)
     for name, content in files().items():
         (FOLDER / name).write_text(content, encoding="utf-8")

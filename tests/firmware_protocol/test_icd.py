@@ -1,4 +1,4 @@
-"""The interface control document says what the code does: its tables, and its examples octet by octet."""
+"""The pages of packets and of CAN show what the code does: their tables, and their examples octet by octet."""
 
 import re
 from pathlib import Path
@@ -11,13 +11,15 @@ from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import TELECOMMANDS, Ping, SetBias, SetRegion, SetTick, SetTime
 
-PAGE = (Path(__file__).parents[2] / "docs" / "icd.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE, CAN_PAGE = ((DOCS / name).read_text(encoding="utf-8") for name in ("packets.md", "can.md"))
 LINE = re.compile(r"((?:[0-9a-f]{2} )*[0-9a-f]{2})(?:  |$)")
 
 
 def example_of(name):
-    """Return the octets that the page shows under a heading."""
-    text = PAGE.split(f"### {name}\n\n```\n", 1)[1].split("\n```", 1)[0]
+    """Return the octets that the pages show below the name of an example, in a box of code."""
+    example = rf"^{re.escape(name)}\n((?:[0-9a-f]{{2}}(?: .*)?\n)+)(?:\n|```$)"
+    (text,) = re.findall(example, PAGE + CAN_PAGE, re.MULTILINE)
     return b"".join(bytes.fromhex(LINE.match(line)[1]) for line in text.splitlines())
 
 
@@ -65,7 +67,7 @@ def test_every_telecommand_is_in_the_table_with_its_length():
 def test_the_numbers_of_biases_are_those_that_the_page_names():
     (row,) = (row for row in rows_of("Telecommands") if row[0] == "SetBias")
     named = set()
-    for first, last in re.findall(r"(\d+)(?: to (\d+))?", row[3].split(";")[0]):
+    for first, last in re.findall(r"(\d+)(?: to (\d+))?", row[4].split(";")[0]):
         named |= set(range(int(first), int(last or first) + 1))
     assert named == {bias.address for bias in BIASES}
 

@@ -1,4 +1,4 @@
-"""Event blocks in C, written from docs/telemetry.md: golden vectors, and what the Python decoder says of any bytes."""
+"""Event blocks in C, written from docs/packets.md: golden vectors, and what the Python decoder says of any bytes."""
 
 import json
 import struct

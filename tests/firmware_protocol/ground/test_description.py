@@ -1,4 +1,4 @@
-"""The neutral description: every packet is there, as long as docs/icd.md tells, and reads what was packed."""
+"""The neutral description: every packet is there, as long as docs/packets.md tells, and reads what was packed."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ from firmware_protocol.packets.addresses import Addresses
 from firmware_protocol.wire_layout import Field, Layout, WrongLength
 
 PACKETS = {one.name: one for one in instrument_packets()}
-ICD = (Path(__file__).parents[3] / "docs" / "icd.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "packets.md").read_text(encoding="utf-8")
 
 
 def told(packet, octets):
@@ -21,7 +21,7 @@ def told(packet, octets):
 
 
 def row_of(name):
-    (line,) = re.findall(rf"^\| {name} \|(.*)\|$", ICD, re.MULTILINE)
+    (line,) = re.findall(rf"^\| {name} \|(.*)\|$", PAGE, re.MULTILINE)
     return [cell.strip() for cell in line.split("|")]
 
 
@@ -53,7 +53,7 @@ def test_the_time_of_a_packet_is_in_its_header(sample):
 
 
 @pytest.mark.parametrize("name", [one.name for one in PACKETS.values() if not one.is_command])
-def test_messages_are_those_of_the_interface_control_document(name):
+def test_messages_are_those_of_the_page(name):
     packet = PACKETS[name]
     apid, types, _, length, _ = row_of(name.split("_")[0])
     assert packet.apid == int(apid, 16)
@@ -66,9 +66,9 @@ def test_messages_are_those_of_the_interface_control_document(name):
 
 
 @pytest.mark.parametrize("name", [one.name for one in PACKETS.values() if one.is_command])
-def test_telecommands_are_those_of_the_interface_control_document(name):
+def test_telecommands_are_those_of_the_page(name):
     packet = PACKETS[name]
-    types, length, told_range = row_of(name)
+    types, length, _, told_range = row_of(name)
     assert [packet.service, packet.subtype] == [int(part) for part in types.split(",")]
     assert packet.body.octets == int(length)
     if name == "SetTick":

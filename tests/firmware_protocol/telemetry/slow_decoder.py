@@ -1,4 +1,4 @@
-"""A decoder of event blocks written from docs/telemetry.md alone: plain Python, a string of bits, one event at a time.
+"""A decoder of event blocks written from docs/packets.md alone: plain Python, a string of bits, one event at a time.
 
 It imports nothing of ours, so that both cannot share a mistake.
 """

@@ -12,7 +12,7 @@ import slow_decoder
 from firmware_protocol.events import EVENT
 from firmware_protocol.telemetry import BlockError, decode_block
 
-PAGE = (Path(__file__).parents[3] / "docs/telemetry.md").read_text()
+PAGE = (Path(__file__).parents[3] / "docs/packets.md").read_text()
 BLOCKS = json.loads((make_vectors.FOLDER / "blocks.json").read_text())
 REFUSED = json.loads((make_vectors.FOLDER / "refused.json").read_text())
 
