@@ -86,7 +86,8 @@ def _cell(value: object) -> str:
 
 def influence(made: Campaign, rows: Sequence[Row]) -> str:
     """Return the sensitivity of each column to each parameter: PAWN index; its bound by chance; rank correlation."""
-    labels, lines = made.settings.report.labels, {}
+    labels = made.settings.report.labels
+    lines: dict[str, dict[str, str]] = {}
     for column in made.settings.report.columns:
         for row in sensitivity(rows, made.settings.parameters, column, 0).rows:
             line = lines.setdefault(row["parameter"], {"parameter": labels[row["parameter"]]})
