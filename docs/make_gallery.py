@@ -99,15 +99,13 @@ GALLERY: dict[str, tuple[Shot, ...]] = {
 
 _BEGINNING = """# Gallery of rigs
 
-Every rig that evstim ships has a picture and a movie here. The picture has the light on the left and the events of the
-same instant on the right; the movie has the events over the dimmed light. ON events are orange, OFF events blue. Start
-any of them with `evstim run NAME`. The [rig reference](rigs.md) lists all keys, and the page on [scenes](scenes.md)
-explains how to change one.
+All rigs that evstim ships; `evstim run NAME` starts one. The picture has the light on the left and the events of the
+same instant on the right; the movie has the events over the dimmed light. ON events are orange, OFF events blue. The
+[rig reference](rigs.md) lists all keys; [Scenes](scenes.md) explains how to change one.
 
-The sensor and its noise are those of the rig. Of a rig with two cameras the first one is drawn. A sensor wider than 700
-pixels is drawn at half its size: a pixel of the picture has the brightest light and the last event of four. Rigs that
-differ in their link alone have the same pictures. `python docs/make_gallery.py` makes the page and its files;
-`evstim picture NAME FILE.png` or `FILE.gif` draws one rig at any time and length.
+Of a rig with two cameras the first one is drawn. A sensor wider than 700 pixels is drawn at half its size: a pixel of
+the picture has the brightest light and the last event of four. `python docs/make_gallery.py` makes the page and its
+files; `evstim picture NAME FILE.png` or `FILE.gif` draws one rig at any time and length.
 """
 
 
@@ -118,16 +116,19 @@ def page() -> str:
 
 
 def _section(shot: Shot) -> str:
-    rig = load_rig(shot.rig)
+    title = load_rig(shot.rig).title
+    if shot.like:
+        return f"""### {shot.rig}
+
+{title}. Its pictures are those of `{shot.like}`.
+"""
     length_s, played_s = shot.pictures / shot.fps, shot.pictures / _PLAYED_FPS
     return f"""### {shot.rig}
 
-{rig.title}.
+{title}. At {shot.at_s:g} s; events of {shot.window_ms:g} ms; the movie has {length_s:g} s in {played_s:g} s.
 
-![{shot.rig}: the light, and beside it the events of {shot.window_ms:g} ms](gallery/{shot.like or shot.rig}.webp)
-![{shot.rig}: a movie of the events over the light](gallery/{shot.like or shot.rig}-movie.webp)
-
-Light at {shot.at_s:g} s of the run, events of {shot.window_ms:g} ms; the movie has {length_s:g} s in {played_s:g} s.
+![{shot.rig}: light, and events of {shot.window_ms:g} ms](gallery/{shot.rig}.webp)
+![{shot.rig}: movie of the events over the light](gallery/{shot.rig}-movie.webp)
 """
 
 

@@ -1,7 +1,7 @@
-"""Write the page on the campaign of landings, and its picture:  python docs/make_landing_campaign.py FOLDER
+"""Write the campaign of landings into docs/landing.md, and its picture:  python docs/make_landing_campaign.py FOLDER
 
-FOLDER is that of `evstim campaign examples/landing/campaign.toml`; some runs may be missing. The page's last part, on
-flights with the vehicle's own sensors, is replaced by
+FOLDER is that of `evstim campaign examples/landing/campaign.toml`; some runs may be missing. The part on flights with
+the vehicle's own sensors is replaced by
 
     python docs/make_landing_campaign.py --sensors FOLDER
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from emulator.campaign.campaign import Campaign, Row
 from emulator.campaign.loading import load_source
-from emulator.campaign.report import numbers, quantiles, sensitivity, worst_runs
+from emulator.campaign.report import numbers, quantiles, sensitivity
 from emulator.campaign.success import proportion
 from emulator.campaign.table import check_folder, read_rows, rows_folder
 from emulator.report.page import pyplot
@@ -30,16 +30,14 @@ PICTURED = (
     ("result.vertical_m_s", 1, "speed at touchdown, m/s"),
     ("result.error_median", 100, "error of the divergence,\nmedian, %"),
 )
-TEXT = """# A hundred landings
+MARKS = "<!-- campaign -->\n", "<!-- end of campaign -->\n"
+TEXT = """### A hundred landings
 
-This page gives the results of a campaign of a hundred landings. `python docs/make_landing_campaign.py FOLDER` made it
-from the rows of `evstim campaign examples/landing/campaign.toml`. [The landing](landing.md) describes a single one,
-[Campaigns](campaigns.md) the meaning of the figures. The flights have the attitude from the simulation
-(`--navigation given`); those with sensors are [at the end](#with-the-vehicles-own-sensors).
-
-From 1400 to 1600 m, over four grounds, with the Sun 20 to 35 degrees high and thresholds of 0.283 +- 0.03, in lockstep
-over the real serial line, bus and poses. The seed of a run draws its start, the errors of navigation and engine, and
-the camera's noise. A success touches down below 1 m/s with a good verdict of the camera's run.
+`python docs/make_landing_campaign.py FOLDER` made this from the rows of `evstim campaign
+examples/landing/campaign.toml`; [Campaigns](campaigns.md) explains the figures. From 1400 to 1600 m, over four grounds,
+with the Sun 20 to 35 degrees high and thresholds of 0.283 +- 0.03, in lockstep over the real serial line, bus and
+poses. The seed of a run draws its start, the errors of navigation and engine, and the camera's noise. A success touches
+down below 1 m/s with a good verdict of the camera's run.
 
 **Success: {success}**, with Wilson's interval.{missing}
 
@@ -47,28 +45,20 @@ the camera's noise. A success touches down below 1 m/s with a good verdict of th
 
 ![Speed at touchdown and error of the divergence over each parameter](pictures/landing-campaign.png)
 
-## Influence of the parameters
+Influence of the parameters: PAWN index (0: none); the bound below which a parameter without influence stays in 95 % of
+samples like this one; Spearman's rank correlation, which has no meaning for the numbers of the grounds.
 
-The tables give the PAWN index (0: no influence), beside it the bound below which a parameter without influence stays in
-95 % of samples like this one, and Spearman's rank correlation with its p. The numbers of the grounds have no order, so
-their rank correlation has no meaning.
-
-{sensitivities}
-
-## The ten worst
-
-{worst}
+{influence}
 
 A run took {wall_s[0]:.0f} s (median; {wall_s[1]:.0f} to {wall_s[2]:.0f}), two at a time on two cores that had
 other work as well. `evstim campaign again campaign.toml INDEX --record run.npz` flies one again, bit for bit.
 """
 
-MARKS = "<!-- sensors -->\n", "<!-- end of sensors -->\n"
-SENSORS = """## With the vehicle's own sensors
+SENSORS_MARKS = "<!-- sensors -->\n", "<!-- end of sensors -->\n"
+SENSORS = """### A hundred flights with sensors
 
-Made by `python docs/make_landing_campaign.py --sensors FOLDER` from the rows of `python examples/landing/compare.py
-FOLDER`. From {height_m:g} m, in lockstep, with the sensors, errors and bounds of
-[The landing](landing.md#with-the-vehicles-own-sensors): four grounds with slopes of 3 degrees and boulders on 3 % of
+`python docs/make_landing_campaign.py --sensors FOLDER` made this from the rows of `python examples/landing/compare.py
+FOLDER`. From {height_m:g} m, in lockstep: four grounds with slopes of 3 degrees and boulders on 3 % of
 them, the Sun 20 to 35 degrees high, thresholds of 0.283 +- 0.03. One seed is one start and one set of errors for each
 navigation; all have IMU and star tracker, "events" has no altimeter. The interval is that of Clopper and Pearson;
 figures are median / 90 % / most of the flights that touched down.
@@ -77,9 +67,8 @@ figures are median / 90 % / most of the flights that touched down.
 
 A flight with events takes 50 to 200 s. The others need no camera, and take 3 s. The rows are in
 [landing_sensors.jsonl](landing_sensors.jsonl): copied to `FOLDER/rows.jsonl`, the same command flies those that are
-missing of a hundred. Without the camera nothing on board measures the speed along the ground, so its error of the
-start, and what the accelerometer's bias adds, remain to the end. A Doppler radar or a velocimeter, which would
-measure it too, is not compared.
+missing of a hundred. Without the camera nothing on board measures the speed along the ground. A Doppler radar or a
+velocimeter, which would measure it too, is not compared.
 """
 
 
@@ -95,29 +84,36 @@ def _cell(value: object) -> str:
     return "" if np.isnan(value) else f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
-def sensitivities(made: Campaign, rows: Sequence[Row]) -> str:
-    """Return the sensitivity of each column to the parameters, as sections."""
-    labels, sections = made.settings.report.labels, []
-    for column in ["success", *made.settings.report.columns]:
-        found = sensitivity(rows, made.settings.parameters, column, 0)
-        named = [row | {"parameter": labels[row["parameter"]]} for row in found.rows]
-        sections += [f"**{labels.get(column, column)}**: {found.method}.", *([markdown(named)] if named else [])]
-    return "\n\n".join(sections)
+def influence(made: Campaign, rows: Sequence[Row]) -> str:
+    """Return the sensitivity of each column to each parameter: PAWN index; its bound by chance; rank correlation."""
+    labels = made.settings.report.labels
+    lines: dict[str, dict[str, str]] = {}
+    for column in made.settings.report.columns:
+        for row in sensitivity(rows, made.settings.parameters, column, 0).rows:
+            line = lines.setdefault(row["parameter"], {"parameter": labels[row["parameter"]]})
+            figures = (row["PAWN"], row["PAWN, 95 % of chance"], row["rank correlation"])
+            line[labels.get(column, column)] = "; ".join(map(_cell, figures))
+    return markdown(list(lines.values()))
 
 
-def page(made: Campaign, rows: Sequence[Row]) -> str:
-    """Return the page's text."""
+def part(made: Campaign, rows: Sequence[Row]) -> str:
+    """Return the page's part on the campaign."""
     shown, wall_s = made.settings.report, numbers(rows, "machine.wall_s")
     missing = made.runs - len(rows)
-    names = ["index", *(law.key for law in made.settings.parameters), *shown.columns]
     return TEXT.format(
         success=proportion(sum(bool(row["success"]) for row in rows), len(rows)),
         missing=f" {missing} of {made.runs} runs are missing." if missing else "",
         quantiles=markdown([{"column": shown.labels[name], **quantiles(rows, name)} for name in shown.columns]),
-        sensitivities=sensitivities(made, rows),
-        worst=markdown([{shown.labels.get(name, name): row[name] for name in names} for row in worst_runs(made, rows)]),
+        influence=influence(made, rows),
         wall_s=(np.median(wall_s), wall_s.min(), wall_s.max()),
     )
+
+
+def replace_part(marks: tuple[str, str], made: str) -> None:
+    """Put text between two marks of the page."""
+    text = PAGE / "landing.md"
+    before, rest = text.read_text().split(marks[0])
+    text.write_text(f"{before}{marks[0]}\n{made}\n{marks[1]}{rest.split(marks[1])[1]}")
 
 
 def draw(made: Campaign, rows: Sequence[Row], path: Path) -> None:
@@ -143,13 +139,11 @@ def draw(made: Campaign, rows: Sequence[Row], path: Path) -> None:
 
 
 def main(folder: Path) -> None:
-    """Write page and picture."""
+    """Write the part on the campaign, and its picture."""
     made = Campaign(load_source(FILE))
     check_folder(made, folder)
     rows = read_rows(rows_folder(folder))
-    text = PAGE / "landing-campaign.md"
-    last = MARKS[0] + text.read_text().split(MARKS[0])[1]
-    text.write_text(f"{page(made, rows)}\n{last}")
+    replace_part(MARKS, part(made, rows))
     draw(made, rows, PAGE / "pictures" / "landing-campaign.png")
 
 
@@ -163,9 +157,7 @@ def write_sensors(folder: Path) -> None:
     rows = [json.loads(line) for line in lines.splitlines()]
     height_m = max(row["height_m"] for row in rows)
     made = SENSORS.format(height_m=height_m, table=table([row for row in rows if row["height_m"] == height_m]))
-    text = PAGE / "landing-campaign.md"
-    before, rest = text.read_text().split(MARKS[0])
-    text.write_text(f"{before}{MARKS[0]}\n{made}\n{MARKS[1]}{rest.split(MARKS[1])[1]}")
+    replace_part(SENSORS_MARKS, made)
 
 
 if __name__ == "__main__":
