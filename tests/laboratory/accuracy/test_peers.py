@@ -121,7 +121,7 @@ def test_a_folder_of_another_format_is_refused(folder, tmp_path):
 
 def example():
     """Return the adapter that the page shows."""
-    blocks = re.findall(r"```python\n(.*?)```", (DOCS / "simulators.md").read_text(), re.DOTALL)
+    blocks = re.findall(r"```python\n(.*?)```", (DOCS / "accuracy.md").read_text(), re.DOTALL)
     return next(block for block in blocks if "class Difference" in block)
 
 
@@ -379,7 +379,7 @@ def test_a_page_without_costs_has_no_chart(tmp_path):
 
 
 def test_the_page_has_the_section_that_the_command_writes():
-    _, begin, rest = (DOCS / "simulators.md").read_text().partition(BEGIN)
+    _, begin, rest = (DOCS / "accuracy.md").read_text().partition(BEGIN)
     section, end, _ = rest.partition(END)
     assert begin
     assert end

@@ -159,7 +159,7 @@ def test_one_command_writes_the_section_of_the_docs(tmp_path, measured, monkeypa
         ["nosuch"],
         ["checkerboard", "--size", "1x1"],
         ["checkerboard", "--page", "/no/such/page.md"],
-        ["checkerboard", "--quick", "--page", "docs/realtime.md"],
+        ["checkerboard", "--quick", "--page", "docs/benchmarks.md"],
     ],
 )
 def test_wrong_use(tmp_path, arguments, capsys):
