@@ -1,4 +1,4 @@
-"""The examples of docs/python.md and docs/testing.md run as they are printed."""
+"""The examples of docs/python.md and docs/reports.md run as they are printed."""
 
 import os
 import re
@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/python.md").read_text()
 FENCE = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 BLOCKS = FENCE.findall(PAGE)
-TESTING = [block for block in FENCE.findall((ROOT / "docs/testing.md").read_text()) if "@pytest" not in block]
+TESTING = [block for block in FENCE.findall((ROOT / "docs/reports.md").read_text()) if "@pytest" not in block]
 TITLES = [PAGE[: PAGE.index(block)].rpartition("\n## ")[2].partition("\n")[0] for block in BLOCKS]
 
 
