@@ -47,7 +47,7 @@ _MEANINGS = {
     "DROP_DVS_ON_STALL": "events are dropped when the FIFO is full; the model always does",
     "WAIT_ON_STALL": "wait instead of dropping",
     "EXTERNAL_AER_CONTROL": "the chip's handshake is done outside",
-    "BACKGROUND_ACTIVITY_FILTER": "filter of isolated events on ([the rule](drivers.md#the-activity-filter))",
+    "BACKGROUND_ACTIVITY_FILTER": "filter of isolated events on ([the rule](cameras.md#the-activity-filter))",
     "BACKGROUND_ACTIVITY_TIME_250US": "its time, units of 250 us",
     "REFRACTORY_FILTER": "filter of events too soon after the last of their cell on",
     "REFRACTORY_TIME_250US": "its time, units of 250 us",

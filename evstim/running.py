@@ -100,7 +100,7 @@ def run(
     seed : seed of everything random. By default the rig's own.
     pace : "realtime": every event leaves at its own time; "free": as fast as the machine can, losing nothing.
     record : file for what the links deliver, in the format of its suffix; see `read_events` and docs/recordings.md.
-    truth : .h5 file for the truth of the run: light, depth, flow, labels, poses, origins; see docs/truth.md.
+    truth : .h5 file for the truth of the run: light, depth, flow, labels, poses, origins; see docs/recordings.md.
     truth_every : light, depth, flow and labels of every n-th light frame go into it, by default of 25 a second.
 
     Raises

@@ -47,7 +47,7 @@ def dynamics(
     stamped: Annotated[bool, Parameter(negative="")] = False,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Fly an FMU in real time, and send its poses to a rig with a path of kind "live". See docs/dynamics.md.
+    """Fly an FMU in real time, and send its poses to a rig with a path of kind "live". See docs/loops.md.
 
     Parameters
     ----------

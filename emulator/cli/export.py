@@ -55,7 +55,7 @@ def export(
     out: Path = Path(),
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
-    """Write the definitions of the camera's packets for a ground system: see docs/ground.md.
+    """Write the definitions of the camera's packets for a ground system: see docs/packets.md.
 
     Parameters
     ----------

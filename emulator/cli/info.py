@@ -37,7 +37,7 @@ def _truth_lines(found: Mapping[str, Any]) -> list[str]:
     names = ", ".join(f"{k} {name}" for k, name in enumerate(found["names"]))
     origins = ", ".join(f"{count} {name}" for name, count in found["origins"].items())
     lines = [
-        f"format    {found['format']}, version {found['version']}: HDF5 (opens in h5py; see docs/truth.md)",
+        f"format    {found['format']}, version {found['version']}: HDF5 (opens in h5py; see docs/recordings.md)",
         f"of        {found['rig']}: {found['title']}; {found['camera']}, {found['width']} x {found['height']} pixels",
         f"pictures  {found['pictures']} in {found['seconds']:.3f} s, each with {', '.join(found['of_each_picture'])}",
         f"poses     {found['poses']}",

@@ -65,7 +65,7 @@ def vizard(
 ) -> int:
     """Run a rig in step with a Basilisk simulation: it gives poses and time, and gets images; the links get events.
 
-    The run ends when the simulation does. See docs/basilisk.md.
+    The run ends when the simulation does. See docs/loops.md.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ size_t evstim_kiss_byte(struct evstim_deframer *deframer, uint8_t byte);
 
 /* ---- Event blocks ------------------------------------------------------------------------------------------------ */
 
-/* Reads the blocks of docs/telemetry.md, of one camera. */
+/* Reads the blocks of docs/packets.md, of one camera. */
 struct evstim_blocks {
     const struct evstim_sink *sink;
     uint64_t last_us; /* time of the first event or edge of the last good block */

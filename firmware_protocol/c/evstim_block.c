@@ -1,4 +1,4 @@
-/* Event blocks, in the layout of docs/telemetry.md.
+/* Event blocks, in the layout of docs/packets.md.
  *
  * A block is read twice, straight from the receive buffer: first only to check, then to deliver. The first pass refuses
  * every malformed block, so the second needs no checks. */

@@ -136,7 +136,7 @@ def _messages(addresses: Addresses, max_payload: int) -> Iterator[Packet]:
         MessageKind.EVENTS: (
             "One block of events; the packet's time is that of the first one",
             HEADER_LAYOUT,
-            Rest("payload", "coded events: docs/telemetry.md", block),
+            Rest("payload", "coded events: docs/packets.md", block),
         ),
         MessageKind.EDGES: (
             "One block of edges of the external input; the packet's time is that of the first one",

@@ -1,4 +1,4 @@
-"""Event telemetry for small computers: self-contained blocks of events or edges, described in docs/telemetry.md."""
+"""Event telemetry for small computers: self-contained blocks of events or edges, described in docs/packets.md."""
 
 from firmware_protocol.telemetry.layout import BlockError, Header, Mode, Polarity
 from firmware_protocol.telemetry.reading import Block, as_received, decode_block

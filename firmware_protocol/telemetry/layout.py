@@ -13,7 +13,7 @@
       13  |  CRC-8/AUTOSAR of bytes 0 to 12               |
           +-----------------------------------------------+
 
-Most significant bit and byte first. docs/telemetry.md describes the whole format, payloads included.
+Most significant bit and byte first. docs/packets.md describes the whole format, payloads included.
 
 `firmware_protocol.compiled` describes the compilation of the loops of this folder.
 """

@@ -1,4 +1,4 @@
-"""Bytes to blocks and their events, compiled. docs/telemetry.md describes the format and the reasons of a refusal.
+"""Bytes to blocks and their events, compiled. docs/packets.md describes the format and the reasons of a refusal.
 
 The bytes may have any values. A reader accesses at most some bytes beyond the payload's end, where `read_events` has
 put zeros, checks after each step that it has not passed the end, and writes no more events than the header announced.

@@ -1,6 +1,6 @@
 """Events to blocks, compiled: number of events in a block, its smallest coding, and its payload.
 
-docs/telemetry.md describes the format. The number of events that fit is estimated from the mean step, since a Rice
+docs/packets.md describes the format. The number of events that fit is estimated from the mean step, since a Rice
 code's length depends on little else, then tried and corrected; mostly one trial is enough. The smallest coding is found
 from the number of bits that each mode takes, with its best parameters.
 """

@@ -1,6 +1,6 @@
 """A GigE Vision camera follows a real PTP master: linuxptp's ptp4l on the other end of a veth pair, Aravis as the host.
 
-`EVSTIM_PTP_READINGS=600 pytest -s` prints what docs/gige.md reports. ptp4l serves CLOCK_REALTIME and sets no clock.
+`EVSTIM_PTP_READINGS=600 pytest -s` prints what docs/cameras.md reports. ptp4l serves CLOCK_REALTIME and sets no clock.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ def check_name(name: str) -> None:
 
 @dataclass(frozen=True)
 class UsbGadgetLink:
-    """The camera on a real USB cable, on a machine with a USB device port, such as a Raspberry Pi (docs/cable.md).
+    """The camera on a real USB cable, on a machine with a USB device port, such as a Raspberry Pi (docs/hosts.md).
 
     Attributes
     ----------
