@@ -258,7 +258,7 @@ python docs/device_matrix.py
 | – | the camera does not have it |
 
 A number is that of the test below the table; a letter is that of a note. The run took place on {dates}. The clients run
-on a Linux kernel's USB in a guest that QEMU emulates ([how to attach a camera](cameras.md#davis346)), those of GigE Vision on
+on a Linux kernel's USB in a guest that QEMU emulates ([how to attach a camera](cameras.md)), those of GigE Vision on
 the host's own network. No real camera was at hand: a client that accepts this one may behave otherwise with a real
 camera, see the list below each table."""
 

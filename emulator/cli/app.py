@@ -12,6 +12,7 @@ import logging
 import os
 import sys
 from importlib.metadata import version
+from importlib.util import resolve_name
 from typing import IO, cast
 
 from cyclopts import App, CycloptsError, Group
@@ -44,62 +45,46 @@ app = App(
 # Module by name, so that a command imports only its own modules: numba and GL would slow `evstim rigs` down.
 _COMMANDS = {
     "Run and read": (
-        (
-            "demo",
-            "emulator.cli.demo:demo",
-            "Run a rig, read its camera over USB/IP in a second process, and compare every event.",
-        ),
-        ("run", "emulator.cli.run:run", "Run a rig: render its scene, simulate its sensor, serve its links."),
+        ("demo", ".demo:demo", "Run a rig, read its camera over USB/IP in a second process, and compare every event."),
+        ("run", ".run:run", "Run a rig: render its scene, simulate its sensor, serve its links."),
         (
             "listen",
-            "emulator.cli.listen.cameras:verbs",
+            ".listen.cameras:verbs",
             "Read a camera, real or emulated: on USB (the default), a serial line or a CAN bus.",
         ),
-        (
-            "picture",
-            "emulator.cli.picture:picture",
-            "Write a picture or movie of a rig or a recording: its light and its events.",
-        ),
-        (
-            "doctor",
-            "emulator.cli.doctor:doctor",
-            "Show which parts this machine has and lacks, with the command that adds each.",
-        ),
+        ("picture", ".picture:picture", "Write a picture or movie of a rig or a recording: its light and its events."),
+        ("doctor", ".doctor:doctor", "Show which parts this machine has and lacks, with the command that adds each."),
     ),
     "Rigs": (
-        ("rigs", "emulator.cli.rigs:rigs", "List the rigs that are installed with evstim."),
-        ("check", "emulator.cli.rigs:check", "Check a rig file without running it."),
-        ("plan", "emulator.cli.plan:plan", "Show the plan of a run: step, effects and expected load."),
-        ("schema", "emulator.cli.rigs:schema", "Print the JSON Schema of rig files, or of reports."),
+        ("rigs", ".rigs:rigs", "List the rigs that are installed with evstim."),
+        ("check", ".rigs:check", "Check a rig file without running it."),
+        ("plan", ".plan:plan", "Show the plan of a run: step, effects and expected load."),
+        ("schema", ".rigs:schema", "Print the JSON Schema of rig files, or of reports."),
     ),
     "While a rig runs": (
-        ("fault", "emulator.cli.fault:fault", "Inject a fault into a link of a running rig."),
-        ("trigger", "emulator.cli.fault:trigger", "Give the camera of a running rig an edge, or reset its clock."),
+        ("fault", ".fault:fault", "Inject a fault into a link of a running rig."),
+        ("trigger", ".fault:trigger", "Give the camera of a running rig an edge, or reset its clock."),
         (
             "dynamics",
-            "emulator.cli.dynamics:dynamics",
+            ".dynamics:dynamics",
             "Fly an FMU: its poses go to a running rig, its inputs come from a file or a CAN bus.",
         ),
         (
             "vizard",
-            "emulator.cli.vizard:vizard",
+            ".vizard:vizard",
             "Run a rig in step with a Basilisk simulation, which sends poses and requests images.",
         ),
     ),
     "Recordings": (
-        (
-            "record",
-            "emulator.cli.record:record",
-            "Record the events of a rig to a file: AEDAT4, EVT3, HDF5, a ROS bag, ...",
-        ),
-        ("info", "emulator.cli.info:info", "Show the format and the content of a recording of events."),
-        ("convert", "emulator.cli.convert:convert", "Convert a recording of events to another format."),
-        ("recover", "emulator.cli.convert:recover", "Save the readable part of a recording that was cut."),
+        ("record", ".record:record", "Record the events of a rig to a file: AEDAT4, EVT3, HDF5, a ROS bag, ..."),
+        ("info", ".info:info", "Show the format and the content of a recording of events."),
+        ("convert", ".convert:convert", "Convert a recording of events to another format."),
+        ("recover", ".convert:recover", "Save the readable part of a recording that was cut."),
     ),
     "Measure": (
         (
             "campaign",
-            "emulator.cli.campaign:verbs",
+            ".campaign:verbs",
             "Run a rig many times over sampled parameters, and report on the table of all runs.",
         ),
         (
@@ -122,15 +107,11 @@ _COMMANDS = {
     "Connect": (
         (
             "gadget",
-            "emulator.cli.gadget:verbs",
+            ".gadget:verbs",
             "Make or remove the USB gadget for a camera on a real cable, at a machine with a USB device port.",
         ),
-        ("dbc", "emulator.cli.listen.can:dbc", "Write the DBC file of a rig's CAN link."),
-        (
-            "export",
-            "emulator.cli.export:export",
-            "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark.",
-        ),
+        ("dbc", ".listen.can:dbc", "Write the DBC file of a rig's CAN link."),
+        ("export", ".export:export", "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark."),
     ),
 }
 _TASKS = """\
@@ -149,7 +130,7 @@ def _add_commands() -> None:
     for sort_key, (title, commands) in enumerate(_COMMANDS.items()):
         group = Group(title, sort_key=sort_key)
         for verb, target, summary in commands:
-            app.command(target, name=verb, help=summary, group=group)
+            app.command(resolve_name(target, "emulator.cli"), name=verb, help=summary, group=group)
 
 
 _add_commands()

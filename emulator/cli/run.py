@@ -60,8 +60,8 @@ class Files:
         again writes NAME-restart1.SUFFIX, and when a camera's clock is reset NAME-clock2.SUFFIX follows (not .npz).
     truth
         Write the truth beside the events to this .h5: light, depth, optical flow, poses, labels, the origin of each
-        event, the events of an ideal sensor; see docs/recordings.md. Or the true error of the camera's clock to this .csv,
-        ten lines per second; the rig needs [camera.clock]. Of several links each has a .csv, NAME-LINK.csv.
+        event, the events of an ideal sensor; see docs/recordings.md. Or the true error of the camera's clock to this
+        .csv, ten lines per second; the rig needs [camera.clock]. Of several links each has a .csv, NAME-LINK.csv.
     truth_every
         Light, depth, flow and labels of every n-th light frame go into the .h5; by default of 25 a second.
     fault_log
