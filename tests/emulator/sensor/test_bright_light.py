@@ -69,7 +69,7 @@ def test_a_pixel_that_a_flash_has_left_sees_as_before(method, bright):
     assert all(one.on.all() for one in later)
 
 
-@pytest.mark.parametrize("step_ms", [20, 20_000])
+@pytest.mark.parametrize("step_ms", [20, 200])
 def test_a_leak_of_the_highest_rate_is_counted_in_long_steps(step_ms):
     pixels = PixelArray(dataclasses.replace(PLAIN, leak_hz=1e4, leak_spread=0.0), 1)
     pixels.reset(LightFrame(0, still(1.0)))
