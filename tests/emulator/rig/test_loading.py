@@ -85,7 +85,7 @@ def test_a_rig_is_typed_and_frozen():
         ('model = "davis346"', 'model = "davis364"', 6, ["camera.model", "did you mean 'davis346'"]),
         ('model = "davis346"', 'model = "imx636"', 14, ["links[0].kind", "no USB model", "loopback"]),
         ('model = "davis346"', 'serial = "0123456789"', 6, ["camera.serial", "1 to 8"]),
-        ("threshold_on = 0.2", "threshold_on = 0.0", 8, ["camera.sensor.threshold_on", "0.001 to 100"]),
+        ("threshold_on = 0.2", "threshold_on = 0.0", 8, ["camera.sensor.threshold_on", "0.0001 to 100"]),
         ("threshold_on = 0.2", "refractory_us = -1.0", 8, ["camera.sensor.refractory_us"]),
         ("threshold_on = 0.2", "width = -5", 8, ["camera.sensor.width"]),
         ("event_ns = 100.0", "evnt_ns = 1.0", 10, ["camera.sensor.readout.evnt_ns", "event_ns"]),
