@@ -294,7 +294,7 @@ def test_a_fresh_environment_has_no_optional_package(installed):
     assert done.stdout.strip() == "[]"
 
 
-PAGES = ("README.md", "docs/index.md", "docs/tutorial.md")
+PAGES = ("README.md", "docs/index.md")
 LEFT_OUT = {  # commands that are not typed here, and the reason
     r"make (demo|test)": "they install all packages, and `make test` runs this test",
     r"(sudo )?usbip|sudo modprobe": "root and a kernel module; tests/guest attaches cameras in a machine of its own",
@@ -306,7 +306,6 @@ LEFT_OUT = {  # commands that are not typed here, and the reason
 RUNS_ON = {  # commands that run until Ctrl-C, and what they print when they work
     r"evstim run (?!.*--seconds)": r"[1-9]\d* frames",
     r"evstim listen (?!.*--seconds)": r"[1-9]\d* events",
-    r"python (first_try|centroid)\.py|\./centroid": r"x [\d.]+, y [\d.]+",
 }
 IS_READER = re.compile(r"evstim (listen|fault)|python |\./centroid|C=|cc ")  # they work beside a camera
 LATE = re.compile(r"NOT GOOD: \d of \d+ rules broken: ((in real time|steps in time)(, )?)+\s")
