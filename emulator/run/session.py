@@ -171,6 +171,7 @@ class Session:
     def stop(self) -> None:
         """End the run after the present step; for `on_status`, and for a signal handler."""
         self._stopping = True
+        self._frames.scene.stop()
 
     def interrupt(self) -> None:
         """End the run within the present step, for a signal handler; raises KeyboardInterrupt where that is possible.
@@ -362,10 +363,13 @@ class Session:
         return True
 
     def _trouble_of(self, error: SceneError, schedule: Schedule) -> str:
-        """Return the reason for the verdict; "" for the regular end of a scene in a run without an end of its own."""
+        """Return the reason for the verdict; "" for the regular end of a scene in a run without an end of its own.
+
+        A scene that `stop` ended has no reason either.
+        """
         if not isinstance(error, SceneEnded):
             return str(error)
-        if schedule.duration_ns is None:
+        if schedule.duration_ns is None or self._stopping:
             return ""
         return f"{error} after {self._t_ns * 1e-9:g} of {schedule.duration_ns * 1e-9:g} s"
 
