@@ -260,10 +260,7 @@ python docs/device_matrix.py
 A number is that of the test below the table; a letter is that of a note. The run took place on {dates}. The clients run
 on a Linux kernel's USB in a guest that QEMU emulates ([how to attach a camera](cameras.md)), those of GigE Vision on
 the host's own network. No real camera was at hand: a client that accepts this one may behave otherwise with a real
-camera, see the list below each table.
-
-Seen to work by hand, without a test and so "not tried" in the tables: triggers of the GenX320 by OpenEB, triggers and
-settings of the EVK4's siblings by neuromorphic_drivers, settings of the DVXplorer Micro by dv-processing 2."""
+camera, see the list below each table."""
 
 
 def cell_word(column: str, outcomes: Iterable[str]) -> str:
