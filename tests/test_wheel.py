@@ -129,6 +129,20 @@ def test_what_is_in_the_wheel(wheel):
     assert rooms == {"evstim", "emulator", "transports", "firmware_protocol", "laboratory"}
 
 
+@pytest.mark.system
+def test_a_package_index_takes_the_wheel_and_the_sdist_which_makes_the_same_wheel(wheel, tmp_path):
+    hatchling = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", tmp_path]
+    subprocess.run(hatchling, cwd=ROOT, check=True, capture_output=True)
+    (sdist,) = tmp_path.glob("evstim-*.tar.gz")
+    checked = subprocess.run([sys.executable, "-m", "twine", "check", "--strict", wheel, sdist], capture_output=True)
+    assert checked.returncode == 0, checked.stdout
+    pip("wheel", sdist, "--no-deps", "--wheel-dir", tmp_path)
+    (again,) = tmp_path.glob("evstim-*.whl")
+    with zipfile.ZipFile(wheel) as first, zipfile.ZipFile(again) as second:
+        files = [{entry.filename: entry.CRC for entry in archive.infolist()} for archive in (first, second)]
+    assert files[0] == files[1]
+
+
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory):
     """The Python of a fresh environment with the wheel and its base dependencies, and nothing else."""
