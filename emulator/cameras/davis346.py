@@ -9,7 +9,8 @@ from emulator.optics.lens import CHIPS
 from emulator.rig.kinds import IMU_UNITS, CameraModel, UsbModel, UsbSettings
 from emulator.rig.tables import Camera
 from emulator.sensor.presets import PRESETS
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo
+from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.fx3.registers import SystemInfo
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
 

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from firmware_protocol.davis346.decoder import WordFaults
 from firmware_protocol.events import Events, empty_events
 from firmware_protocol.evt.evt2 import Evt2Decoder
 from firmware_protocol.evt.evt3 import Evt3Decoder
+from firmware_protocol.fx3.decoded import WordFaults
 from firmware_protocol.genx320 import device as genx320
 from firmware_protocol.genx320 import registers as genx320_registers
 from firmware_protocol.imx636.boards import BOARDS

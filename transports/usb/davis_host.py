@@ -25,9 +25,11 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from firmware_protocol.davis346.decoder import Decoded, Decoder, FrameRead, WordFaults
-from firmware_protocol.davis346.registers import Layout, Module, SystemInfo, registers
+from firmware_protocol.davis346.decoder import Decoder
+from firmware_protocol.davis346.registers import Layout, registers
 from firmware_protocol.events import Events, empty_events
+from firmware_protocol.fx3.decoded import Decoded, FrameRead, WordFaults
+from firmware_protocol.fx3.registers import Module, SystemInfo
 from firmware_protocol.imu_samples import ImuSamples, no_samples
 from firmware_protocol.usb.device import SetupPacket
 from transports.usb.host import (

@@ -5,10 +5,10 @@ Biases and chip are set to the values that dv-processing 2.0.4 writes. It was ne
 
 from __future__ import annotations
 
-from firmware_protocol.davis346.registers import Access, Module
 from firmware_protocol.dvxplorer.decoder import GroupDecoder
 from firmware_protocol.dvxplorer.device import PRODUCT_ID
 from firmware_protocol.dvxplorer.registers import Chip, registers
+from firmware_protocol.fx3.registers import Access, Module
 from transports.usb.davis_host import Entry, Fx3Host, WordDecoder
 from transports.usb.host import StreamSettings
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from firmware_protocol.davis346.registers import Module
 from firmware_protocol.dvxplorer.device import PRODUCT_ID
 from firmware_protocol.dvxplorer.frame_stream import SAMPLE_BYTES, sample_of
 from firmware_protocol.dvxplorer.frame_words import FrameDecoder
 from firmware_protocol.dvxplorer.registers import SIZE, Chip
+from firmware_protocol.fx3.registers import Module
 from firmware_protocol.imu_samples import ImuSamples, no_samples
 from firmware_protocol.usb.device import SetupPacket
 from transports.usb.davis_host import DAVIS_VENDOR, DavisInfo, Entry, Fx3Host, WordDecoder
