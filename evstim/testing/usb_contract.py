@@ -31,10 +31,10 @@ from firmware_protocol.usb.device import SetupPacket, UsbDevice
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import ControlStall, ShortTransfers, SlowControl, UsbStall
-from transports.usb.davis_host import DavisHost, Fx3Host
-from transports.usb.dvxplorer_host import DvxplorerHost
+from transports.usb.davis_host import DavisHost
+from transports.usb.dvxplorer_host import DvxplorerHost, MicroHost
+from transports.usb.fx3_host import Fx3Host
 from transports.usb.host import StallError, StreamSettings, TransferTimeout, UsbHost
-from transports.usb.micro_host import MicroHost
 
 _T = TypeVar("_T")
 

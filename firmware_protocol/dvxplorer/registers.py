@@ -250,9 +250,9 @@ def _rate(hz: float) -> tuple[int, int]:
     return (doubled // 400, 5) if doubled >= 800 else (1, 2000 // doubled)
 
 
-def driver_imu_settings() -> ImuSettings:
+def driver_imu_settings(unit: int = BMI160) -> ImuSettings:
     """Return the drivers' settings: all parts, 800 Hz, 4 g, 500 deg/s."""
-    values = RegisterFile(registers(imu_unit=BMI160))
+    values = RegisterFile(registers(imu_unit=unit))
     for address in (2, 3, 4):
         values.write(Module.IMU, address, 1)
     return imu_settings(values, words=True)

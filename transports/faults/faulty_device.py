@@ -280,7 +280,7 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
         return any(stage.gone for stage in self._endpoint_stages)
 
     @property
-    def silent(self) -> bool:
+    def withholds(self) -> bool:  # type: ignore[override]  # read only
         """True while its data endpoint is silent."""
         return any(stage.silent and stage.endpoint == self._data_endpoint for stage in self._endpoint_stages)
 
