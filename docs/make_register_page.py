@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from firmware_protocol.davis346.biases import BIASES
-from firmware_protocol.davis346.registers import Layout, Module, Register, SystemInfo, registers
+from firmware_protocol.davis346.registers import Layout, registers
+from firmware_protocol.fx3.registers import Module, Register, SystemInfo
 
 __all__ = ["PAGE", "page"]
 

@@ -241,7 +241,7 @@ def _link(table: object, camera: Camera, path: KeyPath) -> LinkParameters:
         raise TableError(f"{message}, the first no dot or hyphen", (*path, "name"))
     model = CAMERA_MODELS[camera.model]
     usb_size = None if model.usb is None else model.usb.size
-    facts = CameraFacts(camera.model, camera.size, usb_size, model.gige, usb_sizes, gige_models)
+    facts = CameraFacts(camera.model, camera.size, usb_size, model.gige is not None, usb_sizes, gige_models)
     try:
         kind.check(link, facts)
     except Unsuitable as error:

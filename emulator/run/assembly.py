@@ -55,6 +55,7 @@ from firmware_protocol.frames import FrameSettings
 from firmware_protocol.imu_samples import IMU_SAMPLE
 from firmware_protocol.usb.device import UsbCamera
 from transports.faults.script import FaultPlan
+from transports.link.deliveries import RecorderFactory
 from transports.link.edges import EdgeRing, EdgeSink, EdgeSource, ListedEdges, PeriodicEdges
 from transports.link.feed import Timing
 from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Wiring
@@ -376,9 +377,18 @@ def _link_setup(
     wiring = Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera)
     endpoint = imported(kind.endpoint)(link, wiring)
     setup = LinkSetup(
-        link.name, ring, _device(rig, link, kind, is_master), endpoint, record, timing=timing, facts=facts
+        link.name, ring, _device(rig, link, kind, is_master), endpoint, _recorder(record), timing=timing, facts=facts
     )
     return dataclasses.replace(setup, readings=_reading_rings(rig, kind))
+
+
+def _recorder(path: Path | None) -> RecorderFactory | None:
+    """Return the recorder of a link's file; its module is imported only for a run that has one."""
+    if path is None:
+        return None
+    from transports.recording.live import FileRecorder
+
+    return FileRecorder(path)
 
 
 def _facts(rig: Rig, kind: LinkKind[Any]) -> Facts:
@@ -406,28 +416,17 @@ def _faults(rig: Rig, link: LinkParameters, log: Path | None) -> FaultPlan:
 
 def _instrument(rig: Rig, link: Any) -> Callable[[], EventDevice]:
     from firmware_protocol.instrument.instrument import Instrument
-    from firmware_protocol.instrument.settings import Imx636Biases
 
-    biases = Imx636Biases(rig.camera.bias_model) if CAMERA_MODELS[rig.camera.model].is_imx636 else None
+    biases_of = CAMERA_MODELS[rig.camera.model].commanded_biases
+    biases = None if biases_of is None else biases_of(rig.camera)
     return partial(Instrument, rig.camera.size, link.instrument, biases)
 
 
-def _gige_camera(rig: Rig, link: Any) -> Callable[[], EventDevice]:
-    from firmware_protocol.imx636.triton2 import Triton2
-    from firmware_protocol.imx636.triton2_registers import Triton2Settings
-
-    settings = Triton2Settings(
-        size=rig.camera.size,
-        address=link.host,
-        serial=rig.camera.serial,
-        start_delay_us=round(rig.camera.start_delay_ms * 1000),
-        block_us=link.block_us,
-        biases=rig.camera.bias_model,
-        ptp=link.ptp,
-        ptp_domain=link.ptp_domain,
-        pulse_us=_pulse_us(rig),
-    )
-    return partial(Triton2, settings)
+def _gige_camera(rig: Rig, link: LinkParameters) -> Callable[[], EventDevice]:
+    gige = CAMERA_MODELS[rig.camera.model].gige
+    if gige is None:
+        raise RigError(f"{rig.name}: a {rig.camera.model} is no GigE Vision device")
+    return gige(rig.camera, link, _pulse_us(rig))
 
 
 def _usb_camera(rig: Rig, kind: LinkKind[Any], is_master: bool) -> Callable[[], UsbCamera]:

@@ -9,17 +9,16 @@ import numpy as np
 from emulator.light import Scene
 from emulator.optics.glare import Veiled
 from emulator.optics.through import Through
-from emulator.rig.kinds import IMU_UNITS
+from emulator.rig.kinds import IMU_DRIVERS, IMU_UNITS
 from emulator.rig.loading import Rig
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuSource, ImuUnit
 from emulator.sensor.parameters import ImuParameters
+from emulator.tables.registry import imported
 from emulator.trajectory.building import HasCameraPath
 from emulator.trajectory.parameters import OrbitPath
 from emulator.trajectory.pose import Fixed, Timescale
-from firmware_protocol.davis346.registers import driver_imu_settings
-from firmware_protocol.dvxplorer import registers as dvxplorer_registers
-from firmware_protocol.imu_samples import BMI160, ImuSettings
+from firmware_protocol.imu_samples import ImuSettings
 
 
 def imu_source(rig: Rig, imu: ImuParameters, scene: Scene) -> ImuSource:
@@ -49,6 +48,6 @@ def _gravity_of(rig: Rig) -> Gravity:
 
 def host_imu_settings(unit: str) -> ImuSettings:
     """Return the settings that the drivers of a unit's cameras write by default."""
-    if IMU_UNITS[unit] == BMI160:
-        return dvxplorer_registers.driver_imu_settings()
-    return driver_imu_settings(IMU_UNITS[unit])
+    number = IMU_UNITS[unit]
+    settings: ImuSettings = imported(IMU_DRIVERS[number])(number)
+    return settings

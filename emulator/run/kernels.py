@@ -31,7 +31,7 @@ import numpy.typing as npt
 from numba import config
 
 from emulator.light import LightFrame, Scene
-from emulator.rig.kinds import LINKS, SCENES, usb_model
+from emulator.rig.kinds import LINKS, SCENES, UsbModel, usb_model
 from emulator.rig.loading import Rig
 from emulator.run.link_process import starting_a_process
 from emulator.sensor.presets import PRESETS, SensorParameters
@@ -94,25 +94,22 @@ def parts_of(rig: Rig) -> list[Part]:
         parts.append(CODER)
     if any(_has_evt(rig, link) for link in rig.links):
         parts.append(EVT)
-    if any(_has_groups(rig, link) for link in rig.links):
-        parts.append(GROUPS)
-    if rig.camera.activity_filter:
-        parts.append(ACTIVITY_FILTER)
+    for usb in (_usb_device(rig, link) for link in rig.links):
+        of_camera = () if usb is None else (Part(*kernels) for kernels in usb.kernels(rig.camera))
+        parts += [part for part in of_camera if part not in parts]
     return parts
 
 
 def _has_evt(rig: Rig, link: LinkParameters) -> bool:
     """Return whether a link, or the USB device behind it, sends EVT3 or EVT2 words."""
-    kind = LINKS[link.kind]
-    usb = usb_model(rig.camera, kind) if kind.serves == "usb" else None
-    return kind.has_evt(link) or (usb is not None and usb.has_evt)
+    usb = _usb_device(rig, link)
+    return LINKS[link.kind].has_evt(link) or (usb is not None and usb.has_evt)
 
 
-def _has_groups(rig: Rig, link: LinkParameters) -> bool:
-    """Return whether the USB device behind a link sends words of groups of pixels."""
+def _usb_device(rig: Rig, link: LinkParameters) -> UsbModel | None:
+    """Return the USB device behind a link; None if it serves none."""
     kind = LINKS[link.kind]
-    usb = usb_model(rig.camera, kind) if kind.serves == "usb" else None
-    return usb is not None and usb.has_groups
+    return usb_model(rig.camera, kind) if kind.serves == "usb" else None
 
 
 def _effects(sensor: SensorParameters) -> Part:
@@ -266,20 +263,6 @@ def _code_evt() -> None:
     Evt3Encoder(), Evt3Decoder(), Evt2Encoder("evt2"), Evt2Decoder("evt2")
 
 
-def _code_groups() -> None:
-    """Compile the coders and the decoders of both DVXplorers' words."""
-    from firmware_protocol.dvxplorer import DvxplorerMicro, FrameDecoder, GroupDecoder, GroupEncoder
-
-    GroupEncoder((_WIDTH, _HEIGHT)), GroupDecoder(), DvxplorerMicro(), FrameDecoder()
-
-
-def _filter_activity() -> None:
-    """Make the filters of background activity and refractory period."""
-    from firmware_protocol.davis346.activity_filter import ActivityFilter
-
-    ActivityFilter((_WIDTH, _HEIGHT))
-
-
 _CANDIDATES = Part("pixel candidates", 6.0, partial(_of_the_step, "candidates"))
 _BLOCKS = Part("pixel blocks", 6.5, partial(_of_the_step, "blocks"))
 PIXELS = Part("pixel step", 3.0, _step, after=(_CANDIDATES, _BLOCKS))
@@ -287,8 +270,6 @@ CODER = Part("telemetry coder", 4.0, _encode)
 TRUTH = Part("truth", 4.0, _find_truth)
 DECODER = Part("telemetry decoder", 3.0, _decode)
 EVT = Part("EVT coder", 6.0, _code_evt)
-GROUPS = Part("DVXplorer coder", 3.0, _code_groups)
-ACTIVITY_FILTER = Part("activity filter", 1.0, _filter_activity)
 
 
 _TICK_S = 0.2

@@ -28,14 +28,13 @@ from typing import Any
 
 from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EdgeKind, Events
+from firmware_protocol.recordings.part import RecordingSummary
 from transports.faults.kinds import Fault
 from transports.link.deliveries import DeliveryTally
 from transports.link.loop import STOP_SIGNALS, EndFault, Happen, InjectFault, Stop, run_link_process
 from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
 from transports.link.report import CameraSettings, LinkReport, Occurrence
-from transports.recording.format import with_addition
-from transports.recording.part import RecordingSummary
 
 _FOUND_BY = ("__file__", "__spec__")
 _one_at_a_time = threading.Lock()
@@ -242,7 +241,10 @@ class LinkProcess:
         self._tally = DeliveryTally()
         self._began_ns = self._clock.now_ns()
         endpoint = self._setup.endpoint.restarted(self._starts) if self._starts else self._setup.endpoint
-        setup = dataclasses.replace(self._setup, tally=self._tally, record=self._record(), endpoint=endpoint)
+        recorder = self._setup.recorder
+        if recorder is not None and self._starts:
+            recorder = recorder.restarted(self._starts)
+        setup = dataclasses.replace(self._setup, tally=self._tally, recorder=recorder, endpoint=endpoint)
         context = multiprocessing.get_context("spawn")
         self._control, theirs = context.Pipe()
         self._process = context.Process(
@@ -252,13 +254,6 @@ class LinkProcess:
             self._process.start()
         theirs.close()
         self._starts += 1
-
-    def _record(self) -> Path | None:
-        """Return the record file of this start: a restarted link must not overwrite the earlier one."""
-        record = self._setup.record
-        if record is None or not self._starts:
-            return record
-        return with_addition(record, f"restart{self._starts}")
 
     def _take(self, word: LinkReport | CameraSettings | Occurrence) -> None:
         if not isinstance(word, LinkReport):

@@ -20,9 +20,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, Protocol
 
-from emulator.rig.tables import Verdict
 from emulator.run.changes import Change
 from emulator.run.pacing import Lateness
 from transports.link.report import LinkReport
@@ -223,7 +222,36 @@ class Judgement:
         return {"rule": self.rule, "good": self.good, "told": self.finding, **limit}
 
 
-def judge(rules: Verdict, result: RunResult) -> tuple[Judgement, ...]:
+class Limits(Protocol):
+    """Limits of a good run, as `emulator.rig.tables.Verdict` declares them for a rig; 0 sets no limit."""
+
+    @property
+    def max_drop(self) -> float:
+        """Share of the events that a link may lose; negative: any."""
+        ...
+
+    @property
+    def min_rate_hz(self) -> float:
+        """Least mean event rate at the read-out."""
+        ...
+
+    @property
+    def max_rate_hz(self) -> float:
+        """Greatest mean event rate at the read-out."""
+        ...
+
+    @property
+    def max_latency_us(self) -> float:
+        """Greatest 99th percentile of the time from an event to its bytes, on any link."""
+        ...
+
+    @property
+    def max_undersampled(self) -> float:
+        """Greatest share of the solved pixel-steps whose light may have changed unseen."""
+        ...
+
+
+def judge(rules: Limits, result: RunResult) -> tuple[Judgement, ...]:
     """Return every rule that was applied to a run that has ended."""
     return (*_always(result), *_own(rules, result))
 
@@ -257,7 +285,7 @@ def _always(result: RunResult) -> Iterator[Judgement]:
         yield Judgement("steps in time", not result.late_too_often, finding, *figures, "at most")
 
 
-def _own(rules: Verdict, result: RunResult) -> Iterator[Judgement]:
+def _own(rules: Limits, result: RunResult) -> Iterator[Judgement]:
     if rules.max_drop >= 0:
         yield from (_drop(rules.max_drop, result, name, link) for name, link in result.links.items())
     rate_hz = result.ledger.read_out / result.sim_seconds if result.sim_seconds else 0.0

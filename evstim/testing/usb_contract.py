@@ -23,18 +23,18 @@ import pytest
 
 from evstim.testing.link_contract import event_stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.davis346.fx3 import Fx3Camera
-from firmware_protocol.davis346.settings import Fx3Settings
 from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, DvxplorerSettings
 from firmware_protocol.events import Events
+from firmware_protocol.fx3.camera import Fx3Camera
+from firmware_protocol.fx3.settings import Fx3Settings
 from firmware_protocol.usb.device import SetupPacket, UsbDevice
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import ControlStall, ShortTransfers, SlowControl, UsbStall
-from transports.usb.davis_host import DavisHost, Fx3Host
-from transports.usb.dvxplorer_host import DvxplorerHost
+from transports.usb.davis_host import DavisHost
+from transports.usb.dvxplorer_host import DvxplorerHost, MicroHost
+from transports.usb.fx3_host import Fx3Host
 from transports.usb.host import StallError, StreamSettings, TransferTimeout, UsbHost
-from transports.usb.micro_host import MicroHost
 
 _T = TypeVar("_T")
 

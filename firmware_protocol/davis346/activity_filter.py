@@ -38,8 +38,8 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of, kernel
-from firmware_protocol.davis346.registers import Module, RegisterFile
 from firmware_protocol.events import Events, empty_events
+from firmware_protocol.fx3.registers import Module, RegisterFile
 
 CELL_BITS = 2
 STAMP_MASK = (1 << 18) - 1

@@ -1,6 +1,6 @@
 """Decoder of DAVIS word streams: bytes in any pieces to events, specials, frames, IMU samples and a count of faults.
 
-`words` describes the layout of the words. The meaning of events follows libcaer 3.3.15 (davis.c):
+`words` and `fx3.words` describe the layout of the words. The meaning of events follows libcaer 3.3.15 (davis.c):
 
 - a wrap word adds its number of steps of 32768 us and sets the time to that multiple; time is unrolled in 64 bits;
 - a column before any row belongs to row 0; a row outside the array is ignored and the previous one stays in force; a
@@ -11,20 +11,22 @@
 APS samples and misc words are counted as not interpreted, and `FrameReader` reads frames from them. libcaer drops the
 last byte of a buffer with an odd length; this decoder accepts a split inside a word.
 
-`blocks` describes the words of frames. The meaning of frames follows libcaer 3.3.15 too: a frame that lacks a line or a
-sample is dropped and counted; a timestamp reset ends an open frame without an image; words before a frame's start are
-skipped.
+`fx3.blocks` describes the words of frames. The meaning of frames follows libcaer 3.3.15 too: a frame that lacks a line
+or a sample is dropped and counted; a timestamp reset ends an open frame without an image; words before a frame's start
+are skipped.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.davis346.blocks import IMU_READ, ImuReader, edges_of
-from firmware_protocol.davis346.words import (
+from firmware_protocol.events import EVENT, Events
+from firmware_protocol.fx3.blocks import IMU_READ, ImuReader
+from firmware_protocol.fx3.decoded import SPECIAL_EVENT, Decoded, FrameRead, WordFaults
+from firmware_protocol.fx3.words import (
     APS_SAMPLE,
     COLUMN_ON,
     KIND,
@@ -43,51 +45,12 @@ from firmware_protocol.davis346.words import (
     is_column,
     is_row,
 )
-from firmware_protocol.events import EVENT, Edges, Events
-from firmware_protocol.imu_samples import ImuSamples
 
 Times = npt.NDArray[np.int64]
 
 _KIND, _SPECIAL_END, _SAMPLE, _MISC8, _MISC10 = 0xF000, 0x1000, 0x4000, 0x5000, 0x6000
 _TIME_RESET, _START_GLOBAL, _START_ROLLING, _END = 1, 8, 9, 10
 _RESET, _SIGNAL, _LINE_END, _EXPOSURE_START, _EXPOSURE_END = 11, 12, 13, 14, 15
-_WHITE_BELOW, _WHITE = 384, 1023
-
-
-@dataclass(frozen=True)
-class FrameRead:
-    """A frame in the user's coordinates.
-
-    Attributes
-    ----------
-    start_us, exposure_start_us, exposure_end_us, end_us
-        Device time.
-    exposure_cycles
-        Exposure register, cycles of the ADC's clock.
-    roi
-        First column, first row, last column, last row.
-    resets
-        Timestamp resets that the reader had read before.
-    reset, signal
-        (rows, columns) uint16, the two reads of the region.
-    """
-
-    start_us: int
-    exposure_start_us: int
-    exposure_end_us: int
-    end_us: int
-    exposure_cycles: int
-    global_shutter: bool
-    roi: tuple[int, int, int, int]
-    resets: int
-    reset: Words
-    signal: Words
-
-    @property
-    def pixels(self) -> Words:
-        """(rows, columns) uint16, 0 to 1023: reset less signal; white where reset is too low or signal is 0."""
-        value = np.clip(self.reset.astype(np.int32) - self.signal, 0, _WHITE)
-        return np.where((self.reset < _WHITE_BELOW) | (self.signal == 0), _WHITE, value).astype(np.uint16)
 
 
 @dataclass
@@ -206,88 +169,10 @@ def _array(lines: list[Words], shape: tuple[int, int]) -> Words | None:
     return np.stack(lines)
 
 
-SPECIAL_EVENT = np.dtype([("t", "<u8"), ("code", "<u2"), ("index", "<i8")])
-"""Device time in us, code (see `words.Special`), and how many events of the same Decoded came before it."""
-
 _BLOCK_WORDS = 32768
 
 Index = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Decoded:
-    """Content of a piece of stream.
-
-    Attributes
-    ----------
-    events
-        (n,) EVENT in device time, microseconds since the last timestamp reset.
-    specials
-        (m,) SPECIAL_EVENT.
-    frames
-        Frames that this piece completed.
-    imu_read
-        (k,) IMU_READ: samples of the inertial unit; see `ImuReader`.
-    resets_in_all
-        Timestamp resets since the decoder was made.
-    """
-
-    events: Events
-    specials: npt.NDArray[np.void]
-    frames: tuple[FrameRead, ...] = ()
-    imu_read: npt.NDArray[np.void] = field(default_factory=lambda: np.empty(0, IMU_READ))
-    resets_in_all: int = 0
-
-    @property
-    def resets(self) -> Index:
-        """Index into `events` of the first event after each timestamp reset."""
-        index: Index = self.specials["index"][self.specials["code"] == _RESET_DECODER]
-        return index
-
-    def since_reset(self) -> Decoded:
-        """Return the part after the last timestamp reset; the whole if there was none."""
-        at = np.flatnonzero(self.specials["code"] == _RESET_DECODER)
-        if not len(at):
-            return self
-        first, specials = int(self.resets[-1]), self.specials[at[-1] + 1 :].copy()
-        specials["index"] -= first
-        frames = tuple(frame for frame in self.frames if frame.resets == self.resets_in_all)
-        imu_read = self.imu_read[self.imu_read["resets"] == self.resets_in_all]
-        return Decoded(self.events[first:], specials, frames, imu_read, self.resets_in_all)
-
-    @property
-    def imu(self) -> ImuSamples:
-        """(k,) IMU_SAMPLE in device time."""
-        return np.ascontiguousarray(self.imu_read["sample"])
-
-    @property
-    def edges(self) -> Edges:
-        """(k,) EDGE in device time: edges that the external input and the generator reported; see `blocks`."""
-        marks = self.specials[np.isin(self.specials["code"], _MARKS)]
-        return edges_of(marks["t"], marks["code"])
-
-
-@dataclass(frozen=True)
-class WordFaults:
-    """Words that a correct DVS stream does not contain, counted since the decoder was made."""
-
-    row_outside: int = 0
-    column_outside: int = 0
-    time_not_increasing: int = 0
-    unknown_special: int = 0
-    unknown_misc: int = 0
-    not_interpreted: int = 0
-
-    def __add__(self, other: WordFaults) -> WordFaults:
-        return WordFaults(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
-
-    @property
-    def total(self) -> int:
-        """All faults; valid words that are not interpreted are not among them."""
-        return (
-            self.row_outside + self.column_outside + self.time_not_increasing + self.unknown_special + self.unknown_misc
-        )
 
 
 class Decoder:
@@ -392,7 +277,7 @@ class Decoder:
         """Return for each word the index of the time in force, and those times (us), first that of the last piece."""
         moves = words >= TIMESTAMP
         kinds = words.take(rare)
-        turns = rare[(kinds & KIND == WRAP) | (kinds == _RESET_DECODER)]
+        turns = rare[(kinds & KIND == WRAP) | (kinds == _TIME_RESET)]
         moves[turns] = True
         stamps = np.compress(moves, words)
         time_us = np.empty(len(stamps) + 1, np.int64)
@@ -408,7 +293,7 @@ class Decoder:
 
     def _bases(self, stamps: Words) -> Index:
         """Return the multiple of 32768 us in force at each timestamp, wrap or reset, itself included."""
-        reset = stamps == _RESET_DECODER
+        reset = stamps == _TIME_RESET
         steps = np.where(stamps & KIND == WRAP, stamps & MAX_STEPS, 0)
         total = np.cumsum(steps, dtype=np.int64) + (self._time_us >> WRAP_BITS)
         total -= np.maximum.accumulate(np.where(reset, total, 0))
@@ -419,7 +304,7 @@ class Decoder:
         steady = time_us[1:] > time_us[:-1]
         if steady.all():
             return
-        self.faults += WordFaults(time_not_increasing=_count(~steady & (stamps != _RESET_DECODER)))
+        self.faults += WordFaults(time_not_increasing=_count(~steady & (stamps != _TIME_RESET)))
 
     def _specials(self, words: Words, rare: Index, at: Index, time_us: Index) -> npt.NDArray[np.void]:
         """Return the specials among `words`, found at `rare`; count unknown words and words not interpreted."""
@@ -445,17 +330,6 @@ def _count(mask: Mask) -> int:
     return int(np.count_nonzero(mask))
 
 
-_RESET_DECODER = int(Special.TIMESTAMP_RESET)
-_MARKS = np.array(
-    [
-        Special.INPUT_FALLING,
-        Special.INPUT_RISING,
-        Special.INPUT_PULSE,
-        Special.GENERATOR_FALLING,
-        Special.GENERATOR_RISING,
-    ],
-    WORD,
-)
 _KNOWN_SPECIALS = np.array(sorted(Special), WORD)
 _LAST_MISC8 = MISC8 | 0x3FF
 _LAST_MISC10 = MISC10 | 0x3FF

@@ -159,6 +159,8 @@ class PlainDevice(EventDevice):
     ----------
     takes_edges
         True if its link carries edges; if not, they are ignored.
+    is_watched
+        True if a receiver notices when data leave: they then leave at their own time, not some milliseconds later.
     """
 
     def __init__(
@@ -171,6 +173,7 @@ class PlainDevice(EventDevice):
         self._pulse_us = pulse_us
         self._settings = dict(readings)
         self.takes_edges = True
+        self.is_watched = True
         self._running = True
         self._queue = ItemQueue()
         self._now_us = 0
@@ -185,6 +188,11 @@ class PlainDevice(EventDevice):
     def streaming(self) -> bool:
         """True unless its link has reported that no receiver is present."""
         return self._running
+
+    @property
+    def at_rest(self) -> bool:
+        """True while no receiver notices when data leave."""
+        return not (self._running and self.is_watched)
 
     @property
     def room_events(self) -> int:

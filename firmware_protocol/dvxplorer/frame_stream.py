@@ -19,15 +19,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from firmware_protocol.davis346.blocks import Block, Marks, no_marks
-from firmware_protocol.davis346.inputs import ReadingInput
-from firmware_protocol.davis346.registers import RegisterFile
-from firmware_protocol.davis346.settings import Fx3Settings
-from firmware_protocol.davis346.stream import Late
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import Numbers, Reading, ReadingKind, count_kinds
 from firmware_protocol.dvxplorer.frame_words import FRAME_WORD, FrameEncoder, FrameTimes, in_wire_order
 from firmware_protocol.events import Events, copy_events, empty_events, join_events
+from firmware_protocol.fx3.blocks import Block, Marks, no_marks
+from firmware_protocol.fx3.inputs import ReadingInput
+from firmware_protocol.fx3.registers import RegisterFile
+from firmware_protocol.fx3.settings import Fx3Settings
+from firmware_protocol.fx3.stream import Late
 from firmware_protocol.imu_samples import IMU_SAMPLE, ImuSamples, ImuSettings
 from firmware_protocol.usb.device import Transfer
 

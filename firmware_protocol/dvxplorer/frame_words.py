@@ -26,10 +26,10 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of, kernel
-from firmware_protocol.davis346.decoder import SPECIAL_EVENT, Decoded, WordFaults
 from firmware_protocol.dvxplorer.words import LOWEST_BIT
 from firmware_protocol.events import Events, bytes_of, empty_events
 from firmware_protocol.evt.words import EVENT_BYTES, put_short, put_time, short_at, time_at
+from firmware_protocol.fx3.decoded import SPECIAL_EVENT, Decoded, WordFaults
 
 FRAME_WORD = np.dtype("<u4")
 FrameWords = npt.NDArray[np.uint32]

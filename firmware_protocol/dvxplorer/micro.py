@@ -4,7 +4,7 @@
     10         0x040A      dv-processing 2.0.4    `micro_registers`, eight bytes     1.3 is 1
     9          0x0409      libcaer 3.3.15         those of a DVXplorer, four bytes   5.3000 is 2 ("stream")
 
-Requests are those of a DVXplorer (`davis346.fx3`), but firmware 10 has no multi-write, stalls registers of four bytes,
+Requests are those of a DVXplorer (`fx3.camera`), but firmware 10 has no multi-write, stalls registers of four bytes,
 and has two more requests, without data: 0xC7 stores the registers in its flash memory, 0xC8 loads them from there.
 
 It has no reset of its time, no external input and no master or slave. Events leave in frames (`frame_stream`); inertial
@@ -18,12 +18,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
-from firmware_protocol.davis346.fx3 import FLUSH, LOG_LEVEL, REGISTER, Parts
-from firmware_protocol.davis346.registers import Access, Module, Register, RegisterFile, RunGate
-from firmware_protocol.davis346.settings import DEBUG_ENDPOINT
 from firmware_protocol.dvxplorer.biases import level_factors, sensor_factors
 from firmware_protocol.dvxplorer.device import Dvxplorer, DvxplorerSettings
 from firmware_protocol.dvxplorer.filters import ChipFilters, Mask, polarity_format, sampled
@@ -41,6 +39,9 @@ from firmware_protocol.dvxplorer.micro_registers import (
     micro_scan_us,
 )
 from firmware_protocol.dvxplorer.registers import SIZE, Chip, chip_of, registers, scan_us
+from firmware_protocol.fx3.camera import FLUSH, LOG_LEVEL, REGISTER, Parts
+from firmware_protocol.fx3.registers import Access, Module, Register, RegisterFile, RunGate, Statistics
+from firmware_protocol.fx3.settings import DEBUG_ENDPOINT
 from firmware_protocol.imu_samples import ImuSettings
 from firmware_protocol.usb.device import RequestKind, SetupPacket, Stall, Transfer
 
@@ -85,14 +86,11 @@ class DvxplorerMicroSettings(DvxplorerSettings):
         return registers(self.system)  # without an inertial unit
 
 
-class _NoStatistics:
+class _NoStatistics(Statistics):
     """Statistics of a camera without counters."""
 
-    def power_on(self) -> None:
-        """Do nothing."""
-
-    def refresh(self, registers: RegisterFile) -> None:
-        """Do nothing."""
+    def counted(self) -> Mapping[Enum, int]:
+        return {}
 
 
 class MicroFilters(ChipFilters):

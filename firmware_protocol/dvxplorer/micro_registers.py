@@ -27,8 +27,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from firmware_protocol.davis346.registers import Access, Module, Register, RegisterFile, Rows, SystemInfo, declare
-from firmware_protocol.dvxplorer.registers import SIZE, imu_settings_of, system_registers
+from firmware_protocol.dvxplorer.registers import SIZE, imu_settings_of
+from firmware_protocol.fx3.registers import (
+    Access,
+    Module,
+    Register,
+    RegisterFile,
+    Rows,
+    SystemInfo,
+    declare,
+    imu_type_registers,
+    system_registers,
+)
 from firmware_protocol.imu_samples import BMI160, ImuSettings
 
 RUN, POLARITY, SUBSAMPLING, RATE, THRESHOLDS = 3, 4, 5, 13, 14
@@ -84,7 +94,7 @@ def micro_registers(system: SystemInfo, imu_unit: int = 0) -> Iterator[Register]
     frame: Rows = ((0, "SIZE_COLUMNS", SIZE[0]), (1, "SIZE_ROWS", SIZE[1]), (2, "ORIENTATION", 0))
     yield from declare(Module.DVS, frame, fixed)
     yield from declare(Module.DVS, _DVS)
-    yield from declare(Module.IMU, ((0, "TYPE", imu_unit), (1, "ORIENTATION", 0)), fixed, "0: no IMU")
+    yield from imu_type_registers(imu_unit)
     yield from declare(Module.IMU, _IMU)
     yield from system_registers(system)
 

@@ -2,7 +2,7 @@
 
     module  0 multiplexer   1 DVS   3 IMU   4 external input   5 sensor chip   6 system information   9 USB
 
-Modules 0, 4, 6 and 9 are those of a DAVIS346 (`davis346.registers`), and so are the rules for writes: a write to a
+Modules 0, 4, 6 and 9 are those of all models (`fx3.registers`), and so are the rules for writes: a write to a
 register that does not exist, or that is read-only, is ignored, and a read of one that does not exist gives 0.
 
 Registers of the sensor chip are one byte wide; longer values take consecutive addresses, the high byte first:
@@ -45,7 +45,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from firmware_protocol.davis346.registers import (
+from firmware_protocol.fx3.registers import (
     Access,
     Module,
     Register,
@@ -54,14 +54,13 @@ from firmware_protocol.davis346.registers import (
     RunGate,
     SystemInfo,
     declare,
-    external_input,
-    usb_registers,
+    shared_registers,
 )
 from firmware_protocol.imu_samples import BMI160, ImuScale, ImuSettings
 
 SIZE = (640, 480)
 CHIP_ID = 20
-SYSTEM = SystemInfo(chip_id=CHIP_ID, logic_patch=4)
+SYSTEM = SystemInfo(chip_id=CHIP_ID, adc_clock_mhz=0, logic_patch=4)
 _ORIENTATION = 3
 """Both axes are flipped: libcaer and dv-processing then agree in the coordinates of the cropper."""
 
@@ -93,15 +92,6 @@ class ChipStatistic(Enum):
     DVS_DROPPED_COLUMNS = (Module.DVS, 85)
     DVS_DROPPED_GROUPS = (Module.DVS, 87)
 
-
-_MULTIPLEXER: Rows = (
-    (0, "RUN", 0),
-    (1, "TIMESTAMP_RUN", 0),
-    (2, "TIMESTAMP_RESET", 0),
-    (3, "RUN_CHIP", 0),
-    (4, "DROP_EXTINPUT_ON_STALL", 1),
-    (5, "DROP_DVS_ON_STALL", 0),
-)
 
 _IMU: Rows = (
     (2, "RUN_ACCELEROMETER", 0),
@@ -169,37 +159,12 @@ def registers(system: SystemInfo = SYSTEM, imu_unit: int = 0) -> Iterator[Regist
     """Yield every register; `imu_unit`: 0 none, 3 BMI160."""
     fixed = Access.READ_ONLY
     frame: Rows = ((0, "SIZE_COLUMNS", SIZE[0]), (1, "SIZE_ROWS", SIZE[1]), (2, "ORIENTATION", _ORIENTATION))
-    yield from declare(Module.MULTIPLEXER, _MULTIPLEXER)
-    yield from declare(Module.MULTIPLEXER, ((80, "HAS_STATISTICS", 1),), fixed)
+    yield from shared_registers(system, imu_unit, ChipStatistic, drops_events_on_stall=False)
     yield from declare(Module.DVS, frame, fixed, "events are in the user's frame whatever the orientation")
     yield from declare(Module.DVS, ((3, "RUN", 0),))
-    yield from declare(Module.DVS, ((80, "HAS_STATISTICS", 1),), fixed)
-    yield from declare(Module.IMU, ((0, "TYPE", imu_unit), (1, "ORIENTATION", 0)), fixed, "0: no IMU")
     yield from declare(Module.IMU, _IMU)
-    yield from declare(Module.EXTERNAL_INPUT, ((10, "HAS_GENERATOR", 1),), fixed)
-    yield from declare(Module.EXTERNAL_INPUT, external_input(system.logic_clock_mhz), note="logic clock cycles")
     for address, name, default in _CHIP:
         yield Register(Module.BIAS, address, name, default, bits=8)
-    yield from system_registers(system)
-    yield from usb_registers(system)
-    for statistic in ChipStatistic:
-        module, upper = statistic.value
-        halves: Rows = ((upper, f"{statistic.name}_UPPER", 0), (upper + 1, f"{statistic.name}_LOWER", 0))
-        yield from declare(module, halves, fixed, "half of a 64-bit counter")
-
-
-def system_registers(info: SystemInfo) -> Iterator[Register]:
-    """Return the registers of system information."""
-    rows: Rows = (
-        (0, "LOGIC_VERSION", info.logic_version),
-        (1, "CHIP_IDENTIFIER", info.chip_id),
-        (2, "DEVICE_IS_MASTER", int(info.timestamp_master)),
-        (3, "LOGIC_CLOCK_MHZ", info.logic_clock_mhz),
-        (5, "USB_CLOCK_MHZ", info.usb_clock_mhz),
-        (6, "CLOCK_DEVIATION_THOUSANDTHS", info.clock_deviation),
-        (7, "LOGIC_PATCH", info.logic_patch),
-    )
-    return declare(Module.SYSTEM, rows, Access.READ_ONLY)
 
 
 def chip_of(values: RegisterFile) -> Callable[[int], int]:
@@ -285,9 +250,9 @@ def _rate(hz: float) -> tuple[int, int]:
     return (doubled // 400, 5) if doubled >= 800 else (1, 2000 // doubled)
 
 
-def driver_imu_settings() -> ImuSettings:
+def driver_imu_settings(unit: int = BMI160) -> ImuSettings:
     """Return the drivers' settings: all parts, 800 Hz, 4 g, 500 deg/s."""
-    values = RegisterFile(registers(imu_unit=BMI160))
+    values = RegisterFile(registers(imu_unit=unit))
     for address in (2, 3, 4):
         values.write(Module.IMU, address, 1)
     return imu_settings(values, words=True)

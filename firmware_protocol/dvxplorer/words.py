@@ -6,7 +6,7 @@
     0011         eight pixels of group 1              7..0 bit i is pixel y + i; 8: they are OFF
     0010         eight pixels of group 2              likewise
 
-Timestamps, wraps, specials and inertial samples are those of a DAVIS346 (`davis346.words`), and so are the rules of
+Timestamps, wraps, specials and inertial samples are those of all models (`fx3.words`), and so are the rules of
 time that drivers depend on. A column holds until the next one, group addresses until the next ones.
 
 Two grammars, by bit 7 of the chip's packet format register (see `registers`):
@@ -36,8 +36,10 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of, kernel
-from firmware_protocol.davis346.blocks import Block, Marks, no_marks, put_in_place, with_places
-from firmware_protocol.davis346.words import (
+from firmware_protocol.events import EVENT, Events, bytes_of
+from firmware_protocol.evt.words import EVENT_BYTES, short_at, time_at
+from firmware_protocol.fx3.blocks import Block, Marks, no_marks, put_in_place, with_places
+from firmware_protocol.fx3.words import (
     LOW_BITS,
     MAX_STEPS,
     SINGLE_WRAPS,
@@ -52,8 +54,6 @@ from firmware_protocol.davis346.words import (
     is_column,
     is_row,
 )
-from firmware_protocol.events import EVENT, Events, bytes_of
-from firmware_protocol.evt.words import EVENT_BYTES, short_at, time_at
 
 COLUMN, GROUP_2, GROUP_1, ADDRESSES = 0x1000, 0x2000, 0x3000, 0x4000
 SCAN_START = 0x800
@@ -64,7 +64,7 @@ ROWS_OF_GROUP = 8
 LOWEST_BIT = np.array([0, *(np.log2(mask & -mask) for mask in range(1, 256))], np.uint8)
 """Number of the lowest bit that is set in a byte."""
 
-entry = entry_of("firmware_protocol.dvxplorer", "firmware_protocol.evt", "firmware_protocol.davis346.words")
+entry = entry_of("firmware_protocol.dvxplorer", "firmware_protocol.evt", "firmware_protocol.fx3.words")
 
 _Bytes = npt.NDArray[np.uint8]
 _Times = npt.NDArray[np.int64]

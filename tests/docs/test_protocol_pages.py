@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_protocol.davis346.registers import Access, Layout, SystemInfo, registers
+from firmware_protocol.davis346.registers import Layout, registers
 from firmware_protocol.events import EVENT
+from firmware_protocol.fx3.registers import Access, SystemInfo
 from firmware_protocol.usb import usbip
 from transports.link.deliveries import digest_of
 

@@ -216,9 +216,12 @@ class Faulty(Generic[S]):
     ----------
     carrier
         Name of the carrier in errors.
+    withholds
+        True while a fault withholds data from the host, and the camera's buffer is not emptied.
     """
 
     carrier: ClassVar[str]
+    withholds: bool = False
 
     def __init__(self, plan: FaultPlan, kinds: Mapping[str, type[Fault]], of_carrier: Any = None) -> None:
         self._kinds = tuple(kinds.values())

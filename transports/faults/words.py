@@ -1,6 +1,6 @@
 """Faults of the words of a DAVIS346: their tables in a rig, and their effects on each transfer. Sans-I/O.
 
-See `kinds` for the attributes that all faults have. The word layout is drawn in `davis346.words`.
+See `kinds` for the attributes that all faults have. The word layout is drawn in `fx3.words` and `davis346.words`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.davis346.words import Special, Words, is_column
+from firmware_protocol.fx3.words import Special, Words, is_column
 from transports.faults.kinds import Fault, HitFault, LastingFault, Places, Stage
 
 INSERTED = -1

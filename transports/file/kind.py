@@ -16,12 +16,12 @@ from typing import Any, ClassVar
 from firmware_protocol.device.items import Items, Numbers, ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from transports.link.deliveries import DeliveredParts, Deliveries
-from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
+from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory, EndpointReport
 from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
 from transports.needs import Need, package
 from transports.recording.format import Format, format_to_write, with_addition
 from transports.recording.live import LiveRecorder
-from transports.recording.part import Facts, RecordingError, RecordingSummary, counts_of
+from transports.recording.part import Facts, RecordingError, counts_of
 
 
 @dataclass(frozen=True)
@@ -123,6 +123,7 @@ class FileEndpoint(Endpoint):
         self._recorder: LiveRecorder | None = None
         self._epoch_us: int | None = None
         self._handed: Counter[str] = Counter()
+        device.is_watched = False  # no receiver notices when data are passed to the writer
 
     async def start(self) -> None:
         """Start the writer; raises OSError if the file cannot be opened."""
@@ -146,11 +147,6 @@ class FileEndpoint(Endpoint):
     def longest_sleep_ns(self) -> int:
         """See `Endpoint.longest_sleep_ns`; a writer without room is tried again soon."""
         return BUSY_NS if self._device.waiting else REST_NS
-
-    @property
-    def is_watched(self) -> bool:
-        """False: no receiver notices when data are passed to the writer."""
-        return False
 
     def _hand_over(self, recorder: LiveRecorder, taken: Items) -> None:
         restarted = taken.epoch_us != self._epoch_us
@@ -184,20 +180,12 @@ class FileEndpoint(Endpoint):
             return "stopped"
         return f"{self._handed['events']} events to {self._order.path.name}"
 
-    @property
-    def address(self) -> str | None:
-        """Path of the file."""
-        return str(self._order.path)
-
-    @property
-    def trouble(self) -> str:
-        """Reason for an incomplete file."""
-        return "" if self._recorder is None else self._recorder.trouble
-
-    @property
-    def recording(self) -> RecordingSummary | None:
-        """Summary of the closed file."""
-        return None if self._recorder is None else self._recorder.summary
+    def report(self) -> EndpointReport:
+        """Return the path of the file, and the summary of the closed file or the reason why it is incomplete."""
+        path = str(self._order.path)
+        if self._recorder is None:
+            return EndpointReport(path)
+        return EndpointReport(path, trouble=self._recorder.trouble, recording=self._recorder.summary)
 
     @property
     def counts(self) -> Mapping[str, int]:

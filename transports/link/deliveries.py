@@ -18,7 +18,7 @@ import time
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -29,13 +29,9 @@ from firmware_protocol.device.plain_device import own_time
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges
 from firmware_protocol.frames import FrameAssembler, WholeFrame
 from firmware_protocol.imu_samples import ImuSamples, no_samples, physical
+from firmware_protocol.recordings.part import IMU, Facts, Frame, Part, RecordingSummary, counts_of
 from transports.link.pacing import Clock
 from transports.link.rings import FREE_RUNNING, EventRing, SharedMemory
-from transports.recording.part import IMU, Frame, Part, RecordingSummary, counts_of
-
-if TYPE_CHECKING:
-    from transports.recording.live import AnyRecorder, ForwardingRecorder
-
 
 _BIN_US = 10
 _EVEN_BINS = 20_000
@@ -190,6 +186,41 @@ def _frame(frame: WholeFrame, epoch_us: int) -> Frame:
     return Frame(begin_us, begin_us, end_us, frame.pixels, (frame.first_column, frame.first_row))
 
 
+class DeliveryRecorder(Protocol):
+    """Recorder of what a link delivers."""
+
+    @property
+    def trouble(self) -> str:
+        """Reason for an incomplete record, for people; empty if it is complete."""
+        ...
+
+    @property
+    def summary(self) -> RecordingSummary | None:
+        """Summary of the closed file; None if there is none."""
+        ...
+
+    def append(self, part: Part, *, restarted: bool = False, unix_us: int | None = None) -> None:
+        """Add a part in device time; `unix_us`: Unix time of its zero, None in a run without pacing."""
+
+    def reach(self, t_us: int) -> None:
+        """Note that no event earlier than `t_us`, in device time, will come."""
+
+    def close(self) -> None:
+        """Finish the record."""
+
+
+class RecorderFactory(Protocol):
+    """Factory of a recorder inside the link's process; passed to that process by pickling."""
+
+    def open(self, facts: Facts) -> DeliveryRecorder:
+        """Return the recorder, with facts of the camera for its file; raises OSError where it cannot be opened."""
+        ...
+
+    def restarted(self, number: int) -> Self:
+        """Return the factory for the `number`-th restart of the link, which must not overwrite the earlier file."""
+        ...
+
+
 class Deliveries:
     """Latency, digest and record of the events that an endpoint reports as sent.
 
@@ -210,7 +241,7 @@ class Deliveries:
         self,
         ring: EventRing,
         clock: Clock,
-        recorder: AnyRecorder | ForwardingRecorder | None = None,
+        recorder: DeliveryRecorder | None = None,
         device_clock: DeviceClock | None = None,
         imu_unit: int = 2,
     ) -> None:

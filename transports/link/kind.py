@@ -9,15 +9,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
 
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan
 from transports.link.edges import EdgeSink
 from transports.needs import Need
-
-if TYPE_CHECKING:
-    from firmware_protocol.instrument.settings import InstrumentSettings
 
 
 class LinkParameters(Protocol):
@@ -32,12 +29,18 @@ class LinkParameters(Protocol):
         ...
 
 
+class _Instrument(Protocol):
+    def selection(self, size: tuple[int, int], /) -> object:
+        """Return the region of a sensor of `size`; raises ValueError if it extends beyond."""
+        ...
+
+
 class InstrumentLink(LinkParameters, Protocol):
     """A [[links]] table of a link that serves an instrument."""
 
     @property
-    def instrument(self) -> InstrumentSettings:
-        """Selection and rates of the camera's messages."""
+    def instrument(self) -> _Instrument:
+        """Selection and rates of the camera's messages: `InstrumentSettings`."""
         ...
 
 

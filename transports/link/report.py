@@ -21,11 +21,11 @@ from dataclasses import dataclass, field
 
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Fates
+from firmware_protocol.recordings.part import RecordingSummary
 from transports.faults.script import FaultRecord
 from transports.link.deliveries import LatencySummary
 from transports.link.endpoint import LineUse
 from transports.link.feed import ClockReport, EdgeReport, ReadingReport
-from transports.recording.part import RecordingSummary
 
 _MOST_WAITING = 1000  # changes that a busy session has not read
 _FOREVER_US = 1 << 62

@@ -25,7 +25,7 @@ from firmware_protocol.imu_samples import ImuSamples, no_samples
 from firmware_protocol.usb.device import Identity, SetupPacket
 
 if TYPE_CHECKING:
-    from firmware_protocol.davis346.decoder import FrameRead, WordFaults  # it loads numba
+    from firmware_protocol.fx3.decoded import FrameRead, WordFaults
 
 
 class UsbHostError(Exception):

@@ -63,11 +63,9 @@ class UsbipLink:
 USBIP = LinkKind(
     UsbipLink,
     serves="usb",
-    endpoint="transports.usb.usbip.server:factory_of",
+    endpoint="transports.usb.usbip.endpoint:factory_of",
     faults=USB_FAULTS,
-    listener=Listener(
-        "usb", "Read a DAVIS346, a DVXplorer, an EVK4 or a GenX320 on USB.", "emulator.cli.listen.cameras:listen"
-    ),
+    listener=Listener("usb", "Read an event camera on USB.", "emulator.cli.listen.cameras:listen"),
     check=_check_model,
     listens_on=lambda link: (link.host, link.port) if link.port else None,
     needs=lambda link: (VHCI,),

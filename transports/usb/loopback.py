@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from firmware_protocol.davis346.decoder import FrameRead
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import Edges, Events
 from firmware_protocol.frames import FrameAssembler
+from firmware_protocol.fx3.decoded import FrameRead
 from firmware_protocol.imu_samples import ImuSamples, no_samples
 from firmware_protocol.usb.device import Identity, NotReady, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
 from transports.faults.faulty_device import FaultyDevice

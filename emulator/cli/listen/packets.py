@@ -27,8 +27,8 @@ from firmware_protocol.packets.telecommands import (
     Telecommand,
 )
 from transports.link.pacing import MonotonicClock
-from transports.link.reception import InstrumentReception
 from transports.network import check_allow
+from transports.reception import InstrumentReception
 from transports.recording.record import Recorder
 from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import listen_serial

@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 
 from emulator.cli.checks import check_output
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, console, print_json, status
-from transports.link.reception import Reception
+from transports.reception import Reception
 from transports.recording.record import Recorder
 
 _R = TypeVar("_R", bound=Reception)

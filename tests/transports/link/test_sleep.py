@@ -27,7 +27,7 @@ from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing, ReadingRing
 from transports.usb.loopback import LoopbackEndpoint, LoopbackFactory
-from transports.usb.usbip.server import UsbipFactory
+from transports.usb.usbip.endpoint import UsbipFactory
 
 MS = 1_000_000
 ORIGIN_NS = 1_000 * MS

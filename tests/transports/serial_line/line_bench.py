@@ -52,7 +52,7 @@ class Bench:
 
     def plug(self):
         """Open the reader's side."""
-        self.port = serial.Serial(self.link.endpoint.address, timeout=0)
+        self.port = serial.Serial(self.link.endpoint.report().address, timeout=0)
         self.link.tick()
 
     def give(self, events, now_us):

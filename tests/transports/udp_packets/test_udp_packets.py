@@ -51,7 +51,7 @@ class Bench:
 
     @property
     def commands_at(self):
-        host, port = self.link.endpoint.address.split(":")
+        host, port = self.link.endpoint.report().address.split(":")
         return host, int(port)
 
     def send(self, octets):
@@ -281,7 +281,7 @@ def test_faults_that_meet_leave_each_message_one_fate(bench):
 
 def test_a_fault_of_a_serial_line_is_refused(bench):
     with pytest.raises(ValueError, match="no fault of packets in datagrams"):
-        bench().link.endpoint.inject(Stall())
+        bench().link.endpoint.faulty.inject(Stall())
     assert list(DATAGRAM_FAULTS) == ["lost_datagrams", "repeated_datagrams", "late_datagrams", "bit_flips"]
 
 

@@ -14,10 +14,11 @@ from firmware_protocol.usb.device import Identity
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import UsbSilence
-from transports.usb.cameras import TreuzellHost, driver_of, first_on_the_bus
+from transports.usb.cameras import driver_of, first_on_the_bus
 from transports.usb.host import DeviceAbsent, PeerBroken, StallError, StreamSettings, TransferTimeout, UnsuitableDevice
 from transports.usb.loopback import DirectHost
 from transports.usb.pyusb_host import PyusbHost
+from transports.usb.treuzell_host import TreuzellHost
 from transports.usb.usbip.client import UsbipHost
 
 SETTINGS = Evk4Settings(serial="c0ffee", start_delay_us=0)

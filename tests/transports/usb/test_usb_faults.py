@@ -28,7 +28,7 @@ from transports.link.rings import EventRing
 from transports.usb.davis_host import DavisHost
 from transports.usb.host import DeviceAbsent, StallError, TransferTimeout, UsbHostError
 from transports.usb.usbip.client import UsbipHost
-from transports.usb.usbip.server import UsbipFactory
+from transports.usb.usbip.endpoint import UsbipFactory
 
 
 @pytest.fixture
@@ -99,7 +99,7 @@ def test_a_camera_that_is_pulled_out_is_lost_and_found_again():
         factory = UsbipFactory("127.0.0.1", 0, "1-1", plan)
         link = Link(LinkSetup("usb", ring, partial(Davis346, Davis346Settings()), factory), clock)
         await link.endpoint.start()
-        port = int(link.endpoint.address.rpartition(":")[2])
+        port = int(link.endpoint.report().address.rpartition(":")[2])
         ring.start(clock.now_ns())
         ring.publish(10**6)
 

@@ -14,7 +14,7 @@ from firmware_protocol.usb.functionfs import descriptor_block, string_block
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, LinkBroken
+from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, EndpointReport, LinkBroken
 from transports.link.kind import Wiring
 from transports.usb.functionfs.cable import Cable
 from transports.usb.functionfs.files import WAKE_SIGNAL, FunctionFiles, with_spares
@@ -47,11 +47,11 @@ def factory_of(link: UsbGadgetLink, wiring: Wiring) -> GadgetFactory:
 class GadgetEndpoint(Endpoint):
     """Endpoint of one camera at one controller."""
 
-    _faulty: FaultyDevice
+    faulty: FaultyDevice
 
     def __init__(self, factory: GadgetFactory, camera: UsbCamera, deliveries: Deliveries) -> None:
         self._camera = camera
-        self._faulty = FaultyDevice(camera, factory.faults, deliveries.add)
+        self.faulty = FaultyDevice(camera, factory.faults, deliveries.add)
         self._udc = factory.udc
         self._gadget = Gadget(factory.name)
         self._is_mine = self._is_gone = self._had_host = False
@@ -66,7 +66,7 @@ class GadgetEndpoint(Endpoint):
         self._prepare()
         try:
             self._files = self._open(controller)
-            self._cable = Cable(self._faulty, self._files)
+            self._cable = Cable(self.faulty, self._files)
             self._cable.start()
             self._gadget.bind(controller)
         except OSError:
@@ -93,15 +93,10 @@ class GadgetEndpoint(Endpoint):
 
     def advance_faults(self, stream_us: int) -> None:
         """See `Endpoint.advance_faults`."""
-        self._faulty.advance(stream_us)
-        if self._faulty.gone != self._is_gone:
-            self._is_gone = self._faulty.gone
+        self.faulty.advance(stream_us)
+        if self.faulty.gone != self._is_gone:
+            self._is_gone = self.faulty.gone
             self._plug(connected=not self._is_gone)
-
-    @property
-    def withholds(self) -> bool:
-        """See `Endpoint.withholds`."""
-        return self._faulty.silent
 
     async def close(self) -> None:
         """Disconnect the camera from its host, and remove the gadget if this link made it."""
@@ -112,7 +107,7 @@ class GadgetEndpoint(Endpoint):
             log.warning("%s; it is disconnected by closing its files", error)
         if self._files is not None:
             self._files.close()
-        self._faulty.close()
+        self.faulty.close()
         if self._is_mine:
             self._remove()
 
@@ -125,10 +120,9 @@ class GadgetEndpoint(Endpoint):
             return f"{self._trouble or 'plugged in'} at {self._udc}"
         return f"waiting for a host at {self._udc}"
 
-    @property
-    def address(self) -> str:
-        """Name of the controller."""
-        return self._udc
+    def report(self) -> EndpointReport:
+        """Return the name of the controller."""
+        return EndpointReport(self._udc)
 
     def _plug(self, *, connected: bool) -> None:
         """Connect the gadget to its controller, or disconnect it; raises LinkBroken."""

@@ -1,4 +1,4 @@
-"""Settings of a DAVIS346, and of all cameras with its FX3: USB identity, array and sizes, and the USB descriptors.
+"""Settings of iniVation's cameras with an FX3: USB identity, array and sizes, and the USB descriptors.
 
 Sources: USB identity from libcaer 3.3.15 and three drivers' checks; endpoints from the published FX3 firmware.
 
@@ -27,7 +27,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from firmware_protocol.davis346.registers import Layout, Register, SystemInfo, registers
+from firmware_protocol.fx3.registers import Register, SystemInfo
 from firmware_protocol.usb.descriptors import (
     BULK_PACKET,
     OTHER_SPEED,
@@ -42,7 +42,6 @@ from firmware_protocol.usb.descriptors import (
 from firmware_protocol.usb.device import Identity, UsbCameraSettings
 
 VENDOR_ID = 0x152A
-PRODUCT_ID = 0x841A
 DEBUG_ENDPOINT = 0x81
 DATA_ENDPOINT = 0x82
 
@@ -107,39 +106,6 @@ class Fx3Settings(UsbCameraSettings):
             strings={1: self.manufacturer, 2: self.product, 3: self.serial},
             other_speed=_configuration(other) if other else None,
         )
-
-
-@dataclass(frozen=True)
-class Davis346Settings(Fx3Settings):
-    """Settings of a DAVIS346.
-
-    Attributes
-    ----------
-    bcd_device
-        Low byte: firmware version, 6 for all drivers. High byte: hardware, 2 "blue", 3 "red".
-    size
-        (width, height) of the array. neuromorphic_drivers assumes 346 x 260; other sensors may send their events in
-        DAVIS words if the receiver is configured for their size.
-    layout
-        Order in which rows and columns are sent.
-    imu_unit
-        0 none, 1 MPU-6050, 2 MPU-9250 or MPU-6500.
-    activity_filter
-        True if it has the filters of background activity and refractory period.
-    """
-
-    product_id: ClassVar[int] = PRODUCT_ID
-    imu_units: ClassVar[tuple[int, ...]] = (1, 2)
-
-    bcd_device: int = 0x0206
-    size: tuple[int, int] = (346, 260)
-    layout: Layout = Layout.UPRIGHT
-    activity_filter: bool = False
-    product: str = "DAViS FX3"
-
-    def registers(self) -> Iterator[Register]:
-        """Yield its registers."""
-        return registers(self.size, self.layout, self.system, self.imu_unit, activity_filter=self.activity_filter)
 
 
 def _configuration(speed: Speed) -> Configuration:

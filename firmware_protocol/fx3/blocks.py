@@ -44,7 +44,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -62,10 +61,7 @@ Marks = npt.NDArray[np.void]
 GENERATOR_RISING, GENERATOR_FALLING = 12, 13
 """Kinds of EDGE records beyond EdgeKind that only a DAVIS346's generator makes."""
 
-NO_ROW = 0xFFFF
-"""Row of a mark before any event: above every address, so that a row word is sent for the first event."""
 
-_COLUMN_OFF = 0x2000
 _KIND_OF_CODE = np.zeros(18, np.uint8)
 _KIND_OF_CODE[[2, 3, 4]] = EdgeKind.FALLING, EdgeKind.RISING, EdgeKind.PULSE
 _KIND_OF_CODE[[16, 17]] = GENERATOR_FALLING, GENERATOR_RISING
@@ -91,52 +87,6 @@ def edges_of(times_us: npt.NDArray[np.uint64], codes: Words) -> Edges:
     edges["t"] = times_us
     edges["kind"] = _KIND_OF_CODE[codes]
     return edges
-
-
-@dataclass(frozen=True)
-class TimedWords:
-    """Words of items in stream order: device times (n,) us, the row in force (n,), and the word of each (n,)."""
-
-    time_us: Times
-    rows: Words
-    words: Words
-
-    def __getitem__(self, part: slice) -> TimedWords:
-        return TimedWords(self.time_us[part], self.rows[part], self.words[part])
-
-    def merged(self, time_us: Times, codes: Words, row: int) -> TimedWords:
-        """Return these items with marks at `time_us` (m,), each before the items of the same time.
-
-        A mark has no row: it takes that of the item before it, `row` (-1: none) before the first, so that no row word
-        is written for it.
-        """
-        at = np.searchsorted(self.time_us, time_us, side="left")
-        before = self.rows[np.maximum(at, 1) - 1] if len(self.rows) else np.empty(len(at), np.uint16)
-        before[at == 0] = NO_ROW if row < 0 else row
-        at += np.arange(len(at))
-        old = np.ones(len(self.words) + len(at), np.bool_)
-        old[at] = False
-        return TimedWords(
-            _merged(self.time_us, time_us, old, at),
-            _merged(self.rows, before, old, at),
-            _merged(self.words, codes, old, at),
-        )
-
-
-def _merged(items: Any, marks: Any, old: npt.NDArray[np.bool_], at: npt.NDArray[np.intp]) -> Any:
-    """Return `items` where `old` is true and `marks` at positions `at`; np.insert takes twice as long."""
-    both = np.empty(len(old), items.dtype)
-    both[old], both[at] = items, marks
-    return both
-
-
-def timed_words(time_us: Times, rows: Words, columns: Words, on: npt.NDArray[np.bool_]) -> TimedWords:
-    """Return the words of events, each array (n,)."""
-    words = on.astype(np.uint16)
-    words <<= 12
-    words += _COLUMN_OFF
-    words |= columns
-    return TimedWords(time_us, rows, words)
 
 
 IMU_READ = np.dtype([("sample", IMU_SAMPLE), ("resets", "<u4")])

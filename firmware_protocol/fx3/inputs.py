@@ -38,14 +38,14 @@ from dataclasses import astuple, dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.davis346.blocks import MARK, Block, Marks, blocks_of, join_marks, no_marks
-from firmware_protocol.davis346.registers import Module, RegisterFile, aps_waits_on_stall, frame_settings, imu_settings
-from firmware_protocol.davis346.settings import Davis346Settings, Fx3Settings
-from firmware_protocol.davis346.words import Special
 from firmware_protocol.device.fates import Counts, Fates
 from firmware_protocol.device.items import Numbers, ReadingKind, Readings, count_kinds
 from firmware_protocol.events import EdgeKind, Edges
 from firmware_protocol.frames import FrameSettings, LineKind
+from firmware_protocol.fx3.blocks import MARK, Block, Marks, blocks_of, join_marks, no_marks
+from firmware_protocol.fx3.registers import Module, RegisterFile
+from firmware_protocol.fx3.settings import Fx3Settings
+from firmware_protocol.fx3.words import Special
 from firmware_protocol.imu_samples import ImuSettings
 
 
@@ -268,7 +268,7 @@ _IMU_WORDS = 1 + 17  # a timestamp, and a sample of all three groups
 class ReadingInput(ABC):
     """Readings that were offered and are not in the stream yet, and their settings in the registers.
 
-    A camera adds `follow`, which reads its registers.
+    A camera adds `follow`, which reads its registers: the settings, and `_lines_wait` if it takes frames.
     """
 
     def __init__(self, settings: Fx3Settings, registers: RegisterFile, fates: Fates) -> None:
@@ -280,6 +280,7 @@ class ReadingInput(ABC):
         self._waiting: list[Block] = []
         self._held: deque[Block] = deque()
         self._in_frame = self._left_out = False
+        self._lines_wait = False
         self._fates = fates
 
     @abstractmethod
@@ -370,13 +371,16 @@ class ReadingInput(ABC):
     def _hold(self, blocks: Iterable[Block]) -> None:
         """Queue blocks behind those that wait: parts of one frame only, without lines that may not wait."""
         held = Counter(block.reading.kind for block in self._held) if blocks else Counter()
-        lines_wait, left_out = aps_waits_on_stall(self._registers), False
+        left_out = False
         for block in blocks:
             kind, part = block.reading.kind, _line_kind(block)
             if part == LineKind.START:
                 left_out = held[kind] > 0
                 self._left_out = self._left_out or left_out
-            waits = held[kind] < _MOST_SAMPLES if part is None else not left_out and (lines_wait or part not in _LINES)
+            if part is None:
+                waits = held[kind] < _MOST_SAMPLES
+            else:
+                waits = not left_out and (self._lines_wait or part not in _LINES)
             if waits:
                 self._held.append(block)
             held[kind] += waits
@@ -394,19 +398,6 @@ class ReadingInput(ABC):
         if not self._held and not self._waiting:
             return Numbers()
         return Numbers(readings=count_kinds([block.reading for block in (*self._held, *self._waiting)]))
-
-
-class DavisReadings(ReadingInput):
-    """Frames and inertial samples of a DAVIS346."""
-
-    def __init__(self, settings: Davis346Settings, registers: RegisterFile, fates: Fates) -> None:
-        super().__init__(settings, registers, fates)
-        self._size, self._layout = settings.size, settings.layout
-
-    def follow(self, *, words: bool) -> None:
-        """See `ReadingInput.follow`."""
-        self._frames = frame_settings(self._registers, self._size, self._layout, words=words)
-        self._imu = imu_settings(self._registers, words=words)
 
 
 def _time_of(block: Block) -> int:

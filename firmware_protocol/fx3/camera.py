@@ -35,15 +35,14 @@ from typing import Protocol
 
 import numpy as np
 
-from firmware_protocol.davis346.blocks import Block, Marks, join_marks, no_marks
-from firmware_protocol.davis346.filters import Passed
-from firmware_protocol.davis346.inputs import ExternalInput, InputSettings, ReadingInput
-from firmware_protocol.davis346.registers import Module, RegisterFile, RunGate
-from firmware_protocol.davis346.settings import DATA_ENDPOINT, Fx3Settings
-from firmware_protocol.davis346.stream import Late
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import ItemEncoder, Numbers, ReadingKind, Readings
 from firmware_protocol.events import Edges, Events, copy_events, empty_events
+from firmware_protocol.fx3.blocks import Block, Marks, join_marks, no_marks
+from firmware_protocol.fx3.inputs import ExternalInput, InputSettings, ReadingInput
+from firmware_protocol.fx3.registers import Module, RegisterFile, RunGate, Statistics
+from firmware_protocol.fx3.settings import DATA_ENDPOINT, Fx3Settings
+from firmware_protocol.fx3.stream import Late
 from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.device import RequestKind, SetupPacket, Stall, Transfer, UsbCamera
 
@@ -55,6 +54,7 @@ FLUSH = 0xC6
 ENTRY = struct.Struct(">BBI")
 _IN = 0x80
 _INPUT_FIFO = 8
+_MODULES = frozenset(map(int, Module))
 _MOST_RESETS = 64  # limit of the list, which nothing empties without a second camera
 
 
@@ -67,22 +67,12 @@ class _Filters(Protocol):
     def follow(self, registers: RegisterFile, now_us: int) -> None:
         """Apply registers that were written at `now_us`."""
 
-    def passed(self, events: Events, registers: RegisterFile) -> Passed:
-        """Return the part of `events`, (n,) EVENT, that passes; `events` may be changed. `take` counts the result."""
+    def passed(self, events: Events, registers: RegisterFile) -> Events:
+        """Return the part of `events`, (n,) EVENT, that passes; `events` may be changed. `take` counts the others."""
         ...
 
-    def take(self, passed: Passed) -> None:
-        """Count the events that did not pass."""
-
-
-class _Statistics(Protocol):
-    """Counter registers."""
-
-    def power_on(self) -> None:
-        """Start the counts at zero."""
-
-    def refresh(self, registers: RegisterFile) -> None:
-        """Write the counts since power-on into the registers."""
+    def take(self) -> None:
+        """Count the events that did not pass in the last call of `passed`."""
 
 
 class _Stream(ItemEncoder[Transfer], Protocol):
@@ -123,7 +113,7 @@ class Parts:
     stream: _Stream
     filters: _Filters
     readings: ReadingInput
-    statistics: _Statistics
+    statistics: Statistics
 
 
 class Fx3Camera(UsbCamera):
@@ -157,6 +147,31 @@ class Fx3Camera(UsbCamera):
     @abstractmethod
     def _factors_of_biases(self) -> Mapping[str, float]:
         """Return the effect on the pixels of the words in the bias module."""
+
+    def name_request(self, setup: SetupPacket, data: bytes) -> str:
+        """Return a vendor request in words, registers by name; `data` are those of its OUT stage."""
+        if setup.kind is not RequestKind.VENDOR:
+            return ""
+        if setup.request == REGISTER and setup.is_in:
+            return f"read {self._name(setup.value, setup.index)}"
+        if setup.request == REGISTER and len(data) == 4:
+            return f"write {self._name(setup.value, setup.index)} = {int.from_bytes(data, 'big')}"
+        if setup.request == MULTI_WRITE and data and len(data) % ENTRY.size == 0:
+            entries = (f"{self._name(module, address)} = {value}" for module, address, value in ENTRY.iter_unpack(data))
+            return f"write {', '.join(entries)}"
+        if setup.request == LOG_LEVEL:
+            return f"log level {setup.value}"
+        return "flush the data path" if setup.request == FLUSH else ""
+
+    def name_answer(self, setup: SetupPacket, data: bytes) -> str:
+        """Return the answer to a request in words; empty if it has no name."""
+        if setup.kind is not RequestKind.VENDOR or setup.request != REGISTER or len(data) != 4:
+            return ""
+        return f"{self._name(setup.value, setup.index)} = {int.from_bytes(data, 'big')}"
+
+    def _name(self, module: int, address: int) -> str:
+        module_name = Module(module).name.lower() if module in _MODULES else f"module {module}"
+        return f"{module_name}.{self._registers.name_of(module, address)} ({module}.{address})"
 
     def _run_gate(self) -> RunGate:
         """Return the run bits in the registers."""
@@ -240,9 +255,8 @@ class Fx3Camera(UsbCamera):
         until_us = int(events["t"][-1])
         first = int(np.searchsorted(events["t"], self._silent_until_us)) if self._gate.events else len(events)
         if first < len(events):
-            passed = self._filters.passed(copy_events(events[first:]), self._registers)
-            self._put(passed.events, until_us)
-            self._filters.take(passed)
+            self._put(self._filters.passed(copy_events(events[first:]), self._registers), until_us)
+            self._filters.take()
         else:
             self._put(empty_events(), until_us)
         self._fates.not_running += first

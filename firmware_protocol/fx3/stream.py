@@ -16,8 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from firmware_protocol.davis346.blocks import Block, Marks, edges_of, no_marks
-from firmware_protocol.davis346.words import (
+from firmware_protocol.device.items import Numbers, Reading, count_kinds
+from firmware_protocol.events import Edges, Events, empty_edges, empty_events, join_events
+from firmware_protocol.fx3.blocks import Block, Marks, edges_of, no_marks
+from firmware_protocol.fx3.words import (
     SINGLE_WRAPS,
     WRAP_BITS,
     Encoded,
@@ -28,8 +30,6 @@ from firmware_protocol.davis346.words import (
     is_mark,
     is_row,
 )
-from firmware_protocol.device.items import Numbers, Reading, count_kinds
-from firmware_protocol.events import Edges, Events, empty_edges, empty_events, join_events
 from firmware_protocol.usb.device import Transfer
 
 _MIN_BYTES = 1024
