@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import ClassVar
 
-from transports.faults.usb import USB_FAULTS
+from transports.faults.kinds import USB_LINK
 from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Unsuitable
 from transports.needs import UDC, VHCI
 from transports.network import check_allow
@@ -64,7 +64,7 @@ USBIP = LinkKind(
     UsbipLink,
     serves="usb",
     endpoint="transports.usb.usbip.server:factory_of",
-    faults=USB_FAULTS,
+    carrier=USB_LINK,
     listener=Listener(
         "usb", "Read a DAVIS346, a DVXplorer, an EVK4 or a GenX320 on USB.", "emulator.cli.listen.cameras:listen"
     ),
@@ -108,7 +108,7 @@ USB_GADGET = LinkKind(
     UsbGadgetLink,
     serves="usb",
     endpoint="transports.usb.functionfs.endpoint:factory_of",
-    faults=USB_FAULTS,
+    carrier=USB_LINK,
     check=_check_model,
     needs=lambda link: (UDC,),
 )
