@@ -24,8 +24,9 @@ from emulator.sensor.parameters import (
     TemperatureParameters,
 )
 from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
-from emulator.tables.typed_table import TableError, convert, unknown
+from emulator.tables.typed_table import TableError, convert
 from firmware_protocol.events import Events
+from transports.registry import unknown
 
 _Float32s = npt.NDArray[np.float32]
 _LAST_NS = 1 << 62

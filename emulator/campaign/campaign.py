@@ -42,8 +42,9 @@ from emulator.rig.loading import Rig, rig_of_table
 from emulator.run.machine import pose_port
 from emulator.run.outcome import RunResult, good, judge
 from emulator.tables.toml_text import shortened
-from emulator.tables.typed_table import KeyPath, TableError, unknown
+from emulator.tables.typed_table import KeyPath, TableError
 from transports.link.report import LinkReport
+from transports.registry import unknown
 
 Row = dict[str, Any]
 

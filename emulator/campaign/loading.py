@@ -26,7 +26,8 @@ from emulator.campaign.sampling import LAWS, Law, Sampling
 from emulator.campaign.success import SuccessRule, parse_rule
 from emulator.rig.loading import find_rig, parse_rig, read_rig
 from emulator.tables.toml_text import TextFileError, TomlError, line_of, read_text, read_toml, shortened
-from emulator.tables.typed_table import KeyPath, TableError, convert, convert_kind, field_types, unknown
+from emulator.tables.typed_table import KeyPath, TableError, convert, convert_kind, field_types
+from transports.registry import unknown
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,9 @@ from emulator.light import MachineLacks, SceneError
 from emulator.rig.loading import RigError
 from emulator.run.kernels import Part, Preparation, prepare, uncompiled
 from emulator.run.link_process import LinkFailed
-from emulator.tables.registry import PluginError
 from transports.recording.format import Format, format_to_write, reason
 from transports.recording.part import LibraryMissing, RecordingError
+from transports.registry import PluginError
 
 
 @contextmanager

@@ -15,12 +15,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
-from emulator.rig.kinds import known_faults
 from emulator.rig.loading import Rig
 from emulator.run.changes import Change
 from emulator.run.outcome import RunResult, RunStatus, judge
 from emulator.tables.typed_table import field_types
-from transports.faults.kinds import Fault
+from transports.faults.kinds import FAULTS, Fault
 from transports.faults.script import FaultRecord
 from transports.link.report import LinkReport
 
@@ -169,7 +168,7 @@ def _reason_of_fault(change: Change, record: FaultRecord | None) -> str:
         return "inject the fault again"
     if record is None:
         return "the link has no record of this fault yet, or was started again"
-    if known_faults()[record.kind].disconnects:
+    if FAULTS[record.kind].disconnects:
         return "the host has lost the camera, and must open it again"
     if record.ended_us is not None:
         return f"over since {record.ended_us / 1e6:.3f} s"

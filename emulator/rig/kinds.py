@@ -1,4 +1,4 @@
-"""The kinds of links, scenes, faults and cameras that a rig can name.
+"""The kinds of links, scenes and cameras that a rig can name, and the assignment of faults to its links.
 
 A registry has the built-in kinds, and those of installed packages (groups "evstim.links", "evstim.scenes" and
 "evstim.cameras"). A fault is converted from a table of a rig, or of `evstim fault`. A camera model has one record: its
@@ -16,14 +16,14 @@ from emulator.optics.lens import Chip
 from emulator.rig.tables import Camera
 from emulator.scene.kind import SceneKind
 from emulator.sensor.presets import SensorParameters
-from emulator.tables.registry import Registry
-from emulator.tables.typed_table import KeyPath, TableError, convert_kind, unknown
+from emulator.tables.typed_table import KeyPath, TableError, convert_kind
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.imu_samples import BMI160
 from firmware_protocol.prophesee.biases import BiasSlopes
 from firmware_protocol.usb.device import UsbCamera
-from transports.faults.kinds import Fault
+from transports.faults.kinds import FAULTS, Fault
 from transports.link.kind import LinkKind, LinkParameters
+from transports.registry import PluginError, Registry, unknown
 
 LINKS: Registry[LinkKind[Any]] = Registry(
     "evstim.links",
@@ -62,11 +62,6 @@ SCENES: Registry[SceneKind] = Registry(
 """Kinds of scenes by the name that rigs write."""
 
 
-def known_faults() -> dict[str, type[Fault]]:
-    """Return the types of all faults, by kind."""
-    return {kind: fault for link in LINKS.usable().values() for kind, fault in link.faults.items()}
-
-
 def faults_of(link: LinkParameters) -> Mapping[str, type[Fault]]:
     """Return the faults that a link of these parameters can have, by kind."""
     return LINKS[link.kind].possible_faults(link)
@@ -74,12 +69,16 @@ def faults_of(link: LinkParameters) -> Mapping[str, type[Fault]]:
 
 def convert_fault(table: object, links: Sequence[LinkParameters], path: KeyPath) -> Fault:
     """Return a table as a fault of one of `links`, whose name it then has; raises TableError."""
-    return assigned_fault(convert_kind(table, known_faults(), path), links, path)
+    try:
+        fault = convert_kind(table, FAULTS, path)
+    except PluginError as error:
+        raise TableError(str(error), (*path, "kind")) from error
+    return assigned_fault(fault, links, path)
 
 
 def assigned_fault(fault: Fault, links: Sequence[LinkParameters], path: KeyPath = ()) -> Fault:
     """Return a fault with the name of the link of `links` that has it; raises TableError, at `path`."""
-    able = [link.name for link in links if fault.kind in faults_of(link)]
+    able = [link.name for link in links if LINKS[link.kind].can_have(type(fault), link)]
     if not fault.link and len(able) == 1:
         return dataclasses.replace(fault, link=able[0])
     if fault.link in able:

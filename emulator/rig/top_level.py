@@ -23,13 +23,11 @@ from emulator.rig.kinds import (
     UsbSettings,
     convert_fault,
     gige_models,
-    known_faults,
     usb_sizes,
 )
 from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.scene.kind import SceneParameters
 from emulator.sensor.presets import SensorParameters
-from emulator.tables.registry import PluginError, Record, Registry
 from emulator.tables.typed_table import KeyPath as KeyPath
 from emulator.tables.typed_table import (
     TableError,
@@ -40,13 +38,13 @@ from emulator.tables.typed_table import (
     kinds_of,
     split_kind,
     table_type,
-    unknown,
 )
 from firmware_protocol.prophesee.biases import BiasSlopes
-from transports.faults.kinds import Fault
+from transports.faults.kinds import FAULTS, Fault
 from transports.link.kind import CameraFacts, LinkParameters, Unsuitable
+from transports.registry import PluginError, Registry, unknown
 
-R = TypeVar("R", bound=Record)
+R = TypeVar("R")
 _LINK_NAME = re.compile(r"\w[\w.-]{0,63}", re.ASCII)
 
 
@@ -292,7 +290,7 @@ TOP_LEVEL: Mapping[str, TopLevelKey] = {
     "run": TopLevelKey("Time and method of the run.", _run, _one(Run), absent={}),
     "verdict": TopLevelKey("Limits of a good run.", _verdict, _one(Verdict), absent={}),
     "links": TopLevelKey("Links that carry the events, any number of them.", _links, _parameters(LINKS), True, []),
-    "faults": TopLevelKey("Faults of links, and their times.", _faults, known_faults, True, []),
+    "faults": TopLevelKey("Faults of links, and their times.", _faults, FAULTS.usable, True, []),
 }
 """Top-level keys by name, in the order of the reference; each is a field of `emulator.rig.loading.Rig`."""
 

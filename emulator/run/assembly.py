@@ -46,7 +46,6 @@ from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.pixels.method import MakePixels
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import EventSource, Sensor, own_pixels
-from emulator.tables.registry import imported
 from firmware_protocol.device.clock import ClockSettings
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.items import ReadingKind
@@ -64,6 +63,7 @@ from transports.link.process import LinkSetup
 from transports.link.rings import EventRing, ReadingRing
 from transports.recording.format import with_addition
 from transports.recording.part import Facts
+from transports.registry import imported
 
 if TYPE_CHECKING:
     from emulator.run.truth.source import TruthFile
@@ -74,12 +74,12 @@ def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
     size = size or rig.camera.size
     kind, lens, chip = SCENES[rig.scene.kind], rig.camera.lens, CAMERA_MODELS[rig.camera.model].chip
     threads = rig.run.threads
-    build = partial(imported(kind.build), rig.scene, **({"threads": threads} if kind.threads else {}))
+    build = partial(SCENES.imported(kind.name, kind.build), rig.scene, **({"threads": threads} if kind.threads else {}))
     if kind.gl:
         from emulator.gl.context import selected_painter
 
         if selected_painter(rig.run.painter) == "gl":
-            build = partial(imported(kind.gl), rig.scene)
+            build = partial(SCENES.imported(kind.name, kind.gl), rig.scene)
     if kind.lens == "none":
         scene: Scene = build(size)
         return scene
@@ -290,7 +290,7 @@ def build_sensor(rig: Rig, parameters: SensorParameters, kind: type[Sensor] = Se
     Raises RigError when the rig's method lacks a required effect, SceneError when a recording cannot be used.
     """
     if events := SCENES[rig.scene.kind].events:
-        source: EventSource = imported(events)(rig.scene, parameters)
+        source: EventSource = SCENES.imported(rig.scene.kind, events)(rig.scene, parameters)
         return source
     try:
         return kind(parameters, rig.run.seed, _pixels(rig.run))
@@ -375,7 +375,7 @@ def _link_setup(
     facts = _facts(rig, kind)
     camera = CameraFacts(rig.camera.model, rig.camera.size, streams=facts.streams, imu_unit=facts.imu_unit)
     wiring = Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera)
-    endpoint = imported(kind.endpoint)(link, wiring)
+    endpoint = LINKS.imported(kind.name, kind.endpoint)(link, wiring)
     setup = LinkSetup(
         link.name, ring, _device(rig, link, kind, is_master), endpoint, _recorder(record), timing=timing, facts=facts
     )

@@ -38,8 +38,8 @@ from emulator.sensor.pixels.method import MakePixels, PixelMethod
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.pixels.workers import EventBuffers
 from emulator.sensor.presets import SensorParameters
-from emulator.tables.registry import imported
 from firmware_protocol.events import Events
+from transports.registry import imported
 
 _Float32s = npt.NDArray[np.float32]
 

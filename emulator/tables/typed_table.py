@@ -15,7 +15,6 @@ a key by the type `RigFile`.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import os
 import re
 import types
@@ -27,6 +26,8 @@ from typing import Annotated, Any, Literal, NewType, TypeVar
 
 import msgspec
 from msgspec import Meta
+
+from transports.registry import unknown
 
 KeyPath = tuple[str | int, ...]
 T = TypeVar("T")
@@ -77,13 +78,6 @@ def split_kind(table: object, kinds: Collection[str], path: KeyPath) -> tuple[st
     if kind not in kinds:
         raise TableError(unknown(kind, list(kinds)), (*path, "kind"))
     return kind, {key: value for key, value in table.items() if key != "kind"}
-
-
-def unknown(key: str, known: list[str]) -> str:
-    """Return the message that `key` is not known, with the most similar known key."""
-    near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-    meant = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"
-    return f"{key!r} is not known here{meant}"
 
 
 def field_types(target: Any) -> Mapping[str, Any]:

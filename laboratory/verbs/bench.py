@@ -9,9 +9,9 @@ from cyclopts import App, Parameter
 
 from emulator.cli.checks import failures
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
-from emulator.tables.typed_table import unknown
 from laboratory.bench.measures import MEASURES, Measure
 from laboratory.bench.streams import BenchFailed
+from transports.registry import unknown
 
 
 def bench(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
@@ -14,8 +14,7 @@ from firmware_protocol.can_frames.raw_stream import RawSettings
 from firmware_protocol.can_frames.transport import IsoTpSettings
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.receiver.can import CanReceiverSettings
-from transports.faults.bus import CAN_FAULTS, ErrorFrames
-from transports.faults.kinds import Fault
+from transports.faults.kinds import CAN_BUS
 from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable, check_region
 from transports.needs import Need, network_interface
 from transports.network import check_allow, check_port
@@ -184,9 +183,8 @@ _OWN_BUSES = ("served", "virtual")
 """Interfaces that transmit a given error frame; with the others the controller makes its own."""
 
 
-def _faults_of(parameters: CanLink) -> Mapping[str, type[Fault]]:
-    own = parameters.interface in _OWN_BUSES
-    return {kind: fault for kind, fault in CAN_FAULTS.items() if own or fault is not ErrorFrames}
+def _impossible_faults(parameters: CanLink) -> Collection[str]:
+    return () if parameters.interface in _OWN_BUSES else ("error_frames",)
 
 
 def _with_identifiers(table: dict[str, Any]) -> dict[str, Any]:
@@ -224,8 +222,8 @@ CAN = LinkKind(
     serves="instrument",
     endpoint="transports.can_bus.endpoint:factory_of",
     has_sync=True,
-    faults=CAN_FAULTS,
-    faults_of=_faults_of,
+    carrier=CAN_BUS,
+    impossible_faults=_impossible_faults,
     listener=Listener("can", "Read a camera on a CAN bus.", "emulator.cli.listen.can:can"),
     complete=_with_identifiers,
     check=_check,

@@ -46,9 +46,9 @@ from firmware_protocol.usb.device import (
     UsbCamera,
     UsbDevice,
 )
-from transports.faults.kinds import Fault, Stage
+from transports.faults.kinds import USB_LINK, Fault, Stage
 from transports.faults.script import FaultPlan, Faulty
-from transports.faults.usb import USB_FAULTS, ControlStage, RegisterFlip, UsbStage, UsbUnplugged, WrongVersion
+from transports.faults.usb import ControlStage, RegisterFlip, UsbStage, UsbUnplugged, WrongVersion
 from transports.faults.words import SentWords, WordStage, inserted
 
 _ANY_SIZE = (MAX_ADDRESS + 1, MAX_ADDRESS + 1)  # faults change no address
@@ -259,12 +259,12 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
         Called with the events, epoch, edges and readings that have reached the host with a transfer.
     """
 
-    carrier = "a USB link"
+    carrier = USB_LINK
 
     def __init__(self, device: UsbDevice, plan: FaultPlan, report: Report = _no_report) -> None:
         self._device = device
         self._report = report
-        super().__init__(plan, USB_FAULTS, self._dropped)
+        super().__init__(plan, self._dropped)
         self._seen: set[int] = set()
         self._halted: set[int] = set()
         self._words = WordPath(device.identity)

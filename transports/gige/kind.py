@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from firmware_protocol.gige.gvcp import GVCP_PORT
-from transports.gige.packet_faults import PACKET_FAULTS
+from transports.faults.kinds import GIGE_STREAM
 from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable
 from transports.network import check_allow
 
@@ -84,7 +84,7 @@ GIGE = LinkKind(
     GigeLink,
     serves="gige",
     endpoint="transports.gige.endpoint:factory_of",
-    faults=PACKET_FAULTS,
+    carrier=GIGE_STREAM,
     listener=Listener("gige", "Read a GigE Vision event camera.", "emulator.cli.listen.cameras:gige"),
     check=_check,
     has_evt=lambda link: True,

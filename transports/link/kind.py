@@ -7,11 +7,11 @@ group "evstim.links". `emulator.rig.kinds` lists the built-in ones; docs/extend.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
 
-from transports.faults.kinds import Fault
+from transports.faults.kinds import FAULTS, Fault
 from transports.faults.script import FaultPlan
 from transports.link.edges import EdgeSink
 from transports.needs import Need
@@ -140,10 +140,10 @@ class LinkKind(Generic[P]):
         imported when a link is set up.
     has_sync
         True if its bus has a SYNC, which can trigger the camera.
-    faults
-        Types of all faults that it can have, by kind.
-    faults_of
-        Function that returns the faults that a link of given parameters can have; None: all.
+    carrier
+        Carrier of its data, which decides its faults, see `Fault.carriers`; "": it has none.
+    impossible_faults
+        Function that returns the kinds of faults of the carrier that a link of given parameters cannot have.
     listener
         Receiver of the link at the computer's side.
     complete
@@ -172,8 +172,8 @@ class LinkKind(Generic[P]):
     serves: Literal["usb", "gige", "instrument", "plain"]
     endpoint: str
     has_sync: bool = False
-    faults: Mapping[str, type[Fault]] = field(default_factory=dict)
-    faults_of: Callable[[P], Mapping[str, type[Fault]]] | None = None
+    carrier: str = ""
+    impossible_faults: Callable[[P], Collection[str]] = lambda parameters: ()
     listener: Listener | None = None
     complete: Callable[[dict[str, Any]], dict[str, Any]] = lambda table: table
     check: Callable[[P, CameraFacts], None] = lambda parameters, camera: None
@@ -196,9 +196,13 @@ class LinkKind(Generic[P]):
         """Name of the kind, the value of `kind` in rigs."""
         return self.parameters.kind
 
+    def can_have(self, fault: type[Fault], parameters: P) -> bool:
+        """Return whether a link of these parameters can have faults of a type."""
+        return self.carrier in fault.carriers and fault.kind not in self.impossible_faults(parameters)
+
     def possible_faults(self, parameters: P) -> Mapping[str, type[Fault]]:
         """Return the faults that a link of these parameters can have, by kind."""
-        return self.faults if self.faults_of is None else self.faults_of(parameters)
+        return {kind: fault for kind, fault in FAULTS.usable().items() if self.can_have(fault, parameters)}
 
 
 def check_region(parameters: InstrumentLink, camera: CameraFacts) -> None:

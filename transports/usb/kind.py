@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import ClassVar
 
-from transports.faults.usb import USB_FAULTS
+from transports.faults.kinds import USB_LINK
 from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Unsuitable
 from transports.needs import UDC, VHCI
 from transports.network import check_allow
@@ -64,7 +64,7 @@ USBIP = LinkKind(
     UsbipLink,
     serves="usb",
     endpoint="transports.usb.usbip.endpoint:factory_of",
-    faults=USB_FAULTS,
+    carrier=USB_LINK,
     listener=Listener("usb", "Read an event camera on USB.", "emulator.cli.listen.cameras:listen"),
     check=_check_model,
     listens_on=lambda link: (link.host, link.port) if link.port else None,
@@ -106,7 +106,7 @@ USB_GADGET = LinkKind(
     UsbGadgetLink,
     serves="usb",
     endpoint="transports.usb.functionfs.endpoint:factory_of",
-    faults=USB_FAULTS,
+    carrier=USB_LINK,
     check=_check_model,
     needs=lambda link: (UDC,),
 )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from emulator.tables.registry import PluginError, Registry
+from transports.registry import PluginError, Registry, UnknownName
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,9 @@ def test_a_built_in_record_and_one_of_a_package(site):
 
 def test_a_name_that_nobody_has(site):
     assert "straw" not in registry()
-    with pytest.raises(KeyError):
-        registry()["straw"]
+    with pytest.raises(UnknownName, match="'brik' is not known here; did you mean 'brick'"):
+        registry()["brik"]
+    assert registry().get("straw") is None
 
 
 @pytest.mark.parametrize(
