@@ -20,7 +20,7 @@ from emulator.sensor.numerics.compiled import NONE, cached_entry, inlined, kerne
 from emulator.sensor.numerics.elementary import aligned_zeros, exponential, use_widest_vectors
 from emulator.sensor.pixels.comparator import delay_s
 from emulator.sensor.pixels.curve import Course, is_smooth, missed_by_cubic, photocurrent, transient
-from emulator.sensor.pixels.march import SETTLED, Bracket, Cubic, bisect, newton, solve_substeps, value
+from emulator.sensor.pixels.march import SETTLED, Bracket, Cubic, bisect, newton, pass_over, solve_substeps, value
 from emulator.sensor.pixels.march_table import CAPACITY, Start, SubstepTable, enter, new_substep_table
 from emulator.sensor.pixels.receptor import MOST_BEHIND, response
 from emulator.sensor.pixels.state import (
@@ -375,11 +375,26 @@ def _pass_over(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
     """Move the references of candidates that fire too often to their last crossings; return the count of lost ones."""
     rows, lost = table.rows, NONE
     for j in range(n):
-        a, d1, at = rows[_C_A + j], rows[_C_D1 + j], slot(table.pixels[j])
-        more, rest = levels_passed(a, d1, rows[_C_ON + j] if d1 > a else rows[_C_OFF + j])
+        pixel = table.pixels[j]
+        at = slot(pixel)
         compared = pixels.fields[at + (_W if c.second > _ZERO else _V)] + pixels.fields[at + _LEAK] * c.since_epoch_1
-        pixels.fields[at + _REF] = compared - np.float32(rest)
-        lost += more
+        on, off = rows[_C_ON + j], rows[_C_OFF + j]
+        rising = rows[_C_D1 + j] > rows[_C_A + j]
+        if c.refractory_ns == 0:
+            crossings, climbed = levels_passed(rows[_C_A + j], rows[_C_D1 + j], on if rising else off)
+            pixels.fields[at + _REF] = compared - np.float32(climbed)
+            lost += crossings
+            continue
+        offset = reset_offset(pixels, pixel, _LAST, (on, off), (c.reset_offset, c.reset_noise))
+        threshold = np.float64(on + offset if rising else off - offset)
+        passed = pass_over(_cubic(rows, j), np.float64(rows[_C_START + j]), 1.0, threshold, rising, 1.0, c)
+        if passed.waiting > 0:
+            pixels.fields[at + _REF] = _NAN
+            pixels.refractory_until_ns[pixel] = c.t0_ns + int((1.0 + passed.waiting) * c.h_ns)
+        else:
+            climbed = passed.climbed if rising else -passed.climbed
+            pixels.fields[at + _REF] = compared - np.float32(climbed) + offset
+        lost += passed.crossings
     return int(lost)
 
 
@@ -453,7 +468,7 @@ def solve(
     keys, n_keys, lost, undersampled = solve_substeps(pixels, table.substep_table, in_substeps, keys, n_keys, c)
     event = 0
     while n > 0:
-        if (event >= MOST_EVENTS) & (c.refractory_ns == 0):
+        if event == MOST_EVENTS:
             lost += _pass_over(pixels, table, n, c)
             break
         _cross(table.rows, whole_vectors(n))
@@ -462,10 +477,6 @@ def solve(
             _find_delays(table, n, c)
         _follow(table.rows, whole_vectors(n), c)
         keys = reserve(keys, n_keys + n)
-        counted, n = _fire(pixels, table, n, keys, n_keys, c)
-        if event < MOST_EVENTS:
-            n_keys = counted
-        else:
-            lost += counted - n_keys
+        n_keys, n = _fire(pixels, table, n, keys, n_keys, c)
         event += 1
     return keys, n_keys, lost, undersampled

@@ -105,6 +105,49 @@ def bisect(g: Cubic, at: Bracket) -> Real:
     return high
 
 
+class Passed(NamedTuple):
+    """Result of `pass_over`: crossings that were counted, not followed, and the state of the pixel behind them."""
+
+    crossings: int
+    climbed: float  # change of the curve since the reference was last set, >= 0; valid where `waiting` is 0
+    waiting: float  # until the refractory period ends, in units of x; 0: it has ended
+
+
+_PIECES = 64
+_STEEPEST = 1e30  # thresholds a step: such a pixel fires as often as its dead time allows
+
+
+@kernel
+def pass_over(  # noqa: PLR0913, PLR0917
+    g: Cubic, x: float, high: float, threshold: float, on: bool, span: float, c: StepConstants
+) -> Passed:
+    """Count the crossings of a pixel with a refractory period that is re-armed at x, up to `high`, on a monotone cubic.
+
+    Each crossing takes a period: the time in which the curve climbs a threshold, then the comparator's delay and the
+    refractory period. The number of periods is the integral of 1 / period: here over pieces, in each of which the curve
+    is its chord. On a straight line this is exact; elsewhere the end lies within a period of the true one. The work
+    does not depend on the number of crossings. `span` is the length of the unit of x, as a share of the step.
+    """
+    if x >= high:
+        return Passed(NONE, 0.0, x - high)
+    c1, c2, c3 = np.float64(g.c1), np.float64(g.c2), np.float64(g.c3)
+    width = (high - x) / _PIECES
+    periods = slope = dead = 0.0
+    for k in range(_PIECES):
+        x0 = x + k * width
+        x1 = x0 + width
+        slope = abs(c1 + c2 * (x0 + x1) + c3 * (x0 * x0 + x0 * x1 + x1 * x1))  # of the chord
+        if not slope <= _STEEPEST * threshold:
+            slope = _STEEPEST * threshold
+        dead = (delay_s(slope / (span * c.h), on, c) / c.h + c.refractory) / span
+        periods += width * slope / (threshold + slope * dead)
+    crossings = int(periods)
+    climbed = (periods - crossings) * (threshold + slope * dead)  # as if the curve climbed on in the dead time
+    if climbed < threshold:
+        return Passed(crossings, climbed, 0.0)
+    return Passed(crossings + 1, 0.0, dead - (climbed - threshold) / slope)
+
+
 _Float32s = npt.NDArray[np.float32]
 
 _U, _V, _, _, _REF, _, _, _, _W, _P = (int(f) * BLOCK for f in Field)
@@ -199,6 +242,27 @@ def _pass_over(rows: _Float32s, j: int) -> int:
 
 
 @kernel
+def _pass_over_waiting(pixels: Pixels, table: SubstepTable, j: int, c: StepConstants) -> int:
+    """Do for a column with a refractory period what `_pass_over` does, from its present crossing on."""
+    rows, pixel = table.rows, table.pixels[j]
+    high, span = np.float64(rows[row.HIGH + j]), np.float64(rows[row.SPAN + j])
+    rising = rows[row.TO + j] > rows[row.LEVEL + j]
+    offset = rows[row.RESET + j]
+    threshold = np.float64(rows[row.ON + j] + offset if rising else rows[row.OFF + j] - offset)
+    re_armed = rows[row.HIT + j] + (np.float64(_late(rows, j, c)) + c.refractory) / span
+    passed = pass_over(_cubic(rows, j), re_armed, high, threshold, rising, span, c)
+    rows[row.X + j] = rows[row.HIGH + j]
+    if passed.waiting > 0:
+        re_armed = rows[row.Z + j] + (high + passed.waiting) * span
+        rows[row.LEVEL + j], rows[row.RE_ARMED + j] = _NAN, np.float32(re_armed)
+        pixels.refractory_until_ns[pixel] = c.t0_ns + int(re_armed * c.h_ns)
+    else:
+        climbed = np.float32(passed.climbed if rising else -passed.climbed)
+        rows[row.LEVEL + j] = value(_cubic(rows, j), rows[row.HIGH + j]) - climbed + offset
+    return int(passed.crossings) + 1
+
+
+@kernel
 def _late(rows: _Float32s, j: int, c: StepConstants) -> np.float32:
     """Return the delay of the comparator of a column that fires, as a share of the step."""
     if max(c.on_delay, c.off_delay) <= 0:
@@ -230,7 +294,8 @@ def _fire(
             lost += _pass_over(rows, j)
             continue
         else:
-            lost += 1
+            lost += _pass_over_waiting(pixels, table, j, c)
+            continue
         rows[row.COUNT + j] += _ONE
         count_reset(pixels, pixel, c.reset_noise)
         thresholds, errors = (rows[row.ON + j], rows[row.OFF + j]), (c.reset_offset, c.reset_noise)
@@ -263,7 +328,7 @@ def _store(pixels: Pixels, table: SubstepTable, j: int, c: StepConstants) -> Non
         leaked = rows[row.P1 + j]
         leaks = c.parasitic * rows[row.ON + j] * photocurrent(pixels.fields[here + _U])
         pixels.fields[here + _P] = (leaked if level == _ZERO else _ZERO) - leaks * c.since_epoch_1
-    if (rows[row.COUNT + j] >= MOST_EVENTS) & (c.refractory_ns == 0):
+    if (rows[row.COUNT + j] >= MOST_EVENTS) & (level == level):
         pixels.fields[here + _REF] = _last_reference(rows, j, c)
         return
     moved = level - leaked if level != _ZERO else _ZERO

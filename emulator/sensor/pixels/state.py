@@ -13,12 +13,13 @@ level = signal + leak - reference, ln units: an ON event where it reaches the ON
 The events of one step are packed in one number each, so that sorting the numbers sorts the events; lost ones are
 counted. A pixel without a refractory period may cross any number of thresholds in a step, as under light with parasitic
 leak. Beyond MOST_EVENTS they are not found one by one: on a monotone curve their number is its change over the
-threshold.
+threshold, or with a refractory period that of a renewal process (`march.pass_over`).
 
 The reference after a reset differs from the signal by an offset, with noise from one reset to the next. It is part of
 the stored reference, so every test of a step, the quiet one included, holds for it. The noise of a pixel's reset number
 k is number k of its stream: the sum of which a number is made is stored, and each reset adds to it, so no index of the
-pixel in the array is needed. Beyond MOST_EVENTS resets have no offset.
+pixel in the array is needed. Beyond MOST_EVENTS resets have no offset, or with a refractory period that of the
+last reset before.
 """
 
 from __future__ import annotations
