@@ -18,28 +18,35 @@ import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import NONE, cached_entry, inlined, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import aligned_zeros, exponential, use_widest_vectors
-from emulator.sensor.pixels.comparator import delay_s
+from emulator.sensor.pixels.crossings import Keys, pack, reserve
 from emulator.sensor.pixels.curve import Course, is_smooth, missed_by_cubic, photocurrent, transient
-from emulator.sensor.pixels.march import SETTLED, Bracket, Cubic, bisect, newton, solve_substeps, value
-from emulator.sensor.pixels.march_table import CAPACITY, Start, SubstepTable, enter, new_substep_table
+from emulator.sensor.pixels.event_time import (
+    MOST_EVENTS,
+    SETTLED,
+    Bracket,
+    Cubic,
+    bisect,
+    delay_s,
+    levels_passed,
+    newton,
+    pass_over,
+    value,
+)
+from emulator.sensor.pixels.idle import pixel_at
+from emulator.sensor.pixels.march import solve_substeps
 from emulator.sensor.pixels.receptor import MOST_BEHIND, response
 from emulator.sensor.pixels.state import (
     BEFORE_ROWS,
     BLOCK,
-    MOST_EVENTS,
     Field,
-    Keys,
     Pixels,
     StepConstants,
     count_reset,
-    levels_passed,
-    pack,
-    reserve,
     reset_offset,
     slot,
     whole_vectors,
 )
-from emulator.sensor.pixels.subset import pixel_at
+from emulator.sensor.pixels.substeps import CAPACITY, Start, SubstepTable, enter, new_substep_table
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
@@ -88,7 +95,7 @@ def new_table() -> Table:
 
 
 @inlined
-def _at(row: int, k: np.uint64) -> np.uint64:
+def entry_at(row: int, k: np.uint64) -> np.uint64:
     """Return the index of entry k of a row; unsigned, which avoids the test for negative indices."""
     return np.uint64(row) + k
 
@@ -107,15 +114,15 @@ def select(
     firsts, refractory_until_ns = at
     for pixel in found:
         i = np.uint64(pixel)
-        u1, v0, reference = s[_at(_U, i)], before[_at(_V0, i)], s[_at(_REF, i)]
+        u1, v0, reference = s[entry_at(_U, i)], before[entry_at(_V0, i)], s[entry_at(_REF, i)]
         if v0 != v0 or u1 != u1:
-            s[_at(_V, i)] = s[_at(_W, i)] = u1
+            s[entry_at(_V, i)] = s[entry_at(_W, i)] = u1
         unreadable += u1 != u1
         found[selected] = pixel
         if reference != reference and refractory_until_ns[pixel_at(firsts, pixel)] - c.t0_ns > c.h_ns:
-            d, a0, a1 = u1 - before[_at(_U0, i)], before[_at(_A0, i)], before[_at(_A1, i)]
-            in_one_piece = not c.large or before[_at(_U0, i)] - v0 < MOST_BEHIND
-            if in_one_piece and is_smooth(d, a0, a1, min(s[_at(_ON, i)], s[_at(_OFF, i)]), c.unseen_share):
+            d, a0, a1 = u1 - before[entry_at(_U0, i)], before[entry_at(_A0, i)], before[entry_at(_A1, i)]
+            in_one_piece = not c.large or before[entry_at(_U0, i)] - v0 < MOST_BEHIND
+            if in_one_piece and is_smooth(d, a0, a1, min(s[entry_at(_ON, i)], s[entry_at(_OFF, i)]), c.unseen_share):
                 continue
         selected += (u1 == u1) & (v0 == v0)
     return selected, unreadable
@@ -128,13 +135,13 @@ def gather(selected: _Int64s, s: _Float32s, before: _Float32s, firsts: _Int64s, 
     for j in range(selected.size):
         i, k = np.uint64(selected[j]), np.uint64(n + j)
         table.pixels[k] = pixel_at(firsts, selected[j])
-        rows[_at(_C_U0, k)], rows[_at(_C_U1, k)] = before[_at(_U0, i)], s[_at(_U, i)]
-        rows[_at(_C_V0, k)], rows[_at(_C_V1, k)] = before[_at(_V0, i)], s[_at(_V, i)]
-        rows[_at(_C_L0, k)], rows[_at(_C_L1, k)] = before[_at(_L0, i)], s[_at(_L, i)]
-        rows[_at(_C_A0, k)], rows[_at(_C_A1, k)] = before[_at(_A0, i)], before[_at(_A1, i)]
-        rows[_at(_C_S, k)], rows[_at(_C_LEAK, k)] = before[_at(_S, i)], s[_at(_LEAK, i)]
-        rows[_at(_C_ON, k)], rows[_at(_C_OFF, k)] = s[_at(_ON, i)], s[_at(_OFF, i)]
-        rows[_at(_C_REF, k)] = s[_at(_REF, i)]
+        rows[entry_at(_C_U0, k)], rows[entry_at(_C_U1, k)] = before[entry_at(_U0, i)], s[entry_at(_U, i)]
+        rows[entry_at(_C_V0, k)], rows[entry_at(_C_V1, k)] = before[entry_at(_V0, i)], s[entry_at(_V, i)]
+        rows[entry_at(_C_L0, k)], rows[entry_at(_C_L1, k)] = before[entry_at(_L0, i)], s[entry_at(_L, i)]
+        rows[entry_at(_C_A0, k)], rows[entry_at(_C_A1, k)] = before[entry_at(_A0, i)], before[entry_at(_A1, i)]
+        rows[entry_at(_C_S, k)], rows[entry_at(_C_LEAK, k)] = before[entry_at(_S, i)], s[entry_at(_LEAK, i)]
+        rows[entry_at(_C_ON, k)], rows[entry_at(_C_OFF, k)] = s[entry_at(_ON, i)], s[entry_at(_OFF, i)]
+        rows[entry_at(_C_REF, k)] = s[entry_at(_REF, i)]
 
 
 @kernel
@@ -144,9 +151,9 @@ def gather_rare(selected: _Int64s, s: _Float32s, before: _Float32s, n: int, tabl
     for j in range(selected.size):
         i, k = np.uint64(selected[j]), np.uint64(n + j)
         if c.second > _ZERO:
-            rows[_at(_C_W0, k)], rows[_at(_C_W1, k)] = before[_at(_W0, i)], s[_at(_W, i)]
+            rows[entry_at(_C_W0, k)], rows[entry_at(_C_W1, k)] = before[entry_at(_W0, i)], s[entry_at(_W, i)]
         if c.parasitic > _ZERO:
-            rows[_at(_C_P0, k)], rows[_at(_C_P1, k)] = before[_at(_P0, i)], s[_at(_P, i)]
+            rows[entry_at(_C_P0, k)], rows[entry_at(_C_P1, k)] = before[entry_at(_P0, i)], s[entry_at(_P, i)]
 
 
 @kernel
@@ -375,11 +382,26 @@ def _pass_over(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
     """Move the references of candidates that fire too often to their last crossings; return the count of lost ones."""
     rows, lost = table.rows, NONE
     for j in range(n):
-        a, d1, at = rows[_C_A + j], rows[_C_D1 + j], slot(table.pixels[j])
-        more, rest = levels_passed(a, d1, rows[_C_ON + j] if d1 > a else rows[_C_OFF + j])
+        pixel = table.pixels[j]
+        at = slot(pixel)
         compared = pixels.fields[at + (_W if c.second > _ZERO else _V)] + pixels.fields[at + _LEAK] * c.since_epoch_1
-        pixels.fields[at + _REF] = compared - np.float32(rest)
-        lost += more
+        on, off = rows[_C_ON + j], rows[_C_OFF + j]
+        rising = rows[_C_D1 + j] > rows[_C_A + j]
+        if c.refractory_ns == 0:
+            crossings, climbed = levels_passed(rows[_C_A + j], rows[_C_D1 + j], on if rising else off)
+            pixels.fields[at + _REF] = compared - np.float32(climbed)
+            lost += crossings
+            continue
+        offset = reset_offset(pixels, pixel, _LAST, (on, off), (c.reset_offset, c.reset_noise))
+        threshold = np.float64(on + offset if rising else off - offset)
+        passed = pass_over(_cubic(rows, j), np.float64(rows[_C_START + j]), 1.0, threshold, rising, 1.0, c)
+        if passed.waiting > 0:
+            pixels.fields[at + _REF] = _NAN
+            pixels.refractory_until_ns[pixel] = c.t0_ns + int((1.0 + passed.waiting) * c.h_ns)
+        else:
+            climbed = passed.climbed if rising else -passed.climbed
+            pixels.fields[at + _REF] = compared - np.float32(climbed) + offset
+        lost += passed.crossings
     return int(lost)
 
 
@@ -453,7 +475,7 @@ def solve(
     keys, n_keys, lost, undersampled = solve_substeps(pixels, table.substep_table, in_substeps, keys, n_keys, c)
     event = 0
     while n > 0:
-        if (event >= MOST_EVENTS) & (c.refractory_ns == 0):
+        if event == MOST_EVENTS:
             lost += _pass_over(pixels, table, n, c)
             break
         _cross(table.rows, whole_vectors(n))
@@ -462,10 +484,6 @@ def solve(
             _find_delays(table, n, c)
         _follow(table.rows, whole_vectors(n), c)
         keys = reserve(keys, n_keys + n)
-        counted, n = _fire(pixels, table, n, keys, n_keys, c)
-        if event < MOST_EVENTS:
-            n_keys = counted
-        else:
-            lost += counted - n_keys
+        n_keys, n = _fire(pixels, table, n, keys, n_keys, c)
         event += 1
     return keys, n_keys, lost, undersampled

@@ -1,115 +1,53 @@
 """Stepping of pixels through a step, substep by substep and event by event, for a whole table of pixels at once.
 
-The turning points of a cubic are known in closed form. Between them the comparator curve g is monotone, so its values
-at the ends decide whether a level is met, and no crossing is missed. A round takes every column over one substep (see
-`substeps`), and within it from event to event: Newton iterations for all columns together, bisection for the few that
-do not settle.
+A round takes every column over one substep (`substeps`), and within it from event to event. The comparator's curve g
+over a substep is a cubic, whose turning points are known in closed form. Between them it is monotone, so its values at
+the ends decide whether a level is met, and no crossing is missed; `event_time` finds where.
 
-The roots of a monotone cubic inside a bracket come from a fixed number of Newton iterations, and bisection.
-`candidates` uses this too, for one cubic a step; here there is one cubic a substep. A loop over the columns of a table
-calls `newton` for every column, because a fixed number of iterations becomes vectors; columns whose last correction
-exceeds `SETTLED` are listed and bisected afterwards, so that they cost the others nothing.
+Fast because each loop does one thing for all columns: those over numbers only become vectors, and the few columns that
+bisect, fire or end are handled one by one in loops of their own. Finished columns are filled from behind, so that later
+rounds are short.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
-import emulator.sensor.pixels.march_table as row
-from emulator.sensor.numerics.compiled import NONE, Real, kernel, kernel_that_allocates, lane, vector_kernel
-from emulator.sensor.pixels.comparator import delay_s
+import emulator.sensor.pixels.substeps as row
+from emulator.sensor.numerics.compiled import NONE, kernel, kernel_that_allocates, lane, vector_kernel
+from emulator.sensor.pixels.crossings import Keys, pack, reserve
 from emulator.sensor.pixels.curve import photocurrent
-from emulator.sensor.pixels.march_table import SubstepTable
+from emulator.sensor.pixels.event_time import (
+    MOST_EVENTS,
+    SETTLED,
+    Bracket,
+    Cubic,
+    bisect,
+    delay_s,
+    levels_passed,
+    newton,
+    pass_over,
+    value,
+)
 from emulator.sensor.pixels.state import (
     BLOCK,
-    MOST_EVENTS,
     Field,
-    Keys,
     Pixels,
     StepConstants,
     count_reset,
-    levels_passed,
-    pack,
-    reserve,
     reset_offset,
     slot,
     whole_vectors,
 )
-from emulator.sensor.pixels.substeps import begin, begin_substep
-
-SETTLED = np.float32(3e-5)
-"""Largest last Newton correction of a root that is accepted; the error is of the order of its square."""
-
-_NEWTON_TURNS = 4
-_BISECTIONS = 25
-_ZERO, _ONE, _TWO, _THREE, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 0.5))
-
-
-class Cubic(NamedTuple):
-    """The polynomial d0 + c1 x + c2 x^2 + c3 x^3."""
-
-    d0: Real
-    c1: Real
-    c2: Real
-    c3: Real
-
-
-class Bracket(NamedTuple):
-    """An interval in which a monotone cubic meets `level`, and whether it rises there."""
-
-    low: Real
-    high: Real
-    level: Real
-    rising: Real
-
-
-@lane
-def value(g: Cubic, x: Real) -> Real:
-    """Return the cubic at x."""
-    return ((g.c3 * x + g.c2) * x + g.c1) * x + g.d0
-
-
-@lane
-def newton(g: Cubic, at: Bracket, x: Real) -> tuple[Real, Real]:
-    """Return the root found from the first guess x, and the size of the last correction.
-
-    The bracket shrinks with each iteration; a correction that leaves it is replaced by its middle.
-    """
-    low, high, step = at.low, at.high, _ONE
-    sign = _ONE if at.rising else -_ONE
-    for _ in range(_NEWTON_TURNS):
-        beyond = sign * (value(g, x) - at.level)
-        slope = sign * ((_THREE * g.c3 * x + _TWO * g.c2) * x + g.c1)
-        low = low if beyond > _ZERO else x
-        high = x if beyond > _ZERO else high
-        corrected = x - beyond / slope
-        better = corrected if (corrected >= low) & (corrected <= high) else _HALF * (low + high)
-        step = better - x
-        x = better
-    return x, abs(step)
-
-
-@kernel
-def bisect(g: Cubic, at: Bracket) -> Real:
-    """Return the root found by bisection."""
-    low, high = at.low, at.high
-    for _ in range(_BISECTIONS):
-        x = _HALF * (low + high)
-        if (value(g, x) > at.level) == at.rising:
-            high = x
-        else:
-            low = x
-    return high
-
+from emulator.sensor.pixels.substeps import SubstepTable, begin, begin_substep
 
 _Float32s = npt.NDArray[np.float32]
 
 _U, _V, _, _, _REF, _, _, _, _W, _P = (int(f) * BLOCK for f in Field)
 
 _NAN = np.float32(np.nan)
+_ZERO, _ONE, _TWO, _THREE = (np.float32(x) for x in (0, 1, 2, 3))
 _BEHIND = np.float32(2)  # the substep, which ends at 1
 _LAST = np.int64(0)
 
@@ -199,6 +137,27 @@ def _pass_over(rows: _Float32s, j: int) -> int:
 
 
 @kernel
+def _pass_over_waiting(pixels: Pixels, table: SubstepTable, j: int, c: StepConstants) -> int:
+    """Do for a column with a refractory period what `_pass_over` does, from its present crossing on."""
+    rows, pixel = table.rows, table.pixels[j]
+    high, span = np.float64(rows[row.HIGH + j]), np.float64(rows[row.SPAN + j])
+    rising = rows[row.TO + j] > rows[row.LEVEL + j]
+    offset = rows[row.RESET + j]
+    threshold = np.float64(rows[row.ON + j] + offset if rising else rows[row.OFF + j] - offset)
+    re_armed = rows[row.HIT + j] + (np.float64(_late(rows, j, c)) + c.refractory) / span
+    passed = pass_over(_cubic(rows, j), re_armed, high, threshold, rising, span, c)
+    rows[row.X + j] = rows[row.HIGH + j]
+    if passed.waiting > 0:
+        re_armed = rows[row.Z + j] + (high + passed.waiting) * span
+        rows[row.LEVEL + j], rows[row.RE_ARMED + j] = _NAN, np.float32(re_armed)
+        pixels.refractory_until_ns[pixel] = c.t0_ns + int(re_armed * c.h_ns)
+    else:
+        climbed = np.float32(passed.climbed if rising else -passed.climbed)
+        rows[row.LEVEL + j] = value(_cubic(rows, j), rows[row.HIGH + j]) - climbed + offset
+    return int(passed.crossings) + 1
+
+
+@kernel
 def _late(rows: _Float32s, j: int, c: StepConstants) -> np.float32:
     """Return the delay of the comparator of a column that fires, as a share of the step."""
     if max(c.on_delay, c.off_delay) <= 0:
@@ -230,7 +189,8 @@ def _fire(
             lost += _pass_over(rows, j)
             continue
         else:
-            lost += 1
+            lost += _pass_over_waiting(pixels, table, j, c)
+            continue
         rows[row.COUNT + j] += _ONE
         count_reset(pixels, pixel, c.reset_noise)
         thresholds, errors = (rows[row.ON + j], rows[row.OFF + j]), (c.reset_offset, c.reset_noise)
@@ -263,7 +223,7 @@ def _store(pixels: Pixels, table: SubstepTable, j: int, c: StepConstants) -> Non
         leaked = rows[row.P1 + j]
         leaks = c.parasitic * rows[row.ON + j] * photocurrent(pixels.fields[here + _U])
         pixels.fields[here + _P] = (leaked if level == _ZERO else _ZERO) - leaks * c.since_epoch_1
-    if (rows[row.COUNT + j] >= MOST_EVENTS) & (c.refractory_ns == 0):
+    if (rows[row.COUNT + j] >= MOST_EVENTS) & (level == level):
         pixels.fields[here + _REF] = _last_reference(rows, j, c)
         return
     moved = level - leaked if level != _ZERO else _ZERO

@@ -13,12 +13,13 @@ level = signal + leak - reference, ln units: an ON event where it reaches the ON
 The events of one step are packed in one number each, so that sorting the numbers sorts the events; lost ones are
 counted. A pixel without a refractory period may cross any number of thresholds in a step, as under light with parasitic
 leak. Beyond MOST_EVENTS they are not found one by one: on a monotone curve their number is its change over the
-threshold.
+threshold, or with a refractory period that of a renewal process (`march.pass_over`).
 
 The reference after a reset differs from the signal by an offset, with noise from one reset to the next. It is part of
 the stored reference, so every test of a step, the quiet one included, holds for it. The noise of a pixel's reset number
 k is number k of its stream: the sum of which a number is made is stored, and each reset adds to it, so no index of the
-pixel in the array is needed. Beyond MOST_EVENTS resets have no offset.
+pixel in the array is needed. Beyond MOST_EVENTS resets have no offset, or with a refractory period that of the
+last reset before.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.compiled import cached_entry, kernel, kernel_that_allocates
+from emulator.sensor.numerics.compiled import cached_entry, kernel
 from emulator.sensor.numerics.keyed import Purpose, normal, normal_from, uniform, word
+from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.device.clock import GOLDEN
 
@@ -54,9 +56,6 @@ EPOCH_BITS = 33
 
 _NO_LOW_PASS_RATE = 1e12  # rad/s: a lag of a picosecond
 _HIGHEST_HZ = _NO_LOW_PASS_RATE / (2 * math.pi)
-
-
-Keys = npt.NDArray[np.uint64]
 
 
 class Field(IntEnum):
@@ -376,42 +375,3 @@ class Levels:
             reset = self._array.parameters.reset
             _fire(self._pixels, pixel, (np.float32(reset.offset), np.float32(reset.noise)))
             self._array.wake()
-
-
-MOST_EVENTS = 64
-"""Most events of a pixel in a step; further crossings are counted as lost in the pixel."""
-
-MOST_LOST = 1 << 32
-"""Most lost crossings of a pixel that are counted for a monotone part of its curve; a count that no int64 holds."""
-
-
-@kernel
-def levels_passed(level: float, end: float, threshold: float) -> tuple[int, float]:
-    """Return the number of thresholds between a level and the end of a monotone curve, and the remaining change.
-
-    The rest is below a threshold; 0 where the numbers are too large to have one.
-    """
-    way, step = np.float64(end) - np.float64(level), np.float64(threshold)
-    passed = np.floor(abs(way) / step)
-    rest = abs(way) - passed * step
-    if not (rest >= 0) & (rest < step):
-        rest = 0.0
-    count = MOST_LOST if passed >= MOST_LOST else int(passed)
-    return count, rest if way > 0 else -rest
-
-
-@kernel
-def pack(dt_ns: int, pixel: int, on: int, pixel_bits: int) -> np.uint64:
-    """Pack an event so that sorting the numbers sorts by (time, pixel): [dt_ns | pixel | on]."""
-    return (np.uint64(dt_ns) << np.uint64(pixel_bits + 1)) | (np.uint64(pixel) << np.uint64(1)) | np.uint64(on)
-
-
-@kernel_that_allocates
-def reserve(keys: Keys, needed: int) -> Keys:
-    """Return `keys`, or a longer copy if it holds fewer than `needed`."""
-    if needed <= keys.size:
-        return keys
-    longer = np.empty(max(2 * keys.size, needed), np.uint64)
-    for k in range(keys.size):  # a slice would take seconds to compile
-        longer[k] = keys[k]
-    return longer
