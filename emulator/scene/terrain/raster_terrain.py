@@ -289,7 +289,7 @@ class RasterTerrain(Scene):
 
         def refine(band: int, thread: int) -> None:
             rows, room = _rows(band, height), (self._tiles[thread], *self._lines[thread])
-            whole, both = self._owners.whole, (light, rate)
+            whole, both = self._owners.coverage, (light, rate)
             shade_doubtful(rows, sight, whole, self._posts, limits, self._sun, room, smooth, both)
 
         def follow(band: int, thread: int) -> None:
