@@ -95,8 +95,8 @@ class LensParameters:
     p1, p2
         Tangential distortion.
     veiling_glare
-        Share of the light that the lens scatters evenly over the image (veiling glare index, ISO 9358): 0.01 to 0.05
-        for usual lenses (not verified). Every change of light then changes all pixels, so none can be skipped.
+        Share of the light that the lens scatters evenly over the image (veiling glare index, ISO 9358): 0.01 to
+        0.05 for usual lenses (not verified). Costs time: no pixel can be skipped.
     """
 
     field_of_view_deg: Annotated[float, Meta(ge=0.001, le=170)] = 25.0

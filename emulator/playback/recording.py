@@ -35,8 +35,8 @@ class RecordingParameters:
     loop
         Whether it restarts at its end; else the camera sends no events from there on.
     through_readout
-        Whether events pass the sensor's arbiter, which delays them and loses some where too many come at once; those of
-        a real camera have passed one already.
+        Whether events pass the sensor's arbiter, which delays them and may lose some; those of a real camera
+        have passed one already.
     """
 
     kind: ClassVar[str] = "recording"

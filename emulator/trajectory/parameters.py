@@ -338,7 +338,7 @@ class SpicePath:
     frame
         Axes of the world, for instance "J2000" or "IAU_MOON".
     camera_frame
-        Frame of the camera: x right, y down, z along the boresight. Empty: the camera looks at the target.
+        Frame of the camera; empty: it looks at the target.
     start_utc
         Time 0, for instance "2004-06-11T19:00:00".
     duration_s

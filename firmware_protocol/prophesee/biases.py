@@ -55,7 +55,7 @@ class BiasSlopes:
     fo
         Of the low-pass corner frequency, as a share, 0 to 1: one over the factory's value of the register.
     refr
-        Of the inverse of the refractory period, as a share, 0 to 1: one over the factory's value of the register.
+        Of the inverse of the refractory period, likewise.
     """
 
     diff_on: float = 0.0149

@@ -92,8 +92,8 @@ def _name(axes: Any, rig: str) -> None:
 
 
 _HEAD = (
-    "| rig | size | times real time | cores: session, link, receiver | memory, MiB | first event, s "
-    "| events received | wrong events | t50, t95, ms | middle |\n|---|---|---|---|---|---|---|---|---|---|\n"
+    "|rig|size|times real time|cores: session, link, receiver|memory, MiB|first event, s|events received, %"
+    "|false + missed, %|t50, t95, ms|middle, %|\n|---|---|---|---|---|---|---|---|---|---|\n"
 )
 
 
@@ -108,8 +108,8 @@ def markdown(rows: Sequence[Row], about: Mapping[str, Any], chart: str | None) -
 def _table_row(row: Row) -> str:
     cores = ", ".join(_number(row[name]) for name in ("session_cores", "link_cores", "receiver_cores"))
     cells = (row["rig"], row["size"], f"{row['factor']:.2g}", cores, f"{row['memory_mib']:.0f}")
-    received = _number(row["first_event_s"]), f"{row['received_share']:.0%}"
-    return f"| {' | '.join((*cells, *received, *_errors(row)))} |\n"
+    received = _number(row["first_event_s"]), f"{row['received_share']:.0%}".strip("%")
+    return f"|{'|'.join((*cells, *received, *_errors(row)))}|\n"
 
 
 def _errors(row: Row) -> tuple[str, str, str]:
@@ -117,8 +117,8 @@ def _errors(row: Row) -> tuple[str, str, str]:
         return "–", "–", "–"
     false, missed = 100 * row["false"], 100 * row["missed"]
     times = ", ".join(_number(row[name]) for name in ("t50_ms", "t95_ms"))
-    middle = "–" if row["middle"] is None else f"{100 * row['middle']:.2g} %"
-    return f"{false:.2g} + {missed:.2g} = {false + missed:.2g} %", times, middle
+    middle = "–" if row["middle"] is None else f"{100 * row['middle']:.2g}"
+    return f"{false:.2g} + {missed:.2g}", times, middle
 
 
 def _number(value: float | None) -> str:

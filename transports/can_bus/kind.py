@@ -29,8 +29,8 @@ class CanLink:
     Attributes
     ----------
     interface
-        "served": evstim provides the bus, and other programs join it by TCP in the protocol of socketcand; or an
-        interface of python-can: socketcan, slcan, gs_usb, pcan, kvaser, udp_multicast, virtual, socketcand ...
+        "served": evstim's own bus, which programs join by TCP in the protocol of socketcand; or an interface of
+        python-can: socketcan, slcan, gs_usb, pcan, kvaser, udp_multicast, virtual, socketcand ...
     channel
         Channel of the interface: can0, /dev/ttyACM0, 239.74.163.2 ...
     channel_b
@@ -40,19 +40,18 @@ class CanLink:
     allow
         Addresses and networks that may join a served bus; required if other machines can reach `host`.
     bitrate
-        Bits a second of classic frames, and of the arbitration of CAN FD frames: 1000 to 1 000 000. A served bus sends
-        at this rate, and adapters are set to it (slcan, gs_usb, pcan, kvaser ...); a bus of the kernel (socketcan), of
-        a socketcand or of programs (virtual, udp_multicast) has its own. `share` counts frames by it on every bus.
+        Bits a second of classic frames and of arbitration, 1000 to 1 000 000: of a served bus, of adapters
+        (slcan, gs_usb, pcan, kvaser ...), and for `share`; a bus of socketcan, socketcand, virtual or
+        udp_multicast has its own.
     data_bitrate
-        Bits a second of the data of CAN FD frames, `bitrate` to 20 000 000. With fd = true adapters are set to it, if
-        python-can supports that, and `share` counts by it; without fd, and on a served bus, it has no effect.
+        With fd: bits a second of the data, `bitrate` to 20 000 000, of adapters for which python-can can set
+        it, and for `share`; no effect on a served bus.
     fd
         True for CAN FD frames.
     share
-        Highest share of the bus's time that all frames may take, ours and others' together; above it our events wait.
+        Highest share of the bus's time that all frames may take; above it our events wait.
     carriage
-        Transport of the events: "raw" (frames that stand alone), "isotp" (blocks by ISO-TP) or "cfp" (blocks in CSP
-        packets).
+        Transport of the events: frames that stand alone, blocks by ISO-TP, or blocks in CSP packets.
     flow_control
         With ISO-TP: wait for the peer's flow control. Without it no peer has to answer.
     answer_ms
@@ -82,7 +81,7 @@ class CanLink:
     instrument
         Selection and rates of the camera's messages.
     name
-        Name of the link in this rig: in reports, faults and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "can"

@@ -110,9 +110,9 @@ class HitFault(Fault):
     Attributes
     ----------
     rate
-        Probability for each, above 0 to 1. With the defaults the next one is hit, once.
+        Probability for each, above 0 to 1; by default the next one is hit, once.
     count
-        The fault ends after this number of hits; 0: no limit, then for_s sets its end.
+        Number of hits after which it ends; 0: no limit, then `for_s` sets its end.
     """
 
     rate: float = 1.0

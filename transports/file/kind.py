@@ -31,15 +31,15 @@ class FileLink:
     Attributes
     ----------
     path
-        The file, relative to the folder in which evstim is started; its suffix gives the format. An existing file is
-        overwritten. After a restart of the camera's clock, NAME-clock2.SUFFIX follows; a link that was started again
-        (`run.restart_links`) writes NAME-restart1.SUFFIX.
+        The file, relative to the folder of the command, overwritten; its suffix gives the format.
+        NAME-clock2.SUFFIX follows after a restart of the camera's clock, NAME-restart1.SUFFIX after one of the
+        link.
     format
         Name of the format if the suffix does not give it; "" for the suffix. See docs/recordings.md.
     camera
         Name of the camera in the file; "" for the model's.
     name
-        Name of the link in this rig: in reports and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "file"

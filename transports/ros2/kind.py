@@ -102,7 +102,7 @@ class Ros2Link:
     topic
         Topic of `event_camera_msgs/msg/EventPacket`.
     encoding
-        Encoding of the events: "evt3" (4 bytes an event, and triggers) or "mono" (8 bytes an event).
+        Encoding: "evt3" (4 bytes an event, and triggers) or "mono" (8).
     image_topic
         Topic of `sensor_msgs/msg/Image`; "": none.
     image
@@ -122,14 +122,14 @@ class Ros2Link:
     domain
         ROS_DOMAIN_ID.
     interfaces
-        Names or addresses of network interfaces to use; empty: only programs on this machine. There is no
-        authentication: every machine on these networks gets the events.
+        Names or addresses of network interfaces; empty: this machine only. Without authentication: every
+        machine there gets the events.
     peers
         Machines that are contacted by unicast.
     multicast
         True if machines on `interfaces` find each other by multicast, as ROS 2 does by default.
     name
-        Name of the link in this rig: in reports and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "ros2"

@@ -28,15 +28,15 @@ class SerialLink:
     data_bits, parity, stop_bits
         Format of the character. Fewer than 8 data bits damage the telemetry: for tests of a receiver's reaction.
     flow
-        "none" or "rts_cts", if the port supports it.
+        Flow control, if the port supports it.
     rs485
         Drive RTS as the transmitter's enable, if the port supports it.
     break_ms
         Length of a break sent before the first byte, if the port supports it; 0 for none.
     profile
-        Packets and framing: "ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss" or "fprime".
+        Packets and framing.
     name
-        Name of the link in this rig: in reports, faults and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "serial"

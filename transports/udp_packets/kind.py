@@ -20,16 +20,16 @@ class UdpPacketsLink:
     host, port
         Destination of the packets, one in each datagram.
     elsewhere
-        Must be true if `host` is not on this machine: the machine with that address gets the events, even unrequested.
+        Must be true if `host` is not on this machine, which then gets events even unrequested.
     command_host, command_port
-        Address for telecommands, one or several whole packets in each datagram; port 0 takes a free one.
+        Address for telecommands, whole packets in each datagram; port 0: a free one.
     allow
         Addresses and networks whose telecommands are accepted; required if other machines can reach `command_host`.
         There is no authentication.
     mbit_s
         Highest rate, in Mbit/s of payload: receivers lose data that arrive faster than they read.
     name
-        Name of the link in this rig: in reports, faults and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "udp_packets"

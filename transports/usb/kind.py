@@ -42,7 +42,7 @@ class UsbipLink:
     busid
         Bus id under which the camera is exported.
     name
-        Name of the link in this rig: in reports, faults and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "usbip"
@@ -87,10 +87,9 @@ class UsbGadgetLink:
     udc
         The USB device controller, as named in /sys/class/udc; may be omitted if there is only one.
     gadget
-        Name of the gadget. It is made at the start of the run and removed at its end, unless `evstim gadget up` made
-        it.
+        Name of the gadget, made for the run unless `evstim gadget up` made it.
     name
-        Name of the link in this rig: in reports, faults and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "usb_gadget"
@@ -119,7 +118,7 @@ class LoopbackLink:
     Attributes
     ----------
     name
-        Name of the link in this rig: in reports, faults and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "loopback"
