@@ -1,7 +1,7 @@
 """USB/IP: messages of version 1.1.1, parsers for both ends, and records of URBs in the format of usbmon.
 
 Source: Linux, Documentation/usb/usbip_protocol.rst and tools/usb/usbip/src/usbip_network.h. All integers are
-big-endian except the eight setup bytes, which stay as they are on a cable. docs/davis346_usb.md shows the layouts.
+big-endian except the eight setup bytes, which stay as they are on a cable. docs/cameras.md shows the layouts.
 
 The parsers turn the bytes of a connection into messages, however the bytes were divided on the way. `receive` takes
 bytes; `next_message` returns a message, and None when more bytes are needed. A parser holds at most one unfinished

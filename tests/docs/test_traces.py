@@ -1,4 +1,4 @@
-"""The traces of docs/traces/ are what the code sends, and receivers read in them what docs/serial.md and can.md say."""
+"""The traces of docs/traces/ are what the code sends, and receivers read in them what docs/instrument.md says."""
 
 import re
 import runpy
@@ -19,13 +19,13 @@ def trace(name):
     return (DOCS / "traces" / name).read_text(encoding="utf-8")
 
 
-def decode_on(page):
-    text = (DOCS / page).read_text(encoding="utf-8")
-    begin, end = (text.index(marker) for marker in SCRIPT["MARKERS"])
+def decode_of(capture):
+    text = (DOCS / "instrument.md").read_text(encoding="utf-8")
+    begin, end = (text.index(marker) for marker in SCRIPT["markers"](capture))
     return text[begin:end]
 
 
-@pytest.mark.parametrize("name", ["traces/serial.hex", "serial.md", "traces/can.log", "can.md"])
+@pytest.mark.parametrize("name", ["traces/serial.hex", "traces/can.log", "instrument.md"])
 def test_a_trace_is_what_its_script_makes(name):
     assert (DOCS / name).read_text(encoding="utf-8") == SCRIPT["files"]()[name]
 
@@ -51,12 +51,12 @@ def test_the_can_capture_holds_the_events():
     assert receiver.housekeeping.events.offered == len(EVENTS)
 
 
-@pytest.mark.parametrize(("capture", "page"), [("serial.hex", "serial.md"), ("can.log", "can.md")])
-def test_each_line_has_its_row_and_each_event_is_told_once(capture, page):
-    rows = [line.split("|") for line in decode_on(page).splitlines() if re.match(r"\| \d", line)]
+@pytest.mark.parametrize("capture", ["serial.hex", "can.log"])
+def test_each_line_has_its_row_and_each_event_is_told_once(capture):
+    rows = [line.split("|") for line in decode_of(capture).splitlines() if re.match(r"\| \d", line)]
     times = [re.match(r"\((.*?)\)", line)[1] for line in trace(capture).splitlines()]
     lines = [[int(number) for number in row[1].split(" to ")] for row in rows]
     assert [number for span in lines for number in range(span[0], span[-1] + 1)] == list(range(1, len(times) + 1))
     assert [row[2].strip().split(" to ") for row in rows] == [[times[number - 1] for number in span] for span in lines]
-    told = [tuple(map(int, found)) for found in re.findall(r"(\d+) us x (\d+) y (\d+)", decode_on(page))]
+    told = [tuple(map(int, found)) for found in re.findall(r"(\d+) us x (\d+) y (\d+)", decode_of(capture))]
     assert told == [event[:3] for event in EVENTS]

@@ -12,13 +12,13 @@ from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import TELECOMMANDS, Ping, SetBias, SetRegion, SetTick, SetTime
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGE, CAN_PAGE = ((DOCS / name).read_text(encoding="utf-8") for name in ("packets.md", "can.md"))
-LINE = re.compile(r"((?:[0-9a-f]{2} )*[0-9a-f]{2})(?:  |$)")
+PAGE, CAN_PAGE = ((DOCS / name).read_text(encoding="utf-8") for name in ("packets.md", "instrument.md"))
+LINE = re.compile(r"((?:(?:[0-9a-f]{2})+ )*(?:[0-9a-f]{2})+)(?:  |$)")
 
 
 def example_of(name):
     """Return the octets that the pages show below the name of an example, in a box of code."""
-    example = rf"^{re.escape(name)}\n((?:[0-9a-f]{{2}}(?: .*)?\n)+)(?:\n|```$)"
+    example = rf"^{re.escape(name)}\n((?:(?:[0-9a-f]{{2}})+(?: .*)?\n)+)(?:\n|```$)"
     (text,) = re.findall(example, PAGE + CAN_PAGE, re.MULTILINE)
     return b"".join(bytes.fromhex(LINE.match(line)[1]) for line in text.splitlines())
 

@@ -59,7 +59,7 @@ def test_every_mode_tick_and_reason_has_a_vector():
 def hexes(after):
     """The first bytes in backticks after the words `after`."""
     text = PAGE[PAGE.index(after) :]
-    return bytes.fromhex(re.search(r"`([0-9A-F]{2}( +[0-9A-F]{2}){2,})`", text).group(1))
+    return bytes.fromhex(re.search(r"`((?: *(?:[0-9A-F]{2})+){3,})`", text).group(1))
 
 
 def test_the_examples_of_the_page_are_true():
