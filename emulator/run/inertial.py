@@ -14,11 +14,11 @@ from emulator.rig.loading import Rig
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.sensor.imu import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuSource, ImuUnit
 from emulator.sensor.parameters import ImuParameters
-from emulator.tables.registry import imported
 from emulator.trajectory.building import HasCameraPath
 from emulator.trajectory.parameters import OrbitPath
 from emulator.trajectory.pose import Fixed, Timescale
 from firmware_protocol.imu_samples import ImuSettings
+from transports.registry import imported
 
 
 def imu_source(rig: Rig, imu: ImuParameters, scene: Scene) -> ImuSource:
