@@ -69,7 +69,7 @@ def known_faults() -> dict[str, type[Fault]]:
 
 def faults_of(link: LinkParameters) -> Mapping[str, type[Fault]]:
     """Return the faults that a link of these parameters can have, by kind."""
-    return LINKS[link.kind].possible_faults(link)
+    return link.possible_faults(LINKS[link.kind].faults)
 
 
 def convert_fault(table: object, links: Sequence[LinkParameters], path: KeyPath) -> Fault:

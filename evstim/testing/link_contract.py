@@ -164,7 +164,7 @@ class LinkContract:
 
     def test_every_fault_of_its_kind_begins_and_the_ledger_balances(self, link: LinkProcess, connected: Reader) -> None:
         """Each fault that the kind names can be injected, and the events that it destroys are counted."""
-        kinds = LINKS[self.parameters.kind].possible_faults(self.parameters)
+        kinds = self.parameters.possible_faults(LINKS[self.parameters.kind].faults)
         link.start(FREE_RUNNING)
         for fault in kinds.values():
             link.inject(fault())

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.event_device import EventDevice, HasClockInput, TakesReadings
 from firmware_protocol.device.fates import Counts, Fates
 from firmware_protocol.device.items import Items, Numbers, Reading, ReadingKind, Readings, count_kinds
 from firmware_protocol.events import EVENT, Edges, Events, copy_events, empty_edges, empty_events, level_changes
@@ -143,7 +143,7 @@ class ItemQueue:
         self.waiting = Numbers()
 
 
-class PlainDevice(EventDevice):
+class PlainDevice(EventDevice, TakesReadings, HasClockInput):
     """Holds events, edges and readings until `take`; those that find it full are dropped and counted.
 
     Parameters
@@ -151,7 +151,7 @@ class PlainDevice(EventDevice):
     capacity
         Most events that it holds, with those whose fate is open; edges likewise.
     readings
-        Settings of each kind of readings that it takes, as `EventDevice.reading_settings`; others are refused.
+        Settings of each kind of readings that it takes, as `TakesReadings.reading_settings`; others are refused.
     pulse_us
         Length of a pulse at its input.
 

@@ -292,7 +292,7 @@ class ReadingInput(ABC):
         return blocks_of(kind, readings)
 
     def settings_of(self, kind: ReadingKind) -> tuple[int, ...]:
-        """Return the settings of a kind; see `EventDevice.reading_settings`."""
+        """Return the settings of a kind; see `TakesReadings.reading_settings`."""
         settings = self._frames if kind is ReadingKind.FRAMES else self._imu
         return tuple(int(n) for n in astuple(settings)) if self.takes(kind) else ()
 

@@ -25,7 +25,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.event_device import HostAdjusted, StartsSilent
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import Items, Numbers
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events, join_events, level_changes
@@ -178,7 +178,7 @@ class Outflow(ABC, Generic[_Taken]):
 _Out = TypeVar("_Out", bound=Outflow[Items])
 
 
-class PropheseeCamera(EventDevice, Generic[_Out]):
+class PropheseeCamera(StartsSilent, HostAdjusted, Generic[_Out]):
     """A camera with a sensor of Prophesee's; `_outflow` is that of the present run of the sensor.
 
     Parameters

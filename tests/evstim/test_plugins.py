@@ -23,11 +23,11 @@ from emulator.light import Scene
 from emulator.scene.kind import SceneKind
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.link.endpoint import Endpoint, EndpointFactory
-from transports.link.kind import LinkKind, Listener, Unsuitable
+from transports.link.kind import LinkKind, LinkParameters, Listener, Unsuitable
 
 
 @dataclass(frozen=True)
-class BeaconLink:
+class BeaconLink(LinkParameters):
     """A file that counts.
 
     Attributes

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
-from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.event_device import EventDevice, HostAdjusted, StartsSilent
 from firmware_protocol.events import EdgeKind
 from firmware_protocol.recordings.part import Facts
 from transports.faults.kinds import Fault
@@ -277,9 +277,9 @@ class Link:
         if self._withholds:  # the FIFO is not emptied: it overflows, as in real time
             return min(now_us, self._feed.reached_us + _WITHHELD_STEP_US)
         until_us = self._feed.readings.until_us(min(now_us, self._feed.horizon_us))
-        silent_until_us = self._device.silent_until_us
-        if silent_until_us <= self._device.now_us:
+        if not isinstance(self._device, StartsSilent) or self._device.silent_until_us <= self._device.now_us:
             return until_us
+        silent_until_us = self._device.silent_until_us
         if self._silence[0] != silent_until_us:
             self._silence = silent_until_us, self._feed.reached_us, self._clock.now_ns()
         _, begun_us, begun_ns = self._silence
@@ -302,6 +302,7 @@ class Link:
         left = self._ring.waiting if final else 0
         faults = self._faults
         endpoint = self.endpoint.report()
+        adjusted = self._device if isinstance(self._device, HostAdjusted) else None
         destroyed = sum(fault.events_lost for fault in faults)
         return LinkReport(
             state="closed" if final else self.endpoint.state,
@@ -320,8 +321,8 @@ class Link:
             clock=self._clock_report(final=final),
             faults=faults,
             file_troubles=self._file_troubles(endpoint.trouble, faults),
-            sensor_factors=self._device.sensor_factors,
-            without_effect=self._device.without_effect,
+            sensor_factors={} if adjusted is None else adjusted.sensor_factors,
+            without_effect={} if adjusted is None else adjusted.without_effect,
             readings=self._feed.readings.reports(final=final),
             recordings=tuple(file for file in (self._deliveries.recording, endpoint.recording) if file is not None),
         )

@@ -42,7 +42,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.device.event_device import ReadingKind, Readings
+from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EVENT, Events
 from firmware_protocol.frames import LineKind
 
@@ -324,7 +324,7 @@ class ReadingRing(SharedRing):
 
     @property
     def settings(self) -> tuple[int, ...]:
-        """Newest settings that the link process wrote, as `EventDevice.reading_settings` returns them; empty before."""
+        """Newest settings that the link process wrote, see `TakesReadings.reading_settings`; empty before."""
         cells = self.cells
         for _ in range(100):
             version = int(cells[_VERSION])
