@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from firmware_protocol.device.items import ReadingKind, Readings
-from firmware_protocol.dvxplorer.biases import sensor_factors, without_effect
 from firmware_protocol.dvxplorer.filters import ChipFilters, ChipStatistics
 from firmware_protocol.dvxplorer.registers import (
     SIZE,
@@ -26,6 +25,8 @@ from firmware_protocol.dvxplorer.registers import (
     registers,
     run_gate,
     scan_us,
+    sensor_factors,
+    without_effect,
 )
 from firmware_protocol.dvxplorer.words import GroupEncoder
 from firmware_protocol.fx3.blocks import Block, blocks_of

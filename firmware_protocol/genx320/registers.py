@@ -20,9 +20,9 @@
     900C            crop: bit 0 on, 2 drop what is outside, 4 new origin; 9010 first column 8..0, row 24..16; 9014 last
     9028            bit 1 no output
     9100 + 8 i      16 masks of 32 pixels: column / 32 in bits 3..0, row 12..4, 31 on; 9104 + 8 i  the pixels
-    C000 - C0C4     anti-flicker filter, see `filters`; C0C4 bit 2 ready while 00B8 bit 0 is 1
+    C000 - C0C4     anti-flicker filter, see `selection`; C0C4 bit 2 ready while 00B8 bit 0 is 1
     D000 - D0C4     filter of trails: C0C4's bits in D0C4, bit 0 starts
-    E000 - E018     noise filter, see `filters`
+    E000 - E018     noise filter, see `selection`
     F008            mailbox of the processor: it takes a command at once, and sets the upper octet to 0
     F010            CAFEBABE, the processor has booted
 

@@ -54,8 +54,14 @@ from firmware_protocol.imx636.triton2_registers import (
     triton2_areas,
     triton2_rules,
 )
-from firmware_protocol.prophesee.camera import LONGEST_GAP_US, Outflow, OutflowLimits, PropheseeCamera
-from firmware_protocol.prophesee.selection import RateControl, Selected
+from firmware_protocol.prophesee.camera import (
+    LONGEST_GAP_US,
+    Outflow,
+    OutflowLimits,
+    PropheseeCamera,
+    RateControl,
+    Selected,
+)
 
 _MOST_EXTRA = 4096  # requested datagrams that wait
 _MOST_SCHEDULED = 256

@@ -34,8 +34,7 @@ from firmware_protocol.evt.evt2 import Evt2Encoder
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.evt.words import Coder
 from firmware_protocol.prophesee.biases import BiasModel
-from firmware_protocol.prophesee.camera import LONGEST_GAP_US, Outflow, OutflowLimits, PropheseeCamera
-from firmware_protocol.prophesee.selection import Selected
+from firmware_protocol.prophesee.camera import LONGEST_GAP_US, Outflow, OutflowLimits, PropheseeCamera, Selected
 from firmware_protocol.prophesee.treuzell import Board, BoardFacts
 from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.descriptors import (

@@ -17,7 +17,7 @@ from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.fx3.decoded import WordFaults
 from firmware_protocol.genx320 import device as genx320
 from firmware_protocol.genx320 import registers as genx320_registers
-from firmware_protocol.imx636.boards import BOARDS
+from firmware_protocol.imx636.evk4 import BOARDS
 from firmware_protocol.imx636.registers import GEN41, IMX636, SIZE, Address
 from firmware_protocol.prophesee.treuzell import FAILED, MOST_ANSWER_BYTES, UNKNOWN, Frame, Property
 from firmware_protocol.prophesee.usb import ANSWER_ENDPOINT, DATA_ENDPOINT, REQUEST_ENDPOINT
