@@ -288,7 +288,9 @@ class Decoder:
         else:
             time_us[1:] = stamps & LOW_BITS
             time_us[1:] += self._time_us >> WRAP_BITS << WRAP_BITS
-        self._count_backward(time_us, stamps)
+        steady = time_us[1:] > time_us[:-1]
+        if not steady.all():
+            self.faults += WordFaults(time_not_increasing=_count(~steady & (stamps != _TIME_RESET)))
         return np.cumsum(moves), time_us
 
     def _bases(self, stamps: Words) -> Index:
@@ -300,22 +302,16 @@ class Decoder:
         base: Index = total << WRAP_BITS
         return base
 
-    def _count_backward(self, time_us: Index, stamps: Words) -> None:
-        steady = time_us[1:] > time_us[:-1]
-        if steady.all():
-            return
-        self.faults += WordFaults(time_not_increasing=_count(~steady & (stamps != _TIME_RESET)))
-
     def _specials(self, words: Words, rare: Index, at: Index, time_us: Index) -> npt.NDArray[np.void]:
         """Return the specials among `words`, found at `rare`; count unknown words and words not interpreted."""
         special = words < ROW
-        found = np.empty(_count(special), SPECIAL_EVENT)
+        specials = np.empty(_count(special), SPECIAL_EVENT)
         if len(words):
             self._count_rare(words)
-            found["code"] = words[special]
-            found["t"] = time_us[special]
-            found["index"] = np.searchsorted(at, rare[special])
-        return found
+            specials["code"] = words[special]
+            specials["t"] = time_us[special]
+            specials["index"] = np.searchsorted(at, rare[special])
+        return specials
 
     def _count_rare(self, words: Words) -> None:
         unknown_special = (words < ROW) & ~np.isin(words, _KNOWN_SPECIALS)

@@ -29,9 +29,9 @@ def own_time(records: Events | Edges, epoch_us: int) -> Events | Edges:
     """Return (n,) EVENT or EDGE in the time of a device's own clock, which was zero at `epoch_us`."""
     if not epoch_us or not len(records):
         return records
-    own = copy_events(records) if records.dtype == EVENT else records.copy()
-    own["t"] -= np.uint64(epoch_us % (1 << 64))
-    return own
+    shifted = copy_events(records) if records.dtype == EVENT else records.copy()
+    shifted["t"] -= np.uint64(epoch_us % (1 << 64))
+    return shifted
 
 
 class _ItemsOfClock:
@@ -67,7 +67,7 @@ class _ItemsOfClock:
         edges, readings = self._take_edges(until_us), self._take_readings(until_us)
         if not (len(events) or len(edges) or readings):
             return None
-        times = [events["t"][-1:], edges["t"][-1:], *(one.record["t"][-1:] for one in readings[-1:])]
+        times = [events["t"][-1:], edges["t"][-1:], *(reading.record["t"][-1:] for reading in readings[-1:])]
         self.taken_us = max(self.taken_us, *(int(t[0]) for t in times if len(t)))
         return Items(events, edges, self.epoch_us, readings)
 
@@ -138,7 +138,7 @@ class ItemQueue:
         return taken
 
     def clear(self) -> None:
-        """See `ItemEncoder.clear`."""
+        """Drop the items that wait; the clock keeps its epoch."""
         self._clocks = deque([_ItemsOfClock(self.epoch_us, self._clocks[-1].taken_us)])
         self.waiting = Numbers()
 

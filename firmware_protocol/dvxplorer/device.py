@@ -76,15 +76,14 @@ class _Samples(ReadingInput):
     """Inertial samples on their way into the stream."""
 
     def follow(self, *, words: bool) -> None:
-        """See `ReadingInput.follow`."""
         self._imu = imu_settings(self._registers, words=words)
 
     def _blocks_of(self, kind: ReadingKind, readings: Readings) -> list[Block]:
         """Return samples as blocks; their words have the axes in the order of the wire."""
         sent = readings.copy()
         sent["counts"] = readings["counts"][:, AXES_ON_THE_WIRE]
-        own = blocks_of(kind, readings)
-        return [Block(b.t_us, a.words, b.reading) for a, b in zip(blocks_of(kind, sent), own, strict=True)]
+        blocks = blocks_of(kind, readings)
+        return [Block(b.t_us, a.words, b.reading) for a, b in zip(blocks_of(kind, sent), blocks, strict=True)]
 
 
 class Dvxplorer(Fx3Camera):

@@ -217,9 +217,9 @@ class DvxplorerMicro(Dvxplorer):
     def _stored_keys(self) -> Iterator[tuple[int, int]]:
         """Yield the registers that the flash memory has: all that can be written but the run bits."""
         runs = {(Module.DVS, RUN), *((Module.IMU, address) for address in (2, 3, 4))}
-        for one in self._registers:
-            if one.access is Access.READ_WRITE and (one.module, one.address) not in runs:
-                yield one.module.value, one.address
+        for register in self._registers:
+            if register.access is Access.READ_WRITE and (register.module, register.address) not in runs:
+                yield register.module.value, register.address
 
     def _read_register(self, setup: SetupPacket) -> bytes:
         if not self.settings.has_new_firmware:

@@ -262,9 +262,9 @@ class GroupEncoder(TimedEncoder):
         state = self._kernel_state(epoch_us)
         at = placed["t"].astype(np.int64), np.ascontiguousarray(placed["code"])
         pieces: list[Words] = []
-        most = self.words_per_event * len(events) + 2 * len(placed) + _MOST_WORDS + 64
-        if len(self._room) < most:
-            self._room = np.empty(most, WORD)
+        room = self.words_per_event * len(events) + 2 * len(placed) + _MOST_WORDS + 64
+        if len(self._room) < room:
+            self._room = np.empty(room, WORD)
         data = bytes_of(events)
         while state[_AT_EVENT] < len(events) or state[_AT_MARK] < len(placed):
             written = write_words(data, at, state, self._room)

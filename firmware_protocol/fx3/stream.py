@@ -175,13 +175,13 @@ class Fifo:
         readings: list[Reading] = []
         while room and self._batches and self._batches[0].epoch_us == epoch_us:
             batch = self._batches[0]
-            some, completed, completed_marks, blocks = batch.take(room)
-            words.append(some)
+            taken, completed, completed_marks, blocks = batch.take(room)
+            words.append(taken)
             events.append(completed)
             if len(completed_marks):
                 marks.append(completed_marks)
             readings += [block.reading for block in blocks]
-            room -= len(some)
+            room -= len(taken)
             if batch.is_empty:
                 self._batches.popleft()
         data = b"".join([part.data for part in words])
@@ -243,7 +243,7 @@ class EventStream:
 
     @property
     def waiting(self) -> Numbers:
-        """See `ItemEncoder.waiting`."""
+        """Numbers of items in the FIFO."""
         return self._fifo.waiting
 
     @property
@@ -287,7 +287,8 @@ class EventStream:
         """Queue `events`, (n,) EVENT, `marks`, (m,) MARK, and `blocks`, in stream time and at least one in all."""
         marks = no_marks() if marks is None else marks
         at_start = self._encoder.state
-        first_us = min([int(some["t"][0]) for some in (events, marks) if len(some)] + [b.t_us for b in blocks[:1]])
+        begins_us = [int(records["t"][0]) for records in (events, marks) if len(records)]
+        first_us = min(begins_us + [block.t_us for block in blocks[:1]])
         wraps = self._encoder.advance(first_us - self.epoch_us, self._fifo.free_wrap_words)
         before = self._encoder.state
         try:

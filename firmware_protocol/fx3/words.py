@@ -147,12 +147,12 @@ def wrap_words(steps: int, room: int = SINGLE_WRAPS) -> Words | None:
     """
     if steps <= min(room, SINGLE_WRAPS):
         return np.full(steps, WRAP | 1, WORD)
-    full, rest = divmod(steps, MAX_STEPS)
-    if full + bool(rest) > room:
+    full, remaining = divmod(steps, MAX_STEPS)
+    if full + bool(remaining) > room:
         return None
-    words = np.full(full + bool(rest), WRAP | MAX_STEPS, WORD)
-    if rest:
-        words[-1] = WRAP | rest
+    words = np.full(full + bool(remaining), WRAP | MAX_STEPS, WORD)
+    if remaining:
+        words[-1] = WRAP | remaining
     return words
 
 

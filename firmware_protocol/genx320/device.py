@@ -93,6 +93,7 @@ class Genx320(TreuzellCamera):
     @property
     def without_effect(self) -> Mapping[str, str]:
         """Settings that hosts changed without an effect here, each with the reason."""
-        control, one, other = (self.read_register(address) for address in _TRAIL)
-        trail = {"trail_filter": "it is not modelled"} if control & 5 == 1 and (one | other) & 1 else {}
-        return {**super().without_effect, **trail}
+        control, trail, burst = (self.read_register(address) for address in _TRAIL)
+        is_on = control & 5 == 1 and (trail | burst) & 1
+        changed = {"trail_filter": "it is not modelled"} if is_on else {}
+        return {**super().without_effect, **changed}

@@ -85,13 +85,13 @@ class Selection:
 
     def apply(self, events: Events, epoch_us: int) -> Selected:
         """Return the part that passes of events (n,) EVENT, sorted; the sensor's clock was zero at `epoch_us`."""
-        wanted = events
+        selected = events
         if self._hides:
-            wanted = wanted[~self._hidden[wanted["y"], wanted["x"]]]
+            selected = selected[~self._hidden[selected["y"], selected["x"]]]
         if self._registers[Address.CROP] & _CROP_ON:
-            wanted = self._cropped(wanted)
-        wanted = self._flicker.passed(self._noise.passed(wanted, epoch_us))
-        return self._rate.selected(events, wanted, epoch_us)
+            selected = self._cropped(selected)
+        selected = self._flicker.passed(self._noise.passed(selected, epoch_us))
+        return self._rate.selected(events, selected, epoch_us)
 
     def _control_array(self) -> None:
         before, self._array = self._array, self._registers[Address.ARRAY]
@@ -167,7 +167,7 @@ class NoiseFilter:
         self._on = control & _ON_BITS == _ON
         self._period_us = max(1, period_us & 0x7FF)
         bounds = self._registers.words(Address.NOISE_LOW_ON, 4).tolist()
-        self._low_on, self._low_off, self._high_off, self._high_on = (each & _RATE_BITS for each in bounds)
+        self._low_on, self._low_off, self._high_off, self._high_on = (bound & _RATE_BITS for bound in bounds)
         self._period, self._count = -1, 0
         self._is_low = self._is_high = False
 

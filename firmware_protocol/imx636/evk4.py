@@ -154,8 +154,8 @@ class Selection:
 
     def apply(self, events: Events, epoch_us: int) -> Selected:
         """Return the part that passes of events (n,) EVENT, sorted; the sensor's clock was zero at `epoch_us`."""
-        wanted = events[~self._hidden(events)] if self._hides or len(self._pixels) else events
-        return self._rate.selected(events, wanted, epoch_us)
+        selected = events[~self._hidden(events)] if self._hides or len(self._pixels) else events
+        return self._rate.selected(events, selected, epoch_us)
 
     def _hidden(self, events: Events) -> Mask:
         hidden = np.zeros(len(events), np.bool_)

@@ -232,8 +232,8 @@ def _acquisition() -> list[Feature]:
 
 def _biases() -> list[Feature]:
     return [
-        Feature(one.feature, "EventControl", "integer", one.address, _BIAS_TIPS[name], limits=(one.least, one.most))
-        for name, one in BIASES.items()
+        Feature(bias.feature, "EventControl", "integer", bias.address, _BIAS_TIPS[name], limits=(bias.least, bias.most))
+        for name, bias in BIASES.items()
     ]
 
 

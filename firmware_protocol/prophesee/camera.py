@@ -85,7 +85,7 @@ class Outflow(ABC, Generic[_Taken]):
 
     @property
     def waiting(self) -> Numbers:
-        """See `ItemEncoder.waiting`."""
+        """Numbers of events and edges in the queues."""
         return Numbers(self._queued, len(self._edges))
 
     @property
@@ -95,7 +95,7 @@ class Outflow(ABC, Generic[_Taken]):
 
     @abstractmethod
     def take(self, now_us: int, room: int) -> _Taken | None:
-        """See `ItemEncoder.take`."""
+        """Make the words that are due, as many as `room` permits, and remove their items."""
 
     def put(self, events: Events) -> int:
         """Queue as many of events (n,) EVENT, sorted, as fit; return their number; they are copied."""
@@ -113,7 +113,7 @@ class Outflow(ABC, Generic[_Taken]):
         return len(fitting)
 
     def clear(self) -> None:
-        """See `ItemEncoder.clear`."""
+        """Empty the queues."""
         self._waiting.clear()
         self._edges, self._queued = empty_edges(), 0
 
@@ -174,7 +174,7 @@ class Outflow(ABC, Generic[_Taken]):
     def _reach(self, events: Events, edges: Edges) -> None:
         """Remove edges that were made into words, and note the time of the last item in words."""
         self._edges = self._edges[len(edges) :]
-        last_us = max(int(each["t"][-1]) for each in (events, edges) if len(each))
+        last_us = max(int(records["t"][-1]) for records in (events, edges) if len(records))
         self._reported_us = max(self._reported_us, last_us)
 
 
@@ -335,10 +335,10 @@ class RateControl:
         """Set the number of events that pass in a period."""
         self._most = events
 
-    def selected(self, events: Events, wanted: Events, epoch_us: int) -> Selected:
-        """Return the part that passes of the `wanted` ones of `events`, both sorted; the clock was 0 at `epoch_us`."""
-        passing = wanted[self._passing(wanted, epoch_us)] if self.on else wanted
-        return Selected(passing, len(events) - len(wanted), len(wanted) - len(passing))
+    def selected(self, events: Events, candidates: Events, epoch_us: int) -> Selected:
+        """Return the part of `candidates` among `events` that passes, both sorted; the clock was 0 at `epoch_us`."""
+        passing = candidates[self._passing(candidates, epoch_us)] if self.on else candidates
+        return Selected(passing, len(events) - len(candidates), len(candidates) - len(passing))
 
     def _passing(self, events: Events, epoch_us: int) -> Mask:
         """Return a mask of the events (n,) EVENT, sorted, that pass, (n,) bool: the first ones of each period."""

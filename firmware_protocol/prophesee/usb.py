@@ -95,7 +95,7 @@ class UsbOutflow(Outflow[Transfer]):
 
     @property
     def waiting(self) -> Numbers:
-        """See `ItemEncoder.waiting`."""
+        """Numbers of events and edges in the queues."""
         waiting = super().waiting
         return waiting if self._cut is None else waiting.plus(self._cut.numbers)
 
@@ -103,16 +103,16 @@ class UsbOutflow(Outflow[Transfer]):
         """Remove up to `room` octets of words; None if there is nothing to send yet."""
         if room < self._word_bytes:
             return None
-        whole = self._cut or self._next(now_us, room)
-        if whole is None or len(whole.data) <= room:
+        transfer = self._cut or self._next(now_us, room)
+        if transfer is None or len(transfer.data) <= room:
             self._cut = None
-            return whole
+            return transfer
         end = room - room % self._word_bytes
-        self._cut = replace(whole, data=whole.data[end:])
-        return Transfer(epoch_us=whole.epoch_us, data=whole.data[:end])
+        self._cut = replace(transfer, data=transfer.data[end:])
+        return Transfer(epoch_us=transfer.epoch_us, data=transfer.data[:end])
 
     def clear(self) -> None:
-        """See `ItemEncoder.clear`."""
+        """Empty the queues, and drop the part of a transfer that has not left."""
         super().clear()
         self._cut = None
 
@@ -302,7 +302,7 @@ class TreuzellSettings(UsbCameraSettings):
 def _configuration(speed: Speed) -> Configuration:
     """Return the configuration; OpenEB requires these three endpoints in this order."""
     addresses = (ANSWER_ENDPOINT, REQUEST_ENDPOINT, DATA_ENDPOINT)
-    endpoints = tuple(Endpoint(each, TransferType.BULK, BULK_PACKET[speed], burst=15) for each in addresses)
+    endpoints = tuple(Endpoint(address, TransferType.BULK, BULK_PACKET[speed], burst=15) for address in addresses)
     return Configuration(speed, (Interface(endpoints, interface_class=_INTERFACE_CLASS),))
 
 
@@ -352,8 +352,8 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
         """Execute one control transfer; see `UsbDevice.control` and the module's description."""
         if setup.kind is RequestKind.STANDARD:
             return self._standard.control(setup, data)
-        wanted = (RequestKind.VENDOR, Recipient.DEVICE, True, _BOARD_KIND)
-        if (setup.kind, setup.recipient, setup.is_in, setup.request) != wanted:
+        board_request = (RequestKind.VENDOR, Recipient.DEVICE, True, _BOARD_KIND)
+        if (setup.kind, setup.recipient, setup.is_in, setup.request) != board_request:
             raise Stall
         return self._kind[: setup.length]
 

@@ -174,7 +174,7 @@ def recorded_imu(samples: ImuSamples, unit: int) -> npt.NDArray[np.void]:
 
 
 def _imu_of(readings: Sequence[Reading]) -> ImuSamples:
-    return np.concatenate([no_samples(), *(one.record for one in readings if one.kind is ReadingKind.IMU)])
+    return np.concatenate([no_samples(), *(reading.record for reading in readings if reading.kind is ReadingKind.IMU)])
 
 
 def _frame(frame: WholeFrame, epoch_us: int) -> Frame:

@@ -328,9 +328,9 @@ class Feed:
     def _own_time(self, events: Events) -> Events:
         if self.clock is None:
             return events
-        own = copy_events(events)
-        own["t"] = self.clock.shown_us(events["t"])
-        return own
+        shown = copy_events(events)
+        shown["t"] = self.clock.shown_us(events["t"])
+        return shown
 
     def _shown_us(self, stream_us: int) -> int:
         return stream_us if self.clock is None else int(self.clock.shown_us(stream_us)[0])

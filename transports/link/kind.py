@@ -184,7 +184,7 @@ class LinkKind(Generic[P]):
         needed = {"name"} | ({"instrument"} if self.serves == "instrument" else set())
         if not isinstance(getattr(self.parameters, "kind", None), str):
             raise ValueError("the parameters of a link need a class attribute `kind`")
-        if missing := needed - {one.name for one in dataclasses.fields(self.parameters)}:
+        if missing := needed - {parameter.name for parameter in dataclasses.fields(self.parameters)}:
             raise ValueError(f"the parameters of a link that serves {self.serves!r} need {', '.join(sorted(missing))}")
 
     @property

@@ -266,8 +266,8 @@ class Link:
     def happen(self, kind: EdgeKind | None, by: str = "") -> None:
         """Apply an edge to the input now, or reset the clock, on behalf of `by`."""
         self._feed.happen(kind)
-        what = "reset" if kind is None else kind.name.lower()
-        self._watch.add(Occurrence(self._feed.reached_us, by, f"trigger {what}"))
+        event = "reset" if kind is None else kind.name.lower()
+        self._watch.add(Occurrence(self._feed.reached_us, by, f"trigger {event}"))
 
     def _free_until_us(self, now_us: int) -> int:
         """Return the stream time that a run without pacing may reach now.

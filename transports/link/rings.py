@@ -151,14 +151,14 @@ class SharedRing:
     def take(self, until_us: int, limit: int | None = None) -> npt.NDArray[Any]:
         """Take at most `limit` records with t <= `until_us`; returns a copy, shape (n,)."""
         taken = int(self._head[_TAKEN])
-        there = self.written - taken
-        n = self._due(taken, there if limit is None else min(there, max(limit, 0)), until_us)
+        waiting = self.written - taken
+        n = self._due(taken, waiting if limit is None else min(waiting, max(limit, 0)), until_us)
         if not n:
             return np.empty(0, self._record)
         start = taken % self.capacity
         first = self._body[start : start + n]  # up to the end of the memory
-        rest = n - len(first)
-        records = np.concatenate((first, self._body[:rest])) if rest else first.copy()
+        wrapped = n - len(first)
+        records = np.concatenate((first, self._body[:wrapped])) if wrapped else first.copy()
         self._head[_TAKEN] = taken + n
         return records.view(self._record)
 
@@ -168,17 +168,17 @@ class SharedRing:
             return None
         return int(self._times[(int(self._head[_TAKEN]) + index) % self.capacity])
 
-    def _due(self, taken: int, there: int, until_us: int) -> int:
-        """Return how many of the next `there` records have t <= `until_us`."""
+    def _due(self, taken: int, waiting: int, until_us: int) -> int:
+        """Return how many of the next `waiting` records have t <= `until_us`."""
         times, capacity = self._times, self.capacity
         start = taken % capacity
-        if there < 1 or times[start] > until_us:
+        if waiting < 1 or times[start] > until_us:
             return 0
-        if times[(taken + there - 1) % capacity] <= until_us:
-            return there
-        first = min(there, capacity - start)  # records before the end of the memory
-        if first < there and times[capacity - 1] <= until_us:
-            return first + bisect.bisect_right(times, until_us, 0, there - first)
+        if times[(taken + waiting - 1) % capacity] <= until_us:
+            return waiting
+        first = min(waiting, capacity - start)  # records before the end of the memory
+        if first < waiting and times[capacity - 1] <= until_us:
+            return first + bisect.bisect_right(times, until_us, 0, waiting - first)
         return bisect.bisect_right(times, until_us, start, start + first) - start
 
 

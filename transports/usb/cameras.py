@@ -45,8 +45,8 @@ def driver_of(host: UsbHost) -> CameraHost[Any]:
 
 def first_on_the_bus() -> UsbHost:
     """Return this machine's first known camera; raises the errors of `PyusbHost.find`."""
-    *others, last = DRIVERS
-    for vendor, product in others:
+    *earlier, last = DRIVERS
+    for vendor, product in earlier:
         with contextlib.suppress(DeviceAbsent):
             return PyusbHost.find(vendor, product)
     return PyusbHost.find(*last)

@@ -189,9 +189,9 @@ class Fx3Host(CameraHost[Fx3Info]):
 
     def stop(self) -> Events:
         """See `CameraHost.stop`."""
-        rest = super().stop()
+        remaining = super().stop()
         held, self._held = self._held, empty_events()
-        return np.concatenate([held, rest])
+        return np.concatenate([held, remaining])
 
     def _end_stream(self) -> None:
         self._write_each(self.stop_writes)
@@ -223,8 +223,8 @@ class Fx3Host(CameraHost[Fx3Info]):
     def _identify(self) -> Fx3Info:
         identity = self._host.identity
         if (identity.vendor_id, identity.product_id) != (VENDOR_ID, self.product):
-            known = f"{self.family} ({VENDOR_ID:04x}:{self.product:04x})"
-            raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is not a {known}")
+            expected = f"{self.family} ({VENDOR_ID:04x}:{self.product:04x})"
+            raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is not a {expected}")
         firmware = identity.bcd_device & 0xFF
         _require("firmware", firmware, firmware >= self.firmware, f"at least {self.firmware}")
         serial = self._serial()
@@ -280,6 +280,6 @@ def _whole_words(data: bytes) -> bytes:
     return data[: len(data) & ~1]
 
 
-def _require(what: str, found: int, good: bool, wanted: str) -> None:
+def _require(part: str, version: int, good: bool, requirement: str) -> None:
     if not good:
-        raise UnsuitableDevice(f"the camera has {what} version {found}; {wanted} is needed: update the camera")
+        raise UnsuitableDevice(f"the camera has {part} version {version}; {requirement} is needed: update the camera")

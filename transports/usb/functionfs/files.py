@@ -90,11 +90,11 @@ class ControlFile:
 
     def next_event(self) -> Event | None:
         """See `ControlPipe`."""
-        asked = select.poll()
-        asked.register(self._fd, select.POLLIN)
-        asked.register(self._wake_out, select.POLLIN)
+        poll = select.poll()
+        poll.register(self._fd, select.POLLIN)
+        poll.register(self._wake_out, select.POLLIN)
         while True:
-            ready = dict(asked.poll())
+            ready = dict(poll.poll())
             if self._wake_out in ready:
                 return None
             try:
@@ -321,16 +321,16 @@ def with_spares(interface: Interface, controller: str) -> Interface:
     return replace(interface, endpoints=(*ins, *outs))
 
 
-def _declared(endpoints: Sequence[Endpoint], given: Sequence[int], controller: str) -> Iterator[Endpoint]:
+def _declared(endpoints: Sequence[Endpoint], assigned: Sequence[int], controller: str) -> Iterator[Endpoint]:
     """Yield the endpoints of one direction in the order of the assigned addresses, with unused ones in between."""
-    wanted = {one.address: one for one in endpoints if one.address & _IN == given[0] & _IN}
-    if missing := wanted.keys() - set(given):
+    by_address = {endpoint.address: endpoint for endpoint in endpoints if endpoint.address & _IN == assigned[0] & _IN}
+    if missing := by_address.keys() - set(assigned):
         numbers = ", ".join(f"0x{address:02X}" for address in sorted(missing))
         raise ValueError(
             f"the USB device controller {controller} has no endpoint {numbers}, which drivers of this camera use"
         )
-    packet = max(one.max_packet for one in endpoints)
-    for address in given:
-        if not wanted:
+    packet = max(endpoint.max_packet for endpoint in endpoints)
+    for address in assigned:
+        if not by_address:
             return
-        yield wanted.pop(address) if address in wanted else Endpoint(address, TransferType.BULK, packet)
+        yield by_address.pop(address) if address in by_address else Endpoint(address, TransferType.BULK, packet)
