@@ -48,9 +48,20 @@ from firmware_protocol.fx3.words import (
 
 Times = npt.NDArray[np.int64]
 
-_KIND, _SPECIAL_END, _SAMPLE, _MISC8, _MISC10 = 0xF000, 0x1000, 0x4000, 0x5000, 0x6000
-_TIME_RESET, _START_GLOBAL, _START_ROLLING, _END = 1, 8, 9, 10
-_RESET, _SIGNAL, _LINE_END, _EXPOSURE_START, _EXPOSURE_END = 11, 12, 13, 14, 15
+_KIND = 0xF000
+_SPECIAL_END = 0x1000
+_SAMPLE = 0x4000
+_MISC8 = 0x5000
+_MISC10 = 0x6000
+_TIME_RESET = 1
+_START_GLOBAL = 8
+_START_ROLLING = 9
+_END = 10
+_RESET = 11
+_SIGNAL = 12
+_LINE_END = 13
+_EXPOSURE_START = 14
+_EXPOSURE_END = 15
 
 
 @dataclass
@@ -223,7 +234,7 @@ class Decoder:
         imu = [np.empty(0, IMU_READ)]
         filled = 0
         for first in range(0, len(words), _BLOCK_WORDS):
-            count, special = self._block(words[first : first + _BLOCK_WORDS], events[filled:], (frames, imu))
+            count, special = self._block(words[first : first + _BLOCK_WORDS], events[filled:], frames, imu)
             special["index"] += filled
             filled += count
             specials.append(special)
@@ -232,9 +243,9 @@ class Decoder:
         )
 
     def _block(
-        self, words: Words, out: Events, readings: tuple[list[FrameRead], list[npt.NDArray[np.void]]]
+        self, words: Words, out: Events, frames: list[FrameRead], imu: list[npt.NDArray[np.void]]
     ) -> tuple[int, npt.NDArray[np.void]]:
-        """Decode into the front of `out` and append to `readings`; return how many events, and the specials."""
+        """Decode into the front of `out`, append to `frames` and `imu`; return how many events, and the specials."""
         rare = np.flatnonzero((words < ROW) | ((words >= APS_SAMPLE) & (words < TIMESTAMP)))
         at, columns = self._columns_in(words)
         stamp_of, time_us = self._timeline(words, rare)
@@ -247,8 +258,8 @@ class Decoder:
         seldom, seldom_us = words.take(rare), time_us.take(stamp_of.take(rare))
         specials = self._specials(seldom, rare, at, seldom_us)
         if len(seldom):
-            readings[0].extend(self._frames.feed(seldom, seldom_us))
-            readings[1].append(self._imu.feed(seldom, seldom_us))
+            frames.extend(self._frames.feed(seldom, seldom_us))
+            imu.append(self._imu.feed(seldom, seldom_us))
         self._time_us, self._row = int(time_us[-1]), int(rows[-1])
         return len(at), specials
 

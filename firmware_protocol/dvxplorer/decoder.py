@@ -44,7 +44,11 @@ _TIME, _COLUMN, _GROUP_1, _GROUP_2, _COLUMNS, _GROUPS, _BAD_COLUMN, _BAD_GROUP, 
 _NONE = np.int64(-1)
 
 # Compiled code holds plain numbers.
-_TIMESTAMP, _LOW_BITS, _WRAP, _WRAP_BITS, _MAX_STEPS = TIMESTAMP, LOW_BITS, WRAP, WRAP_BITS, MAX_STEPS
+_TIMESTAMP = TIMESTAMP
+_LOW_BITS = LOW_BITS
+_WRAP = WRAP
+_WRAP_BITS = WRAP_BITS
+_MAX_STEPS = MAX_STEPS
 _KIND, _RESET = KIND, 1
 
 _INPUT_MARKS = (2, 3, 4, 16, 17)
@@ -81,7 +85,10 @@ def read_words(words: Words, state: _Int64s, events: _Bytes, rare: _Int64s) -> i
     rare
         (k, 3): word, its time, and the number of events before it; k words of other kinds.
     """
-    time_us, column, first, second = state[_TIME], state[_COLUMN], state[_GROUP_1], state[_GROUP_2]
+    time_us = state[_TIME]
+    column = state[_COLUMN]
+    first = state[_GROUP_1]
+    second = state[_GROUP_2]
     columns, groups, at, at_other = state[_COLUMNS], state[_GROUPS], 0, 0
     for word in words:
         kind, value = word & _KIND, int(word & 0xFFF)
@@ -105,9 +112,14 @@ def read_words(words: Words, state: _Int64s, events: _Bytes, rare: _Int64s) -> i
             column = column if column < columns else _NONE
         else:
             time_us *= word != _RESET
-            rare[at_other, 0], rare[at_other, 1], rare[at_other, 2] = word, time_us, at // EVENT_BYTES
+            rare[at_other, 0] = word
+            rare[at_other, 1] = time_us
+            rare[at_other, 2] = at // EVENT_BYTES
             at_other += 1
-    state[_TIME], state[_COLUMN], state[_GROUP_1], state[_GROUP_2] = time_us, column, first, second
+    state[_TIME] = time_us
+    state[_COLUMN] = column
+    state[_GROUP_1] = first
+    state[_GROUP_2] = second
     return at // EVENT_BYTES
 
 

@@ -135,7 +135,9 @@ class FrameStream:
     def _next(self, now_us: int, room: int) -> Transfer | None:
         if len(self._room) < room:
             self._room = np.empty(room, FRAME_WORD)
-        out, taken, written = self._room[:room], [empty_events()], 0
+        out = self._room[:room]
+        taken = [empty_events()]
+        written = 0
         while self._queue:
             n_events, n_words = self._encoder.encode(self._queue[0], out[written:])
             taken.append(self._queue[0][:n_events])

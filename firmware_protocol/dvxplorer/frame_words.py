@@ -41,11 +41,19 @@ _State = npt.NDArray[np.int64]
 _Keys = npt.NDArray[np.int32]
 _Counts = npt.NDArray[np.int32]
 
-_GROUPS, _TIME, _COLUMN, _FIRST = 1 << 31, 1 << 27, 1 << 26, 1 << 21
-_SUB_SHIFT, _TIME_BITS, _FARTHEST = 11, 22, 31
+_GROUPS = 1 << 31
+_TIME = 1 << 27
+_COLUMN = 1 << 26
+_FIRST = 1 << 21
+_SUB_SHIFT = 11
+_TIME_BITS = 22
+_FARTHEST = 31
 _MS_US = 1000
 _MOST_TIMES = 1024  # time words one by one; a longer gap, a second without a reader, has one
-_DIGITS, _DIGIT_BITS, _DIGIT = 3, 7, 127  # of a key, and the largest value of one
+# of a key, and the largest value of one
+_DIGITS = 3
+_DIGIT_BITS = 7
+_DIGIT = 127
 _FEW = 40  # events of one time that are sorted by insertion
 _MOST_OF_COLUMN = 64  # words: one of the column, and one for each of 60 groups
 

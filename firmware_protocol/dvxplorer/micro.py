@@ -259,8 +259,14 @@ def _no_imu(values: RegisterFile, *, words: bool) -> ImuSettings:
     return ImuSettings()
 
 
-RUN, POLARITY, SUBSAMPLING, RATE, THRESHOLDS = 3, 4, 5, 13, 14
-BLOCK_AREA, CROP, APPLY_CROP = 18, 19, 23
+RUN = 3
+POLARITY = 4
+SUBSAMPLING = 5
+RATE = 13
+THRESHOLDS = 14
+BLOCK_AREA = 18
+CROP = 19
+APPLY_CROP = 23
 
 _DVS: Rows = (
     (RUN, "RUN", 0),

@@ -284,7 +284,10 @@ _DEFAULT_SCAN_US = 199.0  # of the registers' power-on values
 _RANGE_LEVELS = 9
 _MOST_CURRENT = 8
 
-_RANGES, _LEVELS, _ON, _OFF = 0x0B, 0x12, 0x1C, 0x1E
+_RANGES = 0x0B
+_LEVELS = 0x12
+_ON = 0x1C
+_OFF = 0x1E
 _ON_RANGE, _OFF_LEVEL = 1 << 1, 1 << 1
 
 _OTHERS = {

@@ -264,7 +264,10 @@ def put_in_place(words: Words, blocks: Sequence[Block]) -> tuple[Words, npt.NDAr
     """Return words with each `PLACE` replaced by its block, and (n_blocks,) one past the last word of each block."""
     if not blocks:
         return words, np.empty(0, np.int64)
-    pieces, ends, done, length = [], [], 0, 0
+    pieces = []
+    ends = []
+    done = 0
+    length = 0
     for at, block in zip(np.flatnonzero(words == PLACE).tolist(), blocks, strict=True):
         pieces += [words[done:at], block.words]
         length += at - done + len(block.words)

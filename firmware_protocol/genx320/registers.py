@@ -55,8 +55,12 @@ WINDOWS, MASKS = 18, 16
 CHIP = 0xB060_2003
 
 _END = 0x1_0000
-_VALID, _MEASURE_DEAD_TIME, _ADC_DONE = 1 << 28, 3 << 30, 1 << 11
-_READY, _WINDOWS_DONE, _RATE_READY = 1 << 2, 1 << 17, 1 << 31
+_VALID = 1 << 28
+_MEASURE_DEAD_TIME = 3 << 30
+_ADC_DONE = 1 << 11
+_READY = 1 << 2
+_WINDOWS_DONE = 1 << 17
+_RATE_READY = 1 << 31
 _PADS, _TRIGGERS = 1 << 10 | 1 << 14, 1 << 10
 _BIAS_BITS = 0x7F
 _FORMS: tuple[Form, ...] = ("evt2", "evt3", "evt21", "evt21")

@@ -43,7 +43,9 @@ from firmware_protocol.prophesee.camera import Mask, RateControl, Selected, unpa
 _WIDTH, _HEIGHT = SIZE
 _LATCHES_ON, _TAKE_OVER = 1 << 1, 1 << 5
 _RUN, _OUTSIDE = 3, 1 << 2
-_CROP_ON, _CROP_DROPS, _NEW_ORIGIN = 1 << 0, 1 << 2, 1 << 4
+_CROP_ON = 1 << 0
+_CROP_DROPS = 1 << 2
+_NEW_ORIGIN = 1 << 4
 _COORDINATE = 0x1FF
 _RATE = (Address.RATE, Address.RATE_DROPS, Address.RATE_PERIOD, Address.RATE_EVENTS)
 
@@ -106,8 +108,10 @@ class Selection:
             return
         inside = np.zeros((_HEIGHT, _WIDTH), np.bool_)
         for i in range(min(control >> 3 & 0x1F, WINDOWS)):
-            columns, rows = (_span(word) for word in self._registers.words(Address.WINDOWS + 8 * i, 2).tolist())
-            inside[rows, columns] = True
+            columns, rows = self._registers.words(Address.WINDOWS + 8 * i, 2).tolist()
+            first_column, last_column = columns & _COORDINATE, columns >> 16 & _COORDINATE
+            first_row, last_row = rows & _COORDINATE, rows >> 16 & _COORDINATE
+            inside[first_row:last_row, first_column:last_column] = True
         self._latched[:] = inside if control & _OUTSIDE else ~inside
         self._combine()
 
@@ -142,11 +146,6 @@ class Selection:
         self._rate.set_period_us(max(1, period_us & 0x3FF))
         self._rate.set_most(events & 0x1F_FFFF)
         self._rate.turn(control & 5 == 1 and drops & 4)
-
-
-def _span(word: int) -> slice:
-    """Return the columns or rows of a window."""
-    return slice(word & _COORDINATE, word >> 16 & _COORDINATE)
 
 
 _ON_BITS, _ON = 5, 1  # of a pipeline control: bit 0 on, bit 2 bypass
@@ -273,5 +272,7 @@ class FlickerFilter:
         fits = (period_us >= self._shortest_us) & (period_us <= self._longest_us)
         count = np.clip(self._count[pixels] + np.where(fits, 1, -1), 0, _MOST_COUNT)
         flickers: Mask = (count >= self._high) | (self._flickers[pixels] & (count > self._low))
-        self._rise_us[pixels], self._count[pixels], self._flickers[pixels] = t_us, count, flickers
+        self._rise_us[pixels] = t_us
+        self._count[pixels] = count
+        self._flickers[pixels] = flickers
         return flickers

@@ -74,7 +74,10 @@ class BoardModel(BoardIdentity):
     chip: Chip = IMX636
 
 
-_PROPHESEE, _SILKY, _SILKY_LITE, _UEYE = (0x04B4, 0x00F5), (0x31F7, 0x0003), (0x31F7, 0x0004), (0x1409, 0x8E00)
+_PROPHESEE = (0x04B4, 0x00F5)
+_SILKY = (0x31F7, 0x0003)
+_SILKY_LITE = (0x31F7, 0x0004)
+_UEYE = (0x1409, 0x8E00)
 _IDS = "IDS Imaging Development Systems GmbH"
 
 BOARDS: Mapping[str, BoardModel] = {
@@ -90,7 +93,9 @@ BOARDS: Mapping[str, BoardModel] = {
 """Boards by the name of the camera model in a rig."""
 
 
-_MASKS_ON, _TAKE_OVER, _KEEP_INSIDE = 1 << 1, 1 << 5, 1 << 6
+_MASKS_ON = 1 << 1
+_TAKE_OVER = 1 << 5
+_KEEP_INSIDE = 1 << 6
 _RATE = (Address.RATE_STATE, Address.RATE_PERIOD, Address.RATE_EVENTS, Address.RATE_ON, Address.RATE_DROPS)
 
 

@@ -51,9 +51,14 @@ from firmware_protocol.prophesee.biases import BiasModel
 SIZE = (1280, 720)
 PIXEL_MASKS = 64
 
-_LOW_END, _SYSTEM, _SYSTEM_END = 0x1_0000, 0x40_0000, 0x40_1000
+_LOW_END = 0x1_0000
+_SYSTEM = 0x40_0000
+_SYSTEM_END = 0x40_1000
 _FILTER_IS_READY = 1 << 2
-_READY, _VALID_LIGHT, _VALID_DEAD_TIME, _MEASURE_DEAD_TIME = 1 << 11, 1 << 29, 1 << 28, 3 << 30
+_READY = 1 << 11
+_VALID_LIGHT = 1 << 29
+_VALID_DEAD_TIME = 1 << 28
+_MEASURE_DEAD_TIME = 3 << 30
 
 
 class Address(IntEnum):

@@ -48,7 +48,10 @@ from firmware_protocol.usb.device import Identity
 VERSION = 0x0111
 REQ_DEVLIST, REP_DEVLIST = 0x8005, 0x0005
 REQ_IMPORT, REP_IMPORT = 0x8003, 0x0003
-CMD_SUBMIT, CMD_UNLINK, RET_SUBMIT, RET_UNLINK = 1, 2, 3, 4
+CMD_SUBMIT = 1
+CMD_UNLINK = 2
+RET_SUBMIT = 3
+RET_UNLINK = 4
 
 OP_HEADER = struct.Struct(">HHI")
 COUNT = struct.Struct(">I")

@@ -357,7 +357,9 @@ class Feed:
         numbers = np.arange(first, last + 1)
         self._marks += len(numbers)
         marks = empty_edges(len(numbers))
-        marks["t"], marks["kind"], marks["seq"] = numbers * self._period_us, EdgeKind.PULSE, numbers & 0xFFFF
+        marks["t"] = numbers * self._period_us
+        marks["kind"] = EdgeKind.PULSE
+        marks["seq"] = numbers & 0xFFFF
         return marks
 
     def edge_report(self, *, final: bool = False) -> EdgeReport:

@@ -41,7 +41,7 @@ class LinkParameters:
         return None
 
     def needs(self) -> tuple[Need, ...]:
-        """Return its requirements on the machine, beyond evstim and its base dependencies."""
+        """Return the requirements on the machine, beyond evstim and its base dependencies."""
         return ()
 
     def sends_evt(self) -> bool:

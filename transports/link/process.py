@@ -139,7 +139,7 @@ class Link:
         if len(marks):
             self._feed.marks_sent += self.endpoint.mark(marks)
         self.endpoint.pump()
-        self._tally.delivered = self._delivered
+        self._tally.delivered = self._device.delivered - sum(fault.events_lost for fault in self._faults)
         if self._deliveries.recording is not None and not self._device.waiting_items:
             self._deliveries.reach(self._device.now_us, self._device.epoch_us)
 
@@ -286,10 +286,6 @@ class Link:
         return min(until_us, begun_us + (self._clock.now_ns() - begun_ns) // 1000)
 
     @property
-    def _delivered(self) -> int:
-        return self._device.delivered - sum(fault.events_lost for fault in self._faults)
-
-    @property
     def idle(self) -> bool:
         """True when no data wait, neither in the ring nor in the camera."""
         if self._lags or self._ring.waiting or self._feed.readings.waiting:
@@ -304,6 +300,8 @@ class Link:
         endpoint = self.endpoint.report()
         adjusted = self._device if isinstance(self._device, HostAdjusted) else None
         destroyed = sum(fault.events_lost for fault in faults)
+        of_truth = "" if self._truth is None else self._truth.trouble
+        troubles = (self._deliveries.trouble, of_truth, endpoint.trouble, *(fault.log_trouble for fault in faults))
         return LinkReport(
             state="closed" if final else self.endpoint.state,
             address=None if final else endpoint.address,
@@ -320,17 +318,12 @@ class Link:
             edges=self._feed.edge_report(final=final),
             clock=self._clock_report(final=final),
             faults=faults,
-            file_troubles=self._file_troubles(endpoint.trouble, faults),
+            file_troubles=tuple(dict.fromkeys(filter(None, troubles))),
             sensor_factors={} if adjusted is None else adjusted.sensor_factors,
             without_effect={} if adjusted is None else adjusted.without_effect,
             readings=self._feed.readings.reports(final=final),
             recordings=tuple(file for file in (self._deliveries.recording, endpoint.recording) if file is not None),
         )
-
-    def _file_troubles(self, of_endpoint: str, faults: tuple[FaultRecord, ...]) -> tuple[str, ...]:
-        truth = "" if self._truth is None else self._truth.trouble
-        troubles = (self._deliveries.trouble, truth, of_endpoint, *(fault.log_trouble for fault in faults))
-        return tuple(dict.fromkeys(filter(None, troubles)))
 
     def _clock_report(self, *, final: bool) -> ClockReport | None:
         if final:  # the host has disconnected, so the device's time is not valid

@@ -120,22 +120,16 @@ class ChangeWatch:
         So the sensor follows the settings whatever else a host sends.
         """
         if len(self.waiting) < _MOST_WAITING:
-            self._add_count(change.t_us)
+            if self._not_listed:
+                self.waiting.append(Occurrence(change.t_us, self._by, f"{self._not_listed} more, not listed"))
+                self._not_listed = 0
             self.waiting.append(change)
         elif isinstance(change, Occurrence):
             self._not_listed += 1
         else:
-            self._replace_settings(change)
-
-    def _add_count(self, t_us: int) -> None:
-        if self._not_listed:
-            self.waiting.append(Occurrence(t_us, self._by, f"{self._not_listed} more, not listed"))
-            self._not_listed = 0
-
-    def _replace_settings(self, settings: CameraSettings) -> None:
-        if isinstance(self.waiting[-1], CameraSettings):
-            self.waiting.pop()
-        self.waiting.append(settings)
+            if isinstance(self.waiting[-1], CameraSettings):
+                self.waiting.pop()
+            self.waiting.append(change)
 
     def settled_us(self, reached_us: int) -> int:
         """Return the stream time before which no further change of the sensor can come, for a camera at `reached_us`.

@@ -232,7 +232,7 @@ class EventRing(SharedRing):
         self.cells[_CLOSED] = 1
 
     def push(self, events: Events) -> int:
-        """See `SharedRing.push`."""
+        """Write events, (n,) EVENT, as many as there is room for; return their number."""
         if not len(events):
             return 0
         self._first_us = min(self._first_us, int(events["t"][0]))
@@ -306,7 +306,7 @@ class ReadingRing(SharedRing):
         return max(len(records), starts[-1] + self._longest if starts else 0) <= self.room
 
     def push(self, records: Readings) -> int:
-        """See `SharedRing.push`; a frame is written whole or refused whole."""
+        """Write readings, and return their number; a frame is written whole or refused whole."""
         return sum(self._push_part(part) for part in np.split(records, self._starts(records)) if len(part))
 
     def _push_part(self, part: Readings) -> int:

@@ -85,7 +85,7 @@ class TcpLink(LinkParameters):
         check_allow(self.host, self.allow)
 
     def listens_on(self) -> tuple[str, int] | None:
-        """Return its address, unless any free port is suitable."""
+        """Return the address, unless any free port is suitable."""
         return (self.host, self.port) if self.port else None
 
     def needs(self) -> tuple[Need, ...]:

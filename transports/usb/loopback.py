@@ -156,7 +156,7 @@ class LoopbackEndpoint(Endpoint):
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`."""
+        """Longest possible: nothing but new data has an effect."""
         return REST_NS
 
     def pump(self) -> None:
