@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from firmware_protocol.events import Events
 from firmware_protocol.fx3.blocks import Block, Marks, no_marks, put_in_place, with_places
+from firmware_protocol.fx3.stream import TimedEncoder
 from firmware_protocol.fx3.words import (
     COLUMN_OFF,
     MAX_ADDRESS,
@@ -30,7 +31,6 @@ from firmware_protocol.fx3.words import (
     WORD,
     WRAP_BITS,
     Encoded,
-    TimedEncoder,
     Words,
     WordState,
 )

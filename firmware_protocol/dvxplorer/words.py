@@ -39,6 +39,7 @@ from firmware_protocol.compiled import entry_of, kernel
 from firmware_protocol.events import EVENT, Events, bytes_of
 from firmware_protocol.evt.words import EVENT_BYTES, short_at, time_at
 from firmware_protocol.fx3.blocks import Block, Marks, no_marks, put_in_place, with_places
+from firmware_protocol.fx3.stream import TimedEncoder
 from firmware_protocol.fx3.words import (
     LOW_BITS,
     MAX_STEPS,
@@ -48,7 +49,6 @@ from firmware_protocol.fx3.words import (
     WRAP,
     WRAP_BITS,
     Encoded,
-    TimedEncoder,
     Words,
     WordState,
     is_column,

@@ -51,6 +51,7 @@ import numpy.typing as npt
 from firmware_protocol.device.items import Reading, ReadingKind, Readings
 from firmware_protocol.events import EDGE, EdgeKind, Edges
 from firmware_protocol.frames import LineKind
+from firmware_protocol.fx3.words import APS_SAMPLE, MISC8, MISC10, WORD, Special, Words
 from firmware_protocol.imu_samples import IMU_SAMPLE, ImuSamples
 
 MARK = np.dtype([("t", "<u8"), ("code", "<u2")])
@@ -63,10 +64,13 @@ GENERATOR_RISING, GENERATOR_FALLING = 12, 13
 
 
 _KIND_OF_CODE = np.zeros(18, np.uint8)
-_KIND_OF_CODE[[2, 3, 4]] = EdgeKind.FALLING, EdgeKind.RISING, EdgeKind.PULSE
-_KIND_OF_CODE[[16, 17]] = GENERATOR_FALLING, GENERATOR_RISING
+_KIND_OF_CODE[[Special.INPUT_FALLING, Special.INPUT_RISING, Special.INPUT_PULSE]] = (
+    EdgeKind.FALLING,
+    EdgeKind.RISING,
+    EdgeKind.PULSE,
+)
+_KIND_OF_CODE[[Special.GENERATOR_FALLING, Special.GENERATOR_RISING]] = GENERATOR_FALLING, GENERATOR_RISING
 
-Words = npt.NDArray[np.uint16]
 Times = npt.NDArray[np.int64]
 
 
@@ -93,10 +97,9 @@ IMU_READ = np.dtype([("sample", IMU_SAMPLE), ("resets", "<u4")])
 """A sample in device time, and how many timestamp resets came before it."""
 
 
-_WORD = np.dtype("<u2")
-_RESET = 1
-_START = 5
-_END = 7
+_RESET = int(Special.TIMESTAMP_RESET)  # plain numbers, which numpy compares without widening
+_START = int(Special.IMU_START)
+_END = int(Special.IMU_END)
 _SCALE, _DATA = 0x5300, 0x5000
 _HIGH_BYTE = 0xFF00
 _GROUPS = ((7, slice(0, 3)), (5, slice(3, 4)), (6, slice(4, 7)))
@@ -108,8 +111,8 @@ def imu_words(sample: ImuSamples) -> Words:
     present = np.concatenate([counts[group] for _, group in _present(scale)] or [np.empty(0, np.int16)])
     data = present.astype(">i2").view(np.uint8)
     return np.concatenate(
-        [[np.uint16(_START), np.uint16(_SCALE | scale)], data.astype(_WORD) | _WORD.type(_DATA), [np.uint16(_END)]]
-    ).astype(_WORD)
+        [[np.uint16(_START), np.uint16(_SCALE | scale)], data.astype(WORD) | WORD.type(_DATA), [np.uint16(_END)]]
+    ).astype(WORD)
 
 
 def _present(scale: int) -> list[tuple[int, slice]]:
@@ -185,20 +188,15 @@ def _counts(data: bytes, groups: list[slice]) -> list[int]:
 PLACE = 0x0FFF
 """A special code that no stream uses."""
 
-APS_SAMPLE = 0x4000
-MISC8 = 0x5000
-MISC10 = 0x6000
 _ROI_HIGH, _ROI_LOW = 1, 2
-_START_GLOBAL = 8
-_START_ROLLING = 9
-_END_BLOCKS = 10
-_RESET_BLOCKS = 11
-_SIGNAL = 12
-_COLUMN_END = 13
 _LINES = (LineKind.RESET, LineKind.SIGNAL)
-_LINE_START = np.zeros(len(LineKind), "<u2")
-_LINE_START[list(_LINES)] = _RESET_BLOCKS, _SIGNAL
-_CODE = {LineKind.EXPOSURE_START: 14, LineKind.EXPOSURE_END: 15, LineKind.END: _END_BLOCKS}
+_LINE_START = np.zeros(len(LineKind), WORD)
+_LINE_START[list(_LINES)] = Special.RESET_COLUMN, Special.SIGNAL_COLUMN
+_CODE = {
+    LineKind.EXPOSURE_START: Special.EXPOSURE_START,
+    LineKind.EXPOSURE_END: Special.EXPOSURE_END,
+    LineKind.END: Special.FRAME_END,
+}
 
 
 @dataclass(frozen=True)
@@ -213,11 +211,11 @@ class Block:
 def frame_words(lines: Readings) -> list[Words]:
     """Return the words of frame lines and frame boundaries, (n,) of `line_record`, one array for each."""
     of_kind = lines["kind"].tolist()
-    table = np.empty((len(lines), lines["samples"].shape[1] + 2), "<u2")
+    table = np.empty((len(lines), lines["samples"].shape[1] + 2), WORD)
     table[:, 0] = _LINE_START[lines["kind"]]
     np.bitwise_or(lines["samples"], APS_SAMPLE, out=table[:, 1:-1])
     ends = lines["length"].astype(np.intp) + 1
-    table[np.arange(len(lines)), ends] = _COLUMN_END
+    table[np.arange(len(lines)), ends] = Special.COLUMN_END
     stops = (ends + 1).tolist()
     return [
         table[k, : stops[k]] if kind in _LINES else _moment_words(LineKind(kind), lines[k])
@@ -228,16 +226,16 @@ def frame_words(lines: Readings) -> list[Words]:
 def _moment_words(kind: LineKind, line: np.void) -> Words:
     """Return the words of a moment of a frame; its start carries exposure and region of interest."""
     if kind is not LineKind.START:
-        return np.array([_CODE[kind]], "<u2")
+        return np.array([_CODE[kind]], WORD)
     exposure = int(line["exposure"])
-    start = _START_GLOBAL if line["global_shutter"] else _START_ROLLING
+    start = Special.FRAME_START_GLOBAL if line["global_shutter"] else Special.FRAME_START_ROLLING
     parts = [MISC10 | exposure >> shift & 0x3FF for shift in (0, 10, 20)]
     region = [
         MISC8 | code << 8 | byte
         for place in line["roi"].tolist()
         for code, byte in ((_ROI_HIGH, place >> 8), (_ROI_LOW, place & 0xFF))
     ]
-    return np.array([start, *parts, *region], "<u2")
+    return np.array([start, *parts, *region], WORD)
 
 
 def blocks_of(kind: ReadingKind, readings: Readings) -> list[Block]:
