@@ -129,7 +129,7 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
     path = ("camera",)
     if not isinstance(table, dict):
         raise TableError(f"expected a table, got {table!r}", path)
-    model = table.get("model", "davis346")
+    model = table.get("model", Camera.model)
     if not isinstance(model, str) or model not in CAMERA_MODELS:
         raise TableError(unknown(str(model), list(CAMERA_MODELS)), (*path, "model"))
     own = {k: v for k, v in table.items() if k != "sensor"}
