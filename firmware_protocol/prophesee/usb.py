@@ -26,7 +26,7 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from typing import Protocol
 
 from firmware_protocol.device.items import Numbers
 from firmware_protocol.events import Events
@@ -35,6 +35,7 @@ from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.evt.words import Coder
 from firmware_protocol.prophesee.biases import BiasModel
 from firmware_protocol.prophesee.camera import LONGEST_GAP_US, Outflow, OutflowLimits, PropheseeCamera, Selected
+from firmware_protocol.prophesee.registers import ChipRegisters, Form
 from firmware_protocol.prophesee.treuzell import Board, BoardFacts
 from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.descriptors import (
@@ -57,9 +58,6 @@ from firmware_protocol.usb.device import (
     UsbCamera,
     UsbCameraSettings,
 )
-
-Form = Literal["evt3", "evt2", "evt21", "evt21-legacy"]
-"""Form of the words: see `evt.words` and `evt.evt2`."""
 
 _SILENCE_US = 4096  # a high part of the time
 _FEWEST_EVENTS = 16  # made into words together, also for a host that requests less
@@ -176,43 +174,6 @@ class ChipNames(Protocol):
     @property
     def compatible(self) -> tuple[str, ...]:
         """Names by which OpenEB finds the driver."""
-
-
-class ChipRegisters(Protocol):
-    """The registers of a sensor, and their effects."""
-
-    def power_on(self) -> None:
-        """Set every register to its power-on value."""
-
-    def read(self, address: int) -> int:
-        """Return a register's value; raises LookupError."""
-
-    def write(self, address: int, value: int) -> None:
-        """Write a register, and apply its effect within the sensor; raises LookupError."""
-
-    @property
-    def bias_steps(self) -> Mapping[str, int]:
-        """Steps of each bias away from the factory's value, by Prophesee's names."""
-
-    @property
-    def currents(self) -> dict[str, int]:
-        """Values of the biases, by Prophesee's names."""
-
-    @property
-    def form(self) -> Form:
-        """Form of the words that leave the sensor."""
-
-    @property
-    def time_runs(self) -> bool:
-        """True if the sensor's clock runs."""
-
-    @property
-    def running(self) -> bool:
-        """True if events leave the sensor."""
-
-    @property
-    def has_trigger(self) -> bool:
-        """True if the trigger input is on."""
 
 
 class ChipSelection(Protocol):
