@@ -12,7 +12,7 @@ PACKAGES = ("evstim", "emulator", "transports", "firmware_protocol")
 # The names of each camera, the places where they belong (the folder of its bytes and its record, its driver), and the
 # number of other modules that name it, which may only fall.
 CAMERAS = {
-    "DAVIS346": (r"davis", "davis346", "davis_host", 19),
+    "DAVIS346": (r"davis", "davis346", "davis_host", 18),
     "DVXplorer": (r"dvxplorer", "dvxplorer", "dvxplorer_host", 4),
     "GenX320": (r"gen_?x", "genx320", "treuzell_host", 2),
     "EVK4 and Triton2": (r"imx636|evk4|triton|silkyevcam|ueye", "imx636", "treuzell_host", 8),

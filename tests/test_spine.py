@@ -1,8 +1,12 @@
-"""The spine, what one reads first: its size and its imports."""
+"""The spine, what one reads first: its size, its imports, and the members of its three interfaces."""
 
 import ast
 import tomllib
 from pathlib import Path
+
+from firmware_protocol.device.event_device import EventDevice
+from transports.link.endpoint import Endpoint
+from transports.link.kind import LinkKind
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("evstim", "emulator", "transports", "firmware_protocol", "laboratory")
@@ -54,3 +58,16 @@ def test_the_spine_imports_itself_and_values():
     imported = {name: module for module in modules for name in imports_of(module)}
     assert {name: module for name, module in imported.items() if name not in modules | VALUES} == {}
     assert set(imported) >= VALUES, "remove what the spine no longer imports"
+
+
+def members(kind):
+    """The public members that a class and its bases of ours have."""
+    names = {name for base in kind.__mro__ if base.__module__ in PATHS for name in vars(base)}
+    names |= {name for base in kind.__mro__ if base.__module__ in PATHS for name in base.__annotations__}
+    return sorted(name for name in names if not name.startswith("_"))
+
+
+def test_the_interfaces_are_small():
+    assert len(members(EventDevice)) <= 14, members(EventDevice)
+    assert len(members(LinkKind)) <= 10, members(LinkKind)
+    assert len(members(Endpoint)) <= 12, members(Endpoint)

@@ -9,8 +9,7 @@ from emulator.optics.lens import Chip
 from emulator.rig.kinds import CameraModel, UsbModel, UsbSettings
 from emulator.rig.tables import Camera
 from emulator.sensor.presets import PRESETS
-from firmware_protocol.genx320.biases import SLOPES
-from firmware_protocol.genx320.device import Genx320, Genx320Settings
+from firmware_protocol.genx320.device import SLOPES, Genx320, Genx320Settings
 from firmware_protocol.genx320.registers import Surroundings
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera

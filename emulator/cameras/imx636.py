@@ -11,8 +11,7 @@ from emulator.rig.kinds import CameraModel, UsbModel, UsbSettings
 from emulator.rig.tables import Camera
 from emulator.sensor.presets import PRESETS
 from firmware_protocol.device.event_device import EventDevice
-from firmware_protocol.imx636.boards import BOARDS
-from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
+from firmware_protocol.imx636.evk4 import BOARDS, Evk4, Evk4Settings
 from firmware_protocol.imx636.registers import Surroundings
 from firmware_protocol.prophesee.biases import BiasSlopes
 from firmware_protocol.usb.descriptors import Speed

@@ -22,7 +22,7 @@ from firmware_protocol.imu_samples import BMI160
 from firmware_protocol.prophesee.biases import BiasSlopes
 from firmware_protocol.usb.device import UsbCamera
 from transports.faults.kinds import FAULTS, Fault
-from transports.link.kind import LinkKind, LinkParameters
+from transports.link.kind import LinkKind, LinkParameters, possible_faults
 from transports.registry import PluginError, Registry, unknown
 
 LINKS: Registry[LinkKind[Any]] = Registry(
@@ -64,7 +64,7 @@ SCENES: Registry[SceneKind] = Registry(
 
 def faults_of(link: LinkParameters) -> Mapping[str, type[Fault]]:
     """Return the faults that a link of these parameters can have, by kind."""
-    return LINKS[link.kind].possible_faults(link)
+    return possible_faults(LINKS[link.kind], link)
 
 
 def convert_fault(table: object, links: Sequence[LinkParameters], path: KeyPath) -> Fault:
@@ -78,7 +78,7 @@ def convert_fault(table: object, links: Sequence[LinkParameters], path: KeyPath)
 
 def assigned_fault(fault: Fault, links: Sequence[LinkParameters], path: KeyPath = ()) -> Fault:
     """Return a fault with the name of the link of `links` that has it; raises TableError, at `path`."""
-    able = [link.name for link in links if LINKS[link.kind].can_have(type(fault), link)]
+    able = [link.name for link in links if fault.kind in faults_of(link)]
     if not fault.link and len(able) == 1:
         return dataclasses.replace(fault, link=able[0])
     if fault.link in able:

@@ -127,7 +127,7 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
     path = ("camera",)
     if not isinstance(table, dict):
         raise TableError(f"expected a table, got {table!r}", path)
-    model = table.get("model", "davis346")
+    model = table.get("model", Camera.model)
     if not isinstance(model, str) or model not in CAMERA_MODELS:
         raise TableError(unknown(str(model), list(CAMERA_MODELS)), (*path, "model"))
     own = {k: v for k, v in table.items() if k != "sensor"}
@@ -233,7 +233,7 @@ def _links(tables: object, rig: Mapping[str, Any]) -> tuple[LinkParameters, ...]
 
 def _link(table: object, camera: Camera, path: KeyPath) -> LinkParameters:
     kind, rest = _of_kind(table, LINKS, path)
-    link: LinkParameters = convert(kind.complete(rest), kind.parameters, path)
+    link: LinkParameters = convert(kind.parameters.complete(rest), kind.parameters, path)
     if not _LINK_NAME.fullmatch(link.name):
         message = f"{link.name!r} cannot be part of a file's name: take 1 to 64 of the letters A-Z a-z 0-9 . _ -"
         raise TableError(f"{message}, the first no dot or hyphen", (*path, "name"))
@@ -251,8 +251,8 @@ def _check_apart(link: LinkParameters, earlier: tuple[LinkParameters, ...], path
     """Raise TableError for a link that has the name or the port of an earlier one."""
     if link.name in [other.name for other in earlier]:
         raise TableError(f"name {link.name!r} is taken by an earlier link; give each its own", path)
-    place = LINKS[link.kind].listens_on(link)
-    if place is not None and place in [LINKS[other.kind].listens_on(other) for other in earlier]:
+    place = link.listens_on()
+    if place is not None and place in [other.listens_on() for other in earlier]:
         raise TableError(f"port {place[1]} is taken by an earlier link; give each its own", (*path, "port"))
 
 

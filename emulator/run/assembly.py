@@ -146,7 +146,7 @@ _EXPOSURE_NS, _INTERVAL_NS = 4_000_000, 40_000_000
 
 
 def initial_readings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
-    """Return the settings of each kind of readings at the start, as `EventDevice.reading_settings`."""
+    """Return the settings of each kind of readings at the start, as `TakesReadings.reading_settings`."""
     has_host = any(LINKS[one.kind].serves == "usb" and not carries_second(rig, one.name) for one in rig.links)
     return {kind: () if has_host else settings for kind, settings in _driver_settings(rig).items()}
 
@@ -433,5 +433,5 @@ def _usb_camera(rig: Rig, kind: LinkKind[Any], is_master: bool) -> Callable[[], 
     usb = usb_model(rig.camera, kind)
     if usb is None:
         raise RigError(f"{rig.name}: there is no USB model for a {rig.camera.model} yet")
-    delay_ms = rig.camera.start_delay_ms if kind.start_delay else 0.0
+    delay_ms = rig.camera.start_delay_ms if kind.usb_model is None else 0.0
     return usb.device(rig.camera, UsbSettings(delay_ms, _pulse_us(rig), is_master))

@@ -103,7 +103,7 @@ def parts_of(rig: Rig) -> list[Part]:
 def _has_evt(rig: Rig, link: LinkParameters) -> bool:
     """Return whether a link, or the USB device behind it, sends EVT3 or EVT2 words."""
     usb = _usb_device(rig, link)
-    return LINKS[link.kind].has_evt(link) or (usb is not None and usb.has_evt)
+    return link.sends_evt() or (usb is not None and usb.has_evt)
 
 
 def _usb_device(rig: Rig, link: LinkParameters) -> UsbModel | None:

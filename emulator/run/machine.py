@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from emulator.gl.context import PACKAGES, WANTED, probe, renderers, selected_painter
-from emulator.rig.kinds import LINKS, SCENES
+from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.scene.kind import SceneParameters
 from emulator.trajectory.parameters import LivePath
@@ -179,7 +179,7 @@ def _live_path(scene: SceneParameters) -> LivePath | None:
 
 def _on_free_port(link: LinkParameters, folder: Path) -> LinkParameters:
     changed: dict[str, object] = {}
-    if LINKS[link.kind].listens_on(link) is not None:
+    if link.listens_on() is not None:
         changed["port"] = 0
     if getattr(link, "symlink", ""):
         changed["symlink"] = str(folder / f"{link.name}.tty")
@@ -206,7 +206,7 @@ GL = Need("OpenGL 4.3 by EGL", egl)
 def needs_of(rig: Rig) -> tuple[Need, ...]:
     """Return the needs of the scene, the links and the painter of a rig, each once."""
     scene = SCENES[rig.scene.kind]
-    found = [*scene.needs(rig.scene), *(need for link in rig.links for need in LINKS[link.kind].needs(link))]
+    found = [*scene.needs(rig.scene), *(need for link in rig.links for need in link.needs())]
     if scene.gl and selected_painter(rig.run.painter) == "gl":
         found.append(GL)
     return tuple({need.name: need for need in found}.values())

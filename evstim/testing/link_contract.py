@@ -23,7 +23,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 import pytest
 
-from emulator.rig.kinds import LINKS, SCENES
+from emulator.rig.kinds import LINKS, SCENES, faults_of
 from emulator.rig.loading import Rig
 from emulator.rig.tables import Camera
 from emulator.run.assembly import link_setups
@@ -164,7 +164,7 @@ class LinkContract:
 
     def test_every_fault_of_its_kind_begins_and_the_ledger_balances(self, link: LinkProcess, connected: Reader) -> None:
         """Each fault that the kind names can be injected, and the events that it destroys are counted."""
-        kinds = LINKS[self.parameters.kind].possible_faults(self.parameters)
+        kinds = faults_of(self.parameters)
         link.start(FREE_RUNNING)
         for fault in kinds.values():
             link.inject(fault())

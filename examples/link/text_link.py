@@ -12,13 +12,13 @@ from typing import ClassVar
 from firmware_protocol.device.plain_device import PlainDevice, own_time
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import Endpoint, EndpointFactory
-from transports.link.kind import LinkKind, Wiring
+from transports.link.kind import LinkKind, LinkParameters, Wiring
 
 MOST_EVENTS = 50  # in a datagram: their lines fit a packet of Ethernet
 
 
 @dataclass(frozen=True)
-class TextLink:
+class TextLink(LinkParameters):
     """Lines of text to one address.
 
     Attributes

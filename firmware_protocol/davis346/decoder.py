@@ -48,9 +48,7 @@ from firmware_protocol.fx3.words import (
 
 Times = npt.NDArray[np.int64]
 
-_KIND, _SPECIAL_END, _SAMPLE, _MISC8, _MISC10 = 0xF000, 0x1000, 0x4000, 0x5000, 0x6000
-_TIME_RESET, _START_GLOBAL, _START_ROLLING, _END = 1, 8, 9, 10
-_RESET, _SIGNAL, _LINE_END, _EXPOSURE_START, _EXPOSURE_END = 11, 12, 13, 14, 15
+_TIME_RESET = int(Special.TIMESTAMP_RESET)  # a plain number, which numpy compares without widening
 
 
 @dataclass
@@ -62,9 +60,9 @@ class _Open:
     exposure: list[int] = field(default_factory=list)
     roi_bytes: list[int] = field(default_factory=list)
     moments_us: dict[int, int] = field(default_factory=dict)
-    lines: dict[int, list[Words]] = field(default_factory=lambda: {_RESET: [], _SIGNAL: []})
+    lines: dict[int, list[Words]] = field(default_factory=lambda: {Special.RESET_COLUMN: [], Special.SIGNAL_COLUMN: []})
     line: list[Words] | None = None
-    line_kind: int = _RESET
+    line_kind: int = Special.RESET_COLUMN
 
 
 class FrameReader:
@@ -92,7 +90,7 @@ class FrameReader:
         """Read words (n,) other than events, with the time in force at each; return the frames that they complete."""
         frames: list[FrameRead] = []
         done = 0
-        for at in np.flatnonzero(words < _SPECIAL_END).tolist():
+        for at in np.flatnonzero(words < ROW).tolist():
             self._data(words[done:at])
             self._special(int(words[at]), int(times_us[at]), frames)
             done = at + 1
@@ -101,21 +99,21 @@ class FrameReader:
 
     def _special(self, code: int, t_us: int, frames: list[FrameRead]) -> None:
         self.resets += code == _TIME_RESET
-        if code in (_START_GLOBAL, _START_ROLLING):
+        if code in (Special.FRAME_START_GLOBAL, Special.FRAME_START_ROLLING):
             self._abandon()
-            self._open = _Open(t_us, code == _START_GLOBAL)
+            self._open = _Open(t_us, code == Special.FRAME_START_GLOBAL)
         elif self._open is None:
             return
         elif code == _TIME_RESET:
             self._abandon()
-        elif code in (_RESET, _SIGNAL):
+        elif code in (Special.RESET_COLUMN, Special.SIGNAL_COLUMN):
             self._open.line, self._open.line_kind = [], code
-        elif code == _LINE_END and self._open.line is not None:
+        elif code == Special.COLUMN_END and self._open.line is not None:
             self._open.lines[self._open.line_kind].append(np.concatenate([np.empty(0, "<u2"), *self._open.line]))
             self._open.line = None
-        elif code in (_EXPOSURE_START, _EXPOSURE_END):
+        elif code in (Special.EXPOSURE_START, Special.EXPOSURE_END):
             self._open.moments_us.setdefault(code, t_us)
-        elif code == _END:
+        elif code == Special.FRAME_END:
             self._finish(self._open, t_us, frames)
 
     def _abandon(self) -> None:
@@ -126,16 +124,16 @@ class FrameReader:
         if self._open is None or not len(words):
             return
         if self._open.line is not None:
-            self._open.line.append(words[words & _KIND == _SAMPLE] & 0xFFF)
-        elif not self._open.lines[_RESET]:
+            self._open.line.append(words[words & KIND == APS_SAMPLE] & 0xFFF)
+        elif not self._open.lines[Special.RESET_COLUMN]:
             self._head(words)
 
     def _head(self, words: Words) -> None:
         """Read exposure and region, which come before the first line."""
         assert self._open is not None
-        misc10 = words[words & 0xFC00 == _MISC10]
+        misc10 = words[words & 0xFC00 == MISC10]
         self._open.exposure += (misc10 & 0x3FF).tolist()
-        roi = words[np.isin(words & 0xFF00, (_MISC8 | 0x100, _MISC8 | 0x200))]
+        roi = words[np.isin(words & 0xFF00, (MISC8 | 0x100, MISC8 | 0x200))]
         self._open.roi_bytes += (roi & 0xFF).tolist()
 
     def _finish(self, frame: _Open, end_us: int, frames: list[FrameRead]) -> None:
@@ -151,15 +149,23 @@ class FrameReader:
             return None
         left, top, right, bottom = (high << 8 | low for high, low in zip(*[iter(frame.roi_bytes)] * 2, strict=True))
         shape = (bottom - top + 1, right - left + 1) if self._turned else (right - left + 1, bottom - top + 1)
-        reads = [_array(frame.lines[kind], shape) for kind in (_RESET, _SIGNAL)]
+        reads = [_array(frame.lines[kind], shape) for kind in (Special.RESET_COLUMN, Special.SIGNAL_COLUMN)]
         if reads[0] is None or reads[1] is None:
             return None
         reset, signal = (read if self._turned else read.T for read in reads if read is not None)
         exposure = sum(part << 10 * k for k, part in enumerate(frame.exposure))
         return FrameRead(
-            frame.start_us, frame.moments_us[_EXPOSURE_START], frame.moments_us[_EXPOSURE_END], end_us, exposure,
-            frame.global_shutter, (left, top, right, bottom), self.resets, reset, signal,
-        )  # fmt: skip
+            start_us=frame.start_us,
+            exposure_start_us=frame.moments_us[Special.EXPOSURE_START],
+            exposure_end_us=frame.moments_us[Special.EXPOSURE_END],
+            end_us=end_us,
+            exposure_cycles=exposure,
+            global_shutter=frame.global_shutter,
+            roi=(left, top, right, bottom),
+            resets=self.resets,
+            reset=reset,
+            signal=signal,
+        )
 
 
 def _array(lines: list[Words], shape: tuple[int, int]) -> Words | None:
@@ -223,7 +229,7 @@ class Decoder:
         imu = [np.empty(0, IMU_READ)]
         filled = 0
         for first in range(0, len(words), _BLOCK_WORDS):
-            count, special = self._block(words[first : first + _BLOCK_WORDS], events[filled:], (frames, imu))
+            count, special = self._block(words[first : first + _BLOCK_WORDS], events[filled:], frames, imu)
             special["index"] += filled
             filled += count
             specials.append(special)
@@ -232,9 +238,9 @@ class Decoder:
         )
 
     def _block(
-        self, words: Words, out: Events, readings: tuple[list[FrameRead], list[npt.NDArray[np.void]]]
+        self, words: Words, out: Events, frames: list[FrameRead], imu: list[npt.NDArray[np.void]]
     ) -> tuple[int, npt.NDArray[np.void]]:
-        """Decode into the front of `out` and append to `readings`; return how many events, and the specials."""
+        """Decode into the front of `out`, append to `frames` and `imu`; return how many events, and the specials."""
         rare = np.flatnonzero((words < ROW) | ((words >= APS_SAMPLE) & (words < TIMESTAMP)))
         at, columns = self._columns_in(words)
         stamp_of, time_us = self._timeline(words, rare)
@@ -247,8 +253,8 @@ class Decoder:
         seldom, seldom_us = words.take(rare), time_us.take(stamp_of.take(rare))
         specials = self._specials(seldom, rare, at, seldom_us)
         if len(seldom):
-            readings[0].extend(self._frames.feed(seldom, seldom_us))
-            readings[1].append(self._imu.feed(seldom, seldom_us))
+            frames.extend(self._frames.feed(seldom, seldom_us))
+            imu.append(self._imu.feed(seldom, seldom_us))
         self._time_us, self._row = int(time_us[-1]), int(rows[-1])
         return len(at), specials
 
@@ -288,7 +294,9 @@ class Decoder:
         else:
             time_us[1:] = stamps & LOW_BITS
             time_us[1:] += self._time_us >> WRAP_BITS << WRAP_BITS
-        self._count_backward(time_us, stamps)
+        steady = time_us[1:] > time_us[:-1]
+        if not steady.all():
+            self.faults += WordFaults(time_not_increasing=_count(~steady & (stamps != _TIME_RESET)))
         return np.cumsum(moves), time_us
 
     def _bases(self, stamps: Words) -> Index:
@@ -300,22 +308,16 @@ class Decoder:
         base: Index = total << WRAP_BITS
         return base
 
-    def _count_backward(self, time_us: Index, stamps: Words) -> None:
-        steady = time_us[1:] > time_us[:-1]
-        if steady.all():
-            return
-        self.faults += WordFaults(time_not_increasing=_count(~steady & (stamps != _TIME_RESET)))
-
     def _specials(self, words: Words, rare: Index, at: Index, time_us: Index) -> npt.NDArray[np.void]:
         """Return the specials among `words`, found at `rare`; count unknown words and words not interpreted."""
         special = words < ROW
-        found = np.empty(_count(special), SPECIAL_EVENT)
+        specials = np.empty(_count(special), SPECIAL_EVENT)
         if len(words):
             self._count_rare(words)
-            found["code"] = words[special]
-            found["t"] = time_us[special]
-            found["index"] = np.searchsorted(at, rare[special])
-        return found
+            specials["code"] = words[special]
+            specials["t"] = time_us[special]
+            specials["index"] = np.searchsorted(at, rare[special])
+        return specials
 
     def _count_rare(self, words: Words) -> None:
         unknown_special = (words < ROW) & ~np.isin(words, _KNOWN_SPECIALS)

@@ -151,7 +151,9 @@ class DvsFilters:
         if self._activity is None and settings.is_open and settings.region == self._whole:
             return events
         good = _of_polarity(events, settings) & self._in_region(events, settings)
-        cold = _cold(events, settings)
+        cold = np.ones(len(events), np.bool_)
+        for x, y in settings.hot:
+            cold &= (events["x"] != x) | (events["y"] != y)
         hot = int(np.count_nonzero(good & ~cold))
         good &= cold
         activity = None if self._activity is None else self._activity.result_for(events[good], registers)
@@ -191,15 +193,8 @@ class DvsFilters:
 def _of_polarity(events: Events, settings: FilterSettings) -> Mask:
     if settings.suppressed is None:
         return np.ones(len(events), np.bool_)
-    others: Mask = events["on"] != settings.suppressed
-    return others
-
-
-def _cold(events: Events, settings: FilterSettings) -> Mask:
-    cold = np.ones(len(events), np.bool_)
-    for x, y in settings.hot:
-        cold &= (events["x"] != x) | (events["y"] != y)
-    return cold
+    passing: Mask = events["on"] != settings.suppressed
+    return passing
 
 
 class DavisStatistics(Statistics):

@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from firmware_protocol.events import Events
 from firmware_protocol.fx3.blocks import Block, Marks, no_marks, put_in_place, with_places
+from firmware_protocol.fx3.stream import TimedEncoder
 from firmware_protocol.fx3.words import (
     COLUMN_OFF,
     MAX_ADDRESS,
@@ -30,7 +31,6 @@ from firmware_protocol.fx3.words import (
     WORD,
     WRAP_BITS,
     Encoded,
-    TimedEncoder,
     Words,
     WordState,
 )
@@ -71,9 +71,9 @@ class TimedWords:
 
 def _merged(items: Any, marks: Any, old: npt.NDArray[np.bool_], at: npt.NDArray[np.intp]) -> Any:
     """Return `items` where `old` is true and `marks` at positions `at`; np.insert takes twice as long."""
-    both = np.empty(len(old), items.dtype)
-    both[old], both[at] = items, marks
-    return both
+    merged = np.empty(len(old), items.dtype)
+    merged[old], merged[at] = items, marks
+    return merged
 
 
 def timed_words(time_us: npt.NDArray[np.int64], rows: Words, columns: Words, on: npt.NDArray[np.bool_]) -> TimedWords:
@@ -111,14 +111,14 @@ class WordEncoder(TimedEncoder):
     def encode(
         self, events: Events, epoch_us: int = 0, marks: Marks | None = None, blocks: Sequence[Block] = ()
     ) -> Encoded:
-        """See `TimedEncoder.encode`."""
+        """Return the words of items in stream order: a row word for each new row, a column word for each event."""
         before = self.state
         pieces: list[Words] = []
         self.rows = 0
         try:
             placed = with_places(no_marks() if marks is None else marks, blocks)
-            for some, between in _portions(events, placed):
-                self._encode_portion(some, between, epoch_us, pieces)
+            for portion, between in _portions(events, placed):
+                self._encode_portion(portion, between, epoch_us, pieces)
         except ValueError:
             self.state = before
             raise
@@ -130,7 +130,11 @@ class WordEncoder(TimedEncoder):
         if len(marks):
             items = items.merged(self._device_time(marks["t"], epoch_us), marks["code"], self.state.row)
         for start, stop in _between_wraps(items.time_us):
-            wraps = self._wraps_before(int(items.time_us[start]))
+            time_us = int(items.time_us[start])
+            wraps = self.advance(time_us)
+            if time_us >> WRAP_BITS != self.state.time_us >> WRAP_BITS:
+                gap_us = time_us - self.state.time_us
+                raise ValueError(f"no event for {gap_us} us: the gap is too long to encode")
             if len(wraps):
                 pieces.append(wraps)
             pieces.append(self._encode_run(items[start:stop]))
@@ -144,31 +148,25 @@ class WordEncoder(TimedEncoder):
             raise ValueError("events must be sorted by time")
         return time_us
 
-    def _wraps_before(self, time_us: int) -> Words:
-        words = self.advance(time_us)
-        if time_us >> WRAP_BITS != self.state.time_us >> WRAP_BITS:
-            raise ValueError(f"no event for {time_us - self.state.time_us} us: the gap is too long to encode")
-        return words
-
     def _encode_run(self, items: TimedWords) -> Words:
         """Encode items of one wrap period: fill a table of (timestamp, row, column) words, return the needed ones."""
         n = len(items.time_us)
         if n > len(self._table):
             self._make_tables(n)
-        table, wanted = self._table[:n], self._wanted[:n]
+        table, needed = self._table[:n], self._wanted[:n]
         low = items.time_us.astype(WORD)
         low |= TIMESTAMP
         table[:, 0] = low
         np.bitwise_or(items.rows, ROW, out=table[:, 1])
         table[:, 2] = items.words
-        wanted[0, 0] = int(items.time_us[0]) != self.state.time_us
-        wanted[0, 1] = int(items.rows[0]) not in (self.state.row, NO_ROW)
-        np.not_equal(low[1:], low[:-1], out=wanted[1:, 0])
-        np.not_equal(items.rows[1:], items.rows[:-1], out=wanted[1:, 1])
+        needed[0, 0] = int(items.time_us[0]) != self.state.time_us
+        needed[0, 1] = int(items.rows[0]) not in (self.state.row, NO_ROW)
+        np.not_equal(low[1:], low[:-1], out=needed[1:, 0])
+        np.not_equal(items.rows[1:], items.rows[:-1], out=needed[1:, 1])
         row = int(items.rows[-1])
         self.state = WordState(int(items.time_us[-1]), -1 if row == NO_ROW else row)
-        self.rows += int(np.count_nonzero(wanted[:, 1]))
-        words: Words = table.ravel().compress(wanted.ravel())
+        self.rows += int(np.count_nonzero(needed[:, 1]))
+        words: Words = table.ravel().compress(needed.ravel())
         return words
 
     def _addresses(self, events: Events) -> tuple[Words, Words]:
@@ -195,9 +193,9 @@ def _portions(events: Events, marks: Marks) -> Iterator[tuple[Events, Marks]]:
     """Yield the events in portions, each with the marks that come before its last event, the last with the rest."""
     done = 0
     for first in range(0, len(events), _PORTION):
-        some, last = events[first : first + _PORTION], first + _PORTION >= len(events)
-        upto = len(marks) if last else int(np.searchsorted(marks["t"], some["t"][-1], side="right"))
-        yield some, marks[done:upto]
+        portion, last = events[first : first + _PORTION], first + _PORTION >= len(events)
+        upto = len(marks) if last else int(np.searchsorted(marks["t"], portion["t"][-1], side="right"))
+        yield portion, marks[done:upto]
         done = upto
     if not len(events) and len(marks):
         yield events, marks

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from firmware_protocol.device.items import ReadingKind, Readings
-from firmware_protocol.dvxplorer.biases import sensor_factors, without_effect
 from firmware_protocol.dvxplorer.filters import ChipFilters, ChipStatistics
 from firmware_protocol.dvxplorer.registers import (
     SIZE,
@@ -26,6 +25,8 @@ from firmware_protocol.dvxplorer.registers import (
     registers,
     run_gate,
     scan_us,
+    sensor_factors,
+    without_effect,
 )
 from firmware_protocol.dvxplorer.words import GroupEncoder
 from firmware_protocol.fx3.blocks import Block, blocks_of
@@ -75,15 +76,14 @@ class _Samples(ReadingInput):
     """Inertial samples on their way into the stream."""
 
     def follow(self, *, words: bool) -> None:
-        """See `ReadingInput.follow`."""
         self._imu = imu_settings(self._registers, words=words)
 
     def _blocks_of(self, kind: ReadingKind, readings: Readings) -> list[Block]:
         """Return samples as blocks; their words have the axes in the order of the wire."""
         sent = readings.copy()
         sent["counts"] = readings["counts"][:, AXES_ON_THE_WIRE]
-        own = blocks_of(kind, readings)
-        return [Block(b.t_us, a.words, b.reading) for a, b in zip(blocks_of(kind, sent), own, strict=True)]
+        blocks = blocks_of(kind, readings)
+        return [Block(b.t_us, a.words, b.reading) for a, b in zip(blocks_of(kind, sent), blocks, strict=True)]
 
 
 class Dvxplorer(Fx3Camera):

@@ -35,7 +35,9 @@ from firmware_protocol.fx3.stream import EventStream
 
 Mask = npt.NDArray[np.bool_]
 
-_FLATTEN, _ON_ONLY, _OFF_ONLY = 1 << 6, 1 << 5, 1 << 4
+_FLATTEN = 1 << 6
+_ON_ONLY = 1 << 5
+_OFF_ONLY = 1 << 4
 _NO_AREA, _NO_SUBSAMPLING = 1 << 1, 1 << 2
 _BLOCK = 32
 _KEPT_OF = {1: (1, 2), 2: (2, 4), 3: (1, 4), 4: (4, 8), 7: (1, 8)}

@@ -51,6 +51,7 @@ import numpy.typing as npt
 from firmware_protocol.device.items import Reading, ReadingKind, Readings
 from firmware_protocol.events import EDGE, EdgeKind, Edges
 from firmware_protocol.frames import LineKind
+from firmware_protocol.fx3.words import APS_SAMPLE, MISC8, MISC10, WORD, Special, Words
 from firmware_protocol.imu_samples import IMU_SAMPLE, ImuSamples
 
 MARK = np.dtype([("t", "<u8"), ("code", "<u2")])
@@ -63,10 +64,12 @@ GENERATOR_RISING, GENERATOR_FALLING = 12, 13
 
 
 _KIND_OF_CODE = np.zeros(18, np.uint8)
-_KIND_OF_CODE[[2, 3, 4]] = EdgeKind.FALLING, EdgeKind.RISING, EdgeKind.PULSE
-_KIND_OF_CODE[[16, 17]] = GENERATOR_FALLING, GENERATOR_RISING
+_KIND_OF_CODE[Special.INPUT_FALLING] = EdgeKind.FALLING
+_KIND_OF_CODE[Special.INPUT_RISING] = EdgeKind.RISING
+_KIND_OF_CODE[Special.INPUT_PULSE] = EdgeKind.PULSE
+_KIND_OF_CODE[Special.GENERATOR_FALLING] = GENERATOR_FALLING
+_KIND_OF_CODE[Special.GENERATOR_RISING] = GENERATOR_RISING
 
-Words = npt.NDArray[np.uint16]
 Times = npt.NDArray[np.int64]
 
 
@@ -93,8 +96,9 @@ IMU_READ = np.dtype([("sample", IMU_SAMPLE), ("resets", "<u4")])
 """A sample in device time, and how many timestamp resets came before it."""
 
 
-_WORD = np.dtype("<u2")
-_RESET, _START, _END = 1, 5, 7
+_RESET = int(Special.TIMESTAMP_RESET)  # plain numbers, which numpy compares without widening
+_START = int(Special.IMU_START)
+_END = int(Special.IMU_END)
 _SCALE, _DATA = 0x5300, 0x5000
 _HIGH_BYTE = 0xFF00
 _GROUPS = ((7, slice(0, 3)), (5, slice(3, 4)), (6, slice(4, 7)))
@@ -103,11 +107,11 @@ _GROUPS = ((7, slice(0, 3)), (5, slice(3, 4)), (6, slice(4, 7)))
 def imu_words(sample: ImuSamples) -> Words:
     """Return the words of one sample, (1,) IMU_SAMPLE, without its time."""
     scale, counts = int(sample["scale"][0]), sample["counts"][0]
-    there = np.concatenate([counts[group] for _, group in _present(scale)] or [np.empty(0, np.int16)])
-    data = there.astype(">i2").view(np.uint8)
+    present = np.concatenate([counts[group] for _, group in _present(scale)] or [np.empty(0, np.int16)])
+    data = present.astype(">i2").view(np.uint8)
     return np.concatenate(
-        [[np.uint16(_START), np.uint16(_SCALE | scale)], data.astype(_WORD) | _WORD.type(_DATA), [np.uint16(_END)]]
-    ).astype(_WORD)
+        [[np.uint16(_START), np.uint16(_SCALE | scale)], data.astype(WORD) | WORD.type(_DATA), [np.uint16(_END)]]
+    ).astype(WORD)
 
 
 def _present(scale: int) -> list[tuple[int, slice]]:
@@ -117,8 +121,8 @@ def _present(scale: int) -> list[tuple[int, slice]]:
 def is_imu(words: Words) -> npt.NDArray[np.bool_]:
     """Return a mask of the words that belong to IMU samples."""
     kind = words & _HIGH_BYTE
-    found: npt.NDArray[np.bool_] = (words == _START) | (words == _END) | (kind == _SCALE) | (kind == _DATA)
-    return found
+    mask: npt.NDArray[np.bool_] = (words == _START) | (words == _END) | (kind == _SCALE) | (kind == _DATA)
+    return mask
 
 
 class ImuReader:
@@ -141,20 +145,20 @@ class ImuReader:
 
         A timestamp reset ends a sample, as in libcaer.
         """
-        found: list[tuple[tuple[int, int, list[int]], int]] = []
-        wanted = is_imu(words) | (words == _RESET)
-        for word, time_us in zip(words[wanted].tolist(), times_us[wanted].tolist(), strict=True):
+        complete: list[tuple[tuple[int, int, list[int]], int]] = []
+        relevant = is_imu(words) | (words == _RESET)
+        for word, time_us in zip(words[relevant].tolist(), times_us[relevant].tolist(), strict=True):
             if word in (_START, _RESET):
                 self.broken += self._open
                 self._begin(word == _START)
                 self.resets += word == _RESET
             elif word == _END:
-                found.extend((sample, self.resets) for sample in self._ended(time_us))
+                complete.extend((sample, self.resets) for sample in self._ended(time_us))
             elif word & _HIGH_BYTE == _SCALE:
                 self._scale = word & 0xFF
             else:
                 self._data.append(word & 0xFF)
-        return np.array(found, IMU_READ)
+        return np.array(complete, IMU_READ)
 
     def _begin(self, is_open: bool) -> None:
         self._open, self._scale = is_open, None
@@ -183,13 +187,15 @@ def _counts(data: bytes, groups: list[slice]) -> list[int]:
 PLACE = 0x0FFF
 """A special code that no stream uses."""
 
-APS_SAMPLE, MISC8, MISC10 = 0x4000, 0x5000, 0x6000
 _ROI_HIGH, _ROI_LOW = 1, 2
-_START_GLOBAL, _START_ROLLING, _END_BLOCKS, _RESET_BLOCKS, _SIGNAL, _COLUMN_END = 8, 9, 10, 11, 12, 13
 _LINES = (LineKind.RESET, LineKind.SIGNAL)
-_LINE_START = np.zeros(len(LineKind), "<u2")
-_LINE_START[list(_LINES)] = _RESET_BLOCKS, _SIGNAL
-_CODE = {LineKind.EXPOSURE_START: 14, LineKind.EXPOSURE_END: 15, LineKind.END: _END_BLOCKS}
+_LINE_START = np.zeros(len(LineKind), WORD)
+_LINE_START[list(_LINES)] = Special.RESET_COLUMN, Special.SIGNAL_COLUMN
+_CODE = {
+    LineKind.EXPOSURE_START: Special.EXPOSURE_START,
+    LineKind.EXPOSURE_END: Special.EXPOSURE_END,
+    LineKind.END: Special.FRAME_END,
+}
 
 
 @dataclass(frozen=True)
@@ -204,11 +210,11 @@ class Block:
 def frame_words(lines: Readings) -> list[Words]:
     """Return the words of frame lines and frame boundaries, (n,) of `line_record`, one array for each."""
     of_kind = lines["kind"].tolist()
-    table = np.empty((len(lines), lines["samples"].shape[1] + 2), "<u2")
+    table = np.empty((len(lines), lines["samples"].shape[1] + 2), WORD)
     table[:, 0] = _LINE_START[lines["kind"]]
     np.bitwise_or(lines["samples"], APS_SAMPLE, out=table[:, 1:-1])
     ends = lines["length"].astype(np.intp) + 1
-    table[np.arange(len(lines)), ends] = _COLUMN_END
+    table[np.arange(len(lines)), ends] = Special.COLUMN_END
     stops = (ends + 1).tolist()
     return [
         table[k, : stops[k]] if kind in _LINES else _moment_words(LineKind(kind), lines[k])
@@ -216,25 +222,29 @@ def frame_words(lines: Readings) -> list[Words]:
     ]
 
 
-def _moment_words(kind: LineKind, one: np.void) -> Words:
-    if kind is LineKind.START:
-        return _start_words(bool(one["global_shutter"]), int(one["exposure"]), one["roi"].tolist())
-    return np.array([_CODE[kind]], "<u2")
-
-
-def _start_words(global_shutter: bool, exposure: int, roi: list[int]) -> Words:
-    bits = [MISC10 | exposure >> shift & 0x3FF for shift in (0, 10, 20)]
-    halves = [MISC8 | code << 8 | byte for at in roi for code, byte in ((_ROI_HIGH, at >> 8), (_ROI_LOW, at & 0xFF))]
-    return np.array([_START_GLOBAL if global_shutter else _START_ROLLING, *bits, *halves], "<u2")
+def _moment_words(kind: LineKind, line: np.void) -> Words:
+    """Return the words of a moment of a frame; its start carries exposure and region of interest."""
+    if kind is not LineKind.START:
+        return np.array([_CODE[kind]], WORD)
+    exposure = int(line["exposure"])
+    start = Special.FRAME_START_GLOBAL if line["global_shutter"] else Special.FRAME_START_ROLLING
+    parts = [MISC10 | exposure >> shift & 0x3FF for shift in (0, 10, 20)]
+    region = [
+        MISC8 | code << 8 | byte
+        for place in line["roi"].tolist()
+        for code, byte in ((_ROI_HIGH, place >> 8), (_ROI_LOW, place & 0xFF))
+    ]
+    return np.array([start, *parts, *region], WORD)
 
 
 def blocks_of(kind: ReadingKind, readings: Readings) -> list[Block]:
     """Return readings of a kind, (n,), as blocks; they are copied."""
-    own = readings.copy()
-    each = [own[k : k + 1] for k in range(len(own))]
-    words = frame_words(own) if kind is ReadingKind.FRAMES else [imu_words(one) for one in each]
-    times_us = own["t"].tolist()
-    return [Block(t_us, some, Reading(kind, one)) for t_us, some, one in zip(times_us, words, each, strict=True)]
+    copies = readings.copy()
+    records = [copies[k : k + 1] for k in range(len(copies))]
+    words = frame_words(copies) if kind is ReadingKind.FRAMES else [imu_words(record) for record in records]
+    times_us = copies["t"].tolist()
+    readings_of = (Reading(kind, record) for record in records)
+    return list(map(Block, times_us, words, readings_of))
 
 
 def with_places(marks: Marks, blocks: Sequence[Block]) -> Marks:
@@ -251,7 +261,10 @@ def put_in_place(words: Words, blocks: Sequence[Block]) -> tuple[Words, npt.NDAr
     """Return words with each `PLACE` replaced by its block, and (n_blocks,) one past the last word of each block."""
     if not blocks:
         return words, np.empty(0, np.int64)
-    pieces, ends, done, length = [], [], 0, 0
+    pieces = []
+    ends = []
+    done = 0
+    length = 0
     for at, block in zip(np.flatnonzero(words == PLACE).tolist(), blocks, strict=True):
         pieces += [words[done:at], block.words]
         length += at - done + len(block.words)

@@ -35,6 +35,7 @@ from typing import Protocol
 
 import numpy as np
 
+from firmware_protocol.device.event_device import HasClockInput, HostAdjusted, StartsSilent, TakesReadings
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import ItemEncoder, Numbers, ReadingKind, Readings
 from firmware_protocol.events import Edges, Events, copy_events, empty_events
@@ -116,7 +117,7 @@ class Parts:
     statistics: Statistics
 
 
-class Fx3Camera(UsbCamera):
+class Fx3Camera(UsbCamera, StartsSilent, HostAdjusted, TakesReadings, HasClockInput):
     """A camera. `offer` takes events, `advance` the passing of stream time; the other methods are the USB side."""
 
     settings: Fx3Settings
@@ -282,7 +283,7 @@ class Fx3Camera(UsbCamera):
         return self._readings.room(kind, self._stream.free_words)
 
     def offer_readings(self, kind: ReadingKind, readings: Readings) -> bool:
-        """Take lines of frames; see `EventDevice.offer_readings`."""
+        """Take lines of frames; see `TakesReadings.offer_readings`."""
         if self._readings.takes(kind):
             self._readings.offer(kind, readings, self._silent_until_us)
         return self._readings.takes(kind)

@@ -119,7 +119,10 @@ class GeneratorSettings:
         for code, reported, offset in ((begins, report_begin, 0), (ends, report_end, self.length)):
             if reported:
                 times_us = self._times_us(offset, after_us - since_us, until_us - since_us)
-                parts.append(_marks_at(times_us + since_us, code))
+                marks = no_marks(len(times_us))
+                marks["t"] = times_us + since_us
+                marks["code"] = int(code)
+                parts.append(marks)
         return join_marks(parts)
 
     def _times_us(self, offset: int, after_us: int, until_us: int) -> npt.NDArray[np.int64]:
@@ -215,7 +218,9 @@ class ExternalInput:
 
     def _step(self, at_us: int, level: bool, cause: _Cause, settings: InputSettings) -> None:
         self._close(self._level_cause)
-        self._level, self._level_since_us, self._level_cause = level, at_us, None
+        self._level = level
+        self._level_since_us = at_us
+        self._level_cause = None
         if settings.rising if level else settings.falling:
             self._report(at_us, Special.INPUT_RISING if level else Special.INPUT_FALLING, cause, settings)
         if level == settings.active_high:
@@ -254,12 +259,6 @@ class ExternalInput:
         return marks
 
 
-def _marks_at(times_us: npt.NDArray[np.int64], code: Special) -> Marks:
-    marks = no_marks(len(times_us))
-    marks["t"], marks["code"] = times_us, int(code)
-    return marks
-
-
 _MOST_SAMPLES = 16  # of the inertial unit, waiting for room
 _LINES = (LineKind.RESET, LineKind.SIGNAL)
 _IMU_WORDS = 1 + 17  # a timestamp, and a sample of all three groups
@@ -292,7 +291,7 @@ class ReadingInput(ABC):
         return blocks_of(kind, readings)
 
     def settings_of(self, kind: ReadingKind) -> tuple[int, ...]:
-        """Return the settings of a kind; see `EventDevice.reading_settings`."""
+        """Return the settings of a kind; see `TakesReadings.reading_settings`."""
         settings = self._frames if kind is ReadingKind.FRAMES else self._imu
         return tuple(int(n) for n in astuple(settings)) if self.takes(kind) else ()
 
@@ -311,13 +310,13 @@ class ReadingInput(ABC):
     def room(self, kind: ReadingKind, free_words: int) -> int:
         """Return the number of readings of a kind that fit the reserved words."""
         waiting = sum(len(block.words) for block in (*self._held, *self._waiting))
-        kinds = sum(self.runs(one) for one in ReadingKind)
+        kinds = sum(self.runs(other) for other in ReadingKind)
         return max(0, (self.reserved(free_words) - waiting) // (self._longest[kind] * max(kinds, 1)))
 
     def offer(self, kind: ReadingKind, readings: Readings, from_us: int) -> None:
         """Take readings of a kind, (n,); those before `from_us` came while the camera did not run."""
-        wanted = readings[readings["t"] >= from_us] if self.runs(kind) else readings[:0]
-        blocks = self._blocks_of(kind, wanted)
+        running = readings[readings["t"] >= from_us] if self.runs(kind) else readings[:0]
+        blocks = self._blocks_of(kind, running)
         if kind is ReadingKind.FRAMES:
             self._in_frame = self._in_frame and len(blocks) == len(readings)
             blocks = [block for block in blocks if self._is_read(block)]
@@ -339,7 +338,12 @@ class ReadingInput(ABC):
             return []
         count = bisect.bisect_right(self._waiting, until_us, key=_time_of)
         new, self._waiting = self._waiting[:count], self._waiting[count:]
-        passed = deque(block for block in new if self._is_included(block))
+        passed = deque[Block]()
+        for block in new:
+            part = _line_kind(block)
+            self._left_out = self._left_out and part != LineKind.START
+            if part is None or not self._left_out:
+                passed.append(block)
         if len(passed) < len(new):
             self._fates.of(ReadingKind.FRAMES).dropped_fifo += len(new) - len(passed)
         due: list[Block] = []
@@ -350,13 +354,12 @@ class ReadingInput(ABC):
             if queue:
                 break
         self._hold(passed)
-        return [block if block.t_us >= now_us else _dated(block, now_us) for block in due]
-
-    def _is_included(self, block: Block) -> bool:
-        """Return false for a part of a frame that was left out."""
-        part = _line_kind(block)
-        self._left_out = self._left_out and part != LineKind.START
-        return part is None or not self._left_out
+        for k, block in enumerate(due):
+            if block.t_us < now_us:  # words and reading of a block that waited are both of `now_us`
+                record = block.reading.record.copy()
+                record["t"] = now_us
+                due[k] = Block(now_us, block.words, replace(block.reading, record=record))
+        return due
 
     def put_back(self, blocks: Sequence[Block]) -> None:
         """Put blocks that were due back into the queue."""
@@ -407,10 +410,3 @@ def _time_of(block: Block) -> int:
 def _line_kind(block: Block) -> int | None:
     """Return the `LineKind` of a part of a frame; None for a sample."""
     return int(block.reading.record["kind"][0]) if block.reading.kind is ReadingKind.FRAMES else None
-
-
-def _dated(block: Block, t_us: int) -> Block:
-    """Return a block whose words and reading are both of `t_us`: the record agrees with the stream."""
-    record = block.reading.record.copy()
-    record["t"] = t_us
-    return Block(t_us, block.words, replace(block.reading, record=record))

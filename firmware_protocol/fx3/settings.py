@@ -83,8 +83,8 @@ class Fx3Settings(UsbCameraSettings):
         if not (1 <= len(self.serial) <= 8 and self.serial.isascii() and self.serial.isprintable()):
             raise ValueError(f"serial {self.serial!r} must be 1 to 8 printable ASCII characters")
         if self.imu_unit not in (0, *self.imu_units):
-            known = " or ".join(map(str, (0, *self.imu_units)))
-            raise ValueError(f"imu_unit {self.imu_unit} must be {known}")
+            units = " or ".join(map(str, (0, *self.imu_units)))
+            raise ValueError(f"imu_unit {self.imu_unit} must be {units}")
         if self.pulse_us < 1:
             raise ValueError(f"pulse_us {self.pulse_us} must be at least 1")
 

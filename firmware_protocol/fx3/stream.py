@@ -9,10 +9,11 @@ enters.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -21,19 +22,83 @@ from firmware_protocol.events import Edges, Events, empty_edges, empty_events, j
 from firmware_protocol.fx3.blocks import Block, Marks, edges_of, no_marks
 from firmware_protocol.fx3.words import (
     SINGLE_WRAPS,
+    WORD,
     WRAP_BITS,
     Encoded,
     Special,
-    TimedEncoder,
     Words,
     WordState,
     is_mark,
     is_row,
+    wrap_words,
 )
 from firmware_protocol.usb.device import Transfer
 
 _MIN_BYTES = 1024
 _WRAP_RESERVE_WORDS = 64
+
+
+class TimedEncoder(ABC):
+    """Encoder of items into words with the times of an FX3 camera; it holds the state of the stream's reader.
+
+    Attributes
+    ----------
+    rows
+        Number of row words of the last call of `encode`.
+    words_per_event
+        Most words of an event, without wraps.
+    """
+
+    words_per_event: ClassVar[int] = 3
+
+    def __init__(self) -> None:
+        self.state = WordState()
+        self.rows = 0
+
+    def reset(self) -> Words:
+        """Restart time with a timestamp reset word; after it device time is zero and no row is in force."""
+        self.state = WordState()
+        return np.full(1, Special.TIMESTAMP_RESET, WORD)
+
+    def advance(self, now_us: int, room: int = SINGLE_WRAPS) -> Words:
+        """Return the wraps due up to device time `now_us`, in at most `room` words.
+
+        If they do not fit, none is returned and the state stays; a later call makes up for them.
+        """
+        steps = (now_us >> WRAP_BITS) - (self.state.time_us >> WRAP_BITS)
+        if steps <= 0:
+            return np.empty(0, WORD)
+        words = wrap_words(steps, room)
+        if words is None:
+            return np.empty(0, WORD)
+        self.state = WordState(now_us >> WRAP_BITS << WRAP_BITS, self.state.row)
+        return words
+
+    def count(self, queued: Words, dropped: Words) -> None:  # noqa: B027  # not every model counts more than rows
+        """Count words of a call of `encode` that were queued, and those that found no room, for statistics."""
+
+    @abstractmethod
+    def encode(
+        self, events: Events, epoch_us: int = 0, marks: Marks | None = None, blocks: Sequence[Block] = ()
+    ) -> Encoded:
+        """Return the words of `events`, (n,) EVENT, `marks`, (m,) MARK, and `blocks`, each in time order.
+
+        Parameters
+        ----------
+        events
+            Events in stream time.
+        epoch_us
+            Stream time at which device time is zero.
+        marks
+            Marks in stream time, placed between the events by their time.
+        blocks
+            Runs of words in stream time, placed likewise; at one time after marks and before events.
+
+        Raises
+        ------
+        ValueError
+            Events or marks go back in time, lie before the epoch or outside the array, or leave a gap of days.
+        """
 
 
 @dataclass
@@ -175,13 +240,13 @@ class Fifo:
         readings: list[Reading] = []
         while room and self._batches and self._batches[0].epoch_us == epoch_us:
             batch = self._batches[0]
-            some, completed, completed_marks, blocks = batch.take(room)
-            words.append(some)
+            taken, completed, completed_marks, blocks = batch.take(room)
+            words.append(taken)
             events.append(completed)
             if len(completed_marks):
                 marks.append(completed_marks)
             readings += [block.reading for block in blocks]
-            room -= len(some)
+            room -= len(taken)
             if batch.is_empty:
                 self._batches.popleft()
         data = b"".join([part.data for part in words])
@@ -243,7 +308,7 @@ class EventStream:
 
     @property
     def waiting(self) -> Numbers:
-        """See `ItemEncoder.waiting`."""
+        """Numbers of items in the FIFO."""
         return self._fifo.waiting
 
     @property
@@ -287,7 +352,8 @@ class EventStream:
         """Queue `events`, (n,) EVENT, `marks`, (m,) MARK, and `blocks`, in stream time and at least one in all."""
         marks = no_marks() if marks is None else marks
         at_start = self._encoder.state
-        first_us = min([int(some["t"][0]) for some in (events, marks) if len(some)] + [b.t_us for b in blocks[:1]])
+        begins_us = [int(records["t"][0]) for records in (events, marks) if len(records)]
+        first_us = min(begins_us + [block.t_us for block in blocks[:1]])
         wraps = self._encoder.advance(first_us - self.epoch_us, self._fifo.free_wrap_words)
         before = self._encoder.state
         try:

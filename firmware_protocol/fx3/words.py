@@ -26,17 +26,11 @@ Rules that the encoder follows because drivers depend on them:
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
-
-from firmware_protocol.events import Events
-from firmware_protocol.fx3.blocks import Block, Marks
 
 Words = npt.NDArray[np.uint16]
 """Words in stream order, shape (n,), little-endian uint16."""
@@ -147,73 +141,10 @@ def wrap_words(steps: int, room: int = SINGLE_WRAPS) -> Words | None:
     """
     if steps <= min(room, SINGLE_WRAPS):
         return np.full(steps, WRAP | 1, WORD)
-    full, rest = divmod(steps, MAX_STEPS)
-    if full + bool(rest) > room:
+    full, remaining = divmod(steps, MAX_STEPS)
+    if full + bool(remaining) > room:
         return None
-    words = np.full(full + bool(rest), WRAP | MAX_STEPS, WORD)
-    if rest:
-        words[-1] = WRAP | rest
+    words = np.full(full + bool(remaining), WRAP | MAX_STEPS, WORD)
+    if remaining:
+        words[-1] = WRAP | remaining
     return words
-
-
-class TimedEncoder(ABC):
-    """Encoder of items into words with the times of a DAVIS; it holds the state of the stream's reader.
-
-    Attributes
-    ----------
-    rows
-        Number of row words of the last call of `encode`.
-    words_per_event
-        Most words of an event, without wraps.
-    """
-
-    words_per_event: ClassVar[int] = 3
-
-    def __init__(self) -> None:
-        self.state = WordState()
-        self.rows = 0
-
-    def reset(self) -> Words:
-        """Restart time with a timestamp reset word; after it device time is zero and no row is in force."""
-        self.state = WordState()
-        return np.full(1, Special.TIMESTAMP_RESET, WORD)
-
-    def advance(self, now_us: int, room: int = SINGLE_WRAPS) -> Words:
-        """Return the wraps due up to device time `now_us`, in at most `room` words.
-
-        If they do not fit, none is returned and the state stays; a later call makes up for them.
-        """
-        steps = (now_us >> WRAP_BITS) - (self.state.time_us >> WRAP_BITS)
-        if steps <= 0:
-            return np.empty(0, WORD)
-        words = wrap_words(steps, room)
-        if words is None:
-            return np.empty(0, WORD)
-        self.state = WordState(now_us >> WRAP_BITS << WRAP_BITS, self.state.row)
-        return words
-
-    def count(self, queued: Words, dropped: Words) -> None:  # noqa: B027  # not every model counts more than rows
-        """Count words of a call of `encode` that were queued, and those that found no room, for statistics."""
-
-    @abstractmethod
-    def encode(
-        self, events: Events, epoch_us: int = 0, marks: Marks | None = None, blocks: Sequence[Block] = ()
-    ) -> Encoded:
-        """Return the words of `events`, (n,) EVENT, `marks`, (m,) MARK, and `blocks`, each in time order.
-
-        Parameters
-        ----------
-        events
-            Events in stream time.
-        epoch_us
-            Stream time at which device time is zero.
-        marks
-            Marks in stream time, placed between the events by their time.
-        blocks
-            Runs of words in stream time, placed likewise; at one time after marks and before events.
-
-        Raises
-        ------
-        ValueError
-            Events or marks go back in time, lie before the epoch or outside the array, or leave a gap of days.
-        """

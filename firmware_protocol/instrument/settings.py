@@ -108,7 +108,7 @@ class DavisBiases:
     values
         Present values, by number.
     factors, without_effect
-        See `EventDevice.sensor_factors` and `EventDevice.without_effect`.
+        See `HostAdjusted.sensor_factors` and `HostAdjusted.without_effect`.
     """
 
     def __init__(self) -> None:

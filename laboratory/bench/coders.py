@@ -38,7 +38,8 @@ from typing import Literal
 import numpy as np
 
 from firmware_protocol.c import FOLDER, sources
-from firmware_protocol.davis346 import Decoder, WordEncoder
+from firmware_protocol.davis346 import WordEncoder
+from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.dvxplorer import GroupDecoder, GroupEncoder
 from firmware_protocol.events import EVENT, Events, join_events
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder

@@ -24,7 +24,8 @@ from emulator.sensor.frames import FrameSource
 from emulator.sensor.imu import EARTH_IN_THE_PICTURE, Carried, ImuSource, ImuUnit
 from emulator.sensor.parameters import FrameParameters, ImuParameters
 from emulator.trajectory.pose import Fixed, Timescale
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Decoder, Layout
+from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.davis346.registers import registers
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import EDGE, EdgeKind

@@ -19,7 +19,7 @@ from transports.faults.items import ItemStage, pass_through
 from transports.faults.kinds import LastingFault
 from transports.faults.script import FaultPlan, Faulty
 from transports.link.endpoint import Endpoint, EndpointFactory
-from transports.link.kind import LinkKind, Listener, Unsuitable
+from transports.link.kind import LinkKind, LinkParameters, Listener, Unsuitable
 from transports.recording.format import Format
 from transports.recording.part import Facts, Part, RecordingError
 
@@ -95,7 +95,7 @@ class BeaconFaults(Faulty):
 
 
 @dataclass(frozen=True)
-class BeaconLink:
+class BeaconLink(LinkParameters):
     """A file that counts.
 
     Attributes
@@ -122,7 +122,7 @@ class BeaconFactory(EndpointFactory):
 class BeaconEndpoint(Endpoint):
     def __init__(self, factory, device, deliveries):
         self._path, self._device, self._deliveries, self._events = factory.path, device, deliveries, 0
-        self._faulty = BeaconFaults(factory.faults)
+        self.faulty = BeaconFaults(factory.faults)
 
     async def start(self):
         self._device.connected()
@@ -130,15 +130,15 @@ class BeaconEndpoint(Endpoint):
     def pump(self):
         while (message := self._device.next_message()) is not None:
             self._device.sent(message)
-            if self._faulty.passes(message):
+            if self.faulty.passes(message):
                 self._deliveries.add(message.events, message.epoch_us, message.edges)
                 self._events += len(message.events)
 
     def advance_faults(self, stream_us):
-        self._faulty.advance(stream_us)
+        self.faulty.advance(stream_us)
 
     async def close(self):
-        self._faulty.close()
+        self.faulty.close()
         self._device.disconnected()
         Path(self._path).write_text(str(self._events))
 

@@ -17,7 +17,7 @@ from firmware_protocol.device.items import Items, Numbers, ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from transports.link.deliveries import DeliveredParts, Deliveries
 from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory, EndpointReport
-from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Unsuitable, Wiring
 from transports.needs import Need, package
 from transports.recording.format import Format, format_to_write, with_addition
 from transports.recording.live import LiveRecorder
@@ -25,7 +25,7 @@ from transports.recording.part import Facts, RecordingError, counts_of
 
 
 @dataclass(frozen=True)
-class FileLink:
+class FileLink(LinkParameters):
     """A recording of all data that the camera sends and the format can hold, written during the run.
 
     Attributes
@@ -56,6 +56,15 @@ class FileLink:
         except RecordingError as error:
             raise ValueError(str(error)) from error
 
+    def sends_evt(self) -> bool:
+        """Return true for a file of EVT words."""
+        return format_to_write(Path(self.path), self.format).is_evt
+
+    def needs(self) -> tuple[Need, ...]:
+        """Return the package that writes the format."""
+        extra = format_to_write(Path(self.path), self.format).needs
+        return (package(extra),) if extra else ()
+
 
 def factory_of(link: FileLink, wiring: Wiring) -> EndpointFactory[Any]:
     """Return the endpoint's factory."""
@@ -72,22 +81,11 @@ def _check(link: FileLink, camera: CameraFacts) -> None:
         raise Unsuitable(f"{form.title} numbers {most} pixels, not {camera.size}", "path")
 
 
-def _has_evt(link: FileLink) -> bool:
-    return format_to_write(Path(link.path), link.format).is_evt
-
-
-def _needs(link: FileLink) -> tuple[Need, ...]:
-    needed = format_to_write(Path(link.path), link.format).needs
-    return (package(needed),) if needed else ()
-
-
 FILE = LinkKind(
     FileLink,
     serves="plain",
     endpoint="transports.file.kind:factory_of",
     check=_check,
-    has_evt=_has_evt,
-    needs=_needs,
     has_readings=True,
 )
 

@@ -86,7 +86,9 @@ class LatencyHistogram:
             return
         latency_us = np.repeat(self._now_us, [len(times) for times in self._pending])
         latency_us -= np.concatenate(self._pending)
-        self._now_us, self._pending, self._pending_count = [], [], 0
+        self._now_us = []
+        self._pending = []
+        self._pending_count = 0
         self._max_us = max(self._max_us or 0.0, float(latency_us.max()))
         counts = np.bincount(_bins(latency_us))
         self._counts[: len(counts)] += counts
@@ -96,13 +98,10 @@ class LatencyHistogram:
         self._count()
         if self._max_us is None:
             return LatencySummary()
-        p50, p99, p999 = map(self._quantile_us, (0.5, 0.99, 0.999))
-        return LatencySummary(p50, p99, self._max_us, p999)
-
-    def _quantile_us(self, share: float) -> float:
         cumulative = np.cumsum(self._counts)
-        index = int(np.searchsorted(cumulative, share * cumulative[-1]))
-        return min(_upper_edge_us(index), self._max_us or 0.0)
+        bins = np.searchsorted(cumulative, np.array([0.5, 0.99, 0.999]) * cumulative[-1]).tolist()
+        p50, p99, p999 = (min(_upper_edge_us(index), self._max_us) for index in bins)
+        return LatencySummary(p50, p99, self._max_us, p999)
 
 
 def _bins(latency_us: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.int64]:
@@ -150,7 +149,8 @@ class DeliveredParts:
 
         `epoch_us` is negative if the clock was zero before the run.
         """
-        imu = recorded_imu(_imu_of(readings), self._imu_unit)
+        samples = (reading.record for reading in readings if reading.kind is ReadingKind.IMU)
+        imu = recorded_imu(np.concatenate([no_samples(), *samples]), self._imu_unit)
         events, edges = copy_events(events), edges.copy()
         for records in (events, edges, imu):
             if len(records):
@@ -171,10 +171,6 @@ def recorded_imu(samples: ImuSamples, unit: int) -> npt.NDArray[np.void]:
         out[f"accelerometer_{axis}"] = in_units["acceleration_g"][:, k]
         out[f"gyroscope_{axis}"] = in_units["rate_deg_s"][:, k]
     return out
-
-
-def _imu_of(readings: Sequence[Reading]) -> ImuSamples:
-    return np.concatenate([no_samples(), *(one.record for one in readings if one.kind is ReadingKind.IMU)])
 
 
 def _frame(frame: WholeFrame, epoch_us: int) -> Frame:

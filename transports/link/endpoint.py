@@ -196,9 +196,9 @@ class Reopening(Generic[T]):
         self._running: asyncio.Task[T] | None = None
         self.why = ""
 
-    def lost(self, why: str = "") -> None:
+    def lost(self, reason: str = "") -> None:
         """Record that it was lost just now."""
-        self.why = why
+        self.why = reason
         self._next_ns = self._clock.now_ns() + self._period_ns
 
     def poll(self) -> T | None:

@@ -17,16 +17,36 @@ from transports.link.edges import EdgeSink
 from transports.needs import Need
 
 
-class LinkParameters(Protocol):
-    """A [[links]] table of a rig: a frozen dataclass with the name of its kind and its own name."""
+class LinkParameters:
+    """Base of the [[links]] tables of a rig: frozen dataclasses with the name of their kind and their own name.
+
+    A table overrides what depends on its parameters.
+    """
 
     kind: ClassVar[str]
+    name: str
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
-    @property
-    def name(self) -> str:
-        """Name of the link in this rig."""
-        ...
+    @classmethod
+    def complete(cls, table: dict[str, Any]) -> dict[str, Any]:
+        """Return a rig's table with derived values, before its types are checked."""
+        return table
+
+    def impossible_faults(self) -> Collection[str]:
+        """Return the kinds of faults of its carrier that this link cannot have."""
+        return ()
+
+    def listens_on(self) -> tuple[str, int] | None:
+        """Return the (host, port) that no other link may use; None if there is none, or any free one is suitable."""
+        return None
+
+    def needs(self) -> tuple[Need, ...]:
+        """Return the requirements on the machine, beyond evstim and its base dependencies."""
+        return ()
+
+    def sends_evt(self) -> bool:
+        """Return true if it sends EVT3 or EVT2 words: a run compiles their kernels before it begins."""
+        return False
 
 
 class _Instrument(Protocol):
@@ -35,13 +55,10 @@ class _Instrument(Protocol):
         ...
 
 
-class InstrumentLink(LinkParameters, Protocol):
-    """A [[links]] table of a link that serves an instrument."""
+class InstrumentLink(LinkParameters):
+    """Base of the tables of links that serve an instrument: `instrument` is its `InstrumentSettings`."""
 
-    @property
-    def instrument(self) -> _Instrument:
-        """Selection and rates of the camera's messages: `InstrumentSettings`."""
-        ...
+    instrument: _Instrument
 
 
 P = TypeVar("P", bound=LinkParameters)
@@ -142,28 +159,13 @@ class LinkKind(Generic[P]):
         True if its bus has a SYNC, which can trigger the camera.
     carrier
         Carrier of its data, which decides its faults, see `Fault.carriers`; "": it has none.
-    impossible_faults
-        Function that returns the kinds of faults of the carrier that a link of given parameters cannot have.
     listener
         Receiver of the link at the computer's side.
-    complete
-        Function that completes a rig's table before its types are checked.
     check
         Function that raises Unsuitable for parameters that do not fit the camera.
-    listens_on
-        Function that returns the (host, port) that no other link may use; None if there is none, or if any free port is
-        suitable.
     usb_model
-        With "usb": the camera model in whose words it carries a camera that has no USB device of its size; None: it
-        carries none of these.
-    start_delay
-        With "usb": True if the camera waits `camera.start_delay_ms` after its host's start command.
-    has_evt
-        Function that returns True if a link of given parameters sends EVT3 or EVT2 words: a run compiles their kernels
-        before it begins.
-    needs
-        Function that returns the requirements of a link of given parameters on the machine, beyond evstim and its base
-        dependencies.
+        With "usb": the camera model in whose words it carries a camera that has no USB device of its size, and that
+        then does not wait after its start; None: it carries none of these.
     has_readings
         With "plain": True if it accepts frames and samples of the inertial unit.
     """
@@ -173,22 +175,16 @@ class LinkKind(Generic[P]):
     endpoint: str
     has_sync: bool = False
     carrier: str = ""
-    impossible_faults: Callable[[P], Collection[str]] = lambda parameters: ()
     listener: Listener | None = None
-    complete: Callable[[dict[str, Any]], dict[str, Any]] = lambda table: table
     check: Callable[[P, CameraFacts], None] = lambda parameters, camera: None
-    listens_on: Callable[[P], tuple[str, int] | None] = lambda parameters: None
     usb_model: str | None = None
-    start_delay: bool = True
-    has_evt: Callable[[P], bool] = lambda parameters: False
-    needs: Callable[[P], tuple[Need, ...]] = lambda parameters: ()
     has_readings: bool = False
 
     def __post_init__(self) -> None:
         needed = {"name"} | ({"instrument"} if self.serves == "instrument" else set())
         if not isinstance(getattr(self.parameters, "kind", None), str):
             raise ValueError("the parameters of a link need a class attribute `kind`")
-        if missing := needed - {one.name for one in dataclasses.fields(self.parameters)}:
+        if missing := needed - {parameter.name for parameter in dataclasses.fields(self.parameters)}:
             raise ValueError(f"the parameters of a link that serves {self.serves!r} need {', '.join(sorted(missing))}")
 
     @property
@@ -196,13 +192,15 @@ class LinkKind(Generic[P]):
         """Name of the kind, the value of `kind` in rigs."""
         return self.parameters.kind
 
-    def can_have(self, fault: type[Fault], parameters: P) -> bool:
-        """Return whether a link of these parameters can have faults of a type."""
-        return self.carrier in fault.carriers and fault.kind not in self.impossible_faults(parameters)
 
-    def possible_faults(self, parameters: P) -> Mapping[str, type[Fault]]:
-        """Return the faults that a link of these parameters can have, by kind."""
-        return {kind: fault for kind, fault in FAULTS.usable().items() if self.can_have(fault, parameters)}
+def possible_faults(kind: LinkKind[P], parameters: P) -> Mapping[str, type[Fault]]:
+    """Return the faults that a link of these parameters can have, by kind."""
+    impossible = parameters.impossible_faults()
+    return {
+        name: fault
+        for name, fault in FAULTS.usable().items()
+        if kind.carrier in fault.carriers and name not in impossible
+    }
 
 
 def check_region(parameters: InstrumentLink, camera: CameraFacts) -> None:

@@ -20,7 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
-from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.event_device import EventDevice, HostAdjusted, StartsSilent
 from firmware_protocol.events import EdgeKind
 from firmware_protocol.recordings.part import Facts
 from transports.faults.kinds import Fault
@@ -139,7 +139,7 @@ class Link:
         if len(marks):
             self._feed.marks_sent += self.endpoint.mark(marks)
         self.endpoint.pump()
-        self._tally.delivered = self._delivered
+        self._tally.delivered = self._device.delivered - sum(fault.events_lost for fault in self._faults)
         if self._deliveries.recording is not None and not self._device.waiting_items:
             self._deliveries.reach(self._device.now_us, self._device.epoch_us)
 
@@ -266,8 +266,8 @@ class Link:
     def happen(self, kind: EdgeKind | None, by: str = "") -> None:
         """Apply an edge to the input now, or reset the clock, on behalf of `by`."""
         self._feed.happen(kind)
-        what = "reset" if kind is None else kind.name.lower()
-        self._watch.add(Occurrence(self._feed.reached_us, by, f"trigger {what}"))
+        event = "reset" if kind is None else kind.name.lower()
+        self._watch.add(Occurrence(self._feed.reached_us, by, f"trigger {event}"))
 
     def _free_until_us(self, now_us: int) -> int:
         """Return the stream time that a run without pacing may reach now.
@@ -277,17 +277,13 @@ class Link:
         if self._withholds:  # the FIFO is not emptied: it overflows, as in real time
             return min(now_us, self._feed.reached_us + _WITHHELD_STEP_US)
         until_us = self._feed.readings.until_us(min(now_us, self._feed.horizon_us))
-        silent_until_us = self._device.silent_until_us
-        if silent_until_us <= self._device.now_us:
+        if not isinstance(self._device, StartsSilent) or self._device.silent_until_us <= self._device.now_us:
             return until_us
+        silent_until_us = self._device.silent_until_us
         if self._silence[0] != silent_until_us:
             self._silence = silent_until_us, self._feed.reached_us, self._clock.now_ns()
         _, begun_us, begun_ns = self._silence
         return min(until_us, begun_us + (self._clock.now_ns() - begun_ns) // 1000)
-
-    @property
-    def _delivered(self) -> int:
-        return self._device.delivered - sum(fault.events_lost for fault in self._faults)
 
     @property
     def idle(self) -> bool:
@@ -302,7 +298,10 @@ class Link:
         left = self._ring.waiting if final else 0
         faults = self._faults
         endpoint = self.endpoint.report()
+        adjusted = self._device if isinstance(self._device, HostAdjusted) else None
         destroyed = sum(fault.events_lost for fault in faults)
+        of_truth = "" if self._truth is None else self._truth.trouble
+        troubles = (self._deliveries.trouble, of_truth, endpoint.trouble, *(fault.log_trouble for fault in faults))
         return LinkReport(
             state="closed" if final else self.endpoint.state,
             address=None if final else endpoint.address,
@@ -319,17 +318,12 @@ class Link:
             edges=self._feed.edge_report(final=final),
             clock=self._clock_report(final=final),
             faults=faults,
-            file_troubles=self._file_troubles(endpoint.trouble, faults),
-            sensor_factors=self._device.sensor_factors,
-            without_effect=self._device.without_effect,
+            file_troubles=tuple(dict.fromkeys(filter(None, troubles))),
+            sensor_factors={} if adjusted is None else adjusted.sensor_factors,
+            without_effect={} if adjusted is None else adjusted.without_effect,
             readings=self._feed.readings.reports(final=final),
             recordings=tuple(file for file in (self._deliveries.recording, endpoint.recording) if file is not None),
         )
-
-    def _file_troubles(self, of_endpoint: str, faults: tuple[FaultRecord, ...]) -> tuple[str, ...]:
-        truth = "" if self._truth is None else self._truth.trouble
-        troubles = (self._deliveries.trouble, truth, of_endpoint, *(fault.log_trouble for fault in faults))
-        return tuple(dict.fromkeys(filter(None, troubles)))
 
     def _clock_report(self, *, final: bool) -> ClockReport | None:
         if final:  # the host has disconnected, so the device's time is not valid

@@ -19,13 +19,13 @@ from firmware_protocol.network_streams.coders import (
     SpifCoder,
 )
 from firmware_protocol.network_streams.pictures import DisplayCoder, EventImageCoder
-from transports.link.kind import CameraFacts, LinkKind, Unsuitable
-from transports.needs import package
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Unsuitable
+from transports.needs import Need, package
 from transports.network import check_allow, check_destination, check_port
 
 
 @dataclass(frozen=True)
-class TcpLink:
+class TcpLink(LinkParameters):
     """A server that sends events to all its clients: the DV viewer, `dv_processing.io.NetworkReader`, clients of cAER.
 
     Attributes
@@ -83,9 +83,17 @@ class TcpLink:
             raise ValueError(f'pictures is of the formats "event_image" and "display"; {self.format} shows none')
         check_allow(self.host, self.allow)
 
+    def listens_on(self) -> tuple[str, int] | None:
+        """Return the address, unless any free port is suitable."""
+        return (self.host, self.port) if self.port else None
+
+    def needs(self) -> tuple[Need, ...]:
+        """Return the package that compresses."""
+        return (package("lz4"),) if self.compression == "lz4" else ()
+
 
 @dataclass(frozen=True)
-class UdpLink:
+class UdpLink(LinkParameters):
     """Datagrams of events to one address: jAER, cAER, AEStream, faery.
 
     Attributes
@@ -153,8 +161,6 @@ TCP = LinkKind(
     serves="plain",
     endpoint="transports.network_streams.tcp:factory_of",
     check=_check_tcp,
-    listens_on=lambda link: (link.host, link.port) if link.port else None,
-    needs=lambda link: (package("lz4"),) if link.compression == "lz4" else (),
 )
 
 UDP = LinkKind(UdpLink, serves="plain", endpoint="transports.network_streams.udp:factory_of", check=_check_udp)

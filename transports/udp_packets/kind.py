@@ -7,12 +7,12 @@ from typing import ClassVar
 
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.faults.kinds import DATAGRAMS
-from transports.link.kind import LinkKind, Listener, check_region
+from transports.link.kind import InstrumentLink, LinkKind, Listener, check_region
 from transports.network import check_allow, check_destination, check_port
 
 
 @dataclass(frozen=True)
-class UdpPacketsLink:
+class UdpPacketsLink(InstrumentLink):
     """Event telemetry as space packets in UDP datagrams, and telecommands back: COSMOS, Yamcs, cFS.
 
     Attributes

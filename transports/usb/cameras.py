@@ -1,5 +1,8 @@
 """Event cameras that can be read on USB: the driver of each device, imported when one is opened.
 
+A package outside evstim provides the driver of its camera as an entry point of the group "evstim.usb_drivers", under
+the numbers of vendor and product, such as "152a:841a".
+
 `receive` counts, digests and records the events of a camera until it is stopped or unplugged.
 """
 
@@ -9,6 +12,7 @@ import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.metadata import entry_points
 from typing import Any
 
 from firmware_protocol.events import Events, empty_events
@@ -32,12 +36,14 @@ DRIVERS: Mapping[tuple[int, int], str] = {
 
 def driver_of(host: UsbHost) -> CameraHost[Any]:
     """Return the driver of a device; if there is none, close the device and raise UnsuitableDevice."""
-    identity = host.identity
-    path = DRIVERS.get((identity.vendor_id, identity.product_id))
+    usb_id = host.identity.vendor_id, host.identity.product_id
+    name = "{:04x}:{:04x}".format(*usb_id)
+    installed = () if usb_id in DRIVERS else entry_points(group="evstim.usb_drivers", name=name)
+    path = next((point.value for point in installed), DRIVERS.get(usb_id))
     if path is None:
         host.close()
         cameras = " or ".join(f"{vendor:04x}:{product:04x}" for vendor, product in DRIVERS)
-        raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is not a known camera ({cameras})")
+        raise UnsuitableDevice(f"{name} is not a known camera ({cameras})")
     module, _, name = path.partition(":")
     driver: CameraHost[Any] = getattr(import_module(module), name)(host)
     return driver
@@ -45,8 +51,8 @@ def driver_of(host: UsbHost) -> CameraHost[Any]:
 
 def first_on_the_bus() -> UsbHost:
     """Return this machine's first known camera; raises the errors of `PyusbHost.find`."""
-    *others, last = DRIVERS
-    for vendor, product in others:
+    *earlier, last = DRIVERS
+    for vendor, product in earlier:
         with contextlib.suppress(DeviceAbsent):
             return PyusbHost.find(vendor, product)
     return PyusbHost.find(*last)

@@ -61,9 +61,10 @@ class DvxplorerHost(Fx3Host):
 
     def _configure(self, settings: StreamSettings) -> None:
         self.write_register(Module.MULTIPLEXER, 3, 1)  # the chip is out of reset before its registers are written
-        for one in registers():
-            if one.module is Module.BIAS and one.access is Access.READ_WRITE and one.address != Chip.MODE:
-                self.write_register(one.module, one.address, one.default)
+        for register in registers():
+            is_of_chip = register.module is Module.BIAS and register.address != Chip.MODE
+            if is_of_chip and register.access is Access.READ_WRITE:
+                self.write_register(register.module, register.address, register.default)
         self.write_register(Module.USB, 1, settings.early_packet_us * self.info.usb_clock_mhz)
 
 

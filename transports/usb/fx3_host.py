@@ -42,7 +42,10 @@ from transports.usb.host import (
 )
 
 _STREAM_ENDPOINT = 2
-_REGISTER, _REGISTERS, _LOG_LEVEL, _FLUSH = 0xBF, 0xC2, 0xB1, 0xC6
+_REGISTER = 0xBF
+_REGISTERS = 0xC2
+_LOG_LEVEL = 0xB1
+_FLUSH = 0xC6
 _ENTRY = struct.Struct(">BBI")
 _LOGIC_VERSION = 18
 _RESET_TIMEOUT_S = 5.0
@@ -147,7 +150,9 @@ class Fx3Host(CameraHost[Fx3Info]):
         self._flush()
         self._configure(settings)
         self._decoder = self._new_decoder()
-        self._edges, self._keeps_edges, self._frames = [], settings.edges, []
+        self._edges = []
+        self._keeps_edges = settings.edges
+        self._frames = []
         self._imu, self._keeps_imu = [], settings.imu and self.read_register(Module.IMU, 0) != 0
         self._reader = self._host.stream(_STREAM_ENDPOINT, settings.transfer_bytes, settings.transfers)
         self._write_each(self.start_writes)
@@ -162,7 +167,7 @@ class Fx3Host(CameraHost[Fx3Info]):
             self._held = self._after_reset(self._reader)
 
     def read(self, timeout_s: float) -> Events | None:
-        """See `CameraHost.read`; the first events are those after the timestamp reset."""
+        """Return the events of the next transfer; the first ones are those after the timestamp reset."""
         if len(self._held):
             held, self._held = self._held, empty_events()
             return held
@@ -188,10 +193,10 @@ class Fx3Host(CameraHost[Fx3Info]):
         return decoded.events
 
     def stop(self) -> Events:
-        """See `CameraHost.stop`."""
-        rest = super().stop()
+        """Stop the camera; return the events that were still in transit."""
+        remaining = super().stop()
         held, self._held = self._held, empty_events()
-        return np.concatenate([held, rest])
+        return np.concatenate([held, remaining])
 
     def _end_stream(self) -> None:
         self._write_each(self.stop_writes)
@@ -223,8 +228,8 @@ class Fx3Host(CameraHost[Fx3Info]):
     def _identify(self) -> Fx3Info:
         identity = self._host.identity
         if (identity.vendor_id, identity.product_id) != (VENDOR_ID, self.product):
-            known = f"{self.family} ({VENDOR_ID:04x}:{self.product:04x})"
-            raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is not a {known}")
+            expected = f"{self.family} ({VENDOR_ID:04x}:{self.product:04x})"
+            raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is not a {expected}")
         firmware = identity.bcd_device & 0xFF
         _require("firmware", firmware, firmware >= self.firmware, f"at least {self.firmware}")
         serial = self._serial()
@@ -280,6 +285,6 @@ def _whole_words(data: bytes) -> bytes:
     return data[: len(data) & ~1]
 
 
-def _require(what: str, found: int, good: bool, wanted: str) -> None:
+def _require(part: str, version: int, good: bool, requirement: str) -> None:
     if not good:
-        raise UnsuitableDevice(f"the camera has {what} version {found}; {wanted} is needed: update the camera")
+        raise UnsuitableDevice(f"the camera has {part} version {version}; {requirement} is needed: update the camera")

@@ -17,7 +17,7 @@ from firmware_protocol.evt.evt3 import Evt3Decoder
 from firmware_protocol.fx3.decoded import WordFaults
 from firmware_protocol.genx320 import device as genx320
 from firmware_protocol.genx320 import registers as genx320_registers
-from firmware_protocol.imx636.boards import BOARDS
+from firmware_protocol.imx636.evk4 import BOARDS
 from firmware_protocol.imx636.registers import GEN41, IMX636, SIZE, Address
 from firmware_protocol.prophesee.treuzell import FAILED, MOST_ANSWER_BYTES, UNKNOWN, Frame, Property
 from firmware_protocol.prophesee.usb import ANSWER_ENDPOINT, DATA_ENDPOINT, REQUEST_ENDPOINT
@@ -140,17 +140,17 @@ class TreuzellHost(CameraHost[TreuzellInfo]):
         """Set one 32-bit register of the sensor."""
         self.request(Property.WRITE_REGISTERS, struct.pack("<III", 0, address, value))
 
-    def request(self, what: Property, payload: bytes = b"") -> bytes:
+    def request(self, property: Property, payload: bytes = b"") -> bytes:
         """Send a request and return the payload of its answer; raises PeerBroken for one that failed."""
-        self._host.bulk_out(REQUEST_ENDPOINT, bytes(Frame(what, payload)))
+        self._host.bulk_out(REQUEST_ENDPOINT, bytes(Frame(property, payload)))
         data = self._host.bulk_in(ANSWER_ENDPOINT & 15, MOST_ANSWER_BYTES)
         try:
             answer = Frame.parse(data)
         except ValueError as error:
-            raise PeerBroken(f"{what.name} has an invalid answer: {error}") from error
-        if answer.property != what:
-            known = answer.property == what | FAILED and answer.property != UNKNOWN
-            raise PeerBroken(f"{what.name} {'failed' if known else 'is not known to the camera'}")
+            raise PeerBroken(f"{property.name} has an invalid answer: {error}") from error
+        if answer.property != property:
+            is_known = answer.property == property | FAILED and answer.property != UNKNOWN
+            raise PeerBroken(f"{property.name} {'failed' if is_known else 'is not known to the camera'}")
         return answer.payload
 
     def _identify(self) -> TreuzellInfo:
@@ -163,16 +163,16 @@ class TreuzellHost(CameraHost[TreuzellInfo]):
             raise UnsuitableDevice(f"the camera has release {release:06x}; at least 030800 is needed: update it")
         chip = self.read_register(Address.CHIP)
         if chip not in _CHIPS:
-            known = " or ".join(f"{sensor.name} ({number:08x})" for number, sensor in _CHIPS.items())
-            raise UnsuitableDevice(f"the camera has chip {chip:08x}, not {known}")
+            sensors = " or ".join(f"{sensor.name} ({number:08x})" for number, sensor in _CHIPS.items())
+            raise UnsuitableDevice(f"the camera has chip {chip:08x}, not {sensors}")
         self._sensor = _CHIPS[chip]
         serial = int.from_bytes(self.request(Property.SERIAL), "little")
         name, compatible = self._texts(Property.NAME), self._texts(Property.COMPATIBLE)
         self.model = _model(usb_id, compatible)
         return TreuzellInfo(f"{serial:08X}", release, name[0], compatible, self._sensor.size)
 
-    def _texts(self, what: Property) -> tuple[str, ...]:
-        texts = self.request(what, _DEVICE)[4:].decode("ascii", "replace")
+    def _texts(self, property: Property) -> tuple[str, ...]:
+        texts = self.request(property, _DEVICE)[4:].decode("ascii", "replace")
         return tuple(texts.split("\0")[:-1]) or ("",)
 
     def _decode(self, data: bytes) -> Events:

@@ -30,6 +30,7 @@ from firmware_protocol.packets.pus import Acknowledge
 from firmware_protocol.packets.telecommands import RequestId, SetBias, SetRegion
 from firmware_protocol.usb.device import SetupPacket
 from transports.faults.kinds import Fault
+from transports.faults.script import FaultPlan, Faulty
 from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
@@ -50,6 +51,7 @@ class ScriptedHost(Endpoint):
 
     def __init__(self, device, script):
         self._device, self._script = device, list(script)
+        self.faulty = Faulty(FaultPlan("usbip"), {"any": Fault})
 
     async def start(self):
         if isinstance(self._device, Davis346):
@@ -67,9 +69,6 @@ class ScriptedHost(Endpoint):
             return
         command = SetRegion(0, 0, 8, 8) if name == "region" else SetBias(NUMBERS[name], value)
         self._device.command(ReceivedCommand(RequestId(0, 0), Acknowledge(0), command))
-
-    def inject(self, fault):
-        """Any fault is as good as none here."""
 
     def pump(self):
         pass

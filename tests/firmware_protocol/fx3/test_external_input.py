@@ -9,7 +9,8 @@ from davis_strategies import STEPS_US, cut, streams
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Decoder, WordEncoder
+from firmware_protocol.davis346 import Davis346, Davis346Settings, WordEncoder
+from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.device.fates import Counts
 from firmware_protocol.events import EDGE, EdgeKind, empty_edges, empty_events
 from firmware_protocol.fx3.blocks import GENERATOR_FALLING, GENERATOR_RISING, MARK

@@ -7,8 +7,7 @@ from evk4_requests import ANSWERS, START, Host, events_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.imx636.boards import BOARDS
-from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
+from firmware_protocol.imx636.evk4 import BOARDS, Evk4, Evk4Settings
 from firmware_protocol.usb.device import SetupPacket
 from transports.usb.cameras import DRIVERS, driver_of
 from transports.usb.loopback import DirectHost

@@ -11,7 +11,7 @@ import pytest
 from virtual_loop import VirtualLoop
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.events import EVENT
 from firmware_protocol.frames import line_record

@@ -19,6 +19,7 @@ from tests.transports.network_streams.stream_readers import udp_port
 from transports.faults.datagrams import LateDatagrams, LostDatagrams, RepeatedDatagrams
 from transports.faults.line import BitFlips, Stall
 from transports.faults.script import FaultPlan
+from transports.link.kind import possible_faults
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
@@ -282,7 +283,7 @@ def test_faults_that_meet_leave_each_message_one_fate(bench):
 def test_a_fault_of_a_serial_line_is_refused(bench):
     with pytest.raises(ValueError, match="no fault of packets in datagrams"):
         bench().link.endpoint.faulty.inject(Stall())
-    assert set(UDP_PACKETS.possible_faults(UdpPacketsLink())) == {
+    assert set(possible_faults(UDP_PACKETS, UdpPacketsLink())) == {
         "lost_datagrams",
         "repeated_datagrams",
         "late_datagrams",

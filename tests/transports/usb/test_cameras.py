@@ -2,6 +2,7 @@
 
 import dataclasses
 import struct
+from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
@@ -161,6 +162,18 @@ def test_a_camera_that_says_nothing_times_out(camera):
     host.configure()
     with pytest.raises(TransferTimeout):
         host.bulk_in(2, 1024)
+
+
+def test_the_driver_of_another_package_is_an_entry_point(monkeypatch):
+    class Other(Evk4):
+        identity = Identity(0x1234, 0x5678, 0, Speed.SUPER)
+
+    def installed(group, name):
+        return [EntryPoint(name, "transports.usb.davis_host:DavisHost", group)] if name == "1234:5678" else []
+
+    monkeypatch.setattr("transports.usb.cameras.entry_points", installed)
+    with pytest.raises(UnsuitableDevice, match="1234:5678 is not a DAVIS"):
+        driver_of(DirectHost(Other(SETTINGS)))
 
 
 def test_old_firmware_and_other_devices_are_refused():

@@ -82,17 +82,17 @@ class GadgetEndpoint(Endpoint):
                 self._check_addresses()
 
     def serve(self, attend: Callable[[], None]) -> None:
-        """See `Endpoint.serve`."""
+        """Let the cable call `attend` before it processes a request."""
         if self._cable is not None:
             self._cable.attend = attend
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`."""
+        """Longest possible: requests wake the event loop."""
         return REST_NS
 
     def advance_faults(self, stream_us: int) -> None:
-        """See `Endpoint.advance_faults`."""
+        """Begin and end faults; one that unplugs the camera disconnects the gadget."""
         self.faulty.advance(stream_us)
         if self.faulty.gone != self._is_gone:
             self._is_gone = self.faulty.gone
@@ -151,13 +151,14 @@ class GadgetEndpoint(Endpoint):
 
     def _open(self, controller: str) -> FunctionFiles:
         """Write the camera's interface to the kernel; raises OSError."""
-        own = {speed: self._camera.descriptors(speed).configuration for speed in _SPEEDS}
+        configurations = {speed: self._camera.descriptors(speed).configuration for speed in _SPEEDS}
         try:
-            interfaces = {speed: with_spares(own[speed].interfaces[0], controller) for speed in _SPEEDS}
+            interfaces = {speed: with_spares(configurations[speed].interfaces[0], controller) for speed in _SPEEDS}
         except ValueError as error:
             raise GadgetError(str(error)) from error
-        places = {place: one.address for place, one in enumerate(interfaces[Speed.FULL].endpoints, 1)}
-        used = {place: address for place, address in places.items() if address in own[Speed.FULL].endpoint_addresses}
+        places = {place: endpoint.address for place, endpoint in enumerate(interfaces[Speed.FULL].endpoints, 1)}
+        of_camera = configurations[Speed.FULL].endpoint_addresses
+        used = {place: address for place, address in places.items() if address in of_camera}
         try:
             return FunctionFiles(self._gadget.mount, (descriptor_block(interfaces), string_block()), used)
         except OSError as error:
@@ -171,8 +172,8 @@ class GadgetEndpoint(Endpoint):
         if self._files is None or not self._had_host:
             return
         with suppress(OSError):  # the host may be lost again
-            wrong = {own: given for own, given in self._files.given.items() if own != given}
-            pairs = ", ".join(f"0x{given:02X} for 0x{own:02X}" for own, given in wrong.items())
+            wrong = {address: assigned for address, assigned in self._files.given.items() if address != assigned}
+            pairs = ", ".join(f"0x{assigned:02X} for 0x{address:02X}" for address, assigned in wrong.items())
             self._trouble = f"wrong endpoints ({pairs})" if wrong else ""
             if wrong:
                 log.warning("%s gives endpoint %s: drivers of this camera will not find them", self._udc, pairs)

@@ -32,7 +32,7 @@ class UsbipFactory(EndpointFactory[UsbCamera]):
     trace: Path | None = None
 
     def traced(self, path: Path) -> UsbipFactory:
-        """See `EndpointFactory.traced`."""
+        """Return the factory of a server that traces its cable in PATH.txt and PATH.pcap."""
         return replace(self, trace=path)
 
     def build(self, device: UsbCamera, deliveries: Deliveries) -> UsbipEndpoint:
@@ -77,16 +77,16 @@ class UsbipEndpoint(Endpoint):
         self._server.pump()
 
     def serve(self, attend: Callable[[], None]) -> None:
-        """See `Endpoint.serve`."""
+        """Let the server call `attend` before it processes a host's bytes."""
         self._server.attend = attend
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`."""
+        """Longest possible: requests wake the event loop."""
         return REST_NS
 
     def advance_faults(self, stream_us: int) -> None:
-        """See `Endpoint.advance_faults`."""
+        """Begin and end faults; one that unplugs the camera removes it from the server's list."""
         self.faulty.advance(stream_us)
         if self.faulty.gone != self._is_gone:
             self._is_gone = self.faulty.gone

@@ -127,9 +127,9 @@ class UrbTrace:
         """Record that a URB was answered, cancelled, or lost with its connection."""
         self._put(_Moment(self._now_ns(), urb, status, length, data))
 
-    def unlinked(self, unlink: Unlink, found: Found) -> None:
+    def unlinked(self, unlink: Unlink, state: Found) -> None:
         """Record that the host cancels a URB."""
-        self._put(_TakenBack(self._now_ns(), unlink.victim, found))
+        self._put(_TakenBack(self._now_ns(), unlink.victim, state))
 
     def close(self) -> None:
         """Write the waiting records, for some seconds at most, and close the files."""
@@ -199,10 +199,10 @@ class _Words:
         if isinstance(moment, _TakenBack):
             return f"{self._seconds(moment.t_ns)} U {moment.seqnum:6d} {'unlink':13s} of a URB {moment.found.value}\n"
         urb = moment.urb
-        way = f"{_KINDS[self._type(urb)]} {'IN' if urb.is_in else 'OUT'}"
-        what = self._submission(urb) if moment.status is None else self._completion(moment, moment.status)
+        transfer = f"{_KINDS[self._type(urb)]} {'IN' if urb.is_in else 'OUT'}"
+        text = self._submission(urb) if moment.status is None else self._completion(moment, moment.status)
         letter = "S" if moment.status is None else "C"
-        return f"{self._seconds(moment.t_ns)} {letter} {urb.seqnum:6d} {way:13s} {what}\n"
+        return f"{self._seconds(moment.t_ns)} {letter} {urb.seqnum:6d} {transfer:13s} {text}\n"
 
     def _seconds(self, t_ns: int) -> str:
         return f"{(t_ns - self._begun_ns) / 1e9:13.6f}"
@@ -224,8 +224,8 @@ class _Words:
         if moment.urb.endpoint == 0:
             name = self._device.name_answer(SetupPacket.parse(moment.urb.setup), moment.data)
         start = moment.data[:_SHOWN_BYTES].hex(" ")
-        more = " ..." if len(moment.data) > _SHOWN_BYTES else ""
-        return f"{status_text}, {moment.length} bytes{': ' if name or start else ''}{name or start + more}"
+        ellipsis = " ..." if len(moment.data) > _SHOWN_BYTES else ""
+        return f"{status_text}, {moment.length} bytes{': ' if name or start else ''}{name or start + ellipsis}"
 
 
 def transfer_types(device: UsbDevice) -> dict[int, int]:
