@@ -70,7 +70,7 @@ def forwarding(
     thread = threading.Thread(target=_receive_all, args=(reader, receive, missed), name=f"evstim deliveries of {link}")
     thread.start()
     try:
-        yield [dataclasses.replace(one, deliveries=writer) if one.name == link else one for one in setups]
+        yield [dataclasses.replace(setup, deliveries=writer) if setup.name == link else setup for setup in setups]
     finally:
         writer.close()  # the link's process had a copy; the pipe ends now
         thread.join()

@@ -130,15 +130,11 @@ def prepared(parts: Sequence[Part]) -> int:
             bar.update(task, completed=state.share)
             for name in [] if status.is_terminal else [n for n in state.ended if n not in printed]:
                 printed.add(name)
-                left = _time_left(bar.tasks[0].time_remaining)
+                left_s = bar.tasks[0].time_remaining  # None: not known yet
+                left = f", about {left_s:.0f} s left" if left_s else ""
                 status.print(f"compiled: {name} ({len(state.ended)} of {len(missing)}){left}", markup=False)
 
         failed = prepare(missing, show)
     if failed:
         status.print(f"not compiled ahead: {', '.join(failed)}; that happens during the run", markup=False)
     return len(missing)
-
-
-def _time_left(seconds: float | None) -> str:
-    """Return the end of a line of progress; None is not known yet."""
-    return f", about {seconds:.0f} s left" if seconds else ""

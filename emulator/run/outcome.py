@@ -230,7 +230,7 @@ def judge(rules: Verdict, result: RunResult) -> tuple[Judgement, ...]:
 
 def good(judgements: tuple[Judgement, ...]) -> bool:
     """Return whether all rules were kept."""
-    return all(one.good for one in judgements)
+    return all(judgement.good for judgement in judgements)
 
 
 def _always(result: RunResult) -> Iterator[Judgement]:
@@ -280,14 +280,14 @@ def _own(rules: Verdict, result: RunResult) -> Iterator[Judgement]:
         yield Judgement("verdict.max_undersampled", share <= rules.max_undersampled, finding, *figures, "at most")
 
 
-def _drop(most: float, result: RunResult, name: str, link: LinkReport) -> Judgement:
+def _drop(limit: float, result: RunResult, name: str, link: LinkReport) -> Judgement:
     """Judge the losses of a link; events that came while no host was streaming, or were not selected, do not count."""
     in_camera = 0 if link.camera is None else link.camera.dropped_for_room
     lost = link.dropped + in_camera
-    wanted = lost + link.delivered
-    share = lost / wanted if wanted else 0.0
-    finding = f"{lost} of {wanted} events lost ({share:.3g}), at most {most:g}"
-    return Judgement(f"verdict.max_drop {name}", share <= most, finding, share, most, "of the events", "at most")
+    counted = lost + link.delivered
+    share = lost / counted if counted else 0.0
+    finding = f"{lost} of {counted} events lost ({share:.3g}), at most {limit:g}"
+    return Judgement(f"verdict.max_drop {name}", share <= limit, finding, share, limit, "of the events", "at most")
 
 
 def _latency(most_us: float, name: str, link: LinkReport) -> Judgement:

@@ -95,9 +95,9 @@ class StepRule:
     def _cheaper(self) -> int:
         """Return the neighbouring length with the least load; for one not tried yet half the load is assumed."""
         shorter, longer = max(self.stretch // 2, 1), min(2 * self.stretch, LONGEST_STRETCH)
-        here = self._load[self.stretch]
-        expected = {shorter: self._load.get(shorter, here), longer: self._load.get(longer, here / 2)}
-        expected[self.stretch] = here
+        load = self._load[self.stretch]
+        expected = {shorter: self._load.get(shorter, load), longer: self._load.get(longer, load / 2)}
+        expected[self.stretch] = load
         return min(expected, key=lambda stretch: expected[stretch])
 
 

@@ -77,15 +77,15 @@ class Registry(Mapping[str, T]):
 
     def usable(self) -> dict[str, T]:
         """Return all records by name; those of broken packages are left out, with one warning."""
-        found: dict[str, T] = {}
+        entries: dict[str, T] = {}
         for name in self:
             try:
-                found[name] = self[name]
+                entries[name] = self[name]
             except PluginError as error:
                 if name not in self._warned:
                     log.warning("%s", error)
                 self._warned.add(name)
-        return found
+        return entries
 
     @cached_property
     def _plugins(self) -> dict[str, list[EntryPoint]]:
@@ -109,15 +109,15 @@ class Registry(Mapping[str, T]):
         return self._of_plugin(points[0])
 
     def _of_plugin(self, point: EntryPoint) -> T:
-        what = _described(point, self._group)
+        description = _described(point, self._group)
         try:
             record: T = point.load()
         except (Exception, SystemExit) as error:
-            raise PluginError(f"{what} cannot be loaded: {type(error).__name__}: {error}") from error
+            raise PluginError(f"{description} cannot be loaded: {type(error).__name__}: {error}") from error
         if not isinstance(record, self._record):
-            raise PluginError(f"{what} must be a {self._record.__name__}, and is {record!r}")
+            raise PluginError(f"{description} must be a {self._record.__name__}, and is {record!r}")
         if record.name != point.name:
-            raise PluginError(f"{what} gives a record of another name, {record.name!r}")
+            raise PluginError(f"{description} gives a record of another name, {record.name!r}")
         return record
 
 
