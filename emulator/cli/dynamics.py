@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from emulator.cli.checks import failures
+from emulator.cli.checks import failures, parsed_address
 from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Flag, Json, console, print_json
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.dynamics.flight import (
@@ -76,7 +76,7 @@ def dynamics(
 
 
 def _flown(file: Path, map_file: Path, pace: Pace, to: str) -> tuple[FlightResult, bool]:
-    address = _address(to)
+    address = parsed_address("--to", to)
     mapping, ending = load_mapping(map_file), _Stop()
     with opened_inputs(mapping, map_file.parent) as inputs, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         names = tuple(name for source in inputs for name in source.names)
@@ -85,13 +85,6 @@ def _flown(file: Path, map_file: Path, pace: Pace, to: str) -> tuple[FlightResul
             pace = dataclasses.replace(pace, waiting=wall_clock(lambda: ending.requested))
             flown = fly(unit, mapping, inputs, pace, lambda data: out.sendto(data, address))
     return flown, not ending.requested
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 1 << 16:
-        raise Failure(f"--to is {text!r}: give HOST:PORT, such as 127.0.0.1:10364", WRONG_USE)
-    return host, int(port)
 
 
 @contextmanager

@@ -84,7 +84,6 @@ def quantile_text(value_us: float | None) -> str:
     return "-" if value_us is None else f"{value_us:.0f}"
 
 
-_STRETCHED_SHARE = 0.01  # fewer longer steps than this change no result
 _REPORTED_LATENESS_US = 1000.0
 
 
@@ -101,7 +100,7 @@ def lateness_lines(rig: Rig, result: RunResult) -> list[str]:
     late = result.lateness
     if result.too_late:
         return [f"NOT IN REAL TIME: {_broken(rig, result)}. {_remedies(rig)}"]
-    if late.worst_gap_us > _REPORTED_LATENESS_US or late.steps_stretched > _STRETCHED_SHARE * result.steps:
+    if late.worst_gap_us > _REPORTED_LATENESS_US or result.often_stretched:
         return [
             f"late: {late.frames_late} of {result.steps} steps, the worst by {late.worst_gap_us:.0f} us; "
             f"{late.steps_stretched} steps made longer to keep up"

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from emulator.cli.checks import failures
+from emulator.cli.checks import failures, parsed_address
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json, status
 from emulator.cli.run import NO_FILES, Files, print_summary, rig_with_options, run_with_files, summary
 from emulator.cli.run_summary import quantile_text
@@ -113,7 +113,8 @@ def _check_installed() -> None:
 
 @contextmanager
 def _server(connection: ConnectionOptions) -> Iterator[VizardServer]:
-    host, port = _address("--at", connection.at)
+    host, port = parsed_address("--at", connection.at, least_port=0)
+    host = "127.0.0.1" if host == "localhost" else host
     if not connection.white > 0:
         raise Failure(f"--white is {connection.white:g}: it must be above 0", WRONG_USE)
     try:
@@ -137,7 +138,7 @@ def _forwarding(server: VizardServer, connection: ConnectionOptions) -> Iterator
         yield server
         return
     try:
-        other = Other(*_address("--forward", connection.forward))
+        other = Other(*parsed_address("--forward", connection.forward))
     except OSError as error:
         reason = f"--forward: no program listens on {connection.forward}: {error.strerror or error}; start it first"
         raise Failure(reason, LACKING) from error
@@ -145,14 +146,6 @@ def _forwarding(server: VizardServer, connection: ConnectionOptions) -> Iterator
         yield ForwardingServer(server, other)
     finally:
         other.close()
-
-
-def _address(option: str, text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    host = host.strip("[]")
-    if not host or not port.isdecimal() or int(port) > 65535:
-        raise Failure(f"{option}: {text!r} is not HOST:PORT, such as 127.0.0.1:5556", WRONG_USE)
-    return "127.0.0.1" if host == "localhost" else host, int(port)
 
 
 def _simulation(rig: Rig, paths: Sequence[ConnectedPath], server: Server, connection: ConnectionOptions) -> BasiliskRun:

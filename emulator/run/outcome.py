@@ -106,6 +106,7 @@ class RunStatus:
     lost_at_readout: int = 0
 
 
+_STRETCHED_SHARE = 0.01  # fewer longer steps than this change no result
 _WINDOW = 10  # statuses over which rates are averaged
 
 
@@ -172,6 +173,11 @@ class RunResult:
     def late_too_often(self) -> bool:
         """True when more steps were late than the schedule allows."""
         return self.max_late_us > 0 and self.late_share > self.max_late_share
+
+    @property
+    def often_stretched(self) -> bool:
+        """True when so many steps were made longer that the result may have changed."""
+        return self.lateness.steps_stretched > _STRETCHED_SHARE * self.steps
 
     @property
     def drawn_by(self) -> str:
@@ -299,7 +305,6 @@ def _latency(most_us: float, name: str, link: LinkReport) -> Judgement:
     return Judgement(rule, p99_us <= most_us, finding, p99_us, most_us, "us (p99)", "at most")
 
 
-_STRETCHED_SHARE = 0.01  # fewer longer steps than this change no result
 _MANY = 0.1  # above it, shorter steps for all pixels are cheaper than refining single ones
 
 
@@ -310,11 +315,12 @@ def undersampled_text(share: float | None) -> str:
 
 def undersampled_advice(result: RunResult) -> str:
     """Return advice where the share is large; "" where it is not. In a late run it follows from lateness."""
-    share, stretched = result.undersampled_share, result.lateness.steps_stretched
+    share = result.undersampled_share
     if share is None or share <= _MANY:
         return ""
     remedy = "shorten run.step_us, or give run.tolerance_us"
-    if result.too_late or stretched > _STRETCHED_SHARE * result.steps:
+    if result.too_late or result.often_stretched:
+        stretched = result.lateness.steps_stretched
         remedy = f"the run was late, and {stretched} of {result.steps} steps were made longer: let it keep up first"
     return (
         f"light frames too far apart: in {share:.0%} of the solved pixel-steps the light changed unseen between them; "

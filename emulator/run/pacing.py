@@ -26,6 +26,7 @@ from firmware_protocol.events import Events
 from transports.link.deliveries import LatencyHistogram, LatencySummary
 from transports.link.edges import EdgeRing
 from transports.link.pacing import Clock
+from transports.link.rings import FOREVER_US
 
 LONGEST_STRETCH = 8
 _MEMORY = 0.9  # of the running mean of a length's load, a step
@@ -102,7 +103,6 @@ class StepRule:
 
 
 _POLL_NS = 200_000
-_FOREVER_US = 1 << 62
 
 
 class Lockstep:
@@ -125,7 +125,7 @@ class Lockstep:
     @property
     def limit_ns(self) -> int:
         """Stream time that the run may reach."""
-        self.received += len(self._syncs.take(_FOREVER_US))
+        self.received += len(self._syncs.take(FOREVER_US))
         return self.received * self._period_ns
 
     def wait(self, t_ns: int, goes_on: Callable[[], bool]) -> int:

@@ -42,7 +42,7 @@ from transports.faults.kinds import Fault
 from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
 from transports.link.report import CameraSettings, LinkReport, Occurrence
-from transports.link.rings import FREE_RUNNING
+from transports.link.rings import FOREVER_US, FREE_RUNNING
 
 log = logging.getLogger(__name__)
 
@@ -72,7 +72,6 @@ def _without_old_garbage() -> Iterator[None]:
         gc.unfreeze()
 
 
-_FOREVER_US = 1 << 62
 _STATUS_PERIOD_NS = 100_000_000
 _SLICE_US = 20_000  # of a step, for rings of readings: a frame of a DAVIS346 takes 18 ms
 _HEAD_START_NS = 60_000_000  # from the start until stream time zero: twice the time of the first step, the slowest
@@ -494,7 +493,7 @@ class Session:
         links, self._links = self._links, []
         reports = {link.name: link.stop(drain_s) for link in links}
         for link in links:
-            for change in link.take_changes(_FOREVER_US):
+            for change in link.take_changes(FOREVER_US):
                 if isinstance(change, Occurrence):  # settings act on no step any more
                     self._take_change(link.name, change)
         return reports

@@ -7,9 +7,11 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
+from emulator.cli.checks import parsed_address
 from emulator.cli.listen import Limits, Source, lacking, listen_to
 from emulator.cli.output import WRONG_USE, Failure, Json, status
 from emulator.rig.kinds import LINKS
+from firmware_protocol.gige.gvcp import GVCP_PORT
 from firmware_protocol.gige.gvsp import LEAST_PACKET, MOST_PACKET
 from transports.gige.host import GigeHost, GigeHostError, GigeReception
 from transports.gige.host import receive as receive_gige
@@ -41,7 +43,12 @@ def listen(
         Limits of the reception, and the file for the received events.
     """
     limits.check()
-    with lacking(UsbHostError), closing(driver_of(_usb_host(usbip, busid))) as camera:
+    with lacking(UsbHostError):
+        if usbip is None:
+            host: UsbHost = first_on_the_bus()
+        else:
+            host = UsbipHost.attach(*parsed_address("--usbip", usbip), busid, timeout_s=5.0)
+    with lacking(UsbHostError), closing(driver_of(host)) as camera:
         status.print(f"{camera.model} serial {camera.info.serial}, {camera.info.size[0]}x{camera.info.size[1]} pixels")
 
         def summary(reception: CameraReception) -> list[str]:
@@ -51,15 +58,6 @@ def listen(
             lambda goes_on, recorder: receive(camera, goes_on, MonotonicClock(), recorder), summary, _USB_GONE
         )
         return listen_to(source, limits, json=json)
-
-
-def _usb_host(usbip: str | None, busid: str) -> UsbHost:
-    if usbip is None:
-        return first_on_the_bus()
-    host, _, port = usbip.rpartition(":")
-    if not host or not port.isdigit():
-        raise Failure(f"--usbip must be HOST:PORT such as 127.0.0.1:3240, got {usbip!r}", WRONG_USE)
-    return UsbipHost.attach(host, int(port), busid, timeout_s=5.0)
 
 
 _GIGE_GONE = "the camera went away before the reception was to end: its run ended or died, or another host took control"
@@ -87,7 +85,7 @@ def gige(
     limits.check()
     if not LEAST_PACKET <= packet_size <= MOST_PACKET or packet_size % 2:
         raise Failure(f"--packet-size must be even, {LEAST_PACKET} to {MOST_PACKET}, got {packet_size}", WRONG_USE)
-    host, port = _address(at)
+    host, port = parsed_address("AT", at if ":" in at else f"{at}:{GVCP_PORT}")
     clock = MonotonicClock()
     with lacking(GigeHostError), closing(GigeHost(host, port, now_ns=clock.now_ns)) as camera:
         about = camera.identity
@@ -98,13 +96,6 @@ def gige(
 
         source = Source(lambda goes_on, to: receive_gige(camera, packet_size, goes_on, clock, to), summary, _GIGE_GONE)
         return listen_to(source, limits, json=json)
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.partition(":")
-    if not host or (port and (not port.isdecimal() or not 1 <= int(port) <= 65535)):
-        raise Failure(f"{text!r} is not ADDRESS or ADDRESS:PORT, such as 127.0.0.1:3956", WRONG_USE)
-    return host, int(port or 3956)
 
 
 _LISTENERS = [kind.listener for kind in LINKS.usable().values() if kind.listener is not None]

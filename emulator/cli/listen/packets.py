@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.checks import prepared
+from emulator.cli.checks import parsed_address, prepared
 from emulator.cli.listen import Limits, Source, lacking, listen_to
 from emulator.cli.output import WRONG_USE, Failure, Flag, Json, status
 from emulator.cli.run_summary import quantile_text
@@ -177,8 +177,8 @@ def udp(
         Limits of the reception, and the file for the received events.
     """
     limits.check()
-    host, port = _address(at)
-    ports = Ports(host, port, *_address(camera), allow)
+    host, port = parsed_address("AT", at)
+    ports = Ports(host, port, *parsed_address("--camera", camera), allow)
     try:
         check_allow(host, allow, "HOST")
         telecommands = orders.telecommands()
@@ -191,13 +191,6 @@ def udp(
 
     prepared([DECODER])
     return listen_to(Source(receive, _summary), limits, json=json)
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
-        raise Failure(f"{text!r} is not HOST:PORT, such as 127.0.0.1:10015", WRONG_USE)
-    return host.strip("[]"), int(port)
 
 
 def _with_answers(goes_on: _GoesOn) -> _GoesOn:
