@@ -232,11 +232,7 @@ def read_path(p: FilePath) -> tuple[Trajectory, _Span]:
     path = Path(p.path)
     try:
         orbit = parse_oem(_text(path)) if path.suffix.lower() == ".oem" else None
-        if orbit:
-            places = orbit.path
-        else:
-            samples = _samples(path, p.period_s)
-            places = Keyframes(samples.times_ns, samples.poses)
+        places = orbit.path if orbit else _keyframes(path, p.period_s)
     except TrajectoryError as error:
         raise TrajectoryError(f"{p.path}: {shortened(error)}") from error
     start_ns, stop_ns = places.span_ns
@@ -250,17 +246,19 @@ def read_path(p: FilePath) -> tuple[Trajectory, _Span]:
     return camera, (start_ns - zero_ns, stop_ns - zero_ns)
 
 
-def _samples(path: Path, period_s: float) -> Samples:
+def _keyframes(path: Path, period_s: float) -> Keyframes:
     match path.suffix.lower():
         case ".fli":
             flight = parse_flight(_text(path), period_s)
+            samples = flight.samples
             if flight.left_out:
                 left_out = ", ".join(f"{count} {command}" for command, count in flight.left_out.items())
                 _LOG.info("%s: left out of the flight: %s", path, left_out)
-            return flight.samples
         case ".csv":
-            return parse_table(_text(path))
-    raise TrajectoryError("its format is unknown: name it .csv, .oem or .fli")
+            samples = parse_table(_text(path))
+        case _:
+            raise TrajectoryError("its format is unknown: name it .csv, .oem or .fli")
+    return Keyframes(samples.times_ns, samples.poses)
 
 
 def _attitudes(p: FilePath, span_ns: _Span, orbit: CcsdsPath | None) -> tuple[Trajectory, int]:
