@@ -39,9 +39,8 @@ from emulator.rig.kinds import (
 from emulator.rig.loading import Rig, RigError, Run
 from emulator.rig.second_camera import carries_second, second_rig
 from emulator.rig.tables import OWN_METHODS, Trigger
-from emulator.run.readings import ReadingSource, ReadingSources
+from emulator.run.camera import CameraView, ReadingSource, ReadingSources
 from emulator.run.session import Schedule, Session
-from emulator.run.stereo import SecondView
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.pixels.method import MakePixels
 from emulator.sensor.presets import SensorParameters
@@ -72,8 +71,8 @@ if TYPE_CHECKING:
 def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
     """Return the rig's scene at `size` = (width, height) pixels, by default its camera's; raises SceneError."""
     size = size or rig.camera.size
-    kind, lens, chip = SCENES[rig.scene.kind], rig.camera.lens, CAMERA_MODELS[rig.camera.model].chip
-    threads = rig.run.threads
+    kind, lens = SCENES[rig.scene.kind], rig.camera.lens
+    chip, threads = CAMERA_MODELS[rig.camera.model].chip, rig.run.threads
     build = partial(SCENES.imported(kind.name, kind.build), rig.scene, **({"threads": threads} if kind.threads else {}))
     if kind.gl:
         from emulator.gl.context import selected_painter
@@ -147,7 +146,7 @@ _EXPOSURE_NS, _INTERVAL_NS = 4_000_000, 40_000_000
 
 def initial_readings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
     """Return the settings of each kind of readings at the start, as `TakesReadings.reading_settings`."""
-    has_host = any(LINKS[one.kind].serves == "usb" and not carries_second(rig, one.name) for one in rig.links)
+    has_host = any(LINKS[link.kind].serves == "usb" and not carries_second(rig, link.name) for link in rig.links)
     return {kind: () if has_host else settings for kind, settings in _driver_settings(rig).items()}
 
 
@@ -191,9 +190,14 @@ def build_session(
     """
     parameters, frames = planned_sensor(rig, scene), build_frames(rig, scene)
     steps = build_steps(rig, frames, parameters)
-    sensor = build_sensor(rig, parameters) if truth is None else _with_truth(rig, parameters, scene, truth)
-    own = [setup for setup in setups if not carries_second(rig, setup.name)]
-    readings = ReadingSources(reading_sources(rig, scene, sensor), own)
+    if truth is None:
+        sensor = build_sensor(rig, parameters)
+    else:
+        from emulator.sensor.origins import TracedSensor
+
+        sensor = truth.source(build_sensor(rig, parameters, TracedSensor), scene)
+    first_setups = [setup for setup in setups if not carries_second(rig, setup.name)]
+    readings = ReadingSources(reading_sources(rig, scene, sensor), first_setups)
     session = Session(frames, sensor, steps, setups, clock, readings)
     if rig.second_camera is not None:
         second = second_rig(rig)
@@ -226,12 +230,12 @@ def build_steps(rig: Rig, frames: SceneFrames, sensor: SensorParameters) -> Step
     return ControlledSteps(limits(rig, frames.scene.motion_bound_px_s), dark, first_ns, refinement)
 
 
-def _second_view(rig: Rig, parameters: SensorParameters, setups: Sequence[LinkSetup[Any]]) -> SecondView:
+def _second_view(rig: Rig, parameters: SensorParameters, setups: Sequence[LinkSetup[Any]]) -> CameraView:
     names = [link.name for link in rig.links]
     scene, sensor = build_scene(rig), build_sensor(rig, parameters)
-    own = [setup for setup in setups if setup.name in names]
-    readings = ReadingSources(reading_sources(rig, scene, sensor), own)
-    return SecondView(build_frames(rig, scene), sensor, readings, names)
+    second_setups = [setup for setup in setups if setup.name in names]
+    readings = ReadingSources(reading_sources(rig, scene, sensor), second_setups)
+    return CameraView(build_frames(rig, scene), sensor, readings, names)
 
 
 def reading_sources(rig: Rig, scene: Scene, sensor: EventSource | None = None) -> list[ReadingSource]:
@@ -268,20 +272,14 @@ def _reading_rings(rig: Rig, kind: LinkKind[Any]) -> tuple[ReadingRing, ...]:
     imu = () if rig.camera.imu is None else (ReadingRing(ReadingKind.IMU, IMU_SAMPLE, _IMU_RING),)
     rings = (*ReadingSources.new_rings(_frame_sources(rig)), *imu)
     if kind.serves == "plain":  # its settings hold from the start, not from the first poll of its process
-        asked = initial_readings(rig)
+        settings = initial_readings(rig)
         for ring in rings:
-            ring.write_settings(asked[ring.kind])
+            ring.write_settings(settings[ring.kind])
     return rings
 
 
 def _has_readings(kind: LinkKind[Any]) -> bool:
     return kind.serves == "usb" or kind.has_readings
-
-
-def _with_truth(rig: Rig, parameters: SensorParameters, scene: Scene, truth: TruthFile) -> EventSource:
-    from emulator.sensor.origins import TracedSensor
-
-    return truth.source(build_sensor(rig, parameters, TracedSensor), scene)
 
 
 def build_sensor(rig: Rig, parameters: SensorParameters, kind: type[Sensor] = Sensor) -> EventSource:

@@ -31,11 +31,11 @@ def carried(rig: Rig, imu: ImuParameters, scene: Scene) -> Carried:
     inner = scene
     while isinstance(inner, Through | Veiled):
         inner = inner.scene
-    given = Gravity(np.zeros(3) if imu.gravity_m_s2 is None else np.array(imu.gravity_m_s2), imu.gm_m3_s2)
+    gravity = Gravity(np.zeros(3) if imu.gravity_m_s2 is None else np.array(imu.gravity_m_s2), imu.gm_m3_s2)
     is_given = imu.gravity_m_s2 is not None or imu.gm_m3_s2 > 0
     if not isinstance(inner, HasCameraPath):
-        return Carried(Fixed(), given if is_given else EARTH_IN_THE_PICTURE, Timescale())
-    return Carried(inner.camera_path, given if is_given else _gravity_of(rig), inner.path_time)
+        return Carried(Fixed(), gravity if is_given else EARTH_IN_THE_PICTURE, Timescale())
+    return Carried(inner.camera_path, gravity if is_given else _gravity_of(rig), inner.path_time)
 
 
 def _gravity_of(rig: Rig) -> Gravity:

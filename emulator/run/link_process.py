@@ -187,14 +187,15 @@ class LinkProcess:
     def push(self, events: Events, now_us: int) -> None:
         """Hand over events up to `now_us`; events without room in the ring are refused and counted there."""
         self._offered += len(events)
-        self._push(events, now_us)
+        if not self.gone:
+            self._setup.ring.push(events)
+            self._setup.ring.publish(now_us)
 
     def push_all(self, events: Events, now_us: int, goes_on: Callable[[], bool] = lambda: True) -> None:
         """Hand over every event, and wait for room: for runs that are not paced, where nothing need be lost.
 
         The wait ends when `goes_on` returns False, or the link is gone; events without room are counted as dropped.
         """
-        self._offered += len(events)
         ring = self._setup.ring
         while len(events) > ring.room and not self.gone and goes_on():
             if ring.room == 0:
@@ -202,9 +203,9 @@ class LinkProcess:
                 self.listen()
                 continue
             piece = events[: ring.room]
-            self._push(piece, int(piece["t"][-1]))
+            self.push(piece, int(piece["t"][-1]))
             events = events[len(piece) :]
-        self._push(events, now_us)
+        self.push(events, now_us)
 
     def push_readings(self, kind: ReadingKind, readings: Readings, goes_on: Callable[[], bool] | None = None) -> None:
         """Hand over readings of a kind, before the events of the same time; those without room are refused and counted.
@@ -231,11 +232,6 @@ class LinkProcess:
         if self._process.exitcode:
             self._setup.endpoint.remove_remains()
         return self._accounted()
-
-    def _push(self, events: Events, now_us: int) -> None:
-        if not self.gone:
-            self._setup.ring.push(events)
-            self._setup.ring.publish(now_us)
 
     def _spawn(self) -> None:
         self._tally = DeliveryTally()
@@ -266,21 +262,23 @@ class LinkProcess:
     def _died(self) -> None:
         self._process.join(1.0)
         self._setup.endpoint.remove_remains()
-        why = f"its process ended (exit code {self._process.exitcode})"
+        reason = f"its process ended (exit code {self._process.exitcode})"
         ran_ns = self._clock.now_ns() - self._began_ns
         if not self._setup.restart or ran_ns < _RESTART_AFTER_NS:
-            self._leave(why, "died")
+            self._leave(reason, "died")
             return
         self._delivered_before += self._tally.delivered
         self._recordings += self.report.recordings
-        self._error = f"{why} and was started again {self._starts} times" if self._starts > 1 else f"{why}; restarted"
+        self._error = (
+            f"{reason} and was started again {self._starts} times" if self._starts > 1 else f"{reason}; restarted"
+        )
         self._spawn()
         self.report = LinkReport("restarting")
         self._changes.append(CameraSettings(self._setup.ring.settled_us, "restart"))
 
-    def _leave(self, why: str, state: str) -> None:
+    def _leave(self, reason: str, state: str) -> None:
         self.gone = True
-        self._error = why
+        self._error = reason
         self.report = dataclasses.replace(self.report, state=state, address=None)
 
     def _finish(self, drain_s: float) -> None:
@@ -313,9 +311,8 @@ def traced(setups: Sequence[LinkSetup[Any]], path: Path) -> tuple[list[LinkSetup
     """
     names = [setup.name for setup in setups if setup.endpoint.traced(path) is not None]
     paths = {name: path if len(names) == 1 else path.with_name(f"{path.name}-{name}") for name in names}
-    return [_traced(setup, paths.get(setup.name)) for setup in setups], list(paths.values())
-
-
-def _traced(setup: LinkSetup[Any], path: Path | None) -> LinkSetup[Any]:
-    endpoint = None if path is None else setup.endpoint.traced(path)
-    return setup if endpoint is None else dataclasses.replace(setup, endpoint=endpoint)
+    links = []
+    for setup in setups:
+        endpoint = setup.endpoint.traced(paths[setup.name]) if setup.name in paths else None
+        links.append(setup if endpoint is None else dataclasses.replace(setup, endpoint=endpoint))
+    return links, list(paths.values())

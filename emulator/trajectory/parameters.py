@@ -13,8 +13,7 @@ from ipaddress import IPv4Address
 from typing import ClassVar, Literal
 
 from emulator.tables.typed_table import NO_FILE, RigFile
-from emulator.trajectory.descent import LANDING, Gate
-from emulator.trajectory.orbit import Elements
+from emulator.trajectory.laws import LANDING, Elements, Gate
 
 _Triple = tuple[float, float, float]
 _Quaternion = tuple[float, float, float, float]

@@ -19,8 +19,7 @@ from emulator.cli.doctor import _sentence
 from emulator.cli.output import Failure
 from emulator.cli.verbs import VERBS
 from emulator.rig.loading import load_rig
-from emulator.run.expected_speed import ExpectedSpeed, StepCost
-from emulator.run.keeping_up import RealTimeSpeed
+from emulator.run.expected_speed import ExpectedSpeed, RealTimeSpeed, StepCost
 from emulator.scene.bodies.mesh import load_mesh
 from firmware_protocol.events import EVENT
 from transports.link.deliveries import digest_of

@@ -13,10 +13,9 @@ from emulator.light import Scene, SceneFrames
 from emulator.plan.step_control import FixedSteps
 from emulator.rig.tables import Trigger
 from emulator.run.assembly import TriggerPaths
+from emulator.run.camera import CameraView, ReadingSources
 from emulator.run.changes import Change, Changes
-from emulator.run.readings import ReadingSources
 from emulator.run.session import Schedule, Session
-from emulator.run.stereo import SecondView
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
@@ -236,7 +235,7 @@ def test_the_second_camera_follows_its_own_host_at_stated_times():
     def run(tick_us, delay_s):
         running = session([link("left", SCRIPT[:1]), link("right", SCRIPT[1:], tick_us=tick_us)], delay_s)
         sensor, scene = Sensor(SENSOR, 2), SceneFrames(Flicker(), with_rate=False)
-        running.join(SecondView(scene, sensor, ReadingSources((), ()), ["right"]))
+        running.join(CameraView(scene, sensor, ReadingSources((), ()), ["right"]))
         return *events_of(running, FREE), sensor
 
     (events, result, ends_ns, second), *others = (run(*machine) for machine in MACHINES.values())

@@ -21,7 +21,7 @@ from emulator.scene.stars.table import MovingPoint, StarsParameters
 from emulator.scene.terrain.gl_terrain import GlTerrain
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.table import Ridge, TerrainParameters
-from emulator.trajectory.descent import Gate
+from emulator.trajectory.laws import Gate
 from emulator.trajectory.parameters import DescentPath, FixedPath, Keyframe, KeyframePath, SpinPath
 from emulator.truth.surfaces import NearestSurface
 

@@ -1,4 +1,13 @@
-"""A landing in phases: gates of height and speed, joined smoothly, above a flat world with z up.
+"""Paths by a law: orbits, and landings in phases.
+
+Circular and elliptical orbits about the world's origin: the two-body problem in closed form.
+
+    M = M0 + sqrt(GM / a^3) t    E - e sin E = M    (Kepler; Vallado, Fundamentals of Astrodynamics, 2.2)
+    in the plane of the orbit: x = a (cos E - e), y = a sqrt(1 - e^2) sin E
+
+then turned by the argument of periapsis about z, the inclination about x, the node about z.
+
+A landing in phases: gates of height and speed, joined smoothly, above a flat world with z up.
 
     t_s   height_m  forward_m_s  down_m_s  depression_deg      phase that begins here
       0     1500        100         30          35              braking
@@ -29,13 +38,130 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.attitude import Quaternion, Vector, quaternion_of
+from emulator.geometry.attitude import Matrix, Quaternion, Vector, quaternion_of
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.mounting import looking_along
 from emulator.trajectory.pose import STILL, Motion, Pose, Trajectory, TrajectoryError, instants_between, measured_bounds
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
+
+_NEWTON_STEPS = 50
+
+
+@dataclass(frozen=True)
+class Elements:
+    """An orbit about a point mass at the origin.
+
+    Attributes
+    ----------
+    gm_m3_s2 : gravitational parameter of the body; 4.4628e5 for Eros.
+    semi_major_axis_m : mean of nearest and farthest distance.
+    eccentricity : 0 for a circle, below 1.
+    inclination_deg, node_deg, periapsis_deg : of the orbit's plane against the world's x-y plane.
+    anomaly_deg : mean anomaly at time zero.
+    """
+
+    gm_m3_s2: float
+    semi_major_axis_m: float
+    eccentricity: float = 0.0
+    inclination_deg: float = 0.0
+    node_deg: float = 0.0
+    periapsis_deg: float = 0.0
+    anomaly_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ValueError(f"{name} is {value}: it must be finite")
+        for name in ("gm_m3_s2", "semi_major_axis_m"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} is {getattr(self, name):g}: it must be above 0")
+        if not 0 <= self.eccentricity < 1:
+            raise ValueError(f"eccentricity is {self.eccentricity:g}: an orbit that returns has 0 to below 1")
+
+    @property
+    def mean_motion_rad_s(self) -> float:
+        """Mean angular rate."""
+        return math.sqrt(self.gm_m3_s2 / self.semi_major_axis_m**3)
+
+    @property
+    def period_s(self) -> float:
+        """Time of one revolution."""
+        return 2 * math.pi / self.mean_motion_rad_s
+
+    @property
+    def periapsis_speed_m_s(self) -> float:
+        """The greatest speed, at the nearest point (vis-viva)."""
+        e = self.eccentricity
+        return math.sqrt(self.gm_m3_s2 / self.semi_major_axis_m * (1 + e) / (1 - e))
+
+
+class Orbit(Trajectory):
+    """An orbit around the origin, with the attitude of the world (see `looking` to look at the body)."""
+
+    def __init__(self, elements: Elements) -> None:
+        self._elements = elements
+        self._world_from_plane = _plane(elements)
+
+    def pose(self, t_ns: int) -> Pose:
+        """Return the place at `t_ns`."""
+        k = self._elements
+        anomaly = self._anomaly(t_ns)
+        across = math.sqrt(1 - k.eccentricity**2) * math.sin(anomaly)
+        in_plane: Vector = k.semi_major_axis_m * np.array([math.cos(anomaly) - k.eccentricity, across, 0.0])
+        return Pose(self._world_from_plane @ in_plane, STILL.q_world_from_body)
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return velocity and acceleration, that of free fall: -GM r / |r|^3."""
+        k = self._elements
+        anomaly = self._anomaly(t_ns)
+        place = self.pose(t_ns).position_m
+        speed = k.semi_major_axis_m * k.mean_motion_rad_s / (1 - k.eccentricity * math.cos(anomaly))
+        across = math.sqrt(1 - k.eccentricity**2) * math.cos(anomaly)
+        velocity = self._world_from_plane @ (speed * np.array([-math.sin(anomaly), across, 0.0]))
+        return Motion(velocity, -k.gm_m3_s2 * place / np.linalg.norm(place) ** 3, np.zeros(3))
+
+    def _anomaly(self, t_ns: int) -> float:
+        k = self._elements
+        mean = math.radians(k.anomaly_deg) + math.fmod(k.mean_motion_rad_s * (t_ns * 1e-9), 2 * math.pi)
+        return eccentric_anomaly(mean, k.eccentricity)
+
+    @property
+    def speed_bound_m_s(self) -> float:
+        """The speed at the nearest point."""
+        return self._elements.periapsis_speed_m_s
+
+    @property
+    def turn_bound_rad_s(self) -> float:
+        """Zero: it does not turn."""
+        return 0.0
+
+
+def eccentric_anomaly(mean_rad: float, eccentricity: float) -> float:
+    """Solve Kepler's equation for E, rad, 0 <= eccentricity < 1; to a few units in the last place."""
+    mean = math.remainder(mean_rad, 2 * math.pi)
+    anomaly = math.copysign(math.pi, mean) if eccentricity > 0.8 else mean  # Newton's method converges from there
+    for _ in range(_NEWTON_STEPS):
+        step = (anomaly - eccentricity * math.sin(anomaly) - mean) / (1 - eccentricity * math.cos(anomaly))
+        anomaly -= step
+        if abs(step) <= 1e-15 * max(1.0, abs(anomaly)):
+            break
+    return anomaly
+
+
+def _plane(k: Elements) -> Matrix:
+    """Return world_from_plane: the turns by node, inclination and periapsis."""
+
+    def about(axis: int, degrees: float) -> Matrix:
+        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        m = np.eye(3)
+        m[np.ix_([i, j], [i, j])] = [[c, -s], [s, c]]
+        return m
+
+    return np.asarray(about(2, k.node_deg) @ about(0, k.inclination_deg) @ about(2, k.periapsis_deg))
+
 
 _UP = np.array([0.0, 0.0, 1.0])
 
@@ -87,8 +213,10 @@ class Descent(Trajectory):
     ) -> None:
         heading = math.radians(heading_deg)
         ahead = np.array([math.sin(heading), math.cos(heading), 0.0])
-        forward, site = _forward_m(gates), np.asarray(site_m, np.float64)
-        places = [site + s * ahead + gate.height_m * _UP for s, gate in zip(forward, gates, strict=True)]
+        site = np.asarray(site_m, np.float64)
+        steps_m = [(b.t_s - a.t_s) * (a.forward_m_s + b.forward_m_s) / 2 for a, b in itertools.pairwise(gates)]
+        forward_m = [-sum(steps_m[k:]) for k in range(len(gates))]  # along the heading, the last gate's being 0
+        places = [site + s * ahead + gate.height_m * _UP for s, gate in zip(forward_m, gates, strict=True)]
         velocities = [gate.forward_m_s * ahead - gate.down_m_s * _UP for gate in gates]
         times_ns = [round(gate.t_s * 1e9) for gate in gates]
         self._path = Keyframes(times_ns, [Pose(place, STILL.q_world_from_body) for place in places], velocities)
@@ -133,12 +261,6 @@ class Descent(Trajectory):
                     f"the descent goes through the ground at {t_ns * 1e-9:.1f} s: "
                     "between two gates the speeds need more height than there is"
                 )
-
-
-def _forward_m(gates: Sequence[Gate]) -> list[float]:
-    """Return the distances along the heading, the last gate's being 0."""
-    steps = [(b.t_s - a.t_s) * (a.forward_m_s + b.forward_m_s) / 2 for a, b in itertools.pairwise(gates)]
-    return [-sum(steps[k:]) for k in range(len(gates))]
 
 
 def _depression(gates: Sequence[Gate]) -> PPoly:
