@@ -42,10 +42,8 @@ success touches down below 1 m/s with a good verdict of the camera's run.
 
 ![Speed at touchdown and error of the divergence over each parameter](pictures/landing-campaign.png)
 
-[Influence](campaigns.md#parameters) of the parameters: PAWN index (0: none); its bound in 95 % of samples without
-influence; Spearman's rank correlation, which has no meaning for the numbers of the grounds.
-
-{influence}
+Of ground, Sun, threshold and height, the [influence](campaigns.md#parameters) (PAWN index) that is above its bound in
+95 % of samples without any: {influence}.
 
 A run took {wall_s[0]:.0f} s (median; {wall_s[1]:.0f} to {wall_s[2]:.0f}), two at a time on two busy cores.
 """
@@ -80,15 +78,14 @@ def _cell(value: object) -> str:
 
 
 def influence(made: Campaign, rows: Sequence[Row]) -> str:
-    """Return the sensitivity of each column to each parameter: PAWN index; its bound by chance; rank correlation."""
+    """Return the influences of a parameter on a column that chance does not explain: PAWN index and its bound."""
     labels = made.settings.report.labels
-    lines: dict[str, dict[str, str]] = {}
-    for column in made.settings.report.columns:
-        for row in sensitivity(rows, made.settings.parameters, column, 0).rows:
-            line = lines.setdefault(row["parameter"], {"parameter": labels[row["parameter"]]})
-            figures = (row["PAWN"], row["PAWN, 95 % of chance"], row["rank correlation"])
-            line[labels.get(column, column)] = "; ".join(map(_cell, figures))
-    return markdown(list(lines.values()))
+    return "; ".join(
+        f"{labels[row['parameter']]} on {labels.get(column, column)} {_cell(row['PAWN'])} ({_cell(bound)})"
+        for column in made.settings.report.columns
+        for row in sensitivity(rows, made.settings.parameters, column, 0).rows
+        if row["PAWN"] > (bound := row["PAWN, 95 % of chance"])
+    )
 
 
 def part(made: Campaign, rows: Sequence[Row]) -> str:

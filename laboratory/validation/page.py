@@ -14,7 +14,7 @@ _INTRODUCTION = """# Validation
 
 How much the simulated sensors are like real cameras: public measurements, repeated by `evstim validate --out docs`.
 What disagrees stands first. All values and their distances are in [validation.csv](validation/validation.csv) and
-[validation.json](validation/validation.json). In a table of light and biases a cell is real / ours; bold: they
+[validation.json](validation/validation.json). In a table of light and biases a cell is real/ours; bold: they
 disagree; in brackets: not judged.
 """
 
@@ -123,7 +123,7 @@ def _grid(data: Sequence[Datum]) -> list[str]:
 
 
 def _cell(datum: Datum) -> str:
-    text = f"{_number(datum.real)} / {_number(datum.ours)}"
+    text = f"{_number(datum.real)}/{_number(datum.ours)}"
     if not datum.judged:
         return f"({text})"
     return text if datum.alike else f"**{text}**"
@@ -148,7 +148,8 @@ def _values(datum: Datum) -> str:
 
 
 def _number(value: float) -> str:
-    return "–" if math.isnan(value) else f"{value:.3g}"
+    """Return a value to three digits, without an exponent where it is large."""
+    return "–" if math.isnan(value) else f"{float(f'{value:.3g}'):g}" if abs(value) < 1e6 else f"{value:.3g}"
 
 
 def _distance(datum: Datum) -> str:

@@ -88,7 +88,7 @@ def test_a_grid_of_conditions_is_one_table(tmp_path):
     data[2] = dataclasses.replace(data[2], bound=math.nan, remark="beyond")
     write([findings("only", data)], tmp_path)
     text = (tmp_path / "validation.md").read_text()
-    assert "|condition|low|mid|high|\n|---|---|---|---|\n|ON at 0 W/m2|2 / 2.1|**2 / 3**|(2 / 2.1)|\n" in text
+    assert "|condition|low|mid|high|\n|---|---|---|---|\n|ON at 0 W/m2|2/2.1|**2/3**|(2/2.1)|\n" in text
     assert "Unit: us. Bound: 10.0 %. Not judged: beyond." in text
 
 
