@@ -32,10 +32,10 @@ COLUMNS = {
     "frames": Column("frames", "exact"),
     "imu": Column("IMU", "exact"),
     "triggers": Column("triggers", "exact"),
-    "settings": Column("settings while streaming"),
-    "unplugged": Column("unplugged while streaming"),
+    "settings": Column("settings changed"),
+    "unplugged": Column("unplugged"),
     "plugged again": Column("plugged again"),
-    "cycles": Column("opened again and again"),
+    "cycles": Column("opened often"),
 }
 
 
@@ -229,6 +229,20 @@ CAMERAS = {
     ),
 }
 
+TABLES = (
+    ("davis346",),
+    ("evk4",),
+    ("silkyevcam_hd", "silkyevcam_hd_lite", "ueye_xcp_e", "ueye_xls_e", "evk3_hd"),
+    ("dvxplorer",),
+    ("dvxplorer_micro", "dvxplorer_micro_firmware9"),
+    ("genx320",),
+    ("triton2",),
+)
+"""Keys of the cameras of each table."""
+
+HEADINGS = {"silkyevcam_hd": "Siblings of the EVK4", "dvxplorer_micro": "DVXplorer Micro"}
+"""Heading of a table of several cameras, by its first one."""
+
 NOT_RUN = (
     ("DV, jAER", "DAVIS346, DVXplorer", "programs with a graphical surface"),
     ("libcaer_driver, metavision_driver (ROS)", "all on USB", "need ROS; they use libcaer and OpenEB"),
@@ -239,8 +253,10 @@ NOT_RUN = (
 
 _HEAD = """# Cameras and clients
 
-This page shows, for each camera and each unmodified client, the tests that passed. It is written by
-`docs/device_matrix.py` from `docs/device_matrix.json`, which a run of the tests writes:
+The tests that passed for each camera and each unmodified client, in the run of {dates}. The clients run on a Linux
+kernel's USB in a guest that QEMU emulates ([how to attach a camera](cameras.md)), those of GigE Vision on the host's
+own network. No real camera was at hand: one may behave otherwise, see the list below each table. This page is written
+from the outcomes:
 
 ```sh
 EVSTIM_MATRIX=docs/device_matrix.json python -m pytest -m guest --timeout 900
@@ -254,15 +270,13 @@ python docs/device_matrix.py
 | **fails** | a test of it failed in the run; the reason stands below the table |
 | not run | a test exists, and was skipped in the run |
 | not in the client | the client cannot do this with any such camera |
-| not tried | no test exists |
-| – | the camera does not have it |
+| empty | no test exists |
+| – | the camera does not have it, as no camera of a table without the column |
 
-A number is that of the test below the table; a letter is that of a note. The run took place on {dates}. The clients run
-on a Linux kernel's USB in a guest that QEMU emulates ([how to attach a camera](cameras.md)), those of GigE Vision on
-the host's own network. No real camera was at hand: a client that accepts this one may behave otherwise with a real
-camera, see the list below each table.
+A number is that of the test below the table; a letter is that of a note. Settings are changed, and cameras unplugged,
+while they stream; *opened often* is closed amid the streams again and again.
 
-Seen to work by hand, without a test and so "not tried" in the tables: triggers of the GenX320 by OpenEB, triggers and
+Seen to work by hand, without a test: triggers of the GenX320 by OpenEB, triggers and
 settings of the EVK4's siblings by neuromorphic_drivers, settings of the DVXplorer Micro by dv-processing 2."""
 
 
@@ -275,33 +289,42 @@ def cell_word(column: str, outcomes: Iterable[str]) -> str:
 
 
 class _Table:
-    """A camera's table, with its tests numbered and its notes lettered in the order of their first cells."""
+    """A table of one camera or several, with its tests numbered and its notes lettered in the order of their cells."""
 
-    def __init__(self, camera: Camera, rows: Sequence[Row]) -> None:
-        self._camera, self._rows = camera, rows
+    def __init__(self, keys: Sequence[str], rows: Sequence[Row]) -> None:
+        self._cameras = {key: CAMERAS[key] for key in keys}
+        self._heading = HEADINGS.get(keys[0]) or CAMERAS[keys[0]].name
+        self._rows = [row for row in rows if row["camera"] in keys]
         self._tests: dict[str, list[Row]] = {}
         self._notes: list[str] = []
 
     def text(self) -> str:
-        headings = ["client", *(column.heading for column in COLUMNS.values())]
-        lines = [f"## {self._camera.name}", "", _line(headings), "|---" * len(headings) + "|"]
-        for client in self._camera.clients:
-            lines.append(_line([str(CLIENTS[client]), *(self._cell(client, column) for column in COLUMNS)]))
-        lines += ["", *self._list_of_tests(), "", *self._list_of_notes()]
-        lines += ["A real camera may differ:", "", *(f"- {one}" for one in self._camera.hardware)]
+        cameras = self._cameras
+        columns = [key for key in COLUMNS if any(key not in camera.lacks for camera in cameras.values())]
+        several = len(cameras) > 1
+        headings = [*(["camera"] if several else []), "client", *(COLUMNS[column].heading for column in columns)]
+        lines = [f"## {self._heading}", "", _line(headings), "|---" * len(headings) + "|"]
+        for key, camera in cameras.items():
+            for client in camera.clients:
+                names = [*([camera.name] if several else []), str(CLIENTS[client])]
+                lines.append(_line([*names, *(self._cell(key, client, column) for column in columns)]))
+        lines += ["", *self._list_of_tests(), "", *self._list_of_notes(), "A real camera may differ:", ""]
+        prefixes = {key: f"{camera.name}: " if several else "" for key, camera in cameras.items()}
+        lines += [f"- {prefixes[key]}{text}" for key, camera in cameras.items() for text in camera.hardware]
         return "\n".join(lines)
 
-    def _cell(self, client: str, column: str) -> str:
-        rows = [row for row in self._rows if row["client"] == client and column in row["what"]]
+    def _cell(self, key: str, client: str, column: str) -> str:
+        camera = self._cameras[key]
+        rows = [row for row in self._rows if row["camera"] == key and row["client"] == client and column in row["what"]]
         if rows:
             numbers = dict.fromkeys(self._number(row) for row in rows)
-            marks = [str(number) for number in numbers] + self._letters(self._camera.remarks.get((client, column)))
+            marks = [str(number) for number in numbers] + self._letters(camera.remarks.get((client, column)))
             return f"{cell_word(column, (row['outcome'] for row in rows))} ({', '.join(marks)})"
-        if column in self._camera.lacks:
+        if column in camera.lacks:
             return "–"
-        if reason := self._camera.limits.get((client, column)):
+        if reason := camera.limits.get((client, column)):
             return f"not in the client ({self._letters(reason)[0]})"
-        return "not tried"
+        return ""
 
     def _number(self, row: Row) -> int:
         """Return the number of a test; its parameters share one."""
@@ -346,7 +369,7 @@ def page(rows: Sequence[Row]) -> str:
     """Return the page of these outcomes."""
     dates = sorted({row["date"] for row in rows})
     span = " to ".join(dict.fromkeys([*dates[:1], *dates[-1:]]))
-    tables = [_Table(camera, [row for row in rows if row["camera"] == key]).text() for key, camera in CAMERAS.items()]
+    tables = [_Table(keys, rows).text() for keys in TABLES]
     not_run = ["## Not run", "", _line(("client", "cameras", "reason")), "|---|---|---|", *map(_line, NOT_RUN)]
     return "\n\n".join([_HEAD.replace("{dates}", span), *tables, "\n".join(not_run)]) + "\n"
 
