@@ -79,8 +79,6 @@ class Camera:
         By client and column, the reason why the client cannot do it with any such camera.
     remarks
         By client and column, a note to what is shown.
-    hardware
-        Inferred or not public: where a real camera may differ.
     """
 
     name: str
@@ -88,7 +86,6 @@ class Camera:
     lacks: tuple[str, ...] = ()
     limits: Mapping[tuple[str, str], str] = field(default_factory=dict)
     remarks: Mapping[tuple[str, str], str] = field(default_factory=dict)
-    hardware: tuple[str, ...] = ()
 
 
 _KERNEL_ONLY = dict.fromkeys(
@@ -112,58 +109,15 @@ CAMERAS = {
             ("dv2", "settings"): "without the three calls that lose data or do not return, "
             "see [drivers](cameras.md#changed-while-streaming)",
         },
-        hardware=(
-            "The clock of its logic (104 MHz in register 6.3) and the two endpoints' numbers are assumed; "
-            "drivers take any.",
-            "It sends from the start, without the silence of `camera.start_delay_ms`: neuromorphic_drivers can then "
-            "reorder the first buffers.",
-            "The size of the cells of its background filter is not published.",
-        ),
     ),
-    "evk4": Camera(
-        "Prophesee EVK4 HD",
-        ("nd", "eventcv", "openeb"),
-        lacks=_IMX636_LACKS,
-        hardware=(
-            "Device release, version numbers, intervals and power of a shipped camera are not public.",
-            "It repeats the high word of the time every 16 µs; here a word is sent when it changes, and every 4096 µs.",
-            "Factory values of the biases differ a little from camera to camera.",
-            "It sends at once after the start: neuromorphic_drivers can then reorder the first buffers.",
-        ),
-    ),
-    "silkyevcam_hd": Camera(
-        "CenturyArks SilkyEvCam HD",
-        ("nd", "openeb"),
-        _IMX636_LACKS,
-        remarks=_SILKY_AND_IDS,
-        hardware=("As the EVK4; CenturyArks' own plug-in may compare more than the two open drivers do.",),
-    ),
+    "evk4": Camera("Prophesee EVK4 HD", ("nd", "eventcv", "openeb"), lacks=_IMX636_LACKS),
+    "silkyevcam_hd": Camera("CenturyArks SilkyEvCam HD", ("nd", "openeb"), _IMX636_LACKS, remarks=_SILKY_AND_IDS),
     "silkyevcam_hd_lite": Camera(
-        "CenturyArks SilkyEvCam HD Lite",
-        ("nd", "openeb"),
-        _IMX636_LACKS,
-        remarks=_SILKY_AND_IDS,
-        hardware=("Its sensor (IMX646) is inferred, and the factory values of its biases are not public.",),
+        "CenturyArks SilkyEvCam HD Lite", ("nd", "openeb"), _IMX636_LACKS, remarks=_SILKY_AND_IDS
     ),
-    "ueye_xcp_e": Camera(
-        "IDS uEye XCP-E",
-        ("nd", "openeb"),
-        _IMX636_LACKS,
-        remarks=_SILKY_AND_IDS,
-        hardware=("As the EVK4; the maker's own software may compare more.",),
-    ),
-    "ueye_xls_e": Camera(
-        "IDS uEye XLS-E",
-        ("nd", "openeb"),
-        _IMX636_LACKS,
-        hardware=("Its product number, kind and sensor are inferred.",),
-    ),
-    "evk3_hd": Camera(
-        "Prophesee EVK3 HD",
-        ("nd", "openeb"),
-        _IMX636_LACKS,
-        hardware=("Its strings are inferred; its pixels are the IMX636's here, a Gen4.1's own are not public.",),
-    ),
+    "ueye_xcp_e": Camera("IDS uEye XCP-E", ("nd", "openeb"), _IMX636_LACKS, remarks=_SILKY_AND_IDS),
+    "ueye_xls_e": Camera("IDS uEye XLS-E", ("nd", "openeb"), _IMX636_LACKS),
+    "evk3_hd": Camera("Prophesee EVK3 HD", ("nd", "openeb"), _IMX636_LACKS),
     "dvxplorer": Camera(
         "DVXplorer",
         ("dv2", "dv1", "nd", "libcaer"),
@@ -173,12 +127,6 @@ CAMERAS = {
             ("nd", "triggers"): "the driver has no setting for the detector; the test writes its registers "
             "beside the driver",
         },
-        hardware=(
-            "Strings, power, the interval of endpoint 81 and the bits of the orientation register are not public.",
-            "The bit that marks the start of a scan, and how busy columns lengthen a scan, are inferred.",
-            "The size of a step of the contrast thresholds is assumed: 7.3 % of the default.",
-            "In a mode with a fixed read-out time it loses events that do not fit a scan; here the scan takes longer.",
-        ),
     ),
     "dvxplorer_micro": Camera(
         "DVXplorer Micro (firmware 10)",
@@ -189,28 +137,15 @@ CAMERAS = {
             ("nd", "opens"): "it has no reader of the 32-bit words",
         },
         remarks={("dv2", "imu"): "values; the library stamps a sample when it arrives"},
-        hardware=(
-            "All events of a read-out get the time of its first event: that it is the first one is inferred.",
-            "Size of an area block and phase of sub-sampling are inferred.",
-        ),
     ),
     "dvxplorer_micro_firmware9": Camera(
-        "DVXplorer Micro (firmware 9)",
-        ("libcaer",),
-        lacks=("frames", "triggers", "imu"),
-        hardware=("As with firmware 10; how this firmware sends inertial samples is not public, and none are sent.",),
+        "DVXplorer Micro (firmware 9)", ("libcaer",), lacks=("frames", "triggers", "imu")
     ),
     "genx320": Camera(
         "Prophesee GenX320 (board with a CX3)",
         ("openeb", "nd"),
         lacks=_IMX636_LACKS,
         limits={("nd", "opens"): "it has no driver for this sensor"},
-        hardware=(
-            "Strings, kind of board and power-on values of the sold sensor are inferred.",
-            "How windows and latches act on each other, the period of the noise filter and what the anti-flicker filter"
-            " counts as a period are inferred; slopes of the biases are assumed.",
-            "The rate control passes the first events of a period; how the sensor spreads its losses is not public.",
-        ),
     ),
     "triton2": Camera(
         "LUCID Triton2 EVS (GigE Vision)",
@@ -221,11 +156,6 @@ CAMERAS = {
             for client in ("nd", "aravis")
             for column in ("unplugged", "plugged again")
         },
-        hardware=(
-            "Time limits of its control channel (3000 ms, at least 500 ms), its hardware address and the speed of "
-            "its link (1000 Mbit/s here, the family has 2500) are inferred.",
-            "LUCID's Arena SDK is not public and was not run.",
-        ),
     ),
 }
 
@@ -255,8 +185,8 @@ _HEAD = """# Cameras and clients
 
 The tests that passed for each camera and each unmodified client, in the run of {dates}. The clients run on a Linux
 kernel's USB in a guest that QEMU emulates ([how to attach a camera](cameras.md)), those of GigE Vision on the host's
-own network. No real camera was at hand: one may behave otherwise, see the list below each table. This page is written
-from the outcomes:
+own network. No real camera was at hand: one may behave otherwise where [Cameras](cameras.md) says *inferred*, *assumed*
+or *not public*, and it sends from the start, without a start delay. This page is written from the outcomes:
 
 ```sh
 EVSTIM_MATRIX=docs/device_matrix.json python -m pytest -m guest --timeout 900
@@ -308,10 +238,7 @@ class _Table:
             for client in camera.clients:
                 names = [*([camera.name] if several else []), str(CLIENTS[client])]
                 lines.append(_line([*names, *(self._cell(key, client, column) for column in columns)]))
-        lines += ["", *self._list_of_tests(), "", *self._list_of_notes(), "A real camera may differ:", ""]
-        prefixes = {key: f"{camera.name}: " if several else "" for key, camera in cameras.items()}
-        lines += [f"- {prefixes[key]}{text}" for key, camera in cameras.items() for text in camera.hardware]
-        return "\n".join(lines)
+        return "\n".join([*lines, "", *self._list_of_tests(), *self._list_of_notes()])
 
     def _cell(self, key: str, client: str, column: str) -> str:
         camera = self._cameras[key]
@@ -346,7 +273,7 @@ class _Table:
 
     def _list_of_notes(self) -> list[str]:
         notes = [f"- {chr(ord('a') + k)}: {note}" for k, note in enumerate(self._notes)]
-        return [*notes, ""] if notes else []
+        return ["", *notes] if notes else []
 
 
 def _of_parameters(rows: Sequence[Row]) -> str:
