@@ -20,7 +20,7 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its heading, and the word of a cell whose test passed."""
+    """A capability: the heading of its row, and the word of a cell whose test passed."""
 
     heading: str
     shown: str = "shown"
@@ -200,8 +200,8 @@ python docs/device_matrix.py
 | **fails** | a test of it failed in the run; the reason stands below the table |
 | not run | a test exists, and was skipped in the run |
 | not in the client | the client cannot do this with any such camera |
-| empty | no test exists |
-| – | the camera does not have it, as no camera of a table without the column |
+| empty, or no row | no test exists |
+| –, or no row | the camera does not have it |
 
 A number is that of the test below the table; a letter is that of a note. Settings are changed, and cameras unplugged,
 while they stream; *opened often* is closed amid the streams again and again.
@@ -219,7 +219,10 @@ def cell_word(column: str, outcomes: Iterable[str]) -> str:
 
 
 class _Table:
-    """A table of one camera or several, with its tests numbered and its notes lettered in the order of their cells."""
+    """A table of one camera or several, with its tests numbered and its notes lettered in the order of their cells.
+
+    A column is a client, of several cameras with the same clients a camera: so no table has more than six columns.
+    """
 
     def __init__(self, keys: Sequence[str], rows: Sequence[Row]) -> None:
         self._cameras = {key: CAMERAS[key] for key in keys}
@@ -229,16 +232,32 @@ class _Table:
         self._notes: list[str] = []
 
     def text(self) -> str:
-        cameras = self._cameras
-        columns = [key for key in COLUMNS if any(key not in camera.lacks for camera in cameras.values())]
-        several = len(cameras) > 1
-        headings = [*(["camera"] if several else []), "client", *(COLUMNS[column].heading for column in columns)]
+        headings, rows = self._by_camera() if len(self._cameras) > 2 else self._by_client()
         lines = [f"## {self._heading}", "", _line(headings), "|---" * len(headings) + "|"]
-        for key, camera in cameras.items():
-            for client in camera.clients:
-                names = [*([camera.name] if several else []), str(CLIENTS[client])]
-                lines.append(_line([*names, *(self._cell(key, client, column) for column in columns)]))
+        lines += [_line(row) for row in rows if set(row[1:]) - {"", "–"}]
         return "\n".join([*lines, "", *self._list_of_tests(), *self._list_of_notes()])
+
+    def _by_client(self) -> tuple[list[str], list[list[str]]]:
+        """Return the headings, clients of each camera, and a row for each capability."""
+        pairs = [(key, client) for key, camera in self._cameras.items() for client in camera.clients]
+        prefixes = {key: f"{camera.name}: " if len(self._cameras) > 1 else "" for key, camera in self._cameras.items()}
+        headings = ["", *(f"{prefixes[key]}{CLIENTS[client]}" for key, client in pairs)]
+        return headings, [
+            [COLUMNS[what].heading, *(self._cell(key, client, what) for key, client in pairs)] for what in COLUMNS
+        ]
+
+    def _by_camera(self) -> tuple[list[str], list[list[str]]]:
+        """Return the headings, cameras, and a row for each client and capability."""
+        clients = next(iter(self._cameras.values())).clients
+        headings = ["", *(camera.name for camera in self._cameras.values())]
+        return headings, [
+            [
+                f"{CLIENTS[client]}: {COLUMNS[what].heading}",
+                *(self._cell(key, client, what) for key in self._cameras),
+            ]
+            for client in clients
+            for what in COLUMNS
+        ]
 
     def _cell(self, key: str, client: str, column: str) -> str:
         camera = self._cameras[key]

@@ -82,8 +82,9 @@ def cell(outcomes, column="events"):
     ]  # fmt: skip
     text = device_matrix.page(rows).partition("## Prophesee EVK4 HD")[2]
     table = [line[2:-2].split(" | ") for line in text.partition("\n## ")[0].splitlines() if line[:1] == "|"]
-    (cells,) = [cells for cells in table if cells[0].startswith("neuromorphic_drivers")]
-    return cells[table[0].index(device_matrix.COLUMNS[column].heading)], text
+    column_of = table[0].index("neuromorphic_drivers 0.18.2")
+    cells = [cells[column_of] for cells in table if cells[0] == device_matrix.COLUMNS[column].heading]
+    return (cells or [""])[0], text
 
 
 @pytest.mark.parametrize(
