@@ -1,6 +1,6 @@
 """Write docs/traces/, short captures of two shipped rigs' links, and their decodes: python docs/make_traces.py.
 
-The decodes are in docs/instrument.md, each between two markers.
+The decode of a capture, NAME.txt, explains each of its lines, or several that are alike.
 
 The instruments and links are those of the rigs `serial-demo` and `can-demo`; the events are a few that are given here,
 so that the captures are the same on every machine. The time of a line is that at which the last bit of a frame has
@@ -32,9 +32,9 @@ from transports.can_bus.carriage import sources
 from transports.can_bus.kind import CanLink
 from transports.serial_line.kind import SerialLink
 
-__all__ = ["EDGES", "EVENTS", "FOLDER", "files", "markers"]
+__all__ = ["EDGES", "EVENTS", "FOLDER", "files"]
 
-FOLDER = Path(__file__).parent
+FOLDER = Path(__file__).with_name("traces")
 SIZE = (346, 260)
 START_US = 1_000_000
 EVENTS = np.array(
@@ -182,60 +182,26 @@ def _can() -> Iterator[tuple[str, str]]:
 # The files.
 
 
-def markers(capture: str) -> tuple[str, str]:
-    """Return the lines of the page that enclose the decode of a capture."""
-    return f"<!-- docs/make_traces.py: {capture} -->", f"<!-- docs/make_traces.py: end of {capture} -->"
-
-
-_SECTION = """{begin}
-
-{text}
-
-| line | time, s | {columns} |
-|---|---|{rule}|
-{rows}
-
-{end}"""
-
-
-def _with_decode(page: str, capture: str, lines: list[tuple[str, str]], text: str, columns: str) -> str:
-    """Return the page with the decode of a capture."""
-    begin, end = markers(capture)
-    before, rest = page.split(begin)
-    rule = "|".join("---" for _ in columns.split("|"))
-    rows, number = [], 1
+def _decode(heading: str, lines: list[tuple[str, str]]) -> str:
+    """Return the text that explains a capture: a row for each line, or for several that are alike."""
+    rows, number = [f"line | time, s | {heading}"], 1
     for row, group in groupby(lines, key=lambda pair: pair[1]):
         times = [line[1 : line.index(")")] for line, _ in group]
         last = number + len(times) - 1
         places = f"{number} to {last} | {times[0]} to {times[-1]}" if len(times) > 1 else f"{number} | {times[0]}"
-        rows.append(f"| {places} {row}")
+        rows.append(f"{places} {row}".removesuffix(" |"))
         number = last + 1
-    section = _SECTION.format(begin=begin, end=end, text=text, columns=columns, rule=rule, rows="\n".join(rows))
-    return before + section + rest.split(end)[1]
+    return "\n".join(rows) + "\n"
 
 
 def files() -> dict[str, str]:
     """Return each file's name and content."""
     serial, can = list(_serial()), list(_can())
-    page = (FOLDER / "instrument.md").read_text(encoding="utf-8")
-    page = _with_decode(
-        page,
-        "serial.hex",
-        serial,
-        "[`traces/serial.hex`](traces/serial.hex), profile `ccsds-cobs`; `<` goes to the camera, `>` comes from it:",
-        "APID | service, subtype | meaning",
-    )
-    page = _with_decode(
-        page,
-        "can.log",
-        can,
-        "[`traces/can.log`](traces/can.log), in the format of `candump -L`; `canplayer -I can.log` sends it:",
-        "identifier | frame | meaning",
-    )
     return {
-        "traces/serial.hex": "\n".join(line for line, _ in serial) + "\n",
-        "traces/can.log": "\n".join(line for line, _ in can) + "\n",
-        "instrument.md": page,
+        "serial.hex": "\n".join(line for line, _ in serial) + "\n",
+        "serial.txt": _decode("APID | service, subtype | meaning", serial),
+        "can.log": "\n".join(line for line, _ in can) + "\n",
+        "can.txt": _decode("identifier | frame | meaning", can),
     }
 
 
