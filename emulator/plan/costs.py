@@ -274,7 +274,7 @@ def _comparator(p: SensorParameters, scene: Probe) -> Decision | None:
         return None
     late_us, unit_us = math.inf, over(c.contrast_per_e, scene) * 1e6
     if math.isfinite(unit_us):
-        on, off = c.on_us / unit_us, c.off_us / unit_us  # see `sensor.pixels.comparator`
+        on, off = c.on_us / unit_us, c.off_us / unit_us  # see `sensor.pixels.event_time`
         late_us = unit_us * max(math.log1p(on + math.sqrt(2 * on)), off + min(1.0, math.sqrt(2 * off)))
     none = {"comparator": {"on_us": 0.0, "off_us": 0.0}}
     share = late_us * 1e-6 / interval_s(p, scene) if math.isfinite(late_us) else math.inf

@@ -250,7 +250,7 @@ def _frame_sources(rig: Rig, sensor: EventSource | None = None) -> list[ReadingS
     frames = rig.camera.frames
     if frames is None:
         return []
-    from emulator.sensor.aps.frames import FrameSource
+    from emulator.sensor.frames import FrameSource
 
     disturb = None
     if frames.kicks.share and sensor is not None:

@@ -12,7 +12,7 @@ from emulator.optics.through import Through
 from emulator.rig.kinds import IMU_UNITS
 from emulator.rig.loading import Rig
 from emulator.scene.terrain.table import TerrainParameters
-from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuSource, ImuUnit
+from emulator.sensor.imu import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuSource, ImuUnit
 from emulator.sensor.parameters import ImuParameters
 from emulator.trajectory.building import HasCameraPath
 from emulator.trajectory.parameters import OrbitPath

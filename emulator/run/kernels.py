@@ -140,7 +140,7 @@ def _step() -> None:
     """Advance a few pixels by a step in which some fire, and some are refined; merge the events of two threads."""
     from emulator.light import LightFrame, Region
     from emulator.sensor.pixels.array import PixelArray
-    from emulator.sensor.pixels.workers import EventBuffers
+    from emulator.sensor.pixels.crossings import EventBuffers
 
     dark, bright = np.zeros((_HEIGHT, _WIDTH), np.float32), np.ones((_HEIGHT, _WIDTH), np.float32)
     pixels = PixelArray(_FEW, 0)
@@ -403,7 +403,7 @@ def _note(part: Part) -> Path:
 
 @cache
 def _folder() -> Path:
-    from emulator.sensor.pixels.step import unpack
+    from emulator.sensor.pixels.crossings import unpack
 
     return cache_folder(unpack)
 

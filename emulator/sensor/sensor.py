@@ -22,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame, Region
-from emulator.sensor.aps.row_kicks import LineReads, RowKicks
 from emulator.sensor.chip.defects import NEVER_NS, Defects, Leaks, at_temperature, draw_defects
 from emulator.sensor.chip.imager import Imager, part_of_the_way
 from emulator.sensor.chip.readout import ArbiterReadOut, Jitter, ReadOut
@@ -33,11 +32,11 @@ from emulator.sensor.noise.law import corner_hz, of_array
 from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.parameters import DefectParameters, KickParameters
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, EventBuffers, joined
 from emulator.sensor.pixels.method import MakePixels, PixelMethod
 from emulator.sensor.pixels.state import draw
-from emulator.sensor.pixels.workers import EventBuffers
 from emulator.sensor.presets import SensorParameters
+from emulator.sensor.row_kicks import LineReads, RowKicks
 from emulator.tables.registry import imported
 from firmware_protocol.events import Events
 

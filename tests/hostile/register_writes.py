@@ -20,8 +20,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from emulator.light import LightFrame
-from emulator.sensor.aps.frames import FrameSource
-from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, Carried, ImuSource, ImuUnit
+from emulator.sensor.frames import FrameSource
+from emulator.sensor.imu import EARTH_IN_THE_PICTURE, Carried, ImuSource, ImuUnit
 from emulator.sensor.parameters import FrameParameters, ImuParameters
 from emulator.trajectory.pose import Fixed, Timescale
 from firmware_protocol.davis346 import Access, Davis346, Davis346Settings, Decoder, Layout, SystemInfo, registers

@@ -18,7 +18,7 @@ from emulator.light import LightFrame, PixelLight, Region
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.numerics.keyed import Purpose, root_of, streams
-from emulator.sensor.pixels.crossings import Crossings
+from emulator.sensor.pixels.crossings import Crossings, EventBuffers, Keys
 from emulator.sensor.pixels.curve import UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, touch, wake
 from emulator.sensor.pixels.method import Capabilities, PixelMethod, time_of
@@ -31,7 +31,6 @@ from emulator.sensor.pixels.state import (
     NEAR_BLOCKS,
     PARTS,
     Field,
-    Keys,
     Levels,
     Pixels,
     PixelState,
@@ -43,8 +42,7 @@ from emulator.sensor.pixels.state import (
     put_field,
     take_field,
 )
-from emulator.sensor.pixels.step import Share, Tally, advance, compile_parts, replace_light
-from emulator.sensor.pixels.workers import EventBuffers, Workers
+from emulator.sensor.pixels.step import Share, Tally, Workers, advance, compile_parts, replace_light
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["PixelArray", "PixelState"]

@@ -18,28 +18,35 @@ import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import NONE, cached_entry, inlined, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import aligned_zeros, exponential, use_widest_vectors
-from emulator.sensor.pixels.comparator import delay_s
+from emulator.sensor.pixels.crossings import Keys, pack, reserve
 from emulator.sensor.pixels.curve import Course, is_smooth, missed_by_cubic, photocurrent, transient
-from emulator.sensor.pixels.march import SETTLED, Bracket, Cubic, bisect, newton, pass_over, solve_substeps, value
-from emulator.sensor.pixels.march_table import CAPACITY, Start, SubstepTable, enter, new_substep_table
+from emulator.sensor.pixels.event_time import (
+    MOST_EVENTS,
+    SETTLED,
+    Bracket,
+    Cubic,
+    bisect,
+    delay_s,
+    levels_passed,
+    newton,
+    pass_over,
+    value,
+)
+from emulator.sensor.pixels.idle import pixel_at
+from emulator.sensor.pixels.march import solve_substeps
 from emulator.sensor.pixels.receptor import MOST_BEHIND, response
 from emulator.sensor.pixels.state import (
     BEFORE_ROWS,
     BLOCK,
-    MOST_EVENTS,
     Field,
-    Keys,
     Pixels,
     StepConstants,
     count_reset,
-    levels_passed,
-    pack,
-    reserve,
     reset_offset,
     slot,
     whole_vectors,
 )
-from emulator.sensor.pixels.subset import pixel_at
+from emulator.sensor.pixels.substeps import CAPACITY, Start, SubstepTable, enter, new_substep_table
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
@@ -88,7 +95,7 @@ def new_table() -> Table:
 
 
 @inlined
-def _at(row: int, k: np.uint64) -> np.uint64:
+def entry_at(row: int, k: np.uint64) -> np.uint64:
     """Return the index of entry k of a row; unsigned, which avoids the test for negative indices."""
     return np.uint64(row) + k
 
@@ -107,15 +114,15 @@ def select(
     firsts, refractory_until_ns = at
     for pixel in found:
         i = np.uint64(pixel)
-        u1, v0, reference = s[_at(_U, i)], before[_at(_V0, i)], s[_at(_REF, i)]
+        u1, v0, reference = s[entry_at(_U, i)], before[entry_at(_V0, i)], s[entry_at(_REF, i)]
         if v0 != v0 or u1 != u1:
-            s[_at(_V, i)] = s[_at(_W, i)] = u1
+            s[entry_at(_V, i)] = s[entry_at(_W, i)] = u1
         unreadable += u1 != u1
         found[selected] = pixel
         if reference != reference and refractory_until_ns[pixel_at(firsts, pixel)] - c.t0_ns > c.h_ns:
-            d, a0, a1 = u1 - before[_at(_U0, i)], before[_at(_A0, i)], before[_at(_A1, i)]
-            in_one_piece = not c.large or before[_at(_U0, i)] - v0 < MOST_BEHIND
-            if in_one_piece and is_smooth(d, a0, a1, min(s[_at(_ON, i)], s[_at(_OFF, i)]), c.unseen_share):
+            d, a0, a1 = u1 - before[entry_at(_U0, i)], before[entry_at(_A0, i)], before[entry_at(_A1, i)]
+            in_one_piece = not c.large or before[entry_at(_U0, i)] - v0 < MOST_BEHIND
+            if in_one_piece and is_smooth(d, a0, a1, min(s[entry_at(_ON, i)], s[entry_at(_OFF, i)]), c.unseen_share):
                 continue
         selected += (u1 == u1) & (v0 == v0)
     return selected, unreadable
@@ -128,13 +135,13 @@ def gather(selected: _Int64s, s: _Float32s, before: _Float32s, firsts: _Int64s, 
     for j in range(selected.size):
         i, k = np.uint64(selected[j]), np.uint64(n + j)
         table.pixels[k] = pixel_at(firsts, selected[j])
-        rows[_at(_C_U0, k)], rows[_at(_C_U1, k)] = before[_at(_U0, i)], s[_at(_U, i)]
-        rows[_at(_C_V0, k)], rows[_at(_C_V1, k)] = before[_at(_V0, i)], s[_at(_V, i)]
-        rows[_at(_C_L0, k)], rows[_at(_C_L1, k)] = before[_at(_L0, i)], s[_at(_L, i)]
-        rows[_at(_C_A0, k)], rows[_at(_C_A1, k)] = before[_at(_A0, i)], before[_at(_A1, i)]
-        rows[_at(_C_S, k)], rows[_at(_C_LEAK, k)] = before[_at(_S, i)], s[_at(_LEAK, i)]
-        rows[_at(_C_ON, k)], rows[_at(_C_OFF, k)] = s[_at(_ON, i)], s[_at(_OFF, i)]
-        rows[_at(_C_REF, k)] = s[_at(_REF, i)]
+        rows[entry_at(_C_U0, k)], rows[entry_at(_C_U1, k)] = before[entry_at(_U0, i)], s[entry_at(_U, i)]
+        rows[entry_at(_C_V0, k)], rows[entry_at(_C_V1, k)] = before[entry_at(_V0, i)], s[entry_at(_V, i)]
+        rows[entry_at(_C_L0, k)], rows[entry_at(_C_L1, k)] = before[entry_at(_L0, i)], s[entry_at(_L, i)]
+        rows[entry_at(_C_A0, k)], rows[entry_at(_C_A1, k)] = before[entry_at(_A0, i)], before[entry_at(_A1, i)]
+        rows[entry_at(_C_S, k)], rows[entry_at(_C_LEAK, k)] = before[entry_at(_S, i)], s[entry_at(_LEAK, i)]
+        rows[entry_at(_C_ON, k)], rows[entry_at(_C_OFF, k)] = s[entry_at(_ON, i)], s[entry_at(_OFF, i)]
+        rows[entry_at(_C_REF, k)] = s[entry_at(_REF, i)]
 
 
 @kernel
@@ -144,9 +151,9 @@ def gather_rare(selected: _Int64s, s: _Float32s, before: _Float32s, n: int, tabl
     for j in range(selected.size):
         i, k = np.uint64(selected[j]), np.uint64(n + j)
         if c.second > _ZERO:
-            rows[_at(_C_W0, k)], rows[_at(_C_W1, k)] = before[_at(_W0, i)], s[_at(_W, i)]
+            rows[entry_at(_C_W0, k)], rows[entry_at(_C_W1, k)] = before[entry_at(_W0, i)], s[entry_at(_W, i)]
         if c.parasitic > _ZERO:
-            rows[_at(_C_P0, k)], rows[_at(_C_P1, k)] = before[_at(_P0, i)], s[_at(_P, i)]
+            rows[entry_at(_C_P0, k)], rows[entry_at(_C_P1, k)] = before[entry_at(_P0, i)], s[entry_at(_P, i)]
 
 
 @kernel

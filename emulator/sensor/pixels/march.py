@@ -1,158 +1,53 @@
 """Stepping of pixels through a step, substep by substep and event by event, for a whole table of pixels at once.
 
-The turning points of a cubic are known in closed form. Between them the comparator curve g is monotone, so its values
-at the ends decide whether a level is met, and no crossing is missed. A round takes every column over one substep (see
-`substeps`), and within it from event to event: Newton iterations for all columns together, bisection for the few that
-do not settle.
+A round takes every column over one substep (`substeps`), and within it from event to event. The comparator's curve g
+over a substep is a cubic, whose turning points are known in closed form. Between them it is monotone, so its values at
+the ends decide whether a level is met, and no crossing is missed; `event_time` finds where.
 
-The roots of a monotone cubic inside a bracket come from a fixed number of Newton iterations, and bisection.
-`candidates` uses this too, for one cubic a step; here there is one cubic a substep. A loop over the columns of a table
-calls `newton` for every column, because a fixed number of iterations becomes vectors; columns whose last correction
-exceeds `SETTLED` are listed and bisected afterwards, so that they cost the others nothing.
+Fast because each loop does one thing for all columns: those over numbers only become vectors, and the few columns that
+bisect, fire or end are handled one by one in loops of their own. Finished columns are filled from behind, so that later
+rounds are short.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
-import emulator.sensor.pixels.march_table as row
-from emulator.sensor.numerics.compiled import NONE, Real, kernel, kernel_that_allocates, lane, vector_kernel
-from emulator.sensor.pixels.comparator import delay_s
+import emulator.sensor.pixels.substeps as row
+from emulator.sensor.numerics.compiled import NONE, kernel, kernel_that_allocates, lane, vector_kernel
+from emulator.sensor.pixels.crossings import Keys, pack, reserve
 from emulator.sensor.pixels.curve import photocurrent
-from emulator.sensor.pixels.march_table import SubstepTable
+from emulator.sensor.pixels.event_time import (
+    MOST_EVENTS,
+    SETTLED,
+    Bracket,
+    Cubic,
+    bisect,
+    delay_s,
+    levels_passed,
+    newton,
+    pass_over,
+    value,
+)
 from emulator.sensor.pixels.state import (
     BLOCK,
-    MOST_EVENTS,
     Field,
-    Keys,
     Pixels,
     StepConstants,
     count_reset,
-    levels_passed,
-    pack,
-    reserve,
     reset_offset,
     slot,
     whole_vectors,
 )
-from emulator.sensor.pixels.substeps import begin, begin_substep
-
-SETTLED = np.float32(3e-5)
-"""Largest last Newton correction of a root that is accepted; the error is of the order of its square."""
-
-_NEWTON_TURNS = 4
-_BISECTIONS = 25
-_ZERO, _ONE, _TWO, _THREE, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 0.5))
-
-
-class Cubic(NamedTuple):
-    """The polynomial d0 + c1 x + c2 x^2 + c3 x^3."""
-
-    d0: Real
-    c1: Real
-    c2: Real
-    c3: Real
-
-
-class Bracket(NamedTuple):
-    """An interval in which a monotone cubic meets `level`, and whether it rises there."""
-
-    low: Real
-    high: Real
-    level: Real
-    rising: Real
-
-
-@lane
-def value(g: Cubic, x: Real) -> Real:
-    """Return the cubic at x."""
-    return ((g.c3 * x + g.c2) * x + g.c1) * x + g.d0
-
-
-@lane
-def newton(g: Cubic, at: Bracket, x: Real) -> tuple[Real, Real]:
-    """Return the root found from the first guess x, and the size of the last correction.
-
-    The bracket shrinks with each iteration; a correction that leaves it is replaced by its middle.
-    """
-    low, high, step = at.low, at.high, _ONE
-    sign = _ONE if at.rising else -_ONE
-    for _ in range(_NEWTON_TURNS):
-        beyond = sign * (value(g, x) - at.level)
-        slope = sign * ((_THREE * g.c3 * x + _TWO * g.c2) * x + g.c1)
-        low = low if beyond > _ZERO else x
-        high = x if beyond > _ZERO else high
-        corrected = x - beyond / slope
-        better = corrected if (corrected >= low) & (corrected <= high) else _HALF * (low + high)
-        step = better - x
-        x = better
-    return x, abs(step)
-
-
-@kernel
-def bisect(g: Cubic, at: Bracket) -> Real:
-    """Return the root found by bisection."""
-    low, high = at.low, at.high
-    for _ in range(_BISECTIONS):
-        x = _HALF * (low + high)
-        if (value(g, x) > at.level) == at.rising:
-            high = x
-        else:
-            low = x
-    return high
-
-
-class Passed(NamedTuple):
-    """Result of `pass_over`: crossings that were counted, not followed, and the state of the pixel behind them."""
-
-    crossings: int
-    climbed: float  # change of the curve since the reference was last set, >= 0; valid where `waiting` is 0
-    waiting: float  # until the refractory period ends, in units of x; 0: it has ended
-
-
-_PIECES = 64
-_STEEPEST = 1e30  # thresholds a step: such a pixel fires as often as its dead time allows
-
-
-@kernel
-def pass_over(  # noqa: PLR0913, PLR0917
-    g: Cubic, x: float, high: float, threshold: float, on: bool, span: float, c: StepConstants
-) -> Passed:
-    """Count the crossings of a pixel with a refractory period that is re-armed at x, up to `high`, on a monotone cubic.
-
-    Each crossing takes a period: the time in which the curve climbs a threshold, then the comparator's delay and the
-    refractory period. The number of periods is the integral of 1 / period: here over pieces, in each of which the curve
-    is its chord. On a straight line this is exact; elsewhere the end lies within a period of the true one. The work
-    does not depend on the number of crossings. `span` is the length of the unit of x, as a share of the step.
-    """
-    if x >= high:
-        return Passed(NONE, 0.0, x - high)
-    c1, c2, c3 = np.float64(g.c1), np.float64(g.c2), np.float64(g.c3)
-    width = (high - x) / _PIECES
-    periods = slope = dead = 0.0
-    for k in range(_PIECES):
-        x0 = x + k * width
-        x1 = x0 + width
-        slope = abs(c1 + c2 * (x0 + x1) + c3 * (x0 * x0 + x0 * x1 + x1 * x1))  # of the chord
-        if not slope <= _STEEPEST * threshold:
-            slope = _STEEPEST * threshold
-        dead = (delay_s(slope / (span * c.h), on, c) / c.h + c.refractory) / span
-        periods += width * slope / (threshold + slope * dead)
-    crossings = int(periods)
-    climbed = (periods - crossings) * (threshold + slope * dead)  # as if the curve climbed on in the dead time
-    if climbed < threshold:
-        return Passed(crossings, climbed, 0.0)
-    return Passed(crossings + 1, 0.0, dead - (climbed - threshold) / slope)
-
+from emulator.sensor.pixels.substeps import SubstepTable, begin, begin_substep
 
 _Float32s = npt.NDArray[np.float32]
 
 _U, _V, _, _, _REF, _, _, _, _W, _P = (int(f) * BLOCK for f in Field)
 
 _NAN = np.float32(np.nan)
+_ZERO, _ONE, _TWO, _THREE = (np.float32(x) for x in (0, 1, 2, 3))
 _BEHIND = np.float32(2)  # the substep, which ends at 1
 _LAST = np.int64(0)
 

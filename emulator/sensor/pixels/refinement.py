@@ -17,12 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import PixelLight
+from emulator.sensor.numerics.compiled import cached_entry
 from emulator.sensor.pixels.candidates import Table
+from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, new_idle, wake
-from emulator.sensor.pixels.state import BLOCK, FIELDS, Pixels, StepConstants
-from emulator.sensor.pixels.step import Buffers, Share, Tally, advance, new_scratch
-from emulator.sensor.pixels.subset import Subset, new_subset, renumbered, scatter
+from emulator.sensor.pixels.state import BLOCK, FIELDS, Field, Pixels, StepConstants, slot
+from emulator.sensor.pixels.step import Buffers, Share, Subset, Tally, advance, new_scratch, new_subset
 
 LEVELS = 3
 """Most refinements of a step."""
@@ -30,12 +31,42 @@ LEVELS = 3
 SHORTEST_NS = 2_000
 """Shortest step that is refined: a camera's timestamps are whole microseconds."""
 
-_Keys = npt.NDArray[np.uint64]
-_Indices = npt.NDArray[np.int64]
+_Int64s = npt.NDArray[np.int64]
 _Frame = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
 
 
 _EVERYWHERE = Touched(0, 1, 0, 1, 1 << 40, np.empty(0, np.uint8))
+
+
+_V, _REF, _W, _P = (int(f) * BLOCK for f in (Field.FILTERED, Field.REFERENCE, Field.SECOND, Field.LEAKED))
+
+
+@cached_entry
+def _scatter(here: Pixels, above: Pixels, listed: _Int64s) -> None:
+    """Write the state of the subset `here`, at the end of the step, back to its pixels of `above`.
+
+    The light of these pixels is up to date there.
+    """
+    for k in range(listed.size):
+        at, to = slot(k), slot(listed[k])
+        for row in (_V, _REF, _W, _P):
+            above.fields[to + row] = here.fields[at + row]
+        above.refractory_until_ns[listed[k]] = here.refractory_until_ns[k]
+    places, of = here.refractory_until_ns.size // 2, above.refractory_until_ns.size // 2
+    if here.refractory_until_ns.size > here.fields.size // FIELDS:
+        for k in range(listed.size):
+            above.refractory_until_ns[of + listed[k]] = here.refractory_until_ns[places + k]
+
+
+@cached_entry
+def _renumbered(keys: Keys, origin: _Int64s, later_ns: int, pixel_bits: int) -> Keys:
+    """Return packed events with the pixel numbers `origin`, and times counted from `later_ns` earlier."""
+    out, one, shift = np.empty(keys.size, np.uint64), np.uint64(1), np.uint64(pixel_bits + 1)
+    mask = np.uint64((1 << pixel_bits) - 1)
+    for k in range(keys.size):
+        pixel, dt = np.uint64(origin[(keys[k] >> one) & mask]), (keys[k] >> shift) + np.uint64(later_ns)
+        out[k] = (dt << shift) | (pixel << one) | (keys[k] & one)
+    return out
 
 
 class _Interval(NamedTuple):
@@ -44,7 +75,7 @@ class _Interval(NamedTuple):
     t0_ns: int
     t1_ns: int
     end: _Frame
-    origin: _Indices
+    origin: _Int64s
 
 
 class Refinement:
@@ -75,12 +106,12 @@ class Refinement:
         self._share = Share(0, 1, new_idle(blocks), _EVERYWHERE)
         self._constants = constants
         self._keys = np.empty(4096, np.uint64)
-        self._found: list[_Keys] = []
+        self._found: list[Keys] = []
         self._tallies: list[Tally] = []
 
     def step(
-        self, frame: _Frame, pixels: Pixels, share: Share, keys: _Keys, c: StepConstants, at: PixelLight
-    ) -> tuple[_Keys, int, Tally]:
+        self, frame: _Frame, pixels: Pixels, share: Share, keys: Keys, c: StepConstants, at: PixelLight
+    ) -> tuple[Keys, int, Tally]:
         """Move the array as `advance` does, and refine; `at` gives the light of single pixels in between.
 
         `share` is the whole.
@@ -103,7 +134,7 @@ class Refinement:
         last = whole.end[0][listed], whole.end[1][listed]
         self._advance(here, _Interval(whole.t0_ns, middle_ns, self._at(middle_ns, origin), origin), level)
         self._advance(here, _Interval(middle_ns, whole.t1_ns, last, origin), level)
-        scatter(here, above, listed)
+        _scatter(here, above, listed)
 
     def _advance(self, here: Pixels, half: _Interval, level: int) -> None:
         """Move an array over a half; pixels that are still undersampled are refined again."""
@@ -113,7 +144,7 @@ class Refinement:
         buffers = self._buffers[level + 1]
         self._keys, found, tally = advance(half.end, here, buffers, self._keys, self._share, c)
         whole = self._whole
-        self._found.append(renumbered(self._keys[:found], half.origin, half.t0_ns - whole.t0_ns, whole.pixel_bits))
+        self._found.append(_renumbered(self._keys[:found], half.origin, half.t0_ns - whole.t0_ns, whole.pixel_bits))
         self._tallies.append(tally)
         if tally.refined:
             self._refine(here, tally.refined, half, level + 1)

@@ -7,16 +7,33 @@ on the blocks that are moved with it, their order and their thread, so the event
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.compiled import NONE, cached_entry, cached_kernel, inlined, kernel
+from emulator.sensor.numerics.compiled import NONE, cached_entry, cached_kernel, kernel
 from emulator.sensor.numerics.elementary import aligned_zeros
-from emulator.sensor.pixels.candidates import BATCH, Table, gather, gather_rare, select, solve
-from emulator.sensor.pixels.idle import Idle, Touched, block_is_touched, is_same, mark, may_rest
+from emulator.sensor.pixels.candidates import BATCH, Table, entry_at, gather, gather_rare, new_table, select, solve
+from emulator.sensor.pixels.curve import completed, is_undersampled
+from emulator.sensor.pixels.idle import (
+    MOST_PACKED,
+    Idle,
+    Touched,
+    block_is_touched,
+    gather_parts,
+    is_same,
+    list_active,
+    list_all,
+    mark,
+    may_rest,
+    new_idle,
+    pixel_at,
+    scatter_parts,
+)
 from emulator.sensor.pixels.quiet_pass import (
     Ahead,
     list_flags,
@@ -24,28 +41,17 @@ from emulator.sensor.pixels.quiet_pass import (
     move_quietly_from_memory,
     replace_light_of_block,
 )
-from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, FIELDS, PART, PARTS, Pixels, StepConstants
-from emulator.sensor.pixels.subset import (
-    MOST_PACKED,
-    Subset,
-    gather_parts,
-    gather_undersampled,
-    list_active,
-    list_all,
-    scatter_parts,
-)
+from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, FIELDS, PART, PARTS, Field, Pixels, StepConstants, slot
+from emulator.threads import available_threads
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 _Bytes = npt.NDArray[np.uint8]
 _Keys = npt.NDArray[np.uint64]
-_Uint32s = npt.NDArray[np.uint32]
-_Bools = npt.NDArray[np.bool_]
 _Frame = tuple[_Float32s, _Float32s]
 
-Fields = tuple[_Int64s, _Uint32s, _Bools]
-"""Times, ns, pixels and polarities of events."""
-
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P = (int(f) * BLOCK for f in Field)
+_U0, _V0, _L0, _G0, _A0, _A1, _, _, _W0, _P0, _, _ = BEFORE_ROWS
 _ZERO, _NO_FLAGS = np.float32(0), np.uint64(0)
 
 RUN = 8 * BLOCK
@@ -95,6 +101,58 @@ class Scratch(NamedTuple):
     rate: _Float32s
     may_fire: _Bytes
     found: _Int64s
+
+
+class Subset(NamedTuple):
+    """States of some pixels of an array, laid out as `Pixels.fields`, and the numbers of these pixels."""
+
+    fields: _Float32s
+    pixels: _Int64s
+
+
+def new_subset(blocks: int) -> Subset:
+    """Return a subset with room for `blocks` blocks; the system provides its memory where it is written."""
+    return Subset(np.zeros(blocks * FIELDS * BLOCK, np.float32), np.zeros(blocks * BLOCK, np.int64))
+
+
+@kernel
+def _gather_undersampled(
+    found: _Int64s, s: _Float32s, before: _Float32s, subset: Subset, at: tuple[_Int64s, int], c: StepConstants
+) -> tuple[int, int]:
+    """Move the undersampled pixels of a block's candidates to the subset.
+
+    Parameters
+    ----------
+    found : (n,) int64
+        Indices of the candidates in the block; those that remain move to the front.
+    at : tuple
+        First pixels of the block's parts, and the number of pixels in the subset.
+
+    Returns
+    -------
+    The number of candidates that remain, and of pixels in the subset. Pixels with unreadable light always remain.
+    """
+    firsts, n = at
+    remaining = 0
+    for pixel in found:
+        i = np.uint64(pixel)
+        found[remaining] = pixel
+        u0, v0 = before[entry_at(_U0, i)], before[entry_at(_V0, i)]
+        d, unseen = s[entry_at(_U, i)] - u0, c.unseen_share * min(s[entry_at(_ON, i)], s[entry_at(_OFF, i)])
+        a0, a1 = completed(d, before[entry_at(_A0, i)], before[entry_at(_A1, i)])
+        if not (is_undersampled(d, a0, a1, unseen) & (v0 == v0)):
+            remaining += 1
+            continue
+        subset.pixels[n] = pixel_at(firsts, pixel)
+        to = slot(n)
+        n += 1
+        subset.fields[to + _U], subset.fields[to + _V] = u0, v0
+        subset.fields[to + _L], subset.fields[to + _G] = before[entry_at(_L0, i)], before[entry_at(_G0, i)]
+        for row in (_REF, _ON, _OFF, _LEAK):
+            subset.fields[to + row] = s[entry_at(row, i)]
+        subset.fields[to + _W] = before[entry_at(_W0, i)] if c.second > _ZERO else s[entry_at(_W, i)]
+        subset.fields[to + _P] = before[entry_at(_P0, i)] if c.parasitic > _ZERO else s[entry_at(_P, i)]
+    return remaining, n
 
 
 class Buffers(NamedTuple):
@@ -165,7 +223,7 @@ def _list_and_mark(
     mark(light, (s, scratch.before, flags), firsts, idle, c)
     selected = unreadable = NONE
     if listed > 0 and c.refine:
-        listed, refined = gather_undersampled(
+        listed, refined = _gather_undersampled(
             scratch.found[:listed], s, scratch.before, buffers.subset, (firsts, refined), c
         )
     if listed > 0:
@@ -347,27 +405,85 @@ def replace_light(frame: _Frame, pixels: Pixels, scratch: Scratch, c: StepConsta
     return int(_replace_light(frame, pixels, scratch, c))
 
 
-@inlined
-def _split(key: np.uint64, t0_ns: int, pixel_bits: int, out: Fields, k: int) -> None:
-    out[0][k] = t0_ns + np.int64(key >> np.uint64(pixel_bits + 1))
-    out[1][k] = np.uint32((key >> np.uint64(1)) & np.uint64((1 << pixel_bits) - 1))
-    out[2][k] = (key & np.uint64(1)) != 0
+_WORTH_A_THREAD = 100_000
+"""Quiet pixels that take as long as waking a thread pays for, about 100 us."""
+
+_CANDIDATE = 12
+"""Cost of a candidate, in quiet pixels."""
 
 
-@cached_entry
-def unpack(keys: _Keys, t0_ns: int, pixel_bits: int, out: Fields) -> None:
-    """Split sorted keys [dt_ns | pixel | on] into arrays of one field each, at least as long."""
-    for k in range(keys.size):
-        _split(keys[k], t0_ns, pixel_bits, out, k)
+class Workers:
+    """The threads of one array.
+
+    Parameters
+    ----------
+    blocks : int
+        Blocks of the array.
+    threads : int
+        Always that many; 0: as the work of the last step suggests, at most those available.
+
+    Attributes
+    ----------
+    idle : Idle
+        The blocks that a step can skip.
+    """
+
+    def __init__(self, blocks: int, threads: int = 0) -> None:
+        self.idle = new_idle(blocks)
+        self._fixed, self._most = threads, threads or available_threads()
+        self._buffers: list[Buffers] = []
+        self._keys: list[_Keys] = []
+        self._pool: ThreadPoolExecutor | None = None
+        self._last = 0
+        self._reserve(1)
+
+    def buffers(self) -> Buffers:
+        """Return those of the first thread."""
+        return self._buffers[0]
+
+    def step(self, frame: _Frame, pixels: Pixels, touched: Touched, c: StepConstants) -> tuple[list[_Keys], Tally]:
+        """Move the array as `advance` does; return the keys in one or two sorted lists, and the counts."""
+        n = self._wanted(frame[0].size)
+        self._reserve(n)
+
+        def move(number: int) -> tuple[_Keys, Tally]:
+            share = Share(number, n, self.idle, touched)
+            keys, found, tally = advance(frame, pixels, self._buffers[number], self._keys[number], share, c)
+            self._keys[number] = keys
+            keys[:found].sort()
+            return keys[:found], tally
+
+        lists, tally = _merged(self._each(move, n))
+        self._last = tally.moved + _CANDIDATE * tally.candidates
+        return lists, tally
+
+    def _wanted(self, pixels: int) -> int:
+        runs = -(-pixels // RUN)
+        if self._fixed:
+            return min(self._fixed, runs)
+        return max(1, min(self._most, runs, self._last // _WORTH_A_THREAD))
+
+    def _reserve(self, threads: int) -> None:
+        while len(self._buffers) < threads:
+            self._buffers.append(Buffers(new_table(), new_subset(0), new_scratch()))
+            self._keys.append(np.empty(4096, np.uint64))
+
+    def _each(self, move: Callable[[int], tuple[_Keys, Tally]], n: int) -> list[tuple[_Keys, Tally]]:
+        """Return the results of all shares; the first is this thread's."""
+        if n == 1:
+            return [move(0)]
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(max(self._most, n) - 1, thread_name_prefix="pixels")
+        others = [self._pool.submit(move, number) for number in range(1, n)]
+        return [move(0), *(other.result() for other in others)]
 
 
-@cached_entry
-def unpack_both(keys: tuple[_Keys, _Keys], t0_ns: int, pixel_bits: int, out: Fields) -> None:
-    """Split two lists of sorted keys as `unpack` does, into arrays of one sorted list."""
-    a, b = keys
-    i = j = NONE
-    for k in range(a.size + b.size):
-        first = j == b.size or (i < a.size and a[i] <= b[j])
-        _split(a[i] if first else b[j], t0_ns, pixel_bits, out, k)
-        i += first
-        j += not first
+def _merged(shares: list[tuple[_Keys, Tally]]) -> tuple[list[_Keys], Tally]:
+    """Return the events of all shares in at most two sorted lists, and their counts."""
+    lists = [keys for keys, _ in shares]
+    if len(lists) > 2:
+        half = len(lists) // 2
+        lists = [np.concatenate(part) for part in (lists[:half], lists[half:])]
+        for part in lists:
+            part.sort(kind="stable")  # merges the sorted parts
+    return lists, Tally(*(sum(column) for column in zip(*(tally for _, tally in shares), strict=True)))

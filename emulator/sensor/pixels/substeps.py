@@ -9,6 +9,11 @@ periods that end inside the step, and exponentials. Over a substep
               threshold. The rest of B decays by e^-S in the next substep, so a few substeps do for any light and rate
 
 `march.solve_substeps` finds the events on these curves.
+
+The table has one column a pixel, one row a quantity. A row is named by its first index in the flat array, so
+`rows[Z + j]` is quantity Z of column j. The first `STEP_ROWS` rows hold for the whole step and move with a column; the
+others are rewritten for each substep. Fast because every loop runs over all columns without a branch, and its rows lie
+at distances known when compiled.
 """
 
 from __future__ import annotations
@@ -18,9 +23,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-import emulator.sensor.pixels.march_table as row
 from emulator.sensor.numerics.compiled import Real, kernel, lane, vector_kernel
-from emulator.sensor.numerics.elementary import decay, exponential
+from emulator.sensor.numerics.elementary import aligned_zeros, decay, exponential
 from emulator.sensor.pixels.curve import (
     LARGEST_CHANGE,
     Course,
@@ -41,9 +45,72 @@ from emulator.sensor.pixels.receptor import (
     rise_of_receptor,
     weight_of_exponential,
 )
-from emulator.sensor.pixels.state import StepConstants
+from emulator.sensor.pixels.state import BLOCK, StepConstants
 
 _Float32s = npt.NDArray[np.float32]
+_Int64s = npt.NDArray[np.int64]
+
+CAPACITY = 2 * BLOCK + 16
+"""Columns; a little more than a power of two, so that a column's entries do not all fall into one set of the cache."""
+
+STEP_ROWS = 19
+# Light: value at the start, change, both slopes, its form and where that changes, width of a substep. State: filter,
+# second pole, parasitic leak. Position z; base and level of the comparator, when it is re-armed; thresholds, leak,
+# number of events, offset of the reference after the last reset.
+(
+    U, D, A0, A1, FORM, KNOT, WIDTH, V, W, P, Z, BASE, LEVEL, RE_ARMED, ON, OFF, LEAK, COUNT, RESET,
+) = (k * CAPACITY for k in range(STEP_ROWS))  # fmt: skip
+# The curve of a substep g = d0 + c1 x + c2 x^2 + c3 x^3 with x in [0, 1], its turns, its width and end; the position x,
+# whether it fires and where, bounds and level of that crossing, the last Newton correction; light at both ends.
+(
+    D0, C1, C2, C3, TURN, TURN2, SPAN, V1, W1, P1, Z1,
+    X, FIRES, HIT, LOW, HIGH, TO, MISS, UNDERSAMPLED, U0, U1, SLOPE0, SLOPE1, D1, M1,
+) = (k * CAPACITY for k in range(STEP_ROWS, STEP_ROWS + 25))  # fmt: skip
+_ROWS = STEP_ROWS + 25
+
+
+class SubstepTable(NamedTuple):
+    """The table: float32 rows, pixels of the columns, and a list of columns whose root has not settled."""
+
+    rows: _Float32s
+    pixels: _Int64s
+    unsettled: _Int64s
+
+
+class Start(NamedTuple):
+    """A pixel at the start of a step: its log light at both ends, slopes per step, and state."""
+
+    u0: Real
+    u1: Real
+    a0: Real
+    a1: Real
+    v: Real
+    w: Real
+    leaked: Real
+    reference: Real  # NaN: in its refractory period until `re_armed`
+    re_armed: Real  # as a share of the step
+    on: Real
+    off: Real
+    leak: Real
+    reset: Real  # offset of the reference after the last reset
+
+
+def new_substep_table() -> SubstepTable:
+    """Return an empty table."""
+    rows = aligned_zeros(_ROWS * CAPACITY)
+    return SubstepTable(rows, np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.int64))
+
+
+@kernel
+def enter(table: SubstepTable, j: int, pixel: int, p: Start) -> None:
+    """Write a pixel into column j."""
+    rows = table.rows
+    table.pixels[j] = pixel
+    rows[U + j], rows[D + j], rows[A0 + j], rows[A1 + j] = p.u0, p.u1 - p.u0, p.a0, p.a1
+    rows[V + j], rows[W + j], rows[P + j], rows[RE_ARMED + j] = p.v, p.w, p.leaked, p.re_armed
+    rows[BASE + j], rows[ON + j], rows[OFF + j], rows[LEAK + j] = p.reference, p.on, p.off, p.leak
+    rows[RESET + j] = p.reset
+
 
 _NAN = np.float32(np.nan)
 _THIRD, _TWELFTH = np.float32(1 / 3), np.float32(1 / 12)
@@ -63,8 +130,8 @@ def begin(rows: _Float32s, n: int, c: StepConstants) -> None:
     Levels are relative to `base`: the stored reference or, in a refractory period, the comparator's value at the start.
     """
     for j in range(n):
-        d, threshold = rows[row.D + j], min(rows[row.ON + j], rows[row.OFF + j])
-        a0, a1 = completed(d, rows[row.A0 + j], rows[row.A1 + j])
+        d, threshold = rows[D + j], min(rows[ON + j], rows[OFF + j])
+        a0, a1 = completed(d, rows[A0 + j], rows[A1 + j])
         undersampled = is_undersampled(d, a0, a1, c.unseen_share * threshold)
         jump = undersampled & is_jump(d, a0, a1)
         cap = capped(a0, a1)
@@ -75,16 +142,16 @@ def begin(rows: _Float32s, n: int, c: StepConstants) -> None:
         late = abs(d - a0) < abs(d - a1)
         steepest = max(abs(a0), abs(a1))
         steepness = max(abs(d), steepest if bent else _HALF * steepest)
-        rows[row.UNDERSAMPLED + j] = _ONE if undersampled else _ZERO
-        rows[row.FORM + j] = _JUMP if jump else ((_LATE if late else _EARLY) if bent else _CUBIC)
-        rows[row.KNOT + j] = _HALF if jump else (_ONE - width if bent & late else width)
-        rows[row.A0 + j], rows[row.A1 + j] = a0, a1
-        rows[row.WIDTH + j] = _HALF if jump else _ONE / max(np.ceil(steepness / LARGEST_CHANGE), _ONE)
-        reference, w = rows[row.BASE + j], rows[row.W + j]
+        rows[UNDERSAMPLED + j] = _ONE if undersampled else _ZERO
+        rows[FORM + j] = _JUMP if jump else ((_LATE if late else _EARLY) if bent else _CUBIC)
+        rows[KNOT + j] = _HALF if jump else (_ONE - width if bent & late else width)
+        rows[A0 + j], rows[A1 + j] = a0, a1
+        rows[WIDTH + j] = _HALF if jump else _ONE / max(np.ceil(steepness / LARGEST_CHANGE), _ONE)
+        reference, w = rows[BASE + j], rows[W + j]
         refractory = reference != reference
-        rows[row.BASE + j] = w + (rows[row.LEAK + j] * c.since_epoch_0 + rows[row.P + j]) if refractory else reference
-        rows[row.LEVEL + j] = _NAN if refractory else _ZERO
-        rows[row.Z + j] = rows[row.COUNT + j] = _ZERO
+        rows[BASE + j] = w + (rows[LEAK + j] * c.since_epoch_0 + rows[P + j]) if refractory else reference
+        rows[LEVEL + j] = _NAN if refractory else _ZERO
+        rows[Z + j] = rows[COUNT + j] = _ZERO
 
 
 class _Light(NamedTuple):
@@ -162,36 +229,36 @@ def _share_within(b: Real, s: Real, most: Real) -> Real:
 @lane
 def _most(rows: _Float32s, j: int) -> Real:
     """Return the error that a cubic may have on column j's curve."""
-    return max(_SHARE * min(rows[row.ON + j], rows[row.OFF + j]), _LEAST_MISS)
+    return max(_SHARE * min(rows[ON + j], rows[OFF + j]), _LEAST_MISS)
 
 
 @lane
 def _light_of(rows: _Float32s, j: int) -> _Light:
-    form, knot = rows[row.FORM + j], rows[row.KNOT + j]
-    return _Light(rows[row.U + j], rows[row.D + j], rows[row.A0 + j], rows[row.A1 + j], form, knot)
+    form, knot = rows[FORM + j], rows[KNOT + j]
+    return _Light(rows[U + j], rows[D + j], rows[A0 + j], rows[A1 + j], form, knot)
 
 
 @vector_kernel
 def _choose_width(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Choose the width of each column's next substep: limited by the light, then by the exponential."""
     for j in range(n):
-        z, wide = rows[row.Z + j], rows[row.WIDTH + j]
-        knot = rows[row.KNOT + j]
+        z, wide = rows[Z + j], rows[WIDTH + j]
+        knot = rows[KNOT + j]
         stop = knot if z < knot else _ONE
         last = stop - z < _NEARLY * wide
         whole = stop - z if last else wide
         q = _substep(_light_of(rows, j), z, whole, c)
-        share = _share_within(_transient(q, rows[row.V + j]), q.course.s, _most(rows, j))
-        rows[row.SPAN + j], rows[row.X + j] = share * whole, _ZERO
-        rows[row.Z1 + j] = stop if last & (share == _ONE) else z + share * whole
+        share = _share_within(_transient(q, rows[V + j]), q.course.s, _most(rows, j))
+        rows[SPAN + j], rows[X + j] = share * whole, _ZERO
+        rows[Z1 + j] = stop if last & (share == _ONE) else z + share * whole
 
 
 @vector_kernel
 def _choose_width_of_receptor(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Do for the large-signal law what `_choose_width` does."""
     for j in range(n):
-        z, wide, v0 = rows[row.Z + j], rows[row.WIDTH + j], rows[row.V + j]
-        knot = rows[row.KNOT + j]
+        z, wide, v0 = rows[Z + j], rows[WIDTH + j], rows[V + j]
+        knot = rows[KNOT + j]
         stop = knot if z < knot else _ONE
         last = stop - z < _NEARLY * wide
         whole = stop - z if last else wide
@@ -199,34 +266,34 @@ def _choose_width_of_receptor(rows: _Float32s, n: int, c: StepConstants) -> None
         excess = excess_of(q.u0 - v0)
         bent = fourth_derivative(weight_of_exponential(excess, q.course), excess)
         share = _share_within(bent, q.course.s, _most(rows, j))
-        rows[row.SPAN + j], rows[row.X + j] = share * whole, _ZERO
-        rows[row.Z1 + j] = stop if last & (share == _ONE) else z + share * whole
+        rows[SPAN + j], rows[X + j] = share * whole, _ZERO
+        rows[Z1 + j] = stop if last & (share == _ONE) else z + share * whole
 
 
 @vector_kernel
 def _follow_light_of_receptor(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Do for the large-signal law what `_follow_light` does."""
     for j in range(n):
-        v0, width = rows[row.V + j], rows[row.SPAN + j]
-        q = _substep(_light_of(rows, j), rows[row.Z + j], width, c)
+        v0, width = rows[V + j], rows[SPAN + j]
+        q = _substep(_light_of(rows, j), rows[Z + j], width, c)
         v1 = v0 + rise_of_receptor(decay(q.course.s), excess_of(q.u0 - v0), q.course)
         r = response((q.u0 - v0, q.u1 - v1), (width * q.r0, width * q.r1), v1 - v0, q.course)
-        rows[row.U0 + j], rows[row.U1 + j], rows[row.SLOPE0 + j], rows[row.SLOPE1 + j] = q.u0, q.u1, q.a0, q.a1
-        rows[row.D0 + j], rows[row.D1 + j], rows[row.V1 + j], rows[row.W1 + j] = v0, v1, v1, v1
-        rows[row.C1 + j], rows[row.M1 + j] = r.m0, r.m1
+        rows[U0 + j], rows[U1 + j], rows[SLOPE0 + j], rows[SLOPE1 + j] = q.u0, q.u1, q.a0, q.a1
+        rows[D0 + j], rows[D1 + j], rows[V1 + j], rows[W1 + j] = v0, v1, v1, v1
+        rows[C1 + j], rows[M1 + j] = r.m0, r.m1
 
 
 @vector_kernel
 def _shorten_for_second_pole(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Shorten each column's substep to what the exponential behind the second pole allows."""
     for j in range(n):
-        span = rows[row.SPAN + j]
-        behind = rows[row.V + j] - rows[row.W + j]
+        span = rows[SPAN + j]
+        behind = rows[V + j] - rows[W + j]
         s = c.second * span
-        t = transient(behind, Course(s, rows[row.D1 + j] - rows[row.D0 + j], rows[row.C1 + j], rows[row.M1 + j]))
+        t = transient(behind, Course(s, rows[D1 + j] - rows[D0 + j], rows[C1 + j], rows[M1 + j]))
         share = _share_within(_ZERO if t.faint else t.b, s, _most(rows, j))
-        rows[row.SPAN + j] = share * span
-        rows[row.Z1 + j] = rows[row.Z1 + j] if share == _ONE else rows[row.Z + j] + share * span
+        rows[SPAN + j] = share * span
+        rows[Z1 + j] = rows[Z1 + j] if share == _ONE else rows[Z + j] + share * span
 
 
 @lane
@@ -240,70 +307,70 @@ def _transient(q: _Substep, v0: Real) -> Real:
 def _follow_light(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Solve the filter over each column's substep, and write values and slopes at both ends."""
     for j in range(n):
-        v0, width = rows[row.V + j], rows[row.SPAN + j]
-        q = _substep(_light_of(rows, j), rows[row.Z + j], width, c)
+        v0, width = rows[V + j], rows[SPAN + j]
+        q = _substep(_light_of(rows, j), rows[Z + j], width, c)
         behind = q.u0 - v0
         v1 = v0 + rise_of_filter(decay(q.course.s), behind, q.course)
         t = transient(behind, q.course)
-        rows[row.U0 + j], rows[row.U1 + j], rows[row.SLOPE0 + j], rows[row.SLOPE1 + j] = q.u0, q.u1, q.a0, q.a1
-        rows[row.D0 + j], rows[row.D1 + j], rows[row.V1 + j], rows[row.W1 + j] = v0, v1, v1, v1
-        rows[row.C1 + j] = width * q.r0 * (t.lag0 if t.faint else behind)
-        rows[row.M1 + j] = width * q.r1 * (t.lag1 if t.faint else q.u1 - v1)
+        rows[U0 + j], rows[U1 + j], rows[SLOPE0 + j], rows[SLOPE1 + j] = q.u0, q.u1, q.a0, q.a1
+        rows[D0 + j], rows[D1 + j], rows[V1 + j], rows[W1 + j] = v0, v1, v1, v1
+        rows[C1 + j] = width * q.r0 * (t.lag0 if t.faint else behind)
+        rows[M1 + j] = width * q.r1 * (t.lag1 if t.faint else q.u1 - v1)
 
 
 @vector_kernel
 def _follow_filter(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Solve the second pole over each column's substep; its values and slopes replace those of the filter."""
     for j in range(n):
-        w0, s = rows[row.W + j], c.second * rows[row.SPAN + j]
-        v0, v1 = rows[row.D0 + j], rows[row.D1 + j]
-        course = Course(s, v1 - v0, rows[row.C1 + j], rows[row.M1 + j])
+        w0, s = rows[W + j], c.second * rows[SPAN + j]
+        v0, v1 = rows[D0 + j], rows[D1 + j]
+        course = Course(s, v1 - v0, rows[C1 + j], rows[M1 + j])
         w1 = w0 + rise_of_filter(decay(s), v0 - w0, course)
         t = transient(v0 - w0, course)
-        rows[row.D0 + j], rows[row.D1 + j], rows[row.W1 + j] = w0, w1, w1
-        rows[row.C1 + j] = s * (t.lag0 if t.faint else v0 - w0)
-        rows[row.M1 + j] = s * (t.lag1 if t.faint else v1 - w1)
+        rows[D0 + j], rows[D1 + j], rows[W1 + j] = w0, w1, w1
+        rows[C1 + j] = s * (t.lag0 if t.faint else v0 - w0)
+        rows[M1 + j] = s * (t.lag1 if t.faint else v1 - w1)
 
 
 @vector_kernel
 def _make_cubic(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Turn each column's values and slopes into the cubic relative to `base`, and add the junction's leak."""
     for j in range(n):
-        d0, d1, leaked = rows[row.D0 + j], rows[row.D1 + j], rows[row.LEAK + j] * (c.h * rows[row.SPAN + j])
-        rise, m0, m1 = d1 - d0 + leaked, rows[row.C1 + j] + leaked, rows[row.M1 + j] + leaked
-        since = c.since_epoch_0 + c.h * rows[row.Z + j]
-        rows[row.D0 + j], rows[row.C1 + j] = (d0 - rows[row.BASE + j]) + rows[row.LEAK + j] * since, m0
-        rows[row.C2 + j], rows[row.C3 + j] = _THREE * rise - _TWO * m0 - m1, m0 + m1 - _TWO * rise
+        d0, d1, leaked = rows[D0 + j], rows[D1 + j], rows[LEAK + j] * (c.h * rows[SPAN + j])
+        rise, m0, m1 = d1 - d0 + leaked, rows[C1 + j] + leaked, rows[M1 + j] + leaked
+        since = c.since_epoch_0 + c.h * rows[Z + j]
+        rows[D0 + j], rows[C1 + j] = (d0 - rows[BASE + j]) + rows[LEAK + j] * since, m0
+        rows[C2 + j], rows[C3 + j] = _THREE * rise - _TWO * m0 - m1, m0 + m1 - _TWO * rise
 
 
 @vector_kernel
 def _add_parasitic(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Add the parasitic leak, the integral of i as a cubic, to each column's curve."""
     for j in range(n):
-        width, on = rows[row.SPAN + j], rows[row.ON + j]
-        i0, i1 = exponential(rows[row.U0 + j]), exponential(rows[row.U1 + j])
+        width, on = rows[SPAN + j], rows[ON + j]
+        i0, i1 = exponential(rows[U0 + j]), exponential(rows[U1 + j])
         leaks = c.parasitic * on * c.h * width
         m0, m1 = leaks * i0, leaks * i1
-        rise = _HALF * (m0 + m1) + _TWELFTH * (m0 * rows[row.SLOPE0 + j] - m1 * rows[row.SLOPE1 + j])
-        rows[row.P1 + j] = rows[row.P + j] + rise
-        rows[row.D0 + j] += rows[row.P + j]
-        rows[row.C1 + j] += m0
-        rows[row.C2 + j] += _THREE * rise - _TWO * m0 - m1
-        rows[row.C3 + j] += m0 + m1 - _TWO * rise
+        rise = _HALF * (m0 + m1) + _TWELFTH * (m0 * rows[SLOPE0 + j] - m1 * rows[SLOPE1 + j])
+        rows[P1 + j] = rows[P + j] + rise
+        rows[D0 + j] += rows[P + j]
+        rows[C1 + j] += m0
+        rows[C2 + j] += _THREE * rise - _TWO * m0 - m1
+        rows[C3 + j] += m0 + m1 - _TWO * rise
 
 
 @vector_kernel
 def _find_turns(rows: _Float32s, n: int) -> None:
     """Write the turning points of each column's cubic within (0, 1), in ascending order; 1 where there is none."""
     for j in range(n):
-        a, half, first = _THREE * rows[row.C3 + j], rows[row.C2 + j], rows[row.C1 + j]
+        a, half, first = _THREE * rows[C3 + j], rows[C2 + j], rows[C1 + j]
         square = half * half - a * first
         root = np.sqrt(max(square, _ZERO))
         far = -(half + (root if half > _ZERO else -root))
         one, other = far / a, first / far
         one = one if (one > _ZERO) & (one < _ONE) & (square > _ZERO) else _ONE
         other = other if (other > _ZERO) & (other < _ONE) & (square > _ZERO) else _ONE
-        rows[row.TURN + j], rows[row.TURN2 + j] = min(one, other), max(one, other)
+        rows[TURN + j], rows[TURN2 + j] = min(one, other), max(one, other)
 
 
 @kernel

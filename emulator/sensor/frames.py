@@ -34,9 +34,9 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import Light, LightFrame
-from emulator.sensor.aps.row_kicks import LineReads
 from emulator.sensor.numerics.keyed import Purpose, normal, normals, root_of, streams
 from emulator.sensor.parameters import FrameParameters
+from emulator.sensor.row_kicks import LineReads
 from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.frames import FrameSettings, LineKind, line_record
 

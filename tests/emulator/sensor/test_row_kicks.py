@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import ks_2samp, kstest
 
 from emulator.light import LightFrame
-from emulator.sensor.aps.frames import FrameSource, frame_times
+from emulator.sensor.frames import FrameSource, frame_times
 from emulator.sensor.parameters import DefectParameters, FrameParameters, JitterParameters, KickParameters
 from emulator.sensor.presets import PRESETS, ReadoutParameters
 from emulator.sensor.sensor import Sensor

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from emulator.light import LightFrame
-from emulator.sensor.aps.frames import FrameSource, frame_times
+from emulator.sensor.frames import FrameSource, frame_times
 from emulator.sensor.parameters import FrameParameters
 from firmware_protocol.frames import FrameSettings, LineKind
 
