@@ -38,9 +38,9 @@ def _lines(found: Sequence[Findings], pictures: dict[str, list[Path]]) -> Iterab
     yield _INTRODUCTION
     yield from _summary(found)
     yield from _disagreement(found)
-    said: dict[str, str] = {}
+    printed: dict[str, str] = {}
     for one in found:
-        yield from _section(one, pictures.get(one.name, []), said)
+        yield from _section(one, pictures.get(one.name, []), printed)
 
 
 def _summary(found: Sequence[Findings]) -> Iterable[str]:
@@ -68,11 +68,11 @@ def _disagreement(found: Sequence[Findings]) -> Iterable[str]:
     yield ""
 
 
-def _section(one: Findings, picture: list[Path], said: dict[str, str]) -> Iterable[str]:
-    """Yield the lines of an experiment; texts that an earlier one has, by `said`, are named by its title."""
+def _section(one: Findings, picture: list[Path], printed: dict[str, str]) -> Iterable[str]:
+    """Yield the lines of an experiment; texts that an earlier one has, by `printed`, are named by its title."""
     yield f"## {one.title}"
     yield ""
-    yield _once(one.protocol, one.title, said)
+    yield _once(one.protocol, one.title, printed)
     yield ""
     for path in picture:
         if path.suffix == ".png":
@@ -80,23 +80,23 @@ def _section(one: Findings, picture: list[Path], said: dict[str, str]) -> Iterab
             yield ""
     yield from _grid(one.data) or _list(one.data)
     yield ""
-    remarks = [remark for remark in one.remarks if remark not in said]
-    said.update(dict.fromkeys(remarks, one.title))
+    remarks = [remark for remark in one.remarks if remark not in printed]
+    printed.update(dict.fromkeys(remarks, one.title))
     yield from (f"- {remark}" for remark in remarks)
     if remarks:
         yield ""
     for source in one.sources:
         text = f"{source.title}, {source.address}; {source.obtained}. {source.licence}"
-        yield f"Source: {_once(text, one.title, said)}"
+        yield f"Source: {_once(text, one.title, printed)}"
         yield ""
 
 
-def _once(text: str, title: str, said: dict[str, str]) -> str:
-    """Return a text, or where it or its beginning was said, the title of that section and what is new."""
-    for earlier, place in said.items():
+def _once(text: str, title: str, printed: dict[str, str]) -> str:
+    """Return a text, or where it or its beginning was printed, the title of that section and what is new."""
+    for earlier, place in printed.items():
         if text.startswith(earlier):
             return f'As in "{place}".{text.removeprefix(earlier)}'
-    said[text] = title
+    printed[text] = title
     return text
 
 
