@@ -288,7 +288,7 @@ class _Table:
         return [f"{k}. `{name}`{_of_parameters(rows)}" for k, (name, rows) in enumerate(self._tests.items(), 1)]
 
     def _list_of_notes(self) -> list[str]:
-        notes = [f"- {chr(ord('a') + k)}: {note}" for k, note in enumerate(self._notes)]
+        notes = [f"({chr(ord('a') + k)}) {note}." for k, note in enumerate(self._notes)]
         return ["", *notes] if notes else []
 
 
