@@ -130,7 +130,7 @@ def _step() -> None:
     pixels.reset(LightFrame(0, dark))
     everything = Region(0, _HEIGHT, 0, _WIDTH, np.array([[0, _HEIGHT, 0, _WIDTH]]))
     pixels.step(LightFrame(1_000_000, bright, dark, _lit, everything))
-    EventBuffers().add([np.zeros(1, np.uint64)] * 2, (0, 10), 0)
+    EventBuffers().add([np.zeros(1, np.uint64)] * 2, 0, 10, 0)
 
 
 def _lit(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:

@@ -106,8 +106,8 @@ class Converter:
 
     def _normals(self, purpose: Purpose, lines: slice, samples: slice, frame: int) -> Floats:
         part = np.ascontiguousarray(self._streams[purpose][lines, samples])
-        drawn: Floats = normals(part.reshape(-1), frame).reshape(part.shape)
-        return drawn
+        numbers: Floats = normals(part.reshape(-1), frame).reshape(part.shape)
+        return numbers
 
     def _common_noise(self, lines: slice, samples: slice, frame: int) -> Floats:
         """Return the noise of columns and rows, which broadcasts to (lines, samples)."""
@@ -218,7 +218,7 @@ class Schedule:
         )
         t_ns = np.concatenate([np.asarray(t, np.int64) for _, t, _ in records])
         kinds = np.concatenate([np.full(len(t), kind, np.uint8) for kind, t, _ in records])
-        line = np.concatenate([np.asarray(which, np.int64) for *_, which in records])
+        line = np.concatenate([np.asarray(lines, np.int64) for *_, lines in records])
         order = np.argsort(t_ns, kind="stable")
         return cls(-(-t_ns[order] // 1000), kinds[order], line[order])
 
@@ -272,7 +272,8 @@ class _Frame:
     @property
     def reads(self) -> LineReads:
         """All its reads, at the times of their kicks."""
-        times, lines, kicks = self.times, np.arange(self.lines.start, self.lines.stop), self._kicks
+        times, kicks = self.times, self._kicks
+        lines = np.arange(self.lines.start, self.lines.stop)
         signal = np.repeat([False, True], len(lines))
         reset_ns = times.reset_ns - round(kicks.reset_lead_us * 1000)
         t_ns = np.concatenate([reset_ns, times.signal_ns - round(kicks.signal_lead_us * 1000)])
@@ -307,8 +308,8 @@ class _Frame:
         if kind is LineKind.RESET:
             values = self._converter.reset(lines, self.samples, self._number)
         else:
-            own = slice(lines.start - self.lines.start, lines.stop - self.lines.start)
-            values = self._converter.signal(self.exposure.light_ms[own], lines, self.samples, self._number)
+            exposed = slice(lines.start - self.lines.start, lines.stop - self.lines.start)
+            values = self._converter.signal(self.exposure.light_ms[exposed], lines, self.samples, self._number)
         records["samples"][at, : values.shape[1]] = values
         records["length"][at] = values.shape[1]
 
@@ -372,7 +373,7 @@ class FrameSource:
         """Report the reads whose kicks come in the step to `t_ns`."""
         parts = [frame.reads.between(self._t_ns, t_ns) for frame in self._begun]
         if self._disturb is not None and parts:
-            t, line, signal, frame = (np.concatenate([getattr(one, name) for one in parts]) for name in _READ)
+            t, line, signal, frame = (np.concatenate([getattr(reads, name) for reads in parts]) for name in _READ)
             self._disturb(LineReads(t, line, signal, frame, parts[-1].by_column))
 
     def _frames(self, light: Light, t_ns: int, requested: FrameSettings) -> Iterator[Readings]:

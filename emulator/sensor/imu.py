@@ -81,8 +81,8 @@ class ElementErrors:
         self._errors, self._seed = errors, seed
         self._deviation = errors.density / np.sqrt(2 * period_s)
         self._step = errors.walk * np.sqrt(period_s)
-        drawn = errors.spread * normal(seed, Purpose.IMU_BIAS, np.arange(AXES))
-        self.bias = np.where(np.isnan(errors.bias), drawn, errors.bias)
+        random_bias = errors.spread * normal(seed, Purpose.IMU_BIAS, np.arange(AXES))
+        self.bias = np.where(np.isnan(errors.bias), random_bias, errors.bias)
         self._bias_sum = 0, np.zeros(AXES)  # number of steps, and their sum
 
     def at(self, first: int, count: int) -> Floats:
@@ -95,11 +95,11 @@ class ElementErrors:
         """Return the walks after `first`, `first + 1`, ... steps, (count, 6)."""
         if not self._step.any() or not count:
             return np.zeros((count, AXES))
-        known, total = self._bias_sum if self._bias_sum[0] <= first else (0, np.zeros(AXES))
-        while known < first:
-            upto = min(first, known + _BLOCK)
-            total = self._summed(total, known, upto)[-1]
-            known = upto
+        step, total = self._bias_sum if self._bias_sum[0] <= first else (0, np.zeros(AXES))
+        while step < first:
+            upto = min(first, step + _BLOCK)
+            total = self._summed(total, step, upto)[-1]
+            step = upto
         walks = self._summed(total, first, first + count - 1)
         self._bias_sum = first + count - 1, walks[-1]
         return walks
@@ -225,8 +225,8 @@ def errors_of(p: ImuParameters) -> Errors:
     degree, g = np.pi / 180, STANDARD_GRAVITY_M_S2
 
     def six(force: object, rate: object) -> np.ndarray:
-        both = [np.full(3, np.nan) if some is None else np.broadcast_to(np.array(some), 3) for some in (force, rate)]
-        return np.concatenate([both[0] * g, both[1] * degree])
+        axes = [np.full(3, np.nan) if size is None else np.broadcast_to(np.array(size), 3) for size in (force, rate)]
+        return np.concatenate([axes[0] * g, axes[1] * degree])
 
     return Errors(
         density=six(p.accelerometer_noise_ug * 1e-6, p.gyroscope_noise_deg_s),
@@ -253,24 +253,22 @@ class Converter:
         """Return the samples of `motion`, (n,) IMU_MOTION in order: (m <= n,) IMU_SAMPLE."""
         samples = no_samples(len(motion))
         taken = np.zeros(len(motion), np.bool_)
-        for k, one in enumerate(motion):
-            felt = self._filtered(np.concatenate([one["force"], one["rate"]]), settings)
-            taken[k] = settings.takes(int(one["index"]))
-            if taken[k]:
-                samples[k] = one["t"], settings.scale, _counts(felt, float(one["temperature"]), settings)
-        return samples[taken]
-
-    def _filtered(self, felt: Floats, settings: ImuSettings) -> Floats:
         bandwidths = settings.accelerometer_mhz / 1000, settings.gyroscope_mhz / 1000
-        if self._filter is None or self._filter.bandwidths_hz != bandwidths:
-            self._filter = _LowPass(bandwidths, felt)
-        return self._filter.step(felt)
+        for k, sensed in enumerate(motion):
+            felt = np.concatenate([sensed["force"], sensed["rate"]])
+            if self._filter is None or self._filter.bandwidths_hz != bandwidths:
+                self._filter = _LowPass(*bandwidths, felt)
+            felt = self._filter.step(felt)
+            taken[k] = settings.takes(int(sensed["index"]))
+            if taken[k]:
+                samples[k] = sensed["t"], settings.scale, _counts(felt, float(sensed["temperature"]), settings)
+        return samples[taken]
 
 
 def _counts(felt: Floats, temperature_c: float, settings: ImuSettings) -> npt.NDArray[np.int16]:
     """Return the seven counts: accelerometer, temperature, gyroscope; 0 for elements that are off."""
     scale, (per_degree, offset_c) = ImuScale.parse(settings.scale, settings.unit), THERMOMETERS[settings.unit]
-    there = [scale.accelerometer] * 3 + [scale.temperature] + [scale.gyroscope] * 3
+    is_on = [scale.accelerometer] * 3 + [scale.temperature] + [scale.gyroscope] * 3
     counts = np.concatenate(
         [
             felt[:3] / STANDARD_GRAVITY_M_S2 / scale.acceleration_g,
@@ -278,7 +276,7 @@ def _counts(felt: Floats, temperature_c: float, settings: ImuSettings) -> npt.ND
             np.degrees(felt[3:]) / scale.rate_deg_s,
         ]
     )
-    return np.where(there, np.clip(np.rint(counts), -32768, 32767), 0).astype(np.int16)
+    return np.where(is_on, np.clip(np.rint(counts), -32768, 32767), 0).astype(np.int16)
 
 
 class _LowPass:
@@ -289,10 +287,12 @@ class _LowPass:
     Source: the bilinear transform with the corner kept (Oppenheim and Schafer, Discrete-Time Signal Processing, 7.1).
     """
 
-    def __init__(self, bandwidths_hz: tuple[float, float], start: Floats) -> None:
-        self.bandwidths_hz = bandwidths_hz
-        b, a1, a2 = np.repeat([_coefficients(hz) for hz in bandwidths_hz], 3, axis=0).T
-        self._b, self._a1, self._a2 = b, a1, a2
+    def __init__(self, accelerometer_hz: float, gyroscope_hz: float, start: Floats) -> None:
+        self.bandwidths_hz = accelerometer_hz, gyroscope_hz
+        b, a1, a2 = np.repeat([_coefficients(hz) for hz in self.bandwidths_hz], 3, axis=0).T
+        self._b = b
+        self._a1 = a1
+        self._a2 = a2
         bypassed = b == 1.0
         self._twice = np.where(bypassed, 0.0, 2.0)
         self._once = np.where(bypassed, 0.0, 1.0)
@@ -334,9 +334,9 @@ class ImuSource:
 
     def read(self, frame: LightFrame, settings: tuple[int, ...]) -> ImuSamples:
         """Move to the time of `frame` and return the samples until then."""
-        asked = ImuSettings(bool(settings[0]), *settings[1:]) if settings else ImuSettings()
+        requested = ImuSettings(bool(settings[0]), *settings[1:]) if settings else ImuSettings()
         since_ns, self._t_ns = self._t_ns, frame.t_ns
-        if not asked.run:
+        if not requested.run:
             self._converter.stop()
             return no_samples()
-        return self._converter.samples(self._unit.between(since_ns, frame.t_ns), asked)
+        return self._converter.samples(self._unit.between(since_ns, frame.t_ns), requested)

@@ -70,8 +70,8 @@ class LineReads:
         """Return the reads whose kicks come from `t0_ns` on and before `t1_ns`."""
         return self._chosen((self.t_ns >= t0_ns) & (self.t_ns < t1_ns))
 
-    def _chosen(self, which: npt.NDArray[np.bool_]) -> LineReads:
-        return LineReads(self.t_ns[which], self.line[which], self.signal[which], self.frame[which], self.by_column)
+    def _chosen(self, mask: npt.NDArray[np.bool_]) -> LineReads:
+        return LineReads(self.t_ns[mask], self.line[mask], self.signal[mask], self.frame[mask], self.by_column)
 
     def pixels(self, width: int, height: int) -> tuple[_Int64s, _Int64s]:
         """Return the pixels of all lines, and the read of each one, (n * length,)."""
@@ -114,8 +114,8 @@ class RowKicks:
         """Start with the levels that the pixels have now; no event is to come."""
         pixels = np.arange(len(self._silent))
         on, _ = self._levels.thresholds(pixels)
-        most = np.maximum(*self._added) * (1 + _STRONG * self._frame_spread)
-        self._silent = self._levels.of(pixels) + most >= on
+        strongest = np.maximum(*self._added) * (1 + _STRONG * self._frame_spread)
+        self._silent = self._levels.of(pixels) + strongest >= on
         self._muted[:] = False
         self._late = NO_CROSSINGS
 
@@ -123,13 +123,13 @@ class RowKicks:
         """Store the levels at a step's start of all pixels that are read in it."""
         groups = []
         for kind in (_RESET, _SIGNAL):
-            own = reads.only(signal=kind == _SIGNAL)
-            if len(own.t_ns):
-                pixel, read = own.pixels(*self._size)
+            lines = reads.only(signal=kind == _SIGNAL)
+            if len(lines.t_ns):
+                pixel, read = lines.pixels(*self._size)
                 pixel, first = np.unique(pixel, return_index=True)
                 read = read[first]
-                added = self._added[kind][pixel] * self._strength(own.frame, kind)[read]
-                groups.append(_Before(pixel, own.t_ns[read], added, self._levels.of(pixel)))
+                added = self._added[kind][pixel] * self._strength(lines.frame, kind)[read]
+                groups.append(_Before(pixel, lines.t_ns[read], added, self._levels.of(pixel)))
         return groups
 
     def _strength(self, frame: _Int64s, kind: int) -> _Floats:
@@ -171,7 +171,7 @@ class RowKicks:
         missing = on - level
         fired = np.flatnonzero(missing <= group.added)
         needed = np.maximum(missing[fired], 0) / np.maximum(group.added[fired], _LEAST)
-        crossings = self._without_next(group, fired, crossings, (at[~before], place[~before]))
+        crossings = self._without_next(group, fired, crossings, at[~before], place[~before])
         return merged(crossings, self._events(group, fired, needed))
 
     def without_silent(self, crossings: Crossings) -> Crossings:
@@ -183,12 +183,15 @@ class RowKicks:
         return _part(crossings, np.flatnonzero(sent), crossings.lost_in_pixel)
 
     def _without_next(
-        self, group: _Before, fired: _Int64s, crossings: Crossings, later: tuple[_Int64s, _Int64s]
+        self, group: _Before, fired: _Int64s, crossings: Crossings, later: _Int64s, place: _Int64s
     ) -> Crossings:
-        """Fire the pixels `fired` of a group, and take away their next event in the step if that is an ON event."""
-        places, first = np.unique(later[1], return_index=True)
+        """Fire the pixels `fired` of a group, and take away their next event in the step if that is an ON event.
+
+        `later` are the crossings of the group after its kicks, `place` those of their pixels in the group.
+        """
+        places, first = np.unique(place, return_index=True)
         following = np.full(len(group.pixel), -1, np.int64)
-        following[places] = later[0][first]
+        following[places] = later[first]
         instead = following[fired]
         instead = instead[instead >= 0]
         instead = instead[crossings.on[instead]]
@@ -209,5 +212,5 @@ class RowKicks:
         return Crossings(t_ns[order], pixel[order].astype(np.uint32), np.ones(len(order), np.bool_))
 
 
-def _part(crossings: Crossings, which: _Int64s, lost: int) -> Crossings:
-    return Crossings(crossings.t_ns[which], crossings.pixel[which], crossings.on[which], lost)
+def _part(crossings: Crossings, index: _Int64s, lost: int) -> Crossings:
+    return Crossings(crossings.t_ns[index], crossings.pixel[index], crossings.on[index], lost)

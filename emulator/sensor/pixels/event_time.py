@@ -12,9 +12,10 @@ makes nanoseconds of them.
 A pixel that fires MOST_EVENTS times in a step is not followed further: `levels_passed` and `pass_over` count what is
 left in closed form, as lost in the pixel. No light and no leak can make a step endless.
 
-The comparator of a pixel is one transistor, driven by the amplified change of log light, against a bias current. At the
-threshold both currents are equal. When the signal is beyond it by y, in ln units, the input transistor's current is
-e^(-y/F) or e^(y/F) of the bias current, in subthreshold, and their difference drives the output's capacitance:
+The law of the delay. The comparator of a pixel is one transistor, driven by the amplified change of log light, against
+a bias current. At the threshold both currents are equal. When the signal is beyond it by y, in ln units, the input
+transistor's current is e^(-y/F) or e^(y/F) of the bias current, in subthreshold, and their difference drives the
+output's capacitance:
 
     ON    the input transistor pulls:     C dV/dt = I_on (e^(y/F) - 1)
     OFF   the bias current pulls:         C dV/dt = I_off (1 - e^(-y/F))
@@ -83,13 +84,14 @@ def newton(g: Cubic, at: Bracket, x: Real) -> tuple[Real, Real]:
     The bracket shrinks with each iteration; a correction that leaves it is replaced by its middle.
     """
     low, high, step = at.low, at.high, _ONE
-    sign = _ONE if at.rising else -_ONE
+    sign = _ONE if at.rising else -_ONE  # falling curves are turned over
     for _ in range(_NEWTON_TURNS):
         beyond = sign * (value(g, x) - at.level)
         slope = sign * ((_THREE * g.c3 * x + _TWO * g.c2) * x + g.c1)
+        # x is a new bound of the bracket. Choices of values, as here, become vectors; branches would not.
         low = low if beyond > _ZERO else x
         high = x if beyond > _ZERO else high
-        corrected = x - beyond / slope
+        corrected = x - beyond / slope  # not finite where the slope is 0: then the comparisons below are false
         better = corrected if (corrected >= low) & (corrected <= high) else _HALF * (low + high)
         step = better - x
         x = better
@@ -98,9 +100,9 @@ def newton(g: Cubic, at: Bracket, x: Real) -> tuple[Real, Real]:
 
 @kernel
 def bisect(g: Cubic, at: Bracket) -> Real:
-    """Return the root found by bisection."""
+    """Return the root found by bisection: the end behind it, so that the pixel has crossed its level there."""
     low, high = at.low, at.high
-    for _ in range(_BISECTIONS):
+    for _ in range(_BISECTIONS):  # to the resolution of float32
         x = _HALF * (low + high)
         if (value(g, x) > at.level) == at.rising:
             high = x
@@ -119,13 +121,13 @@ _SETTLED = 1e-9
 @kernel
 def _units(q: float, on: bool) -> float:
     """Return u for q > 0, by Newton's method from above: both functions are convex, so it cannot overshoot."""
-    most = math.sqrt(2 * q)
-    u = math.log1p(q + most) if on else q + min(1.0, most)
+    slow = math.sqrt(2 * q)  # the solution for small q, above that for any q
+    u = math.log1p(q + slow) if on else q + min(1.0, slow)
     for _ in range(_TURNS):
         e = math.expm1(u) if on else -math.expm1(-u)
-        less = (e - u - q) / e if on else (u - e - q) / e
-        u -= less
-        if abs(less) <= _SETTLED * u:
+        correction = (e - u - q) / e if on else (u - e - q) / e
+        u -= correction
+        if abs(correction) <= _SETTLED * u:
             break
     return u
 
@@ -154,15 +156,16 @@ MOST_LOST = 1 << 32
 def levels_passed(level: float, end: float, threshold: float) -> tuple[int, float]:
     """Return the number of thresholds between a level and the end of a monotone curve, and the remaining change.
 
-    The rest is below a threshold; 0 where the numbers are too large to have one.
+    That change is below a threshold; 0 where the numbers are too large for float64 to have one.
     """
-    way, step = np.float64(end) - np.float64(level), np.float64(threshold)
-    passed = np.floor(abs(way) / step)
-    rest = abs(way) - passed * step
-    if not (rest >= 0) & (rest < step):
-        rest = 0.0
+    change = np.float64(end) - np.float64(level)
+    step = np.float64(threshold)
+    passed = np.floor(abs(change) / step)
+    remaining = abs(change) - passed * step
+    if not (remaining >= 0) & (remaining < step):
+        remaining = 0.0
     count = MOST_LOST if passed >= MOST_LOST else int(passed)
-    return count, rest if way > 0 else -rest
+    return count, remaining if change > 0 else -remaining
 
 
 class Passed(NamedTuple):
@@ -190,19 +193,23 @@ def pass_over(  # noqa: PLR0913, PLR0917
     """
     if x >= high:
         return Passed(NONE, 0.0, x - high)
-    c1, c2, c3 = np.float64(g.c1), np.float64(g.c2), np.float64(g.c3)
+    # In float64: the curve may climb by so many thresholds that two of them are one number in float32.
+    c1 = np.float64(g.c1)
+    c2 = np.float64(g.c2)
+    c3 = np.float64(g.c3)
     width = (high - x) / _PIECES
     periods = slope = dead = 0.0
     for k in range(_PIECES):
         x0 = x + k * width
         x1 = x0 + width
-        slope = abs(c1 + c2 * (x0 + x1) + c3 * (x0 * x0 + x0 * x1 + x1 * x1))  # of the chord
-        if not slope <= _STEEPEST * threshold:
+        slope = abs(c1 + c2 * (x0 + x1) + c3 * (x0 * x0 + x0 * x1 + x1 * x1))  # of the chord, without a division
+        if not slope <= _STEEPEST * threshold:  # nor a number
             slope = _STEEPEST * threshold
         dead = (delay_s(slope / (span * c.h), on, c) / c.h + c.refractory) / span
-        periods += width * slope / (threshold + slope * dead)
+        periods += width * slope / (threshold + slope * dead)  # width / (threshold / slope + dead)
     crossings = int(periods)
-    climbed = (periods - crossings) * (threshold + slope * dead)  # as if the curve climbed on in the dead time
+    # The part of a period that has begun, as the climb of the curve on which its dead time would be a climb too.
+    climbed = (periods - crossings) * (threshold + slope * dead)
     if climbed < threshold:
         return Passed(crossings, climbed, 0.0)
     return Passed(crossings + 1, 0.0, dead - (climbed - threshold) / slope)
