@@ -90,8 +90,7 @@ if TYPE_CHECKING:
     from firmware_protocol.prophesee.biases import BiasSlopes
     from firmware_protocol.receiver.can import CanReceiver, CanReceiverSettings
     from firmware_protocol.receiver.clock_estimator import ClockEstimate, ClockEstimator
-    from firmware_protocol.receiver.davis import DavisReceiver
-    from firmware_protocol.receiver.instrument import SerialReceiver
+    from firmware_protocol.receiver.instrument import DavisReceiver, SerialReceiver
     from firmware_protocol.recordings.part import IMU, Frame
     from transports.can_bus.kind import CanLink
     from transports.faults.bus import (
@@ -137,7 +136,7 @@ if TYPE_CHECKING:
         TimeBack,
         TimeFrozen,
     )
-    from transports.file.kind import FileLink
+    from transports.file import FileLink
     from transports.gige.kind import GigeLink
     from transports.gige.packet_faults import IpChange, LinkDown, LostHeartbeat, RefusedResends
     from transports.network_streams.kind import TcpLink, UdpLink
@@ -360,8 +359,7 @@ _NAMES = {
     "firmware_protocol.packets.profile": ("Profile",),
     "firmware_protocol.receiver.can": ("CanReceiver", "CanReceiverSettings"),
     "firmware_protocol.receiver.clock_estimator": ("ClockEstimate", "ClockEstimator"),
-    "firmware_protocol.receiver.davis": ("DavisReceiver",),
-    "firmware_protocol.receiver.instrument": ("SerialReceiver",),
+    "firmware_protocol.receiver.instrument": ("DavisReceiver", "SerialReceiver"),
     "firmware_protocol.recordings.part": ("Frame", "IMU"),
     "transports.can_bus.kind": ("CanLink",),
     "transports.faults.bus": (
@@ -407,7 +405,7 @@ _NAMES = {
         "TimeBack",
         "TimeFrozen",
     ),
-    "transports.file.kind": ("FileLink",),
+    "transports.file": ("FileLink",),
     "transports.gige.kind": ("GigeLink",),
     "transports.gige.packet_faults": ("IpChange", "LinkDown", "LostHeartbeat", "RefusedResends"),
     "transports.network_streams.kind": ("TcpLink", "UdpLink"),

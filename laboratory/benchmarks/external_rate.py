@@ -18,8 +18,8 @@ from emulator.geometry.camera import Pinhole
 from emulator.scene.external.external import External, ImageQueue, compile_kernels
 from emulator.scene.external.table import ExternalParameters
 from evstim.renderer import Renderer
-from firmware_protocol.renderer.messages import Camera
-from transports.renderer.server import RendererServer
+from firmware_protocol.renderer import Camera
+from transports.renderer import RendererServer
 
 SIZE = (1280, 720)
 PERIOD_NS = 10_000_000

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import zmq
 
-from firmware_protocol.vizard.messages import message_class
+from firmware_protocol.vizard import message_class
 
 RIG = """
 [scene]

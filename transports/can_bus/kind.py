@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
-from firmware_protocol.can_frames.bus_time import BitRates
 from firmware_protocol.can_frames.canopen import SelectorSettings
 from firmware_protocol.can_frames.dbc import Identifiers
+from firmware_protocol.can_frames.frame import BitRates
 from firmware_protocol.can_frames.raw_events import RAW_LIMIT_PX
 from firmware_protocol.can_frames.raw_stream import RawSettings
 from firmware_protocol.can_frames.transport import IsoTpSettings
@@ -185,16 +185,16 @@ _OWN_BUSES = ("served", "virtual")
 
 
 def _faults_of(parameters: CanLink) -> Mapping[str, type[Fault]]:
-    own = parameters.interface in _OWN_BUSES
-    return {kind: fault for kind, fault in CAN_FAULTS.items() if own or fault is not ErrorFrames}
+    transmits_error_frames = parameters.interface in _OWN_BUSES
+    return {kind: fault for kind, fault in CAN_FAULTS.items() if transmits_error_frames or fault is not ErrorFrames}
 
 
 def _with_identifiers(table: dict[str, Any]) -> dict[str, Any]:
     """Derive identifiers from the node number where the rig does not give them."""
-    node, own = table.get("node", CanLink.node), table.get("identifiers", {})
-    if not isinstance(node, int) or not 1 <= node <= 127 or not isinstance(own, dict):
+    node, given_identifiers = table.get("node", CanLink.node), table.get("identifiers", {})
+    if not isinstance(node, int) or not 1 <= node <= 127 or not isinstance(given_identifiers, dict):
         return table  # refused where its type is checked
-    return {**table, "identifiers": {**Identifiers.of_node(node).by_name, **own}}
+    return {**table, "identifiers": {**Identifiers.of_node(node).by_name, **given_identifiers}}
 
 
 def _check(parameters: CanLink, camera: CameraFacts) -> None:
@@ -206,11 +206,6 @@ def _check(parameters: CanLink, camera: CameraFacts) -> None:
             'use carriage = "isotp" or "cfp"',
             "carriage",
         )
-
-
-def _listens_on(parameters: CanLink) -> tuple[str, int] | None:
-    served = parameters.interface == "served" and parameters.port
-    return (parameters.host, parameters.port) if served else None
 
 
 def _needs(parameters: CanLink) -> tuple[Need, ...]:
@@ -229,6 +224,6 @@ CAN = LinkKind(
     listener=Listener("can", "Read a camera on a CAN bus.", "emulator.cli.listen.can:can"),
     complete=_with_identifiers,
     check=_check,
-    listens_on=_listens_on,
+    listens_on=lambda link: (link.host, link.port) if link.interface == "served" and link.port else None,
     needs=_needs,
 )

@@ -34,7 +34,6 @@ class _Refusal(HitStage[Packet]):
     """Refusal of single packets that a host requested again: they are reported as no longer stored."""
 
     def change(self, item: Packet) -> list[Packet]:
-        """See `ItemStage.change`."""
         return [Packet(removed(item.block, item.number))] if item.again and self.is_hit() else [item]
 
 
@@ -53,7 +52,8 @@ class _Taking(ItemStage[Packet]):
 
     def take(self) -> None:
         """Record that control has been taken away."""
-        self.hits, self.taken, self.over = 1, True, True
+        self.hits = 1
+        self.taken = self.over = True
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,6 @@ class _Down(ItemStage[Packet]):
     """Fault that stops all packets."""
 
     def change(self, item: Packet) -> list[Packet]:
-        """See `ItemStage.change`."""
         self.hits = 1
         self.touched += 1
         return []
@@ -129,7 +128,7 @@ _FAULTS: tuple[type[Fault], ...] = (
     *(LostDatagrams, RepeatedDatagrams, LateDatagrams),
     *(RefusedResends, LostHeartbeat, LinkDown, IpChange),
 )
-PACKET_FAULTS: Mapping[str, type[Fault]] = {one.kind: one for one in _FAULTS}
+PACKET_FAULTS: Mapping[str, type[Fault]] = {fault.kind: fault for fault in _FAULTS}
 """Faults of a camera, by kind."""
 
 

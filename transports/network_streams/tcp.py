@@ -265,7 +265,10 @@ class ClientGroup:
         clock: Clock,
         changed: Callable[[bool], None],
     ) -> None:
-        self._host, self._coder, self._batches, self._clock = link.host, coder, batches, clock
+        self._host = link.host
+        self._coder = coder
+        self._batches = batches
+        self._clock = clock
         self._changed = changed
         self._terms = ClientTerms(coder.greeting, round(link.buffer_mib * (1 << 20)))
         self._admission = Admission(AllowList(link.allow))
@@ -394,7 +397,9 @@ class TcpEndpoint(Endpoint):
     """Server of one stream on one port, and of the camera's triggers on another if the rig has one."""
 
     def __init__(self, factory: TcpFactory, device: PlainDevice, deliveries: Deliveries) -> None:
-        self._link, self._device, self._deliveries = factory.link, device, deliveries
+        self._link = factory.link
+        self._device = device
+        self._deliveries = deliveries
         self._coder = factory.coder()
         self._triggers = None if factory.triggers is None else factory.triggers()
         self._batches = ClientBatches(device, deliveries)
@@ -428,13 +433,13 @@ class TcpEndpoint(Endpoint):
             self._clients.spread(nothing, self._coder.advance(self._device.now_us - self._epoch_us))
 
     def serve(self, attend: Callable[[], None]) -> None:
-        """See `Endpoint.serve`."""
+        """Receive the function to call before a request is processed."""
         for clients in self._groups:
             clients.attend = attend
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`."""
+        """Longest time until the next `pump`."""
         return BUSY_NS if self._device.waiting else REST_NS
 
     async def close(self) -> None:

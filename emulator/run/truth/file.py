@@ -48,8 +48,7 @@ import numpy.typing as npt
 
 from emulator.geometry.camera import Given
 from emulator.sensor.origins import Origin
-from transports.array_messages import encoded
-from transports.guarded_reader import ForeignFileError, Limits, read_guarded
+from transports.guarded_reader import ForeignFileError, Limits, encoded, read_guarded
 from transports.recording.writer_process import WriterProcess
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 import h5py
 
 from emulator.run.truth.file import About, create
-from transports.array_messages import decoded
+from transports.guarded_reader import decoded
 from transports.recording.writer_process import serve_writer
 
 _FLUSH_S = 0.5
