@@ -155,7 +155,7 @@ class Control:
         """Return the answers to the datagrams received, in order."""
         answers = []
         followers: list[tuple[bytes, Peer | None]] = [*datagrams[1:], (b"", None)]
-        for (data, peer), (next_data, next_peer) in zip(datagrams, followers, strict=True):
+        for (data, peer), (next_data, next_peer) in zip(datagrams, followers, strict=False):
             # The next request is the same one of the same host, except for its id.
             if peer == next_peer and data[:6] == next_data[:6] and data[8:] == next_data[8:]:
                 self.counts["requests answered with a later one"] += 1
