@@ -238,7 +238,6 @@ _IMU_VALUES = (
 _IMU = np.dtype([("data", "<u4"), ("t", "<i4"), *((name, "<f4") for name in _IMU_VALUES)])
 _SPECIAL, _POLARITY, _FRAMES, _IMU6 = range(4)
 _SCALE_BITS = 6  # the 10 bits of a pixel are the upper ones of 16, as in libcaer
-_LISTS = ("events", "edges", "imu")
 _MOST_PACKET = 1 << 28  # bytes
 _END = b"#!END-HEADER\r\n"
 
@@ -337,7 +336,9 @@ class Aedat31Decoder:
             parts.append((self._frames if head["kind"] == _FRAMES else self._part)(head, data[body_at:end]))
             start = end
         self._rest = data[start:]
-        events, edges, imu = (np.concatenate([getattr(part, name) for part in parts]) for name in _LISTS)
+        events, edges, imu = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("events", "edges", "imu")
+        )
         return Part(events, edges, imu, tuple(frame for part in parts for frame in part.frames))
 
     def _part(self, head: np.void, body: bytes) -> Part:
@@ -542,10 +543,8 @@ class FrameWords:
             return None
         pixels = np.clip(reset_dn - signal_dn, 0, 1023)
         pixels[(reset_dn < _LEAST_RESET_DN) | (signal_dn == 0)] = 1023
-        # Both shutters end the exposure with the first signal read.
         reset_t, end_us = words["t"][~signal], int(words["t"][signal][0])
-        is_global = int(reset_t[-1]) <= end_us
-        begin_us = int(reset_t[-1] if is_global else reset_t[0])
+        begin_us = int(reset_t[-1] if int(reset_t[-1]) <= end_us else reset_t[0])  # global shutter, rolling shutter
         return Frame(begin_us, begin_us, end_us, pixels.astype(np.uint16), (left, top))
 
 

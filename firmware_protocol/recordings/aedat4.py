@@ -16,8 +16,7 @@ The payload of a frame is a FlatBuffer "FRME" with its size before it. All littl
              i16 columns, rows, first column, first row   u32 to the pixels
     pixels   u32 number   bytes, row after row
 
-Numbers are at multiples of their size, counted from the first size on. Sources: docs.inivation.com, "AEDAT 4.0";
-flatbuffers.dev, "FlatBuffer Internals"; read by faery 0.7.1.
+Numbers are at multiples of their size, counted from the first size on. Sources: as above; read by faery 0.7.1.
 """
 
 from __future__ import annotations

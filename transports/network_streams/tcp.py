@@ -280,7 +280,6 @@ class ClientGroup:
         self.attend: Callable[[], None] = lambda: None
 
     def __len__(self) -> int:
-        """Return the number of clients."""
         return len(self._clients)
 
     def open(self, port: int) -> None:
@@ -303,9 +302,8 @@ class ClientGroup:
     @property
     def counts(self) -> Mapping[str, int]:
         """Counts of clients so far, and of the events that single clients missed."""
-        missed = sum(client.missed for client in self._clients)
-        missed_by_slow = Counter({"events that single clients missed": missed})
-        return +(self._counts + missed_by_slow + self._admission.counts)
+        missed = Counter({"events that single clients missed": sum(client.missed for client in self._clients)})
+        return +(self._counts + missed + self._admission.counts)
 
     def has_room(self, *, paced: bool) -> bool:
         """Return True if any client has room for a batch, or, in a run without pacing, all clients that read."""
@@ -422,9 +420,8 @@ class TcpEndpoint(Endpoint):
 
     def pump(self) -> None:
         """Send the camera's data to the clients."""
-        overdue = self._batches.overdue
-        for clients in self._groups:
-            if overdue is not None:
+        if (overdue := self._batches.overdue) is not None:
+            for clients in self._groups:
                 clients.give_up(overdue)
         while self._has_room and (taken := self._device.take(_MOST_EVENTS)) is not None:
             self._send(taken)
