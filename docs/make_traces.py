@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from emulator.rig.loading import load_rig
-from firmware_protocol.can_frames.bus_time import frame_bits
 from firmware_protocol.can_frames.canopen import NodeState
-from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.frame import Frame, frame_bits
 from firmware_protocol.can_frames.raw_events import Epoch, unpack_clock
 from firmware_protocol.events import EDGE, EVENT, Events
 from firmware_protocol.instrument.instrument import Instrument

@@ -91,8 +91,7 @@ if TYPE_CHECKING:
     from firmware_protocol.prophesee.biases import BiasSlopes
     from firmware_protocol.receiver.can import CanReceiver, CanReceiverSettings
     from firmware_protocol.receiver.clock_estimator import ClockEstimate, ClockEstimator
-    from firmware_protocol.receiver.davis import DavisReceiver
-    from firmware_protocol.receiver.instrument import SerialReceiver
+    from firmware_protocol.receiver.instrument import DavisReceiver, SerialReceiver
     from firmware_protocol.recordings.part import IMU, Frame
     from transports.can_bus.kind import CanLink
     from transports.faults.bus import (
@@ -138,7 +137,7 @@ if TYPE_CHECKING:
         TimeBack,
         TimeFrozen,
     )
-    from transports.file.kind import FileLink
+    from transports.file import FileLink
     from transports.gige.kind import GigeLink
     from transports.gige.packet_faults import IpChange, LinkDown, LostHeartbeat, RefusedResends
     from transports.network_streams.kind import TcpLink, UdpLink

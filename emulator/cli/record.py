@@ -16,7 +16,7 @@ from emulator.cli.signals import ignore_stop_signals
 from emulator.rig.loading import Rig, load_rig, with_options
 from emulator.run.kernels import parts_of
 from emulator.run.outcome import RunResult, good, judge
-from transports.file.kind import FileLink
+from transports.file import FileLink
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,11 @@ from emulator.rig.loading import Rig, load_rig
 from emulator.run.basilisk import BasiliskRun, Server, camera_differs, connected
 from emulator.run.outcome import RunResult, good, judge
 from emulator.trajectory.basilisk import ConnectedPath
-from firmware_protocol.vizard.messages import Update
+from firmware_protocol.vizard import Update
 from transports.link.pacing import MonotonicClock
 from transports.needs import install_command
 from transports.network import check_allow
-from transports.vizard.server import ForwardingServer, Other, VizardServer
+from transports.vizard import ForwardingServer, Other, VizardServer
 
 
 @dataclass(frozen=True)

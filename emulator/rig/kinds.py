@@ -34,7 +34,7 @@ LINKS: Registry[LinkKind[Any]] = Registry(
         "loopback": "transports.usb.kind:LOOPBACK",
         "serial": "transports.serial_line.kind:SERIAL",
         "gige": "transports.gige.kind:GIGE",
-        "file": "transports.file.kind:FILE",
+        "file": "transports.file:FILE",
         "tcp": "transports.network_streams.kind:TCP",
         "udp": "transports.network_streams.kind:UDP",
         "udp_packets": "transports.udp_packets.kind:UDP_PACKETS",

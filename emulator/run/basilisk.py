@@ -29,7 +29,7 @@ from emulator.trajectory.basilisk import ConnectedPath, pose_of, simulated_path
 from emulator.trajectory.parameters import BasiliskPath
 from emulator.trajectory.pose import TrajectoryError
 from firmware_protocol.events import Events
-from firmware_protocol.vizard.messages import (
+from firmware_protocol.vizard import (
     INPUT_REPLY,
     NO_IMAGE,
     OK,
@@ -55,7 +55,7 @@ _LAST_LOOKS = 20
 
 
 class Server(Protocol):
-    """Socket of one simulation; see `transports.vizard.server`."""
+    """Socket of one simulation; see `transports.vizard`."""
 
     @property
     def peer_gone(self) -> bool:

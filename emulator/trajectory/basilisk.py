@@ -29,7 +29,7 @@ from emulator.geometry.attitude import Matrix, Quaternion, Vector, multiply
 from emulator.trajectory.live import ComingPoses, TimedPose, between, known_motion
 from emulator.trajectory.parameters import BasiliskPath
 from emulator.trajectory.pose import AT_REST, Motion, Pose, TrajectoryError, from_basilisk
-from firmware_protocol.vizard.messages import Update, UpdateError
+from firmware_protocol.vizard import Update, UpdateError
 
 _KNOWN = 64
 

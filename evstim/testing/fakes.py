@@ -90,7 +90,7 @@ class _Wire(CanBus):
         now_ns = self._clock.now_ns()
         self.from_camera.append((now_ns, frame))
         if urgent:
-            self.to_camera.append(TimedFrame(frame, now_ns, own=True))
+            self.to_camera.append(TimedFrame(frame, now_ns, is_ours=True))
         return True
 
     def take(self) -> list[TimedFrame]:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from firmware_protocol.events import Edges, Events, empty_edges, empty_events
 
-_AXES = [f"{what}_{axis}" for what in ("accelerometer", "gyroscope", "magnetometer") for axis in "xyz"]
+_AXES = [f"{unit}_{axis}" for unit in ("accelerometer", "gyroscope", "magnetometer") for axis in "xyz"]
 IMU = np.dtype([("t", "<u8"), ("temperature", "<f4"), *((name, "<f4") for name in _AXES)])
 """A sample of an inertial unit: us, degrees Celsius, g, degrees per second, microtesla; the layout of faery."""
 

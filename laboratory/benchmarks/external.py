@@ -25,10 +25,10 @@ from emulator.scene.external.external import External, ImageQueue, compile_kerne
 from emulator.scene.external.joining import Joined, Pair, TimedImage, front_motion
 from emulator.scene.external.table import ExternalParameters
 from evstim.renderer import Renderer
-from firmware_protocol.renderer.messages import Camera
+from firmware_protocol.renderer import Camera
 from laboratory.accuracy.rendering import Look, Stretch, comb_of
 from laboratory.accuracy.scores import PixelEvents, Stream, common_subsequences, compare
-from transports.renderer.server import RendererServer
+from transports.renderer import RendererServer
 
 app = App(name="external")
 

@@ -26,7 +26,7 @@ import numpy as np
 from cyclopts import App
 
 from firmware_protocol.pose_message import NOW, PoseMessage
-from firmware_protocol.vizard.messages import message_class
+from firmware_protocol.vizard import message_class
 
 app = App(name="poses")
 

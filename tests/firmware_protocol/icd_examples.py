@@ -75,7 +75,7 @@ def _examples():
         "nmt": bytes(NmtOrder(NmtCommand.START, 0x22)),
         "heartbeat": bytes([NodeState.OPERATIONAL]),
         "emcy": bytes(Emergency(EMCY_OVERRUN, 1000)),
-        "time": bytes(TimeOfDay.of_us(T_US)),
+        "time": bytes(TimeOfDay(*reversed(divmod(T_US // 1000, 86_400_000)))),
         "scet": scet(T_US),
         "follow_up": bytes(FollowUp(9, T_US * 1000)),
         "ISO-TP first frame": first,

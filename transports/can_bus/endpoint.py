@@ -12,8 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 
-from firmware_protocol.can_frames.bus_time import BusShare
-from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.frame import BusShare, Frame
 from firmware_protocol.can_frames.raw_events import pack_marks
 from firmware_protocol.events import Edges
 from firmware_protocol.instrument.instrument import Instrument, Outgoing
@@ -136,13 +135,13 @@ class CanEndpoint(Endpoint):
         self._settle()
 
     def serve(self, attend: Callable[[], None]) -> None:
-        """See `Endpoint.serve`."""
+        """Receive the function to call before a request is processed."""
         for slot in self._slots:
             slot.bus.serve(attend)
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`; without a listener and a second bus nothing has to happen in time.
+        """Longest time until the next `pump`; without a listener and a second bus nothing has to happen in time.
 
         Listeners see the SYNCs of this node at most half a millisecond late.
         """
@@ -153,7 +152,7 @@ class CanEndpoint(Endpoint):
         return HOSTED_NS if self._listeners_present or len(self._slots) > 1 else REST_NS
 
     def advance_faults(self, stream_us: int) -> None:
-        """See `Endpoint.advance_faults`."""
+        """Begin and end the faults of the rig that are due."""
         over, held = self.faulty.advance(stream_us)
         if not over:
             return
@@ -166,7 +165,7 @@ class CanEndpoint(Endpoint):
             tracker.damaged()
 
     def mark(self, edges: Edges) -> int:
-        """See `Endpoint.mark`."""
+        """Send the camera's own marks; return the number sent."""
         slot = self._slots[self._active]
         if not (slot.up and slot.bus.has_listeners):
             return 0
@@ -218,7 +217,7 @@ class CanEndpoint(Endpoint):
             return
         try:
             for received in slot.bus.take():
-                if received.own:
+                if received.is_ours:
                     self._node.has_left(received.frame, received.t_ns)
                 else:
                     self._receive(index, received.frame, received.t_ns)

@@ -6,9 +6,9 @@ from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
-from firmware_protocol.can_frames.bus_time import BitRates
 from firmware_protocol.can_frames.canopen import SelectorSettings
 from firmware_protocol.can_frames.dbc import Identifiers
+from firmware_protocol.can_frames.frame import BitRates
 from firmware_protocol.can_frames.raw_events import RAW_LIMIT_PX
 from firmware_protocol.can_frames.raw_stream import RawSettings
 from firmware_protocol.can_frames.transport import IsoTpSettings

@@ -10,8 +10,7 @@ from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 
-from firmware_protocol.can_frames.bus_time import BitRates, frame_bits
-from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.frame import BitRates, Frame, frame_bits
 from transports.faults.items import Delay, HitStage, ItemStage, Repetition
 from transports.faults.kinds import CAN_BUS, HitFault, LastingFault, Stage
 

@@ -172,8 +172,8 @@ class GigeHost:
 
     def _maintain(self) -> None:
         """Request missing packets, and keep control."""
-        for wanted in self.assembly.missing(self._now_ns(), over=self._stopped):
-            self._control.send(_resend(self._next_number(), wanted))
+        for resend in self.assembly.missing(self._now_ns(), over=self._stopped):
+            self._control.send(_resend(self._next_number(), resend))
         if self._now_ns() - self._alive_ns > _KEEP_ALIVE_NS:
             if not self.read_register(Register.PRIVILEGE) & Privilege.CONTROL:
                 raise CameraGone("control was taken away: another host has the camera, or it was restarted")
@@ -213,8 +213,8 @@ class GigeHost:
         return f"{host}:{port}"
 
 
-def _resend(number: int, wanted: Resend) -> bytes:
-    payload = struct.pack(">IIIQ", 0, wanted.first, wanted.last, wanted.block)
+def _resend(number: int, packets: Resend) -> bytes:
+    payload = struct.pack(">IIIQ", 0, packets.first, packets.last, packets.block)
     return request(Command.PACKETRESEND, number, payload, Flag.EXTENDED)
 
 

@@ -33,7 +33,6 @@ class _Refusal(HitStage[Packet]):
     """Refusal of single packets that a host requested again: they are reported as no longer stored."""
 
     def change(self, item: Packet) -> list[Packet]:
-        """See `ItemStage.change`."""
         return [Packet(removed(item.block, item.number))] if item.again and self.is_hit() else [item]
 
 
@@ -53,7 +52,8 @@ class _Taking(ItemStage[Packet]):
 
     def take(self) -> None:
         """Record that control has been taken away."""
-        self.hits, self.taken, self.over = 1, True, True
+        self.hits = 1
+        self.taken = self.over = True
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,6 @@ class _Down(ItemStage[Packet]):
     """Fault that stops all packets."""
 
     def change(self, item: Packet) -> list[Packet]:
-        """See `ItemStage.change`."""
         self.hits = 1
         self.touched += 1
         return []

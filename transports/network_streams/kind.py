@@ -141,14 +141,6 @@ DATAGRAM_CODERS: Mapping[str, type[DatagramCoder]] = {
 }
 
 
-def _check_tcp(link: TcpLink, camera: CameraFacts) -> None:
-    _check_size(link.format, CONNECTION_CODERS[link.format].limit_px, camera)
-
-
-def _check_udp(link: UdpLink, camera: CameraFacts) -> None:
-    _check_size(link.format, DATAGRAM_CODERS[link.format].limit_px, camera)
-
-
 def _check_size(form: str, limit_px: tuple[int, int], camera: CameraFacts) -> None:
     if camera.size[0] > limit_px[0] or camera.size[1] > limit_px[1]:
         raise Unsuitable(
@@ -160,7 +152,12 @@ TCP = LinkKind(
     TcpLink,
     serves="plain",
     endpoint="transports.network_streams.tcp:factory_of",
-    check=_check_tcp,
+    check=lambda link, camera: _check_size(link.format, CONNECTION_CODERS[link.format].limit_px, camera),
 )
 
-UDP = LinkKind(UdpLink, serves="plain", endpoint="transports.network_streams.udp:factory_of", check=_check_udp)
+UDP = LinkKind(
+    UdpLink,
+    serves="plain",
+    endpoint="transports.network_streams.udp:factory_of",
+    check=lambda link, camera: _check_size(link.format, DATAGRAM_CODERS[link.format].limit_px, camera),
+)

@@ -69,7 +69,7 @@ class UdpEndpoint(Endpoint):
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`."""
+        """Longest time until the next `pump`."""
         return BUSY_NS if self._next is not None or self._device.waiting else HOSTED_NS
 
     async def close(self) -> None:
@@ -130,7 +130,8 @@ class _OpenItems:
         self._reported = self._reached = 0
 
     def begin(self, taken: Items) -> None:
-        self._taken, self._reported, self._reached = taken, 0, 0
+        self._taken = taken
+        self._reported = self._reached = 0
 
     def reached(self, end: int, *, left: bool) -> None:
         """Record that the datagrams with events up to `end` have left, or that the last of them could not be sent."""

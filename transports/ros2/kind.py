@@ -53,10 +53,10 @@ class DdsNetwork:
             raise ValueError(f"domain must be 0 to {_MOST_DOMAIN}, as ROS_DOMAIN_ID, got {self.domain}")
         elsewhere = [peer for peer in self.peers if not is_loopback(peer)]
         if not self.interfaces and (elsewhere or self.multicast):
-            what = f"peers name {elsewhere[0]}" if elsewhere else "multicast is true"
+            conflict = f"peers name {elsewhere[0]}" if elsewhere else "multicast is true"
             raise ValueError(
-                f'interfaces is empty, which keeps all on this machine, but {what}: name the network interface, for '
-                'example interfaces = ["eth0"]'
+                f'interfaces is empty, which keeps all on this machine, but {conflict}: name the network interface, '
+                'for example interfaces = ["eth0"]'
             )  # fmt: skip
 
     @property

@@ -302,7 +302,8 @@ class SerialEndpoint(Endpoint):
             self._pull_out()
             return
         if port is None:
-            self._reopen()
+            self._port = self._reopening.poll()
+            self._counts["reconnections"] += self._port is not None
             return
         try:
             self._set_reader(port.has_reader)
@@ -327,20 +328,20 @@ class SerialEndpoint(Endpoint):
 
     @property
     def inputs(self) -> Sequence[int]:
-        """See `Endpoint.inputs`."""
+        """Descriptors that are readable when a request has arrived."""
         if self._port is None or self.faulty.gone or not self._has_reader or self._port.descriptor is None:
             return ()
         return (self._port.descriptor,)
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`; a port without a descriptor is looked at every time."""
+        """Longest time until the next `pump`; a port without a descriptor is looked at every time."""
         if self._pulled_ns is not None or self._out.is_busy or (self._has_reader and self._instrument.waiting_items):
             return BUSY_NS
         return REST_NS if self._port is None or self._port.descriptor is not None else HOSTED_NS
 
     def advance_faults(self, stream_us: int) -> None:
-        """See `Endpoint.advance_faults`."""
+        """Begin and end the faults of the rig that are due."""
         self.faulty.advance(stream_us, self._out.begun)
 
     @property
@@ -430,12 +431,6 @@ class SerialEndpoint(Endpoint):
         if port is not None:
             asyncio.get_running_loop().run_in_executor(None, port.close)
         self._reopening.lost()
-
-    def _reopen(self) -> None:
-        """Try to open the port again, every half second, in a thread."""
-        self._port = self._reopening.poll()
-        if self._port is not None:
-            self._counts["reconnections"] += 1
 
 
 async def _emptied(port: Port) -> None:

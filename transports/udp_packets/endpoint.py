@@ -88,16 +88,16 @@ class UdpPacketEndpoint(Endpoint):
 
     @property
     def inputs(self) -> Sequence[int]:
-        """See `Endpoint.inputs`."""
+        """Descriptors that are readable when a request has arrived."""
         return self._inlet.descriptors
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`."""
+        """Longest time until the next `pump`."""
         return BUSY_NS if self._next is not None or self._instrument.waiting_items else HOSTED_NS
 
     def advance_faults(self, stream_us: int) -> None:
-        """See `Endpoint.advance_faults`."""
+        """Begin and end the faults of the rig that are due."""
         self.faulty.advance(stream_us)
 
     async def close(self) -> None:

@@ -51,8 +51,7 @@ import numpy.typing as npt
 
 from emulator.geometry.camera import Given
 from emulator.sensor.origins import Origin
-from transports.array_messages import decoded, encoded
-from transports.guarded_reader import ForeignFileError, Limits, read_guarded
+from transports.guarded_reader import ForeignFileError, Limits, decoded, encoded, read_guarded
 from transports.recording.writer_process import WriterProcess, serve_writer
 
 if TYPE_CHECKING:

@@ -30,8 +30,8 @@ from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.pose import Timescale, Trajectory, TrajectoryError
 from firmware_protocol.compiled import entry_of
-from firmware_protocol.renderer.messages import Camera, Hello, Levels, MessageError, Response
-from transports.renderer.server import Drawn, RendererConnection, RendererEnded, RendererError, RendererServer
+from firmware_protocol.renderer import Camera, Hello, Levels, MessageError, Response
+from transports.renderer import Drawn, RendererConnection, RendererEnded, RendererError, RendererServer
 
 _LOG = logging.getLogger(__name__)
 _SRGB_KNEE = 0.04045

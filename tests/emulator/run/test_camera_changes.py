@@ -24,8 +24,8 @@ from firmware_protocol.davis346.biases import BIASES, CoarseFine
 from firmware_protocol.events import EdgeKind
 from firmware_protocol.fx3.registers import Module
 from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.packets.ccsds import Acknowledge
 from firmware_protocol.packets.profile import ReceivedCommand
-from firmware_protocol.packets.pus import Acknowledge
 from firmware_protocol.packets.telecommands import RequestId, SetBias, SetRegion
 from firmware_protocol.usb.device import SetupPacket
 from transports.faults.kinds import Fault

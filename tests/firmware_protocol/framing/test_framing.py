@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from packet_strategies import PAYLOADS, pieces
 
-from firmware_protocol.framing import framings as ours
-from firmware_protocol.framing.deframer import FrameError, StreamDeframer
+from firmware_protocol import framing as ours
+from firmware_protocol.framing import FrameError, StreamDeframer
 
 
 class Framing(NamedTuple):

@@ -8,12 +8,11 @@ from hypothesis import strategies as st
 from packet_strategies import MESSAGES, TELECOMMANDS, pieces
 from spacepackets.ecss.tm import PusTm
 
-from firmware_protocol.framing.framings import cobs_frame, kiss_frame, sealed
+from firmware_protocol.framing import cobs_frame, kiss_frame, sealed
 from firmware_protocol.packets.addresses import Addresses, Message, MessageKind, Received, SequenceFollower
-from firmware_protocol.packets.ccsds import APID_IDLE, PacketType, SpacePacket
-from firmware_protocol.packets.csp import CspPacket
+from firmware_protocol.packets.ccsds import APID_IDLE, Acknowledge, PacketType, SpacePacket, TcPacket, TmPacket
+from firmware_protocol.packets.codec import CspPacket
 from firmware_protocol.packets.profile import PROFILES, Profile
-from firmware_protocol.packets.pus import Acknowledge, TcPacket, TmPacket
 from firmware_protocol.packets.telecommands import FailureCode, Ping, RequestId, SetTick, Stage, Start, Verification
 
 STREAMS = [name for name in PROFILES if name not in ("ccsds", "csp")]

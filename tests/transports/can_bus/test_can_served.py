@@ -124,7 +124,7 @@ def test_our_reader_of_python_can_joins_it():
 
     frames, own = asyncio.run(both())
     assert [h.frame for h in frames] == [Frame(0x080, b"\x07")]
-    assert [(h.frame, h.own) for h in own] == [(Frame(0x080, b"\x07"), True)]
+    assert [(h.frame, h.is_ours) for h in own] == [(Frame(0x080, b"\x07"), True)]
     assert abs(frames[0].t_ns - own[0].t_ns) < 50_000_000
 
 

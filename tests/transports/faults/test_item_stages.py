@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from firmware_protocol.can_frames.bus_time import BitRates
+from firmware_protocol.can_frames.frame import BitRates
 from transports.can_bus.faulty_bus import BusFaults
 from transports.faults.bus import LostFrames
 from transports.faults.datagrams import FaultyDatagrams, LateDatagrams, LostDatagrams

@@ -172,7 +172,7 @@ def pictures(sent):
 @pytest.fixture(autouse=True)
 def pieces(monkeypatch):
     """A step of a busy sensor has more events than are handed over at once."""
-    monkeypatch.setattr("transports.file.kind._MOST_EVENTS", 4096)
+    monkeypatch.setattr("transports.file._MOST_EVENTS", 4096)
 
 
 @pytest.mark.sampled

@@ -166,33 +166,36 @@ class Update:
     @property
     def camera_ids(self) -> tuple[int, ...]:
         """Numbers of its cameras."""
-        return tuple(int(one.cameraID) for one in self._message.cameras)
+        return tuple(int(camera.cameraID) for camera in self._message.cameras)
 
     def spacecraft(self, name: str) -> State:
         """Return a spacecraft by its name; the first one for an empty name. Raises UpdateError."""
-        there = self._message.spacecraft
-        found = there[0] if there and not name else _named(there, "spacecraftName", name, "spacecraft")
-        return _state(found, 3, f"spacecraft {_shown(found.spacecraftName)}")
+        all_spacecraft = self._message.spacecraft
+        if all_spacecraft and not name:
+            spacecraft = all_spacecraft[0]
+        else:
+            spacecraft = _named(all_spacecraft, "spacecraftName", name, "spacecraft")
+        return _state(spacecraft, 3, f"spacecraft {_shown(spacecraft.spacecraftName)}")
 
     def body(self, name: str) -> State:
         """Return a celestial body by its name; raises UpdateError."""
-        found = _named(self._message.celestialBodies, "bodyName", name, "celestial body")
-        return _state(found, 9, f"celestial body {_shown(name)}")
+        body = _named(self._message.celestialBodies, "bodyName", name, "celestial body")
+        return _state(body, 9, f"celestial body {_shown(name)}")
 
     def camera(self, number: int) -> CameraState:
         """Return a camera by its cameraID; raises UpdateError."""
-        found = next((one for one in self._message.cameras if one.cameraID == number), None)
-        if found is None:
+        camera = next((candidate for candidate in self._message.cameras if candidate.cameraID == number), None)
+        if camera is None:
             raise UpdateError(f"there is no camera {number} in the update; there are: {_list(self.camera_ids)}")
-        what = f"camera {number}"
-        if len(found.resolution) != 2:
-            raise UpdateError(f"{what}: resolution has {len(found.resolution)} numbers, 2 are needed")
+        label = f"camera {number}"
+        if len(camera.resolution) != 2:
+            raise UpdateError(f"{label}: resolution has {len(camera.resolution)} numbers, 2 are needed")
         return CameraState(
-            found.parentName,
-            _numbers(found.cameraPos_B, 3, f"{what}: cameraPos_B"),
-            _numbers(found.cameraDir_B, 3, f"{what}: cameraDir_B"),
-            float(found.fieldOfView),
-            (int(found.resolution[0]), int(found.resolution[1])),
+            camera.parentName,
+            _numbers(camera.cameraPos_B, 3, f"{label}: cameraPos_B"),
+            _numbers(camera.cameraDir_B, 3, f"{label}: cameraDir_B"),
+            float(camera.fieldOfView),
+            (int(camera.resolution[0]), int(camera.resolution[1])),
         )
 
 
@@ -209,24 +212,24 @@ def _parsed(data: bytes) -> Any:
     return message
 
 
-def _named(there: Iterable[Any], field: str, name: str, what: str) -> Any:
-    found = next((one for one in there if getattr(one, field) == name), None)
-    if found is None:
-        names = _list([_shown(getattr(one, field)) for one in there])
-        raise UpdateError(f"there is no {what} {_shown(name)} in the update; there are: {names}")
-    return found
+def _named(candidates: Iterable[Any], field: str, name: str, noun: str) -> Any:
+    match = next((candidate for candidate in candidates if getattr(candidate, field) == name), None)
+    if match is None:
+        names = _list([_shown(getattr(candidate, field)) for candidate in candidates])
+        raise UpdateError(f"there is no {noun} {_shown(name)} in the update; there are: {names}")
+    return match
 
 
-def _state(found: Any, turns: int, what: str) -> State:
-    position_m = _numbers(found.position, 3, f"{what}: position")
-    return State(position_m, _numbers(found.rotation, turns, f"{what}: rotation"))
+def _state(message: Any, turns: int, label: str) -> State:
+    position_m = _numbers(message.position, 3, f"{label}: position")
+    return State(position_m, _numbers(message.rotation, turns, f"{label}: rotation"))
 
 
-def _numbers(values: Sequence[float], count: int, what: str) -> tuple[float, ...]:
+def _numbers(values: Sequence[float], count: int, label: str) -> tuple[float, ...]:
     if len(values) != count:
-        raise UpdateError(f"{what} has {len(values)} numbers, {count} are needed")
+        raise UpdateError(f"{label} has {len(values)} numbers, {count} are needed")
     if not all(map(math.isfinite, values)):
-        raise UpdateError(f"{what} is {list(values)}: all must be finite")
+        raise UpdateError(f"{label} is {list(values)}: all must be finite")
     return tuple(values)
 
 
@@ -236,8 +239,8 @@ def _shown(name: str) -> str:
 
 
 def _list(names: Sequence[object]) -> str:
-    more = f" and {len(names) - _SHOWN_NAMES} more" if len(names) > _SHOWN_NAMES else ""
-    return ", ".join(map(str, names[:_SHOWN_NAMES])) + more if names else "none"
+    hidden = f" and {len(names) - _SHOWN_NAMES} more" if len(names) > _SHOWN_NAMES else ""
+    return ", ".join(map(str, names[:_SHOWN_NAMES])) + hidden if names else "none"
 
 
 Parts = list[bytes]
@@ -291,14 +294,14 @@ def parse_request(parts: Sequence[bytes]) -> Request:
             return Ping()
         case [b"SIM_UPDATE", _, _, data]:
             return SimUpdate(data)
-        case [b"SIM_UPDATE", *rest]:
-            raise RequestError(f"a SIM_UPDATE has 4 parts, got {1 + len(rest)}")
+        case [b"SIM_UPDATE", *more_parts]:
+            raise RequestError(f"a SIM_UPDATE has 4 parts, got {1 + len(more_parts)}")
         case [b"REQUEST_INPUT"]:
             return InputRequest()
         case [first] if image := _IMAGE.fullmatch(first):
             return ImageRequest(int(image[1]))
-        case [first, *rest]:
-            raise RequestError(f"{first[:_SHOWN_BYTES]!r} with {len(rest)} more parts is no request")
+        case [first, *more_parts]:
+            raise RequestError(f"{first[:_SHOWN_BYTES]!r} with {len(more_parts)} more parts is no request")
         case _:
             raise RequestError("a message without parts is no request")
 

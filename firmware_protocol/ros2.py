@@ -220,7 +220,8 @@ def parse_image(message: bytes) -> Image:
     stamp_ns = reader.number("i") * _S_NS + reader.number("I")
     header = Header(stamp_ns, reader.text())
     height, width = reader.number("I"), reader.number("I")
-    encoding, is_bigendian, step = reader.text(), reader.number("B") != 0, reader.number("I")
+    encoding = reader.text()
+    is_bigendian, step = reader.number("B") != 0, reader.number("I")
     return Image(header, (width, height), encoding, step, reader.octets(), is_bigendian)
 
 

@@ -77,14 +77,14 @@ def factory_of(link: FileLink, wiring: Wiring) -> EndpointFactory[Any]:
 def _check(link: FileLink, camera: CameraFacts) -> None:
     form = format_to_write(Path(link.path), link.format)
     if camera.size[0] > form.size_px[0] or camera.size[1] > form.size_px[1]:
-        most = f"{form.size_px[0]} x {form.size_px[1]}"
-        raise Unsuitable(f"{form.title} numbers {most} pixels, not {camera.size}", "path")
+        limit = f"{form.size_px[0]} x {form.size_px[1]}"
+        raise Unsuitable(f"{form.title} numbers {limit} pixels, not {camera.size}", "path")
 
 
 FILE = LinkKind(
     FileLink,
     serves="plain",
-    endpoint="transports.file.kind:factory_of",
+    endpoint="transports.file:factory_of",
     check=_check,
     has_readings=True,
 )
@@ -143,7 +143,7 @@ class FileEndpoint(Endpoint):
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`; a writer without room is tried again soon."""
+        """Longest time until the next `pump`; a writer without room is tried again soon."""
         return BUSY_NS if self._device.waiting else REST_NS
 
     def _hand_over(self, recorder: LiveRecorder, taken: Items) -> None:

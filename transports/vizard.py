@@ -23,7 +23,7 @@ import socket
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from firmware_protocol.vizard.messages import merged, refusal
+from firmware_protocol.vizard import merged, refusal
 from transports.network import AllowList
 
 MOST_BYTES = 1 << 24
@@ -62,8 +62,8 @@ class VizardServer:
         for name, value in {"MAXMSGSIZE": MOST_BYTES, "LINGER": _LINGER_MS, **_KEEP_ALIVE}.items():
             self._socket.setsockopt(getattr(zmq, name), value)
         self._poller = zmq.Poller()
-        for each in (self._socket, self._monitor):
-            self._poller.register(each, zmq.POLLIN)
+        for source in (self._socket, self._monitor):
+            self._poller.register(source, zmq.POLLIN)
         self._peer: bytes | None = None
         self._peer_fd = -1
         self.peer_gone = False

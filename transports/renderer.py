@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.renderer.messages import (
+from firmware_protocol.renderer import (
     ANY_TIME,
     HEADER_OCTETS,
     Camera,
@@ -103,10 +103,10 @@ class RendererServer:
         host, port = self._listener.getsockname()[:2]
         return host, port
 
-    def accept(self, wanted: Camera, wait_s: float) -> RendererConnection | None:
-        """Return the connection of a renderer that draws for the camera `wanted`; None where none came in time.
+    def accept(self, camera: Camera, wait_s: float) -> RendererConnection | None:
+        """Return the connection of a renderer that draws for the camera `camera`; None where none came in time.
 
-        Slot size and path of `wanted` are not used. Afterwards the port is closed. Raises OSError where the shared
+        Slot size and path of `camera` are not used. Afterwards the port is closed. Raises OSError where the shared
         memory has no room.
         """
         until_s = time.monotonic() + wait_s
@@ -115,7 +115,7 @@ class RendererServer:
                 next_s = min([until_s, *(guest.until_s for guest in self._guests.values())])
                 ready = wait([self._listener, *self._guests], max(next_s - now_s, 0.0))
                 for peer in ready:
-                    if peer is not self._listener and (connection := self._greeted(peer, wanted)) is not None:
+                    if peer is not self._listener and (connection := self._greeted(peer, camera)) is not None:
                         return connection
                 if self._listener in ready:
                     self._admit()
@@ -143,14 +143,14 @@ class RendererServer:
         elif len(self._guests) > _GUESTS:
             self._refuse(next(iter(self._guests)), "nothing more came before many others")
 
-    def _greeted(self, peer: Any, wanted: Camera) -> RendererConnection | None:
+    def _greeted(self, peer: Any, camera: Camera) -> RendererConnection | None:
         """Return the connection of a peer; None while its HELLO is not complete, and where it is no renderer."""
         guest = self._guests[peer]
         try:
             hello = guest.hello()
             if hello is None:
                 return None
-            connection = RendererConnection(guest.stream, hello, wanted)
+            connection = RendererConnection(guest.stream, hello, camera)
         except (RendererError, MessageError) as error:
             self._refuse(peer, str(error))
             return None
@@ -183,12 +183,12 @@ class _Guest:
         return None if self._missing else Hello.parse(bytes(self._octets[HEADER_OCTETS:][:length]))
 
 
-def _require(kind: Type, length: int, expected: Type, most: int) -> None:
-    """Raise MessageError unless a message is of the type `expected` and of at most `most` octets."""
+def _require(kind: Type, length: int, expected: Type, most_octets: int) -> None:
+    """Raise MessageError unless a message is of the type `expected` and of at most `most_octets` octets."""
     if kind is not expected:
         raise MessageError(f"{kind.name} came instead of {expected.name}")
-    if length > most:
-        raise MessageError(f"{kind.name} has {length} octets, at most {most} are expected")
+    if length > most_octets:
+        raise MessageError(f"{kind.name} has {length} octets, at most {most_octets} are expected")
 
 
 class _Stream:
@@ -240,13 +240,13 @@ class _Stream:
         self.read_into(memoryview(octets), until_s)
         return bytes(octets)
 
-    def expect(self, expected: Type, most: int, until_s: float) -> int:
+    def expect(self, expected: Type, most_octets: int, until_s: float) -> int:
         """Return the length of the next message, of type `expected`; raises RendererEnded for an END."""
         kind, length = parse_header(self.read(HEADER_OCTETS, until_s))
         if kind is Type.END:
             reason = End.parse(self.read(min(length, 1001), until_s)).reason
             raise RendererError(f"it ended: {reason}") if reason else RendererEnded("its scene has ended")
-        _require(kind, length, expected, most)
+        _require(kind, length, expected, most_octets)
         return length
 
     def close(self) -> None:
@@ -261,16 +261,16 @@ class RendererConnection:
     hello : the images that it gives.
     """
 
-    def __init__(self, stream: _Stream, hello: Hello, wanted: Camera) -> None:
+    def __init__(self, stream: _Stream, hello: Hello, camera: Camera) -> None:
         self._stream = stream
         self.hello = hello
-        self._size, self._slots = wanted.size, wanted.slots
-        self._planes = planes_of(hello, wanted.size)
-        self._octets = slot_octets(hello, wanted.size)
+        self._size, self._slots = camera.size, camera.slots
+        self._planes = planes_of(hello, camera.size)
+        self._octets = slot_octets(hello, camera.size)
         self._memory = _sealed_memory(self._slots * self._octets) if hello.shared else None
         path = "" if self._memory is None else f"/proc/{os.getpid()}/fd/{self._memory.fileno()}"
         try:
-            stream.send(replace(wanted, slot_octets=self._octets, path=path).pack())
+            stream.send(replace(camera, slot_octets=self._octets, path=path).pack())
             stream.expect(Type.READY, 0, time.monotonic() + _GREETING_S)
         except BaseException:
             self._close_memory()

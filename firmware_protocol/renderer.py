@@ -339,9 +339,9 @@ def planes_of(hello: Hello, size: tuple[int, int]) -> tuple[Plane, ...]:
     """Return the planes of the images of `size` = (width, height) px that a renderer gives, light first."""
     light = ("<f4", "u1", "<u2")[hello.levels]
     extra = (("motion", 2, Layers.MOTION), ("depth", 1, Layers.DEPTH), ("rate", 1, Layers.RATE))
-    given = [("light", light, 1), *((name, "<f4", count) for name, count, layer in extra if hello.layers & layer)]
+    kinds = [("light", light, 1), *((name, "<f4", count) for name, count, layer in extra if hello.layers & layer)]
     planes, offset = [], 0
-    for name, dtype, channels in given:
+    for name, dtype, channels in kinds:
         planes.append(Plane(name, dtype, channels, offset))
         offset += _aligned(size[0] * size[1] * channels * int(dtype[-1]))
     return tuple(planes)
