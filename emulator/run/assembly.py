@@ -193,9 +193,10 @@ def build_session(
     if truth is None:
         sensor = build_sensor(rig, parameters)
     else:
-        from emulator.sensor.origins import TracedSensor
+        from emulator.run.truth.source import TruthSensor
 
-        sensor = truth.source(build_sensor(rig, parameters, TracedSensor), scene)
+        sensor = build_sensor(rig, parameters, TruthSensor)
+        truth.begin(sensor, scene)
     first_setups = [setup for setup in setups if not carries_second(rig, setup.name)]
     readings = ReadingSources(reading_sources(rig, scene, sensor), first_setups)
     session = Session(frames, sensor, steps, setups, clock, readings)
