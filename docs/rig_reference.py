@@ -107,18 +107,18 @@ def _section(classes: tuple[type, ...], titles: list[str]) -> str:
 
 def _lines_of_kind(place: str, cls: Any, common: dict[str, Row]) -> list[str]:
     """Return the lines of one kind: its name, what it has of the common keys and of tables, and its own keys."""
-    own = []
+    distinct = []
     parts = []
     for row in _rows(cls):
         key, value = row.keys[0], row.values[0]
         if key not in common or row.meaning != common[key].meaning:
-            own.append(row)
+            distinct.append(row)
         else:
             parts.append(f"`{key}`" if value == common[key].values[0] else f"`{key} = {value.strip('`')}`")
     inner = {name: annotation for name, annotation in field_types(cls).items() if _tables(annotation)}
     parts += [f"`[{_inner_path(place, name, annotation)}]`" for name, annotation in inner.items()]
     name = f'<h3 id="{place}-{cls.kind}"><code>kind = "{cls.kind}"</code></h3>'
-    return [f"|{name}|{', '.join(parts)}|{_summary(cls)}|", *_table(f"{place}-{cls.kind}", own)]
+    return [f"|{name}|{', '.join(parts)}|{_summary(cls)}|", *_table(f"{place}-{cls.kind}", distinct)]
 
 
 def _common_rows(classes: tuple[type, ...]) -> dict[str, Row]:

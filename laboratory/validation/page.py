@@ -38,9 +38,9 @@ def _lines(found: Sequence[Findings], pictures: dict[str, list[Path]]) -> Iterab
     yield _INTRODUCTION
     yield from _summary(found)
     yield from _disagreement(found)
-    printed: dict[str, str] = {}
+    titles: dict[str, str] = {}
     for one in found:
-        yield from _section(one, pictures.get(one.name, []), printed)
+        yield from _section(one, pictures.get(one.name, []), titles)
 
 
 def _summary(found: Sequence[Findings]) -> Iterable[str]:
@@ -68,11 +68,11 @@ def _disagreement(found: Sequence[Findings]) -> Iterable[str]:
     yield ""
 
 
-def _section(one: Findings, picture: list[Path], printed: dict[str, str]) -> Iterable[str]:
-    """Yield the lines of an experiment; texts that an earlier one has, by `printed`, are named by its title."""
+def _section(one: Findings, picture: list[Path], titles: dict[str, str]) -> Iterable[str]:
+    """Yield the lines of an experiment; `titles` has the section of each text so far."""
     yield f"## {one.title}"
     yield ""
-    yield _once(one.protocol, one.title, printed)
+    yield _once(one.protocol, one.title, titles)
     yield ""
     for path in picture:
         if path.suffix == ".png":
@@ -80,23 +80,23 @@ def _section(one: Findings, picture: list[Path], printed: dict[str, str]) -> Ite
             yield ""
     yield from _grid(one.data) or _list(one.data)
     yield ""
-    remarks = [remark for remark in one.remarks if remark not in printed]
-    printed.update(dict.fromkeys(remarks, one.title))
+    remarks = [remark for remark in one.remarks if remark not in titles]
+    titles.update(dict.fromkeys(remarks, one.title))
     yield from (f"- {remark}" for remark in remarks)
     if remarks:
         yield ""
     for source in one.sources:
         text = f"{source.title}, {source.address}; {source.obtained}. {source.licence}"
-        yield f"Source: {_once(text, one.title, printed)}"
+        yield f"Source: {_once(text, one.title, titles)}"
         yield ""
 
 
-def _once(text: str, title: str, printed: dict[str, str]) -> str:
-    """Return a text, or where it or its beginning was printed, the title of that section and what is new."""
-    for earlier, place in printed.items():
+def _once(text: str, title: str, titles: dict[str, str]) -> str:
+    """Return a text; one that begins as an earlier text begins with the title of that section instead."""
+    for earlier, place in titles.items():
         if text.startswith(earlier):
             return f'As in "{place}".{text.removeprefix(earlier)}'
-    printed[text] = title
+    titles[text] = title
     return text
 
 
@@ -110,15 +110,15 @@ def _grid(data: Sequence[Datum]) -> list[str]:
     cells = {(row, column): _cell(datum) for (row, _, column), datum in zip(split, data, strict=True)}
     remarks = dict.fromkeys(datum.remark for datum in data if datum.remark)
     bounds = dict.fromkeys(_bound(datum) for datum in data if datum.judged)
-    told = [f"Unit: {data[0].unit}."] if data[0].unit else []
-    told += [f"Bound: {', '.join(bounds)}."] if bounds else []
-    told += [f"Not judged: {'; '.join(remarks)}."] if remarks else []
+    notes = [f"Unit: {data[0].unit}."] if data[0].unit else []
+    notes += [f"Bound: {', '.join(bounds)}."] if bounds else []
+    notes += [f"Not judged: {'; '.join(remarks)}."] if remarks else []
     return [
         f"|condition|{'|'.join(columns)}|",
         "|---|" + "---|" * len(columns),
         *(f"|{row}|{'|'.join(cells[row, column] for column in columns)}|" for row in rows),
         "",
-        " ".join(told),
+        " ".join(notes),
     ]
 
 

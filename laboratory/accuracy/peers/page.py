@@ -113,8 +113,8 @@ def markdown(reports: Sequence[Report], chart: str | None) -> str:
     """Return the section of the docs: tables, remarks, and the chart at the path `chart`."""
     days, machines = (sorted({getattr(report, name) for report in reports}) for name in ("day", "machine"))
     facts = f"Measured {', '.join(days)} on {'; '.join(machines)}. {_READING}\n\n"
-    every = [one for report in reports for one in report.summaries()]
-    names = [*_COLUMNS, *(["scenes"] if any(one.scenes < one.of for one in every) else []), "Mpx/s"]
+    is_partial = any(summary.scenes < summary.of for report in reports for summary in report.summaries())
+    names = [*_COLUMNS, *(["scenes"] if is_partial else []), "Mpx/s"]
     scores = _markdown_table(("simulator", *names), [(report.name, *_score_cells(report, names)) for report in reports])
     rows = _simulators(reports)
     speeds = _markdown_table(tuple(rows[0]), [tuple(_cell(value) for value in row.values()) for row in rows])
@@ -135,12 +135,12 @@ def _score_cells(report: Report, names: Sequence[str]) -> Iterable[str]:
     """Return a cell for each named column, with the values at each frame rate."""
     rows = [
         (
-            *(f"{one.images_per_s:g}", _percent(one.right), _cell(one.t50_us), _cell(one.t95_us)),
-            *(_percent(one.false), _percent(one.missed)),
-            *([f"{one.scenes} of {one.of}"] if "scenes" in names else []),
-            _cell(_mpx_per_s(report, _busy(one))),
+            *(f"{summary.images_per_s:g}", _percent(summary.right), _cell(summary.t50_us), _cell(summary.t95_us)),
+            *(_percent(summary.false), _percent(summary.missed)),
+            *([f"{summary.scenes} of {summary.of}"] if "scenes" in names else []),
+            _cell(_mpx_per_s(report, _busy(summary))),
         )
-        for one in report.summaries()
+        for summary in report.summaries()
     ]
     return (" / ".join(values) for values in zip(*rows, strict=True))
 
