@@ -292,7 +292,7 @@ class _Table:
 
     def _list_of_notes(self) -> list[str]:
         notes = [f"- {chr(ord('a') + k)}: {note}" for k, note in enumerate(self._notes)]
-        return ["", *notes] if notes else []
+        return ["", "Notes:", "", *notes] if notes else []
 
 
 def _of_parameters(rows: Sequence[Row]) -> str:
