@@ -288,8 +288,8 @@ class _Table:
         return [f"{k}. `{name}`{_of_parameters(rows)}" for k, (name, rows) in enumerate(self._tests.items(), 1)]
 
     def _list_of_notes(self) -> list[str]:
-        notes = [f"({chr(ord('a') + k)}) {note}." for k, note in enumerate(self._notes)]
-        return ["", *notes] if notes else []
+        notes = [f"- {chr(ord('a') + k)}: {note}" for k, note in enumerate(self._notes)]
+        return ["", "Notes:", "", *notes] if notes else []
 
 
 def _of_parameters(rows: Sequence[Row]) -> str:
