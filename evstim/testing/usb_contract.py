@@ -25,8 +25,7 @@ from evstim.testing.link_contract import event_stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, DvxplorerSettings
 from firmware_protocol.events import Events
-from firmware_protocol.fx3.camera import Fx3Camera
-from firmware_protocol.fx3.settings import Fx3Settings
+from firmware_protocol.fx3.camera import Fx3Camera, Fx3Settings
 from firmware_protocol.usb.device import SetupPacket, UsbDevice
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan

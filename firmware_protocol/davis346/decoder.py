@@ -11,7 +11,7 @@
 APS samples and misc words are counted as not interpreted, and `FrameReader` reads frames from them. libcaer drops the
 last byte of a buffer with an odd length; this decoder accepts a split inside a word.
 
-`fx3.blocks` describes the words of frames. The meaning of frames follows libcaer 3.3.15 too: a frame that lacks a line
+`fx3.words` describes those of frames too. The meaning of frames follows libcaer 3.3.15 too: a frame that lacks a line
 or a sample is dropped and counted; a timestamp reset ends an open frame without an image; words before a frame's start
 are skipped.
 """
@@ -24,11 +24,11 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import EVENT, Events
-from firmware_protocol.fx3.blocks import IMU_READ, ImuReader
 from firmware_protocol.fx3.decoded import SPECIAL_EVENT, Decoded, FrameRead, WordFaults
 from firmware_protocol.fx3.words import (
     APS_SAMPLE,
     COLUMN_ON,
+    IMU_READ,
     KIND,
     LOW_BITS,
     MAX_ADDRESS,
@@ -40,6 +40,7 @@ from firmware_protocol.fx3.words import (
     WORD,
     WRAP,
     WRAP_BITS,
+    ImuReader,
     Special,
     Words,
     is_column,

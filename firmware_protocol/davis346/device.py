@@ -1,20 +1,46 @@
-"""USB device model of a DAVIS346; `fx3.camera` describes its requests and its run gate."""
+"""USB device model of a DAVIS346; `fx3.camera` describes its requests and its run gate.
+
+The DVS module's filters between run gate and encoder, in the order of the published logic, and its statistics.
+
+    events -> polarity -> region of interest -> hot pixels -> background activity, refractory -> skip -> encoder
+
+    register  filter      rule
+    61        polarity    1: all events become OFF
+    62, 63    polarity    1: those of one polarity are suppressed, ON where 63 is 1; by the polarity of the pixel
+    41..44    region      start column, start row, end column, end row; both ends belong to it
+    11..26    hot pixels  eight pairs of row and column
+    31..34    see `activity_filter`, in a camera that has it
+    51, 52    skip        1: N events pass, the next one is skipped, and so on; N is register 52
+
+Coordinates are the user's in both layouts: the logic swaps them itself. Only power-on resets the count of the skip
+filter. Filtered events are counted as not selected, except those of background activity and refractory period, which
+have their own fates. The statistics of the module count the events of these two filters and of the hot pixels; they
+have no counter for polarity, region and skip.
+
+Source: DVSAERFilters of the published logic (DAVIS FX3), libcaer 3.3.15 (davis.h).
+
+`DavisStatistics` writes the counter registers: events since power-on, from the counters of the camera's parts.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from enum import Enum
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+import numpy.typing as npt
 
 from firmware_protocol.davis346.biases import BIASES, sensor_factors
-from firmware_protocol.davis346.filters import DavisStatistics, DvsFilters
-from firmware_protocol.davis346.registers import Layout, frame_settings, imu_settings, lines_wait, registers
+from firmware_protocol.davis346.registers import Layout, Statistic, frame_settings, imu_settings, lines_wait, registers
 from firmware_protocol.davis346.words import WordEncoder
-from firmware_protocol.device.fates import Fates
-from firmware_protocol.fx3.camera import Fx3Camera, Parts
+from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.fates import Counts, Fates
+from firmware_protocol.events import Events
+from firmware_protocol.fx3.camera import Fx3Camera, Fx3Settings, Parts
 from firmware_protocol.fx3.inputs import ReadingInput
-from firmware_protocol.fx3.registers import Module, Register, RegisterFile
-from firmware_protocol.fx3.settings import Fx3Settings
+from firmware_protocol.fx3.registers import Module, Register, RegisterFile, Statistics
 from firmware_protocol.fx3.stream import EventStream, Fifo
 
 PRODUCT_ID = 0x841A
@@ -57,7 +83,7 @@ class _DavisReadings(ReadingInput):
     """Frames and inertial samples of a DAVIS346."""
 
     def __init__(self, settings: Davis346Settings, registers: RegisterFile, fates: Fates) -> None:
-        super().__init__(settings, registers, fates)
+        super().__init__(settings.size, registers, fates, has_frames=settings.frames, has_imu=settings.imu_unit != 0)
         self._size, self._layout = settings.size, settings.layout
 
     def follow(self, *, words: bool) -> None:
@@ -83,3 +109,190 @@ class Davis346(Fx3Camera):
 
     def _factors_of_biases(self) -> Mapping[str, float]:
         return sensor_factors({bias.address: self._registers.read(Module.BIAS, bias.address) for bias in BIASES})
+
+
+if TYPE_CHECKING:
+    from firmware_protocol.davis346.activity_filter import ActivityFilter, ActivityResult
+
+
+_HOT_PIXELS = 8
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """Filter settings in the registers.
+
+    Attributes
+    ----------
+    suppressed
+        Polarity that does not pass; None: both do.
+    region
+        (first column, first row, last column, last row).
+    hot
+        (column, row) of each pixel that does not pass; those outside the array are left out.
+    every
+        Events that pass before one is skipped; None: all pass.
+    """
+
+    flatten: bool
+    suppressed: bool | None
+    region: tuple[int, int, int, int]
+    hot: tuple[tuple[int, int], ...]
+    every: int | None
+
+    @property
+    def is_open(self) -> bool:
+        """True if events of every pixel of the region pass unchanged."""
+        return not self.flatten and self.suppressed is None and not self.hot and self.every is None
+
+    @classmethod
+    def of(cls, registers: RegisterFile, size: tuple[int, int]) -> FilterSettings:
+        """Return the settings in the registers of a camera of `size` (width, height)."""
+
+        def value(address: int) -> int:
+            return registers.read(Module.DVS, address)
+
+        pairs = [(value(12 + 2 * k), value(11 + 2 * k)) for k in range(_HOT_PIXELS)]
+        return cls(
+            flatten=bool(value(61) & 1),
+            suppressed=bool(value(63) & 1) if value(62) & 1 else None,
+            region=(value(41), value(42), value(43), value(44)),
+            hot=tuple((x, y) for x, y in pairs if x < size[0] and y < size[1]),
+            every=value(52) if value(51) & 1 else None,
+        )
+
+
+@dataclass(frozen=True)
+class _Filtered:
+    """Counts of the events of a batch that did not pass, for `DvsFilters.take`.
+
+    Attributes
+    ----------
+    not_selected, hot
+        Numbers of events not selected, and of those among them at hot pixels.
+    counted
+        Number of events that reached the skip filter.
+    activity
+        Result of the activity filter; None: it is off.
+    """
+
+    not_selected: int = 0
+    hot: int = 0
+    counted: int = 0
+    activity: ActivityResult | None = None
+
+
+class DvsFilters:
+    """The filters of one camera, which count in its `fates`.
+
+    Attributes
+    ----------
+    hot
+        Of the events that were not selected, those at hot pixels.
+    """
+
+    def __init__(self, size: tuple[int, int], fates: Counts, *, has_activity: bool = False) -> None:
+        self._fates = fates
+        self._size = size
+        self._whole = (0, 0, size[0] - 1, size[1] - 1)
+        self._skip_count = 0
+        self.hot = 0
+        self._filtered = _Filtered()
+        self._activity: ActivityFilter | None = None
+        if has_activity:
+            from firmware_protocol.davis346.activity_filter import ActivityFilter
+
+            self._activity = ActivityFilter(size)
+
+    def power_on(self) -> None:
+        """Set the count of the skip filter to zero, and clear the memory of the activity filter."""
+        self._skip_count = 0
+        if self._activity is not None:
+            self._activity.power_on()
+
+    def follow(self, registers: RegisterFile, now_us: int) -> None:
+        """Apply registers that were written at `now_us`."""
+        self._settings = FilterSettings.of(registers, self._size)
+        if self._activity is not None:
+            self._activity.follow(registers, now_us)
+
+    def passed(self, events: Events, registers: RegisterFile) -> Events:
+        """Return the part of `events`, (n,) EVENT, that passes; `events` may be changed. `take` counts the others."""
+        settings = self._settings
+        self._filtered = _Filtered()
+        if self._activity is None and settings.is_open and settings.region == self._whole:
+            return events
+        good = _of_polarity(events, settings) & self._in_region(events, settings)
+        cold = np.ones(len(events), np.bool_)
+        for x, y in settings.hot:
+            cold &= (events["x"] != x) | (events["y"] != y)
+        hot = int(np.count_nonzero(good & ~cold))
+        good &= cold
+        activity = None if self._activity is None else self._activity.result_for(events[good], registers)
+        if activity is not None:
+            good[good] = activity.passes
+        counted = 0 if settings.every is None else int(np.count_nonzero(good))
+        if settings.every is not None:
+            places = self._skip_count + np.arange(counted)
+            good[np.flatnonzero(good)[places % (settings.every + 1) == settings.every]] = False
+        if settings.flatten:
+            events["on"] = False
+        passing = events if good.all() else events[good]
+        dropped = 0 if activity is None else activity.isolated + activity.too_soon
+        self._filtered = _Filtered(len(events) - len(passing) - dropped, hot, counted, activity)
+        return passing
+
+    def take(self) -> None:
+        """Count the events that did not pass in the last call of `passed`."""
+        filtered = self._filtered
+        if self._activity is not None and filtered.activity is not None:
+            self._activity.take(filtered.activity)
+            self._fates.dropped_background += filtered.activity.isolated
+            self._fates.dropped_refractory += filtered.activity.too_soon
+        self._fates.not_selected += filtered.not_selected
+        self.hot += filtered.hot
+        self._skip_count += filtered.counted
+
+    def _in_region(self, events: Events, settings: FilterSettings) -> Mask:
+        if settings.region == self._whole:  # so that events outside the array are still refused, and not filtered
+            return np.ones(len(events), np.bool_)
+        left, top, right, bottom = settings.region
+        x, y = events["x"], events["y"]
+        inside: Mask = (x >= left) & (x <= right) & (y >= top) & (y <= bottom)
+        return inside
+
+
+def _of_polarity(events: Events, settings: FilterSettings) -> Mask:
+    if settings.suppressed is None:
+        return np.ones(len(events), np.bool_)
+    passing: Mask = events["on"] != settings.suppressed
+    return passing
+
+
+class DavisStatistics(Statistics):
+    """Counts of the DVS module and of the multiplexer.
+
+    This model has one FIFO in place of the DVS module's and the USB buffers', so both dropped counters show its drops.
+    """
+
+    def __init__(self, camera: EventDevice, stream: EventStream, filters: DvsFilters) -> None:
+        super().__init__()
+        self._camera = camera
+        self._stream = stream
+        self._filters = filters
+
+    def counted(self) -> Mapping[Enum, int]:
+        """Return the counts since the camera was made."""
+        fates = self._camera.counters
+        return {
+            Statistic.DVS_ROWS: self._stream.rows,
+            Statistic.DVS_COLUMNS: fates.flushed + fates.delivered + fates.lost_on_link + fates.queued,
+            Statistic.DVS_DROPPED: fates.dropped_fifo,
+            Statistic.DVS_FILTERED_PIXELS: self._filters.hot,
+            Statistic.DVS_FILTERED_BACKGROUND_ACTIVITY: fates.dropped_background,
+            Statistic.DVS_FILTERED_REFRACTORY: fates.dropped_refractory,
+            Statistic.MUX_DVS_DROPPED: fates.dropped_fifo,
+            Statistic.MUX_EXTINPUT_DROPPED: fates.edges.dropped_fifo,
+        }

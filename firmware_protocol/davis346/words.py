@@ -21,7 +21,6 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import Events
-from firmware_protocol.fx3.blocks import Block, Marks, no_marks, put_in_place, with_places
 from firmware_protocol.fx3.stream import TimedEncoder
 from firmware_protocol.fx3.words import (
     COLUMN_OFF,
@@ -30,9 +29,14 @@ from firmware_protocol.fx3.words import (
     TIMESTAMP,
     WORD,
     WRAP_BITS,
+    Block,
     Encoded,
+    Marks,
     Words,
     WordState,
+    no_marks,
+    put_in_place,
+    with_places,
 )
 
 NO_ROW = 0xFFFF

@@ -30,9 +30,20 @@ from firmware_protocol.dvxplorer.words import (
 )
 from firmware_protocol.events import empty_events
 from firmware_protocol.evt.words import EVENT_BYTES, put_short, put_time
-from firmware_protocol.fx3.blocks import ImuReader, is_imu
 from firmware_protocol.fx3.decoded import SPECIAL_EVENT, Decoded, WordFaults
-from firmware_protocol.fx3.words import KIND, LOW_BITS, MAX_STEPS, MISC8, TIMESTAMP, WORD, WRAP, WRAP_BITS, Words
+from firmware_protocol.fx3.words import (
+    KIND,
+    LOW_BITS,
+    MAX_STEPS,
+    MISC8,
+    TIMESTAMP,
+    WORD,
+    WRAP,
+    WRAP_BITS,
+    ImuReader,
+    Words,
+    is_imu,
+)
 from firmware_protocol.imu_samples import AXES_ON_THE_WIRE
 
 _Bytes = npt.NDArray[np.uint8]

@@ -29,12 +29,11 @@ from firmware_protocol.dvxplorer.registers import (
     without_effect,
 )
 from firmware_protocol.dvxplorer.words import GroupEncoder
-from firmware_protocol.fx3.blocks import Block, blocks_of
-from firmware_protocol.fx3.camera import Fx3Camera, Parts
+from firmware_protocol.fx3.camera import Fx3Camera, Fx3Settings, Parts
 from firmware_protocol.fx3.inputs import ReadingInput
 from firmware_protocol.fx3.registers import Register, RunGate, SystemInfo
-from firmware_protocol.fx3.settings import Fx3Settings
 from firmware_protocol.fx3.stream import EventStream, Fifo
+from firmware_protocol.fx3.words import Block, blocks_of
 from firmware_protocol.imu_samples import AXES_ON_THE_WIRE, BMI160
 
 PRODUCT_ID = 0x8419
@@ -107,7 +106,8 @@ class Dvxplorer(Fx3Camera):
 
     def _make_parts(self) -> Parts:
         stream = EventStream(self._encoder, Fifo(self.settings.fifo_bytes))
-        readings = _Samples(self.settings, self._registers, self._fates)
+        has_imu = self.settings.imu_unit != 0
+        readings = _Samples(SIZE, self._registers, self._fates, has_frames=False, has_imu=has_imu)
         return Parts(stream, ChipFilters(self._fates), readings, ChipStatistics(self, stream, self._encoder))
 
     def _factors_of_biases(self) -> Mapping[str, float]:

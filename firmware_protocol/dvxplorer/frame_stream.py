@@ -22,12 +22,12 @@ import numpy as np
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import Numbers, Reading, ReadingKind, count_kinds
 from firmware_protocol.dvxplorer.frame_words import FRAME_WORD, FrameEncoder, FrameTimes, in_wire_order
+from firmware_protocol.dvxplorer.registers import SIZE
 from firmware_protocol.events import Events, copy_events, empty_events, join_events
-from firmware_protocol.fx3.blocks import Block, Marks, no_marks
 from firmware_protocol.fx3.inputs import ReadingInput
 from firmware_protocol.fx3.registers import RegisterFile
-from firmware_protocol.fx3.settings import Fx3Settings
 from firmware_protocol.fx3.stream import Late
+from firmware_protocol.fx3.words import Block, Marks, no_marks
 from firmware_protocol.imu_samples import IMU_SAMPLE, ImuSamples, ImuSettings
 from firmware_protocol.usb.device import Transfer
 
@@ -190,9 +190,9 @@ class SampleOutput(ReadingInput):
     """
 
     def __init__(
-        self, settings: Fx3Settings, registers: RegisterFile, fates: Fates, settings_in: Callable[..., ImuSettings]
+        self, registers: RegisterFile, fates: Fates, settings_in: Callable[..., ImuSettings], *, has_imu: bool
     ) -> None:
-        super().__init__(settings, registers, fates)
+        super().__init__(SIZE, registers, fates, has_frames=False, has_imu=has_imu)
         self._settings_in = settings_in
         self._ready: deque[Reading] = deque()
 

@@ -55,7 +55,7 @@ from firmware_protocol.dvxplorer.registers import (
     scan_us,
     sensor_factors,
 )
-from firmware_protocol.fx3.camera import FLUSH, LOG_LEVEL, REGISTER, Parts
+from firmware_protocol.fx3.camera import DEBUG_ENDPOINT, FLUSH, LOG_LEVEL, REGISTER, Parts
 from firmware_protocol.fx3.registers import (
     Access,
     Module,
@@ -69,7 +69,6 @@ from firmware_protocol.fx3.registers import (
     imu_type_registers,
     system_registers,
 )
-from firmware_protocol.fx3.settings import DEBUG_ENDPOINT
 from firmware_protocol.imu_samples import BMI160, ImuSettings
 from firmware_protocol.usb.device import RequestKind, SetupPacket, Stall, Transfer
 
@@ -199,7 +198,8 @@ class DvxplorerMicro(Dvxplorer):
         filters.power_on()
         self._frames = FrameStream(SIZE, self.settings.fifo_bytes)
         settings_in = micro_imu_settings if self.settings.has_new_firmware else _no_imu
-        self._samples = SampleOutput(self.settings, self._registers, self._fates, settings_in)
+        has_imu = self.settings.imu_unit != 0
+        self._samples = SampleOutput(self._registers, self._fates, settings_in, has_imu=has_imu)
         return Parts(self._frames, filters, self._samples, _NoStatistics())
 
     def _power_on(self) -> None:

@@ -38,7 +38,6 @@ import numpy.typing as npt
 from firmware_protocol.compiled import entry_of, kernel
 from firmware_protocol.events import EVENT, Events, bytes_of
 from firmware_protocol.evt.words import EVENT_BYTES, short_at, time_at
-from firmware_protocol.fx3.blocks import Block, Marks, no_marks, put_in_place, with_places
 from firmware_protocol.fx3.stream import TimedEncoder
 from firmware_protocol.fx3.words import (
     LOW_BITS,
@@ -48,11 +47,16 @@ from firmware_protocol.fx3.words import (
     WORD,
     WRAP,
     WRAP_BITS,
+    Block,
     Encoded,
+    Marks,
     Words,
     WordState,
     is_column,
     is_row,
+    no_marks,
+    put_in_place,
+    with_places,
 )
 
 COLUMN = 0x1000

@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import Edges, Events
-from firmware_protocol.fx3.blocks import IMU_READ, edges_of
-from firmware_protocol.fx3.words import WORD, Special, Words
+from firmware_protocol.fx3.words import IMU_READ, WORD, Special, Words, edges_of
 from firmware_protocol.imu_samples import ImuSamples
 
 _WHITE_BELOW = 384
@@ -115,7 +114,7 @@ class Decoded:
 
     @property
     def edges(self) -> Edges:
-        """(k,) EDGE in device time: edges that the external input and the generator reported; see `blocks`."""
+        """(k,) EDGE in device time: edges that the external input and the generator reported; see `words`."""
         marks = self.specials[np.isin(self.specials["code"], _MARKS)]
         return edges_of(marks["t"], marks["code"])
 

@@ -42,10 +42,8 @@ from firmware_protocol.device.fates import Counts, Fates
 from firmware_protocol.device.items import Numbers, ReadingKind, Readings, count_kinds
 from firmware_protocol.events import EdgeKind, Edges
 from firmware_protocol.frames import FrameSettings, LineKind
-from firmware_protocol.fx3.blocks import MARK, Block, Marks, blocks_of, join_marks, no_marks
 from firmware_protocol.fx3.registers import Module, RegisterFile
-from firmware_protocol.fx3.settings import Fx3Settings
-from firmware_protocol.fx3.words import Special
+from firmware_protocol.fx3.words import MARK, Block, Marks, Special, blocks_of, join_marks, no_marks
 from firmware_protocol.imu_samples import ImuSettings
 
 
@@ -270,10 +268,13 @@ class ReadingInput(ABC):
     A camera adds `follow`, which reads its registers: the settings, and `_lines_wait` if it takes frames.
     """
 
-    def __init__(self, settings: Fx3Settings, registers: RegisterFile, fates: Fates) -> None:
-        self._has_frames, self._has_imu = settings.frames, settings.imu_unit != 0
+    def __init__(
+        self, size: tuple[int, int], registers: RegisterFile, fates: Fates, *, has_frames: bool, has_imu: bool
+    ) -> None:
+        self._has_frames = has_frames
+        self._has_imu = has_imu
         self._registers = registers
-        self._longest = {ReadingKind.FRAMES: max(settings.size) + 2, ReadingKind.IMU: _IMU_WORDS}
+        self._longest = {ReadingKind.FRAMES: max(size) + 2, ReadingKind.IMU: _IMU_WORDS}
         self._frames = FrameSettings()
         self._imu = ImuSettings()
         self._waiting: list[Block] = []

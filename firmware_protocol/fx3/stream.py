@@ -19,17 +19,20 @@ import numpy as np
 
 from firmware_protocol.device.items import Numbers, Reading, count_kinds
 from firmware_protocol.events import Edges, Events, empty_edges, empty_events, join_events
-from firmware_protocol.fx3.blocks import Block, Marks, edges_of, no_marks
 from firmware_protocol.fx3.words import (
     SINGLE_WRAPS,
     WORD,
     WRAP_BITS,
+    Block,
     Encoded,
+    Marks,
     Special,
     Words,
     WordState,
+    edges_of,
     is_mark,
     is_row,
+    no_marks,
     wrap_words,
 )
 from firmware_protocol.usb.device import Transfer

@@ -192,7 +192,7 @@ class UsbCameraSettings(ABC):
     fifo_bytes
         Room for data that wait for the host.
     start_delay_us
-        Silence after the stream starts, stream time: the fault of drivers in `fx3.settings`.
+        Silence after the stream starts, stream time: the fault of drivers in `fx3.camera`.
     """
 
     serial: str = "00000346"

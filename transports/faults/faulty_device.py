@@ -31,10 +31,9 @@ from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.davis346.device import PRODUCT_ID
 from firmware_protocol.device.items import Reading
 from firmware_protocol.events import Edges, Events
-from firmware_protocol.fx3.camera import REGISTER
+from firmware_protocol.fx3.camera import REGISTER, VENDOR_ID
 from firmware_protocol.fx3.decoded import Decoded
 from firmware_protocol.fx3.registers import Module
-from firmware_protocol.fx3.settings import VENDOR_ID
 from firmware_protocol.fx3.words import MAX_ADDRESS, Special, Words, is_column
 from firmware_protocol.usb.control import Feature, Recipient, StandardRequest
 from firmware_protocol.usb.device import (

@@ -17,8 +17,8 @@ from firmware_protocol.dvxplorer.device import PRODUCT_ID
 from firmware_protocol.dvxplorer.frame_stream import SAMPLE_BYTES, sample_of
 from firmware_protocol.dvxplorer.frame_words import FrameDecoder
 from firmware_protocol.dvxplorer.registers import SIZE, Chip, registers
+from firmware_protocol.fx3.camera import VENDOR_ID
 from firmware_protocol.fx3.registers import Access, Module
-from firmware_protocol.fx3.settings import VENDOR_ID
 from firmware_protocol.imu_samples import ImuSamples, no_samples
 from firmware_protocol.usb.device import SetupPacket
 from transports.usb.fx3_host import Entry, Fx3Host, Fx3Info, WordDecoder

@@ -26,9 +26,9 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from firmware_protocol.events import Events, empty_events
+from firmware_protocol.fx3.camera import VENDOR_ID
 from firmware_protocol.fx3.decoded import Decoded, FrameRead, WordFaults
 from firmware_protocol.fx3.registers import Module
-from firmware_protocol.fx3.settings import VENDOR_ID
 from firmware_protocol.imu_samples import ImuSamples, no_samples
 from firmware_protocol.usb.device import SetupPacket
 from transports.usb.host import (

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from firmware_protocol.dvxplorer import GroupDecoder, GroupEncoder
 from firmware_protocol.events import empty_events
-from firmware_protocol.fx3.blocks import no_marks
+from firmware_protocol.fx3.words import no_marks
 
 SIZE = (640, 480)
 

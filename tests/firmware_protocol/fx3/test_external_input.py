@@ -13,8 +13,7 @@ from firmware_protocol.davis346 import Davis346, Davis346Settings, WordEncoder
 from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.device.fates import Counts
 from firmware_protocol.events import EDGE, EdgeKind, empty_edges, empty_events
-from firmware_protocol.fx3.blocks import GENERATOR_FALLING, GENERATOR_RISING, MARK
-from firmware_protocol.fx3.words import WordState
+from firmware_protocol.fx3.words import GENERATOR_FALLING, GENERATOR_RISING, MARK, WordState
 
 RISING, FALLING, PULSE = EdgeKind.RISING, EdgeKind.FALLING, EdgeKind.PULSE
 RISING_CODE, FALLING_CODE, PULSE_CODE = 3, 2, 4

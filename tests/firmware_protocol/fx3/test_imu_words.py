@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.fx3.blocks import ImuReader, imu_words, is_imu
+from firmware_protocol.fx3.words import ImuReader, imu_words, is_imu
 from firmware_protocol.imu_samples import IMU_SAMPLE, ImuScale, no_samples, physical
 
 COUNTS = st.lists(st.integers(-32768, 32767), min_size=7, max_size=7)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from emulator.rig.tables import Camera
 from evstim.testing.link_contract import LinkContract
 from transports.gige.host import GigeHost
 from transports.gige.kind import GigeLink
@@ -38,6 +39,7 @@ class StreamReader:
 
 class TestGige(LinkContract):
     parameters = GigeLink(port=0, mbit_s=100.0)
+    camera = Camera(model="triton2", start_delay_ms=0.0)
     many, some = 20_000, 5000
 
     def reader(self, link):

@@ -34,7 +34,8 @@ def linked(timing, path=None, origin_ns=ORIGIN_NS):
     """A running link to a host beside the camera, which checks all that it decodes."""
     ring, clock = EventRing(10_000), FakeClock(ORIGIN_NS)
     camera = partial(Davis346, Davis346Settings(start_delay_us=0))
-    link = Link(LinkSetup("loopback", ring, camera, LoopbackFactory(), FileRecorder(path), timing=timing), clock)
+    recorder = path and FileRecorder(path)
+    link = Link(LinkSetup("loopback", ring, camera, LoopbackFactory(), recorder, timing=timing), clock)
     asyncio.run(link.endpoint.start())
     ring.start(origin_ns)
     return link, ring, clock
