@@ -16,7 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from emulator.raster import Box, Renderer, Screen, View, join, prepare
+from emulator.light import NOTHING
+from emulator.raster import Renderer, Screen, View, join, prepare
 from emulator.rig.loading import load_rig
 from emulator.scene.bodies.lit_surface import lit_surface
 from emulator.scene.bodies.mesh import find_shape, load_mesh
@@ -165,7 +166,7 @@ def report_time(name: str, scene: Scene, size: tuple[int, int]) -> None:
     """Print the smallest CPU time of a picture."""
     renderer = Renderer(scene.topology, screen_of(scene.case, size))
     light, rate = np.zeros(size[::-1], np.float32), np.zeros(size[::-1], np.float32)
-    box, taken = Box(), []
+    box, taken = NOTHING, []
     for k in range(25):
         view = scene.view(0.02 * k)
         start = time.process_time()
