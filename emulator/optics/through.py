@@ -233,8 +233,6 @@ def strip_for(width: int, taps: _Float32s) -> _Float32s:
 _WORTH_A_THREAD = 200_000
 """Pixels whose blur takes several times as long as starting a thread."""
 
-_Float32s = npt.NDArray[np.float32]
-
 
 class BlurWorkers:
     """Blur by `taps`, then scale by `factor`, (height, width), of light frames of that size.

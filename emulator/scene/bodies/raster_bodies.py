@@ -304,7 +304,8 @@ def _in_camera_axes(parts: Sequence[tuple[int, _Floats, float]], motion: Motion)
     motions = {}  # turns and shifts of each body against the camera, with their rates, as `move` takes them
     for k in {k for k, _, _ in parts}:
         now, before, after = (camera_from_body(poses.camera, poses.bodies[k]) for poses in instants)
-        motions[k] = [np.stack([a, (c - b) / motion.between_s]) for a, b, c in zip(now, before, after, strict=True)]
+        turns, shifts = (np.stack([a, (c - b) / motion.between_s]) for a, b, c in zip(now, before, after, strict=True))
+        motions[k] = turns, shifts
     row = 0
     for k, points, share in parts:
         row = move(points, *motions[k], share, row, out[0], out[1])

@@ -548,7 +548,8 @@ class _Share:
 
 def _parts(receivers: Receivers) -> Iterator[Receivers]:
     """Yield consecutive parts of the facets, each the work of one thread."""
-    count = len(receivers.corners)
-    parts = min(max(count // _FACETS_A_PART, 1), _MOST_PARTS)
+    corners, planes, shades, numbers = receivers
+    parts = min(max(len(corners) // _FACETS_A_PART, 1), _MOST_PARTS)
     for k in range(parts):
-        yield Receivers(*(array[count * k // parts : count * (k + 1) // parts] for array in receivers))
+        part = slice(len(corners) * k // parts, len(corners) * (k + 1) // parts)
+        yield Receivers(corners[part], planes[part], shades[part], numbers[part])
