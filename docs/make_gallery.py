@@ -100,12 +100,10 @@ GALLERY: dict[str, tuple[Shot, ...]] = {
 _BEGINNING = """# Gallery of rigs
 
 All rigs that evstim ships; `evstim run NAME` starts one. The picture has the light on the left and the events of the
-same instant on the right; the movie has the events over the dimmed light. ON events are orange, OFF events blue. The
-[rig reference](rigs.md) lists all keys; [Scenes](scenes.md) explains how to change one.
-
-Of a rig with two cameras the first one is drawn. A sensor wider than 700 pixels is drawn at half its size: a pixel of
-the picture has the brightest light and the last event of four. `python docs/make_gallery.py` makes the page and its
-files; `evstim picture NAME FILE.png` or `FILE.gif` draws one rig at any time and length.
+same instant on the right; the movie has the events over the dimmed light. ON events are orange, OFF events blue. Of a
+rig with two cameras the first one is drawn; a sensor wider than 700 pixels at half its size: the brightest light and
+the last event of four pixels. `python docs/make_gallery.py` makes this page; `evstim picture NAME FILE.png` or
+`FILE.gif` draws one rig at any time and length. [Scenes](scenes.md) explains how to change one.
 """
 
 
@@ -125,10 +123,10 @@ def _section(shot: Shot) -> str:
     length_s, played_s = shot.pictures / shot.fps, shot.pictures / _PLAYED_FPS
     return f"""### {shot.rig}
 
-{title}. At {shot.at_s:g} s; events of {shot.window_ms:g} ms; the movie has {length_s:g} s in {played_s:g} s.
+{title}. At {shot.at_s:g} s, events of {shot.window_ms:g} ms; movie of {length_s:g} s in {played_s:g} s.
 
-![{shot.rig}: light, and events of {shot.window_ms:g} ms](gallery/{shot.rig}.webp)
-![{shot.rig}: movie of the events over the light](gallery/{shot.rig}-movie.webp)
+![{shot.rig}: light and events](gallery/{shot.rig}.webp)
+![{shot.rig}: movie of the events](gallery/{shot.rig}-movie.webp)
 """
 
 

@@ -18,9 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from emulator.campaign.campaign import Campaign, Row
-from emulator.campaign.loading import load_source
+from emulator.campaign.loading import load_source, proportion
 from emulator.campaign.report import numbers, quantiles, sensitivity
-from emulator.campaign.success import proportion
 from emulator.campaign.table import check_folder, read_rows, rows_folder
 from emulator.report.page import pyplot
 
@@ -33,11 +32,9 @@ PICTURED = (
 MARKS = "<!-- campaign -->\n", "<!-- end of campaign -->\n"
 TEXT = """### A hundred landings
 
-`python docs/make_landing_campaign.py FOLDER` made this from the rows of `evstim campaign
-examples/landing/campaign.toml`; [Campaigns](campaigns.md) explains the figures. From 1400 to 1600 m, over four grounds,
-with the Sun 20 to 35 degrees high and thresholds of 0.283 +- 0.03, in lockstep over the real serial line, bus and
-poses. The seed of a run draws its start, the errors of navigation and engine, and the camera's noise. A success touches
-down below 1 m/s with a good verdict of the camera's run.
+`evstim campaign examples/landing/campaign.toml` and `python docs/make_landing_campaign.py FOLDER`: from 1400 to 1600 m,
+grounds, Sun and thresholds as above; the seed draws start, errors of navigation and engine, and the camera's noise. A
+success touches down below 1 m/s with a good verdict of the camera's run.
 
 **Success: {success}**, with Wilson's interval.{missing}
 
@@ -45,30 +42,26 @@ down below 1 m/s with a good verdict of the camera's run.
 
 ![Speed at touchdown and error of the divergence over each parameter](pictures/landing-campaign.png)
 
-Influence of the parameters: PAWN index (0: none); the bound below which a parameter without influence stays in 95 % of
-samples like this one; Spearman's rank correlation, which has no meaning for the numbers of the grounds.
+Of ground, Sun, threshold and height, the [influence](campaigns.md#parameters) (PAWN index) that is above its bound in
+95 % of samples without any: {influence}.
 
-{influence}
-
-A run took {wall_s[0]:.0f} s (median; {wall_s[1]:.0f} to {wall_s[2]:.0f}), two at a time on two cores that had
-other work as well. `evstim campaign again campaign.toml INDEX --record run.npz` flies one again, bit for bit.
+A run took {wall_s[0]:.0f} s (median; {wall_s[1]:.0f} to {wall_s[2]:.0f}), two at a time on two busy cores.
 """
 
 SENSORS_MARKS = "<!-- sensors -->\n", "<!-- end of sensors -->\n"
 SENSORS = """### A hundred flights with sensors
 
-`python docs/make_landing_campaign.py --sensors FOLDER` made this from the rows of `python examples/landing/compare.py
-FOLDER`. From {height_m:g} m, in lockstep: four grounds with slopes of 3 degrees and boulders on 3 % of
-them, the Sun 20 to 35 degrees high, thresholds of 0.283 +- 0.03. One seed is one start and one set of errors for each
-navigation; all have IMU and star tracker, "events" has no altimeter. The interval is that of Clopper and Pearson;
-figures are median / 90 % / most of the flights that touched down.
+`python examples/landing/compare.py FOLDER` and `python docs/make_landing_campaign.py --sensors FOLDER`: from
+{height_m:g} m, in lockstep, over four grounds with slopes of 3 degrees and boulders on 3 % of them, the Sun 20 to 35
+degrees high, thresholds of 0.283 +- 0.03. One seed is one start and one set of errors for each navigation; all have IMU
+and star tracker, "events" has no altimeter. Interval of Clopper and Pearson; median / 90 % / most of the flights that
+touched down.
 
 {table}
 
-A flight with events takes 50 to 200 s. The others need no camera, and take 3 s. The rows are in
-[landing_sensors.jsonl](landing_sensors.jsonl): copied to `FOLDER/rows.jsonl`, the same command flies those that are
-missing of a hundred. Without the camera nothing on board measures the speed along the ground. A Doppler radar or a
-velocimeter, which would measure it too, is not compared.
+A flight with events takes 50 to 200 s, the others 3 s. [Rows](landing_sensors.jsonl) copied to `FOLDER/rows.jsonl` are
+not flown again. Without the camera nothing on board measures the speed along the ground; a Doppler radar or a
+velocimeter, which would, is not compared.
 """
 
 
@@ -85,15 +78,14 @@ def _cell(value: object) -> str:
 
 
 def influence(made: Campaign, rows: Sequence[Row]) -> str:
-    """Return the sensitivity of each column to each parameter: PAWN index; its bound by chance; rank correlation."""
+    """Return the influences of a parameter on a column that chance does not explain: PAWN index and its bound."""
     labels = made.settings.report.labels
-    lines: dict[str, dict[str, str]] = {}
-    for column in made.settings.report.columns:
-        for row in sensitivity(rows, made.settings.parameters, column, 0).rows:
-            line = lines.setdefault(row["parameter"], {"parameter": labels[row["parameter"]]})
-            figures = (row["PAWN"], row["PAWN, 95 % of chance"], row["rank correlation"])
-            line[labels.get(column, column)] = "; ".join(map(_cell, figures))
-    return markdown(list(lines.values()))
+    return "; ".join(
+        f"{labels[row['parameter']]} on {labels.get(column, column)} {_cell(row['PAWN'])} ({_cell(bound)})"
+        for column in made.settings.report.columns
+        for row in sensitivity(rows, made.settings.parameters, column, 0).rows
+        if row["PAWN"] > (bound := row["PAWN, 95 % of chance"])
+    )
 
 
 def part(made: Campaign, rows: Sequence[Row]) -> str:

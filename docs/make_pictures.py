@@ -1,11 +1,12 @@
 """Make the pictures of the README and the docs with the program itself:  python docs/make_pictures.py
 
-The picture of a report also needs Chromium:  python docs/make_pictures.py report
+The pictures of a report and of a campaign's report also need Chromium:  python docs/make_pictures.py report campaign
 """
 
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -64,16 +65,31 @@ def draw_report(seconds: float = 10.0, height_px: int = 2375) -> None:
                 time.sleep(0.05)
             address = next(iter(json.loads(ready.read_text(encoding="utf-8"))["links"].values()))
             subprocess.run([*EVSTIM, "listen", "usb", "--usbip", address.partition(",")[0]], check=False)
-        shot = f"--screenshot={PICTURES / 'report.png'}"
-        size = f"--window-size=1160,{height_px}"
-        browser = ["chromium", "--headless", "--no-sandbox", "--hide-scrollbars", f"--user-data-dir={made}/browser"]
-        subprocess.run([*browser, size, shot, page.as_uri()], check=True)
+        _photograph(page, PICTURES / "report.png", height_px)
+
+
+def draw_campaign(height_px: int = 1420) -> None:
+    """Write the picture of the example campaign's report."""
+    example = Path(__file__).parents[1] / "examples" / "campaign"
+    with tempfile.TemporaryDirectory() as made:
+        folder = shutil.copytree(example, Path(made) / "campaign")
+        subprocess.run([*EVSTIM, "campaign", "speed.toml"], cwd=folder, check=True)
+        _photograph(folder / "speed" / "report.html", PICTURES / "campaign.png", height_px)
+
+
+def _photograph(page: Path, picture: Path, height_px: int) -> None:
+    """Write the upper part of a page as a picture, with Chromium."""
+    with tempfile.TemporaryDirectory() as made:
+        options = [f"--user-data-dir={made}", f"--window-size=1160,{height_px}", f"--screenshot={picture}"]
+        browser = ["chromium", "--headless", "--no-sandbox", "--hide-scrollbars", *options]
+        subprocess.run([*browser, page.as_uri()], check=True)
 
 
 def main() -> None:
-    """Write all pictures, or that of a report alone."""
-    if sys.argv[1:] == ["report"]:
-        draw_report()
+    """Write all pictures, or the named reports alone."""
+    for name in sys.argv[1:]:
+        {"report": draw_report, "campaign": draw_campaign}[name]()
+    if sys.argv[1:]:
         return
     PICTURES.mkdir(exist_ok=True)
     eros, board = draw("eros", 8.0, 60.0), draw("checkerboard", 0.5, 10.0)

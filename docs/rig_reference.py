@@ -12,15 +12,21 @@ import re
 import typing
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from emulator.rig.top_level import TOP_LEVEL, TopLevelKey
+from msgspec import Meta
+
+from emulator.rig.top_level import TOP_LEVEL
 from emulator.sensor.presets import PRESETS
-from emulator.tables.typed_table import RigFile, bounds_of, field_types, item_type, kinds_of, range_text, table_type
+from emulator.tables.typed_table import RigFile, bounds_of, field_types, item_type, kinds_of, table_type
 
 PAGE = Path(__file__).with_name("rigs.md")
 MARKER = "<!-- from here on written by docs/rig_reference.py -->"
 
+COMMON = 4
+"""Kinds that must have a key with one meaning for it to stand once, before the kinds."""
+
+_LARGEST = (1 << 63) - 1
 _PLAIN: dict[Any, str] = {float: "number", int: "integer", bool: "true or false", str: "text", RigFile: "file"}
 
 
@@ -29,74 +35,136 @@ def page() -> str:
     return PAGE.read_text(encoding="utf-8").partition(MARKER)[0] + MARKER + "\n\n" + reference() + "\n"
 
 
+class Row(NamedTuple):
+    """A row of a table: one key, or several with one meaning."""
+
+    keys: tuple[str, ...]
+    values: tuple[str, ...]
+    meaning: str
+
+
 def reference() -> str:
-    """Return one section for each table of a rig file."""
-    tables = [table for name, key in TOP_LEVEL.items() for table in _of_key(name, key)]
-    places: dict[type, list[str]] = {}
-    for title, cls in tables:
-        if title not in places.setdefault(cls, []):
-            places[cls].append(title)
-    return "\n\n".join([_overview(), *(_section(cls, titles) for cls, titles in places.items()), _presets()])
+    """Return a section for each place of a rig file where tables may stand; places with the same tables share one."""
+    places: dict[tuple[type, ...], list[str]] = {}
+    for name, key in TOP_LEVEL.items():
+        for title, classes in _within(f"[{name}]" if key.is_list else name, tuple(key.kinds().values())):
+            titles = places.setdefault(classes, [])
+            if title not in titles:
+                titles.append(title)
+    return "\n\n".join([_overview(), *(_section(classes, titles) for classes, titles in places.items()), _presets()])
 
 
 def _overview() -> str:
     """Return the section of the top-level keys."""
-    lines = ["## Top-level keys", "", "| key | type | needed | meaning |", "|---|---|---|---|"]
-    return "\n".join([*lines, *(_overview_row(name, key) for name, key in TOP_LEVEL.items())])
+    lines = ["## Top-level keys", "", "|key|meaning|", "|---|---|"]
+    for name, key in TOP_LEVEL.items():
+        title = f"[[{name}]]" if key.is_list else f"[{name}]" if key.kinds() else name
+        lines.append(f"|`{title}`|{key.meaning}{' Needed.' if key.needed else ''}|")
+    return "\n".join(lines)
 
 
-def _overview_row(name: str, key: TopLevelKey) -> str:
-    of_type = "tables" if key.is_list else "table" if key.kinds() else "text"
-    header = {"tables": f"[[{name}]]", "table": f"[{name}]", "text": name}[of_type]
-    kinds = ", by its `kind`" if key.has_kinds else ""
-    return f"| `{header}` | {of_type}{kinds} | {'yes' if key.needed else 'no'} | {key.meaning} |"
+def _within(path: str, classes: tuple[type, ...]) -> Iterator[tuple[str, tuple[type, ...]]]:
+    """Yield the title of a place and the types of its tables, and those of the places within it."""
+    if classes:
+        yield f"[{path}]", classes
+    for cls in classes:
+        for name, annotation in field_types(cls).items():
+            yield from _within(_inner_path(path, name, annotation), _tables(annotation))
 
 
-def _of_key(name: str, key: TopLevelKey) -> Iterator[tuple[str, type]]:
-    """Yield the title and the type of each table of a top-level key."""
-    for kind, cls in key.kinds().items():
-        yield from _within(f"[{name}]" if key.is_list else name, cls, kind)
+def _inner_path(path: str, name: str, annotation: Any) -> str:
+    """Return the path of a table within another: one within [[links]] is [links.its_name]."""
+    inside = f"{path.strip('[]')}.{name}"
+    return f"[{inside}]" if item_type(annotation) else inside
 
 
-def _within(path: str, cls: type, kind: str = "") -> Iterator[tuple[str, type]]:
-    """Yield the title and the type of a table, and of those in it."""
-    yield (f'[{path}] kind = "{kind}"' if kind else f"[{path}]"), cls
-    inside = path.strip("[]")  # a table within [[links]] is [links.its_name]
-    for name, of in field_types(cls).items():
-        for at, table, its_kind in _tables(f"{inside}.{name}", of):
-            yield from _within(at, table, its_kind)
+def _tables(annotation: Any) -> tuple[type, ...]:
+    """Return the types of the tables that a key may hold; none for a plain value."""
+    content = item_type(annotation) or annotation
+    if kinds := kinds_of(content):
+        return tuple(kinds.values())
+    table = table_type(content)
+    return (table,) if table else ()
 
 
-def _tables(path: str, annotation: Any) -> Iterator[tuple[str, type, str]]:
-    """Yield the place of a table, its type, and its kind: nothing for a plain value."""
-    if item := item_type(annotation):
-        path, annotation = f"[{path}]", item
-    if kinds := kinds_of(annotation):
-        yield from ((path, cls, kind) for kind, cls in kinds.items())
-    elif table := table_type(annotation):
-        yield path, table, ""
+def _section(classes: tuple[type, ...], titles: list[str]) -> str:
+    """Return the section of the tables that may stand in some places."""
+    place = titles[0].strip("[]")
+    has_kinds = len(classes) > 1
+    common = _common_rows(classes) if has_kinds else {}
+    texts = [] if has_kinds else [_summary(classes[0])]
+    if titles[1:]:
+        texts.append(f"Also `{'`, `'.join(titles[1:])}`.")
+    lines = _table(place, list(common.values()) if has_kinds else _rows(classes[0]))
+    if has_kinds:
+        for cls in classes:
+            lines += _lines_of_kind(place, cls, common)
+    if lines:
+        lines = ["|key|value|meaning|", "|---|---|---|", *lines]
+    parts = [f"## `{titles[0]}`", " ".join(texts), "\n".join(lines)]
+    return "\n\n".join(part for part in parts if part)
 
 
-def _section(cls: type, titles: list[str]) -> str:
-    """Return the section of a table type, which may stand in several places."""
+def _lines_of_kind(place: str, cls: Any, common: dict[str, Row]) -> list[str]:
+    """Return the lines of one kind: its name, what it has of the common keys and of tables, and its own keys."""
+    own = []
+    parts = []
+    for row in _rows(cls):
+        key, value = row.keys[0], row.values[0]
+        if key not in common or row.meaning != common[key].meaning:
+            own.append(row)
+        else:
+            parts.append(f"`{key}`" if value == common[key].values[0] else f"`{key} = {value.strip('`')}`")
+    inner = {name: annotation for name, annotation in field_types(cls).items() if _tables(annotation)}
+    parts += [f"`[{_inner_path(place, name, annotation)}]`" for name, annotation in inner.items()]
+    name = f'<h3 id="{place}-{cls.kind}"><code>kind = "{cls.kind}"</code></h3>'
+    return [f"|{name}|{', '.join(parts)}|{_summary(cls)}|", *_table(f"{place}-{cls.kind}", own)]
+
+
+def _common_rows(classes: tuple[type, ...]) -> dict[str, Row]:
+    """Return the keys that several kinds of a table have with one meaning, with their most frequent default."""
+    common = {}
+    of_meaning: dict[tuple[str, str], list[str]] = {}
+    for cls in classes:
+        for row in _rows(cls):
+            of_meaning.setdefault((row.keys[0], row.meaning), []).append(row.values[0])
+    for (key, meaning), values in of_meaning.items():
+        if len(values) >= COMMON:
+            frequent = max(values, key=values.count)
+            common[key] = Row((key,), (frequent if values.count(frequent) > 1 else "by kind",), meaning)
+    return common
+
+
+def _rows(cls: type) -> list[Row]:
+    """Return a row for each key of a table type that holds a plain value."""
     texts = meanings(cls)
-    types = {name: of for name, of in field_types(cls).items() if not list(_tables("", of))}
-    ranges = {name: f", {range_text(bounds)}" for name, bounds in bounds_of(cls).items()}
-    also = f"Also `{'`, `'.join(titles[1:])}`. " if titles[1:] else ""
-    lines = [f"## `{titles[0]}`", "", also + (inspect.getdoc(cls) or "").partition("\n\n")[0], ""]
-    if types:
-        lines += ["| key | type | default | meaning |", "|---|---|---|---|"]
-    rows = (f for f in dataclasses.fields(cls) if f.name in types)
-    for f in rows:
-        of = _words(types[f.name]) + ranges.get(f.name, "")
-        lines.append(f"| {_heading(titles[0], f.name)} | {of} | {_default(f)} | {texts.get(f.name, '')} |")
-    return "\n".join(lines).rstrip()
+    types = field_types(cls)
+    bounds = bounds_of(cls)
+    plain = [field for field in dataclasses.fields(cls) if not _tables(types[field.name])]
+    return [Row((f.name,), (_value(f, types[f.name], bounds.get(f.name)),), texts.get(f.name, "")) for f in plain]
 
 
-def _heading(title: str, key: str) -> str:
+def _table(place: str, rows: list[Row]) -> list[str]:
+    """Return lines of a table; neighbours with one meaning have one line."""
+    merged: list[Row] = []
+    for row in rows:
+        if merged and row.meaning == merged[-1].meaning:
+            before = merged.pop()
+            row = Row(before.keys + row.keys, before.values + row.values, row.meaning)
+        merged.append(row)
+    return [
+        f"|{''.join(_heading(place, key) for key in row.keys)}|{'; '.join(dict.fromkeys(row.values))}|{row.meaning}|"
+        for row in merged
+    ]
+
+
+def _heading(place: str, key: str) -> str:
     """Return a key as a heading in its cell: the search of the site finds headings, and an address can end in it."""
-    place = re.sub(r"[^a-z0-9_.]+", "-", title.replace(" kind = ", "-")).strip("-")
     return f'<h4 id="{place}-{key}"><code>{key}</code></h4>'
+
+
+def _summary(cls: type) -> str:
+    return (inspect.getdoc(cls) or "").partition("\n\n")[0].replace("\n", " ")
 
 
 def meanings(cls: type) -> dict[str, str]:
@@ -120,13 +188,52 @@ def _attributes(cls: type) -> dict[str, str]:
     return texts
 
 
+def _value(field: dataclasses.Field[Any], annotation: Any, bounds: Meta | None) -> str:
+    """Return the default of a key, which shows its type too, and its bounds; the type in words where it does not."""
+    default = field.default
+    if default is None or default is dataclasses.MISSING:
+        parts = [_words(annotation)]
+        if default is field.default_factory:
+            parts.append("needed")
+    elif choices := _choices(annotation):
+        parts = [f"`{_toml(choice)}`" for choice in sorted(choices, key=lambda choice: choice != default)]
+    elif default == () or annotation is RigFile:
+        parts = [_words(annotation)]
+    else:
+        parts = [f"`{_toml(default)}`"]
+    if bounds:
+        parts.append(_range(bounds))
+    return ", ".join(parts)
+
+
+def _range(bounds: Meta) -> str:
+    """Return bounds as an interval, or as a relation where one side is open."""
+    if bounds.ge is not None and bounds.le is not None and bounds.le != _LARGEST:
+        return f"{_short(bounds.ge)}…{_short(bounds.le)}"
+    relations = {">": bounds.gt, "≥": bounds.ge, "≤": bounds.le}
+    return ", ".join(
+        f"{sign}&nbsp;{_short(bound)}" for sign, bound in relations.items() if bound not in (None, _LARGEST)
+    )
+
+
+def _short(number: float) -> str:
+    """Return a number, 1e6 for a million."""
+    mantissa, _, exponent = f"{number:.0e}".partition("e")
+    short = f"{mantissa}e{int(exponent)}"
+    return short if number >= 1e6 and float(short) == number else f"{number:.10g}"
+
+
+def _choices(annotation: Any) -> tuple[Any, ...]:
+    return typing.get_args(annotation) if typing.get_origin(annotation) is typing.Literal else ()
+
+
 def _words(annotation: Any) -> str:
     """Return a type in words, as it is written in TOML."""
     if annotation in _PLAIN:
         return _PLAIN[annotation]
     origin, args = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is typing.Literal:
-        return " or ".join(f'`"{arg}"`' if isinstance(arg, str) else f"`{arg}`" for arg in args)
+        return " or ".join(f"`{_toml(choice)}`" for choice in args)
     if origin is tuple and args[-1] is Ellipsis:
         return f"list of {_words(args[0])}"
     if origin is tuple:
@@ -134,12 +241,6 @@ def _words(annotation: Any) -> str:
     if origin is dict:
         return "table"
     return _words(next(arg for arg in args if arg is not type(None)))  # a key that may be left out
-
-
-def _default(field: dataclasses.Field[Any]) -> str:
-    if field.default is dataclasses.MISSING or field.default is None:
-        return "needed" if field.default_factory is field.default else ""
-    return f"`{_toml(field.default)}`"
 
 
 def _toml(value: object) -> str:
@@ -154,13 +255,13 @@ def _presets() -> str:
     """Return a table of what the presets differ in."""
     rows = {name: _plain(dataclasses.asdict(preset)) for name, preset in PRESETS.items()}
     keys = [key for key in next(iter(rows.values())) if len({str(row[key]) for row in rows.values()}) > 1]
-    lines = ["## Presets", "", "| | " + " | ".join(PRESETS) + " |", "|---|" + "---|" * len(PRESETS)]
-    lines += [f"| `{key}` | " + " | ".join(_cell(row[key]) for row in rows.values()) + " |" for key in keys]
+    lines = ["## Presets", "", f"|key|{'|'.join(PRESETS)}|", f"|---|{'---|' * len(PRESETS)}"]
+    lines += [f"|`{key}`|{'|'.join(_cell(row[key]) for row in rows.values())}|" for key in keys]
     return "\n".join(lines)
 
 
 def _cell(value: float | str) -> str:
-    return f"`{_toml(value)}`" if isinstance(value, str) else f"{value:g}"
+    return f"{value:g}" if isinstance(value, float) else _toml(value).strip('"')
 
 
 def _plain(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -146,6 +146,12 @@ class Scene(ABC):
         """Named counts of the scene during the run, for the summary."""
         return {}
 
+    def stop(self) -> None:  # noqa: B027 most scenes wait for no other program
+        """Limit the time of the present light frame to a second, where another program draws it; for a signal handler.
+
+        A frame that takes longer ends by SceneEnded.
+        """
+
     @abstractmethod
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at stream time `t_ns` into `out`, (height, width) float32. It depends on `t_ns` only."""
@@ -245,6 +251,10 @@ class OtherLight(Scene):
     def has_rate(self) -> bool:
         """True: the scene gives the exact derivative."""
         return self.scene.has_rate
+
+    def stop(self) -> None:
+        """Limit the time of the present light frame of the scene."""
+        self.scene.stop()
 
     def geometry(self, rays: Rays | None = None) -> SceneGeometry | None:
         """Return the geometry of the scene."""

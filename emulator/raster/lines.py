@@ -28,7 +28,7 @@ _OF, _OF_W, _OF_L, _OF_G = 11, *range(12, SIDE_FIELDS, 3)  # a facet's number, a
 
 
 class Contents(NamedTuple):
-    """What is in a pixel.
+    """Contents of a pixel.
 
     Attributes
     ----------

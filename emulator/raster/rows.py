@@ -29,7 +29,7 @@ class _Edge(NamedTuple):
 
 
 class _Jump(NamedTuple):
-    """What an edge adds to pixels right of it: area, and the planes of radiance and rate."""
+    """Contribution of an edge to the pixels right of it: area, and the planes of radiance and rate."""
 
     area: float
     light: Plane

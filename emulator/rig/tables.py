@@ -34,17 +34,18 @@ class Camera:
     serial
         Serial number that the host reads, up to 8 characters; of Prophesee's cameras on USB, hexadecimal digits.
     speed
-        USB speed: "super" or "high".
+        USB speed.
     layout
-        Orientation of a DAVIS346's chip: "upright", or "turned" as in the hardware, where row words carry x. Drivers
-        turn it back by themselves.
+        Orientation of a DAVIS346's chip: "turned" as in the hardware, where row words carry x. Drivers turn it
+        back.
     fifo_bytes
         Size of the camera's output buffer; data without room in it is dropped and counted. 256 KiB, as in an FX3.
     start_delay_ms
         Least time from the host's start command to the first event (0 suits every driver but one).
     activity_filter
-        Whether a DAVIS346 has its filters of background activity and refractory period. Where it has them, libcaer and
-        neuromorphic_drivers switch the former on, and do not receive events without another event near them.
+        Whether a DAVIS346 has its filters of background activity and refractory period. libcaer and
+        neuromorphic_drivers switch the former on, and then do not receive events without another event near
+        them.
     sensor
         Sensor parameters that differ from the preset.
     clock
@@ -110,36 +111,32 @@ class Run:
     lockstep_us
         Stream time for each SYNC.
     lead_us
-        Time by which steps are computed ahead of real time; at least one step. Covers the jitter of the machine.
+        Time by which steps are computed ahead of real time, at least one step: covers the machine's jitter.
     max_late_ms
-        In real time: a run whose worst step was ready later than this after it was due has not kept up, and its verdict
-        is bad. 0: lateness is not judged, `max_late_share` included.
+        In real time: greatest lateness of a step for a good verdict. 0: lateness is not judged,
+        `max_late_share` included.
     max_late_share
-        In real time: a run of which more than this share of the steps was ready after it was due has not kept up, and
-        its verdict is bad. 0: no step may be late; 1: any share.
+        In real time: largest share of the steps that may be ready late for a good verdict; 0: none; 1: any.
     restart_links
-        Whether a link whose process died is started again; its record and its own file go on in NAME-restart1.SUFFIX.
-        Otherwise the other links go on without it.
+        Whether a link whose process died is started again, with its record and file in NAME-restart1.SUFFIX;
+        else the others go on without it.
     fifo_priority
-        Above 0: links run under SCHED_FIFO at this priority (1 to 99), before less urgent processes. Delivery and the
-        timestamps of a bus are then steady on a busy machine. Needs root, or a limit of 'rtprio'.
+        Above 0: links run under SCHED_FIFO at this priority, for steady delivery on a busy machine. Needs root,
+        or a limit of 'rtprio'.
     method
-        Interpolation of light between two frames: "hermite" (a cubic from value and derivative) or "line" (a
-        straight line in log light); or another simulator's rule, to reproduce published results: "pangu", "v2e",
-        "v2e_exact_filter", "esim", "sikorski", "frame_difference".
+        Interpolation of light between two frames: "hermite" (a cubic from value and derivative), "line"
+        (straight in log light), or the rule of another simulator, to reproduce its results.
     painter
-        Renderer of bodies and terrain: "cpu", the exact mean light of each pixel and the same events on every machine;
-        "gl", points in each pixel by OpenGL 4.3, for a quick look. The environment variable EVSTIM_RENDERER replaces
-        this key.
+        Renderer of bodies and terrain: "cpu", the exact mean light of each pixel, the same on every machine;
+        "gl", points in each pixel by OpenGL 4.3. The environment variable EVSTIM_RENDERER replaces this key.
     threads
-        Threads of drawing, blur and the pixel step, one after the other; the events are the same for any number. 0:
-        chosen by the work, at most 4.
+        Threads of drawing, blur and the pixel step, without effect on events. 0: chosen by the work, at most 4.
     tolerance_us
-        Tolerated timestamp error, 95th percentile. Above 0, steps are as long as it allows (`step_us` is the first one)
-        and effects that change less than that are left out; see `evstim plan`. 0: steps of `step_us`, nothing left out.
+        Tolerated timestamp error, 95th percentile: steps are as long as it allows, `step_us` the first one, and
+        effects that change less are left out (`evstim plan`). 0: steps of `step_us`, nothing left out.
     tolerated_wrong_share
-        Share of the events that may be wrong, missing or invented, when `tolerance_us` is given; and of a pixel's
-        sequences of 300 events, those that may not be right. 1: steps are held to times alone.
+        With `tolerance_us`: share of the events, and of a pixel's sequences of 300 events, that may be wrong,
+        missing or invented. 1: steps are held to times alone.
     """
 
     seconds: Annotated[float, Meta(ge=0, le=3.2e7)] = 0.0
@@ -216,7 +213,7 @@ class Trigger:
     edges
         Instead: edges at given times, without latency and jitter.
     kind
-        Edges at the input: "pulse" (it rises, and falls again after `pulse_us`), "rising" or "falling".
+        Edges at the input; a pulse rises, and falls again after `pulse_us`.
     channel
         Number of the input; a DAVIS346 has one, 0.
     latency_us
@@ -226,8 +223,8 @@ class Trigger:
     pulse_us
         Length of a pulse.
     holdback_us
-        With a source: delay of events on their way to the camera, so that an edge which is received late still comes in
-        order. Later edges are stamped at the earliest time possible, and counted.
+        With a source: delay of events, so that an edge which is received late still comes in order; later ones
+        are stamped at the earliest time possible, and counted.
     send_period_ms
         Above 0, the camera itself sends a mark on the bus each time its own clock has gone this far.
     """
@@ -271,8 +268,7 @@ class Verdict:
     Attributes
     ----------
     max_drop
-        Share of the events read out that a link may lose after its camera was started: 0.01 is one in a hundred.
-        Negative: any share.
+        Share of the events read out that a link may lose after its camera was started. Negative: any share.
     min_rate_hz, max_rate_hz
         Least and greatest mean event rate at the read-out, events per second, over the run.
     max_latency_us

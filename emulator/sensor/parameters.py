@@ -8,7 +8,7 @@ Every effect of a sensor is off, or changes nothing, by default:
     noise          rms is 0                                   noise.points, noise.grid
     background     rates are 0                                chip.sources
     jitter         latency, deviation and leak share are 0    chip.readout, chip.defects
-    comparator     times are 0                                pixels.comparator
+    comparator     times are 0                                pixels.event_time
     reset          offset, noise are 0, at_acknowledge false  pixels.state, chip.readout, chip.scan
     imager         gains are 1, spreads 0, shot noise false   chip.imager
     radiation      flux and dose are 0                        chip.sources, chip.defects
@@ -20,7 +20,7 @@ Sources of the defaults of `FrameParameters`, a DAVIS346; DN are units of the 10
     noise of columns and rows      the same: 0.42 and 0.10 of 255
     fixed pattern of columns       the same: 2.2 of 255, mostly of period 2
     sensitivity, reset level, gain spread   estimate: a rig's own
-    row kicks                      the same: see `aps.row_kicks`
+    row kicks                      the same: see `row_kicks`
 
 Sources of the defaults of `ImuParameters`:
 
@@ -111,7 +111,7 @@ class DefectParameters:
     hot_share : share of the pixels that are hot, drawn pixel by pixel.
     hot_pixels : more of them by place, [x, y] each.
     hot_hz : median rate of a hot pixel, Hz.
-    hot_spread : log-normal spread of that rate between hot pixels (standard deviation of its logarithm).
+    hot_spread : log-normal spread of that rate between hot pixels.
     dead_share : share of the pixels that are dead, drawn pixel by pixel.
     dead_pixels : more of them by place, [x, y] each.
     """
@@ -134,17 +134,15 @@ class NoiseParameters:
     Attributes
     ----------
     rms : of the noise in dim light, natural-log units; 0: none. Measured: 0.04 to 0.07 (Graca 2024, fig. 2.13).
-    corner_hz : fixed pole behind the photoreceptor, Hz; 0: the signal's, `source_follower_hz`, so that signal and noise
-        have the same bandwidth (without a source follower noise passes the photoreceptor alone). Where the
-        photoreceptor, of corner frequency f, is faster, the pole takes the noise down to rms^2 corner / (corner + f),
-        its bandwidth to f corner / (corner + f).
-    spread : log-normal spread of the rms between pixels (standard deviation of its logarithm; the median is `rms`): a
-        few pixels fire far more often than the others, as on real chips.
-    history_s : longest time for which noise has acted before the start, s, in the first light; each pixel takes as much
-        of it as its level needs to settle. Without it, references at random phases make a burst of events, as after a
-        reset of the whole chip. Points only.
-    grade : "points" draws noise events by their rate, at a cost that follows their number; "grid" follows the voltage
-        of each pixel on a fine grid of time, for sensors of some thousand pixels and for comparison.
+    corner_hz : fixed pole behind the photoreceptor; 0: the signal's, `source_follower_hz`. Where the photoreceptor, of
+        corner frequency f, is faster, the pole takes the noise down to rms^2 corner / (corner + f), its bandwidth to f
+        corner / (corner + f).
+    spread : log-normal spread of the rms between pixels, with the median `rms`: a few fire far more often than the
+        others, as on real chips.
+    history_s : longest time for which noise has acted before the start, in the first light. Without it, references at
+        random phases make a burst of events, as after a reset of the whole chip. Points only.
+    grade : "points": noise events drawn by their rate; "grid": the voltage of each pixel on a fine grid of time, for
+        comparison on some thousand pixels.
     """
 
     rms: Share = 0.0
@@ -172,17 +170,17 @@ class BackgroundParameters:
     Attributes
     ----------
     hz : mean rate of events of a pixel that is not hot, followers included, Hz.
-    spread : log-normal spread of that rate between pixels (standard deviation of its logarithm).
+    spread : log-normal spread of that rate between pixels.
     off_share : share of OFF events among the primaries.
     pair_share : share of the primaries that are followed by an event of the other polarity.
     on_pair_factor : `pair_share` of ON primaries, over that of OFF primaries.
     again_share : share of the followers that are followed by another event, again of the other polarity.
-    pair_us : mean time from an event to its follower, us; exponential. That of a hot pixel is shorter: the rate of its
-        followers is higher by its own rate.
+    pair_us : mean time from an event to its follower, us; exponential; shorter in a hot pixel, whose own rate adds to
+        that of its followers.
     on_wait_factor : that time after ON events, over that after OFF events.
     hot_share : share of the pixels that are hot, drawn pixel by pixel.
     hot_hz : mean rate of hot pixels, Hz.
-    hot_spread : log-normal spread of that rate between them (standard deviation of its logarithm).
+    hot_spread : log-normal spread of that rate between them.
     hot_pair_share : `pair_share` of hot pixels.
     """
 
@@ -212,10 +210,10 @@ class JitterParameters:
     Attributes
     ----------
     latency_us : mean delay from crossing to request, us.
-    deviation_us : standard deviation of that delay, us; delays are log-normal, so a deviation needs a latency. Delays
-        of OFF events have the same relative deviation.
-    leak_share : relative standard deviation of a pixel's leak from one stretch of 8.6 s (2^33 ns) to the next, so
-        about that of the time between two leak events at 0.1 Hz; normal, cut off at zero leak.
+    deviation_us : standard deviation of that delay, us; log-normal, so it needs a latency; that of OFF events is the
+        same, relative.
+    leak_share : relative standard deviation of a pixel's leak from one stretch of 8.6 s (2^33 ns) to the next; normal,
+        cut off at zero leak.
     off_latency_us : mean delay of OFF events, us; 0: as `latency_us`.
     late_share : share of the events that come late.
     late_us : mean further delay of those, us; exponential.
@@ -239,7 +237,7 @@ class JitterParameters:
 
 @dataclass(frozen=True, slots=True)
 class ComparatorParameters:
-    """Delay of the comparators, which depends on the slope of the signal and on the polarity; see `pixels.comparator`.
+    """Delay of the comparators, which depends on the slope of the signal and on the polarity; see `pixels.event_time`.
 
     No camera's times are published. An estimate for the DAVIS346 at its default biases: an output node of 10 fF swings
     by 1 V at the bias currents that its drivers set, 387 nA for ON and 0.19 nA for OFF, in 0.03 us and 53 us. The
@@ -248,10 +246,10 @@ class ComparatorParameters:
 
     Attributes
     ----------
-    on_us, off_us : time in which the bias current alone drives the output of the ON or OFF comparator from one level to
-        the other, us; 0: no delay.
-    contrast_per_e : change of log light that changes the current of the comparator's input transistor by a factor e; of
-        the thresholds, theta = contrast_per_e ln(I_on / I_diff). 0.0714 is jAER's value for a DAVIS.
+    on_us, off_us : time in which the bias current alone drives the comparator's output from one level to the other, us;
+        0: no delay.
+    contrast_per_e : change of log light that changes the current of the comparator's input transistor by a factor e;
+        0.0714 is jAER's value for a DAVIS.
     """
 
     on_us: Annotated[float, Meta(ge=0, le=10_000)] = 0.0
@@ -272,11 +270,11 @@ class ResetParameters:
 
     Attributes
     ----------
-    offset : of the reference over the signal after a reset, ln units. A positive one brings OFF nearer and takes ON
-        farther away, by the same amount. Limited to 0.9 of a pixel's thresholds.
+    offset : of the reference over the signal after a reset, ln units: above 0, OFF is nearer and ON farther away by
+        that much. Limited to 0.9 of a pixel's thresholds.
     noise : standard deviation of that offset from one reset to the next, ln units; normal.
-    at_acknowledge : true: a pixel is in reset until the read-out acknowledges its event, and the refractory period
-        begins there; false: it begins at the crossing.
+    at_acknowledge : true: a pixel is in reset until the read-out acknowledges its event, where the refractory period
+        begins; false: it begins at the crossing.
     """
 
     offset: Annotated[float, Meta(ge=-1, le=1)] = 0.0
@@ -296,12 +294,11 @@ class ImagerParameters:
     system_efficiency : share of the light that reaches the pixels, relative to the sensor's reference.
     quantum_efficiency : electrons for a photon, relative to the sensor's reference.
     prnu : photo-response non-uniformity: standard deviation of a pixel's gain.
-    dcnu : dark current non-uniformity: log-normal spread between pixels (standard deviation of the logarithm); the mean
-        stays.
-    photon_shot_noise, dark_shot_noise : true: the counts of photoelectrons and of dark electrons have Poisson noise.
-        `noise.rms` holds the fast part of both already; this is the slow part, which no filter removes.
-    electrons_per_s_at_reference : photocurrent of a pixel at light 1, electrons a second. 2e8 is a DAVIS346 pixel
-        (18.5 um, fill factor 22 %, quantum efficiency 24 %) at 1 klux on the chip.
+    dcnu : dark current non-uniformity: log-normal spread between pixels; the mean stays.
+    photon_shot_noise, dark_shot_noise : true: the counts of photoelectrons and of dark electrons have Poisson noise,
+        its slow part; `noise.rms` holds the fast one.
+    electrons_per_s_at_reference : photocurrent of a pixel at light 1; 2e8 is a DAVIS346 pixel (18.5 um, fill factor 22
+        %, quantum efficiency 24 %) at 1 klux on the chip.
     shot_grid_us : time over which electrons are counted, us; between two counts the light follows a straight line.
     """
 
@@ -431,9 +428,9 @@ class ImuParameters:
     q_camera_from_imu
         Rotation against the camera (x right, y down, z along the boresight): unit quaternion, scalar first.
     gravity_m_s2
-        Gravity in the world, the same everywhere. Without it, and without `gm_m3_s2`: that of the Moon above a terrain,
-        straight down in -z; that of the central body of a path of kind "orbit"; that of the Earth, straight down in the
-        image, where the camera has no path; else none.
+        Gravity in the world, the same everywhere. Without it and `gm_m3_s2`: the Moon's above a terrain, in -z;
+        the central body's on an "orbit"; the Earth's, down in the image, for a camera without a path; else
+        none.
     gm_m3_s2
         Above 0: gravity of a point mass at the world's origin instead.
     gyroscope_noise_deg_s, accelerometer_noise_ug

@@ -142,8 +142,8 @@ class ReadoutParameters:
 
     Attributes
     ----------
-    event_ns : time on the output bus of one event, ns; above 0, fractions allowed.
-    row_ns : time of the arbiter to pick a row and latch its requests, ns; 0 allowed. A scan has no such time.
+    event_ns : time on the output bus of one event, ns.
+    row_ns : time of the arbiter to pick a row and latch its requests, ns; not of a scan.
     scan_us : time of a scan of all columns without events, us; 0: an arbiter.
     """
 
@@ -162,24 +162,23 @@ class SensorParameters:
     Attributes
     ----------
     width, height : pixels.
-    threshold_on, threshold_off : contrast thresholds, natural-log units, both > 0.
+    threshold_on, threshold_off : contrast thresholds, natural-log units.
     mismatch : standard deviation of a pixel's thresholds, as a fraction of the threshold; ON and OFF drawn apart, once.
-    dark_current_relative : photocurrent in the dark over photocurrent at the reference light, > 0. It is physics: it
-        sets how many events a step from black to white has.
+    dark_current_relative : photocurrent in the dark over photocurrent at the reference light; it sets how many events a
+        step from black to white has.
     corner_hz_at_reference : corner frequency of the photoreceptor at light 1, Hz; proportional to photocurrent. `inf`
         means no low-pass at all.
     corner_min_hz, corner_max_hz : bounds on the corner frequency, Hz.
-    leak_hz : mean rate of leak events (ON) of a pixel in still light, Hz.
-    leak_spread : log-normal spread of that rate between pixels (standard deviation of its logarithm).
+    leak_hz : mean rate of leak events (ON) of a pixel in still light.
+    leak_spread : log-normal spread of that rate between pixels.
     parasitic_hz_at_reference : rate of leak events that light 1 adds by shining into the reset switch, Hz; proportional
         to photocurrent, the same for all pixels.
     source_follower_hz : corner frequency of a second, fixed pole behind the photoreceptor, Hz; 0: no such pole.
     refractory_us : refractory period after an event, us; at its end the reference is read anew.
-    random_start : true: the first references lie below the first frame's level by random shares of the ON
-        threshold, as in a sensor that has run for a while; else at that level.
-    photoreceptor : "one_pole", the small-signal model; "large_signal", the law V' = K (i - e^V), which is the same for
-        small signals, rises slowly from the dark and falls slowly into it (see `pixels.receptor`); "circuit" solves
-        the circuit with a second pole that limits its slew as well, at many times the cost.
+    random_start : true: the first references lie random shares of the ON threshold below the first frame's level, as in
+        a sensor that has run for a while; false: at that level.
+    photoreceptor : "one_pole": the small-signal model; "large_signal": the law V' = K (i - e^V), slow from and into the
+        dark (see `pixels.receptor`); "circuit": a second pole that limits the slew as well, at many times the cost.
     readout : the read-out's times.
     temperature, defects, noise, background, jitter, imager, radiation, comparator, reset : see `parameters`; all off,
         or without effect, by default.
@@ -218,17 +217,16 @@ class SensorParameters:
             raise ValueError(f"width x height = {self.width * self.height}: at most {_MOST_PIXELS} pixels")
         if not self.corner_max_hz >= self.corner_min_hz:
             raise ValueError(f"corner_max_hz must be at least corner_min_hz, got {self.corner_max_hz!r}")
-        self._check_photoreceptor()
-        self._check_noise()
-        self._check_reset()
-        for name in ("hot_pixels", "dead_pixels"):
-            self._check_places(name)
-
-    def _check_photoreceptor(self) -> None:
         if self.photoreceptor not in ("one_pole", "large_signal", "circuit"):
             raise ValueError(f"photoreceptor = {self.photoreceptor!r}: must be 'one_pole', 'large_signal' or 'circuit'")
         if self.photoreceptor == "circuit" and math.isinf(max(self.corner_hz_at_reference, self.corner_max_hz)):
             raise ValueError('photoreceptor = "circuit": needs a finite corner_hz_at_reference and corner_max_hz')
+        self._check_noise()
+        self._check_reset()
+        for name in ("hot_pixels", "dead_pixels"):
+            for x, y in getattr(self.defects, name):
+                if not (0 <= x < self.width and 0 <= y < self.height):
+                    raise ValueError(f"defects.{name}: [{x}, {y}] must lie within {self.width} x {self.height} pixels")
 
     def _check_noise(self) -> None:
         unlimited = math.isinf(self.corner_max_hz) or math.isinf(self.corner_hz_at_reference)
@@ -245,11 +243,6 @@ class SensorParameters:
                 f"reset.offset = {r.offset!r}: it and three times reset.noise ({r.noise!r}) must be at most half of "
                 f"the lower threshold, {least:g}; else a reset raises events by itself"
             )
-
-    def _check_places(self, name: str) -> None:
-        for x, y in getattr(self.defects, name):
-            if not (0 <= x < self.width and 0 <= y < self.height):
-                raise ValueError(f"defects.{name}: [{x}, {y}] must lie within {self.width} x {self.height} pixels")
 
 
 IMX636_W_M2 = 0.1644

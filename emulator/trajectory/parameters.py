@@ -13,8 +13,7 @@ from ipaddress import IPv4Address
 from typing import ClassVar, Literal
 
 from emulator.tables.typed_table import NO_FILE, RigFile
-from emulator.trajectory.descent import LANDING, Gate
-from emulator.trajectory.orbit import Elements
+from emulator.trajectory.laws import LANDING, Elements, Gate
 
 _Triple = tuple[float, float, float]
 _Quaternion = tuple[float, float, float, float]
@@ -338,7 +337,7 @@ class SpicePath:
     frame
         Axes of the world, for instance "J2000" or "IAU_MOON".
     camera_frame
-        Frame of the camera: x right, y down, z along the boresight. Empty: the camera looks at the target.
+        Frame of the camera; empty: it looks at the target.
     start_utc
         Time 0, for instance "2004-06-11T19:00:00".
     duration_s

@@ -129,14 +129,11 @@ class DelimitedDeframer(StreamDeframer, ABC):
             self.counters.bytes_framed += 1
             return None
         try:
-            payload = self._decode_checked(piece)
+            if len(piece) > self._max_frame:
+                raise FrameError("too long")
+            payload = self.decode(piece)
         except FrameError as error:
             self.counters.bad(str(error), len(piece) + 1)
             return None
         self.counters.good(len(piece) + 1)
         return payload
-
-    def _decode_checked(self, piece: bytes) -> bytes:
-        if len(piece) > self._max_frame:
-            raise FrameError("too long")
-        return self.decode(piece)

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.event_device import EventDevice, HasClockInput, HostAdjusted
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import Numbers
 from firmware_protocol.events import Edges, Events
@@ -53,7 +53,7 @@ _MOST_EXECUTED = 256  # between two calls of take_commands, a millisecond apart 
 _NO_LIMIT = 1 << 30
 
 
-class Instrument(EventDevice):
+class Instrument(EventDevice, HostAdjusted, HasClockInput):
     """The camera.
 
     Parameters
@@ -287,7 +287,7 @@ class Instrument(EventDevice):
                 raise ValueError(f"{request!r} has no effect here")
 
     def take_commands(self) -> tuple[str, ...]:
-        """See `EventDevice.take_commands`; of too many, the last."""
+        """See `HostAdjusted.take_commands`; of too many, the last."""
         executed = tuple(self._executed)
         self._executed.clear()
         return executed

@@ -27,9 +27,9 @@ class InstrumentSettings:
     Attributes
     ----------
     tick_us
-        Unit of event times: 1, 10, 100 or 1000.
+        Unit of event times.
     coding
-        Coding of blocks: "smallest", "flat", "rows" or "bitmap".
+        Coding of blocks.
     block_events, block_bytes
         Largest block.
     region
@@ -39,7 +39,7 @@ class InstrumentSettings:
     rate_limit
         Most events a second on the average; 0 for no limit but the line's.
     when_full
-        Events to drop when more arrive than leave: "drop_oldest" or "drop_newest".
+        Events to drop when more arrive than leave.
     queue_events, queue_ms
         Limits of the queue, in events and in time.
     housekeeping_s
@@ -108,7 +108,7 @@ class DavisBiases:
     values
         Present values, by number.
     factors, without_effect
-        See `EventDevice.sensor_factors` and `EventDevice.without_effect`.
+        See `HostAdjusted.sensor_factors` and `HostAdjusted.without_effect`.
     """
 
     def __init__(self) -> None:

@@ -7,7 +7,7 @@ A packet is a header, then data:
     version 1, 4 octets   bits 31..30 priority   29..25 source   24..20 destination   19..14 destination port
                                13..8  source port   7..0 flags
 
-The checksum after the data (CRC-32C of header and data) belongs to the interface (`framing/kiss.py`), as in libcsp.
+The checksum after the data (CRC-32C of header and data) belongs to the interface (`framing/framings.py`), as in libcsp.
 
 Source: libcsp 2 (csp_id.c, csp_types.h).
 

@@ -23,8 +23,20 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
-from firmware_protocol.framing import cobs, datagram, fprime, kiss, slip
 from firmware_protocol.framing.deframer import DEFAULT_MAX_PAYLOAD, FrameCounters, StreamDeframer
+from firmware_protocol.framing.framings import (
+    CobsDeframer,
+    FPrimeDeframer,
+    KissDeframer,
+    PacketDeframer,
+    SealedPacketDeframer,
+    SlipDeframer,
+    cobs_frame,
+    fprime_frame,
+    kiss_frame,
+    sealed,
+    slip_frame,
+)
 from firmware_protocol.packets.addresses import (
     DEFAULT_ADDRESSES,
     Addresses,
@@ -52,18 +64,13 @@ class _Make:
 
 
 PROFILES: Mapping[str, _Make] = {
-    "ccsds-cobs": _Make(PusCodec, cobs.frame, cobs.Deframer),
-    "ccsds-slip": _Make(PusCodec, slip.frame, slip.Deframer),
-    "ccsds-kiss": _Make(PusCodec, kiss.frame, kiss.Deframer),
-    "csp-kiss": _Make(CspCodec, kiss.frame, kiss.Deframer, partial(kiss.Deframer, header_bytes=HEADER_OCTETS)),
-    "fprime": _Make(PusCodec, fprime.frame, fprime.Deframer),
-    "ccsds": _Make(PusCodec, datagram.frame, datagram.Deframer),
-    "csp": _Make(
-        CspCodec,
-        datagram.frame_sealed,
-        datagram.SealedDeframer,
-        partial(datagram.SealedDeframer, header_bytes=HEADER_OCTETS),
-    ),
+    "ccsds-cobs": _Make(PusCodec, cobs_frame, CobsDeframer),
+    "ccsds-slip": _Make(PusCodec, slip_frame, SlipDeframer),
+    "ccsds-kiss": _Make(PusCodec, kiss_frame, KissDeframer),
+    "csp-kiss": _Make(CspCodec, kiss_frame, KissDeframer, partial(KissDeframer, header_bytes=HEADER_OCTETS)),
+    "fprime": _Make(PusCodec, fprime_frame, FPrimeDeframer),
+    "ccsds": _Make(PusCodec, bytes, PacketDeframer),
+    "csp": _Make(CspCodec, sealed, SealedPacketDeframer, partial(SealedPacketDeframer, header_bytes=HEADER_OCTETS)),
 }
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 import platform
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -61,7 +62,7 @@ def draw(rows: Sequence[Row], stem: Path) -> list[Path]:
     if not judged:
         return []
     rigs, settings = (list(dict.fromkeys(row[name] for row in judged)) for name in ("rig", "setting"))
-    figure, found = panels(len(rigs), _COLUMNS, (4.0, 3.6))
+    figure, found = panels(len(rigs), _COLUMNS, 4.0, 3.6)
     for (axes,), rig in zip(found, rigs, strict=True):
         for row in (row for row in judged if row["rig"] == rig):
             _mark(axes, row, settings.index(row["setting"]))
@@ -92,8 +93,8 @@ def _name(axes: Any, rig: str) -> None:
 
 
 _HEAD = (
-    "| rig | size | times real time | cores: session, link, receiver | memory, MiB | first event, s "
-    "| events received | wrong events | t50, t95, ms | middle |\n|---|---|---|---|---|---|---|---|---|---|\n"
+    "|rig|size|times real time|cores: session, link, receiver|memory, MiB|first event, s|events received, %"
+    "|false + missed, %|t50, t95, ms|middle, %|\n|---|---|---|---|---|---|---|---|---|---|\n"
 )
 
 
@@ -108,8 +109,8 @@ def markdown(rows: Sequence[Row], about: Mapping[str, Any], chart: str | None) -
 def _table_row(row: Row) -> str:
     cores = ", ".join(_number(row[name]) for name in ("session_cores", "link_cores", "receiver_cores"))
     cells = (row["rig"], row["size"], f"{row['factor']:.2g}", cores, f"{row['memory_mib']:.0f}")
-    received = _number(row["first_event_s"]), f"{row['received_share']:.0%}"
-    return f"| {' | '.join((*cells, *received, *_errors(row)))} |\n"
+    received = _number(row["first_event_s"]), f"{row['received_share']:.0%}".strip("%")
+    return f"|{'|'.join((*cells, *received, *_errors(row)))}|\n"
 
 
 def _errors(row: Row) -> tuple[str, str, str]:
@@ -117,12 +118,21 @@ def _errors(row: Row) -> tuple[str, str, str]:
         return "–", "–", "–"
     false, missed = 100 * row["false"], 100 * row["missed"]
     times = ", ".join(_number(row[name]) for name in ("t50_ms", "t95_ms"))
-    middle = "–" if row["middle"] is None else f"{100 * row['middle']:.2g} %"
-    return f"{false:.2g} + {missed:.2g} = {false + missed:.2g} %", times, middle
+    middle = "–" if row["middle"] is None else f"{100 * row['middle']:.2g}"
+    return f"{false:.2g} + {missed:.2g}", times, middle
 
 
 def _number(value: float | None) -> str:
     return "–" if value is None or not math.isfinite(value) else f"{value:.2f}"
+
+
+def copied_charts(files: Sequence[Path], page: Path) -> str | None:
+    """Copy the charts among the files to `pictures` beside a page; return the first one's path from there."""
+    charts = [file for file in files if file.suffix == ".png"]
+    for chart in charts:
+        (page.parent / "pictures").mkdir(exist_ok=True)
+        shutil.copy(chart, page.parent / "pictures" / chart.name)
+    return f"pictures/{charts[0].name}" if charts else None
 
 
 def put_section(page: Path, text: str, marks: tuple[str, str] = (BEGIN, END)) -> None:

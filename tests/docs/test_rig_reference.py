@@ -4,7 +4,9 @@ import dataclasses
 import importlib.util
 import re
 from pathlib import Path
+from typing import Literal
 
+import msgspec
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -13,9 +15,9 @@ rig_reference = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(rig_reference)
 TABLES = rig_reference.PAGE.read_text().partition(rig_reference.MARKER)[2].partition("## Presets")[0]
 ROWS = [
-    [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
-    for line in re.sub(r'<h4 id="[^"]+"><code>(\w+)</code></h4>', r"`\1`", TABLES).splitlines()
-    if line.startswith("| `")
+    (key, kind, meaning)
+    for keys, kind, meaning in re.findall(r"^\|(<h4.+?)\|(.+?)\|(.*)\|$", TABLES, re.MULTILINE)
+    for key in re.findall(r"<code>(\w+)</code>", keys)
 ]
 
 
@@ -25,15 +27,15 @@ def test_the_page_is_what_the_types_say():
 
 def test_every_key_has_a_meaning_and_a_type_that_a_reader_knows():
     assert len(ROWS) > 300
-    for key, kind, _, meaning in ROWS:
+    for key, kind, meaning in ROWS:
         assert len(meaning) > 3, key
         assert not re.search(r"\b_[A-Z]|\bNone\b|Literal|RigFile", kind), (key, kind)
 
 
 def test_no_text_runs_on_into_another_keys():
-    keys = "|".join({key.strip("`") for key, *_ in ROWS if "_" in key or any(c.isdigit() for c in key)})
+    keys = "|".join({key for key, *_ in ROWS if "_" in key or any(c.isdigit() for c in key)})
     run_on = re.compile(rf"\. (({keys})(, \w+)*) [A-Z]")
-    assert [(key, meaning) for key, _, _, meaning in ROWS if run_on.search(meaning)] == []
+    assert [(key, meaning) for key, _, meaning in ROWS if run_on.search(meaning)] == []
 
 
 def test_a_key_of_a_class_without_a_text_would_be_noticed():
@@ -55,6 +57,33 @@ def test_a_key_of_a_class_without_a_text_would_be_noticed():
         silent: float
 
     assert rig_reference.meanings(Table) == {"k1": "Both.", "k2": "Both.", "plain_au": "Alone."}
+
+
+def test_a_kind_names_the_common_keys_that_it_has_and_defaults_of_its_own():
+    assert re.search(r"\|<h4 id=\"faults-rate\"><code>rate</code></h4>\|`1\.0`\|Probability", TABLES)
+    assert re.search(r"\|<h3 id=\"faults-stall\">.*\|`link`, `at_s`, `for_s = 0\.1`\|The receiver", TABLES)
+    assert re.search(r"\|<h3 id=\"scene-stars\">.*`\[\[scene\.points\]\]`\|A sky", TABLES)
+
+
+@pytest.mark.parametrize(
+    ("field", "words"),
+    [
+        (dataclasses.field(default=1.0), "`1.0`, 0…1"),
+        (dataclasses.field(), "number, needed, 0…1"),
+        (dataclasses.field(default=None), "number, 0…1"),
+    ],
+)
+def test_a_value_shows_its_default_or_its_type_and_its_bounds(field, words):
+    assert rig_reference._value(field, float, msgspec.Meta(ge=0, le=1)) == words
+
+
+def test_the_first_choice_is_the_default():
+    assert rig_reference._value(dataclasses.field(default="gl"), Literal["cpu", "gl"], None) == '`"gl"`, `"cpu"`'
+
+
+def test_a_large_bound_is_short_and_an_open_one_a_relation():
+    assert rig_reference._range(msgspec.Meta(gt=0, le=1000000)) == ">&nbsp;0, ≤&nbsp;1e6"
+    assert rig_reference._range(msgspec.Meta(ge=4096, le=1 << 30)) == "4096…1073741824"
 
 
 @pytest.mark.parametrize("words", ["t_s,x_m,y_m,z_m,qw,qx,qy,qz", "edge_resets", "EVENT[n]"])

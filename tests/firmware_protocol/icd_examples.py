@@ -1,4 +1,4 @@
-"""The messages that docs/packets.md and docs/can.md show octet by octet, made by the code that sends them."""
+"""The messages that docs/traces/messages.txt shows octet by octet, made by the code that sends them."""
 
 import numpy as np
 
@@ -87,4 +87,4 @@ def _examples():
 
 
 EXAMPLES = _examples()
-"""Name in docs/packets.md or docs/can.md: octets; a CFP frame with its 29-bit identifier in front."""
+"""Name in docs/traces/messages.txt or docs/packets.md: octets; a CFP frame with its 29-bit identifier in front."""

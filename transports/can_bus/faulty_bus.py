@@ -19,8 +19,9 @@ from firmware_protocol.can_frames.bus_time import BitRates
 from firmware_protocol.can_frames.frame import Frame
 from transports.can_bus.bus import BusDown, CanBus, TimedFrame
 from transports.can_bus.carriage import FrameSource
-from transports.faults.bus import CAN_FAULTS, Babbler, BusStage, QueuedFrame
+from transports.faults.bus import Babbler, BusStage, QueuedFrame
 from transports.faults.items import ItemStage, pass_through
+from transports.faults.kinds import CAN_BUS
 from transports.faults.script import FaultPlan, Faulty
 from transports.faults.tracker import Callbacks, FrameTracker, MessageTracker
 from transports.link.deliveries import Deliveries
@@ -31,10 +32,10 @@ _AHEAD_NS = 1_000_000  # frames of a babbling node are queued this long before t
 class BusFaults(Faulty[ItemStage[QueuedFrame]]):
     """Faults of one link, for all its buses."""
 
-    carrier = "a CAN bus"
+    carrier = CAN_BUS
 
     def __init__(self, plan: FaultPlan, rates: BitRates, deliveries: Deliveries) -> None:
-        super().__init__(plan, CAN_FAULTS, rates)
+        super().__init__(plan, rates)
         self._posted = 0
         self._callbacks = Callbacks(
             lambda load: deliveries.add(load.events, load.epoch_us, load.edges),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
@@ -14,9 +14,8 @@ from firmware_protocol.can_frames.raw_stream import RawSettings
 from firmware_protocol.can_frames.transport import IsoTpSettings
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.receiver.can import CanReceiverSettings
-from transports.faults.bus import CAN_FAULTS, ErrorFrames
-from transports.faults.kinds import Fault
-from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable, check_region
+from transports.faults.kinds import CAN_BUS
+from transports.link.kind import CameraFacts, InstrumentLink, LinkKind, Listener, Unsuitable, check_region
 from transports.needs import Need, network_interface
 from transports.network import check_allow, check_port
 
@@ -24,14 +23,14 @@ Option = str | int | float | bool
 
 
 @dataclass(frozen=True)
-class CanLink:
+class CanLink(InstrumentLink):
     """One CAN bus, or two redundant ones, and the camera's behaviour on it.
 
     Attributes
     ----------
     interface
-        "served": evstim provides the bus, and other programs join it by TCP in the protocol of socketcand; or an
-        interface of python-can: socketcan, slcan, gs_usb, pcan, kvaser, udp_multicast, virtual, socketcand ...
+        "served": evstim's own bus, which programs join by TCP in the protocol of socketcand; or an interface of
+        python-can: socketcan, slcan, gs_usb, pcan, kvaser, udp_multicast, virtual, socketcand ...
     channel
         Channel of the interface: can0, /dev/ttyACM0, 239.74.163.2 ...
     channel_b
@@ -41,19 +40,18 @@ class CanLink:
     allow
         Addresses and networks that may join a served bus; required if other machines can reach `host`.
     bitrate
-        Bits a second of classic frames, and of the arbitration of CAN FD frames: 1000 to 1 000 000. A served bus sends
-        at this rate, and adapters are set to it (slcan, gs_usb, pcan, kvaser ...); a bus of the kernel (socketcan), of
-        a socketcand or of programs (virtual, udp_multicast) has its own. `share` counts frames by it on every bus.
+        Bits a second of classic frames and of arbitration, 1000 to 1 000 000: of a served bus, of adapters
+        (slcan, gs_usb, pcan, kvaser ...), and for `share`; a bus of socketcan, socketcand, virtual or
+        udp_multicast has its own.
     data_bitrate
-        Bits a second of the data of CAN FD frames, `bitrate` to 20 000 000. With fd = true adapters are set to it, if
-        python-can supports that, and `share` counts by it; without fd, and on a served bus, it has no effect.
+        With fd: bits a second of the data, `bitrate` to 20 000 000, of adapters for which python-can can set
+        it, and for `share`; no effect on a served bus.
     fd
         True for CAN FD frames.
     share
-        Highest share of the bus's time that all frames may take, ours and others' together; above it our events wait.
+        Highest share of the bus's time that all frames may take; above it our events wait.
     carriage
-        Transport of the events: "raw" (frames that stand alone), "isotp" (blocks by ISO-TP) or "cfp" (blocks in CSP
-        packets).
+        Transport of the events: frames that stand alone, blocks by ISO-TP, or blocks in CSP packets.
     flow_control
         With ISO-TP: wait for the peer's flow control. Without it no peer has to answer.
     answer_ms
@@ -83,7 +81,7 @@ class CanLink:
     instrument
         Selection and rates of the camera's messages.
     name
-        Name of the link in this rig: in reports, faults and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "can"
@@ -179,22 +177,31 @@ class CanLink:
         ids = self.identifiers
         return RawSettings(ids.events, ids.epoch, tick_us, round(self.epoch_ms * 1000), self.fd, clock=ids.clock)
 
+    @classmethod
+    def complete(cls, table: dict[str, Any]) -> dict[str, Any]:
+        """Derive identifiers from the node number where the rig does not give them."""
+        node, identifiers = table.get("node", cls.node), table.get("identifiers", {})
+        if not isinstance(node, int) or not 1 <= node <= 127 or not isinstance(identifiers, dict):
+            return table  # refused where its type is checked
+        return {**table, "identifiers": {**Identifiers.of_node(node).by_name, **identifiers}}
+
+    def impossible_faults(self) -> Collection[str]:
+        """Leave out error frames where the bus is not evstim's own."""
+        return () if self.interface in _OWN_BUSES else ("error_frames",)
+
+    def listens_on(self) -> tuple[str, int] | None:
+        """Return the address of a served bus, unless any free port is suitable."""
+        return (self.host, self.port) if self.interface == "served" and self.port else None
+
+    def needs(self) -> tuple[Need, ...]:
+        """Return the network interfaces of socketcan."""
+        if self.interface != "socketcan":
+            return ()
+        return tuple(network_interface(name) for name in (self.channel, self.channel_b) if name)
+
 
 _OWN_BUSES = ("served", "virtual")
 """Interfaces that transmit a given error frame; with the others the controller makes its own."""
-
-
-def _faults_of(parameters: CanLink) -> Mapping[str, type[Fault]]:
-    own = parameters.interface in _OWN_BUSES
-    return {kind: fault for kind, fault in CAN_FAULTS.items() if own or fault is not ErrorFrames}
-
-
-def _with_identifiers(table: dict[str, Any]) -> dict[str, Any]:
-    """Derive identifiers from the node number where the rig does not give them."""
-    node, own = table.get("node", CanLink.node), table.get("identifiers", {})
-    if not isinstance(node, int) or not 1 <= node <= 127 or not isinstance(own, dict):
-        return table  # refused where its type is checked
-    return {**table, "identifiers": {**Identifiers.of_node(node).by_name, **own}}
 
 
 def _check(parameters: CanLink, camera: CameraFacts) -> None:
@@ -208,27 +215,12 @@ def _check(parameters: CanLink, camera: CameraFacts) -> None:
         )
 
 
-def _listens_on(parameters: CanLink) -> tuple[str, int] | None:
-    served = parameters.interface == "served" and parameters.port
-    return (parameters.host, parameters.port) if served else None
-
-
-def _needs(parameters: CanLink) -> tuple[Need, ...]:
-    if parameters.interface != "socketcan":
-        return ()
-    return tuple(network_interface(name) for name in (parameters.channel, parameters.channel_b) if name)
-
-
 CAN = LinkKind(
     CanLink,
     serves="instrument",
     endpoint="transports.can_bus.endpoint:factory_of",
     has_sync=True,
-    faults=CAN_FAULTS,
-    faults_of=_faults_of,
+    carrier=CAN_BUS,
     listener=Listener("can", "Read a camera on a CAN bus.", "emulator.cli.listen.can:can"),
-    complete=_with_identifiers,
     check=_check,
-    listens_on=_listens_on,
-    needs=_needs,
 )

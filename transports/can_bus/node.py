@@ -34,7 +34,7 @@ from transports.can_bus.bus import BusDown, PythonCanBus
 from transports.can_bus.kind import CanLink
 from transports.link.deliveries import Deliveries
 from transports.link.pacing import Clock
-from transports.link.reception import Arrivals, CountedReception
+from transports.reception import Arrivals, CountedReception
 from transports.recording.record import Recorder
 
 TriggerCallback = Callable[[int, int], None]

@@ -16,30 +16,30 @@ from typing import Any, ClassVar
 from firmware_protocol.device.items import Items, Numbers, ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from transports.link.deliveries import DeliveredParts, Deliveries
-from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
-from transports.link.kind import CameraFacts, LinkKind, Unsuitable, Wiring
+from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory, EndpointReport
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Unsuitable, Wiring
 from transports.needs import Need, package
 from transports.recording.format import Format, format_to_write, with_addition
 from transports.recording.live import LiveRecorder
-from transports.recording.part import Facts, RecordingError, RecordingSummary, counts_of
+from transports.recording.part import Facts, RecordingError, counts_of
 
 
 @dataclass(frozen=True)
-class FileLink:
+class FileLink(LinkParameters):
     """A recording of all data that the camera sends and the format can hold, written during the run.
 
     Attributes
     ----------
     path
-        The file, relative to the folder in which evstim is started; its suffix gives the format. An existing file is
-        overwritten. After a restart of the camera's clock, NAME-clock2.SUFFIX follows; a link that was started again
-        (`run.restart_links`) writes NAME-restart1.SUFFIX.
+        The file, relative to the folder of the command, overwritten; its suffix gives the format.
+        NAME-clock2.SUFFIX follows after a restart of the camera's clock, NAME-restart1.SUFFIX after one of the
+        link.
     format
         Name of the format if the suffix does not give it; "" for the suffix. See docs/recordings.md.
     camera
         Name of the camera in the file; "" for the model's.
     name
-        Name of the link in this rig: in reports and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "file"
@@ -55,6 +55,15 @@ class FileLink:
             format_to_write(Path(self.path), self.format)
         except RecordingError as error:
             raise ValueError(str(error)) from error
+
+    def sends_evt(self) -> bool:
+        """Return true for a file of EVT words."""
+        return format_to_write(Path(self.path), self.format).is_evt
+
+    def needs(self) -> tuple[Need, ...]:
+        """Return the package that writes the format."""
+        extra = format_to_write(Path(self.path), self.format).needs
+        return (package(extra),) if extra else ()
 
 
 def factory_of(link: FileLink, wiring: Wiring) -> EndpointFactory[Any]:
@@ -72,22 +81,11 @@ def _check(link: FileLink, camera: CameraFacts) -> None:
         raise Unsuitable(f"{form.title} numbers {most} pixels, not {camera.size}", "path")
 
 
-def _has_evt(link: FileLink) -> bool:
-    return format_to_write(Path(link.path), link.format).is_evt
-
-
-def _needs(link: FileLink) -> tuple[Need, ...]:
-    needed = format_to_write(Path(link.path), link.format).needs
-    return (package(needed),) if needed else ()
-
-
 FILE = LinkKind(
     FileLink,
     serves="plain",
     endpoint="transports.file.kind:factory_of",
     check=_check,
-    has_evt=_has_evt,
-    needs=_needs,
     has_readings=True,
 )
 
@@ -123,6 +121,7 @@ class FileEndpoint(Endpoint):
         self._recorder: LiveRecorder | None = None
         self._epoch_us: int | None = None
         self._handed: Counter[str] = Counter()
+        device.is_watched = False  # no receiver notices when data are passed to the writer
 
     async def start(self) -> None:
         """Start the writer; raises OSError if the file cannot be opened."""
@@ -146,11 +145,6 @@ class FileEndpoint(Endpoint):
     def longest_sleep_ns(self) -> int:
         """See `Endpoint.longest_sleep_ns`; a writer without room is tried again soon."""
         return BUSY_NS if self._device.waiting else REST_NS
-
-    @property
-    def is_watched(self) -> bool:
-        """False: no receiver notices when data are passed to the writer."""
-        return False
 
     def _hand_over(self, recorder: LiveRecorder, taken: Items) -> None:
         restarted = taken.epoch_us != self._epoch_us
@@ -184,20 +178,12 @@ class FileEndpoint(Endpoint):
             return "stopped"
         return f"{self._handed['events']} events to {self._order.path.name}"
 
-    @property
-    def address(self) -> str | None:
-        """Path of the file."""
-        return str(self._order.path)
-
-    @property
-    def trouble(self) -> str:
-        """Reason for an incomplete file."""
-        return "" if self._recorder is None else self._recorder.trouble
-
-    @property
-    def recording(self) -> RecordingSummary | None:
-        """Summary of the closed file."""
-        return None if self._recorder is None else self._recorder.summary
+    def report(self) -> EndpointReport:
+        """Return the path of the file, and the summary of the closed file or the reason why it is incomplete."""
+        path = str(self._order.path)
+        if self._recorder is None:
+            return EndpointReport(path)
+        return EndpointReport(path, trouble=self._recorder.trouble, recording=self._recorder.summary)
 
     @property
     def counts(self) -> Mapping[str, int]:

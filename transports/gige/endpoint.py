@@ -19,13 +19,12 @@ from __future__ import annotations
 import ipaddress
 import logging
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
 from firmware_protocol.gige.gvsp import HEADER_OCTETS
 from firmware_protocol.imx636.triton2 import Outgoing, Triton2
-from transports.faults.kinds import Fault
 from transports.faults.script import FaultPlan
 from transports.gige.answering import ControlSetup, Move, Mute, Release
 from transports.gige.control_process import ControlProcess
@@ -33,7 +32,7 @@ from transports.gige.kind import GigeLink
 from transports.gige.packet_faults import FaultyPackets, Packet
 from transports.gige.sockets import StreamSocket
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory
+from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory, EndpointReport
 from transports.link.kind import Wiring
 from transports.network import AllowList, ByteBudget
 
@@ -121,7 +120,7 @@ class _Route:
 class GigeEndpoint(Endpoint):
     """Endpoint of one camera for all its hosts; one of them receives the stream."""
 
-    _faulty: FaultyPackets
+    faulty: FaultyPackets
 
     def __init__(self, factory: GigeFactory, camera: Triton2, deliveries: Deliveries) -> None:
         self._link = link = factory.link
@@ -133,7 +132,7 @@ class GigeEndpoint(Endpoint):
         self._allow = AllowList(link.allow)
         self._stream = StreamSocket(link.host, segmented=link.segmentation)
         self._budget = ByteBudget(link.mbit_s, self._clock.now_ns(), _BURST_NS)
-        self._faulty = FaultyPackets(factory.faults)
+        self.faulty = FaultyPackets(factory.faults)
         self._fates = BlockFates(self._arrived, self._destroyed)
         self._going: tuple[Outgoing, Iterator[Packet]] | None = None
         self._ready: deque[Packet] = deque()
@@ -193,12 +192,7 @@ class GigeEndpoint(Endpoint):
 
     def advance_faults(self, stream_us: int) -> None:
         """See `Endpoint.advance_faults`."""
-        self._ready += self._faulty.advance(stream_us)
-        self._follow_faults()
-
-    def inject(self, fault: Fault) -> None:
-        """See `Endpoint.inject`."""
-        super().inject(fault)
+        self._ready += self.faulty.advance(stream_us)
         self._follow_faults()
 
     async def close(self) -> None:
@@ -207,7 +201,7 @@ class GigeEndpoint(Endpoint):
             self._camera.lost(self._going[0])
             self._going = None
         self._fates.settle(self._clock.now_ns(), final=True)
-        self._faulty.close()
+        self.faulty.close()
         self._camera.disconnected()
         if self._control is not None:
             self._control.close()
@@ -218,25 +212,21 @@ class GigeEndpoint(Endpoint):
         """Host that has control, and the state of the stream."""
         owner = self._camera.owner
         if owner is None:
-            return f"waiting on {self.address}"
+            return f"waiting on {self._address}"
         does = "streaming to" if self._camera.streaming else "controlled by"
         return f"{does} {owner[0]}:{owner[1]}"
 
+    def report(self) -> EndpointReport:
+        """Return the address, evstim's own receiver while no host has control, and counts of packets and requests."""
+        counts = self.sent + self._camera.messages.counts
+        if self._control is not None:
+            counts += self._control.counts
+        attach = f"evstim listen gige {self._address}" if self._camera.owner is None else ""
+        return EndpointReport(self._address, attach, counts=counts)
+
     @property
-    def address(self) -> str:
-        """Address at which hosts find the camera."""
+    def _address(self) -> str:
         return f"{self._host}:{self._link.port if self._control is None else self._control.port}"
-
-    @property
-    def attach_command(self) -> str:
-        """Receiver of evstim, while no host has control."""
-        return f"evstim listen gige {self.address}" if self._camera.owner is None else ""
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Counts of packets and requests, and of errors in either."""
-        sent = self.sent + self._camera.messages.counts
-        return sent if self._control is None else sent + self._control.counts
 
     def _follow_master(self, control: ControlProcess) -> None:
         """Give the camera the difference of its master's time and its own, if the run has the pace of real time."""
@@ -249,12 +239,12 @@ class GigeEndpoint(Endpoint):
     def _follow_faults(self) -> None:
         """Apply faults to the control channel and to the camera's address."""
         assert self._control is not None
-        if (address := self._faulty.new_address()) is not None:
+        if (address := self.faulty.new_address()) is not None:
             self._move(self._control, address)
-        if self._faulty.link_is_down != self._is_down:
-            self._is_down = self._faulty.link_is_down
+        if self.faulty.link_is_down != self._is_down:
+            self._is_down = self.faulty.link_is_down
             self._control.order(Mute(self._is_down))
-        if self._faulty.takes_control():
+        if self.faulty.takes_control():
             self._control.order(Release())
 
     def _move(self, control: ControlProcess, address: str) -> None:
@@ -298,7 +288,7 @@ class GigeEndpoint(Endpoint):
     def _send_block(self) -> bool:
         """Send a block in few calls; return False when there is none, or packets must be sent one by one."""
         way, busy = self._way, self._going is not None or self._ready
-        if busy or way.to is None or way.pause_ns or self._faulty.active or self._camera.waits_extra:
+        if busy or way.to is None or way.pause_ns or self.faulty.active or self._camera.waits_extra:
             return False
         outgoing = self._camera.next_block(at_once=self._time_stands)
         if outgoing is None:
@@ -322,8 +312,8 @@ class GigeEndpoint(Endpoint):
             packet = self._next_packet()
             if packet is None:
                 return False
-            self._ready += self._faulty.change(packet)
-            for gone in self._faulty.gone():
+            self._ready += self.faulty.change(packet)
+            for gone in self.faulty.gone():
                 self._fates.missed(gone.block, gone.number)
         return True
 
@@ -390,7 +380,7 @@ class GigeEndpoint(Endpoint):
         self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
 
     def _destroyed(self, outgoing: Outgoing) -> None:
-        self._faulty.attribute(len(outgoing.events), len(outgoing.edges))
+        self.faulty.attribute(len(outgoing.events), len(outgoing.edges))
 
 
 def _packets(outgoing: Outgoing, first: int = 0) -> Iterator[Packet]:

@@ -20,9 +20,9 @@ from firmware_protocol.gige.gvcp import GVCP_PORT, Command, Flag, Resend, Status
 from firmware_protocol.gige.gvsp import BlockAssembly
 from firmware_protocol.gige.registers import DISCOVERY_OCTETS, DO_NOT_FRAGMENT, Privilege, Register
 from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, ACQUISITION_STOP
-from transports.link import reception
+from transports import reception
 from transports.link.pacing import Clock
-from transports.link.reception import Arrivals, Reception
+from transports.reception import Arrivals, Reception
 from transports.recording.record import Recorder
 
 _TIMEOUT_S = 0.5

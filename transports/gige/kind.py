@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from firmware_protocol.gige.gvcp import GVCP_PORT
-from transports.gige.packet_faults import PACKET_FAULTS
-from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable
+from transports.faults.kinds import GIGE_STREAM
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Unsuitable
 from transports.network import check_allow
 
 
 @dataclass(frozen=True)
-class GigeLink:
+class GigeLink(LinkParameters):
     """The camera as a GigE Vision device on a network: drivers find it and read it over UDP.
 
     Attributes
@@ -21,25 +21,24 @@ class GigeLink:
     host
         IPv4 address of the camera. Several cameras on one machine need several: 127.0.0.1, 127.0.0.2, ...
     port
-        Port of the control channel: 3956, which all drivers use; another one, or 0 for any free one, is for tests only.
+        Port of the control channel: 3956, which all drivers use; another, or 0 for a free one, is for tests.
     allow
         Addresses and networks that may find, control and receive; required if other machines can reach `host`.
     mbit_s
-        Highest rate of the stream, in Mbit/s: UDP has no back-pressure, and hosts lose data that arrive faster than
-        they read. 1000 as the real camera's cable.
+        Highest rate of the stream, Mbit/s: hosts lose data that arrive faster than they read. 1000 as the real
+        camera's cable.
     segmentation
-        True to pass whole blocks to the kernel, which divides them into packets, or has the network card do it (UDP
-        segmentation): less work for each packet. On loopback and veth, programs that read raw sockets see undivided
-        blocks; Aravis does so if it is run by root.
+        True: the kernel or the network card divides blocks into packets (UDP segmentation). On loopback and
+        veth, programs that read raw sockets, such as Aravis run by root, see undivided blocks.
     block_us
         Age at which a block is closed and sent, if it was not full before.
     ptp
-        True if a host can have the camera follow a master of the Precision Time Protocol (IEEE 1588) on its network:
-        feature PtpEnable. It needs UDP ports 319 and 320 (root or CAP_NET_BIND_SERVICE).
+        True: the host can have the camera follow a PTP master (IEEE 1588; feature PtpEnable). Needs UDP ports
+        319 and 320 (root or CAP_NET_BIND_SERVICE).
     ptp_domain
         Domain of that protocol.
     name
-        Name of the link in this rig: in reports, faults and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "gige"
@@ -72,6 +71,14 @@ class GigeLink:
             raise ValueError(f"ptp_domain must be 0 to 127, got {self.ptp_domain}")
         check_allow(self.host, self.allow)
 
+    def listens_on(self) -> tuple[str, int] | None:
+        """Return the address, unless any free port is suitable."""
+        return (self.host, self.port) if self.port else None
+
+    def sends_evt(self) -> bool:
+        """Return true: its blocks contain EVT3 words."""
+        return True
+
 
 def _check(link: GigeLink, camera: CameraFacts) -> None:
     """Raise Unsuitable for a camera without a GigE Vision device."""
@@ -84,9 +91,7 @@ GIGE = LinkKind(
     GigeLink,
     serves="gige",
     endpoint="transports.gige.endpoint:factory_of",
-    faults=PACKET_FAULTS,
+    carrier=GIGE_STREAM,
     listener=Listener("gige", "Read a GigE Vision event camera.", "emulator.cli.listen.cameras:gige"),
     check=_check,
-    has_evt=lambda link: True,
-    listens_on=lambda link: (link.host, link.port) if link.port else None,
 )

@@ -19,13 +19,13 @@ from firmware_protocol.network_streams.coders import (
     SpifCoder,
 )
 from firmware_protocol.network_streams.pictures import DisplayCoder, EventImageCoder
-from transports.link.kind import CameraFacts, LinkKind, Unsuitable
-from transports.needs import package
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Unsuitable
+from transports.needs import Need, package
 from transports.network import check_allow, check_destination, check_port
 
 
 @dataclass(frozen=True)
-class TcpLink:
+class TcpLink(LinkParameters):
     """A server that sends events to all its clients: the DV viewer, `dv_processing.io.NetworkReader`, clients of cAER.
 
     Attributes
@@ -34,17 +34,16 @@ class TcpLink:
         "dv": AEDAT 4.0 packets of dv-processing. "caer": AEDAT 3.1 packets of cAER. "event_image": numpy
         arrays. "display": coloured pictures (PPM). See docs/streams.md.
     host, port
-        Address to listen on; port 0 takes a free one. There is no authentication: any permitted client gets the
-        events.
+        Address to listen on; port 0: a free one. Without authentication: any permitted client gets the events.
     allow
         Addresses and networks that may connect; required if other machines can reach `host`.
     buffer_mib
-        Limit of the data that wait for one client. A paced run drops data for which a slow client has no room.
+        Limit of the data that wait for one client; a paced run drops what has no room.
     compression
-        Compression of the format dv: "none", or "lz4" (`pip install '.[files]'`).
+        Compression of the format dv; "lz4" needs `pip install '.[files]'`.
     trigger_port
-        With the format dv: port of a second server, for the camera's triggers, because dv-processing reads one stream
-        from a connection; 0 takes a free one. Omitted: none.
+        With the format dv: port of a second server, for triggers, because dv-processing reads one stream from a
+        connection; 0: a free one. Omitted: none.
     frame_ms
         Stream time of an event image or a picture of the display.
     pictures
@@ -52,7 +51,7 @@ class TcpLink:
     camera
         Name of the camera that is sent to clients; "" for the model's and the rig's serial number.
     name
-        Name of the link in this rig: in reports and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "tcp"
@@ -84,9 +83,17 @@ class TcpLink:
             raise ValueError(f'pictures is of the formats "event_image" and "display"; {self.format} shows none')
         check_allow(self.host, self.allow)
 
+    def listens_on(self) -> tuple[str, int] | None:
+        """Return the address, unless any free port is suitable."""
+        return (self.host, self.port) if self.port else None
+
+    def needs(self) -> tuple[Need, ...]:
+        """Return the package that compresses."""
+        return (package("lz4"),) if self.compression == "lz4" else ()
+
 
 @dataclass(frozen=True)
-class UdpLink:
+class UdpLink(LinkParameters):
     """Datagrams of events to one address: jAER, cAER, AEStream, faery.
 
     Attributes
@@ -96,12 +103,12 @@ class UdpLink:
     host, port
         Address of the receiver. jAER listens on 8991.
     elsewhere
-        Must be true if `host` is not on this machine: the machine with that address gets the events, even unrequested.
+        Must be true if `host` is not on this machine, which then gets events even unrequested.
     mbit_s
-        Highest rate, in Mbit/s of payload: receivers lose data that arrive faster than they read. 8 bytes an event and
-        200 Mbit/s are 3.1 million events a second.
+        Highest rate, Mbit/s of payload: receivers lose data that arrive faster than they read. At 8 bytes an
+        event, 200 Mbit/s are 3.1 million events a second.
     name
-        Name of the link in this rig: in reports and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "udp"
@@ -154,8 +161,6 @@ TCP = LinkKind(
     serves="plain",
     endpoint="transports.network_streams.tcp:factory_of",
     check=_check_tcp,
-    listens_on=lambda link: (link.host, link.port) if link.port else None,
-    needs=lambda link: (package("lz4"),) if link.compression == "lz4" else (),
 )
 
 UDP = LinkKind(UdpLink, serves="plain", endpoint="transports.network_streams.udp:factory_of", check=_check_udp)

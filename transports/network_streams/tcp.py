@@ -26,7 +26,7 @@ from firmware_protocol.events import empty_edges, empty_events
 from firmware_protocol.network_streams.coders import ConnectionCoder, DvTriggerCoder, StreamFacts
 from transports.connections import Admission, Listener, Seat
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
+from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory, EndpointReport
 from transports.link.kind import Wiring
 from transports.link.pacing import Clock
 from transports.needs import install_command
@@ -448,19 +448,14 @@ class TcpEndpoint(Endpoint):
         """Number of clients, or the address at which they may connect."""
         count = len(self._clients)
         if not count:
-            return f"waiting for a client on {self.address}"
-        return f"{count} client{'s' if count > 1 else ''} on {self.address}"
+            return f"waiting for a client on {self._clients.address}"
+        return f"{count} client{'s' if count > 1 else ''} on {self._clients.address}"
 
-    @property
-    def address(self) -> str | None:
-        """Host and port that it listens on."""
-        return self._clients.address
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Counts of clients so far, and of the events that single clients missed."""
+    def report(self) -> EndpointReport:
+        """Return the address, and counts of clients so far and of the events that single clients missed."""
         triggers = {} if self._trigger_clients is None else self._trigger_clients.counts
-        return Counter(self._clients.counts) + Counter({f"triggers: {name}": n for name, n in triggers.items()})
+        counts = Counter(self._clients.counts) + Counter({f"triggers: {name}": n for name, n in triggers.items()})
+        return EndpointReport(self._clients.address, counts=counts)
 
     @property
     def _groups(self) -> list[ClientGroup]:

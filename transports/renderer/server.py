@@ -53,6 +53,7 @@ from transports.network import AllowList
 
 _GREETING_S = 2.0
 _SEND_S = 5.0
+_LOOK_S = 0.25  # the longest time until a limit that came meanwhile is looked at
 _GUESTS = 64
 _BACKLOG = 128
 _REFUSALS = 4
@@ -63,7 +64,7 @@ class RendererError(Exception):
 
 
 class RendererEnded(RendererError):
-    """The renderer has reached the end of its scene."""
+    """The renderer has reached the end of its scene, or was waited for when the run was stopped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,6 +197,7 @@ class _Stream:
     def __init__(self, peer: socket.socket) -> None:
         peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket = peer
+        self.end_s = math.inf  # no wait goes beyond it
 
     def send(self, octets: bytes) -> None:
         try:
@@ -211,13 +213,20 @@ class _Stream:
             self._socket.send(octets)
 
     def read_some(self, target: memoryview, until_s: float) -> int:
-        try:
-            self._socket.settimeout(max(until_s - time.monotonic(), 1e-3))
-            count = self._socket.recv_into(target)
-        except TimeoutError:
-            raise RendererError("nothing more came in time") from None
-        except OSError as error:
-            raise RendererError(f"the connection broke: {error.strerror or error}") from error
+        """Return the number of octets read into `target`; at least one try is made."""
+        while True:
+            left_s = min(until_s, self.end_s) - time.monotonic()
+            if self.end_s < until_s and left_s <= 0.0:
+                raise RendererEnded("the run was stopped")
+            try:
+                self._socket.settimeout(min(max(left_s, 1e-3), _LOOK_S))
+                count = self._socket.recv_into(target)
+                break
+            except TimeoutError:
+                if left_s <= _LOOK_S and self.end_s >= until_s:
+                    raise RendererError("nothing more came in time") from None
+            except OSError as error:
+                raise RendererError(f"the connection broke: {error.strerror or error}") from error
         if not count:
             raise RendererError("it closed the connection in the middle of its scene")
         return count
@@ -309,6 +318,10 @@ class RendererConnection:
             raise RendererError("the shared memory could not be read completely")
         self._requested.popleft()
         return Drawn(head, {plane.name: self._view(plane, octets) for plane in self._planes})
+
+    def limit_wait(self, most_s: float) -> None:
+        """Limit the time in which all further images may come; for a signal handler."""
+        self._stream.end_s = min(self._stream.end_s, time.monotonic() + most_s)
 
     def close(self, reason: str = "") -> None:
         """End the connection; a second call does nothing."""

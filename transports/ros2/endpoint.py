@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -28,7 +28,7 @@ from firmware_protocol.network_streams.pictures import Image as EventImage
 from firmware_protocol.network_streams.pictures import chosen, coloured, frames_for
 from firmware_protocol.ros2.messages import EVENT_PACKET, IMAGE, Header, Image, event_packet, image_message, mono_events
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
+from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory, EndpointReport
 from transports.link.kind import Wiring
 from transports.needs import install_command
 from transports.ros2.kind import Ros2Link
@@ -261,19 +261,17 @@ class Ros2Endpoint(Endpoint):
     def state(self) -> str:
         """Number of readers, or the topics that wait for readers."""
         if not self._readers:
-            return f"waiting for a reader of {self.address}"
-        return f"{self._readers} reader{'s' if self._readers > 1 else ''} of {self.address}"
+            return f"waiting for a reader of {self._address}"
+        return f"{self._readers} reader{'s' if self._readers > 1 else ''} of {self._address}"
+
+    def report(self) -> EndpointReport:
+        """Return the names of the topics and their domain, and counts of published messages."""
+        return EndpointReport(self._address, counts=+self._counts)
 
     @property
-    def address(self) -> str:
-        """Names of the topics, and their domain."""
+    def _address(self) -> str:
         topics = [self._link.topic, *([self._link.image_topic] if self._link.image_topic else [])]
         return f"{' and '.join(topics)} in domain {self._link.domain}"
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Counts of published messages."""
-        return +self._counts
 
     @property
     def _writers(self) -> list[TopicWriter]:

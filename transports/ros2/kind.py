@@ -16,7 +16,7 @@ from xml.sax.saxutils import quoteattr
 
 from firmware_protocol.evt.words import LIMIT_PX
 from firmware_protocol.network_streams.coders import PictureSettings
-from transports.link.kind import CameraFacts, LinkKind, Unsuitable
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Unsuitable
 from transports.needs import Need, package
 from transports.network import is_loopback
 
@@ -94,7 +94,7 @@ def _interface(name: str) -> str:
 
 
 @dataclass(frozen=True)
-class Ros2Link:
+class Ros2Link(LinkParameters):
     """Topics of ROS 2, without ROS (`pip install '.[ros2]'`): packets of events, and pictures of them.
 
     Attributes
@@ -102,7 +102,7 @@ class Ros2Link:
     topic
         Topic of `event_camera_msgs/msg/EventPacket`.
     encoding
-        Encoding of the events: "evt3" (4 bytes an event, and triggers) or "mono" (8 bytes an event).
+        Encoding: "evt3" (4 bytes an event, and triggers) or "mono" (8).
     image_topic
         Topic of `sensor_msgs/msg/Image`; "": none.
     image
@@ -122,14 +122,14 @@ class Ros2Link:
     domain
         ROS_DOMAIN_ID.
     interfaces
-        Names or addresses of network interfaces to use; empty: only programs on this machine. There is no
-        authentication: every machine on these networks gets the events.
+        Names or addresses of network interfaces; empty: this machine only. Without authentication: every
+        machine there gets the events.
     peers
         Machines that are contacted by unicast.
     multicast
         True if machines on `interfaces` find each other by multicast, as ROS 2 does by default.
     name
-        Name of the link in this rig: in reports and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "ros2"
@@ -170,6 +170,14 @@ class Ros2Link:
         """Network of the topics."""
         return DdsNetwork(self.domain, self.interfaces, self.peers, self.multicast)
 
+    def sends_evt(self) -> bool:
+        """Return true for messages of EVT3 words."""
+        return self.encoding == "evt3"
+
+    def needs(self) -> tuple[Need, ...]:
+        """Return the package with the DDS protocol."""
+        return (package("cyclonedds"),)
+
 
 _MONO_LIMIT_PX = 1 << 15
 
@@ -181,19 +189,9 @@ def _check(link: Ros2Link, camera: CameraFacts) -> None:
                          "encoding")  # fmt: skip
 
 
-def _has_evt(link: Ros2Link) -> bool:
-    return link.encoding == "evt3"
-
-
-def _needs(_: Ros2Link) -> tuple[Need, ...]:
-    return (package("cyclonedds"),)
-
-
 ROS2 = LinkKind(
     Ros2Link,
     serves="plain",
     endpoint="transports.ros2.endpoint:factory_of",
     check=_check,
-    has_evt=_has_evt,
-    needs=_needs,
 )

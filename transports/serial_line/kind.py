@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 from firmware_protocol.instrument.settings import InstrumentSettings
-from transports.faults.line import SERIAL_FAULTS
-from transports.link.kind import LinkKind, Listener, check_region
+from transports.faults.kinds import SERIAL_LINE
+from transports.link.kind import InstrumentLink, LinkKind, Listener, check_region
 
 _PARITY_BITS = {"none": 0, "even": 1, "odd": 1, "mark": 1, "space": 1}
 
 
 @dataclass(frozen=True)
-class SerialLink:
+class SerialLink(InstrumentLink):
     """Event telemetry on a serial line: UART, RS-422, RS-485, or a pty for a program on this machine.
 
     Attributes
@@ -28,15 +28,15 @@ class SerialLink:
     data_bits, parity, stop_bits
         Format of the character. Fewer than 8 data bits damage the telemetry: for tests of a receiver's reaction.
     flow
-        "none" or "rts_cts", if the port supports it.
+        Flow control, if the port supports it.
     rs485
         Drive RTS as the transmitter's enable, if the port supports it.
     break_ms
         Length of a break sent before the first byte, if the port supports it; 0 for none.
     profile
-        Packets and framing: "ccsds-cobs", "ccsds-slip", "ccsds-kiss", "csp-kiss" or "fprime".
+        Packets and framing.
     name
-        Name of the link in this rig: in reports, faults and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "serial"
@@ -75,7 +75,7 @@ SERIAL = LinkKind(
     SerialLink,
     serves="instrument",
     endpoint="transports.serial_line.endpoint:factory_of",
-    faults=SERIAL_FAULTS,
+    carrier=SERIAL_LINE,
     listener=Listener("serial", "Read a camera on a serial line.", "emulator.cli.listen.packets:serial"),
     check=check_region,
 )

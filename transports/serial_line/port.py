@@ -42,7 +42,7 @@ from serial.rs485 import RS485Settings
 
 from firmware_protocol.packets.telecommands import Telecommand
 from transports.link.pacing import Clock
-from transports.link.reception import InstrumentReception, Receiving, receive
+from transports.reception import InstrumentReception, Receiving, receive
 from transports.recording.record import Recorder
 from transports.serial_line.kind import SerialLink
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from firmware_protocol.instrument.settings import InstrumentSettings
-from transports.faults.datagrams import DATAGRAM_FAULTS
-from transports.link.kind import LinkKind, Listener, check_region
+from transports.faults.kinds import DATAGRAMS
+from transports.link.kind import InstrumentLink, LinkKind, Listener, check_region
 from transports.network import check_allow, check_destination, check_port
 
 
 @dataclass(frozen=True)
-class UdpPacketsLink:
+class UdpPacketsLink(InstrumentLink):
     """Event telemetry as space packets in UDP datagrams, and telecommands back: COSMOS, Yamcs, cFS.
 
     Attributes
@@ -20,16 +20,16 @@ class UdpPacketsLink:
     host, port
         Destination of the packets, one in each datagram.
     elsewhere
-        Must be true if `host` is not on this machine: the machine with that address gets the events, even unrequested.
+        Must be true if `host` is not on this machine, which then gets events even unrequested.
     command_host, command_port
-        Address for telecommands, one or several whole packets in each datagram; port 0 takes a free one.
+        Address for telecommands, whole packets in each datagram; port 0: a free one.
     allow
         Addresses and networks whose telecommands are accepted; required if other machines can reach `command_host`.
         There is no authentication.
     mbit_s
         Highest rate, in Mbit/s of payload: receivers lose data that arrive faster than they read.
     name
-        Name of the link in this rig: in reports, faults and triggers.
+        Name of the link, for reports, faults and triggers.
     """
 
     kind: ClassVar[str] = "udp_packets"
@@ -60,7 +60,7 @@ UDP_PACKETS = LinkKind(
     UdpPacketsLink,
     serves="instrument",
     endpoint="transports.udp_packets.endpoint:factory_of",
-    faults=DATAGRAM_FAULTS,
+    carrier=DATAGRAMS,
     listener=Listener("udp", "Read a camera whose packets come in UDP datagrams.", "emulator.cli.listen.packets:udp"),
     check=check_region,
 )

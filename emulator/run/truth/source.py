@@ -46,14 +46,14 @@ _CLEAN = ("threshold_on", "threshold_off")  # parameters that may change while t
 
 def ideal_of(parameters: SensorParameters) -> SensorParameters:
     """Return the ideal sensor of the same size, thresholds and dark current: no mismatch, noise, leak or delay."""
-    here = at_temperature(parameters)
+    chip = at_temperature(parameters)
     return dataclasses.replace(
         PRESETS["ideal"],
-        width=here.width,
-        height=here.height,
-        threshold_on=here.threshold_on,
-        threshold_off=here.threshold_off,
-        dark_current_relative=here.dark_current_relative,
+        width=chip.width,
+        height=chip.height,
+        threshold_on=chip.threshold_on,
+        threshold_off=chip.threshold_off,
+        dark_current_relative=chip.dark_current_relative,
     )
 
 
@@ -75,7 +75,9 @@ class TruthSource:
         recorder: TruthRecorder,
         every: int | None = None,
     ) -> None:
-        self._sensor, self._clean, self._geometry = sensor, clean, geometry
+        self._sensor = sensor
+        self._clean = clean
+        self._geometry = geometry
         self._recorder, self._every = recorder, every
         self.parameters = sensor.parameters
         self._seen = Seen.of(self.parameters.width, self.parameters.height)
@@ -284,7 +286,9 @@ class TruthFile:
 
     def __init__(self, rig: Rig, path: Path, every: int | None = None) -> None:
         check_truth(rig, path, every)
-        self._rig, self._path, self._every = rig, path, every
+        self._rig = rig
+        self._path = path
+        self._every = every
         self._recorder: TruthRecorder | None = None
         self.trouble = ""
 

@@ -44,8 +44,8 @@ class Regolith:
     albedo_rms
         Root mean square variation of albedo, relative; its mean is that of the body's reflectance.
     smooth_share
-        Share of the surface that is low by its gravity and even in the shape model: it has no boulders and nearly no
-        roughness or variation of albedo. 0.2 on Itokawa; 0: none, and roughness comes in patches.
+        Share of the surface, low by its gravity and even, without boulders and nearly without roughness and
+        variation of albedo: 0.2 on Itokawa; 0: none, and roughness comes in patches.
     smallest_m
         Boulders and craters are not smaller.
     facet_px
@@ -107,10 +107,9 @@ class BodyTable:
     name
         Name by which other bodies refer to it in `fixed_to`.
     shape
-        A file, or the name of a shipped model: 'eros007790', 'eros022540', 'itokawa_49152', or a part of the
-        rendezvous target: 'target_bus', 'target_panel', 'target_ring', 'target_plate', 'target_marks';
-        or 'globe', a ball of radius 1. Each node with a mesh of a glTF or USD file becomes a
-        body.
+        A file, or the name of a shipped model: 'eros007790', 'eros022540', 'itokawa_49152'; a part of the
+        rendezvous target, 'target_bus', 'target_panel', 'target_ring', 'target_plate', 'target_marks'; 'globe',
+        of radius 1. Each node with a mesh of a glTF or USD file becomes a body.
     units_m
         The shape's unit of length in metres; 1000 for kilometres.
     path

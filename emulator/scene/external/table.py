@@ -26,8 +26,8 @@ class ExternalParameters:
     allow
         Addresses and networks that may connect; needed where `host` can be reached from other machines.
     images
-        "requested": evstim gives the time of each image, every `period_ms`. "pushed": the renderer gives the times,
-        and time 0 of the stream is that of its first image.
+        "requested": evstim gives the time of each image, every `period_ms`. "pushed": the renderer does, and
+        its first image has time 0.
     period_ms
         Time from one requested image to the next.
     ahead

@@ -38,8 +38,8 @@ class Ridge:
     boulder_cover
         Share of the ground under boulders: k of Golombek and Rapp, 0.01 to 0.05; 0 for none.
     albedo_rms
-        Root mean square variation of albedo, relative; its mean over the map is that of the reflectance. Above 0 young
-        craters are brighter, by up to 0.3.
+        Root mean square variation of albedo, relative; the mean is the reflectance's. Above 0 young craters are
+        brighter, by up to 0.3.
     seed
         Seed of the whole map.
     """
@@ -78,8 +78,8 @@ class Heightmap:
     post_m
         Distance of posts; 0: that of the GeoTIFF.
     centre_m
-        Middle of the map in the plane of a polar stereographic projection; needed only for its latitude and the
-        projection's stretch, and read from a GeoTIFF that has it.
+        Middle of the map in the plane of a polar stereographic projection, for its latitude and stretch; read
+        from a GeoTIFF that has it.
     fill_share
         At most this share of the posts may be holes, which are filled from their neighbours.
     """
@@ -127,8 +127,8 @@ class TerrainParameters:
     body_radius_m
         Radius of the sphere that the map lies on, 1 737 400 for the Moon; 0: the map is flat.
     detail_px
-        Side of a facet in the light frame, about; slopes and shadows are those of the fine map in any case. 0: a
-        quarter of a pixel, whatever `most_facets` is.
+        Side of a facet in the light frame, about; slopes and shadows are those of the fine map. 0: a quarter of
+        a pixel, whatever `most_facets` is.
     most_facets
         Facets in a large light frame are larger, so that about this many would cover it face on.
     samples

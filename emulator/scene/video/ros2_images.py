@@ -146,8 +146,8 @@ class Ros2ImageParameters:
     stamps
         Time of an image: "arrival", or "header": distances in time are those of the headers' stamps.
     delay_ms
-        Delay until an image is shown. Between two images light follows a straight line in log, so this should be more
-        than the time from one to the next; with less, light jumps at each.
+        Delay until an image is shown: more than the time between two images, so that light follows a straight
+        line in log between them; with less, it jumps.
     wait_s
         Time that the start waits for the first image; 0: no wait, and the scene is grey until it comes.
     reliable
@@ -155,8 +155,8 @@ class Ros2ImageParameters:
     domain
         ROS_DOMAIN_ID.
     interfaces
-        Names or addresses of network interfaces to use; empty: only programs on this machine. There is no
-        authentication: any machine on these networks can write to the topic.
+        Names or addresses of network interfaces; empty: this machine only. Without authentication: any machine
+        there can write to the topic.
     peers
         Machines that are contacted by unicast.
     multicast

@@ -8,7 +8,7 @@ everywhere, at that frame rate, times the frames a second: processor seconds for
 from __future__ import annotations
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -113,14 +113,9 @@ def markdown(reports: Sequence[Report], chart: str | None) -> str:
     """Return the section of the docs: tables, remarks, and the chart at the path `chart`."""
     days, machines = (sorted({getattr(report, name) for report in reports}) for name in ("day", "machine"))
     facts = f"Measured {', '.join(days)} on {'; '.join(machines)}. {_READING}\n\n"
-    scores = _markdown_table(
-        ("simulator", "images/s", "right sequences", "t50, us", "t95, us", "false", "missed", "scenes", "Mpx/s"),
-        [
-            (report.name, f"{one.images_per_s:g}", *_cells(one), _cell(_mpx_per_s(report, _busy(one))))
-            for report in reports
-            for one in report.summaries()
-        ],
-    )
+    every = [one for report in reports for one in report.summaries()]
+    names = [*_COLUMNS, *(["scenes"] if any(one.scenes < one.of for one in every) else []), "Mpx/s"]
+    scores = _markdown_table(("simulator", *names), [(report.name, *_score_cells(report, names)) for report in reports])
     rows = _simulators(reports)
     speeds = _markdown_table(tuple(rows[0]), [tuple(_cell(value) for value in row.values()) for row in rows])
     remarks = "".join(f"- **{report.name}**: {text}.\n" for report in reports if (text := _remarks(report)))
@@ -130,16 +125,28 @@ def markdown(reports: Sequence[Report], chart: str | None) -> str:
 
 def _markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
-    return "".join(f"| {' | '.join(cell.replace('|', '/') for cell in line)} |\n" for line in lines)
+    return "".join(f"|{'|'.join(cell.replace('|', '/') for cell in line)}|\n" for line in lines)
 
 
-def _cells(one: Summary) -> tuple[str, ...]:
-    shares = [_percent(one.right), *map(_cell, (one.t50_us, one.t95_us)), _percent(one.false), _percent(one.missed)]
-    return *shares, f"{one.scenes} of {one.of}"
+_COLUMNS = ("images/s", "right sequences, %", "t50, us", "t95, us", "false, %", "missed, %")
+
+
+def _score_cells(report: Report, names: Sequence[str]) -> Iterable[str]:
+    """Return a cell for each named column, with the values at each frame rate."""
+    rows = [
+        (
+            *(f"{one.images_per_s:g}", _percent(one.right), _cell(one.t50_us), _cell(one.t95_us)),
+            *(_percent(one.false), _percent(one.missed)),
+            *([f"{one.scenes} of {one.of}"] if "scenes" in names else []),
+            _cell(_mpx_per_s(report, _busy(one))),
+        )
+        for one in report.summaries()
+    ]
+    return (" / ".join(values) for values in zip(*rows, strict=True))
 
 
 def _percent(share: float | None) -> str:
-    return "–" if share is None else f"{100 * share:.3g} %"
+    return "–" if share is None else f"{100 * share:.3g}"
 
 
 def _cell(value: object) -> str:
@@ -186,7 +193,7 @@ def _draw(reports: Sequence[Report], stem: Path) -> list[Path]:
     """
     if not any(report.frame_us(_busy(one)) for report in reports for one in report.summaries()):
         return []
-    figure, found = panels(2, 2, (5.2, 4.4))
+    figure, found = panels(2, 2, 5.2, 4.4)
     for (axes,), label in zip(found, ("median time error, us", "false + missed events, %"), strict=True):
         for k, report in enumerate(reports):
             _line(axes, report, k, label)

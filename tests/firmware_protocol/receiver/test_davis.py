@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from firmware_protocol.davis346.words import Special
 from firmware_protocol.events import EdgeKind
+from firmware_protocol.fx3.words import Special
 from firmware_protocol.receiver.davis import DavisReceiver
 
 # Words as the published logic writes them: reset, time 5, row 3, ON column 7, rising edge at 9, wrap, OFF column 300.

@@ -65,10 +65,12 @@ def test_the_page_begins_with_what_disagrees_most(tmp_path):
     assert "close" not in disagreement
     assert "open" not in disagreement
     assert "| Title of first | imx636 | 1 | 2 |" in text
-    assert "| apart | 2 us | 2.5 us | 25.0 % | 10.0 % |" in text
-    assert "| open | 2 us | 3 us | 50.0 % | – | r |" in text
+    assert "|apart|2 us|2.5 us|25.0 %|10.0 %||" in text
+    assert "|open|2 us|3 us|50.0 %|–|r|" in text
     assert "![Title of second](validation/second.png)" in text
     assert "Source: A camera, doi 1; read off. Free." in text
+    assert text.count("Light on, light off.") == text.count("A limit.") == text.count("read off") == 1
+    assert 'As in "Title of first".' in text
     assert all(path.exists() for path in files)
     document = json.loads((tmp_path / "validation" / "validation.json").read_text())
     assert [one["name"] for one in document] == ["first", "second"]
@@ -78,3 +80,20 @@ def test_the_page_begins_with_what_disagrees_most(tmp_path):
 def test_a_page_without_disagreement_states_it(tmp_path):
     write([findings("only", [dataclasses.replace(datum(), ours=2.0)])], tmp_path)
     assert "Nothing: every value lies within its bound." in (tmp_path / "validation.md").read_text()
+
+
+def test_a_grid_of_conditions_is_one_table(tmp_path):
+    data = [datum(f"ON at {light} W/m2, {biases}", ours=2.1) for light in range(5) for biases in ("low", "mid", "high")]
+    data[1] = dataclasses.replace(data[1], ours=3.0)
+    data[2] = dataclasses.replace(data[2], bound=math.nan, remark="beyond")
+    write([findings("only", data)], tmp_path)
+    text = (tmp_path / "validation.md").read_text()
+    assert "|condition|low|mid|high|\n|---|---|---|---|\n|ON at 0 W/m2|2/2.1|**2/3**|(2/2.1)|\n" in text
+    assert "Unit: us. Bound: 10.0 %. Not judged: beyond." in text
+
+
+def test_a_remark_of_several_values_stands_once(tmp_path):
+    data = [datum(what, bound=math.nan, remark="dim") for what in ("one", "two")]
+    write([findings("only", data)], tmp_path)
+    text = (tmp_path / "validation.md").read_text()
+    assert "|two|2 us|3 us|50.0 %|–|1|\n\nRemarks: 1: dim." in text

@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from emulator.light import LightFrame
 from emulator.rig.loading import parse_rig
 from emulator.run.assembly import link_setups
-from emulator.sensor.aps.frames import FrameSource
+from emulator.sensor.frames import FrameSource
 from emulator.sensor.parameters import FrameParameters
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import EVENT, EdgeKind
