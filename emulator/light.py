@@ -45,12 +45,23 @@ class Region:
         """First row, last row, first column, last column."""
         return self.first_row, self.last_row, self.first_column, self.last_column
 
+    def union(self, other: Region) -> Region:
+        """Return the smallest region that holds both; no boxes."""
+        if self.empty or other.empty:
+            return other if self.empty else self
+        first_row, first_column = min(self.first_row, other.first_row), min(self.first_column, other.first_column)
+        last_row, last_column = max(self.last_row, other.last_row), max(self.last_column, other.last_column)
+        return Region(first_row, last_row, first_column, last_column)
+
     def grown(self, by_px: int, size: tuple[int, int]) -> Region:
         """Return it with `by_px` more pixels on each side, within a frame of `size` = (width, height); no boxes."""
         if self.empty:
             return self
         rows = max(0, self.first_row - by_px), min(size[1], self.last_row + by_px)
         return Region(*rows, max(0, self.first_column - by_px), min(size[0], self.last_column + by_px))
+
+
+NOTHING = Region(0, 0, 0, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,6 +204,77 @@ class Scene(ABC):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+class OtherLight(Scene):
+    """A scene with the light of another one, `scene`, changed; all else is that scene's, which is closed with this."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of both scenes, in pixels."""
+        return self.scene.size
+
+    @property
+    def motion_bound_px_s(self) -> float:
+        """Upper bound of the speed of all points in the scene."""
+        return self.scene.motion_bound_px_s
+
+    @property
+    def distance_m(self) -> float:
+        """Distance of most objects in the scene."""
+        return self.scene.distance_m
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Remarks on the scene."""
+        return self.scene.notes
+
+    @property
+    def painter(self) -> Literal["cpu", "gl"]:
+        """The painter of the scene."""
+        return self.scene.painter
+
+    @property
+    def renderer(self) -> str | None:
+        """Name of the scene's renderer."""
+        return self.scene.renderer
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Counts of the scene during the run."""
+        return self.scene.counts
+
+    @property
+    def has_rate(self) -> bool:
+        """True: the scene gives the exact derivative."""
+        return self.scene.has_rate
+
+    def stop(self) -> None:
+        """Limit the time of the present light frame of the scene."""
+        self.scene.stop()
+
+    def geometry(self, rays: Rays | None = None) -> SceneGeometry | None:
+        """Return the geometry of the scene."""
+        return self.scene.geometry(rays)
+
+    def close(self) -> None:
+        """Close the scene."""
+        self.scene.close()
+
+
+class LastArrays:
+    """The arrays that a scene wrote last: those still hold its frame, so that only what changed is written again."""
+
+    def __init__(self) -> None:
+        self._arrays: tuple[Light | None, ...] = ()
+
+    def are(self, *arrays: Light | None) -> bool:
+        """Return whether these were the last ones; from now on they are."""
+        last, self._arrays = self._arrays, arrays
+        return len(arrays) == len(last) and all(a is b for a, b in zip(arrays, last, strict=True))
 
 
 class SceneFrames:

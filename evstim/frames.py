@@ -17,8 +17,7 @@ from typing import Any, Literal, Unpack
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.video.frames import linear_light, read_frames
-from emulator.scene.video.video import resampled
+from emulator.scene.video.video import linear_light, read_frames, resampled
 from emulator.sensor.presets import SensorParameters
 from evstim.sensor import Sensor, SensorOptions
 from firmware_protocol.events import Events, empty_events
@@ -125,7 +124,7 @@ def events_from_video(  # noqa: PLR0913 - one call that names all it needs
 
     Parameters
     ----------
-    path : the file or folder; see `emulator.scene.video.frames` for the formats.
+    path : the file or folder; see `emulator.scene.video.video` for the formats.
     frames_per_s : frame rate of a file that has no times of its own.
     sensor, levels, light_at_white, step_us, seed : as in `events_from_frames`.
     parameters : as in `events_from_frames`; frames are resampled to `width` and `height`, by default their own size.

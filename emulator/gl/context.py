@@ -88,24 +88,26 @@ def open_context() -> moderngl.Context:
         With the driver's message, its meaning and the packages to install; or with the available renderers, where none
         is the wanted one.
     """
-    wanted = _wanted_name()
+    text = os.environ.get(WANTED, "").strip()
+    part_of_name = "" if text.lower() in _PAINTERS else text
     spare: moderngl.Context | None = None
     seen: list[str] = []
     with _quiet_driver():
         for context in _contexts():
             name = renderer_name(context)
             seen.append(name)
-            if _suits(name, wanted):
-                _release(spare)
+            if part_of_name.lower() in name.lower() if part_of_name else not is_software(name):
+                if spare is not None:
+                    spare.release()
                 return context
-            if spare is None and not wanted:
+            if spare is None and not part_of_name:
                 spare = context
             else:
                 context.release()
     if spare is not None:
         return spare
     raise MachineLacks(
-        f"{WANTED} = {wanted!r} is in the name of no renderer of this machine; there is {', '.join(seen)}. "
+        f"{WANTED} = {part_of_name!r} is in the name of no renderer of this machine; there is {', '.join(seen)}. "
         "Give part of one of these names, or unset it"
     )
 
@@ -142,21 +144,6 @@ def renderer_name(context: moderngl.Context) -> str:
 def is_software(renderer: str) -> bool:
     """Return whether the renderer of that name draws with the processor."""
     return any(name in renderer.lower() for name in _SOFTWARE)
-
-
-def _wanted_name() -> str:
-    """Return the part of a renderer's name that the environment gives; "": any renderer."""
-    wanted = os.environ.get(WANTED, "").strip()
-    return "" if wanted.lower() in _PAINTERS else wanted
-
-
-def _suits(renderer: str, wanted: str) -> bool:
-    return wanted.lower() in renderer.lower() if wanted else not is_software(renderer)
-
-
-def _release(context: moderngl.Context | None) -> None:
-    if context is not None:
-        context.release()
 
 
 def _contexts() -> Iterator[moderngl.Context]:
@@ -221,7 +208,7 @@ QUICK_LOOK = (
 
 def selected_painter(of_rig: Painter) -> Painter:
     """Return the painter: that of the environment, else that of the rig."""
-    wanted = os.environ.get(WANTED, "").strip().lower()
-    if not wanted:
+    of_environment = os.environ.get(WANTED, "").strip().lower()
+    if not of_environment:
         return of_rig
-    return "cpu" if wanted == "cpu" else "gl"
+    return "cpu" if of_environment == "cpu" else "gl"

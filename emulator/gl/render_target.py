@@ -42,9 +42,9 @@ class _Slot:
         if out.flags.c_contiguous:
             self.target.read_into(out, components=1, dtype="f4")
         else:
-            whole = np.empty(out.shape, np.float32)
-            self.receive(whole)
-            out[:] = whole
+            contiguous = np.empty(out.shape, np.float32)
+            self.receive(contiguous)
+            out[:] = contiguous
 
 
 class Readback:
@@ -206,7 +206,7 @@ class RenderTarget:
         """
         if not self._is_open:
             raise SceneError("the scene was closed: build it again")
-        target, whole = self._readback.target, Rectangle(0, 0, *self.size)
+        target = self._readback.target
         with self.context as gl:
             if prepare is not None:
                 prepare()
@@ -215,7 +215,7 @@ class RenderTarget:
             gl.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
             gl.front_face, gl.cull_face = "cw", "back"
             render(gl)
-            self._average(gl, target, whole if region is None else region)
+            self._average(gl, target, region or Rectangle(0, 0, *self.size))
             self._readback.send()
         # Leaving a context flushes it (EGL 1.5, section 3.7.3): the renderer starts now.
 
@@ -249,9 +249,10 @@ def depth_terms(near_m: float, far_m: float) -> tuple[float, float]:
 
 
 def _require_fits(context: moderngl.Context, *sizes: tuple[int, int]) -> None:
-    most = int(context.info["GL_MAX_TEXTURE_SIZE"])
+    largest = int(context.info["GL_MAX_TEXTURE_SIZE"])
     for size in sizes:
-        if max(size) > most:
+        if max(size) > largest:
             raise SceneError(
-                f"{size[0]} x {size[1]} samples are needed and this GL draws at most {most} in a row: use fewer samples"
+                f"{size[0]} x {size[1]} samples are needed and this GL draws at most {largest} in a row: use fewer "
+                "samples"
             )

@@ -18,15 +18,13 @@ skip still pixels. That, and two passes over each frame (0.5 ns a pixel for ligh
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.geometry.camera import Rays, SceneGeometry
-from emulator.light import Light, PixelLight, Region, Scene
+from emulator.light import LastArrays, Light, OtherLight, PixelLight, Region, Scene
 from emulator.optics.lens import LensParameters
 from firmware_protocol.compiled import entry_of
 
@@ -87,7 +85,7 @@ def _between(first: _Mean, last: _Mean, t_ns: int) -> tuple[float, float]:
     return first.light + ((c3 * z + c2) * z + a0) * z, ((3 * c3 * z + 2 * c2) * z + a0) / h_s
 
 
-class Veiled(Scene):
+class Veiled(OtherLight):
     """A scene with veiling glare.
 
     Parameters
@@ -96,62 +94,17 @@ class Veiled(Scene):
         The scene, in light on the pixels; closed with this one.
     glare : float
         The veiling glare index, 0 to 1.
-
-    Attributes
-    ----------
-    scene : Scene
-        As given.
     """
 
     def __init__(self, scene: Scene, glare: float) -> None:
-        self.scene = scene
-        self._size, self._glare = scene.size, glare
-        shape = self._size[::-1]
+        super().__init__(scene)
+        self._glare = glare
+        shape = scene.size[::-1]
         self._inner = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        self._sums = np.zeros(self._size[0])
+        self._sums = np.zeros(scene.size[0])
         self._before = self._last = _Mean(0, 0.0, 0.0)
-        self._outs: tuple[Light, ...] = ()
+        self._arrays = LastArrays()
         self._changed: Region | None = None
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._size
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """That of the scene: the veil has no edges that move."""
-        return self.scene.motion_bound_px_s
-
-    @property
-    def distance_m(self) -> float:
-        """That of the scene."""
-        return self.scene.distance_m
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Those of the scene."""
-        return self.scene.notes
-
-    @property
-    def painter(self) -> Literal["cpu", "gl"]:
-        """That of the scene."""
-        return self.scene.painter
-
-    @property
-    def renderer(self) -> str | None:
-        """That of the scene."""
-        return self.scene.renderer
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Those of the scene."""
-        return self.scene.counts
-
-    @property
-    def has_rate(self) -> bool:
-        """That of the scene."""
-        return self.scene.has_rate
 
     @property
     def changed(self) -> Region | None:
@@ -164,14 +117,6 @@ class Veiled(Scene):
         inner = self.scene.pixel_light
         return None if inner is None else partial(self._pixels, inner)
 
-    def stop(self) -> None:
-        """Limit the time of the present light frame of the scene."""
-        self.scene.stop()
-
-    def geometry(self, rays: Rays | None = None) -> SceneGeometry | None:
-        """Return the geometry of the scene."""
-        return self.scene.geometry(rays)
-
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at `t_ns` into `out`."""
         self.scene.light(t_ns, self._inner[0])
@@ -182,15 +127,10 @@ class Veiled(Scene):
         self.scene.light_and_rate(t_ns, *self._inner)
         self._veil(t_ns, (light, rate))
 
-    def close(self) -> None:
-        """Close the scene."""
-        self.scene.close()
-
     def _veil(self, t_ns: int, outs: tuple[Light, ...]) -> None:
         """Write the light of the scene, with its veil, to `outs`; nothing where they have it already."""
-        known = len(outs) == len(self._outs) and all(a is b for a, b in zip(outs, self._outs, strict=True))
-        changed, self._outs = self.scene.changed, outs
-        still = known and changed is not None and changed.empty
+        changed = self.scene.changed
+        still = self._arrays.are(*outs) and changed is not None and changed.empty
         self._changed = changed if still else None
         self._before, self._last = self._last, self._mean(t_ns, len(outs), still)
         if still:

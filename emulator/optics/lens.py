@@ -240,8 +240,7 @@ def straight_columns_and_rows(distortion: Distortion, camera: Pinhole) -> tuple[
     return u * camera.focal_px, v * camera.focal_px
 
 
-def bent_rays(distortion: Distortion, places: tuple[Floats, Floats], camera: Pinhole) -> Rays:
-    """Return the rays of pixels whose middles lie at `places` (see `straight_columns_and_rows`) of `camera`."""
-    columns, rows = places
+def bent_rays(distortion: Distortion, columns: Floats, rows: Floats, camera: Pinhole) -> Rays:
+    """Return the rays of pixels whose middles `straight_columns_and_rows` gives."""
     bend = np.stack(distortion.stretch(columns / camera.focal_px, rows / camera.focal_px), axis=-1)
     return Rays(columns + camera.width / 2, rows + camera.height / 2, bend)

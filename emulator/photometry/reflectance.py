@@ -185,7 +185,8 @@ class Hapke:
 
     def reflect(self, mu0: Floats, mu: Floats, phase_rad: float | Floats) -> Floats:
         """Return r, 1/sr."""
-        w, lit, seen = self.single_scattering_albedo, np.maximum(mu0, 0), np.abs(mu)
+        w = self.single_scattering_albedo
+        lit, seen = np.maximum(mu0, 0), np.abs(mu)
         surge = 1 + self.surge / (1 + np.tan(np.asarray(phase_rad) / 2) / self.surge_width)
         once = surge * henyey_greenstein(phase_rad, self.asymmetry)
         gamma = math.sqrt(1 - w)

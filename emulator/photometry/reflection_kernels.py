@@ -11,6 +11,7 @@ so the compiler computes several points at once.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -20,8 +21,14 @@ from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeelig
 from firmware_protocol.compiled import entry_of
 
 Floats = npt.NDArray[np.float64]
-Law = tuple[int, Floats]
-"""Number of the law, and its parameters: (4,), followed by tables where a law has some."""
+
+
+class Law(NamedTuple):
+    """Number of a law, and its parameters: (4,), followed by tables where a law has some."""
+
+    kind: int
+    parameters: Floats
+
 
 _LAMBERT, _SEELIGER, _LUNAR, _HAPKE, _GLOSSY = range(5)
 _TINY = 1e-12
@@ -32,28 +39,23 @@ def law_of(law: Reflectance) -> Law:
     """Return a law as the kernels take it."""
     match law:
         case Lambert():
-            return _LAMBERT, np.array([law.albedo / math.pi, 0, 0, 0])
+            return Law(_LAMBERT, np.array([law.albedo / math.pi, 0, 0, 0]))
         case LommelSeeliger():
-            return _SEELIGER, np.array([law.single_scattering_albedo / (4 * math.pi), law.asymmetry, 0, 0])
+            return Law(_SEELIGER, np.array([law.single_scattering_albedo / (4 * math.pi), law.asymmetry, 0, 0]))
         case LunarLambert():
-            return _LUNAR, _lunar_table(law)
+            return Law(_LUNAR, _lunar_table(law))
         case Hapke():
-            return _HAPKE, np.array([law.single_scattering_albedo, law.asymmetry, law.surge, law.surge_width])
+            parameters = [law.single_scattering_albedo, law.asymmetry, law.surge, law.surge_width]
+            return Law(_HAPKE, np.array(parameters))
         case Glossy():
             lobe = law.shine * (law.sharpness + 8) / (8 * math.pi)
-            return _GLOSSY, np.array([law.albedo / math.pi, lobe, law.sharpness, 0])
+            return Law(_GLOSSY, np.array([law.albedo / math.pi, lobe, law.sharpness, 0]))
 
 
 @numba.njit(error_model="numpy")
 def _henyey_greenstein(chord2: float, b: float) -> float:
     inner = (1.0 + b) * (1.0 + b) - b * chord2
     return (1.0 - b * b) / (inner * math.sqrt(inner))
-
-
-@numba.njit(error_model="numpy")
-def _lambert(p: Floats, mu0: Floats, count: int, out: Floats) -> None:
-    for i in range(count):
-        out[i] = p[0] * max(mu0[i], 0.0)
 
 
 @numba.njit(error_model="numpy")
@@ -68,9 +70,9 @@ def _lunar_table(law: LunarLambert) -> Floats:
     """Return the law's two factors that depend on the phase angle, by the chord: Seeliger's and Lambert's."""
     g = 2 * np.arcsin(np.linspace(0, 2, _CHORDS) / 2)
     seen_straight = np.ones(_CHORDS)
-    both = law.reflect(seen_straight, seen_straight, g)  # S + L, as S 2 mu0 / (mu0 + mu) is S here
-    seeliger = 2 * (both - law.reflect(seen_straight, 1e9 * seen_straight, g))
-    return np.concatenate([np.zeros(4), seeliger, both - seeliger / 2])
+    total = law.reflect(seen_straight, seen_straight, g)  # S + L, as S 2 mu0 / (mu0 + mu) is S here
+    seeliger = 2 * (total - law.reflect(seen_straight, 1e9 * seen_straight, g))
+    return np.concatenate([np.zeros(4), seeliger, total - seeliger / 2])
 
 
 @numba.njit(error_model="numpy")
@@ -88,7 +90,8 @@ def _lunar(p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out: 
 
 @numba.njit(error_model="numpy")
 def _hapke(p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count: int, out: Floats) -> None:
-    w, b, surge, width = p[0], p[1], p[2], p[3]
+    w, b = p[0], p[1]
+    surge, width = p[2], p[3]
     gamma, share = math.sqrt(1.0 - w), w / (4.0 * math.pi)
     for i in range(count):
         lit, seen = max(mu0[i], 0.0), abs(mu[i])
@@ -123,7 +126,8 @@ def reflect(kind: int, p: Floats, mu0: Floats, mu: Floats, chord2: Floats, count
     mu0, mu, chord2 : (count,) cosines of incidence and emission, and q of the module docstring, 0 to 4.
     """
     if kind == _LAMBERT:
-        _lambert(p, mu0, count, out)
+        for i in range(count):
+            out[i] = p[0] * max(mu0[i], 0.0)
     elif kind == _SEELIGER:
         _seeliger(p, mu0, mu, chord2, count, out)
     elif kind == _LUNAR:

@@ -168,29 +168,3 @@ class View:
             raise ValueError(f"positions_m have the shape {self.positions_m.shape}, not (n, 3)")
         if self.velocities_m_s.shape != self.positions_m.shape or self.radiance.shape != self.radiance_rate.shape:
             raise ValueError("velocities and rates need the shapes of positions and radiance")
-
-
-@dataclass(frozen=True)
-class Box:
-    """Rows and columns of a part of a light frame, the last ones not included; empty where `first >= last`."""
-
-    first_row: int = 0
-    last_row: int = 0
-    first_column: int = 0
-    last_column: int = 0
-
-    @property
-    def empty(self) -> bool:
-        """True: the box contains no pixel."""
-        return self.first_row >= self.last_row or self.first_column >= self.last_column
-
-    def union(self, other: Box) -> Box:
-        """Return the smallest box that holds both."""
-        if self.empty or other.empty:
-            return other if self.empty else self
-        return Box(
-            min(self.first_row, other.first_row),
-            max(self.last_row, other.last_row),
-            min(self.first_column, other.first_column),
-            max(self.last_column, other.last_column),
-        )

@@ -47,7 +47,8 @@ _FARTHEST_PX = 1e15  # far beyond any frame; keeps conversions to integers valid
 @entry
 def project(positions: Floats, velocities: Floats, camera: Floats, out: Floats) -> int:
     """Write vertices, (n, 8), and return the number nearer than the nearest depth; `camera` is (4,)."""
-    focal, x0, y0, nearest = camera
+    focal, nearest = camera[0], camera[3]
+    x0, y0 = camera[1], camera[2]
     lost = 0
     for k in range(len(positions)):
         z = positions[k, 2]

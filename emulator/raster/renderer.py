@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from emulator.raster.bands import draw_bands, query_bands
-from emulator.raster.depth import nearest_facets
+from emulator.light import NOTHING, Region
+from emulator.raster.bands import draw_bands, nearest_facets, query_bands
 from emulator.raster.layout import (
     BAND,
     FACET_FIELDS,
     VERTEX_FIELDS,
-    Box,
     Data,
     Float32s,
     Floats,
@@ -89,17 +88,17 @@ class Renderer:
         return self._facets
 
     def draw(
-        self, view: View, light: Float32s, rate: Float32s, before: Box | None = None, owners: Owners = _NO_OWNERS
-    ) -> Box:
+        self, view: View, light: Float32s, rate: Float32s, before: Region | None = None, owners: Owners = _NO_OWNERS
+    ) -> Region:
         """Write mean radiance and its rate, a second, (height, width) float32; return the part that surfaces touch.
 
         Only this part and `before` are written: the part of the two arrays with light of an earlier frame, an empty
-        box for arrays of zeros, None for unknown content. The same part of `owners` is written.
+        one for arrays of zeros, None for unknown content. The same part of `owners` is written.
         """
         self._prepare(view)
         row0, row1, column0, column1 = (int(k) for k in self._touched)
-        touched = Box(row0, row1, column0, column1) if row0 < row1 else Box()
-        frame = Box(0, self.screen.height, 0, self.screen.width)
+        touched = Region(row0, row1, column0, column1) if row0 < row1 else NOTHING
+        frame = Region(0, self.screen.height, 0, self.screen.width)
         window = touched.union(frame if before is None else before)
         if not window.empty:
             self._draw(window, light, rate, owners)
@@ -138,7 +137,7 @@ class Renderer:
         """End the threads; a second call does nothing."""
         self._pool.close()
 
-    def _draw(self, window: Box, light: Float32s, rate: Float32s, owners: Owners) -> None:
+    def _draw(self, window: Region, light: Float32s, rate: Float32s, owners: Owners) -> None:
         """Draw the bands of a window: threads take a few in turn, so that one on a busy core does not hold up all."""
         first, last = window.first_row // BAND, -(-window.last_row // BAND)
         threads = len(self._scratches)

@@ -91,7 +91,8 @@ class Patches:
         faces : (n, 3), corners of patches, numbered from 0; their vertices and radiances follow those of the surfaces.
         over : (n,), the facet on which each lies.
         """
-        t, m, n = self._surfaces, len(self._surfaces.faces), len(faces)
+        t = self._surfaces
+        m, n = len(t.faces), len(faces)
         if m + n > len(self._room.faces):
             self._room = _with_room(t, 2 * n)
         room, end = self._room, m + n

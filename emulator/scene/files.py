@@ -13,9 +13,9 @@ import os
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -51,6 +51,16 @@ def read_in_child(reader: str, path: Path, limits: Limits | None = None) -> dict
 
 T = TypeVar("T", bound=np.generic)
 
+
+class Kind(NamedTuple):
+    """Type of an array's numbers, and number of its dimensions."""
+
+    number: type
+    dimensions: int
+
+
+_PICTURES = Kind(np.float32, 3)
+
 _FORMAT = 2
 """Version, to be increased when the same parameters give another array."""
 
@@ -58,8 +68,8 @@ _FORMAT = 2
 class Progress:
     """A line on stderr with the progress of a computation."""
 
-    def __init__(self, what: str) -> None:
-        self._what = what
+    def __init__(self, title: str) -> None:
+        self._what = title
 
     def __call__(self, done: int, of: int) -> None:
         """Report that `done` of `of` parts are made; on a terminal one line is rewritten."""
@@ -76,45 +86,45 @@ def cache_folder() -> Path:
 
 
 def cached_array(
-    name: str, made_from: object, make: Callable[[], npt.NDArray[T]], kind: tuple[type, int] = (np.float32, 3)
+    name: str, made_from: object, make: Callable[[], npt.NDArray[T]], kind: Kind = _PICTURES
 ) -> npt.NDArray[T]:
     """Return the array that `make` computes, from the cache where it has this array.
 
     Parameters
     ----------
     made_from : the inputs, which are compared by their repr.
-    kind : the type of numbers and the number of dimensions that `make` gives.
+    kind : of what `make` gives.
     """
     digest = hashlib.sha256(f"{_FORMAT} {name} {made_from!r}".encode()).hexdigest()[:24]
     path = cache_folder() / f"{name}-{digest}.npy"
-    found: npt.NDArray[T] | None = _read(path, kind)
-    if found is None:
-        found = make()
-        _write(path, found)
-    return found
+    array: npt.NDArray[T] | None = _read(path, kind)
+    if array is None:
+        array = make()
+        _write(path, array)
+    return array
 
 
 def cached_arrays(
     name: str,
     made_from: object,
     make: Callable[[], Sequence[npt.NDArray[Any]]],
-    kinds: Sequence[tuple[type, int]],
+    kinds: Sequence[Kind],
 ) -> list[npt.NDArray[Any]]:
     """Return the arrays that `make` computes at once, one for each kind; see `cached_array`."""
-    made = cache(make)
-    return [cached_array(f"{name}-{k}", made_from, partial(_one_of, made, k), kind) for k, kind in enumerate(kinds)]
+    make_once = cache(make)
+
+    def cached(k: int) -> npt.NDArray[Any]:
+        return cached_array(f"{name}-{k}", made_from, lambda: make_once()[k], kinds[k])
+
+    return [cached(k) for k in range(len(kinds))]
 
 
-def _one_of(made: Callable[[], Sequence[npt.NDArray[Any]]], k: int) -> npt.NDArray[Any]:
-    return made()[k]
-
-
-def _read(path: Path, kind: tuple[type, int]) -> npt.NDArray[Any] | None:
+def _read(path: Path, kind: Kind) -> npt.NDArray[Any] | None:
     try:
         array = load_array(path)
     except (OSError, ArrayFileError):  # missing, truncated, or no file of this cache
         return None
-    return array if array.dtype == np.dtype(kind[0]) and array.ndim == kind[1] else None
+    return array if array.dtype == np.dtype(kind.number) and array.ndim == kind.dimensions else None
 
 
 def _write(path: Path, array: npt.NDArray[T]) -> None:

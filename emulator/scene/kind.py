@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, Protocol
 
-from emulator.light import Light, Region, Scene
+from emulator.light import NOTHING, LastArrays, Light, Region, Scene
 from transports.needs import Need
 
 
@@ -78,7 +78,7 @@ class Blank(Scene):
 
     def __init__(self, size: tuple[int, int]) -> None:
         self._size = size
-        self._outs: tuple[Light, Light | None] | None = None
+        self._arrays = LastArrays()
         self._changed: Region | None = None
 
     @property
@@ -111,11 +111,10 @@ class Blank(Scene):
 
     def _clear(self, light: Light, rate: Light | None) -> None:
         """Write zeros, unless these are the arrays of the last call."""
-        known = self._outs is not None and self._outs[0] is light and self._outs[1] is rate
-        self._changed = Region(0, 0, 0, 0) if known else None
-        if known:
+        are_black = self._arrays.are(light, rate)
+        self._changed = NOTHING if are_black else None
+        if are_black:
             return
-        self._outs = light, rate
         light.fill(0)
         if rate is not None:
             rate.fill(0)

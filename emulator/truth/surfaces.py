@@ -137,7 +137,7 @@ def motion_of(camera: Instants, body: Instants | None, between_s: float) -> Floa
     between_s : from before to after.
     """
     (now, s), (before, s_before), (after, s_after) = (
-        _camera_from_body(eye, STILL if body is None else body[k]) for k, eye in enumerate(camera)
+        camera_from_body(eye, STILL if body is None else body[k]) for k, eye in enumerate(camera)
     )
     turning = (after - before) / between_s @ now.T
     # An orthogonal matrix's rate is antisymmetric; any other part of the difference is its error.
@@ -149,7 +149,8 @@ def motion_of(camera: Instants, body: Instants | None, between_s: float) -> Floa
     return out
 
 
-def _camera_from_body(camera: Pose, body: Pose) -> tuple[Floats, Floats]:
+def camera_from_body(camera: Pose, body: Pose) -> tuple[Floats, Floats]:
+    """Return the turn, (3, 3), and the shift, (3,) m, of a body's frame into the camera's axes."""
     camera_from_world = camera.world_from_body.T
     return camera_from_world @ body.world_from_body, camera_from_world @ (body.position_m - camera.position_m)
 

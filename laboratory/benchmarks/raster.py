@@ -13,7 +13,8 @@ import numpy as np
 from cyclopts import App
 
 from emulator.geometry.camera import Pinhole
-from emulator.raster import Box, Renderer, Screen, View, join, prepare
+from emulator.light import NOTHING
+from emulator.raster import Renderer, Screen, View, join, prepare
 from emulator.rig.loading import load_rig
 from emulator.scene.bodies.lit_surface import lit_surface
 from emulator.scene.bodies.mesh import find_shape, load_mesh
@@ -166,7 +167,7 @@ def report_time(name: str, scene: Scene, size: tuple[int, int]) -> None:
     """Print the smallest CPU time of a picture."""
     renderer = Renderer(scene.topology, screen_of(scene.case, size))
     light, rate = np.zeros(size[::-1], np.float32), np.zeros(size[::-1], np.float32)
-    box, taken = Box(), []
+    box, taken = NOTHING, []
     for k in range(25):
         view = scene.view(0.02 * k)
         start = time.process_time()

@@ -25,8 +25,7 @@ from emulator.rig.loading import RigError, load_rig, shipped_rigs
 from emulator.scene.bodies.mesh import load_mesh
 from emulator.scene.terrain.heightmap import load_heightmap
 from emulator.scene.terrain.table import Heightmap
-from emulator.scene.video.frames import MOST_BYTES
-from emulator.scene.video.video import Video, VideoParameters
+from emulator.scene.video.video import MOST_BYTES, Video, VideoParameters
 from emulator.trajectory.building import read_path
 from emulator.trajectory.parameters import FilePath
 from emulator.trajectory.pose import TrajectoryError

@@ -32,7 +32,7 @@ Within one rigid body most points keep their result while the Sun turns by a deg
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -73,7 +73,9 @@ def edge_area(ax: float, ay: float, bx: float, by: float) -> float:
     if t1 <= 0.0 or t0 >= 1.0:
         return _sector(ax, ay, bx, by)
     area = 0.0
-    px, py, qx, qy = ax, ay, bx, by
+    # Sectors up to where the edge enters the disc, from p to q a triangle, and sectors from where it leaves.
+    px, py = ax, ay
+    qx, qy = bx, by
     if t0 > 0.0:
         px, py = ax + t0 * dx, ay + t0 * dy
         area += _sector(ax, ay, px, py)
@@ -86,10 +88,11 @@ def edge_area(ax: float, ay: float, bx: float, by: float) -> float:
 _LEAF = 4  # triangles
 
 Floats = npt.NDArray[np.float64]
+Point = tuple[float, float, float]
+"""A place, m, or a direction."""
 
 
-@dataclass(frozen=True, eq=False)
-class TriangleTree:
+class TriangleTree(NamedTuple):
     """Triangles in the order of the tree's leaves.
 
     Attributes
@@ -104,11 +107,6 @@ class TriangleTree:
     starts: npt.NDArray[np.int32]
     corners: Floats
     planes: Floats
-
-    @property
-    def arrays(self) -> tuple[Floats, npt.NDArray[np.int32], Floats, Floats]:
-        """The arrays for a kernel."""
-        return self.boxes, self.starts, self.corners, self.planes
 
     @property
     def middle_m(self) -> Floats:
@@ -171,9 +169,19 @@ def after(node: int) -> int:
     return node
 
 
-Arrays = tuple[Floats, npt.NDArray[np.int32], Floats, Floats]
-"""Boxes, starts, corners and planes of a `TriangleTree`."""
-Frame = tuple[float, float, float, float, float, float, float, float, float]
+class Frame(NamedTuple):
+    """Three axes: u and v across a direction w, and it."""
+
+    ux: float
+    uy: float
+    uz: float
+    vx: float
+    vy: float
+    vz: float
+    wx: float
+    wy: float
+    wz: float
+
 
 MIXED = 2.0
 _WIDE_RAD = 0.05
@@ -184,14 +192,14 @@ _NEAREST = 1e-4  # of a triangle's distance: the parts nearer along the axis are
 
 @kernel
 def axes_around(sx: float, sy: float, sz: float) -> Frame:
-    """Return two axes across a unit direction and the direction itself.
+    """Return the frame of a unit direction.
 
     Source: Duff et al. 2017, Building an orthonormal basis, revisited, JCGT 6 (1).
     """
     sign = math.copysign(1.0, sz)
     a = -1.0 / (sign + sz)
     b = sx * sy * a
-    return 1.0 + sign * sx * sx * a, sign * b, -sign * sx, b, sign + sy * sy * a, -sy, sx, sy, sz
+    return Frame(1.0 + sign * sx * sx * a, sign * b, -sign * sx, b, sign + sy * sy * a, -sy, sx, sy, sz)
 
 
 @kernel
@@ -199,6 +207,7 @@ def _cut_area(corners: tuple[float, ...], nearest: float) -> float:
     """Return the area in the disc of a triangle, three times (x, y, depth), of which a part lies behind the point."""
     area, count = 0.0, 0
     first_x = first_y = last_x = last_y = 0.0
+    # Around the triangle: where a side crosses the nearest depth, then its end, if they are ahead.
     px, py, pw = corners[6], corners[7], corners[8]
     for k in range(3):
         x, y, w = corners[3 * k], corners[3 * k + 1], corners[3 * k + 2]
@@ -231,6 +240,8 @@ def _triangle_area(corners: Floats, k: int, px: float, py: float, pz: float, axe
     x1, y1, z1 = corners[k, 3] - px, corners[k, 4] - py, corners[k, 5] - pz
     x2, y2, z2 = corners[k, 6] - px, corners[k, 7] - py, corners[k, 8] - pz
     ux, uy, uz, vx, vy, vz, sx, sy, sz = axes
+    # Depths along the axis, and places across it that are at most the depth within the disc. A triangle behind the
+    # point covers nothing, nor one with all corners beyond the disc on one side.
     w0, w1, w2 = x0 * sx + y0 * sy + z0 * sz, x1 * sx + y1 * sy + z1 * sz, x2 * sx + y2 * sy + z2 * sz
     if w0 <= 0.0 and w1 <= 0.0 and w2 <= 0.0:
         return 0.0
@@ -244,28 +255,24 @@ def _triangle_area(corners: Floats, k: int, px: float, py: float, pz: float, axe
     nearest = _NEAREST * reach
     if w0 < nearest or w1 < nearest or w2 < nearest:
         return abs(_cut_area((a0, b0, w0, a1, b1, w1, a2, b2, w2), nearest))
-    a0, b0, a1, b1, a2, b2 = a0 / w0, b0 / w0, a1 / w1, b1 / w1, a2 / w2, b2 / w2
+    a0, b0 = a0 / w0, b0 / w0
+    a1, b1 = a1 / w1, b1 / w1
+    a2, b2 = a2 / w2, b2 / w2
     return abs(edge_area(a0, b0, a1, b1) + edge_area(a1, b1, a2, b2) + edge_area(a2, b2, a0, b0))
 
 
 @kernel
 def _box_in_cone(
-    boxes: Floats,
-    node: int,
-    px: float,
-    py: float,
-    pz: float,
-    sun: tuple[float, float, float],
-    inverse: tuple[float, float, float],
-    tangent: float,
+    boxes: Floats, node: int, px: float, py: float, pz: float, sun: Point, inverse: Point, tangent: float
 ) -> bool:
     """Return whether a box may reach into the cone: widened by the cone's radius at its far side, it meets the axis."""
     cx, cy, cz = boxes[node, 0] - px, boxes[node, 1] - py, boxes[node, 2] - pz
     hx, hy, hz = boxes[node, 3], boxes[node, 4], boxes[node, 5]
-    far = cx * sun[0] + cy * sun[1] + cz * sun[2] + hx * abs(sun[0]) + hy * abs(sun[1]) + hz * abs(sun[2])
-    if far <= 0.0:
+    depth = cx * sun[0] + cy * sun[1] + cz * sun[2] + hx * abs(sun[0]) + hy * abs(sun[1]) + hz * abs(sun[2])
+    if depth <= 0.0:  # of the far side
         return False
-    wider = far * tangent
+    wider = depth * tangent
+    # The part of the axis within the box's slabs.
     tx, ty, tz = cx * inverse[0], cy * inverse[1], cz * inverse[2]
     rx, ry, rz = (hx + wider) * abs(inverse[0]), (hy + wider) * abs(inverse[1]), (hz + wider) * abs(inverse[2])
     enter = max(tx - rx, ty - ry, tz - rz, 0.0)
@@ -278,14 +285,7 @@ def _inverse(x: float) -> float:
 
 
 @kernel
-def covered(
-    tree: Arrays,
-    point: tuple[float, float, float],
-    sun: tuple[float, float, float],
-    tangent: float,
-    near_m: float,
-    enough: float,
-) -> float:
+def covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m: float, enough: float) -> float:
     """Return the covered share of a disc around a direction, each layer counted: above 1 where there are several.
 
     Parameters
@@ -298,7 +298,7 @@ def covered(
     px, py, pz = point
     ux, uy, uz, vx, vy, vz, sx, sy, sz = axes_around(sun[0], sun[1], sun[2])
     k = 1.0 / tangent
-    axes = (k * ux, k * uy, k * uz, k * vx, k * vy, k * vz, sx, sy, sz)
+    axes = Frame(k * ux, k * uy, k * uz, k * vx, k * vy, k * vz, sx, sy, sz)
     inverse = (_inverse(sx), _inverse(sy), _inverse(sz))
     leaves, node, area = len(starts) - 1, 1, 0.0
     while True:
@@ -307,6 +307,7 @@ def covered(
                 node *= 2
                 continue
             for k in range(starts[node - leaves], starts[node - leaves + 1]):
+                # Only from above its plane does a triangle show its outside.
                 if planes[k, 0] * px + planes[k, 1] * py + planes[k, 2] * pz > planes[k, 3] + near_m:
                     area += _triangle_area(corners, k, px, py, pz, axes)
             if area >= math.pi * enough:
@@ -317,7 +318,8 @@ def covered(
 
 
 @kernel
-def _place(moved: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
+def _place(moved: Floats, x: float, y: float, z: float) -> Point:
+    """Return a point in the tree's frame."""
     return (
         moved[0, 0] * x + moved[0, 1] * y + moved[0, 2] * z + moved[0, 3],
         moved[1, 0] * x + moved[1, 1] * y + moved[1, 2] * z + moved[1, 3],
@@ -326,33 +328,35 @@ def _place(moved: Floats, x: float, y: float, z: float) -> tuple[float, float, f
 
 
 @kernel
-def _hide(tree: Arrays, place: tuple[float, float, float], moved: Floats, reaches: tuple[float, float]) -> float:
+def _hide(tree: TriangleTree, place: Point, moved: Floats, tangent: float, near_m: float) -> float:
     """Return the covered share of the Sun's disc, 0 to 1; `moved` is (3, 5)."""
-    hidden = covered(tree, place, (moved[0, 4], moved[1, 4], moved[2, 4]), reaches[0], reaches[1], 1.0 - _DUST)
+    hidden = covered(tree, place, (moved[0, 4], moved[1, 4], moved[2, 4]), tangent, near_m, 1.0 - _DUST)
     return 0.0 if hidden < _DUST else hidden if hidden < 1.0 - _DUST else 1.0
 
 
 @kernel
 def _dim_point(
-    tree: Arrays, point: tuple[float, float, float], moved: Floats, reaches: tuple[float, float], shares: Floats, i: int
+    tree: TriangleTree, point: Point, moved: Floats, tangent: float, near_m: float, shares: Floats, i: int
 ) -> None:
+    """Multiply the shares of point number i by what is not covered; beyond penumbras that is the same later."""
     x, y, z = point
-    hidden = _hide(tree, _place(moved[0], x, y, z), moved[0], reaches)
+    hidden = _hide(tree, _place(moved[0], x, y, z), moved[0], tangent, near_m)
     later = hidden
     if 0.0 < hidden < 1.0:
-        later = _hide(tree, _place(moved[1], x, y, z), moved[1], reaches)
+        later = _hide(tree, _place(moved[1], x, y, z), moved[1], tangent, near_m)
     shares[0, i] *= 1.0 - hidden
     shares[1, i] *= 1.0 - later
 
 
 @entry
 def dim(
-    tree: Arrays,
+    tree: TriangleTree,
     points: Floats,
     chosen: npt.NDArray[np.int32],
     count: int,
     moved: Floats,
-    reaches: tuple[float, float],
+    tangent: float,
+    near_m: float,
     shares: Floats,
 ) -> None:
     """Multiply the sunlit shares of chosen points by the share of the disc that the tree's triangles do not cover.
@@ -363,45 +367,30 @@ def dim(
     chosen, count : numbers of points, (count,) used.
     moved : (2, 3, 5), now and an instant later: a rotation and a translation from the points' frame into the tree's,
         and in the last column the Sun's direction in the tree's frame.
-    reaches : the tangent of the Sun's radius, and `near_m` of `covered`.
+    tangent, near_m : of the Sun's radius, and of `covered`.
     shares : (2, count), now and an instant later.
     """
     for i in range(count):
         if shares[0, i] > 0.0 or shares[1, i] > 0.0:
             k = chosen[i]
-            _dim_point(tree, (points[k, 0], points[k, 1], points[k, 2]), moved, reaches, shares, i)
-
-
-@kernel
-def _layers(
-    tree: Arrays, point: tuple[float, float, float], sun: tuple[float, float, float], tangent: float, near_m: float
-) -> int:
-    """Return the number of layers that cover the whole disc, or -1 where an edge crosses it."""
-    layers = covered(tree, point, sun, tangent, near_m, 1e300)
-    whole = round(layers)
-    return int(whole) if abs(layers - whole) < _DUST else -1
+            _dim_point(tree, (points[k, 0], points[k, 1], points[k, 2]), moved, tangent, near_m, shares, i)
 
 
 @kernel
 def _remember(
-    tree: Arrays,
-    point: tuple[float, float, float],
-    sun: tuple[float, float, float],
-    wide: float,
-    reaches: tuple[float, float],
-    memory: Floats,
-    k: int,
+    tree: TriangleTree, point: Point, sun: Point, wide: float, tangent: float, near_m: float, memory: Floats, k: int
 ) -> None:
     """Find how far the Sun may move with the same result, at most `wide` (rad), and write row k of `memory`."""
-    radius = math.atan(reaches[0])
+    radius = math.atan(tangent)
     memory[k, 0], memory[k, 1], memory[k, 2] = sun
     memory[k, 4] = MIXED
     for part in range(2):
         angle = wide if part == 0 else wide * _NARROWER
         memory[k, 3] = math.cos(angle)
-        layers = _layers(tree, point, sun, math.tan(radius + angle), reaches[1])
-        if layers >= 0:
-            memory[k, 4] = 0.0 if layers > 0 else 1.0
+        layers = covered(tree, point, sun, math.tan(radius + angle), near_m, 1e300)
+        complete = round(layers)
+        if abs(layers - complete) < _DUST:  # no edge crosses the disc
+            memory[k, 4] = 0.0 if complete > 0 else 1.0
             return
 
 
@@ -414,12 +403,13 @@ def blank_memory(points: int) -> Floats:
 
 @entry
 def dim_remembering(
-    tree: Arrays,
+    tree: TriangleTree,
     points: Floats,
     chosen: npt.NDArray[np.int32],
     count: int,
     moved: Floats,
-    reaches: tuple[float, float],
+    tangent: float,
+    near_m: float,
     memory: Floats,
     shares: Floats,
 ) -> None:
@@ -442,12 +432,11 @@ def dim_remembering(
         k = chosen[i]
         point = (points[k, 0], points[k, 1], points[k, 2])
         if not memory[k, 0] * x + memory[k, 1] * y + memory[k, 2] * z > memory[k, 3]:
-            wide = _WIDE_RAD * (
-                0.5 + 0.5 * ((k * 0.6180339887) % 1.0)
-            )  # so that not all are evaluated again in the same step
-            _remember(tree, point, (x, y, z), wide, reaches, memory, k)
+            # Another angle for each, so that not all are evaluated again in the same step.
+            wide = _WIDE_RAD * (0.5 + 0.5 * ((k * 0.6180339887) % 1.0))
+            _remember(tree, point, (x, y, z), wide, tangent, near_m, memory, k)
         if memory[k, 4] == MIXED:
-            _dim_point(tree, point, moved, reaches, shares, i)
+            _dim_point(tree, point, moved, tangent, near_m, shares, i)
         else:
             shares[0, i] *= memory[k, 4]
             shares[1, i] *= memory[k, 4]

@@ -199,8 +199,8 @@ class ShadowMap:
 
     def __init__(self, context: moderngl.Context, radius_m: float, pixel_m: float) -> None:
         self._context, self._range_m = context, 2 * radius_m
-        wanted = 2 ** math.ceil(math.log2(max(1.0, self._range_m / pixel_m)))
-        texels = min(max(wanted, _LEAST_TEXELS), _MOST_TEXELS)
+        fine = 2 ** math.ceil(math.log2(max(1.0, self._range_m / pixel_m)))
+        texels = min(max(fine, _LEAST_TEXELS), _MOST_TEXELS)
         self._depths = context.depth_texture((texels, texels))
         self._depths.compare_func = ""
         self._depths.repeat_x = self._depths.repeat_y = False
@@ -344,13 +344,14 @@ class Facets:
         at_vertices: bool = False,
     ) -> None:
         self._shadows = shadows
-        asked = _NOWHERE if shadows is None else _AT_VERTICES if at_vertices else _AT_FRAGMENTS
+        shading = _NOWHERE if shadows is None else _AT_VERTICES if at_vertices else _AT_FRAGMENTS
         lift = repr(float(shadows.lift_m if shadows else 0.0))
-        law_text, answer, share = law.glsl(), asked["answer"], asked["share"]
+        law_text = law.glsl()
+        answer, share = shading["answer"], shading["share"]
         self._program = context.program(
             vertex_shader=_VERTEX_FACETS
-            % {"reflectance": law_text, "sunlit": asked["vertex"], "lift": lift, "answer": answer},
-            fragment_shader=_FRAGMENT_FACETS % {"reflectance": law_text, "sunlit": asked["fragment"], "share": share},
+            % {"reflectance": law_text, "sunlit": shading["vertex"], "lift": lift, "answer": answer},
+            fragment_shader=_FRAGMENT_FACETS % {"reflectance": law_text, "sunlit": shading["fragment"], "share": share},
         )
         if shadows:
             self._program["range_m"] = shadows.range_m

@@ -15,7 +15,7 @@ the corners; with corners in front and behind, they may appear anywhere.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -25,16 +25,15 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import unit
 from emulator.geometry.camera import Pinhole, Rays
-from emulator.gl.context import QUICK_LOOK, Painter
 from emulator.gl.render_target import Rectangle, RenderTarget, depth_terms
-from emulator.light import Light, Scene
 from emulator.scene.bodies.facets import Facets, Frame, ShadowCaster, ShadowMap
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.raster_bodies import BodiesGeometry
 from emulator.scene.bodies.regolith import coarser, facet_size_m, flat
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.world import BodyWorld, middle
-from emulator.trajectory.pose import Pose, Timescale, Trajectory
+from emulator.scene.world import GlScene
+from emulator.trajectory.pose import Pose
 
 if TYPE_CHECKING:
     import moderngl
@@ -54,13 +53,13 @@ def box_corners(points: Floats) -> Floats:
 
 def touched_region(boxes: Iterable[Floats], pinhole: Pinhole) -> Rectangle:
     """Return a rectangle around the visible parts of `boxes`, each the corners of one, (8, 3), in the camera's axes."""
-    whole = Rectangle(0, 0, *pinhole.size)
+    frame = Rectangle(0, 0, *pinhole.size)
     before = [corners for corners in boxes if (corners[:, 2] > 0).any()]
     if not before:
         return _BLACK
     corners = np.concatenate(before)
     if (corners[:, 2] <= 0).any():
-        return whole
+        return frame
     size = np.array(pinhole.size)
     with np.errstate(over="ignore"):
         seen = pinhole.focal_px * corners[:, :2] / corners[:, 2:] + size / 2
@@ -95,7 +94,7 @@ class _Part:
     caster: ShadowCaster | None = None
 
 
-class GlBodies(Scene):
+class GlBodies(GlScene[BodyWorld]):
     """The bodies of `parameters` as `pinhole` sees them, in radiance, drawn by GL.
 
     Raises
@@ -105,79 +104,19 @@ class GlBodies(Scene):
     """
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole) -> None:
-        self._world = world = BodyWorld(parameters, pinhole)
+        world = BodyWorld(parameters, pinhole)
+        super().__init__(world, RenderTarget(pinhole.size, parameters.samples))
         self._p, self._pinhole = world.parameters, pinhole
         self._sun = unit(parameters.sun.direction)
         self._casters = [k for k, body in enumerate(self._p.bodies) if body.throws_shadow]
         self._parts = [_Part(mesh, box_corners(mesh.vertices)) for mesh in world.meshes]
-        self._render_target = RenderTarget(pinhole.size, parameters.samples)
         self._shadows: ShadowMap | None = None
         with self._render_target.context as gl:
             self._upload(gl)
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._pinhole.size
-
-    @property
-    def painter(self) -> Painter:
-        """GL."""
-        return "gl"
-
-    @property
-    def renderer(self) -> str:
-        """The name of what draws, in GL's words."""
-        return self._render_target.renderer
-
-    @property
-    def camera_path(self) -> Trajectory:
-        """The camera's path, on the scene's time."""
-        return self._world.camera
-
-    @property
-    def path_time(self) -> Timescale:
-        """Stream time to scene time."""
-        return self._world.time
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """From the paths' speeds and turns."""
-        return self._world.motion_bound_px_s
-
-    @property
-    def distance_m(self) -> float:
-        """The closest range of any body, less its radius."""
-        return self._world.arrangement.distance_m
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Remarks for the user: drawing by GL, faults of the shapes, detail that was left out, a black light frame."""
-        frame = np.zeros(self.size[::-1], np.float32)
-        self.light(0, frame)
-        return (QUICK_LOOK, *self._world.notes(frame))
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Counts of poses received from outside."""
-        return self._world.counts
-
     def geometry(self, rays: Rays | None = None) -> BodiesGeometry:
         """Return depth, flow and labels of the bodies, from shapes and poses alone."""
         return BodiesGeometry(self._world, rays)
-
-    def light(self, t_ns: int, out: Light) -> None:
-        """Write the radiance at `t_ns` into `out`, (height, width) float32."""
-        self.lights((t_ns,), (out,))
-
-    def lights(self, times_ns: Sequence[int], outs: Sequence[Light]) -> None:
-        """Write the radiance at several times into their light frames."""
-        self._render_target.draw_all([self._drawing(t_ns) for t_ns in times_ns], outs)
-
-    def close(self) -> None:
-        """Release the GL context and the ports; a second call does nothing."""
-        self._render_target.close()
-        self._world.close()
 
     def _upload(self, gl: moderngl.Context) -> None:
         """Copy meshes into the context's memory, with as much detail as is visible."""
@@ -188,10 +127,12 @@ class GlBodies(Scene):
             self._shadows = ShadowMap(gl, around_m, self.distance_m / self._pinhole.focal_px)
         for k, (body, part) in enumerate(zip(self._p.bodies, self._parts, strict=True)):
             seen = world.as_seen(k)
-            fine = body.smooth and facet_size_m(seen) <= self._fine_m(world.metres_a_pixel(k))
-            drawn = seen if body.smooth else flat(seen)
+            # Facets of at most two pixels, or two texels of the shadow map, read it at their corners.
+            texel_m = self._shadows.texel_m if self._shadows else 0.0
+            fine = body.smooth and facet_size_m(seen) <= _FINE * max(texel_m, world.metres_a_pixel(k))
+            shown = seen if body.smooth else flat(seen)
             shadows = self._shadows if self._may_be_shaded(k) else None
-            part.facets = Facets(gl, drawn, body.reflectance, shadows, at_vertices=fine)
+            part.facets = Facets(gl, shown, body.reflectance, shadows, at_vertices=fine)
             if self._shadows and body.throws_shadow:
                 part.caster = self._shadows.caster(coarser(part.mesh, self._shadows.coarse_m))
 
@@ -204,11 +145,6 @@ class GlBodies(Scene):
         away_m = float(np.linalg.norm(poses[k].position_m - centre))
         return away_m - parts[k].mesh.radius_m < self._shadows.range_m
 
-    def _fine_m(self, metres_a_pixel: float) -> float:
-        """Return the largest size of facets that read the shadow map at their corners: two pixels, or two texels."""
-        texel_m = self._shadows.texel_m if self._shadows else 0.0
-        return _FINE * max(texel_m, metres_a_pixel)
-
     def _shadow_from_bodies(self, poses: list[Pose]) -> list[Matrix]:
         """Return shadow_from_body of each body, (4, 4)."""
         if self._shadows is None:
@@ -219,7 +155,6 @@ class GlBodies(Scene):
         return [shadow_from_world @ _matrix(pose) for pose in poses]
 
     def _drawing(self, t_ns: int) -> Callable[[], None]:
-        """Prepare the draw calls for time `t_ns`. All errors are raised here, none while drawing."""
         scene_ns = self._world.time.scene_ns(t_ns)
         camera, poses = self._world.camera.pose(scene_ns), self._world.arrangement.poses(scene_ns)
         camera_from_world = camera.world_from_body.T
@@ -240,8 +175,8 @@ class GlBodies(Scene):
     def _cast(self, shadow_from_bodies: list[Matrix]) -> None:
         """Draw the shadow map."""
         if self._shadows is not None:
-            both = zip(self._parts, shadow_from_bodies, strict=True)
-            self._shadows.render([(part.caster, matrix) for part, matrix in both if part.caster is not None])
+            placed = zip(self._parts, shadow_from_bodies, strict=True)
+            self._shadows.render([(part.caster, matrix) for part, matrix in placed if part.caster is not None])
 
     def _render(
         self,
@@ -278,13 +213,13 @@ class GlBodies(Scene):
 
     def _frame(self, sun: Matrix, ends: list[tuple[float, float]]) -> Frame:
         """Return the common inputs of bodies between these depths; depths behind the camera are ignored."""
-        ahead = [(near, far) for near, far in ends if far > 0]
-        far = max((far for _, far in ahead), default=1.0)
-        near = min((near for near, _ in ahead), default=0.5)
+        ahead = [(near_m, far_m) for near_m, far_m in ends if far_m > 0]
+        far_m = max((far_m for _, far_m in ahead), default=1.0)
+        near_m = min((near_m for near_m, _ in ahead), default=0.5)
         return Frame(
             sun,
             self._pinhole.zoom,
-            depth_terms(max(near, _NEAREST_SHARE * far), far),
+            depth_terms(max(near_m, _NEAREST_SHARE * far_m), far_m),
             self._p.sun.irradiance_w_m2,
             self._p.ambient_w_m2,
         )

@@ -67,17 +67,17 @@ def _chunks(data: bytes) -> tuple[bytes, bytes | None]:
         raise SceneError(f"is of glTF version {version}: version 2 is read")
     if length > len(data):
         raise SceneError(f"is cut off: its header announces {length} bytes, and there are {len(data)}")
-    found: dict[int, bytes] = {}
+    chunks: dict[int, bytes] = {}
     at = 12
     while at + 8 <= length:
         size, kind = struct.unpack_from("<II", data, at)
         if at + 8 + size > length:
             raise SceneError(f"the chunk at byte {at} announces {size} bytes, which go beyond the end of the file")
-        found.setdefault(kind, data[at + 8 : at + 8 + size])
+        chunks.setdefault(kind, data[at + 8 : at + 8 + size])
         at += 8 + size
-    if _JSON not in found:
+    if _JSON not in chunks:
         raise SceneError("has no JSON chunk")
-    return found[_JSON], found.get(_BIN)
+    return chunks[_JSON], chunks.get(_BIN)
 
 
 def _parsed(text: bytes) -> _Object:
@@ -105,7 +105,7 @@ def _member(owner: _Object, key: str) -> _Object:
 
 def _items(owner: _Object, key: str) -> list[_Object]:
     value = owner.get(key, [])
-    if not isinstance(value, list) or not all(isinstance(one, dict) for one in value):
+    if not isinstance(value, list) or not all(isinstance(entry, dict) for entry in value):
         raise SceneError(f"{key} is no list of objects")
     return value
 
@@ -128,9 +128,9 @@ def _number(owner: _Object, key: str, default: int | None, below: int, where: st
 def _floats(owner: _Object, key: str, default: list[float], where: str) -> list[float]:
     value = owner.get(key, default)
     is_list = isinstance(value, list) and len(value) == len(default)
-    if not is_list or not all(isinstance(one, int | float) and abs(one) < 1e15 for one in value):
+    if not is_list or not all(isinstance(number, int | float) and abs(number) < 1e15 for number in value):
         raise SceneError(f"{where}: {key} must be {len(default)} finite numbers")
-    return [float(one) for one in value]
+    return [float(number) for number in value]
 
 
 def require_at_most(counted: str, count: int) -> None:
@@ -172,7 +172,8 @@ class _File(ModelContents):
 
     def __init__(self, document: _Object, binary: bytes | None, folder: Path) -> None:
         super().__init__()
-        self._document, self._binary, self._folder = document, binary, folder
+        self._document = document
+        self._binary, self._folder = binary, folder
         self._buffers: dict[int, bytes] = {}
         self._pixels_left = MOST_PIXELS
         self._luminances: dict[tuple[int, tuple[float, ...]], str] = {}
@@ -188,10 +189,10 @@ class _File(ModelContents):
             for part in meshes[mesh]:
                 self._add(k, part)
         raw = _items(self._document, "animations")
-        require_at_most("animated properties", sum(len(_items(one, "channels")) for one in raw))
+        require_at_most("animated properties", sum(len(_items(animation, "channels")) for animation in raw))
         animations = [
-            {"name": str(one.get("name", f"animation {k}"))[:80], "channels": self._channels(one, k, len(nodes))}
-            for k, one in enumerate(raw)
+            {"name": str(raw[k].get("name", f"animation {k}"))[:80], "channels": self._channels(raw[k], k, len(nodes))}
+            for k in range(len(raw))
         ]
         return self._values(nodes, animations)
 
@@ -218,7 +219,7 @@ class _File(ModelContents):
         x, y, z, w = _floats(node, "rotation", [0.0, 0.0, 0.0, 1.0], where)
         if not 1e-3 < x * x + y * y + z * z + w * w < 1e3:
             raise SceneError(f"{where}: rotation is no unit quaternion")
-        found: _Object = {
+        fields: _Object = {
             "name": str(node.get("name") or where)[:80],
             "parent": -1,
             "translation": _floats(node, "translation", [0.0, 0.0, 0.0], where),
@@ -226,8 +227,8 @@ class _File(ModelContents):
             "scale": _floats(node, "scale", [1.0, 1.0, 1.0], where),
         }
         if "matrix" in node:
-            found["matrix"] = np.reshape(_floats(node, "matrix", [0.0] * 16, where), (4, 4)).T.tolist()
-        return found
+            fields["matrix"] = np.reshape(_floats(node, "matrix", [0.0] * 16, where), (4, 4)).T.tolist()
+        return fields
 
     def _meshes_of_nodes(self, nodes: list[_Object]) -> list[tuple[int, int]]:
         """Return the nodes of the scene with a mesh, and its number."""
@@ -244,16 +245,16 @@ class _File(ModelContents):
     # --- shapes
 
     def _primitives(self, mesh: int) -> list[_Object]:
-        found: list[_Object] = []
+        primitives: list[_Object] = []
         for n, primitive in enumerate(_items(_items(self._document, "meshes")[mesh], "primitives")):
             where = f"mesh {mesh}, primitive {n}"
             mode = _number(primitive, "mode", 4, 7, where)
             if mode < 4:
                 self._notes["points and lines are left out"] = None
                 continue
-            require_at_most("parts", len(found) + 1)
-            found.append(self._primitive(primitive, mode, where))
-        return found
+            require_at_most("parts", len(primitives) + 1)
+            primitives.append(self._primitive(primitive, mode, where))
+        return primitives
 
     def _primitive(self, primitive: _Object, mode: int, where: str) -> _Object:
         attributes = _member(primitive, "attributes")
@@ -312,22 +313,22 @@ class _File(ModelContents):
 
     def _mean(self, surface: _Object, channel: int, where: str) -> float:
         """Return the mean of a channel of the texture of metallic and roughness, 1 without one."""
-        found = self._image(surface, "metallicRoughnessTexture", where)
-        if found is None:
+        texture = self._image(surface, "metallicRoughnessTexture", where)
+        if texture is None:
             return 1.0
         self._notes["textures of metallic and roughness count by their mean"] = None
-        if (found[0], channel) not in self._means:
-            pixels = self._pixels(found[0])
-            self._means |= {(found[0], k): mean_of(pixels, k) for k in (1, 2)}
-        return self._means[found[0], channel]
+        if (texture[0], channel) not in self._means:
+            pixels = self._pixels(texture[0])
+            self._means |= {(texture[0], k): mean_of(pixels, k) for k in (1, 2)}
+        return self._means[texture[0], channel]
 
     def _texture(self, material: _Object, attributes: _Object, count: int, where: str) -> _Object | None:
         """Return the base colour's `luminance`, `uv` of vertices, by the names of arrays, and `wraps`."""
         surface = _member(material, "pbrMetallicRoughness")
-        found = self._image(surface, "baseColorTexture", where)
-        if found is None:
+        placement = self._image(surface, "baseColorTexture", where)
+        if placement is None:
             return None
-        image, wraps = found
+        image, wraps = placement
         info = _member(surface, "baseColorTexture")
         transform = _member(_member(info, "extensions"), "KHR_texture_transform")
         number = _number({"texCoord": transform.get("texCoord", info.get("texCoord", 0))}, "texCoord", 0, 100, where)
@@ -377,7 +378,7 @@ class _File(ModelContents):
     # --- animations
 
     def _channels(self, animation: _Object, k: int, nodes: int) -> list[_Object]:
-        samplers, found = _items(animation, "samplers"), []
+        samplers, channels = _items(animation, "samplers"), []
         for n, channel in enumerate(_items(animation, "channels")):
             where = f"animation {k}, channel {n}"
             target = _member(channel, "target")
@@ -385,8 +386,8 @@ class _File(ModelContents):
                 continue
             node = _number(target, "node", None, nodes, where)
             sampler = samplers[_number(channel, "sampler", None, len(samplers), where)]
-            found.append({"node": node, **self._track(sampler, str(target.get("path"))[:20], where)})
-        return found
+            channels.append({"node": node, **self._track(sampler, str(target.get("path"))[:20], where)})
+        return channels
 
     def _track(self, sampler: _Object, path: str, where: str) -> _Object:
         if path not in ("translation", "rotation"):
@@ -397,16 +398,16 @@ class _File(ModelContents):
         times = self._accessor(sampler.get("input"), 1, f"{where}, input").ravel().astype(np.float64)
         width = 3 if path == "translation" else 4
         values = self._accessor(sampler.get("output"), width, f"{where}, output").astype(np.float64)
-        each = 3 if interpolation == "CUBICSPLINE" else 1
-        if not len(times) or len(values) != each * len(times):
+        per_time = 3 if interpolation == "CUBICSPLINE" else 1
+        if not len(times) or len(values) != per_time * len(times):
             raise SceneError(f"{where}: {len(times)} times and {len(values)} values do not fit")
         if not (np.isfinite(times).all() and np.isfinite(values).all() and (np.diff(times) > 0).all()):
             raise SceneError(f"{where}: its times must increase, and all its numbers be finite")
         if times[0] < 0 or times[-1] > 1e9:
             raise SceneError(f"{where}: its times must be 0 to 1e9 s")
-        values = values.reshape(len(times), each, width)
+        values = values.reshape(len(times), per_time, width)
         if path == "rotation":
-            values = _unit_quaternions(np.roll(values, 1, axis=2), each // 2, where)
+            values = _unit_quaternions(np.roll(values, 1, axis=2), per_time // 2, where)
         return {"path": path, "times": self._keep(times), "values": self._keep(values)}
 
     # --- bytes
@@ -452,20 +453,20 @@ class _File(ModelContents):
             self._buffers[k] = data
         return self._buffers[k]
 
-    def _loaded(self, uri: str, what: str) -> bytes:
+    def _loaded(self, uri: str, where: str) -> bytes:
         if uri.startswith("data:"):
             head, _, text = uri.partition(",")
             try:
                 return base64.b64decode(text if head.endswith(";base64") else "?", validate=True)
             except binascii.Error:
-                raise SceneError(f"{what} is no base64 text") from None
+                raise SceneError(f"{where} is no base64 text") from None
         path = (self._folder / unquote(uri)).resolve()
         if "://" in uri or not path.is_relative_to(self._folder.resolve()):
-            raise SceneError(f"{what} is {uri[:80]!r}: files are read from the model's own folder alone")
+            raise SceneError(f"{where} is {uri[:80]!r}: files are read from the model's own folder alone")
         if not path.is_file():
-            raise SceneError(f"{what} is the file {uri[:80]!r}, which is missing")
+            raise SceneError(f"{where} is the file {uri[:80]!r}, which is missing")
         if path.stat().st_size > _MOST_BYTES:
-            raise SceneError(f"{what} has more than {_MOST_BYTES >> 20} MiB")
+            raise SceneError(f"{where} has more than {_MOST_BYTES >> 20} MiB")
         return path.read_bytes()
 
 

@@ -24,9 +24,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.cast_shadow import Arrays, Frame, TriangleTree, after, axes_around, covered, seen_above
+from emulator.scene.bodies.cast_shadow import Frame, Point, TriangleTree, after, axes_around, covered, seen_above
 from emulator.scene.bodies.compiled import allocating_entry, entry, kernel
-from emulator.scene.files import Progress, cached_array
+from emulator.scene.files import Kind, Progress, cached_array
 
 AZIMUTHS = 64
 _FULL = 65535.0  # the number that stands for a sine of 1
@@ -43,7 +43,7 @@ def horizon_table(tree: TriangleTree, points: Floats, normals: Floats, name: str
     for array in (tree.corners, points, normals):
         digest.update(array.tobytes())
     made_from = (AZIMUTHS, digest.hexdigest())
-    return cached_array("horizons", made_from, lambda: _make(tree, points, normals, name), (np.uint16, 2))
+    return cached_array("horizons", made_from, lambda: _make(tree, points, normals, name), Kind(np.uint16, 2))
 
 
 def _make(tree: TriangleTree, points: Floats, normals: Floats, name: str) -> Horizons:
@@ -52,7 +52,7 @@ def _make(tree: TriangleTree, points: Floats, normals: Floats, name: str) -> Hor
     parts = [slice(first, first + _CHUNK) for first in range(0, len(points), _CHUNK)]
     progress(0, len(parts))
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # the kernel releases the GIL
-        work = pool.map(lambda part: _look_around(tree.arrays, points[part], normals[part], out[part]), parts)
+        work = pool.map(lambda part: _look_around(tree, points[part], normals[part], out[part]), parts)
         for done, _ in enumerate(work, 1):
             progress(done, len(parts))
     return out
@@ -68,7 +68,7 @@ def lost_light(tree: TriangleTree, points: Floats, normals: Floats, table: Horiz
     suns = random.normal(size=(_TRIALS, 3))
     suns /= np.linalg.norm(suns, axis=1, keepdims=True)
     suns *= np.where((suns * normals[chosen]).sum(axis=1) < 0, -1.0, 1.0)[:, None]
-    return float(_count_lost(tree.arrays, (points, normals), table, chosen, suns, tangent)) / _TRIALS
+    return float(_count_lost(tree, points, normals, table, chosen, suns, tangent)) / _TRIALS
 
 
 @kernel
@@ -113,18 +113,19 @@ def _raise(ax, ay, az, bx, by, bz, directions, slopes) -> None:  # type: ignore[
     if last < first:
         last += AZIMUTHS
     for j in range(math.ceil(first), int(last) + 1):
+        # Where the edge crosses the half plane of this azimuth.
         x, y = directions[j % AZIMUTHS, 0], directions[j % AZIMUTHS, 1]
         p, q = ay * x - ax * y, by * x - bx * y
         t = p / (p - q) if p != q else 0.0
         t = min(max(t, 0.0), 1.0)
-        far = x * (ax + t * (bx - ax)) + y * (ay + t * (by - ay))
-        high = az + t * (bz - az)
-        if far > 0.0 and high > slopes[j % AZIMUTHS] * far:
-            slopes[j % AZIMUTHS] = high / far
+        distance = x * (ax + t * (bx - ax)) + y * (ay + t * (by - ay))
+        height = az + t * (bz - az)
+        if distance > 0.0 and height > slopes[j % AZIMUTHS] * distance:
+            slopes[j % AZIMUTHS] = height / distance
 
 
 @kernel
-def _raise_all(tree: Arrays, point: Floats, axes: Frame, directions: Floats, slopes: Floats) -> None:
+def _raise_all(tree: TriangleTree, point: Floats, axes: Frame, directions: Floats, slopes: Floats) -> None:
     """Write the tangents of the horizon around a point, (AZIMUTHS,), at least 0."""
     boxes, starts, corners, planes = tree
     ux, uy, uz, vx, vy, vz, nx, ny, nz = axes
@@ -133,6 +134,7 @@ def _raise_all(tree: Arrays, point: Floats, axes: Frame, directions: Floats, slo
     while True:
         x, y, z = boxes[node, 0] - point[0], boxes[node, 1] - point[1], boxes[node, 2] - point[2]
         hx, hy, hz = boxes[node, 3], boxes[node, 4], boxes[node, 5]
+        # Boxes below the tangent plane hold no horizon; of the others' triangles, those that show their outside.
         if x * nx + y * ny + z * nz + hx * abs(nx) + hy * abs(ny) + hz * abs(nz) > 0.0:
             if node < leaves:
                 node *= 2
@@ -140,6 +142,7 @@ def _raise_all(tree: Arrays, point: Floats, axes: Frame, directions: Floats, slo
             for k in range(starts[node - leaves], starts[node - leaves + 1]):
                 if planes[k, 0] * point[0] + planes[k, 1] * point[1] + planes[k, 2] * point[2] < planes[k, 3]:
                     continue
+                # Around the corners, and to the first again; each but the first ends an edge.
                 px = py = pz = 0.0
                 for i in range(4):
                     j = 3 * (i % 3)
@@ -154,7 +157,7 @@ def _raise_all(tree: Arrays, point: Floats, axes: Frame, directions: Floats, slo
 
 
 @allocating_entry
-def _look_around(tree: Arrays, points: Floats, normals: Floats, out: Horizons) -> None:
+def _look_around(tree: TriangleTree, points: Floats, normals: Floats, out: Horizons) -> None:
     """Write the table; a point whose normal is 0 or not a number has a horizon of 0."""
     directions, slopes = np.empty((AZIMUTHS, 2)), np.empty(AZIMUTHS)
     for j in range(AZIMUTHS):
@@ -176,7 +179,7 @@ def _near(table: Horizons, k: int, tx: float, ty: float) -> tuple[float, float]:
 
 
 @kernel
-def _above(table: Horizons, k: int, sun: tuple[float, float, float], radius: float) -> tuple[float, float]:
+def _above(table: Horizons, k: int, sun: Point, radius: float) -> tuple[float, float]:
     """Return the height of the Sun's centre above the horizon of point k in solar radii, and the cosine of its tilt.
 
     The Sun's direction is along the axes around the normal, the radius in rad. Values far outside -1 to 1 have the
@@ -188,6 +191,7 @@ def _above(table: Horizons, k: int, sun: tuple[float, float, float], radius: flo
     if not around > 1e-9:
         return 9.0, 1.0
     sine, rise = _near(table, k, tx, ty)
+    # The line of the horizon near this azimuth, seen from the Sun's centre, rises by this tangent squared.
     level2, cosine2 = tx * tx + ty * ty, max(1.0 - sine * sine, 1e-6)
     tilt2 = rise * rise * (AZIMUTHS * AZIMUTHS / 16.0) * level2 / (cosine2 * (around * around) * (around * around))
     apart = up - sine
@@ -232,21 +236,23 @@ def dim_below(
 
 
 @kernel
-def _along(axes: Frame, x: float, y: float, z: float) -> tuple[float, float, float]:
+def _along(axes: Frame, x: float, y: float, z: float) -> Point:
+    """Return a direction along the axes of a frame."""
     ux, uy, uz, vx, vy, vz, nx, ny, nz = axes
     return x * ux + y * uy + z * uz, x * vx + y * vy + z * vz, x * nx + y * ny + z * nz
 
 
 @entry
 def _count_lost(
-    tree: Arrays,
-    surface: tuple[Floats, Floats],
+    tree: TriangleTree,
+    points: Floats,
+    normals: Floats,
     table: Horizons,
     chosen: npt.NDArray[np.int32],
     suns: Floats,
     tangent: float,
 ) -> int:
-    points, normals = surface
+    """Return how many pairs of a chosen point and a Sun are dark by the table, and not covered at all in fact."""
     lost = 0
     for i in range(len(chosen)):
         k = chosen[i]

@@ -38,7 +38,7 @@ from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.horizon_table import Horizons, dim_below, horizon_table, lost_light
 from emulator.scene.bodies.lit_surface import Surface, shadow_triangles
 from emulator.scene.bodies.mesh import Mesh
-from emulator.scene.bodies.shadow_polygons import Polygons, SharpShadows, receivers_of
+from emulator.scene.bodies.shadow_polygons import Dark, Polygons, SharpShadows, Surroundings, receivers_of
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.world import RigidGroup, rigid_groups
 from emulator.threads import ThreadPool
@@ -50,19 +50,25 @@ Numbers = npt.NDArray[np.int32]
 
 @entry
 def choose(
-    surface: tuple[Floats, Floats, Floats], suns: Floats, eyes: Floats, lowest: float, chosen: Numbers, angles: Floats
+    points: Floats,
+    normals: Floats,
+    lean: Floats,
+    suns: Floats,
+    eyes: Floats,
+    lowest: float,
+    chosen: Numbers,
+    angles: Floats,
 ) -> int:
     """Select the points that can show light, write their numbers and angles, and return their count.
 
     Parameters
     ----------
-    surface : points, normals, lean of a `Surface`.
+    points, normals, lean : of a `Surface`.
     suns, eyes : (2, 3) unit directions, and m, now and an instant later.
     lowest : points with a cosine of incidence that is not above this are left out.
     chosen : (n,), numbers of points.
     angles : (6, n), cosines of incidence and of emission and squared chords from Sun to eye, of now and of later.
     """
-    points, normals, lean = surface
     count = 0
     for k in range(len(points)):
         nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
@@ -81,8 +87,8 @@ def choose(
         for m in range(2):
             sx, sy, sz = suns[m, 0], suns[m, 1], suns[m, 2]
             dx, dy, dz = eyes[m, 0] - points[k, 0], eyes[m, 1] - points[k, 1], eyes[m, 2] - points[k, 2]
-            near = 1.0 / math.sqrt(max(dx * dx + dy * dy + dz * dz, 1e-300))
-            dx, dy, dz = dx * near, dy * near, dz * near
+            per_m = 1.0 / math.sqrt(max(dx * dx + dy * dy + dz * dz, 1e-300))
+            dx, dy, dz = dx * per_m, dy * per_m, dz * per_m
             angles[m, i] = nx * sx + ny * sy + nz * sz
             angles[2 + m, i] = nx * dx + ny * dy + nz * dz
             angles[4 + m, i] = min((sx - dx) ** 2 + (sy - dy) ** 2 + (sz - dz) ** 2, 4.0)
@@ -106,8 +112,10 @@ def dim_at_plane(count: int, radius: float, cosines: Floats, shares: Floats) -> 
 
 @entry
 def write_radiance(
-    law: tuple[int, Floats],
-    light: tuple[float, float, float],
+    law: Law,
+    sun_w_m2: float,
+    ambient_w_m2: float,
+    between_s: float,
     chosen: Numbers,
     count: int,
     angles: Floats,
@@ -119,25 +127,25 @@ def write_radiance(
 
     Parameters
     ----------
-    light : irradiance of the Sun and ambient light, W/m2; seconds between the two instants.
+    sun_w_m2, ambient_w_m2 : irradiance of the Sun, and ambient light.
+    between_s : from one instant to the other.
     angles : of `choose`; shares : (2, n).
     room : (3, n), overwritten.
     out : (2, points).
     """
     kind, parameters = law
-    sun, ambient, between_s = light
     for m in range(2):
         reflect(kind, parameters, angles[m], angles[2 + m], angles[4 + m], count, room[m])
         for i in range(count):
-            room[m, i] *= sun * shares[m, i]
-    if ambient > 0.0:
+            room[m, i] *= sun_w_m2 * shares[m, i]
+    if ambient_w_m2 > 0.0:
         for m in range(2):
             for i in range(count):
                 angles[m, i] = abs(angles[2 + m, i])
                 angles[4 + m, i] = 0.0
             reflect(kind, parameters, angles[m], angles[m], angles[4 + m], count, room[2])
             for i in range(count):
-                room[m, i] += ambient * room[2, i]
+                room[m, i] += ambient_w_m2 * room[2, i]
     for i in range(count):
         k = chosen[i]
         out[0, k] = room[0, i]
@@ -257,9 +265,9 @@ class Lighting:
         self._bodies = self._lit(parameters, surfaces, sharp)
         self._pool = ThreadPool(threads if sharp else 1)
         self._sharp = list(self._sharp_shadows(surfaces))
-        most = max(len(body.points) for body in self._bodies)
-        self._chosen, self._angles = np.empty(most, np.int32), np.empty((6, most))
-        self._shares, self._room = np.empty((2, most)), np.empty((3, most))
+        points = max(len(body.points) for body in self._bodies)
+        self._chosen, self._angles = np.empty(points, np.int32), np.empty((6, points))
+        self._shares, self._room = np.empty((2, points)), np.empty((3, points))
 
     def close(self) -> None:
         """End the threads; a second call does nothing."""
@@ -279,11 +287,9 @@ class Lighting:
     def _polygons(
         self, g: int, shadows: SharpShadows, seen: _Seen, radiances: Sequence[Radiance], step_s: float
     ) -> Polygons:
-        around = seen.suns[0], (seen.suns[1] - seen.suns[0]) / step_s, seen.eyes_m[0]
-        members = self._groups[g].members
-        return shadows.cast(
-            [(radiances[k].dark, radiances[k].dark_rate) for k in members if self._bodies[k].sharp], around
-        )
+        around = Surroundings(seen.suns[0], (seen.suns[1] - seen.suns[0]) / step_s, seen.eyes_m[0])
+        members = [radiances[k] for k in self._groups[g].members if self._bodies[k].sharp]
+        return shadows.cast([Dark(light.dark, light.dark_rate) for light in members], around)
 
     def _lit(self, parameters: BodiesParameters, surfaces: Sequence[Surface], sharp: Collection[int]) -> list[_Lit]:
         where = {k: (g, pose) for g, group in enumerate(self._groups) for k, pose in zip(*_both(group), strict=True)}
@@ -318,8 +324,7 @@ class Lighting:
     def _seen(self, motion: Motion, root: int, step_s: float) -> _Seen:
         now, before, after = (self._around(poses, root) for poses in (motion.now, motion.before, motion.after))
         share = step_s / motion.between_s
-        both = (np.stack([a, a + share * (c - b)]) for a, b, c in zip(now, before, after, strict=True))
-        return _Seen(*both)
+        return _Seen(*(np.stack([a, a + share * (c - b)]) for a, b, c in zip(now, before, after, strict=True)))
 
     def _around(self, poses: Poses, root: int) -> tuple[Floats, Floats, Floats, Floats]:
         """Return world_from_group, the group's place, and the Sun's direction and the camera's place in its frame."""
@@ -328,44 +333,42 @@ class Lighting:
         return turn, place, self._towards @ turn, (poses.camera.position_m - place) @ turn
 
     def _body_light(self, body: _Lit, seen: Sequence[_Seen], step_s: float) -> Radiance:
-        own, radius = seen[body.group], self._sun.radius_rad
+        group, radius = seen[body.group], self._sun.radius_rad
         lowest = -2.0 if self._ambient > 0 else -math.sin(radius)
-        surface = (body.points, body.normals, body.lean)
-        count = choose(surface, own.suns, own.eyes_m, lowest, self._chosen, self._angles)
-        cosines = self._angles[:2]
+        chosen, angles, shares, room = self._chosen, self._angles, self._shares, self._room
+        count = choose(body.points, body.normals, body.lean, group.suns, group.eyes_m, lowest, chosen, angles)
+        cosines = angles[:2]
         if body.table is not None:
-            dim_below(body.table, body.normals, self._chosen, count, own.suns, radius, cosines, self._shares)
+            dim_below(body.table, body.normals, chosen, count, group.suns, radius, cosines, shares)
         else:
-            dim_at_plane(count, radius, cosines, self._shares)
+            dim_at_plane(count, radius, cosines, shares)
         for g, tree in enumerate(self._trees):
             if tree is not None and (g != body.group or (body.table is None and not body.sharp)):
-                self._cast(body, tree, own, seen[g], count)
+                self._cast(body, tree, group, seen[g], count)
         out, dark = np.zeros((2, 2, len(body.points)))
-        light = (self._sun.irradiance_w_m2, self._ambient, step_s)
-        write_radiance(body.law, light, self._chosen, count, self._angles, self._shares, self._room, out)
+        irradiance = self._sun.irradiance_w_m2
+        write_radiance(body.law, irradiance, self._ambient, step_s, chosen, count, angles, shares, room, out)
         if body.sharp and self._ambient > 0:
-            write_radiance(
-                body.law, (0.0, *light[1:]), self._chosen, count, self._angles, self._shares, self._room, dark
-            )
+            write_radiance(body.law, 0.0, self._ambient, step_s, chosen, count, angles, shares, room, dark)
         if body.albedo is not None:
             out *= body.albedo
             dark *= body.albedo
         return Radiance(*out, *dark)
 
-    def _cast(self, body: _Lit, tree: TriangleTree, own: _Seen, other: _Seen, count: int) -> None:
-        """Dim the chosen points of a body by the shadow of a group."""
+    def _cast(self, body: _Lit, tree: TriangleTree, group: _Seen, other: _Seen, count: int) -> None:
+        """Dim the chosen points of a body, which is in `group`, by the shadow of another group or of its own."""
         moved = np.empty((2, 3, 5))
         for m in range(2):
-            moved[m, :, :3] = other.world_from_group[m].T @ own.world_from_group[m]
-            moved[m, :, 3] = other.world_from_group[m].T @ (own.places_m[m] - other.places_m[m])
+            moved[m, :, :3] = other.world_from_group[m].T @ group.world_from_group[m]
+            moved[m, :, 3] = other.world_from_group[m].T @ (group.places_m[m] - other.places_m[m])
             moved[m, :, 4] = other.suns[m]
         tangent = math.tan(self._sun.radius_rad)
-        reaches = (tangent, _NEAR * tree.radius_m)
-        if own is other:
-            chosen, memory = self._chosen, body.memory
-            dim_remembering(tree.arrays, body.points, chosen, count, moved, reaches, memory, self._shares)
+        near_m = _NEAR * tree.radius_m
+        chosen, shares = self._chosen, self._shares
+        if group is other:
+            dim_remembering(tree, body.points, chosen, count, moved, tangent, near_m, body.memory, shares)
         elif _may_shade(tree, body, moved[0], tangent):
-            dim(tree.arrays, body.points, self._chosen, count, moved, reaches, self._shares)
+            dim(tree, body.points, chosen, count, moved, tangent, near_m, shares)
 
 
 def _both(group: RigidGroup) -> tuple[tuple[int, ...], tuple[Pose, ...]]:

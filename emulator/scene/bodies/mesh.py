@@ -30,7 +30,7 @@ import numpy.typing as npt
 from emulator.light import SceneError
 from emulator.scene.bodies import mesh_files
 from emulator.scene.bodies.mesh_files import PlateTable, PlateTableError, parse_plates, parse_wavefront
-from emulator.scene.files import cached_arrays, read_in_child
+from emulator.scene.files import Kind, cached_arrays, read_in_child
 from emulator.tables.toml_text import TextFileError, read_text, shortened
 from firmware_protocol.compiled import checksum_of
 
@@ -97,12 +97,12 @@ class Mesh:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Remarks for the user on faults of the shape that were corrected or accepted, a sentence each."""
-        found = (
+        faults = (
             (self.dropped_facets, f"{self.dropped_facets} facets without area were dropped"),
             (self.open_edges, f"{self.open_edges} edges are open: dark sky shows through the holes"),
             (self.was_inside_out, "the mesh was inside out and was turned"),
         )
-        return tuple(text for is_so, text in found if is_so)
+        return tuple(text for is_so, text in faults if is_so)
 
 
 def find_shape(name: str) -> Path:
@@ -113,8 +113,8 @@ def find_shape(name: str) -> Path:
     shipped = {p.stem: p for p in SHAPES.iterdir() if p.suffix in (".tab", ".obj")}
     if name in shipped:
         return shipped[name]
-    known = ", ".join(sorted(shipped))
-    raise SceneError(f"no shape model {name!r}: there is no such file, and the shipped ones are {known}")
+    names = ", ".join(sorted(shipped))
+    raise SceneError(f"no shape model {name!r}: there is no such file, and the shipped ones are {names}")
 
 
 def load_mesh(path: Path, units_m: float = 1000.0) -> Mesh:
@@ -169,8 +169,8 @@ def _read(path: Path) -> tuple[_Points, npt.NDArray[np.int64], _Points | None]:
     parse = {".tab": parse_plates, ".obj": parse_wavefront}.get(path.suffix.lower())
     if parse is None:
         reader = "read_dsk" if path.suffix.lower() in _SHAPE_KERNELS else "read_surface"
-        found = read_in_child(f"{__name__}:{reader}", path)
-        return found["vertices"], found["faces"], None
+        arrays = read_in_child(f"{__name__}:{reader}", path)
+        return arrays["vertices"], arrays["faces"], None
     try:
         text = read_text(path, _MOST_BYTES)
         table = parse(text) if len(text) < _CACHED_BYTES else _from_cache(parse, text)
@@ -187,7 +187,7 @@ def _from_cache(parse: Callable[[str], PlateTable], text: str) -> PlateTable:
         table = parse(text)
         return table.vertices, table.facets, np.empty(0) if table.albedo is None else table.albedo
 
-    kinds = (np.float64, 2), (np.int64, 2), (np.float64, 1)
+    kinds = Kind(np.float64, 2), Kind(np.int64, 2), Kind(np.float64, 1)
     vertices, facets, albedo = cached_arrays("shape", made_from, parsed, kinds)
     return PlateTable(vertices, facets, albedo if len(albedo) else None)
 

@@ -107,11 +107,11 @@ def _counts(row: _Row, allowed: tuple[int, ...]) -> list[int]:
     return [int(word) for word in words]
 
 
-def _without_number(rows: list[_Row], what: str) -> list[_Row]:
+def _without_number(rows: list[_Row], content: str) -> list[_Row]:
     """Remove the running number where lines have one."""
     for line, words in rows:
         if len(words) not in (3, 4):
-            _refuse(line, words, f"a {what} of three numbers, with or without its running number before them")
+            _refuse(line, words, f"a {content} of three numbers, with or without its running number before them")
     return [(line, words[-3:]) for line, words in rows]
 
 
@@ -136,8 +136,8 @@ def _indices(rows: list[_Row]) -> npt.NDArray[np.int64]:
     return np.array(indices, np.int64).reshape(-1, 3)
 
 
-def _refuse(line: int, words: list[str], wanted: str) -> NoReturn:
-    raise PlateTableError(f"line {line}: {' '.join(words)[:60]!r} is not {wanted}")
+def _refuse(line: int, words: list[str], expected: str) -> NoReturn:
+    raise PlateTableError(f"line {line}: {' '.join(words)[:60]!r} is not {expected}")
 
 
 _MOST_CORNERS = 1000
@@ -203,5 +203,5 @@ def _triangles(corners: list[int]) -> list[int]:
     return [n for pair in itertools.pairwise(corners[1:]) for n in (first, *pair)]
 
 
-def _refuse_wavefront(number: int, words: list[str], wanted: str) -> NoReturn:
-    raise PlateTableError(f"line {number}: {' '.join(words)[:60]!r} is not {wanted}")
+def _refuse_wavefront(number: int, words: list[str], expected: str) -> NoReturn:
+    raise PlateTableError(f"line {number}: {' '.join(words)[:60]!r} is not {expected}")

@@ -37,8 +37,8 @@ import numpy.typing as npt
 from emulator.geometry.attitude import matrix_of, quaternion_of
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Glossy, LommelSeeliger
+from emulator.scene.bodies.albedo import Texture, painted
 from emulator.scene.bodies.mesh import Mesh, build_mesh, find_shape, load_mesh
-from emulator.scene.bodies.painting import Texture, painted
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.files import read_in_child
 from emulator.trajectory.joints import Joint, JointPath, Track
@@ -90,24 +90,25 @@ def load_bodies(parameters: BodiesParameters) -> Bodies:
         path = find_shape(body.shape)
         if path.suffix.lower() in MODEL_READERS:
             model = read_model(path)
-            found = _bodies(body, model, _unused(body.name or path.stem, names, is_given=bool(body.name)))
+            bodies = _bodies(body, model, _unused(body.name or path.stem, names, is_given=bool(body.name)))
             notes += [f"{body.shape}: {note}" for note in model.header["notes"]]
         else:
             mesh = load_mesh(path, body.units_m)
-            found = [(body, mesh)]
+            bodies = [(body, mesh)]
             notes += [f"{body.shape}: {warning}" for warning in mesh.warnings]
-        tables += [table for table, _ in found]
-        meshes += [mesh for _, mesh in found]
+        tables += [table for table, _ in bodies]
+        meshes += [mesh for _, mesh in bodies]
     return Bodies(replace(parameters, bodies=tuple(tables)), meshes, notes)
 
 
 def _unused(name: str, names: list[str], *, is_given: bool) -> str:
-    number, found = 1, name
-    while not is_given and found in names:
+    """Return a name that no body has yet, and add it to `names`."""
+    number, unused = 1, name
+    while not is_given and unused in names:
         number += 1
-        found = f"{name} {number}"
-    names.append(found)
-    return found
+        unused = f"{name} {number}"
+    names.append(unused)
+    return unused
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,10 +156,10 @@ def _bodies(body: BodyTable, model: Model, name: str) -> list[tuple[BodyTable, M
     for number, part in enumerate(model.header["parts"]):
         moving = tuple(k for k in _ancestry(part["node"], model) if k in tracks)
         groups.setdefault(moving, []).append(number)
-    found: list[tuple[BodyTable, Mesh]] = []
+    bodies: list[tuple[BodyTable, Mesh]] = []
     for moving in sorted(groups):
         joints, frame = _joints(moving, model, tracks, body.units_m)
-        first = replace(body, name=_named(name, model, groups[moving][0])) if found else replace(body, name=name)
+        first = replace(body, name=_named(name, model, groups[moving][0])) if bodies else replace(body, name=name)
         if moving:
             first = _moving(first, model, JointPath(joints, period_s), name if () in groups else "")
         for number in groups[moving]:
@@ -171,8 +172,8 @@ def _bodies(body: BodyTable, model: Model, name: str) -> list[tuple[BodyTable, M
             mesh, material = _covered(body, model, part, frame @ _chain(below, model))
             law = law_of(material) if material else body.reflectance
             smooth = body.smooth and not part["is_flat"]
-            found.append((replace(table, reflectance=law, smooth=smooth), mesh))
-    return found
+            bodies.append((replace(table, reflectance=law, smooth=smooth), mesh))
+    return bodies
 
 
 def _moving(first: BodyTable, model: Model, path: JointPath, root: str) -> BodyTable:
@@ -205,7 +206,7 @@ def _covered(
     material = part["material"] if body.reflectance == LommelSeeliger() else None
     if uv is None:
         return mesh, material
-    textured = sum(one.get("texture") is not None for one in model.header["parts"])
+    textured = sum(other.get("texture") is not None for other in model.header["parts"])
     texture = Texture(model.arrays[part["texture"]["luminance"]], tuple(part["texture"]["wraps"]))
     mesh, luminance, is_whole = painted(mesh, uv, texture, len(mesh.faces) + _MOST_PAINTED // textured)
     notes = model.header["notes"]
@@ -234,11 +235,11 @@ def _mesh(model: Model, part: dict[str, Any], matrix: _Floats) -> tuple[Mesh, _F
 
 def _ancestry(node: int, model: Model) -> list[int]:
     """Return the nodes from the root to a node."""
-    found = []
+    nodes = []
     while node >= 0:
-        found.append(node)
+        nodes.append(node)
         node = model.header["nodes"][node]["parent"]
-    return found[::-1]
+    return nodes[::-1]
 
 
 def _chain(nodes: Sequence[int], model: Model) -> _Floats:
@@ -268,24 +269,24 @@ _Tracks = dict[int, dict[str, Track]]
 def _tracks(body: BodyTable, model: Model) -> tuple[_Tracks, float]:
     """Return the tracks of each node that moves, and the period in seconds, 0 where nothing repeats."""
     animations = model.header["animations"]
-    names = [one["name"] for one in animations]
+    names = [animation["name"] for animation in animations]
     if body.animation and body.animation not in names:
         raise SceneError(f"{model.path}: no animation {body.animation!r}: it has {', '.join(names) or 'none'}")
-    found: _Tracks = {}
-    for one in animations:
-        for channel in one["channels"] if body.animation in ("", one["name"]) else ():
+    tracks: _Tracks = {}
+    for animation in animations:
+        for channel in animation["channels"] if body.animation in ("", animation["name"]) else ():
             node = model.header["nodes"][channel["node"]]
-            if channel["path"] in found.setdefault(channel["node"], {}) or "matrix" in node:
-                why = "has a matrix" if "matrix" in node else f"is moved twice: choose one `animation` of {names}"
-                raise SceneError(f"{model.path}: node {node['name']!r} {why}")
-            found[channel["node"]][channel["path"]] = _track(model, channel)
-    every = [track for tracks in found.values() for track in tracks.values()]
+            if channel["path"] in tracks.setdefault(channel["node"], {}) or "matrix" in node:
+                fault = "has a matrix" if "matrix" in node else f"is moved twice: choose one `animation` of {names}"
+                raise SceneError(f"{model.path}: node {node['name']!r} {fault}")
+            tracks[channel["node"]][channel["path"]] = _track(model, channel)
+    every = [track for of_node in tracks.values() for track in of_node.values()]
     if not body.repeat or not every:
-        return found, 0.0
+        return tracks, 0.0
     period_s = max(float(track.times_s[-1]) for track in every)
     if period_s < 1e-6 or not all(_closes(track) for track in every):
         raise SceneError(f"{model.path}: its animation ends elsewhere than it begins, so it cannot `repeat`")
-    return found, period_s
+    return tracks, period_s
 
 
 def _track(model: Model, channel: dict[str, Any]) -> Track:
@@ -313,8 +314,10 @@ def _joints(moving: Sequence[int], model: Model, tracks: _Tracks, units_m: float
             "translation": Track(np.zeros(1), np.array([nodes[k]["translation"]])),
             "rotation": Track(np.zeros(1), _unit(nodes[k]["rotation"])[None]),
         }
-        own = still | tracks[k]
-        joints.append(Joint(fixed, _scaled(own["translation"], scale), own["rotation"]))
+        motion = still | tracks[k]
+        place = motion["translation"]
+        tangents = None if place.tangents is None else place.tangents * scale
+        joints.append(Joint(fixed, Track(place.times_s, place.values * scale, tangents), motion["rotation"]))
         frame, at = np.diag([*(scale * np.array(nodes[k]["scale"])), 1.0]), k
     return tuple(joints), frame
 
@@ -330,7 +333,3 @@ def _split(frame: _Floats, name: str, model: Model) -> tuple[Pose, float]:
             "moves; apply the scale to the vertices"
         )
     return Pose(frame[:3, 3], quaternion_of(linear / scale)), scale
-
-
-def _scaled(track: Track, scale: float) -> Track:
-    return Track(track.times_s, track.values * scale, None if track.tangents is None else track.tangents * scale)

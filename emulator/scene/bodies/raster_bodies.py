@@ -18,25 +18,26 @@ facets. Facets too small to be visible are merged (see `BodyWorld.as_seen`).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
-from emulator.light import Light, PixelLight, Region, Scene, SceneError
+from emulator.light import NOTHING, LastArrays, Light, PixelLight, Region, SceneError
 from emulator.photometry.reflectance import Glossy, Lambert
-from emulator.raster import Box, Patches, Renderer, Screen, View, join, prepare
+from emulator.raster import Patches, Renderer, Screen, View, join, prepare
 from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.lighting import Lighting, Motion, Poses, motion_at
 from emulator.scene.bodies.lit_surface import Surface, lit_surface, near_in_memory, subdivide
 from emulator.scene.bodies.shadow_polygons import with_narrow_penumbras
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.bodies.world import BodyWorld, rigid_groups
+from emulator.scene.world import WorldScene
 from emulator.threads import available_threads
-from emulator.trajectory.pose import Pose, Timescale, Trajectory
-from emulator.truth.surfaces import NearestSurface, motion_of, write_depth_and_flow
+from emulator.trajectory.pose import Pose
+from emulator.truth.surfaces import NearestSurface, camera_from_body, motion_of, write_depth_and_flow
 
 _NEAREST_SHARE = 1e-6  # of the range to the nearest body: facets are cut this near the camera
 
@@ -51,12 +52,12 @@ class BodiesGeometry(SceneGeometry):
         self.names = _names(world.parameters.bodies)
         self._meshes = [world.as_seen(k) for k in range(len(world.meshes))]
         surfaces = [(mesh.faces, len(mesh.vertices), mesh.open_edges > 0) for mesh in self._meshes]
-        self._surfaces = NearestSurface(surfaces, world.pinhole, _NEAREST_SHARE * world.arrangement.distance_m)
+        self._surfaces = NearestSurface(surfaces, world.pinhole, _NEAREST_SHARE * world.distance_m)
         self._inverse_depth = np.zeros_like(self._rays.columns)
 
     def look(self, t_ns: int, out: Seen) -> None:
         """Write depth, flow and labels at `t_ns`."""
-        motion = self._motion(t_ns)
+        motion = motion_at(t_ns, self._world.camera, self._world.arrangement.poses, self._world.time)
         self._surfaces.look(self._vertices(motion), self._rays, out.labels, self._inverse_depth)
         write_depth_and_flow(self._inverse_depth, _motions(motion), self._world.pinhole, self._rays, out)
 
@@ -70,10 +71,6 @@ class BodiesGeometry(SceneGeometry):
             np.array([pose.position_m for pose in bodies]),
             np.array([pose.q_world_from_body for pose in bodies]),
         )
-
-    def _motion(self, t_ns: int) -> Motion:
-        world = self._world
-        return motion_at(t_ns, world.camera, world.arrangement.poses, world.time)
 
     def _vertices(self, motion: Motion) -> np.ndarray:
         eye, camera_from_world = motion.now.camera.position_m, motion.now.camera.world_from_body.T
@@ -113,7 +110,9 @@ Floats = npt.NDArray[np.float64]
 
 
 @entry
-def move(points: Floats, turns: Floats, shifts: Floats, scale: float, first: int, out: tuple[Floats, Floats]) -> int:
+def move(  # noqa: PLR0913, PLR0917
+    points: Floats, turns: Floats, shifts: Floats, scale: float, first: int, places: Floats, velocities: Floats
+) -> int:
     """Write places and velocities from row `first` on; return the row after the last.
 
     Parameters
@@ -121,9 +120,8 @@ def move(points: Floats, turns: Floats, shifts: Floats, scale: float, first: int
     points : (n, 3) m, fixed in a frame, or (n, 6) with velocities in it, m/s.
     turns, shifts : (2, 3, 3) and (2, 3), camera from frame, m, and their rates, a second.
     scale : of what is written.
-    out : (rows, 3) m and (rows, 3) m/s.
+    places, velocities : (rows, 3) m and (rows, 3) m/s.
     """
-    places, velocities = out
     drifts = points.shape[1] == 6
     for k in range(len(points)):
         x, y, z = points[k, 0], points[k, 1], points[k, 2]
@@ -158,7 +156,7 @@ def build_bodies(parameters: BodiesParameters, pinhole: Pinhole, threads: int = 
     return RasterBodies(parameters, pinhole, threads=threads or (available_threads() if large else 1))
 
 
-class RasterBodies(Scene):
+class RasterBodies(WorldScene[BodyWorld]):
     """The bodies of `parameters` as `pinhole` sees them, in radiance, drawn by the CPU; raises SceneError.
 
     Parameters
@@ -167,7 +165,8 @@ class RasterBodies(Scene):
     """
 
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole, threads: int = 1) -> None:
-        self._world = world = BodyWorld(parameters, pinhole)
+        super().__init__(BodyWorld(parameters, pinhole))
+        world = self._world
         parameters = world.parameters
         bodies = range(len(world.meshes))
         pixel_m = min(map(self._nearest_m, bodies)) / pinhole.focal_px
@@ -187,52 +186,10 @@ class RasterBodies(Scene):
         self._patches = Patches(topology)
         self._renderer = Renderer(topology, screen, threads)
         self._spare = np.zeros((height, width), np.float32)
-        self._drawn = Box()
+        self._drawn = NOTHING
         self._changed: Region | None = None
         self._closed = False
-        self._last_frames: tuple[Light | None, Light | None] = (None, None)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._world.pinhole.size
-
-    @property
-    def renderer(self) -> str:
-        """The name of what draws."""
-        return "the CPU, exact coverage"
-
-    @property
-    def camera_path(self) -> Trajectory:
-        """The camera's path, on the scene's time."""
-        return self._world.camera
-
-    @property
-    def path_time(self) -> Timescale:
-        """Stream time to scene time."""
-        return self._world.time
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """From the paths' speeds and turns."""
-        return self._world.motion_bound_px_s
-
-    @property
-    def distance_m(self) -> float:
-        """The closest range of any body, less its radius."""
-        return self._world.arrangement.distance_m
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Remarks for the user: faults of the shapes, detail that was left out, a black light frame."""
-        first = np.zeros(self.size[::-1], np.float32)
-        self.light(0, first)
-        return self._world.notes(first)
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Counts of poses received from outside."""
-        return self._world.counts
+        self._arrays = LastArrays()
 
     @property
     def changed(self) -> Region | None:
@@ -245,10 +202,10 @@ class RasterBodies(Scene):
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32."""
-        whole = out if out.flags.c_contiguous else np.empty(out.shape, np.float32)  # of the kernels' only layout
-        self.light_and_rate(t_ns, whole, self._spare)
-        if whole is not out:
-            out[...] = whole
+        light = out if out.flags.c_contiguous else np.empty(out.shape, np.float32)  # of the kernels' only layout
+        self.light_and_rate(t_ns, light, self._spare)
+        if light is not out:
+            out[...] = light
 
     @property
     def has_rate(self) -> bool:
@@ -257,11 +214,9 @@ class RasterBodies(Scene):
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the radiance at `t_ns` and its exact time derivative, a second, both (height, width) float32."""
-        known = self._last_frames[0] is light and self._last_frames[1] is rate
-        before = self._drawn if known else None
+        before = self._drawn if self._arrays.are(light, rate) else None
         self._drawn = self._renderer.draw(self._view(t_ns), light, rate, before)
-        self._last_frames = (light, rate)
-        self._changed = None if before is None else _region(self._drawn.union(before))
+        self._changed = None if before is None else self._drawn.union(before)
 
     @property
     def pixel_light(self) -> PixelLight:
@@ -273,7 +228,7 @@ class RasterBodies(Scene):
         self._closed = True
         self._renderer.close()
         self._lighting.close()
-        self._world.close()
+        super().close()
 
     def _pixels(self, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[Light, Light]:
         return self._renderer.query(self._view(t_ns), pixels)
@@ -289,9 +244,10 @@ class RasterBodies(Scene):
     def _longest_m(self, k: int) -> float:
         """Return the longest allowed side of body k's facets."""
         world = self._world
-        body = world.parameters.bodies[k]
-        fine_m = LONGEST_PX * world.metres_a_pixel(k)
-        shaded = _is_shaded_by_others(world.parameters, k)
+        bodies = world.parameters.bodies
+        body, fine_m = bodies[k], LONGEST_PX * world.metres_a_pixel(k)
+        beside = [j for group in rigid_groups(bodies) if k not in group.members for j in group.members]
+        shaded = world.parameters.shadows and any(bodies[j].throws_shadow for j in beside)
         if k not in self._sharp or shaded or not isinstance(body.reflectance, Glossy | Lambert):
             return fine_m
         lobe = body.reflectance.sharpness if isinstance(body.reflectance, Glossy) else 1.0
@@ -318,15 +274,9 @@ class RasterBodies(Scene):
         return View(
             places,
             velocities,
-            np.concatenate([*(one.radiance for one in surface_lights), *(shadow.radiance for shadow in shadows)]),
-            np.concatenate([*(one.rate for one in surface_lights), *(shadow.rate for shadow in shadows)]),
+            np.concatenate([*(light.radiance for light in surface_lights), *(shadow.radiance for shadow in shadows)]),
+            np.concatenate([*(light.rate for light in surface_lights), *(shadow.rate for shadow in shadows)]),
         )
-
-
-def _is_shaded_by_others(parameters: BodiesParameters, k: int) -> bool:
-    """Return whether a body of another rigid group may cast a shadow on body k."""
-    others = [group.members for group in rigid_groups(parameters.bodies) if k not in group.members]
-    return parameters.shadows and any(parameters.bodies[m].throws_shadow for members in others for m in members)
 
 
 def _in_groups(parameters: BodiesParameters, surfaces: Sequence[Surface]) -> list[tuple[int, _Floats]]:
@@ -350,25 +300,13 @@ def _in_camera_axes(parts: Sequence[tuple[int, _Floats, float]], motion: Motion)
         are drawn, as a share of their own.
     """
     out = np.empty((2, sum(len(points) for _, points, _ in parts), 3))
-    motions = {k: _seen_motion(motion, k) for k in {k for k, _, _ in parts}}
+    instants = motion.now, motion.before, motion.after
+    motions = {}  # turns and shifts of each body against the camera, with their rates, as `move` takes them
+    for k in {k for k, _, _ in parts}:
+        now, before, after = (camera_from_body(poses.camera, poses.bodies[k]) for poses in instants)
+        turns, shifts = (np.stack([a, (c - b) / motion.between_s]) for a, b, c in zip(now, before, after, strict=True))
+        motions[k] = turns, shifts
     row = 0
     for k, points, share in parts:
-        row = move(points, *motions[k], share, row, (out[0], out[1]))
+        row = move(points, *motions[k], share, row, out[0], out[1])
     return out[0], out[1]
-
-
-def _seen_motion(motion: Motion, k: int) -> tuple[_Floats, _Floats]:
-    """Return turns and shifts of body k against the camera, with their rates, as `move` takes them."""
-    now, before, after = (_camera_from_body(poses, k) for poses in (motion.now, motion.before, motion.after))
-    turns, shifts = (np.stack([a, (c - b) / motion.between_s]) for a, b, c in zip(now, before, after, strict=True))
-    return turns, shifts
-
-
-def _camera_from_body(poses: Poses, k: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    camera_from_world = poses.camera.world_from_body.T
-    pose = poses.bodies[k]
-    return camera_from_world @ pose.world_from_body, camera_from_world @ (pose.position_m - poses.camera.position_m)
-
-
-def _region(box: Box) -> Region:
-    return Region(box.first_row, box.last_row, box.first_column, box.last_column)

@@ -46,12 +46,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.clouds import clouded, fractal_noise, with_albedo
+from emulator.scene.bodies.albedo import clouded, fractal_noise, with_albedo
 from emulator.scene.bodies.lit_surface import split_sides
 from emulator.scene.bodies.mesh import Mesh, facet_vectors, vertex_normals
 from emulator.scene.bodies.smooth_ground import smooth_ground
 from emulator.scene.bodies.table import Clouds, Detail, Regolith
-from emulator.scene.files import cached_arrays
+from emulator.scene.files import Kind, cached_arrays
 from firmware_protocol.compiled import checksum_of
 
 if TYPE_CHECKING:
@@ -111,9 +111,9 @@ def features(mesh: Mesh, law: Law, seed: int, smallest_m: float, largest_m: floa
     if not octaves:
         octaves = [(np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty((0, _PER_FEATURE)))]
     places, normals, sizes, lots = (np.concatenate(parts) for parts in zip(*octaves, strict=True))
-    wanted = np.flatnonzero((sizes > smallest_m) & (sizes <= largest_m))
-    wanted = wanted[np.argsort(-sizes[wanted], kind="stable")]
-    return Features(places[wanted], normals[wanted], sizes[wanted], faded(sizes[wanted], smallest_m), lots[wanted])
+    chosen = np.flatnonzero((sizes > smallest_m) & (sizes <= largest_m))
+    chosen = chosen[np.argsort(-sizes[chosen], kind="stable")]
+    return Features(places[chosen], normals[chosen], sizes[chosen], faded(sizes[chosen], smallest_m), lots[chosen])
 
 
 def _octave(mesh: Mesh, law: Law, seed: int, k: int) -> tuple[Floats, Floats, Floats, Floats]:
@@ -219,18 +219,18 @@ def weathered(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
     size_m = facet_size_m(mesh)
     largest_m = _RESOLVED * size_m
     smallest_m = smallest_feature_m(mesh, p, pixel_m)
-    made = {
+    kinds = {
         kind: features(mesh, law, p.seed, smallest_m, largest_m)
         for kind, law in _laws(p).items()
         if smallest_m < largest_m
     }
-    if _BOULDER in made:
-        made[_BOULDER] = _without(made[_BOULDER], _smooth(mesh, p, made[_BOULDER].places))
+    if _BOULDER in kinds:
+        kinds[_BOULDER] = _without(kinds[_BOULDER], _smooth(mesh, p, kinds[_BOULDER].places))
     even = _evenly_divided(mesh, p, pixel_m)
-    fine = _divided(even, made)
-    if _CRATER in made:
-        fine = _with_rims(fine, made[_CRATER])
-    moved, tint = _shaped(fine, made, p)
+    fine = _divided(even, kinds)
+    if _CRATER in kinds:
+        fine = _with_rims(fine, kinds[_CRATER])
+    moved, tint = _shaped(fine, kinds, p)
     rough = 1 - _SMOOTHED * _smooth(mesh, p, fine.vertices)
     rough_m = math.tan(math.radians(p.slope_deg)) * size_m / _steepness(mesh, p, size_m)
     noise = rough_m * rough * _roughness(fine.vertices, p, size_m, facet_size_m(even))
@@ -245,10 +245,10 @@ def _smooth(mesh: Mesh, p: Regolith, places: Floats) -> Floats:
     return smooth_ground(mesh, coarser(mesh, mesh.radius_m / _GRAVITY_CELLS), places, p.smooth_share)
 
 
-def _without(some: Features, smooth: Floats) -> Features:
+def _without(group: Features, smooth: Floats) -> Features:
     """Return the features on rough ground; near smooth ground they are fewer, by a random number of each."""
-    left = np.flatnonzero(some.lots[:, _CHANCE] >= smooth)
-    parts = (some.places, some.normals, some.diameters_m, some.weights, some.lots)
+    left = np.flatnonzero(group.lots[:, _CHANCE] >= smooth)
+    parts = (group.places, group.normals, group.diameters_m, group.weights, group.lots)
     return Features(*(part[left] for part in parts))
 
 
@@ -300,16 +300,16 @@ def smallest_feature_m(mesh: Mesh, p: Regolith, pixel_m: float) -> float:
     """Return the least diameter of boulders and craters: proportional to the pixel, within the limits of `p`."""
     low_m = max(p.smallest_m, _ACROSS * p.facet_px * pixel_m)
     high_m = largest_m = max(_RESOLVED * facet_size_m(mesh), low_m)
-    most = max(p.most_facets - len(_evenly_divided(mesh, p, pixel_m).faces), 0) / _FACETS_EACH
+    allowed = max(p.most_facets - len(_evenly_divided(mesh, p, pixel_m).faces), 0) / _FACETS_EACH
 
     def count(from_m: float) -> float:
         return sum(number_above(w, from_m) - number_above(w, largest_m) for w in _laws(p).values()) * mesh.area_m2
 
-    if count(low_m) <= most:
+    if count(low_m) <= allowed:
         return low_m
     for _ in range(50):
         middle_m = math.sqrt(low_m * high_m)
-        low_m, high_m = (middle_m, high_m) if count(middle_m) > most else (low_m, middle_m)
+        low_m, high_m = (middle_m, high_m) if count(middle_m) > allowed else (low_m, middle_m)
     return high_m
 
 
@@ -320,7 +320,7 @@ def _laws(p: Regolith) -> dict[int, Law]:
     }
 
 
-def _divided(mesh: Mesh, made: dict[int, Features]) -> Mesh:
+def _divided(mesh: Mesh, kinds: dict[int, Features]) -> Mesh:
     """Return the body with facets as small under features as they need."""
     from scipy.spatial import cKDTree  # loaded where it is used: it takes longer than the rest of a short run's imports
 
@@ -331,11 +331,11 @@ def _divided(mesh: Mesh, made: dict[int, Features]) -> Mesh:
         sides_m = np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2)
         middles = ends.mean(axis=2).reshape(-1, 3)
         tree = cKDTree(middles)
-        for kind, some in made.items():
-            which, where = _near(tree, some, _REACH[kind], float(sides_m.max()) / 2)
-            gap_m = np.linalg.norm(middles[where] - some.places[which], axis=1) - 0.5 * sides_m.ravel()[where]
-            over = gap_m < _REACH[kind] * some.diameters_m[which] / 2
-            np.minimum.at(wanted_m.reshape(-1), where[over], some.diameters_m[which[over]] / _SIDES[kind])
+        for kind, group in kinds.items():
+            feature, where = _near(tree, group, _REACH[kind], float(sides_m.max()) / 2)
+            gap_m = np.linalg.norm(middles[where] - group.places[feature], axis=1) - 0.5 * sides_m.ravel()[where]
+            over = gap_m < _REACH[kind] * group.diameters_m[feature] / 2
+            np.minimum.at(wanted_m.reshape(-1), where[over], group.diameters_m[feature[over]] / _SIDES[kind])
         split = sides_m > wanted_m
         if not split.any():
             break
@@ -351,16 +351,16 @@ def _with_rims(mesh: Mesh, craters: Features) -> Mesh:
     """
     from scipy.spatial import cKDTree
 
-    which, where = _near(cKDTree(mesh.vertices), craters, 1 + _DRAWN, 0.0)
+    crater, where = _near(cKDTree(mesh.vertices), craters, 1 + _DRAWN, 0.0)
     _, first = np.unique(where, return_index=True)
-    which, where = which[first], where[first]
-    radius_m, normals = craters.diameters_m[which] / 2, craters.normals[which]
-    flat = mesh.vertices[where] - craters.places[which]
+    crater, where = crater[first], where[first]
+    radius_m, normals = craters.diameters_m[crater] / 2, craters.normals[crater]
+    flat = mesh.vertices[where] - craters.places[crater]
     high = (flat * normals).sum(axis=1, keepdims=True) * normals
     flat -= high
     r = np.linalg.norm(flat, axis=1) / radius_m
     beside = np.clip(np.abs(r - 1) / _DRAWN, 0, 1)
-    towards = craters.weights[which] * np.sign(1 - r) * _DRAWN * (beside - beside**3)
+    towards = craters.weights[crater] * np.sign(1 - r) * _DRAWN * (beside - beside**3)
     vertices = mesh.vertices.copy()
     scale = (towards / np.maximum(r, 1e-6))[:, None]
     vertices[where] += scale * flat + (2 + scale) * scale * high  # the ground's height goes with the distance squared
@@ -381,28 +381,28 @@ def _not_turned_over(mesh: Mesh, moved: Floats) -> Floats:
     return mesh.vertices
 
 
-def _near(tree: cKDTree, some: Features, reach: float, more_m: float) -> tuple[Numbers, Numbers]:
+def _near(tree: cKDTree, group: Features, reach: float, more_m: float) -> tuple[Numbers, Numbers]:
     """Return pairs of a feature and a point of the tree within `reach` of its radius, and `more_m`."""
-    lists = tree.query_ball_point(some.places, reach * some.diameters_m / 2 + more_m)
-    which = np.repeat(np.arange(len(lists)), [len(each) for each in lists])
-    where = np.concatenate([np.asarray(each, np.int64) for each in lists]) if len(lists) else np.empty(0, np.int64)
-    return which, where
+    lists = tree.query_ball_point(group.places, reach * group.diameters_m / 2 + more_m)
+    feature = np.repeat(np.arange(len(lists)), [len(points) for points in lists])
+    where = np.concatenate([np.asarray(points, np.int64) for points in lists]) if len(lists) else np.empty(0, np.int64)
+    return feature, where
 
 
-def _shaped(mesh: Mesh, made: dict[int, Features], p: Regolith) -> tuple[Floats, Floats]:
+def _shaped(mesh: Mesh, kinds: dict[int, Features], p: Regolith) -> tuple[Floats, Floats]:
     """Return the displacement of each vertex, (n, 3) m, and its albedo over that of its surroundings, (n,)."""
     from scipy.spatial import cKDTree
 
     moved, tint = np.zeros(mesh.vertices.shape), np.ones(len(mesh.vertices))
     tree = cKDTree(mesh.vertices)
-    for kind, some in made.items():
-        which, where = _near(tree, some, _REACH[kind], 0.0)
-        radius_m, lots = some.diameters_m[which, None] / 2, some.lots[which]
-        x, y, z = _local((mesh.vertices[where] - some.places[which]) / radius_m, some.normals[which])
+    for kind, group in kinds.items():
+        feature, where = _near(tree, group, _REACH[kind], 0.0)
+        radius_m, lots = group.diameters_m[feature, None] / 2, group.lots[feature]
+        x, y, z = _local((mesh.vertices[where] - group.places[feature]) / radius_m, group.normals[feature])
         shape = _crater if kind == _CRATER else _boulder
         height, bright = shape(x, y, lots, p)
-        share = some.weights[which] * (np.abs(z) < 1)
-        np.add.at(moved, where, (share * height)[:, None] * radius_m * some.normals[which])
+        share = group.weights[feature] * (np.abs(z) < 1)
+        np.add.at(moved, where, (share * height)[:, None] * radius_m * group.normals[feature])
         np.multiply.at(tint, where, 1 + share * bright)
     return moved, tint
 
@@ -457,7 +457,7 @@ def detailed(mesh: Mesh, detail: Detail, pixel_m: float) -> Mesh:
         "detail",
         made_from,
         lambda: _arrays_of(_with_detail(mesh, detail, pixel_m)),
-        ((np.float64, 2), (np.int32, 2), (np.float64, 2)),
+        (Kind(np.float64, 2), Kind(np.int32, 2), Kind(np.float64, 2)),
     )
     return dataclasses.replace(
         mesh,

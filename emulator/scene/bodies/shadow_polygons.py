@@ -23,19 +23,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.bodies.cast_shadow import Arrays, Frame, TriangleTree, after, axes_around
+from emulator.scene.bodies.cast_shadow import TriangleTree, after, axes_around
 from emulator.scene.bodies.compiled import entry, kernel
 from emulator.scene.bodies.lit_surface import Surface
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.polygons import (
     MOST_PIECES,
     ROOM,
-    Extent,
+    Cutter,
     Pieces,
+    Seen,
+    Segment,
+    Wide,
     copy_corners,
     covers,
     cut,
@@ -61,12 +65,76 @@ _WIDE_RAD = 0.05
 
 Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int32]
-Receivers = tuple[Floats, Floats, Numbers, Numbers]
-"""Corners (m, 9), planes (m, 4): unit normal and offset, the entry of the light of each corner (m, 3), numbers (m,)."""
-Out = tuple[Floats, Floats, Numbers, Numbers]
-Around = tuple[Floats, Floats, Floats]
-Memory = tuple[Floats, Numbers]
-Room = tuple[Pieces, Floats, Numbers, Floats]
+
+
+class Receivers(NamedTuple):
+    """Facets that receive shadows.
+
+    Attributes
+    ----------
+    corners : (m, 9).
+    planes : (m, 4), unit normal and offset.
+    shades : (m, 3), the entry of the light of each corner.
+    numbers : (m,), of the facets among those of all bodies.
+    """
+
+    corners: Floats
+    planes: Floats
+    shades: Numbers
+    numbers: Numbers
+
+
+class Triangles(NamedTuple):
+    """Shadows cut into triangles.
+
+    Attributes
+    ----------
+    places : (rows, 6), m and m/s.
+    light : (rows, 2), light and its rate, following the corner.
+    faces, over : (triangles, 3) rows and (triangles,) the facet below.
+    """
+
+    places: Floats
+    light: Floats
+    faces: Numbers
+    over: Numbers
+
+
+class Surroundings(NamedTuple):
+    """The Sun's unit direction, its rate and the camera's place, (3,) each, in the frame of a group."""
+
+    sun: Floats
+    turning: Floats
+    eye: Floats
+
+
+class Dark(NamedTuple):
+    """Light of the points of a body without the Sun, (e,), and its rate for the material point."""
+
+    light: Floats
+    rate: Floats
+
+
+class Memory(NamedTuple):
+    """What is known of facets since an earlier search.
+
+    Attributes
+    ----------
+    suns : (m, 4), the Sun's direction at the last search and the cosine up to which that is valid.
+    listed : (m, 1 + n), the number of triangles that may cover the facet until then, and their numbers.
+    """
+
+    suns: Floats
+    listed: Numbers
+
+
+class Room(NamedTuple):
+    """Work arrays: pieces of a polygon, and all shadows on a facet, their numbers of corners and their areas."""
+
+    pieces: Pieces
+    shadows: Floats
+    sizes: Numbers
+    areas: Floats
 
 
 @kernel
@@ -76,11 +144,11 @@ def _project(polygon: Floats, n: int, plane: Floats, sun: Floats, turning: Float
     across_rate = plane[0] * turning[0] + plane[1] * turning[1] + plane[2] * turning[2]
     for k in range(n):
         x, y, z = polygon[k, 0], polygon[k, 1], polygon[k, 2]
-        way = (plane[0] * x + plane[1] * y + plane[2] * z - plane[3]) / across
-        way_rate = -way * across_rate / across
+        distance = (plane[0] * x + plane[1] * y + plane[2] * z - plane[3]) / across
+        distance_rate = -distance * across_rate / across
         for j in range(3):
-            polygon[k, j] -= way * sun[j]
-            polygon[k, 3 + j] = -way_rate * sun[j] - way * turning[j]
+            polygon[k, j] -= distance * sun[j]
+            polygon[k, 3 + j] = -distance_rate * sun[j] - distance * turning[j]
 
 
 @kernel
@@ -90,28 +158,30 @@ def _shade(corners: Floats, plane: Floats, triangle: Floats, sun: Floats, turnin
         for j in range(3):
             pieces[0, k, j] = triangle[3 * (2 - k) + j]
             pieces[0, k, 3 + j] = 0.0
-    n = cut(pieces[0], 3, (plane[0], plane[1], plane[2], plane[3], 0.0, 0.0, 0.0, 0.0), pieces[1])
+    # Only what is above the plane casts a shadow on it; of that, only what falls on the facet counts.
+    n = cut(pieces[0], 3, Cutter(plane[0], plane[1], plane[2], plane[3], 0.0, 0.0, 0.0, 0.0), pieces[1])
     if n < 3:
         return 0
     _project(pieces[1], n, plane, sun, turning)
     for side in range(3):
         i, j = 3 * side, 3 * ((side + 1) % 3)
         ax, ay, az = corners[i], corners[i + 1], corners[i + 2]
-        ends = (ax, ay, az, corners[j] - ax, corners[j + 1] - ay, corners[j + 2] - az)
-        n = cut(pieces[(side + 1) % 2], n, side_of(plane, ends, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)), pieces[side % 2])
+        ends = Segment(ax, ay, az, corners[j] - ax, corners[j + 1] - ay, corners[j + 2] - az)
+        cutter = side_of(plane, ends, Segment(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        n = cut(pieces[(side + 1) % 2], n, cutter, pieces[side % 2])
         if n < 3:
             return 0
     return n
 
 
 @kernel
-def _slope(corners: Floats, plane: Floats, values: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return the gradient along a facet of the linear function with the given values at its corners."""
+def _slope(corners: Floats, plane: Floats, a: float, b: float, c: float) -> tuple[float, float, float]:
+    """Return the gradient along a facet of the linear function with these values at its corners."""
     nx, ny, nz = plane[0], plane[1], plane[2]
     ux, uy, uz = corners[3] - corners[0], corners[4] - corners[1], corners[5] - corners[2]
     vx, vy, vz = corners[6] - corners[0], corners[7] - corners[1], corners[8] - corners[2]
     area = nx * (uy * vz - uz * vy) + ny * (uz * vx - ux * vz) + nz * (ux * vy - uy * vx)
-    p, q = (values[1] - values[0]) / area, (values[2] - values[0]) / area
+    p, q = (b - a) / area, (c - a) / area
     return (
         p * (vy * nz - vz * ny) + q * (ny * uz - nz * uy),
         p * (vz * nx - vx * nz) + q * (nz * ux - nx * uz),
@@ -120,82 +190,84 @@ def _slope(corners: Floats, plane: Floats, values: tuple[float, float, float]) -
 
 
 @kernel
-def _write(polygon: Floats, n: int, receivers: Receivers, f: int, dark: tuple[Floats, Floats], at: Out, k: int) -> None:
+def _write(polygon: Floats, n: int, receivers: Receivers, f: int, dark: Dark, out: Triangles, k: int) -> None:
     """Write a polygon's corners from row k on, with the light of facet f there and its rate."""
-    corners, plane = receivers[0][f], receivers[1][f]
-    a, b, c = receivers[2][f, 0], receivers[2][f, 1], receivers[2][f, 2]
+    corners, plane = receivers.corners[f], receivers.planes[f]
+    a, b, c = receivers.shades[f, 0], receivers.shades[f, 1], receivers.shades[f, 2]
     still, rates = dark
-    gx, gy, gz = _slope(corners, plane, (still[a], still[b], still[c]))
-    rx, ry, rz = _slope(corners, plane, (rates[a], rates[b], rates[c]))
-    places, light = at[0], at[1]
+    gx, gy, gz = _slope(corners, plane, still[a], still[b], still[c])
+    rx, ry, rz = _slope(corners, plane, rates[a], rates[b], rates[c])
+    places, light = out.places, out.light
     for i in range(n):
         x, y, z = polygon[i, 0] - corners[0], polygon[i, 1] - corners[1], polygon[i, 2] - corners[2]
         for j in range(6):
             places[k + i, j] = polygon[i, j]
         light[k + i, 0] = max(still[a] + gx * x + gy * y + gz * z, 0.0)
         light[k + i, 1] = rates[a] + rx * x + ry * y + rz * z
+        # A corner that moves over the facet passes its gradient.
         light[k + i, 1] += gx * polygon[i, 3] + gy * polygon[i, 4] + gz * polygon[i, 5]
 
 
 @kernel
-def _fan(out: Out, row: int, n: int, first: int, facet: int) -> None:
+def _fan(out: Triangles, row: int, n: int, first: int, facet: int) -> None:
     """Write the triangles of a polygon of n corners from `row` on."""
     for i in range(n - 2):
-        out[2][first + i, 0], out[2][first + i, 1], out[2][first + i, 2] = row, row + i + 1, row + i + 2
-        out[3][first + i] = facet
+        out.faces[first + i, 0] = row
+        out.faces[first + i, 1] = row + i + 1
+        out.faces[first + i, 2] = row + i + 2
+        out.over[first + i] = facet
 
 
 def blank_memories(facets: int) -> Memory:
     """Return empty memories of facets."""
-    memory = np.zeros((facets, 4))
-    memory[:, 3] = 2.0
-    return memory, np.zeros((facets, 1 + _MOST_LISTED), np.int32)
+    suns = np.zeros((facets, 4))
+    suns[:, 3] = 2.0
+    return Memory(suns, np.zeros((facets, 1 + _MOST_LISTED), np.int32))
 
 
 def blank_room(shadows: int) -> Room:
-    """Return work arrays: pieces of a polygon, twice, the list of a facet's earlier ones, and all shadows on it."""
-    pieces, counts = np.zeros((2, MOST_PIECES, ROOM, 6)), np.zeros((2, MOST_PIECES), np.int32)
-    earlier = np.zeros((_MOST_EARLIER, 2), np.int32)
-    return (pieces, counts, earlier), np.zeros((shadows, ROOM, 6)), np.zeros(shadows, np.int32), np.zeros(shadows)
+    """Return work arrays for `shadows` shadows on a facet."""
+    corners, counts = np.zeros((2, MOST_PIECES, ROOM, 6)), np.zeros((2, MOST_PIECES), np.int32)
+    pieces = Pieces(corners, counts, np.zeros((_MOST_EARLIER, 2), np.int32))
+    return Room(pieces, np.zeros((shadows, ROOM, 6)), np.zeros(shadows, np.int32), np.zeros(shadows))
 
 
 @kernel
 def _add(
-    tree: Arrays,
+    tree: TriangleTree,
     k: int,
     corners: Floats,
     plane: Floats,
-    seen: tuple[Frame, Extent],
-    around: Around,
+    seen: Seen,
+    around: Surroundings,
     near_m: float,
     room: Room,
     count: int,
 ) -> int:
     """Write the shadow of triangle k on a facet, and its area, behind `count` others; return the new count."""
-    pieces, shadows, sizes, areas = room[0][0], room[1], room[2], room[3]
-    sun, turning, _ = around
-    triangle = tree[2][k]
-    if not covers(triangle, tree[3][k], plane, plane[3] + near_m, seen):
+    pieces = room.pieces.corners
+    triangle = tree.corners[k]
+    if not covers(triangle, tree.planes[k], plane, plane[3] + near_m, seen):
         return count
-    n = _shade(corners, plane, triangle, sun, turning, pieces[0])
+    n = _shade(corners, plane, triangle, around.sun, around.turning, pieces[0])
     n = without_short_sides(pieces[0, 0], n, near_m)
     if n < 3:
         return count
     area = double_area(pieces[0, 0], n, plane)
     if area <= _LEAST_AREA * _double_facet(corners, plane):
         return count
-    if count < len(shadows):
-        copy_corners(pieces[0, 0], n, shadows[count])
-        sizes[count], areas[count] = n, area
+    if count < len(room.shadows):
+        copy_corners(pieces[0, 0], n, room.shadows[count])
+        room.sizes[count], room.areas[count] = n, area
     return count + 1
 
 
 @kernel
 def _gather(
-    tree: Arrays, corners: Floats, plane: Floats, seen: tuple[Frame, Extent], around: Around, near_m: float, room: Room
+    tree: TriangleTree, corners: Floats, plane: Floats, seen: Seen, around: Surroundings, near_m: float, room: Room
 ) -> int:
     """Write the shadows of all triangles on a facet; return their number, including those beyond the room."""
-    boxes, starts = tree[0], tree[1]
+    boxes, starts = tree.boxes, tree.starts
     leaves, node, count = len(starts) - 1, 1, 0
     while True:
         if may_cover(boxes, node, plane, plane[3] + near_m, seen, 0.0):
@@ -224,61 +296,61 @@ def _lay(
     receivers: Receivers,
     f: int,
     shadows: int,
-    dark: tuple[Floats, Floats],
+    dark: Dark,
     near_m: float,
     room: Room,
-    out: Out,
+    out: Triangles,
     first: tuple[int, int],
 ) -> tuple[int, int]:
     """Write the shadows on facet f, each cut around those before; return the first free row and triangle.
 
     The largest come first, which gives the fewest pieces. A facet that is covered as a whole gets one triangle.
     """
-    corners, plane = receivers[0][f], receivers[1][f]
-    parts, polygons, sizes, areas = room
-    pieces, counts, earlier = parts
-    (rows, count), known_before, covered = first, 0, 0.0
-    whole = _double_facet(corners, plane)
-    least = _LEAST_AREA * whole
+    corners, plane = receivers.corners[f], receivers.planes[f]
+    pieces, counts, earlier = room.pieces
+    rows, count = first
+    listed, covered = 0, 0.0
+    area = _double_facet(corners, plane)
     for _ in range(shadows):
-        k = _largest(areas, shadows)
-        areas[k] = 0.0
-        n = sizes[k]
-        copy_corners(polygons[k], n, pieces[0, 0])
+        k = _largest(room.areas, shadows)
+        room.areas[k] = 0.0
+        n = room.sizes[k]
+        copy_corners(room.shadows[k], n, pieces[0, 0])
         counts[0, 0] = n
-        found, at = cut_around(parts, known_before, out[0], plane, (near_m, least))
-        for i in range(found):
+        number, at = cut_around(room.pieces, listed, out.places, plane, near_m, _LEAST_AREA * area)
+        # Write the pieces, as earlier polygons for the next ones, or count what lacks room.
+        for i in range(number):
             n = counts[at, i]
             covered += double_area(pieces[at, i], n, plane)
-            if rows + n <= len(out[0]) and count + n - 2 <= len(out[2]):
+            if rows + n <= len(out.places) and count + n - 2 <= len(out.faces):
                 _write(pieces[at, i], n, receivers, f, dark, out, rows)
-                _fan(out, rows, n, count, receivers[3][f])
-                if known_before < len(earlier):
-                    earlier[known_before, 0], earlier[known_before, 1] = rows, n
-                    known_before += 1
+                _fan(out, rows, n, count, receivers.numbers[f])
+                if listed < len(earlier):
+                    earlier[listed, 0], earlier[listed, 1] = rows, n
+                    listed += 1
             rows, count = rows + n, count + n - 2
-        if covered >= _WHOLE * whole:
+        if covered >= _WHOLE * area:
             break
-    if covered >= _WHOLE * whole and first[0] + 3 <= len(out[0]) and first[1] < len(out[2]):
+    if covered >= _WHOLE * area and first[0] + 3 <= len(out.places) and first[1] < len(out.faces):
         rows, count = first[0] + 3, first[1] + 1
         for k in range(3):
             for j in range(3):
                 pieces[0, 0, k, j], pieces[0, 0, k, 3 + j] = corners[3 * k + j], 0.0
         _write(pieces[0, 0], 3, receivers, f, dark, out, first[0])
-        _fan(out, first[0], 3, first[1], receivers[3][f])
+        _fan(out, first[0], 3, first[1], receivers.numbers[f])
     return rows, count
 
 
 @entry
 def cast_polygons(
-    tree: Arrays,
+    tree: TriangleTree,
     receivers: Receivers,
-    dark: tuple[Floats, Floats],
-    around: Around,
+    dark: Dark,
+    around: Surroundings,
     near_m: float,
-    memories: Memory,
+    memory: Memory,
     room: Room,
-    out: Out,
+    out: Triangles,
     first: tuple[int, int],
 ) -> tuple[int, int, int]:
     """Write the shadows on facets that face the Sun and the camera.
@@ -287,37 +359,30 @@ def cast_polygons(
 
     Parameters
     ----------
-    dark : (e,) light of the facets' corners without the Sun, and its rate for the material point.
-    around : the Sun's unit direction, its rate and the camera's place, (3,) each, in the frame of the tree.
     near_m : triangles count that reach as high above a facet's plane.
-    memories : `blank_memories` at first; for each facet the Sun's direction at the last search and the cosine up to
-        which that is valid; the number of triangles that may cover it until then, and their numbers.
-    room : `blank_room`, overwritten.
-    out : (rows, 6) m and m/s; (rows, 2) light and its rate, following the corner; (triangles, 3) rows and (triangles,)
-        the facet below.
     first : the first row and triangle to write.
     """
-    memory, listed = memories
-    corners, own = receivers[0], receivers[1]
-    sun, _, eye = around
-    axes, most = axes_around(sun[0], sun[1], sun[2]), 0
+    suns, listed = memory
+    corners, sun, eye = receivers.corners, around.sun, around.eye
+    axes, most_shadows = axes_around(sun[0], sun[1], sun[2]), 0
     for f in range(len(corners)):
-        plane = own[f]
+        plane = receivers.planes[f]
         if plane[0] * sun[0] + plane[1] * sun[1] + plane[2] * sun[2] < _LEAST_COSINE:
             continue
         if not plane[0] * eye[0] + plane[1] * eye[1] + plane[2] * eye[2] > plane[3]:
             continue
         count = listed[f, 0]
-        known = memory[f, 0] * sun[0] + memory[f, 1] * sun[1] + memory[f, 2] * sun[2] > memory[f, 3]
-        if known and count == 0:
+        is_valid = suns[f, 0] * sun[0] + suns[f, 1] * sun[1] + suns[f, 2] * sun[2] > suns[f, 3]
+        if is_valid and count == 0:
             continue
-        seen = (axes, extent_of(corners[f], axes))
-        if not known:
-            wide = _WIDE_RAD * (
-                0.5 + 0.5 * ((f * 0.6180339887) % 1.0)
-            )  # so that not all are searched again in the same step
-            memory[f, 0], memory[f, 1], memory[f, 2], memory[f, 3] = sun[0], sun[1], sun[2], math.cos(wide)
-            count = list_near(tree, plane, near_m, seen, (math.tan(wide), math.sin(wide)), listed[f, 1:])
+        seen = Seen(axes, extent_of(corners[f], axes))
+        if not is_valid:
+            # Another angle for each, so that not all are searched again in the same step.
+            wide = _WIDE_RAD * (0.5 + 0.5 * ((f * 0.6180339887) % 1.0))
+            for j in range(3):
+                suns[f, j] = sun[j]
+            suns[f, 3] = math.cos(wide)
+            count = list_near(tree, plane, near_m, seen, Wide(math.tan(wide), math.sin(wide)), listed[f, 1:])
             listed[f, 0] = count
         shadows = 0
         if count < listed.shape[1]:
@@ -325,10 +390,10 @@ def cast_polygons(
                 shadows = _add(tree, listed[f, i], corners[f], plane, seen, around, near_m, room, shadows)
         else:
             shadows = _gather(tree, corners[f], plane, seen, around, near_m, room)
-        most = max(most, shadows)
+        most_shadows = max(most_shadows, shadows)
         if shadows > 0:
-            first = _lay(receivers, f, min(shadows, len(room[1])), dark, near_m, room, out, first)
-    return first[0], first[1], most
+            first = _lay(receivers, f, min(shadows, len(room.shadows)), dark, near_m, room, out, first)
+    return first[0], first[1], most_shadows
 
 
 @kernel
@@ -342,10 +407,6 @@ def _double_facet(corners: Floats, plane: Floats) -> float:
 _FIRST_ROWS = 1024
 _FIRST_SHADOWS = 256  # on one facet
 _FACETS_A_PART, _MOST_PARTS = 300, 4  # of one body; a part takes 15 us to begin
-
-
-Surroundings = tuple[Floats, Floats, Floats]
-"""The Sun's unit direction, its rate and the camera's place, (3,) each, in the frame of a group."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -381,14 +442,14 @@ class Polygons:
 
 def with_narrow_penumbras(parameters: BodiesParameters, meshes: Sequence[Mesh], widest_m: float) -> frozenset[int]:
     """Return the flat-shaded bodies in whose group a penumbra is at most so wide, half the group behind its edge."""
-    found: set[int] = set()
+    bodies: set[int] = set()
     for group in rigid_groups(parameters.bodies):
         members = zip(group.members, group.poses, strict=True)
         points = np.concatenate([meshes[k].vertices @ pose.world_from_body.T + pose.position_m for k, pose in members])
         half_m = float(np.linalg.norm(np.ptp(points, axis=0))) / 2
         if 2 * math.tan(parameters.sun.radius_rad) * half_m <= widest_m:
-            found.update(k for k in group.members if not parameters.bodies[k].smooth)
-    return frozenset(found)
+            bodies.update(k for k in group.members if not parameters.bodies[k].smooth)
+    return frozenset(bodies)
 
 
 def receivers_of(surface: Surface, pose: Pose, first_facet: int = 0) -> Receivers:
@@ -407,7 +468,8 @@ def receivers_of(surface: Surface, pose: Pose, first_facet: int = 0) -> Receiver
     offsets = (normals * corners.mean(axis=1)).sum(axis=1)
     planes = np.column_stack([normals, offsets])
     numbers = (first_facet + np.flatnonzero(kept)).astype(np.int32)
-    return np.ascontiguousarray(corners.reshape(-1, 9)), planes, np.ascontiguousarray(surface.shades[kept]), numbers
+    shades = np.ascontiguousarray(surface.shades[kept])
+    return Receivers(np.ascontiguousarray(corners.reshape(-1, 9)), planes, shades, numbers)
 
 
 class SharpShadows:
@@ -429,25 +491,28 @@ class SharpShadows:
         near_m: float,
         pool: ThreadPool | None = None,
     ) -> None:
-        self._body, self._tree, self._near_m, self._pool = body, tree, near_m, pool or ThreadPool(1)
+        self._body, self._tree = body, tree
+        self._near_m = near_m
+        self._pool = pool or ThreadPool(1)
         self._shares = [_Share(k, part) for k, all_of in enumerate(receivers) for part in _parts(all_of)]
         self._rooms = [blank_room(_FIRST_SHADOWS) for _ in range(self._pool.threads)]
 
-    def cast(self, darks: Sequence[tuple[Floats, Floats]], around: Surroundings) -> Polygons:
-        """Return the shadows; `darks` has the light of each body's points without the Sun, and its rate."""
+    def cast(self, darks: Sequence[Dark], around: Surroundings) -> Polygons:
+        """Return the shadows; `darks` is of each body."""
 
         def work(k: int, thread: int) -> None:
             share = self._shares[k]
             while not share.cast(self._tree, darks[share.body], around, self._near_m, self._rooms[thread]):
-                if share.shadows > len(self._rooms[thread][1]):
+                if share.shadows > len(self._rooms[thread].shadows):
                     self._rooms[thread] = blank_room(2 * share.shadows)
 
         self._pool.each(work, len(self._shares))
         rows = np.cumsum([0, *(share.rows for share in self._shares)])
-        parts = [share.found for share in self._shares]
-        places, light = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
-        faces = np.concatenate([part[2] + np.int32(row) for part, row in zip(parts, rows, strict=False)])
-        over = np.concatenate([part[3] for part in parts])
+        parts = [share.written for share in self._shares]
+        places = np.concatenate([part.places for part in parts])
+        light = np.concatenate([part.light for part in parts])
+        faces = np.concatenate([part.faces + np.int32(row) for part, row in zip(parts, rows, strict=False)])
+        over = np.concatenate([part.over for part in parts])
         return Polygons(self._body, places, light[:, 0], light[:, 1], faces, over)
 
 
@@ -456,36 +521,29 @@ class _Share:
 
     def __init__(self, body: int, receivers: Receivers) -> None:
         self.body, self._receivers = body, receivers
-        self._memory = blank_memories(len(receivers[0]))
+        self._memory = blank_memories(len(receivers.corners))
         self.rows = self._count = self.shadows = 0
         self._make_room(_FIRST_ROWS)
 
     @property
-    def found(self) -> tuple[Floats, Floats, npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-        """The shadows' corners, their light, triangles, and the facets below."""
-        return (
-            self._places[: self.rows],
-            self._light[: self.rows],
-            self._faces[: self._count],
-            self._over[: self._count],
-        )
+    def written(self) -> Triangles:
+        """The shadows."""
+        places, light, faces, over = self._out
+        return Triangles(places[: self.rows], light[: self.rows], faces[: self._count], over[: self._count])
 
-    def cast(
-        self, tree: TriangleTree, dark: tuple[Floats, Floats], around: Surroundings, near_m: float, room: Room
-    ) -> bool:
+    def cast(self, tree: TriangleTree, dark: Dark, around: Surroundings, near_m: float, room: Room) -> bool:
         """Compute the shadows; return whether there was room for all of them."""
-        out = self._places, self._light, self._faces, self._over
         self.rows, self._count, self.shadows = cast_polygons(
-            tree.arrays, self._receivers, dark, around, near_m, self._memory, room, out, (0, 0)
+            tree, self._receivers, dark, around, near_m, self._memory, room, self._out, (0, 0)
         )
-        wanted, there = max(self.rows, self._count), len(self._places)
-        if wanted > there:
-            self._make_room(2 * wanted)
-        return wanted <= there and self.shadows <= len(room[1])
+        rows, capacity = max(self.rows, self._count), len(self._out.places)
+        if rows > capacity:
+            self._make_room(2 * rows)
+        return rows <= capacity and self.shadows <= len(room.shadows)
 
     def _make_room(self, rows: int) -> None:
-        self._places, self._light = np.zeros((rows, 6)), np.zeros((rows, 2))
-        self._faces, self._over = np.zeros((rows, 3), np.int32), np.zeros(rows, np.int32)
+        faces, over = np.zeros((rows, 3), np.int32), np.zeros(rows, np.int32)
+        self._out = Triangles(np.zeros((rows, 6)), np.zeros((rows, 2)), faces, over)
 
 
 def _parts(receivers: Receivers) -> Iterator[Receivers]:
@@ -494,4 +552,4 @@ def _parts(receivers: Receivers) -> Iterator[Receivers]:
     parts = min(max(len(corners) // _FACETS_A_PART, 1), _MOST_PARTS)
     for k in range(parts):
         part = slice(len(corners) * k // parts, len(corners) * (k + 1) // parts)
-        yield corners[part], planes[part], shades[part], numbers[part]
+        yield Receivers(corners[part], planes[part], shades[part], numbers[part])

@@ -52,9 +52,9 @@ def _between(points: Floats, values: Floats, places: Floats, soft_m: float) -> F
     """Return values at places, means of those at the nearest points with weights by the square of the distance."""
     from scipy.spatial import cKDTree  # loaded where it is used, as in `regolith`
 
-    distance, which = cKDTree(points).query(places, 6)
+    distance, nearest = cKDTree(points).query(places, 6)
     weights = 1 / (distance + soft_m) ** 2
-    return np.asarray((weights * values[which]).sum(axis=1) / weights.sum(axis=1))
+    return np.asarray((weights * values[nearest]).sum(axis=1) / weights.sum(axis=1))
 
 
 def _areas(mesh: Mesh) -> Floats:
@@ -97,8 +97,8 @@ def _mean_around(mesh: Mesh) -> Any:
     ends = np.concatenate([ends, ends[:, ::-1]])
     sides = coo_matrix((np.ones(len(ends)), ends.T), (n, n)).tocsr()
     sides.data[:] = 1.0  # a side belongs to two facets
-    own = sides + eye_array(n)
-    return diags_array(1 / np.asarray(own.sum(axis=1)).ravel()) @ own
+    with_itself = sides + eye_array(n)
+    return diags_array(1 / np.asarray(with_itself.sum(axis=1)).ravel()) @ with_itself
 
 
 def potential(body: Mesh, places: Floats) -> Floats:
@@ -116,7 +116,7 @@ def potential(body: Mesh, places: Floats) -> Floats:
     soft = np.tile(np.linalg.norm(np.ptp(corners, axis=1), axis=1) ** 2 / 16, _SHELLS)
     out = np.empty(len(places))
     for k in range(0, len(places), _AT_ONCE):
-        some = places[k : k + _AT_ONCE]
-        squares = (some**2).sum(axis=1)[:, None] + (points**2).sum(axis=1) - 2 * some @ points.T
+        part = places[k : k + _AT_ONCE]
+        squares = (part**2).sum(axis=1)[:, None] + (points**2).sum(axis=1) - 2 * part @ points.T
         out[k : k + _AT_ONCE] = -(masses / np.sqrt(np.maximum(squares, 0) + soft)).sum(axis=1)
     return out

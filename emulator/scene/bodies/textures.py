@@ -85,5 +85,6 @@ def transformed(uv: _Floats, offset: Sequence[float], scale: Sequence[float], an
     Scale comes first; the rotation is counter-clockwise as one sees the image, whose v points down. The GLSL in the
     specification turns the other way (issue 1563 of its repository); other readers and its model of tests do as here.
     """
-    u, v, cosine, sine = uv[:, 0] * scale[0], uv[:, 1] * scale[1], math.cos(angle_rad), math.sin(angle_rad)
+    u, v = uv[:, 0] * scale[0], uv[:, 1] * scale[1]
+    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
     return np.stack([offset[0] + cosine * u + sine * v, offset[1] - sine * u + cosine * v], axis=1)

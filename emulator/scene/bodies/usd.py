@@ -121,8 +121,8 @@ class _Stage(ModelContents):
         codes, poses = _sampled(transform, node["name"])
         node |= _node(node["name"], node["parent"], poses[0])
         times = (codes - self._start) / self._stage.GetTimeCodesPerSecond()
-        for path, which in (("translation", 0), ("rotation", 1)):
-            values = np.array([pose[which] for pose in poses])[:, None]
+        for path, k in (("translation", 0), ("rotation", 1)):
+            values = np.array([pose[k] for pose in poses])[:, None]
             track = {"times": self._keep(times), "values": self._keep(values)}
             self._channels.append({"node": number, "path": path, **track})
 
@@ -133,8 +133,8 @@ class _Stage(ModelContents):
         if (counts < 3).any() or counts.sum() != len(corners):
             raise SceneError(f"mesh {name!r}: its counts of corners do not fit its {len(corners)} corners")
         first = np.repeat(np.cumsum(counts) - counts, counts - 2)
-        which = np.arange(len(first)) - np.repeat(np.cumsum(counts - 2) - (counts - 2), counts - 2)
-        faces = corners[np.stack([first, first + which + 1, first + which + 2], axis=1)]
+        fan = np.arange(len(first)) - np.repeat(np.cumsum(counts - 2) - (counts - 2), counts - 2)
+        faces = corners[np.stack([first, first + fan + 1, first + fan + 2], axis=1)]
         if mesh.GetOrientationAttr().Get() == "leftHanded":
             faces = faces[:, ::-1]
         is_smooth = mesh.GetNormalsAttr().HasAuthoredValue() and mesh.GetNormalsInterpolation() == "vertex"
@@ -153,13 +153,13 @@ class _Stage(ModelContents):
         surface = material.ComputeSurfaceSource()[0] if material else None
         if not surface or surface.GetIdAttr().Get() != "UsdPreviewSurface":
             return None
-        found = {}
+        inputs = {}
         for name, default in (("diffuseColor", (0.18, 0.18, 0.18)), ("metallic", 0.0), ("roughness", 0.5)):
             value = surface.GetInput(name)
             if value and value.HasConnectedSource():
                 self._notes["textures are left out"] = None
-            found[name] = np.array(value.Get() if value and value.Get() is not None else default, np.float64)
-        shares = [float(_LUMINANCE @ found["diffuseColor"]), float(found["metallic"]), float(found["roughness"])]
+            inputs[name] = np.array(value.Get() if value and value.Get() is not None else default, np.float64)
+        shares = [float(_LUMINANCE @ inputs["diffuseColor"]), float(inputs["metallic"]), float(inputs["roughness"])]
         return dict(zip(("luminance", "metallic", "roughness"), np.clip(shares, 0, 1).tolist(), strict=True))
 
 
@@ -185,10 +185,10 @@ def _sampled(transform: Any, name: str) -> tuple[_Array, list[_Pose]]:
         range_m = max(np.ptp([pose[0] for pose in poses], axis=0).max(), 1e-9)
         off = [
             max(
-                np.abs((a[0] + b[0]) / 2 - found[0]).max() / range_m,
-                2 * np.linalg.norm(_middle(a[1], b[1]) - found[1] * np.sign(_middle(a[1], b[1]) @ found[1])),
+                np.abs((a[0] + b[0]) / 2 - exact[0]).max() / range_m,
+                2 * np.linalg.norm(_middle(a[1], b[1]) - exact[1] * np.sign(_middle(a[1], b[1]) @ exact[1])),
             )
-            for a, b, found in zip(poses[:-1], poses[1:], between, strict=True)
+            for a, b, exact in zip(poses[:-1], poses[1:], between, strict=True)
         ]
         if max(off) <= _WITHIN:
             return codes, poses

@@ -53,27 +53,27 @@ class Arrangement:
     def __init__(self, camera: Trajectory, bodies: Sequence[PlacedBody], time: Timescale) -> None:
         self._camera, self._bodies = camera, bodies
         times = [time.scene_ns(round(k * _LOOK_S / _LOOKS * 1e9)) for k in range(_LOOKS)]
-        own = [[body.path.pose(t) for body in bodies] for t in times]
-        self._looks = [self._in_world(poses) for poses in own]
+        relative = [[body.path.pose(t) for body in bodies] for t in times]
+        self._looks = [self._in_world(poses) for poses in relative]
         self._eyes = np.array([camera.pose(t).position_m for t in times])
         self.ranges_m = _norms(_places(self._looks) - self._eyes[:, None]).min(axis=0)
-        self._offsets_m = _norms(_places(own)).max(axis=0)
+        self._offsets_m = _norms(_places(relative)).max(axis=0)
 
     def poses(self, scene_ns: int) -> list[Pose]:
         """Return each body's pose in the world."""
         return self._in_world([body.path.pose(scene_ns) for body in self._bodies])
 
-    def poses_of(self, which: Collection[int]) -> Callable[[int], Mapping[int, Pose]]:
+    def poses_of(self, bodies: Collection[int]) -> Callable[[int], Mapping[int, Pose]]:
         """Return a function from scene time in ns to the poses of some bodies in the world, by number."""
-        asked = sorted({j for k in which for j in self._ancestry(k)})
+        numbers = sorted({j for k in bodies for j in self._ancestry(k)})
 
         def poses(scene_ns: int) -> Mapping[int, Pose]:
-            found: dict[int, Pose] = {}
-            for k in asked:
+            placed: dict[int, Pose] = {}
+            for k in numbers:
                 body = self._bodies[k]
-                own = body.path.pose(scene_ns)
-                found[k] = own if body.parent is None else found[body.parent].after(own)
-            return found
+                pose = body.path.pose(scene_ns)
+                placed[k] = pose if body.parent is None else placed[body.parent].after(pose)
+            return placed
 
         return poses
 
@@ -85,36 +85,33 @@ class Arrangement:
     def nearest_m(self, k: int, low: Vector, high: Vector) -> float:
         """Return the least distance of the camera from a box in the frame of body k, given by two corners, m."""
         poses = [look[k] for look in self._looks]
-        own = [(eye - p.position_m) @ p.world_from_body for eye, p in zip(self._eyes, poses, strict=True)]
-        beside = np.maximum(np.maximum(low - own, own - high), 0.0)
+        eyes = [(eye - p.position_m) @ p.world_from_body for eye, p in zip(self._eyes, poses, strict=True)]
+        beside = np.maximum(np.maximum(low - eyes, eyes - high), 0.0)
         return float(_norms(beside).min())
 
     @property
     def turn_bound_rad_s(self) -> float:
         """Upper bound of the angular speed of all points of bodies as seen from the camera, at the closest ranges."""
         return self._camera.turn_bound_rad_s + max(
-            (self._camera.speed_bound_m_s + self._speed_bound_m_s(k)) / self._room_m(k)
-            for k in range(len(self._bodies))
+            (self._camera.speed_bound_m_s + self._speed_bound_m_s(k))
+            / max(float(range_m) - body.radius_m, 0.01 * body.radius_m)
+            for k, (range_m, body) in enumerate(zip(self.ranges_m, self._bodies, strict=True))
         )
 
-    def radius_m(self, which: Sequence[int]) -> float:
+    def radius_m(self, bodies: Sequence[int]) -> float:
         """Return the radius of a sphere about the middle of some bodies and around them all, at all looks."""
         return max(
             max(float(np.linalg.norm(pose.position_m - centre)) + radius_m for pose, radius_m in spheres)
-            for spheres in ([(poses[k], self._bodies[k].radius_m) for k in which] for poses in self._looks)
+            for spheres in ([(poses[k], self._bodies[k].radius_m) for k in bodies] for poses in self._looks)
             for centre in [middle(spheres)]
         )
 
-    def _in_world(self, own: Sequence[Pose]) -> list[Pose]:
+    def _in_world(self, relative: Sequence[Pose]) -> list[Pose]:
         """Return poses in the world, of poses each in the frame that the body is fixed to."""
         poses: list[Pose] = []
-        for body, pose in zip(self._bodies, own, strict=True):
+        for body, pose in zip(self._bodies, relative, strict=True):
             poses.append(pose if body.parent is None else poses[body.parent].after(pose))
         return poses
-
-    def _room_m(self, k: int) -> float:
-        radius_m = self._bodies[k].radius_m
-        return max(float(self.ranges_m[k]) - radius_m, 0.01 * radius_m)
 
     def _speed_bound_m_s(self, k: int) -> float:
         """Return a bound of the speeds of a body's points: the speeds and rotations of all its frames are added."""
@@ -153,8 +150,7 @@ class BodyWorld:
 
     Attributes
     ----------
-    parameters : as given, with a body for each node of a model file.
-    pinhole : as given.
+    parameters : with a body for each node of a model file.
     time : stream time to scene time.
     camera : the camera's path.
     meshes : the shape of each body, with its detail.
@@ -171,7 +167,8 @@ class BodyWorld:
     def __init__(self, parameters: BodiesParameters, pinhole: Pinhole) -> None:
         bodies = load_bodies(parameters)
         self.parameters, self.pinhole = bodies.parameters, pinhole
-        parameters, self.meshes, self._notes = bodies.parameters, bodies.meshes, bodies.notes
+        parameters = bodies.parameters
+        self.meshes, self._notes = bodies.meshes, bodies.notes
         self.time = Timescale(parameters.time_scale)
         try:
             self.camera, *paths = build_trajectories([parameters.camera, *(b.path for b in parameters.bodies)])
@@ -193,6 +190,11 @@ class BodyWorld:
         """Bound from the paths' speeds and turns, at the closest ranges in the first minute."""
         in_a_corner = 1 + math.tan(self.pinhole.widest_rad) ** 2
         return self.pinhole.focal_px * in_a_corner * self.arrangement.turn_bound_rad_s * self.time.factor
+
+    @property
+    def distance_m(self) -> float:
+        """The closest range of any body, less its radius."""
+        return self.arrangement.distance_m
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -275,7 +277,7 @@ def rigid_groups(bodies: Sequence[BodyTable]) -> list[RigidGroup]:
     for k, body in enumerate(bodies):
         anchors.append(_anchor(k, body, bodies, anchors))
     numbers = [anchor for anchor, _ in anchors]
-    return [_group([k for k, n in enumerate(numbers) if n == one], anchors) for one in dict.fromkeys(numbers)]
+    return [_group([k for k, n in enumerate(numbers) if n == first], anchors) for first in dict.fromkeys(numbers)]
 
 
 def _anchor(

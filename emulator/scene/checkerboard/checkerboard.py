@@ -24,13 +24,14 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
 from emulator.geometry.camera import Cycle, Given, Rays, SceneGeometry, Seen
-from emulator.light import Light, PixelLight, Region, Scene
+from emulator.light import NOTHING, LastArrays, Light, PixelLight, Region, Scene
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from firmware_protocol.compiled import entry_of
 
@@ -53,6 +54,27 @@ class BoardGeometry(SceneGeometry):
 _entry = entry_of(__name__, error_model="python")
 
 
+class _Board(NamedTuple):
+    """A board at one time.
+
+    Attributes
+    ----------
+    cos, sin : turns of u and of v for a pixel to the right.
+    u, v : turns in the middle of the light frame.
+    u_speed, v_speed : turns a second, times half the contrast.
+    half, middle : half the contrast, and the mean light.
+    """
+
+    cos: float
+    sin: float
+    u: float
+    v: float
+    u_speed: float
+    v_speed: float
+    half: np.float32
+    middle: np.float32
+
+
 class Checkerboard(Scene):
     """The board of `parameters` on light frames of `size` = (width, height) pixels."""
 
@@ -62,10 +84,13 @@ class Checkerboard(Scene):
         self.parameters = parameters
         self._size = size
         self._cos, self._sin = _cos_sin(parameters.rotation_deg)
-        self._u, self._v = _cycles(parameters)
+        # The motion along the board's own axes, in periods of two squares.
+        cos, sin = _cos_sin(parameters.direction_deg - parameters.rotation_deg)
+        periods_s = Fraction(repr(float(parameters.speed_px_s))) / (2 * Fraction(repr(float(parameters.square_px))))
+        self._u, self._v = Cycle(periods_s * Fraction(cos)), Cycle(periods_s * Fraction(sin))
         self._middle = np.float32((parameters.bright + parameters.dark) / 2)
         self._half = np.float32((parameters.bright - parameters.dark) / 2)
-        self._outs: tuple[Light, Light | None] | None = None
+        self._arrays = LastArrays()
         self._changed: Region | None = None
 
     @property
@@ -83,17 +108,29 @@ class Checkerboard(Scene):
         if not self._rests_in(out, None):
             self._draw(t_ns, out)
 
+    def _board(self, t_ns: int) -> _Board:
+        period_px, half = 2.0 * self.parameters.square_px, float(self._half)
+        return _Board(
+            self._cos / period_px,
+            self._sin / period_px,
+            -self._u.turns(t_ns),
+            -self._v.turns(t_ns),
+            -float(self._u.rate_hz) * half,
+            -float(self._v.rate_hz) * half,
+            self._half,
+            self._middle,
+        )
+
     def _draw(self, t_ns: int, out: Light) -> None:
-        u, v = -self._u.turns(t_ns), -self._v.turns(t_ns)
-        period_px = 2.0 * self.parameters.square_px
+        board = self._board(t_ns)
         if self._sin == 0.0:
-            width, height = self._size
-            along_x = _box_wave(width, self._cos / period_px, u)
-            along_y = _box_wave(height, self._cos / period_px, v)
+            along_x, along_y = (
+                _box_wave(self._size[0], board.cos, board.u),
+                _box_wave(self._size[1], board.cos, board.v),
+            )
             _outer(along_x, along_y * self._half, self._middle, out)
         else:
-            steps = (self._cos / period_px, self._sin / period_px)
-            _turned(steps, (u, v), self._half, self._middle, out)
+            _turned(board, out)
 
     @property
     def has_rate(self) -> bool:
@@ -104,20 +141,17 @@ class Checkerboard(Scene):
         """Write the light at `t_ns` and its time derivative, per second, both in closed form."""
         if self._rests_in(light, rate):
             return
-        u, v = -self._u.turns(t_ns), -self._v.turns(t_ns)
-        u_s, v_s = -float(self._u.rate_hz), -float(self._v.rate_hz)
-        period_px = 2.0 * self.parameters.square_px
+        board = self._board(t_ns)
         if self._sin == 0.0:
-            width, height = self._size
-            step = self._cos / period_px
-            along_x, along_y = _box_wave(width, step, u), _box_wave(height, step, v)
-            slope_x, slope_y = _box_slope(width, step, u), _box_slope(height, step, v)
-            by_u, by_v = along_y * (self._half * np.float32(u_s)), slope_y * (self._half * np.float32(v_s))
-            _outer_and_rate((along_x, slope_x), (along_y * self._half, by_u, by_v), self._middle, (light, rate))
+            (width, height), half = self._size, self._half
+            wave_x, wave_y = _box_wave(width, board.cos, board.u), _box_wave(height, board.cos, board.v)
+            slope_x, slope_y = _box_slope(width, board.cos, board.u), _box_slope(height, board.cos, board.v)
+            by_slope = wave_y * (half * np.float32(-float(self._u.rate_hz)))
+            by_wave = slope_y * (half * np.float32(-float(self._v.rate_hz)))
+            _outer_and_rate(wave_x, slope_x, wave_y * half, by_slope, by_wave, self._middle, light, rate)
         else:
-            self._draw(t_ns, light)
-            steps = (self._cos / period_px, self._sin / period_px)
-            _turned_rate(steps, (u, v), (u_s * float(self._half), v_s * float(self._half)), rate)
+            _turned(board, light)
+            _turned_rate(board, rate)
 
     @property
     def changed(self) -> Region | None:
@@ -126,9 +160,8 @@ class Checkerboard(Scene):
 
     def _rests_in(self, light: Light, rate: Light | None) -> bool:
         """Return whether the board does not move and these are the arrays of the last call."""
-        known = self._outs is not None and self._outs[0] is light and self._outs[1] is rate
-        rests = known and self.parameters.speed_px_s == 0
-        self._outs, self._changed = (light, rate), Region(0, 0, 0, 0) if rests else None
+        rests = self._arrays.are(light, rate) and self.parameters.speed_px_s == 0
+        self._changed = NOTHING if rests else None
         return rests
 
     def geometry(self, rays: Rays | None = None) -> BoardGeometry:
@@ -145,12 +178,7 @@ class Checkerboard(Scene):
         self, t_ns: int, pixels: npt.NDArray[np.int64]
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         light, rate = np.empty(pixels.size, np.float32), np.empty(pixels.size, np.float32)
-        period_px = 2.0 * self.parameters.square_px
-        turns = -self._u.turns(t_ns), -self._v.turns(t_ns)
-        speed = -float(self._u.rate_hz) * float(self._half), -float(self._v.rate_hz) * float(self._half)
-        steps = self._cos / period_px, self._sin / period_px
-        contrast = self._half, self._middle
-        _listed(pixels, self._size, (steps, turns, speed), contrast, (light, rate))
+        _listed(pixels, self._size, self._board(t_ns), light, rate)
         return light, rate
 
     def close(self) -> None:
@@ -159,16 +187,9 @@ class Checkerboard(Scene):
 
 def _cos_sin(angle_deg: float) -> tuple[float, float]:
     """Return cosine and sine, exact at the quarter turns."""
-    quarter, rest = divmod(math.fmod(angle_deg, 360.0), 90.0)
-    c, s = math.cos(math.radians(rest)), math.sin(math.radians(rest))
+    quarter, within_deg = divmod(math.fmod(angle_deg, 360.0), 90.0)
+    c, s = math.cos(math.radians(within_deg)), math.sin(math.radians(within_deg))
     return ((c, s), (-s, c), (-c, -s), (s, -c))[int(quarter) % 4]
-
-
-def _cycles(parameters: CheckerboardParameters) -> tuple[Cycle, Cycle]:
-    """Return the motion of the board along its own axes, in periods of two squares."""
-    cos, sin = _cos_sin(parameters.direction_deg - parameters.rotation_deg)
-    periods_s = Fraction(repr(float(parameters.speed_px_s))) / (2 * Fraction(repr(float(parameters.square_px))))
-    return Cycle(periods_s * Fraction(cos)), Cycle(periods_s * Fraction(sin))
 
 
 @njit(inline="always")
@@ -217,78 +238,75 @@ def _outer(along_x: npt.NDArray[np.float32], along_y: npt.NDArray[np.float32], m
 
 
 @_entry
-def _outer_and_rate(
-    along_x: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]],
-    along_y: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]],
+def _outer_and_rate(  # noqa: PLR0913, PLR0917
+    wave: npt.NDArray[np.float32],
+    slope: npt.NDArray[np.float32],
+    scale: npt.NDArray[np.float32],
+    by_slope: npt.NDArray[np.float32],
+    by_wave: npt.NDArray[np.float32],
     middle: np.float32,
-    out: tuple[Light, Light],
+    light: Light,
+    rate: Light,
 ) -> None:
     """Fill light as `_outer` does, and its time derivative in the same pass: both rows stay in the nearest cache.
 
-    `along_x`: means and slopes of the wave. `along_y`: factors of the means in the light, and of the slopes and of the
-    means in the derivative.
+    Parameters
+    ----------
+    wave, slope : (width,), means and slopes of the wave along x.
+    scale, by_slope, by_wave : (height,), factors of the means in the light, and of slopes and means in the derivative.
     """
-    wave, slope = along_x
-    for y in range(out[0].shape[0]):
-        light, rate = out[0][y], out[1][y]
-        scale, by_slope, by_wave = along_y[0][y], along_y[1][y], along_y[2][y]
+    for y in range(light.shape[0]):
+        light_row, rate_row = light[y], rate[y]
+        in_light, of_slope, of_wave = scale[y], by_slope[y], by_wave[y]
         for x in range(wave.size):
-            light[x] = middle + wave[x] * scale
+            light_row[x] = middle + wave[x] * in_light
         for x in range(wave.size):
-            rate[x] = slope[x] * by_slope + wave[x] * by_wave
+            rate_row[x] = slope[x] * of_slope + wave[x] * of_wave
 
 
 @_entry
-def _turned(
-    steps: tuple[float, float], start: tuple[float, float], half: np.float32, middle: np.float32, out: Light
-) -> None:
-    """Fill `out` for a board turned against the pixel rows; `steps`: turns of u and of v per pixel to the right."""
+def _turned(board: _Board, out: Light) -> None:
+    """Fill `out` for a board turned against the pixel rows."""
     height, width = out.shape
-    cos, sin = steps
-    half_box = 0.5 * math.sqrt(cos * cos + sin * sin)
+    half_box = 0.5 * math.sqrt(board.cos * board.cos + board.sin * board.sin)
     for y in range(height):
         row, dy = out[y], y + 0.5 - 0.5 * height
         for x in range(width):
             dx = x + 0.5 - 0.5 * width
-            u = _mean(start[0] + dx * cos + dy * sin, half_box)
-            v = _mean(start[1] - dx * sin + dy * cos, half_box)
-            row[x] = middle + half * np.float32(min(1.0, max(-1.0, u * v)))
+            u = _mean(board.u + dx * board.cos + dy * board.sin, half_box)
+            v = _mean(board.v - dx * board.sin + dy * board.cos, half_box)
+            row[x] = board.middle + board.half * np.float32(min(1.0, max(-1.0, u * v)))
 
 
 @_entry
-def _turned_rate(
-    steps: tuple[float, float], start: tuple[float, float], speed: tuple[float, float], out: Light
-) -> None:
-    """Fill with the time derivative of `_turned`; `speed`: turns a second of u and v, times the half contrast."""
+def _turned_rate(board: _Board, out: Light) -> None:
+    """Fill with the time derivative of `_turned`."""
     height, width = out.shape
-    cos, sin = steps
-    half_box = 0.5 * math.sqrt(cos * cos + sin * sin)
+    half_box = 0.5 * math.sqrt(board.cos * board.cos + board.sin * board.sin)
     for y in range(height):
         row, dy = out[y], y + 0.5 - 0.5 * height
         for x in range(width):
             dx = x + 0.5 - 0.5 * width
-            u, v = start[0] + dx * cos + dy * sin, start[1] - dx * sin + dy * cos
-            by_u = speed[0] * _slope(u, half_box) * _mean(v, half_box)
-            row[x] = np.float32(by_u + speed[1] * _slope(v, half_box) * _mean(u, half_box))
+            u, v = board.u + dx * board.cos + dy * board.sin, board.v - dx * board.sin + dy * board.cos
+            by_u = board.u_speed * _slope(u, half_box) * _mean(v, half_box)
+            row[x] = np.float32(by_u + board.v_speed * _slope(v, half_box) * _mean(u, half_box))
 
 
 @_entry
 def _listed(
     pixels: npt.NDArray[np.int64],
     size: tuple[int, int],
-    board: tuple[tuple[float, float], tuple[float, float], tuple[float, float]],
-    contrast: tuple[np.float32, np.float32],
-    out: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]],
+    board: _Board,
+    light: npt.NDArray[np.float32],
+    rate: npt.NDArray[np.float32],
 ) -> None:
-    """Compute `_turned` and `_turned_rate` for some pixels of a frame of `size`; `board`: steps, start and speed."""
+    """Compute `_turned` and `_turned_rate` for some pixels of a frame of `size`."""
     width, height = size
-    (cos, sin), start, speed = board
-    half, middle = contrast
-    half_box = 0.5 * math.sqrt(cos * cos + sin * sin)
+    half_box = 0.5 * math.sqrt(board.cos * board.cos + board.sin * board.sin)
     for k in range(pixels.size):
         dy, dx = pixels[k] // width + 0.5 - 0.5 * height, pixels[k] % width + 0.5 - 0.5 * width
-        u, v = start[0] + dx * cos + dy * sin, start[1] - dx * sin + dy * cos
+        u, v = board.u + dx * board.cos + dy * board.sin, board.v - dx * board.sin + dy * board.cos
         along_u, along_v = _mean(u, half_box), _mean(v, half_box)
-        out[0][k] = middle + half * np.float32(min(1.0, max(-1.0, along_u * along_v)))
-        by_u = speed[0] * _slope(u, half_box) * along_v
-        out[1][k] = np.float32(by_u + speed[1] * _slope(v, half_box) * along_u)
+        light[k] = board.middle + board.half * np.float32(min(1.0, max(-1.0, along_u * along_v)))
+        by_u = board.u_speed * _slope(u, half_box) * along_v
+        rate[k] = np.float32(by_u + board.v_speed * _slope(v, half_box) * along_u)

@@ -162,10 +162,10 @@ class ImageQueue:
         while len(self._images) > 1 and (self._images[1].t_ns <= self._last_ns or len(self._images) >= _KEPT):
             self._images.popleft()
         self._request(self._p.slots)
-        drawn = self._connection.receive(self._p.timeout_s)
-        self._images.append(self._checked(drawn))
+        image = self._connection.receive(self._p.timeout_s)
+        self._images.append(self._checked(image))
         self.taken += 1
-        bound = drawn.head.motion_bound_px_s
+        bound = image.head.motion_bound_px_s
         self.bound_px_s = math.inf if math.isnan(bound) else bound
 
     def _request(self, count: int) -> None:
@@ -183,39 +183,39 @@ class ImageQueue:
         pose = self._path.pose(self._time.scene_ns(t_ns))
         return (*pose.position_m.tolist(), *pose.q_world_from_body.tolist())
 
-    def _checked(self, drawn: Drawn) -> TimedImage:
+    def _checked(self, image: Drawn) -> TimedImage:
         """Return an image with linear light and its stream time; raises RendererError."""
-        planes = dict(drawn.planes)
+        planes = dict(image.planes)
         if self._table is not None:
             planes["light"] = self._table[planes["light"]]
         for name, plane in planes.items():
             if (k := _first_invalid(plane.reshape(-1), *_BOUNDS[name])) >= 0:
                 row, column = divmod(k // (2 if name == "motion" else 1), plane.shape[1])
                 raise RendererError(
-                    f"image {drawn.head.number}: {name} is {plane.reshape(-1)[k]:g} in row {row}, column {column}: it "
+                    f"image {image.head.number}: {name} is {plane.reshape(-1)[k]:g} in row {row}, column {column}: it "
                     f"must be {_BOUNDS[name][0]:g} to {_BOUNDS[name][1]:g}"
                 )
-        t_ns = self._stream_ns(drawn)
+        t_ns = self._stream_ns(image)
         since_ns = t_ns - self._images[-1].t_ns if self._images else _LEAST_NS
         if since_ns <= 0:
             raise RendererError(
-                f"image {drawn.head.number} is of {drawn.head.t_ns} ns, not later than the one before: times must go on"
+                f"image {image.head.number} is of {image.head.t_ns} ns, not later than the one before: times must go on"
             )
         if since_ns < _LEAST_NS:
             raise RendererError(
-                f"image {drawn.head.number} is {since_ns} ns after the one before, at least {_LEAST_NS} are expected: "
+                f"image {image.head.number} is {since_ns} ns after the one before, at least {_LEAST_NS} are expected: "
                 "times are in nanoseconds; does the renderer give milliseconds or seconds?"
             )
         if "motion" in planes:
             planes["motion"] = front_motion(planes["motion"], planes.get("depth"))
         return TimedImage(t_ns, **planes)
 
-    def _stream_ns(self, drawn: Drawn) -> int:
+    def _stream_ns(self, image: Drawn) -> int:
         if not self._pushed:
-            return drawn.head.t_ns
+            return image.head.t_ns
         if self._zero_ns is None:
-            self._zero_ns = drawn.head.t_ns - round(self._p.delay_ms * 1e6)
-        return drawn.head.t_ns - self._zero_ns
+            self._zero_ns = image.head.t_ns - round(self._p.delay_ms * 1e6)
+        return image.head.t_ns - self._zero_ns
 
 
 class External(Scene):
@@ -328,11 +328,11 @@ def open_external(p: ExternalParameters, pinhole: Pinhole, threads: int = 0) -> 
 
 def _connected(p: ExternalParameters, pinhole: Pinhole) -> RendererConnection:
     period_ns = 0 if p.images == "pushed" else p.period_ns
-    wanted = Camera(pinhole.size, pinhole.focal_px, period_ns, p.slots, 0, has_pose=p.camera is not None)
+    camera = Camera(pinhole.size, pinhole.focal_px, period_ns, p.slots, 0, has_pose=p.camera is not None)
     try:
         server = RendererServer(p.host, p.port, p.allow)
         _LOG.info("waiting for a renderer on %s port %d, up to %g s", p.host, p.port, p.wait_s)
-        connection = server.accept(wanted, p.wait_s)
+        connection = server.accept(camera, p.wait_s)
     except OSError as error:
         raise SceneError(f"scene: {p.host} port {p.port}: {error.strerror or error}") from error
     if connection is None:

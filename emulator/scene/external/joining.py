@@ -10,8 +10,8 @@ With motion, light of a pixel p at time t, a share s of the way from image 0 to 
     (1 - s) image0(q0) + s image1(q1)
 
 q0 and q1 are the places in the images of the point that is at p at time t. It moves at a constant acceleration, from
-its velocity in image 0 to that in image 1; q0 and q1 follow in a few steps of a fixed point. Between pixels an image is
-that of `emulator.scene.external.sampling`. The time derivative is that of the same formula.
+its velocity in image 0 to that in image 1; q0 and q1 follow in a few steps of a fixed point. The time derivative is
+that of the same formula.
 
 An image that shows nothing which moves to p is left out: the surface appears or disappears in between. Where the images
 give different surfaces, one that both of them show is in front of one that only one shows, because this one is hidden
@@ -22,8 +22,26 @@ A pixel at an edge has the light of both surfaces and the velocity of one. So ea
 point among itself and its eight neighbours (the fastest without depth): an edge moves with the surface in front.
 Shadows move across the surface that they fall on, so motion places their edges worse than other ones; a rate does not.
 
-The kernels are fast because each pixel is independent and pixels that do not move are joined in place; threads share
-the rows.
+An image is given by the mean light of each pixel. Between pixels it is the Catmull-Rom cubic, held within the four
+pixels around the place, so that it makes no darkness below the darkest and no light above the brightest.
+
+That cubic spreads an edge over two pixels more. Before a black sky the logarithm of light sees it: a pixel next to the
+edge begins to change as soon as the edge moves, not when the edge arrives. So where light beside a pixel is below a
+tenth of that on its other side, the pixel is two parts with a straight edge between them:
+
+    +-------+   dark light, the least of 3 x 3 pixels, in the share 1 - c of the pixel
+    |  / / /|   bright light, the greatest of 3 x 3, in the share c, so that the mean is that of the pixel
+    | / / / |   the edge is at right angles to the gradient of the 3 x 3 pixels
+    +-------+
+
+and light at a place is the mean over one pixel around it, in closed form: right for straight edges between two even
+surfaces. (In fluid dynamics the reconstruction is called PLIC: Youngs, 1982, Time-dependent multi-material flow with
+large fluid distortion.) A bright pixel with darkness two pixels away is one part, as the edge is in its neighbour. A
+slope of light that goes down to black, as at the terminator of a body, is no edge: light goes on rising over 5 x 5
+pixels. There the cubic stays, and between both kinds of pixels the two are mixed.
+
+The kernels are fast because each pixel is independent, pixels that do not move are joined in place, and edges are
+looked for only where the sixteen pixels of the cubic have light and near darkness; threads share the rows.
 """
 
 from __future__ import annotations
@@ -36,11 +54,10 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import Light
-from emulator.scene.external.sampling import bounded, sampled
 from emulator.threads import ThreadPool, available_threads
 from firmware_protocol.compiled import entry_of, kernel
 
-_entry = entry_of(__name__, "emulator.scene.external.sampling", _nrt=False)
+_entry = entry_of(__name__, _nrt=False)
 _Floats = npt.NDArray[np.float32]
 _NONE = np.zeros((0, 0), np.float32)
 _NO_MOTION = np.zeros((0, 0, 2), np.float32)
@@ -115,18 +132,17 @@ class Joined:
     def write(self, pair: Pair, t_ns: int, light: Light, rate: Light | None = None) -> None:
         """Write the light at `t_ns`, and its derivative, (height, width) each; outside the images, the nearest one."""
         planes, terms = _planes(pair), self._terms(pair, t_ns)
-        rates, write = _NONE if rate is None else rate, _write_moved if _moves(pair) else _write_standing
+        rates, moves = _NONE if rate is None else rate, _moves(pair)
 
         def share(k: int, _: int) -> None:
-            write(planes, terms, (k * _ROWS, min((k + 1) * _ROWS, self._rows)), light, rates)
+            _write(planes, terms, (k * _ROWS, min((k + 1) * _ROWS, self._rows)), moves, light, rates)
 
         self._pool.each(share, -(-self._rows // _ROWS))
 
     def pixels(self, pair: Pair, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Floats, _Floats]:
         """Return light and derivative of the pixels row * width + column, (n,) each."""
         light, rate = np.empty(pixels.size, np.float32), np.empty(pixels.size, np.float32)
-        listed = _listed_moved if _moves(pair) else _listed_standing
-        listed(_planes(pair), self._terms(pair, t_ns), pixels, light, rate)
+        _write_listed(_planes(pair), self._terms(pair, t_ns), pixels, _moves(pair), light, rate)
         return light, rate
 
     def close(self) -> None:
@@ -157,6 +173,162 @@ def _both(before: _Floats | None, after: _Floats | None) -> tuple[_Floats, _Floa
     return (_NONE, _NONE) if before is None or after is None else (before, after)
 
 
+_DARK_SHARE = 0.1
+_PLATEAU = 1.5
+_LEAST_SLANT = 1e-4
+
+
+@kernel
+def bounded(value: float, last: int) -> int:
+    """Return the index below `value`, 0 to `last`; 0 for a NaN."""
+    return int(min(max(value, 0.0), last)) if value == value else 0
+
+
+@kernel
+def _taps(f: float) -> tuple[float, float, float, float]:
+    return (
+        ((-0.5 * f + 1.0) * f - 0.5) * f, (1.5 * f - 2.5) * f * f + 1.0,
+        ((-1.5 * f + 2.0) * f + 0.5) * f, (0.5 * f - 0.5) * f * f,
+    )  # fmt: skip
+
+
+@kernel
+def _slopes(f: float) -> tuple[float, float, float, float]:
+    return (-1.5 * f + 2.0) * f - 0.5, (4.5 * f - 5.0) * f, (-4.5 * f + 4.0) * f + 0.5, (1.5 * f - 1.0) * f
+
+
+@kernel
+def sampled(image: _Floats, y: float, x: float) -> tuple[float, float, float]:
+    """Return the value at a point, and its derivatives along rows and columns; at (r, c) the value of that pixel."""
+    last_row, last_column = image.shape[0] - 1, image.shape[1] - 1
+    row, column = bounded(y, last_row), bounded(x, last_column)
+    fy, fx = min(max(y - row, 0.0), 1.0), min(max(x - column, 0.0), 1.0)
+    ty, tx, dy, dx = _taps(fy), _taps(fx), _slopes(fy), _slopes(fx)
+    value = down = across = 0.0
+    low, high = math.inf, -math.inf
+    dark, bright = math.inf, -math.inf
+    for j in range(4):
+        r = min(max(row + j - 1, 0), last_row)
+        line = slope = 0.0
+        for i in range(4):
+            c = min(max(column + i - 1, 0), last_column)
+            sample = image[r, c]
+            line += tx[i] * sample
+            slope += dx[i] * sample
+            dark, bright = min(dark, sample), max(bright, sample)
+            if 1 <= i <= 2 and 1 <= j <= 2:
+                low, high = min(low, sample), max(high, sample)
+        value += ty[j] * line
+        down += dy[j] * line
+        across += ty[j] * slope
+    held = min(max(value, low), high)
+    if dark > _DARK_SHARE * bright or bright <= 0.0:
+        return held, down, across
+    if held != value:
+        down = across = 0.0
+    return _with_edges(image, (row, column), (fy, fx), (held, down, across))
+
+
+@kernel
+def _with_edges(image: _Floats, at: Any, f: Any, cubic: Any) -> tuple[float, float, float]:
+    """Return value and derivatives at the shares `f` behind the pixel `at`, with its straight edges."""
+    share = share_down = share_across = 0.0
+    value = down = across = 0.0
+    for j in range(2):
+        tall, to_down = (f[0], 1.0) if j else (1.0 - f[0], -1.0)
+        for i in range(2):
+            wide, to_right = (f[1], 1.0) if i else (1.0 - f[1], -1.0)
+            edge = _edge(image, at[0] + j, at[1] + i)
+            if edge[0]:
+                share += tall * wide
+                share_down += to_down * wide
+                share_across += to_right * tall
+            mean, line_y, line_x = _parts(edge, (0.0 if j else f[0], 0.0 if i else f[1]), (tall, wide), f)
+            value += mean
+            down += to_down * line_y
+            across += to_right * line_x
+    return (
+        cubic[0] + share * (value - cubic[0]),
+        cubic[1] + share * (down - cubic[1]) + share_down * (value - cubic[0]),
+        cubic[2] + share * (across - cubic[2]) + share_across * (value - cubic[0]),
+    )
+
+
+@kernel
+def _edge(image: _Floats, row: int, column: int) -> Any:
+    """Return whether a pixel is in two parts, dark and bright light, and its edge.
+
+    The dark part is ny v + nx u <= d, with v and u from 0 to 1 down and to the right, back where n is negative;
+    |ny| + |nx| = 1.
+    """
+    last_row, last_column = image.shape[0] - 1, image.shape[1] - 1
+    row, column = min(row, last_row), min(column, last_column)
+    dark, bright = math.inf, -math.inf  # of the pixel and its neighbours
+    darkest, brightest = math.inf, -math.inf  # of 5 x 5 pixels
+    gy = gx = 0.0
+    for j in range(-2, 3):
+        r = min(max(row + j, 0), last_row)
+        for i in range(-2, 3):
+            sample = image[r, min(max(column + i, 0), last_column)]
+            darkest, brightest = min(darkest, sample), max(brightest, sample)
+            if -1 <= j <= 1 and -1 <= i <= 1:
+                dark, bright = min(dark, sample), max(bright, sample)
+                gy += j * (2 - i * i) * sample
+                gx += i * (2 - j * j) * sample
+    level = image[row, column]
+    steep = abs(gy) + abs(gx)
+    if level <= dark or steep == 0.0:
+        return level <= _DARK_SHARE * bright, level, level, 0.5, 0.5, 0.0
+    if darkest > _DARK_SHARE * bright or brightest > _PLATEAU * bright:
+        return False, level, level, 0.5, 0.5, 0.0
+    if dark > _DARK_SHARE * bright:
+        return True, level, level, 0.5, 0.5, 0.0
+    ny, nx = gy / steep, gx / steep
+    return True, dark, bright, ny, nx, _offset((bright - level) / (bright - dark), min(abs(ny), abs(nx)))
+
+
+@kernel
+def _offset(area: float, least: float) -> float:
+    """Return d of the half plane that holds `area` of a pixel; `least` is the smaller component of its normal."""
+    m = max(least, _LEAST_SLANT)
+    corner = 0.5 * m / (1.0 - m)
+    if area <= corner:
+        return math.sqrt(2.0 * area * m * (1.0 - m))
+    if area >= 1.0 - corner:
+        return 1.0 - math.sqrt(2.0 * (1.0 - area) * m * (1.0 - m))
+    return area * (1.0 - m) + 0.5 * m
+
+
+@kernel
+def _squared(value: float) -> float:
+    return value * value if value > 0.0 else 0.0
+
+
+@kernel
+def _parts(edge: Any, low: Any, size: Any, f: Any) -> tuple[float, float, float]:
+    """Return light over a rectangle of a pixel, and along its borders at v = f[0] and u = f[1].
+
+    The rectangle begins at `low` and has the height and width `size`.
+    """
+    _, dark, bright, ny, nx, d = edge
+    (v, u), (tall, wide), (at_v, at_u) = low, size, f
+    if bright == dark:
+        return dark * tall * wide, dark * wide, dark * tall
+    if ny < 0.0:
+        v, at_v = 1.0 - v - tall, 1.0 - at_v
+    if nx < 0.0:
+        u, at_u = 1.0 - u - wide, 1.0 - at_u
+    ny = min(max(abs(ny), _LEAST_SLANT), 1.0 - _LEAST_SLANT)
+    nx = 1.0 - ny
+    left = d - ny * v - nx * u
+    area = _squared(left) - _squared(left - nx * wide) - _squared(left - ny * tall)
+    area = (area + _squared(left - nx * wide - ny * tall)) / (2.0 * nx * ny)
+    along_y = min(max((d - ny * at_v - nx * u) / nx, 0.0), wide)
+    along_x = min(max((d - nx * at_u - ny * v) / ny, 0.0), tall)
+    step = bright - dark
+    return bright * tall * wide - step * area, bright * wide - step * along_y, bright * tall - step * along_x
+
+
 @kernel
 def _differ(vx: float, vy: float, wx: float, wy: float, apart_s: float) -> bool:
     """Return whether two velocities are those of different surfaces; one surface turns, or comes nearer."""
@@ -172,7 +344,7 @@ def _at(front: _Floats, y: float, x: float) -> tuple[float, float]:
 
 
 @kernel
-def _source(own: _Floats, other: _Floats, y: float, x: float, guess: Any, terms: Any) -> Any:
+def _source(motion: _Floats, other: _Floats, y: float, x: float, guess: Any, terms: Any) -> Any:
     """Return the point of one image that is at (y, x) at the time, and its velocity then.
 
     Also the error of the path in px, and whether the other image shows the point too.
@@ -187,7 +359,7 @@ def _source(own: _Floats, other: _Floats, y: float, x: float, guess: Any, terms:
     for _ in range(_STEPS):
         bend = 0.5 * t_s / apart_s
         at_x, at_y = x - t_s * (vx + (wx - vx) * bend), y - t_s * (vy + (wy - vy) * bend)
-        new_x, new_y = _at(own, at_y, at_x)
+        new_x, new_y = _at(motion, at_y, at_x)
         wx, wy = _at(other, at_y + 0.5 * apart_s * (new_y + wy), at_x + 0.5 * apart_s * (new_x + wx))
         in_both = not _differ(new_x, new_y, wx, wy, abs(apart_s))
         if not in_both:  # the other image shows another surface there
@@ -200,21 +372,21 @@ def _source(own: _Floats, other: _Floats, y: float, x: float, guess: Any, terms:
 
 
 @kernel
-def _found(own: _Floats, other: _Floats, depth: _Floats, at: Any, guesses: Any, terms: Any) -> Any:
+def _found(motion: _Floats, other: _Floats, depth: _Floats, at: Any, guesses: Any, terms: Any) -> Any:
     """Return point, velocity, distance and rank of the surface of an image that is at the pixel at the time.
 
     Ranks: 0 there is none, 1 the other image does not show it, 2 it does.
     """
     best = (at[0], at[1], 0.0, 0.0, math.inf, 0)
     for guess in guesses:
-        y, x, vy, vx, error, in_both = _source(own, other, at[0], at[1], guess, terms)
+        y, x, vy, vx, error, in_both = _source(motion, other, at[0], at[1], guess, terms)
         if not error <= _CLOSE_PX:
             continue
-        far, rank = -math.hypot(vx, vy), 2 if in_both else 1
+        distance, rank = -math.hypot(vx, vy), 2 if in_both else 1
         if depth.size:
-            far = depth[bounded(y + 0.5, depth.shape[0] - 1), bounded(x + 0.5, depth.shape[1] - 1)]
-        if rank > best[5] or (rank == best[5] and far < best[4]):
-            best = (y, x, vy, vx, far, rank)
+            distance = depth[bounded(y + 0.5, depth.shape[0] - 1), bounded(x + 0.5, depth.shape[1] - 1)]
+        if rank > best[5] or (rank == best[5] and distance < best[4]):
+            best = (y, x, vy, vx, distance, rank)
     return best
 
 
@@ -270,45 +442,38 @@ def _moved(planes: Any, terms: Any, row: int, column: int) -> tuple[float, float
     return (1 - share) * value0 + share * value1, slope
 
 
+@kernel
+def _at_pixel(planes: Any, terms: Any, row: int, column: int, moves: bool) -> tuple[float, float]:
+    """Return light and derivative of a pixel, by motion where both images have it."""
+    if moves:
+        return _moved(planes, terms, row, column)
+    return _standing(planes, terms, row, column)
+
+
 @_entry
-def _write_standing(planes: Any, terms: Any, rows: Any, light: Light, rate: Light) -> None:
+def _write(planes: Any, terms: Any, rows: tuple[int, int], moves: bool, light: Light, rate: Light) -> None:
     for row in range(rows[0], rows[1]):
         for column in range(light.shape[1]):
-            value, slope = _standing(planes, terms, row, column)
+            value, slope = _at_pixel(planes, terms, row, column, moves)
             light[row, column] = value * terms[2]
             if rate.size:
                 rate[row, column] = slope * terms[2]
 
 
 @_entry
-def _write_moved(planes: Any, terms: Any, rows: Any, light: Light, rate: Light) -> None:
-    for row in range(rows[0], rows[1]):
-        for column in range(light.shape[1]):
-            value, slope = _moved(planes, terms, row, column)
-            light[row, column] = value * terms[2]
-            if rate.size:
-                rate[row, column] = slope * terms[2]
-
-
-@_entry
-def _listed_standing(planes: Any, terms: Any, pixels: npt.NDArray[np.int64], light: _Floats, rate: _Floats) -> None:
+def _write_listed(
+    planes: Any, terms: Any, pixels: npt.NDArray[np.int64], moves: bool, light: _Floats, rate: _Floats
+) -> None:
     for k in range(pixels.size):
         row, column = divmod(pixels[k], planes[0].shape[1])
-        value, slope = _standing(planes, terms, row, column)
-        light[k], rate[k] = value * terms[2], slope * terms[2]
-
-
-@_entry
-def _listed_moved(planes: Any, terms: Any, pixels: npt.NDArray[np.int64], light: _Floats, rate: _Floats) -> None:
-    for k in range(pixels.size):
-        row, column = divmod(pixels[k], planes[0].shape[1])
-        value, slope = _moved(planes, terms, row, column)
+        value, slope = _at_pixel(planes, terms, row, column, moves)
         light[k], rate[k] = value * terms[2], slope * terms[2]
 
 
 def compile_kernels() -> None:
     """Compile all kernels, or read them from disk, before a run needs them."""
-    still, pixel, joined = np.zeros((1, 1), np.float32), np.zeros(1, np.int64), Joined((1, 1), threads=1)
+    still, pixel = np.zeros((1, 1), np.float32), np.zeros(1, np.int64)
+    joined = Joined((1, 1), threads=1)
     for motion in (None, front_motion(np.zeros((1, 1, 2), np.float32), None)):
         image = TimedImage(0, still, motion)
         joined.write((image, image), 0, still.copy(), still.copy())

@@ -110,21 +110,20 @@ def load_stars(faintest_v: float = FAINTEST_V, epoch_year: float = 2026.0) -> St
     v_mag = _v_mag(columns)
     kept = v_mag <= faintest_v
     ra, dec = columns["ra_rad"][kept], columns["dec_rad"][kept]
-    proper = columns["pm_ra_mas_a"][kept], columns["pm_dec_mas_a"][kept]
-    directions = moved(ra, dec, proper, epoch_year - _EPOCH)
+    directions = moved(ra, dec, columns["pm_ra_mas_a"][kept], columns["pm_dec_mas_a"][kept], epoch_year - _EPOCH)
     order = np.argsort(v_mag[kept], kind="stable")
     return Stars(directions[order], v_mag[kept][order], SUN_V)
 
 
-def moved(ra: Floats, dec: Floats, proper_mas_a: tuple[Floats, Floats], years: float) -> Floats:
+def moved(ra: Floats, dec: Floats, pm_ra_mas_a: Floats, pm_dec_mas_a: Floats, years: float) -> Floats:
     """Return the directions, (n, 3), of stars at `ra` and `dec` (rad) after `years` of proper motion.
 
-    `proper_mas_a` is that motion in right ascension, times cos dec, and in declination.
+    The motion in right ascension is times cos dec.
     """
     east = np.column_stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)])
     north = np.column_stack([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
     at = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
-    by = (proper_mas_a[0][:, None] * east + proper_mas_a[1][:, None] * north) * _MAS_RAD * years
+    by = (pm_ra_mas_a[:, None] * east + pm_dec_mas_a[:, None] * north) * _MAS_RAD * years
     return np.asarray((at + by) / np.linalg.norm(at + by, axis=1, keepdims=True))
 
 
@@ -204,7 +203,8 @@ def splat(points: Floats, sigma: float, light: Light, rate: Light) -> None:
     """
     height, width = light.shape
     reach, n = _reach(sigma)
-    across, across_slope, down, down_slope = np.empty(_MOST), np.empty(_MOST), np.empty(_MOST), np.empty(_MOST)
+    across, across_slope = np.empty(_MOST), np.empty(_MOST)
+    down, down_slope = np.empty(_MOST), np.empty(_MOST)
     for k in range(points.shape[0]):
         x, y, flux = points[k, 0], points[k, 1], points[k, 2]
         left, top = math.floor(x) - reach, math.floor(y) - reach

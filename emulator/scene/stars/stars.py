@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import unit
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
-from emulator.light import Light, Region, Scene, SceneError
+from emulator.light import LastArrays, Light, Region, Scene, SceneError
 from emulator.optics.lens import Chip, Distortion, LensParameters, bent_rays, straight_columns_and_rows
 from emulator.scene.stars.catalogue import Boxes, Stars, boxes_of, clear, load_stars, splat
 from emulator.scene.stars.skies import draw_field, load_gaia
@@ -59,7 +59,8 @@ class StarsGeometry(SceneGeometry):
     gives: frozenset[Given] = frozenset({"poses", "depth", "flow", "labels"})
 
     def __init__(self, sky: Sky, camera: Pinhole, sigma_px: float, rays: Rays) -> None:
-        self._sky, self._camera, self._rays = sky, camera, rays
+        self._sky = sky
+        self._camera, self._rays = camera, rays
         self.names = tuple(f"point {k + 1}" for k in range(len(sky.points)))
         self._reach_px = max(1.0, _REACH * sigma_px)
         self._inverse_depth = np.zeros_like(rays.columns)
@@ -75,14 +76,14 @@ class StarsGeometry(SceneGeometry):
 
     def _mark(self, label: int, camera: Instants, point: Instants, out: Seen) -> None:
         """Write label and 1 / depth of the pixels near a point, except under nearer points."""
-        own = camera[0].world_from_body.T @ (point[0].position_m - camera[0].position_m)
-        if own[2] <= 0:
+        place = camera[0].world_from_body.T @ (point[0].position_m - camera[0].position_m)
+        if place[2] <= 0:
             return
         focal, (width, height) = self._camera.focal_px, self._camera.size
-        column, row = width / 2 + focal * own[0] / own[2], height / 2 + focal * own[1] / own[2]
-        near = np.hypot(self._rays.columns - column, self._rays.rows - row) <= self._reach_px
-        near &= (out.labels == 0) | (self._inverse_depth < 1 / own[2])
-        out.labels[near], self._inverse_depth[near] = label, 1 / own[2]
+        column, row = width / 2 + focal * place[0] / place[2], height / 2 + focal * place[1] / place[2]
+        touched = np.hypot(self._rays.columns - column, self._rays.rows - row) <= self._reach_px
+        touched &= (out.labels == 0) | (self._inverse_depth < 1 / place[2])
+        out.labels[touched], self._inverse_depth[touched] = label, 1 / place[2]
 
     def places(self, t_ns: int) -> ScenePoses:
         """Return the poses at `t_ns`."""
@@ -113,7 +114,8 @@ class StarField(Scene):
     """
 
     def __init__(self, parameters: StarsParameters, size: tuple[int, int], lens: LensParameters, chip: Chip) -> None:
-        self._p, self._size, self._lens = parameters, size, lens
+        self._p = parameters
+        self._size, self._lens = size, lens
         self._pinhole = lens.pinhole(size)
         self._sigma_px = max(_SHARPEST_PX, lens.blur_sigma_px(chip, self._pinhole.focal_px))
         self._bend = Distortion.of(lens)
@@ -129,7 +131,7 @@ class StarField(Scene):
         self._magnitudes = stars.magnitudes
         self._irradiance = stars.irradiance_w_m2
         self._sun = unit(parameters.sun.direction)
-        self._outs: tuple[Light, Light] | None = None
+        self._arrays = LastArrays()
         self._boxes: Boxes = np.empty((0, 4), np.int64)
         self._changed: Region | None = None
         self._cone_cosine = max(0.05, math.cos(min(math.pi, 1.2 * self._pinhole.widest_rad + 0.02)))
@@ -165,8 +167,8 @@ class StarField(Scene):
     def geometry(self, rays: Rays | None = None) -> StarsGeometry:
         """Return the flow of the sky, with the positions of the moving points."""
         if rays is None:
-            places = straight_columns_and_rows(self._bend, self._pinhole)
-            rays = bent_rays(self._bend, places, self._pinhole)
+            columns, rows = straight_columns_and_rows(self._bend, self._pinhole)
+            rays = bent_rays(self._bend, columns, rows, self._pinhole)
         return StarsGeometry(Sky(self._camera, self._paths, self._time), self._pinhole, self._sigma_px, rays)
 
     def light(self, t_ns: int, out: Light) -> None:
@@ -190,9 +192,9 @@ class StarField(Scene):
     def stars_at(self, t_ns: int) -> tuple[Floats, Floats]:
         """Return columns and rows, (n, 2), and magnitudes, (n,), of the stars in or near the light frame of `t_ns`."""
         camera = self._camera.pose(self._time.scene_ns(t_ns))
-        near = self._near(camera)
-        seen = self._seen(self._directions[near], camera)
-        return np.array(self._size) / 2 + self._pinhole.focal_px * seen[:, :2], self._magnitudes[near]
+        in_view = self._near(camera)
+        seen = self._seen(self._directions[in_view], camera)
+        return np.array(self._size) / 2 + self._pinhole.focal_px * seen[:, :2], self._magnitudes[in_view]
 
     def close(self) -> None:
         """Close the sockets of live poses."""
@@ -202,19 +204,16 @@ class StarField(Scene):
         """Write light and rate: only the boxes of points, if they are the arrays of the last call."""
         points = self._points(t_ns)
         sky = np.float32(self._p.sky_w_m2_sr * self._lens.light_per_radiance)
-        known = self._outs is not None and self._outs[0] is light and self._outs[1] is rate
-        if not known:
+        hold_last = self._arrays.are(light, rate)
+        if not hold_last:
             light.fill(sky)
             rate.fill(0)
         clear(self._boxes, sky, light, rate)  # always, so that the kernel is loaded before the run begins
         splat(points, self._sigma_px, light, rate)
-        before, self._boxes, self._outs = self._boxes, np.empty((len(points), 4), np.int64), (light, rate)
+        before, self._boxes = self._boxes, np.empty((len(points), 4), np.int64)
         boxes_of(points, self._sigma_px, self._size, self._boxes)
-        self._changed = self._whole(np.concatenate([before, self._boxes])) if known else None
-
-    def _whole(self, boxes: Boxes) -> Region:
-        """Return the whole light frame as a region of which only the boxes may have changed."""
-        return Region(0, self._size[1], 0, self._size[0], boxes)
+        boxes = np.concatenate([before, self._boxes])
+        self._changed = Region(0, self._size[1], 0, self._size[0], boxes) if hold_last else None
 
     def _points(self, t_ns: int) -> Floats:
         """Return column, row, light, px/s and px/s of every point near the light frame, (n, 5).
@@ -240,9 +239,9 @@ class StarField(Scene):
 
     def _seen(self, directions: Floats, camera: Pose) -> Floats:
         """Return the image of directions in the world, (n, 3): two tangents and the cosine off the axis, (n, 3)."""
-        own = directions @ camera.world_from_body
-        x, y = self._bend.bend(own[:, 0] / own[:, 2], own[:, 1] / own[:, 2])
-        return np.column_stack([x, y, own[:, 2]])
+        rays = directions @ camera.world_from_body
+        x, y = self._bend.bend(rays[:, 0] / rays[:, 2], rays[:, 1] / rays[:, 2])
+        return np.column_stack([x, y, rays[:, 2]])
 
     def _moving(self, scene_ns: int, camera: Pose) -> tuple[Floats, Floats]:
         """Return directions (n, 3) and irradiances (n,) of the moving points, dark where they are behind the camera."""

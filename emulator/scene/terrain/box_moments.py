@@ -7,7 +7,8 @@ function is written with the compiler's own vectors: the eight moments of a post
 The mean over a box of a function that is linear between posts is exact: a post at t posts from the box's middle has the
 weight (I(r - t) - I(-r - t)) / 2 r along each axis, r half its side and I the integral of the hat function. Weights of
 half a side of at most MOST_POSTS / 2 - 1 posts are sums over at most MOST_POSTS posts. Code for each number of columns
-is unrolled.
+is unrolled. Vectors of any length are correct on any processor: the compiler splits them where the processor's are
+shorter.
 
 Where the box moves by v posts a second, these weights have the rates (hat(r - t) - hat(-r - t)) v / 2 r along each
 axis, hat(t) = I'(t). The rates of the means take one more product a post, of numbers that are at hand.
@@ -15,6 +16,7 @@ axis, hat(t) = I'(t). The rates of the means take one more product a post, of nu
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numba
@@ -23,15 +25,6 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numba.np import arrayobj
 
-from emulator.scene.terrain.compiled_vectors import (
-    INT,
-    constant,
-    lane,
-    magnitude,
-    product_sum,
-    spread,
-    within,
-)
 from emulator.scene.terrain.ground import MOMENTS
 from emulator.scene.terrain.tile import RATES
 
@@ -46,7 +39,48 @@ MOST_POSTS = 10
 _COLUMNS = 4, 6, 8, MOST_POSTS
 _ROWS = 2  # at a time
 _LANES = 16  # of weights
-_HALF, _FLOAT = ir.HalfType(), ir.FloatType()
+_HALF, _FLOAT, _INT, _INT32 = ir.HalfType(), ir.FloatType(), ir.IntType(64), ir.IntType(32)
+_FUSED = ("contract",)  # flag of a product and a sum that may have one rounding, where the processor has such a step
+
+
+def _int(number: int) -> ir.Constant:
+    """Return a whole number."""
+    return ir.Constant(_INT, number)
+
+
+def _constant(lanes: Sequence[float]) -> ir.Constant:
+    """Return a vector of these numbers."""
+    return ir.Constant(ir.VectorType(_FLOAT, len(lanes)), list(lanes))
+
+
+def _spread(builder: ir.IRBuilder, number: Any, lanes: int) -> Any:
+    """Return a vector whose lanes all hold `number`."""
+    none = ir.Constant(ir.VectorType(number.type, lanes), ir.Undefined)
+    first = builder.insert_element(none, number, ir.Constant(_INT32, 0))
+    return builder.shuffle_vector(first, none, ir.Constant(ir.VectorType(_INT32, lanes), [0] * lanes))
+
+
+def _lane(builder: ir.IRBuilder, vector: Any, k: int) -> Any:
+    """Return one number of a vector."""
+    return builder.extract_element(vector, ir.Constant(_INT32, k))
+
+
+def _product_sum(builder: ir.IRBuilder, a: Any, b: Any, c: Any) -> Any:
+    """Return a b + c."""
+    return builder.fadd(builder.fmul(a, b, flags=_FUSED), c, flags=_FUSED)
+
+
+def _within(builder: ir.IRBuilder, vector: Any, low: Any, high: Any) -> Any:
+    """Return the numbers, none beyond the bounds; `low` where bounds cross or a number is NaN."""
+    lowered = builder.select(builder.fcmp_ordered("<", vector, high), vector, high)
+    return builder.select(builder.fcmp_ordered(">", lowered, low), lowered, low)
+
+
+def _magnitude(builder: ir.IRBuilder, vector: Any) -> Any:
+    """Return the numbers without their signs."""
+    kind = ir.FunctionType(vector.type, [vector.type])
+    function = _code.get_or_insert_function(builder.module, kind, f"llvm.fabs.v{vector.type.count}f32")
+    return builder.call(function, [vector])
 
 
 @_intrinsic
@@ -112,8 +146,8 @@ def _add(builder: ir.IRBuilder, data: Any, place_of: Any, out: Any) -> None:
     left, across, wide = _side(builder, x, half_x, columns, moves[:1])
     top, down, high = _side(builder, y, half_y, rows, moves[1:])
     place = builder.add(first, builder.add(builder.mul(top, columns), left))
-    totals = [_code.alloca_once_value(builder, constant([0.0] * MOMENTS)) for _ in across]
-    weights = [builder.bitcast(_code.alloca_once_value(builder, some), _FLOAT.as_pointer()) for some in down]
+    totals = [_code.alloca_once_value(builder, _constant([0.0] * MOMENTS)) for _ in across]
+    weights = [builder.bitcast(_code.alloca_once_value(builder, shares), _FLOAT.as_pointer()) for shares in down]
     end = builder.append_basic_block("end")
     cases = [builder.append_basic_block(f"columns{n}") for n in _COLUMNS]
     chosen = builder.switch(wide, cases[-1])
@@ -122,39 +156,36 @@ def _add(builder: ir.IRBuilder, data: Any, place_of: Any, out: Any) -> None:
         chosen.add_case(ir.Constant(wide.type, n), cases[case])
     for n, case in zip(_COLUMNS, cases, strict=True):
         builder.position_at_end(case)
-        spreads = [[spread(builder, lane(builder, some, k), MOMENTS) for k in range(n)] for some in across]
-        with _code.for_range_slice(builder, INT(0), high, INT(_ROWS), INT.type) as (first_row, _):
+        spreads = [[_spread(builder, _lane(builder, shares, k), MOMENTS) for k in range(n)] for shares in across]
+        with _code.for_range_slice(builder, _int(0), high, _int(_ROWS), _INT) as (first_row, _):
             sums = [builder.load(total) for total in totals]
-            for more in range(_ROWS):
-                index = builder.add(first_row, INT(more))
+            for further in range(_ROWS):
+                index = builder.add(first_row, _int(further))
                 row = _row(builder, data, builder.add(place, builder.mul(index, columns)), spreads)
-                shares = [spread(builder, builder.load(builder.gep(some, [index])), MOMENTS) for some in weights]
-                sums = _with_row(builder, row, shares, sums)
+                share, *rate = (_spread(builder, builder.load(builder.gep(w, [index])), MOMENTS) for w in weights)
+                # The mean's sum, and its rate: of the row's rate by the share, and of the row by the share's rate.
+                sums = [_product_sum(builder, values, share, sum_) for values, sum_ in zip(row, sums, strict=True)]
+                if rate:
+                    sums[1] = _product_sum(builder, row[0], rate[0], sums[1])
             for sum_, total in zip(sums, totals, strict=True):
                 builder.store(sum_, total)
         builder.branch(end)
     builder.position_at_end(end)
-    share = spread(builder, builder.fmul(weight, ir.Constant(_FLOAT, 0.25)), MOMENTS)
+    share = _spread(builder, builder.fmul(weight, ir.Constant(_FLOAT, 0.25)), MOMENTS)
     for k, total in enumerate(totals):
-        to = builder.bitcast(builder.gep(out, [INT(k * RATES)]), ir.VectorType(_FLOAT, MOMENTS).as_pointer())
-        builder.store(product_sum(builder, builder.load(total), share, builder.load(to, align=4)), to, align=4)
-
-
-def _with_row(builder: ir.IRBuilder, row: list[Any], shares: list[Any], sums: list[Any]) -> list[Any]:
-    """Return the sums with those of a row: of its moments, and of their rates where there are any."""
-    both = [product_sum(builder, some, shares[0], sum_) for some, sum_ in zip(row, sums, strict=True)]
-    return both if len(both) == 1 else [both[0], product_sum(builder, row[0], shares[1], both[1])]
+        to = builder.bitcast(builder.gep(out, [_int(k * RATES)]), ir.VectorType(_FLOAT, MOMENTS).as_pointer())
+        builder.store(_product_sum(builder, builder.load(total), share, builder.load(to, align=4)), to, align=4)
 
 
 def _side(builder: ir.IRBuilder, middle: Any, half: Any, posts: Any, move: list[Any]) -> tuple[Any, list[Any], Any]:
     """Return the first post, weights of the posts from there, and how many have one; the weights' rates too."""
     low, high = builder.fsub(middle, half), builder.fadd(middle, half)
-    last = builder.sub(posts, INT(MOST_POSTS))
-    begin = builder.fptosi(low, INT.type)
+    last = builder.sub(posts, _int(MOST_POSTS))
+    begin = builder.fptosi(low, _INT)
     begin = builder.select(builder.icmp_signed("<", begin, last), begin, last)
-    begin = builder.select(builder.icmp_signed(">", begin, INT(0)), begin, INT(0))
-    count = builder.add(builder.sub(builder.fptosi(high, INT.type), begin), INT(2))
-    for bound, sign in ((INT(MOST_POSTS), "<"), (INT(_COLUMNS[0]), ">")):
+    begin = builder.select(builder.icmp_signed(">", begin, _int(0)), begin, _int(0))
+    count = builder.add(builder.sub(builder.fptosi(high, _INT), begin), _int(2))
+    for bound, sign in ((_int(MOST_POSTS), "<"), (_int(_COLUMNS[0]), ">")):
         count = builder.select(builder.icmp_signed(sign, count, bound), count, bound)
     offset = builder.sitofp(begin, _FLOAT)
     return begin, _weights(builder, builder.fsub(low, offset), builder.fsub(high, offset), move), count
@@ -162,14 +193,14 @@ def _side(builder: ir.IRBuilder, middle: Any, half: Any, posts: Any, move: list[
 
 def _weights(builder: ir.IRBuilder, low: Any, high: Any, move: list[Any]) -> list[Any]:
     """Return the integrals of the hat functions of posts 0, 1 ... from `low` to `high`, times 2, and their rates."""
-    posts = constant([float(k) for k in range(_LANES)])
-    one, less = constant([1.0] * _LANES), constant([-1.0] * _LANES)
+    posts = _constant([float(k) for k in range(_LANES)])
+    plus_1, minus_1 = _constant([1.0] * _LANES), _constant([-1.0] * _LANES)
     ends, heights = [], []
     for end in (low, high):
-        u = within(builder, builder.fsub(spread(builder, end, _LANES), posts), less, one)
-        heights.append(magnitude(builder, u))
-        ends.append(product_sum(builder, builder.fmul(u, constant([-0.5] * _LANES)), heights[-1], u))
-    rates = [builder.fmul(builder.fsub(*heights), spread(builder, speed, _LANES)) for speed in move]
+        u = _within(builder, builder.fsub(_spread(builder, end, _LANES), posts), minus_1, plus_1)
+        heights.append(_magnitude(builder, u))
+        ends.append(_product_sum(builder, builder.fmul(u, _constant([-0.5] * _LANES)), heights[-1], u))
+    rates = [builder.fmul(builder.fsub(*heights), _spread(builder, speed, _LANES)) for speed in move]
     return [builder.fsub(ends[1], ends[0]), *rates]
 
 
@@ -178,12 +209,12 @@ def _row(builder: ir.IRBuilder, data: Any, start: Any, weights: list[list[Any]])
     totals: list[Any] = []
     kind = ir.VectorType(_HALF, MOMENTS).as_pointer()
     for k in range(len(weights[0])):
-        place = builder.mul(builder.add(start, INT(k)), INT(MOMENTS))
-        some = builder.load(builder.bitcast(builder.gep(data, [place]), kind), align=2)
-        some = builder.fpext(some, ir.VectorType(_FLOAT, MOMENTS))
+        place = builder.mul(builder.add(start, _int(k)), _int(MOMENTS))
+        halves = builder.load(builder.bitcast(builder.gep(data, [place]), kind), align=2)
+        moments = builder.fpext(halves, ir.VectorType(_FLOAT, MOMENTS))
         if not k:
-            totals = [builder.fmul(some, shares[0]) for shares in weights]
+            totals = [builder.fmul(moments, shares[0]) for shares in weights]
         else:
             pairs = zip(weights, totals, strict=True)
-            totals = [product_sum(builder, some, shares[k], total) for shares, total in pairs]
+            totals = [_product_sum(builder, moments, shares[k], total) for shares, total in pairs]
     return totals

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
@@ -34,17 +34,16 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import Pinhole, Rays
-from emulator.gl.context import QUICK_LOOK, Painter
 from emulator.gl.render_target import RenderTarget, depth_terms
-from emulator.light import Light, Scene
 from emulator.photometry.reflectance import Reflectance
 from emulator.scene.terrain.ground import Ground
 from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets
 from emulator.scene.terrain.raster_terrain import RasterTerrain, TerrainGeometry
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import TerrainWorld
+from emulator.scene.world import GlScene
 from emulator.trajectory.parameters import BasiliskPath, LivePath
-from emulator.trajectory.pose import Pose, Timescale, Trajectory
+from emulator.trajectory.pose import Pose
 
 if TYPE_CHECKING:
     import moderngl
@@ -135,7 +134,6 @@ class GroundMesh:
     Parameters
     ----------
     cells : of `shading`.
-    sun : (3,) unit, towards it.
     reach, crowd : see `Quadtree`.
     """
 
@@ -145,14 +143,15 @@ class GroundMesh:
         ground: Ground,
         cells: npt.NDArray[np.float16],
         law: Reflectance,
-        split: tuple[float, float],
+        reach: float,
+        crowd: float,
     ) -> None:
         gl = self._context = context
         self._ground = ground
         self._program = gl.program(
             vertex_shader=_VERTEX % {"reflectance": law.glsl()}, fragment_shader=_FRAGMENT % {"reflectance": law.glsl()}
         )
-        self._set(heights=0, cells=1, unit=ground.unit_m, reach=split[0], crowd=split[1])
+        self._set(heights=0, cells=1, unit=ground.unit_m, reach=reach, crowd=crowd)
         rows, columns = ground.shape
         self._heights = [gl.texture((columns, rows), 1, z.tobytes(), dtype="f4") for z in ground.heights_m]
         self._cells = [gl.texture((columns - 1, rows - 1), 4, c.tobytes(), dtype="f2") for c in cells]
@@ -168,9 +167,9 @@ class GroundMesh:
     def render(self, view: GroundView, sun: npt.NDArray[np.float64], blocks: list[npt.NDArray[np.int32]]) -> None:
         """Draw the blocks of each grid; `sun` is the unit vector towards it in the world, (3,)."""
         ground, place = self._ground, view.position_m
-        whole = np.floor(place[:2] / ground.unit_m).astype(np.int64)
+        units = np.floor(place[:2] / ground.unit_m).astype(np.int64)
         self._set(
-            rest=(*(place[:2] - whole * ground.unit_m), place[2]),
+            rest=(*(place[:2] - units * ground.unit_m), place[2]),
             site=tuple(-place[:2]),
             camera_from_world=tuple(view.camera_from_world.T.ravel()),  # GL stores columns
             sun=tuple(sun),
@@ -181,7 +180,7 @@ class GroundMesh:
         )
         for grid, chosen in enumerate(blocks):
             if len(chosen):
-                self._set(first=tuple(int(c) for c in np.array(ground.first(grid)) - whole), pitch=1 << grid)
+                self._set(first=tuple(int(c) for c in np.array(ground.first(grid)) - units), pitch=1 << grid)
                 self._render_grid(grid, chosen)
 
     def _render_grid(self, grid: int, chosen: npt.NDArray[np.int32]) -> None:
@@ -240,7 +239,7 @@ _FINEST_PX = 0.25
 _NEAR_SHARE = 0.25  # of the camera's height: nothing is nearer, along the boresight
 
 
-class GlTerrain(Scene):
+class GlTerrain(GlScene[TerrainWorld]):
     """The ground of `parameters` as `pinhole` sees it, in radiance.
 
     Raises
@@ -250,62 +249,15 @@ class GlTerrain(Scene):
     """
 
     def __init__(self, parameters: TerrainParameters, pinhole: Pinhole) -> None:
-        world = self._world = TerrainWorld(parameters, pinhole)
+        world = TerrainWorld(parameters, pinhole)
+        super().__init__(world, RenderTarget(pinhole.size, parameters.samples))
         self._own_facets: RasterTerrain | None = None
         reach = max(pinhole.focal_px / _facet_px(parameters, pinhole), LEAST_REACH)
         self._tree = Quadtree(world.ground, reach)
         sunlit = world.sunlit()
-        self._render_target = RenderTarget(pinhole.size, parameters.samples)
         with self._render_target.context as gl:
             cells = shading(world.ground, sunlit, world.sun)
-            self._mesh = GroundMesh(gl, world.ground, cells, parameters.reflectance, (reach, self._tree.crowd))
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._world.pinhole.size
-
-    @property
-    def painter(self) -> Painter:
-        """GL."""
-        return "gl"
-
-    @property
-    def renderer(self) -> str:
-        """The name of what draws, in GL's words."""
-        return self._render_target.renderer
-
-    @property
-    def camera_path(self) -> Trajectory:
-        """The camera's path, on the scene's time."""
-        return self._world.camera
-
-    @property
-    def path_time(self) -> Timescale:
-        """Stream time to scene time."""
-        return self._world.time
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """Bound from the path's speed, turning and height, sampled once a second of the first four minutes."""
-        return self._world.motion_bound_px_s
-
-    @property
-    def distance_m(self) -> float:
-        """The least sampled height over the ground beneath."""
-        return self._world.distance_m
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Remarks for the user: drawing by GL, faults of the map, views beyond it, a black light frame."""
-        first = np.zeros(self.size[::-1], np.float32)
-        self.light(0, first)
-        return (QUICK_LOOK, *self._world.notes(first))
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Counts of poses received from outside."""
-        return self._world.counts
+            self._mesh = GroundMesh(gl, world.ground, cells, parameters.reflectance, reach, self._tree.crowd)
 
     def geometry(self, rays: Rays | None = None) -> TerrainGeometry | None:
         """Return depth, flow and labels of the ground, from facets drawn by the CPU; None where poses are live."""
@@ -314,23 +266,13 @@ class GlTerrain(Scene):
         self._own_facets = RasterTerrain(self._world.parameters, self._world.pinhole)
         return self._own_facets.geometry(rays)
 
-    def light(self, t_ns: int, out: Light) -> None:
-        """Write the radiance at `t_ns` into `out`, (height, width) float32; raises SceneError below the ground."""
-        self.lights((t_ns,), (out,))
-
-    def lights(self, times_ns: Sequence[int], outs: Sequence[Light]) -> None:
-        """Write the radiance at several times into their light frames."""
-        self._render_target.draw_all([self._drawing(t_ns) for t_ns in times_ns], outs)
-
     def close(self) -> None:
         """Release the GL context and the port; a second call does nothing."""
         if self._own_facets is not None:
             self._own_facets.close()
-        self._render_target.close()
-        self._world.close()
+        super().close()
 
     def _drawing(self, t_ns: int) -> Callable[[], None]:
-        """Prepare the draw calls for time `t_ns`. All errors are raised here, none while drawing."""
         world = self._world
         scene_ns = world.time.scene_ns(t_ns)
         pose = world.camera.pose(scene_ns)

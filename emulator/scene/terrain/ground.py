@@ -33,7 +33,15 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.terrain.compiled import map_entry
+from firmware_protocol.compiled import entry_of
+
+_SOURCES = ("emulator.scene.terrain", "emulator.photometry", "emulator.raster.layout", "emulator.sensor.numerics")
+
+entry = entry_of(*_SOURCES, fastmath={"contract"}, _nrt=False)
+"""Compile a function for calls from Python, without allocation; see `numerics.compiled` for the options."""
+
+map_entry = entry_of(*_SOURCES, error_model="python")
+"""Compile a loop over a map, which may allocate; a division by zero raises."""
 
 Heights = npt.NDArray[np.float32]
 
@@ -173,16 +181,16 @@ def build_pyramid(
     for level, (first, rows, columns) in enumerate(table[:, :3]):
         if level < ground.grids:
             z = ground.heights_m[level]
-            own = _own(z, sunlit[level], ground.post_m(level), sun)
+            posts_moments = _own(z, sunlit[level], ground.post_m(level), sun)
             if level:
                 top, left = ((n - 1) // 4 for n in ground.shape)
-                inner = own[top:, left:][: (len(finer) + 1) // 2, : (finer.shape[1] + 1) // 2]
+                inner = posts_moments[top:, left:][: (len(finer) + 1) // 2, : (finer.shape[1] + 1) // 2]
                 inner[1:-1, 1:-1] = _coarsened(finer)[1:-1, 1:-1]
         else:
-            z, own = finer_z[_evens(len(finer_z))][:, _evens(finer_z.shape[1])], _coarsened(finer)
+            z, posts_moments = finer_z[_evens(len(finer_z))][:, _evens(finer_z.shape[1])], _coarsened(finer)
         heights[first : first + rows * columns] = z.ravel()
-        moments[first : first + rows * columns] = own.reshape(-1, MOMENTS)
-        finer_z, finer = z, own
+        moments[first : first + rows * columns] = posts_moments.reshape(-1, MOMENTS)
+        finer_z, finer = z, posts_moments
     return Pyramid(heights, moments.reshape(-1).view(np.uint16), table)
 
 

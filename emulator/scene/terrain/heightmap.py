@@ -57,10 +57,12 @@ def load_heightmap(p: Heightmap, body_radius_m: float) -> Ground:
     """
     read = _read(Path(p.path))
     try:
-        found = _map(read)
-        post_m, notes = _post_m(p, found, body_radius_m)
-        _require_size(found.heights)
-        heights, holes = filled(found.heights * p.units_m, p.fill_share)
+        file_map = _map(read)
+        post_m, notes = _post_m(p, file_map, body_radius_m)
+        rows, columns = file_map.heights.shape
+        if min(rows, columns) < _LEAST_POSTS or max(rows, columns) > _MOST_POSTS:
+            raise SceneError(f"has {rows} x {columns} posts: {_LEAST_POSTS} to {_MOST_POSTS} a side are drawn")
+        heights, holes = filled(file_map.heights * p.units_m, p.fill_share)
         if holes:
             notes.append(f"{holes} of {heights.size} posts are holes, filled from their neighbours")
         _require_slopes(heights, post_m)
@@ -83,8 +85,7 @@ def filled(heights: Floats, most_share: float) -> tuple[Floats, int]:
         )
     out = np.where(holes, 0.0, heights)
     while holes.any():
-        known = np.pad((~holes).astype(np.float64), 1)
-        around = _sum_around(known)
+        around = _sum_around(np.pad((~holes).astype(np.float64), 1))
         total = _sum_around(np.pad(np.where(holes, 0.0, out), 1))
         ready = holes & (around > 0)
         out[ready] = total[ready] / around[ready]
@@ -113,12 +114,12 @@ def _read(path: Path) -> dict[str, npt.NDArray[Any]]:
     raise SceneError(f"{path}: unknown format: name the file .npy or .tif")
 
 
-def _map(found: dict[str, npt.NDArray[Any]]) -> _Map:
-    heights = _numbers(found["heights"])
-    if "nodata" in found:
-        _mark_nodata(heights, str(found["nodata"]))
+def _map(arrays: dict[str, npt.NDArray[Any]]) -> _Map:
+    heights = _numbers(arrays["heights"])
+    if "nodata" in arrays:
+        _mark_nodata(heights, str(arrays["nodata"]))
     _require_range(heights)
-    scale = found.get("scale", np.zeros(0))
+    scale = arrays.get("scale", np.zeros(0))
     if not scale.size:
         return _Map(heights)
     if len(scale) < 2 or not math.isclose(scale[0], scale[1], rel_tol=1e-6):
@@ -126,7 +127,7 @@ def _map(found: dict[str, npt.NDArray[Any]]) -> _Map:
     post_m = float(scale[0])
     if not 1e-6 <= post_m <= 1e9:
         raise SceneError(f"its posts are {post_m:g} apart: 1e-6 to 1e9 are drawn")
-    return _Map(heights, post_m, _centre(heights.shape, post_m, found["tie"]))
+    return _Map(heights, post_m, _centre(heights.shape, post_m, arrays["tie"]))
 
 
 def _numbers(array: npt.NDArray[np.generic]) -> Floats:
@@ -161,12 +162,12 @@ def _centre(shape: tuple[int, ...], post_m: float, tie: Floats) -> tuple[float, 
     return x + (shape[1] / 2 - column) * post_m, y - (shape[0] / 2 - row) * post_m
 
 
-def _post_m(p: Heightmap, found: _Map, body_radius_m: float) -> tuple[float, list[str]]:
+def _post_m(p: Heightmap, file_map: _Map, body_radius_m: float) -> tuple[float, list[str]]:
     """Return the distance of posts on the ground, and remarks on the map's position."""
-    post_m = p.post_m or found.post_m
+    post_m = p.post_m or file_map.post_m
     if not post_m:
         raise SceneError("has no distance of posts: give post_m")
-    centre_m = p.centre_m or found.centre_m
+    centre_m = p.centre_m or file_map.centre_m
     if centre_m is None or not body_radius_m:
         return post_m, []
     tangent = math.hypot(*centre_m) / (2 * body_radius_m)
@@ -174,12 +175,6 @@ def _post_m(p: Heightmap, found: _Map, body_radius_m: float) -> tuple[float, lis
         raise SceneError(f"its middle is {math.hypot(*centre_m):.3g} m from its projection's pole: beyond the body")
     latitude = 90 - math.degrees(2 * math.atan(tangent))
     return post_m / (1 + tangent**2), [f"its middle is {latitude:.2f} degrees from the equator"]
-
-
-def _require_size(heights: Floats) -> None:
-    if min(heights.shape) < _LEAST_POSTS or max(heights.shape) > _MOST_POSTS:
-        rows, columns = heights.shape
-        raise SceneError(f"has {rows} x {columns} posts: {_LEAST_POSTS} to {_MOST_POSTS} a side are drawn")
 
 
 def _require_slopes(heights: Floats, post_m: float) -> None:
@@ -202,15 +197,12 @@ def read_geotiff(path: Path) -> dict[str, npt.NDArray[Any]]:
     try:
         with warnings.catch_warnings(action="error"), Image.open(path) as image:
             tags = dict(getattr(image, "tag_v2", {}))
-            found = {name: _numbers_geotiff(tags.get(tag)) for name, tag in _NUMBER_TAGS.items()}
-            return found | {"heights": np.array(image), "nodata": np.array(str(tags.get(_NODATA, ""))[:100])}
+            values = {name: tags.get(tag) for name, tag in _NUMBER_TAGS.items()}
+            numbers = {name: np.array(v if isinstance(v, tuple) else (), np.float64) for name, v in values.items()}
+            return numbers | {"heights": np.array(image), "nodata": np.array(str(tags.get(_NODATA, ""))[:100])}
     except UnidentifiedImageError as error:
         raise SceneError("is not a TIFF that pillow reads") from error
     except (MemoryError, ImportError):
         raise
     except Exception as error:  # pillow raises arbitrary exceptions for a damaged file
         raise SceneError(f"is damaged, or too large: {shortened(error)}") from error
-
-
-def _numbers_geotiff(tag: object) -> npt.NDArray[np.float64]:
-    return np.array(tag if isinstance(tag, tuple) else (), np.float64)

@@ -18,58 +18,20 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.raster.layout import Floats, Ints, W, WHighest, WLowest
+from emulator.scene.terrain import tile as t
 from emulator.scene.terrain.ground import Halves
-from emulator.scene.terrain.tile import (
-    ABOVE,
-    ABOVE_W,
-    ABOVE_X,
-    ABOVE_Y,
-    ABOVE_Z,
-    BELOW,
-    CORNER_W,
-    FIRST_X,
-    FIRST_Y,
-    LAST,
-    LAST_X,
-    LAST_Y,
-    LEVEL,
-    LEVEL_COLUMNS,
-    LEVEL_FIRST,
-    LEVEL_ROWS,
-    LIFT_X,
-    LIFT_Y,
-    LIFT_Z,
-    LIFTED,
-    MIDDLE_W,
-    NORMAL_Z,
-    OWN_ACROSS,
-    OWN_DOWN,
-    OWN_W,
-    PAST,
-    PER_M,
-    POST,
-    POST_00,
-    POST_01,
-    POST_10,
-    POST_11,
-    REACH,
-    SIZE,
-    TILE,
-    W_ACROSS,
-    W_DOWN,
-    WITHIN_X,
-    WITHIN_Y,
-    Floats32,
-    Ints32,
-    X,
-    Y,
-    Z,
-)
+from emulator.scene.terrain.tile import TILE, Floats32, Ints32, set_triple
 from emulator.sensor.numerics.compiled import Real, lane, vector_kernel
 
 Table = npt.NDArray[np.int64]
-Screen = tuple[float, float, float]
-"""Focal length in pixels, column and row of the boresight."""
+
+
+class Projection(NamedTuple):
+    """A pinhole camera: focal length in pixels, column and row of the boresight."""
+
+    focal_px: float
+    column: float
+    row: float
 
 
 class Sight(NamedTuple):
@@ -85,23 +47,34 @@ class Sight(NamedTuple):
 
     owner: Ints
     facets: Floats
-    screen: Screen
+    projection: Projection
     place: Floats
     turn: Floats
 
 
-class Posts(NamedTuple):
-    """The fine map: heights, moments and table of a `Pyramid`.
+class Grids(NamedTuple):
+    """Nested grids: metres a unit, how many they are, posts from their middle to their side."""
 
-    Attributes
-    ----------
-    ground : unit in metres, how many grids, posts from their middle to their side.
-    """
+    unit_m: float
+    grids: int
+    half: float
+
+
+class Posts(NamedTuple):
+    """The fine map: heights, moments and table of a `Pyramid`, and its grids."""
 
     heights: Floats32
     moments: Halves
     levels: Table
-    ground: tuple[float, int, float]
+    grids: Grids
+
+
+class Fields(NamedTuple):
+    """Numbers of the fields that hold places, and of that with their sizes."""
+
+    x: int
+    y: int
+    size: int
 
 
 _TINY = np.float32(1e-12)
@@ -132,141 +105,149 @@ def level_for(size: float, level: int, lowest: int, top: int) -> int:
 
 
 @lane
-def lowest_level(x: float, y: float, level: int, ground: tuple[float, int, float]) -> int:
+def lowest_level(x: float, y: float, level: int, grids: Grids) -> int:
     """Return the finest grid at a place; the search begins at `level`."""
-    unit, grids, half = ground
-    inner = (half - MARGIN) * unit
-    return level_for(max(abs(x), abs(y)) / inner, level, 0, grids - 1) if inner > 0.0 else grids - 1
+    inner = (grids.half - MARGIN) * grids.unit_m
+    return level_for(max(abs(x), abs(y)) / inner, level, 0, grids.grids - 1) if inner > 0.0 else grids.grids - 1
 
 
 @vector_kernel
 def keep_row(s: Floats32) -> None:
     """Make the row of corners the one above, and its planes those of the pixels between."""
     for k in range(TILE):
-        s[OWN_W * TILE + k] = s[MIDDLE_W * TILE + k]
-        s[OWN_ACROSS * TILE + k] = s[W_ACROSS * TILE + k]
-        s[OWN_DOWN * TILE + k] = s[W_DOWN * TILE + k]
-        s[ABOVE_W * TILE + k] = s[CORNER_W * TILE + k]
-        s[ABOVE_X * TILE + k] = s[X * TILE + k]
-        s[ABOVE_Y * TILE + k] = s[Y * TILE + k]
-        s[ABOVE_Z * TILE + k] = s[Z * TILE + k]
+        s[t.OWN_W * TILE + k] = s[t.MIDDLE_W * TILE + k]
+        s[t.OWN_ACROSS * TILE + k] = s[t.W_ACROSS * TILE + k]
+        s[t.OWN_DOWN * TILE + k] = s[t.W_DOWN * TILE + k]
+        s[t.ABOVE_W * TILE + k] = s[t.CORNER_W * TILE + k]
+        s[t.ABOVE_X * TILE + k] = s[t.X * TILE + k]
+        s[t.ABOVE_Y * TILE + k] = s[t.Y * TILE + k]
+        s[t.ABOVE_Z * TILE + k] = s[t.Z * TILE + k]
 
 
 @vector_kernel
-def corner_hits(at: tuple[int, int], sight: Sight, posts: Posts, s: Floats32, places: Ints32) -> None:
+def corner_hits(row: int, first: int, sight: Sight, posts: Posts, s: Floats32, places: Ints32) -> None:
     """Write the hits of a row of corners, relative to the camera, and the planes of the pixels right of them and below.
 
     Parameters
     ----------
-    at : row and first column.
+    first : column.
     """
-    _planes(at, sight, s)
-    _on_facets(at, sight.screen, sight.turn, posts.ground[0], s)
-    table = posts.levels, posts.ground, len(posts.levels) - 2
-    write_levels(TILE, table, sight.place, (X, Y, SIZE), s, places)
+    _planes(row, first, sight, s)
+    _on_facets(row, first, sight.projection, sight.turn, posts.grids.unit_m, s)
+    write_levels(TILE, posts, len(posts.levels) - 2, sight.place, Fields(t.X, t.Y, t.SIZE), s, places)
     meet_map(posts.heights, np.float32(sight.place[2]), s, places)
 
 
 @vector_kernel
-def _planes(at: tuple[int, int], sight: Sight, s: Floats32) -> None:
+def _planes(row: int, first: int, sight: Sight, s: Floats32) -> None:
     """Write w and its change of each pixel's facet, and the height of its normal; no change without a facet."""
-    owner, facets, (focal, cx, cy), _, turn = sight
-    height, width = owner.shape
-    row = min(at[0], height - 1)
+    facets, turn = sight.facets, sight.turn
+    focal, middle_column, middle_row = sight.projection
+    height, width = sight.owner.shape
+    owner_row = min(row, height - 1)
     for k in range(TILE):
-        column = min(at[1] + k, width - 1)
-        f = owner[row, column]
+        column = min(first + k, width - 1)
+        f = sight.owner[owner_row, column]
         if f < 0:
-            s[CORNER_W * TILE + k] = s[MIDDLE_W * TILE + k] = 1.0
-            s[W_ACROSS * TILE + k] = s[W_DOWN * TILE + k] = s[NORMAL_Z * TILE + k] = 0.0
+            s[t.CORNER_W * TILE + k] = s[t.MIDDLE_W * TILE + k] = 1.0
+            s[t.W_ACROSS * TILE + k] = s[t.W_DOWN * TILE + k] = s[t.NORMAL_Z * TILE + k] = 0.0
             continue
         w0, wx, wy = facets[f, W], facets[f, W + 1], facets[f, W + 2]
-        corner = w0 + wx * (at[1] + k) + wy * at[0]
-        s[CORNER_W * TILE + k] = min(max(corner, facets[f, WLowest]), facets[f, WHighest])
-        s[MIDDLE_W * TILE + k] = w0 + wx * (column + 0.5) + wy * (row + 0.5)
-        s[W_ACROSS * TILE + k], s[W_DOWN * TILE + k] = wx, wy
-        level = w0 + wx * cx + wy * cy
-        s[NORMAL_Z * TILE + k] = focal * (turn[0, 2] * wx + turn[1, 2] * wy) + turn[2, 2] * level
+        # At the corner, which may lie beyond the facet, 1 / depth stays within the range of the facet's corners.
+        corner = w0 + wx * (first + k) + wy * row
+        s[t.CORNER_W * TILE + k] = min(max(corner, facets[f, WLowest]), facets[f, WHighest])
+        s[t.MIDDLE_W * TILE + k] = w0 + wx * (column + 0.5) + wy * (owner_row + 0.5)
+        s[t.W_ACROSS * TILE + k] = wx
+        s[t.W_DOWN * TILE + k] = wy
+        # n . X = 1 on the facet: n's part along the boresight is w there; the world's z of n follows.
+        level = w0 + wx * middle_column + wy * middle_row
+        s[t.NORMAL_Z * TILE + k] = focal * (turn[0, 2] * wx + turn[1, 2] * wy) + turn[2, 2] * level
 
 
 @vector_kernel
-def _on_facets(at: tuple[int, int], screen: Screen, turn: Floats, unit: float, s: Floats32) -> None:
+def _on_facets(row: int, first: int, projection: Projection, turn: Floats, unit_m: float, s: Floats32) -> None:
     """Write where the corners' rays meet their facets, the change for lifting these, and the size of half a pixel."""
-    per_focal = np.float32(1.0 / screen[0])
-    y = (at[0] - screen[2]) / screen[0]
-    first = np.float32((at[1] - screen[1]) / screen[0])
+    focal = projection.focal_px
+    per_focal = np.float32(1.0 / focal)
+    y = (row - projection.row) / focal
+    x_first = np.float32((first - projection.column) / focal)
+    # A direction in the world is linear in the column: a x + b along the row.
     ax, ay, az = np.float32(turn[0, 0]), np.float32(turn[0, 1]), np.float32(turn[0, 2])
     bx = np.float32(turn[1, 0] * y + turn[2, 0])
     by = np.float32(turn[1, 1] * y + turn[2, 1])
     bz = np.float32(turn[1, 2] * y + turn[2, 2])
-    half_px = np.float32(0.5 / (screen[0] * unit))
-    one = np.float32(1.0)
+    half_px = np.float32(0.5 / (focal * unit_m))
     for k in range(TILE):
-        x = first + np.float32(np.int32(k)) * per_focal
+        x = x_first + np.float32(np.int32(k)) * per_focal
         dx, dy, dz = ax * x + bx, ay * x + by, az * x + bz
-        far = one / max(s[CORNER_W * TILE + k], _TINY)
-        lift = far * s[NORMAL_Z * TILE + k]
-        s[X * TILE + k], s[Y * TILE + k], s[Z * TILE + k] = far * dx, far * dy, far * dz
-        s[LIFT_X * TILE + k], s[LIFT_Y * TILE + k], s[LIFT_Z * TILE + k] = lift * dx, lift * dy, lift * dz
-        s[SIZE * TILE + k] = far * half_px
+        depth = _ONE / max(s[t.CORNER_W * TILE + k], _TINY)
+        lift = depth * s[t.NORMAL_Z * TILE + k]
+        set_triple(s, t.X, k, depth * dx, depth * dy, depth * dz)
+        set_triple(s, t.LIFT_X, k, lift * dx, lift * dy, lift * dz)
+        s[t.SIZE * TILE + k] = depth * half_px
 
 
 @vector_kernel
 def write_levels(
-    count: int,
-    posts: tuple[Table, tuple[float, int, float], int],
-    place: Floats,
-    fields: tuple[int, int, int],
-    s: Floats32,
-    places: Ints32,
+    count: int, posts: Posts, top: int, place: Floats, fields: Fields, s: Floats32, places: Ints32
 ) -> None:
     """Write the level of each place: the finest one there whose 2^level is not below the size.
 
     Parameters
     ----------
-    posts : table of a `Pyramid`; unit in metres, how many grids, posts from their middle to their side; coarsest level.
+    top : coarsest level.
     place : of the camera.
-    fields : of the places' x and y, and of the sizes.
     """
-    levels, ground, top = posts
-    unit = ground[0]
-    level, lowest = 0, 0
+    levels, unit = posts.levels, posts.grids.unit_m
+    level, lowest = 0, 0  # a place's level is nearly always that of its neighbour
     for k in range(count):
-        lowest = lowest_level(place[0] + s[fields[0] * TILE + k], place[1] + s[fields[1] * TILE + k], lowest, ground)
-        level = level_for(s[fields[2] * TILE + k], level, lowest, top)
+        x, y = place[0] + s[fields.x * TILE + k], place[1] + s[fields.y * TILE + k]
+        lowest = lowest_level(x, y, lowest, posts.grids)
+        level = level_for(s[fields.size * TILE + k], level, lowest, top)
+        # From metres east and north of the camera to posts of the level: FIRST + PER_M x metres.
         per_unit = 1.0 / (1 << level)
-        s[PER_M * TILE + k] = per_unit / unit
-        s[FIRST_X * TILE + k] = (place[0] / unit - levels[level, 3]) * per_unit
-        s[FIRST_Y * TILE + k] = (place[1] / unit - levels[level, 4]) * per_unit
-        s[LAST_X * TILE + k], s[LAST_Y * TILE + k] = levels[level, 2] - 1.001, levels[level, 1] - 1.001
-        places[LEVEL * TILE + k], places[LEVEL_FIRST * TILE + k] = level, levels[level, 0]
-        places[LEVEL_ROWS * TILE + k], places[LEVEL_COLUMNS * TILE + k] = levels[level, 1], levels[level, 2]
+        s[t.PER_M * TILE + k] = per_unit / unit
+        s[t.FIRST_X * TILE + k] = (place[0] / unit - levels[level, 3]) * per_unit
+        s[t.FIRST_Y * TILE + k] = (place[1] / unit - levels[level, 4]) * per_unit
+        s[t.LAST_X * TILE + k] = levels[level, 2] - 1.001
+        s[t.LAST_Y * TILE + k] = levels[level, 1] - 1.001
+        places[t.LEVEL * TILE + k] = level
+        places[t.LEVEL_FIRST * TILE + k] = levels[level, 0]
+        places[t.LEVEL_ROWS * TILE + k] = levels[level, 1]
+        places[t.LEVEL_COLUMNS * TILE + k] = levels[level, 2]
 
 
 @vector_kernel
 def meet_map(heights: Floats32, up: float, s: Floats32, places: Ints32) -> None:
     """Move places from their facets to the map along their rays; `up` is the camera's height."""
     _heights(heights, s, places)
-    _first_guess(up, s)
+    for k in range(TILE):
+        # As if the ground under the moved place had the same height.
+        lifted = _above(up, k, s)
+        s[t.LIFTED * TILE + k] = lifted
+        _move(lifted, k, s)
     _heights(heights, s, places)
-    _secant(up, s)
+    for k in range(TILE):
+        _move(_secant_step(up, k, s), k, s)
 
 
 @vector_kernel
 def meet_first(heights: Floats32, up: float, s: Floats32, places: Ints32) -> None:
     """Move places to where their rays first meet the map, within REACH of their facets; else as `meet_map` does."""
+    # From REACH above the facet, nearer to the camera, to as much below it. A ray that begins below ground has no hit.
     for k in range(TILE):
-        s[PAST * TILE + k], s[LAST * TILE + k] = _NO_HIT, _ONE
-        _move(s[REACH * TILE + k], k, s)
+        s[t.PAST * TILE + k], s[t.LAST * TILE + k] = _NO_HIT, _ONE
+        _move(s[t.REACH * TILE + k], k, s)
     for step in range(_STEPS + 1):
         _heights(heights, s, places)
         _search(_ONE - np.float32(step) * _STEP, up, s)
+    # Back to the facet, then to the hit if ground were linear over the step, and from the height there once more.
     for k in range(TILE):
-        _move((_ONE + _STEP) * s[REACH * TILE + k], k, s)
-        s[LIFTED * TILE + k] = _ZERO
-        if s[PAST * TILE + k] > _NO_HIT:
-            s[LIFTED * TILE + k] = _within(k, s)
-        _move(s[LIFTED * TILE + k], k, s)
+        _move((_ONE + _STEP) * s[t.REACH * TILE + k], k, s)
+        s[t.LIFTED * TILE + k] = _ZERO
+        if s[t.PAST * TILE + k] > _NO_HIT:
+            s[t.LIFTED * TILE + k] = _within(k, s)
+        _move(s[t.LIFTED * TILE + k], k, s)
     _heights(heights, s, places)
     _narrow(up, s)
     _heights(heights, s, places)
@@ -277,45 +258,52 @@ def meet_first(heights: Floats32, up: float, s: Floats32, places: Ints32) -> Non
 def _search(lift: float, up: float, s: Floats32) -> None:
     """Write the step in which each ray first meets the map, if it ends here at `lift`; move on."""
     for k in range(TILE):
-        above, before = _above(up, k, s), s[LAST * TILE + k]
-        met = (above >= _ZERO) & (before < _ZERO) & (s[PAST * TILE + k] <= _NO_HIT)
-        s[PAST * TILE + k] = lift if met else s[PAST * TILE + k]
-        s[ABOVE * TILE + k] = above if met else s[ABOVE * TILE + k]
-        s[BELOW * TILE + k] = before if met else s[BELOW * TILE + k]
-        s[LAST * TILE + k] = above
-        _move(-_STEP * s[REACH * TILE + k], k, s)
+        above, before = _above(up, k, s), s[t.LAST * TILE + k]
+        met = (above >= _ZERO) & (before < _ZERO) & (s[t.PAST * TILE + k] <= _NO_HIT)
+        s[t.PAST * TILE + k] = lift if met else s[t.PAST * TILE + k]
+        s[t.ABOVE * TILE + k] = above if met else s[t.ABOVE * TILE + k]
+        s[t.BELOW * TILE + k] = before if met else s[t.BELOW * TILE + k]
+        s[t.LAST * TILE + k] = above
+        _move(-_STEP * s[t.REACH * TILE + k], k, s)
 
 
 @lane
 def _within(k: int, s: Floats32) -> Real:
     """Return the lift at which a ray meets ground that is linear over the step of its first hit."""
-    share = s[ABOVE * TILE + k] / (s[ABOVE * TILE + k] - s[BELOW * TILE + k])
-    return s[REACH * TILE + k] * (s[PAST * TILE + k] + share * _STEP)
+    share = s[t.ABOVE * TILE + k] / (s[t.ABOVE * TILE + k] - s[t.BELOW * TILE + k])
+    return s[t.REACH * TILE + k] * (s[t.PAST * TILE + k] + share * _STEP)
 
 
 @vector_kernel
 def _narrow(up: float, s: Floats32) -> None:
     """Move to the hit in the part of the step in which the ground is met; a first guess where there was no hit."""
     for k in range(TILE):
-        above, high, low = _above(up, k, s), s[ABOVE * TILE + k], s[BELOW * TILE + k]
+        # The profile is taken to be linear from the step's end above ground to here, and from here to its end below.
+        above = _above(up, k, s)
+        high, low = s[t.ABOVE * TILE + k], s[t.BELOW * TILE + k]
         share = high / (high - low)  # of the step, from its end to the place
         back = share * above / (above - high if above < _ZERO else _TINY)
         ahead = (_ONE - share) * above / (above - low if above >= _ZERO else _ONE)
-        by = _STEP * s[REACH * TILE + k] * (ahead if above >= _ZERO else back)
-        found = s[PAST * TILE + k] > _NO_HIT
-        s[LIFTED * TILE + k] = above
-        _move(by if found else above, k, s)
+        step = _STEP * s[t.REACH * TILE + k] * (ahead if above >= _ZERO else back)
+        s[t.LIFTED * TILE + k] = above
+        _move(step if s[t.PAST * TILE + k] > _NO_HIT else above, k, s)
+
+
+@lane
+def _secant_step(up: float, k: int, s: Floats32) -> Real:
+    """Return the lift to the map by a secant: through the height above the place before the last move, and that now."""
+    lifted, height = s[t.LIFTED * TILE + k], _above(up, k, s)
+    apart = lifted - height
+    slope = lifted / (apart if apart != _ZERO else _TINY)
+    return height * min(max(slope, _LEAST), _MOST)
 
 
 @vector_kernel
 def _finish(up: float, s: Floats32) -> None:
     """Move by a secant where there was no hit."""
     for k in range(TILE):
-        lifted, more = s[LIFTED * TILE + k], _above(up, k, s)
-        apart = lifted - more
-        slope = lifted / (apart if apart != _ZERO else _TINY)
-        by = more * min(max(slope, _LEAST), _MOST)
-        _move(_ZERO if s[PAST * TILE + k] > _NO_HIT else by, k, s)
+        step = _secant_step(up, k, s)
+        _move(_ZERO if s[t.PAST * TILE + k] > _NO_HIT else step, k, s)
 
 
 @vector_kernel
@@ -323,53 +311,37 @@ def _heights(heights: Floats32, s: Floats32, places: Ints32) -> None:
     """Write the heights of the four posts around each place."""
     _posts(s, places)
     for k in range(TILE):
-        low = np.uint64(places[POST * TILE + k])
-        high = low + np.uint64(places[LEVEL_COLUMNS * TILE + k])
-        s[POST_00 * TILE + k], s[POST_01 * TILE + k] = heights[low], heights[low + np.uint64(1)]
-        s[POST_10 * TILE + k], s[POST_11 * TILE + k] = heights[high], heights[high + np.uint64(1)]
+        low = np.uint64(places[t.POST * TILE + k])
+        high = low + np.uint64(places[t.LEVEL_COLUMNS * TILE + k])
+        s[t.POST_00 * TILE + k], s[t.POST_01 * TILE + k] = heights[low], heights[low + np.uint64(1)]
+        s[t.POST_10 * TILE + k], s[t.POST_11 * TILE + k] = heights[high], heights[high + np.uint64(1)]
 
 
 @vector_kernel
 def _posts(s: Floats32, places: Ints32) -> None:
     """Write the post left of and below each place, and the place from there in posts."""
     for k in range(TILE):
-        u = s[FIRST_X * TILE + k] + s[X * TILE + k] * s[PER_M * TILE + k]
-        v = s[FIRST_Y * TILE + k] + s[Y * TILE + k] * s[PER_M * TILE + k]
-        u, v = clamp(u, _ZERO, s[LAST_X * TILE + k]), clamp(v, _ZERO, s[LAST_Y * TILE + k])
+        u = s[t.FIRST_X * TILE + k] + s[t.X * TILE + k] * s[t.PER_M * TILE + k]
+        v = s[t.FIRST_Y * TILE + k] + s[t.Y * TILE + k] * s[t.PER_M * TILE + k]
+        u, v = clamp(u, _ZERO, s[t.LAST_X * TILE + k]), clamp(v, _ZERO, s[t.LAST_Y * TILE + k])
         column, row = np.int32(u), np.int32(v)
-        s[WITHIN_X * TILE + k], s[WITHIN_Y * TILE + k] = u - np.float32(column), v - np.float32(row)
-        columns = places[LEVEL_COLUMNS * TILE + k]
-        places[POST * TILE + k] = places[LEVEL_FIRST * TILE + k] + row * columns + column
+        s[t.WITHIN_X * TILE + k], s[t.WITHIN_Y * TILE + k] = u - np.float32(column), v - np.float32(row)
+        columns = places[t.LEVEL_COLUMNS * TILE + k]
+        places[t.POST * TILE + k] = places[t.LEVEL_FIRST * TILE + k] + row * columns + column
 
 
 @lane
 def _above(up: float, k: int, s: Floats32) -> Real:
     """Return the map's height above a place, linear between posts; `up` is the camera's."""
-    u, v = s[WITHIN_X * TILE + k], s[WITHIN_Y * TILE + k]
-    low = s[POST_00 * TILE + k] + u * (s[POST_01 * TILE + k] - s[POST_00 * TILE + k])
-    high = s[POST_10 * TILE + k] + u * (s[POST_11 * TILE + k] - s[POST_10 * TILE + k])
-    return low + v * (high - low) - up - s[Z * TILE + k]
+    u, v = s[t.WITHIN_X * TILE + k], s[t.WITHIN_Y * TILE + k]
+    low = s[t.POST_00 * TILE + k] + u * (s[t.POST_01 * TILE + k] - s[t.POST_00 * TILE + k])
+    high = s[t.POST_10 * TILE + k] + u * (s[t.POST_11 * TILE + k] - s[t.POST_10 * TILE + k])
+    return low + v * (high - low) - up - s[t.Z * TILE + k]
 
 
 @lane
 def _move(by: float, k: int, s: Floats32) -> None:
-    s[X * TILE + k] += by * s[LIFT_X * TILE + k]
-    s[Y * TILE + k] += by * s[LIFT_Y * TILE + k]
-    s[Z * TILE + k] += by * s[LIFT_Z * TILE + k]
-
-
-@vector_kernel
-def _first_guess(up: float, s: Floats32) -> None:
-    for k in range(TILE):
-        lifted = _above(up, k, s)
-        s[LIFTED * TILE + k] = lifted
-        _move(lifted, k, s)
-
-
-@vector_kernel
-def _secant(up: float, s: Floats32) -> None:
-    for k in range(TILE):
-        lifted, more = s[LIFTED * TILE + k], _above(up, k, s)
-        apart = lifted - more
-        slope = lifted / (apart if apart != _ZERO else _TINY)
-        _move(more * min(max(slope, _LEAST), _MOST), k, s)
+    """Move a place along its ray, as if its facet were lifted by `by` metres."""
+    s[t.X * TILE + k] += by * s[t.LIFT_X * TILE + k]
+    s[t.Y * TILE + k] += by * s[t.LIFT_Y * TILE + k]
+    s[t.Z * TILE + k] += by * s[t.LIFT_Z * TILE + k]

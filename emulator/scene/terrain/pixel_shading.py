@@ -2,32 +2,33 @@
 
     corners of pixels       places on the fine map                                  `pixel_hits`
     footprints              means of the ground's moments, from one box or more     `pixel_boxes`
-    means                   light                                                   `pixel_law`
+    means                   light, and as they move its time derivative             `pixel_law`
     doubtful pixels         light from parts of their own                           `pixel_parts`
-    means, as they move     time derivative of light                                `pixel_rate`
 
 Doubtful are pixels that `pixel_boxes` finds, and those around which light changes by more than its mean: at borders of
 shadows the heights within the pixel decide.
 
 Where an outline passes through the pixel, the exact light of the facets is used, and the difference between fine and
-facet's light at the middle is added in proportion to the distance of the outline from the middle (`Owners.whole`), so
-that light is continuous in time. So is the difference of the derivatives.
+facet's light at the middle is added in proportion to the distance of the outline from the middle (`Owners.coverage`),
+so that light is continuous in time. So is the difference of the derivatives.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from emulator.photometry.reflection_kernels import reflect
-from emulator.raster.layout import Bytes, Float32s, Floats, G, Ints, L
-from emulator.scene.terrain.block_vertices import around, grazing
+from emulator.raster.layout import Bytes, Float32s, Floats, G, Ints, L, Owners
+from emulator.scene.terrain import tile as t
+from emulator.scene.terrain.block_vertices import Sunlight, around, grazing
 from emulator.scene.terrain.box_moments import MOST_POSTS
-from emulator.scene.terrain.compiled import entry
+from emulator.scene.terrain.ground import entry
 from emulator.scene.terrain.pixel_boxes import box_means, footprints, mismatches
-from emulator.scene.terrain.pixel_hits import Posts, Screen, Sight, Table, corner_hits, keep_row
-from emulator.scene.terrain.pixel_law import Sunlight, mean_light
+from emulator.scene.terrain.pixel_hits import Posts, Sight, Table, corner_hits, keep_row
+from emulator.scene.terrain.pixel_law import Motion, footprint_moves, light_rate, mean_light
 from emulator.scene.terrain.pixel_parts import (
     COLUMN,
     LINE_FIELDS,
@@ -38,8 +39,7 @@ from emulator.scene.terrain.pixel_parts import (
     into_world,
     part_means,
 )
-from emulator.scene.terrain.pixel_rate import footprint_moves, light_rate
-from emulator.scene.terrain.tile import DOUBT, FAST, RATE, TILE, Floats32, Ints32
+from emulator.scene.terrain.tile import TILE, Floats32, Tile
 from emulator.sensor.numerics.compiled import NONE, lane, vector_kernel
 
 __all__ = ["LINE_FIELDS", "ROW_FIELDS", "shade_doubtful", "shade_rows"]
@@ -54,6 +54,14 @@ ROW_FIELDS = 11
 LONGEST = MOST_POSTS - 2.0
 
 
+class Smooth(NamedTuple):
+    """Pictures from footprints, (height, width): light of the ground, 1 for doubtful pixels, rate of light or empty."""
+
+    light: Float32s
+    doubtful: Bytes
+    rate: Float32s
+
+
 @lane
 def top_level(levels: Table) -> int:
     """Return the coarsest level of which boxes are taken."""
@@ -65,108 +73,103 @@ def top_level(levels: Table) -> int:
 
 @entry
 def shade_rows(
-    rows: tuple[int, int],
-    sight: Sight,
-    motion: tuple[Floats, Floats],
-    posts: Posts,
-    sun: Sunlight,
-    room: tuple[Floats32, Ints32, Floats32, Floats],
-    out: tuple[Float32s, Bytes, Float32s],
+    rows: tuple[int, int], sight: Sight, motion: Motion, posts: Posts, sun: Sunlight, tile: Tile, out: Smooth
 ) -> None:
     """Write the light of rows first to last, which pixels are doubtful, and the rate of light.
 
     Parameters
     ----------
     motion : of `footprint_moves`.
-    room : of `new_tile`.
-    out : light of the ground, 1 for doubtful pixels, (height, width) each; rate of light, the same or empty.
     """
-    moving = out[2].size > 0
-    s, places, sums, inputs = room
-    table = posts.levels, posts.ground, top_level(posts.levels)
+    moving = out.rate.size > 0
+    s, places, unit_m = tile.fields, tile.places, posts.grids.unit_m
+    top = top_level(posts.levels)
     for first in range(0, sight.owner.shape[1], _PIXELS):
         columns = min(_PIXELS, sight.owner.shape[1] - first)
-        corner_hits((rows[0], first), sight, posts, s, places)
+        corner_hits(rows[0], first, sight, posts, s, places)
         for row in range(rows[0], rows[1]):
+            # The row of corners below; those of the row before are now above.
             keep_row(s)
-            corner_hits((row + 1, first), sight, posts, s, places)
-            footprints((row, first), sight.screen, sight.turn, posts.ground[0], s)
-            mismatches(sight.screen[0], s)
+            corner_hits(row + 1, first, sight, posts, s, places)
+            footprints(row, first, sight.projection, sight.turn, unit_m, s)
+            mismatches(sight.projection.focal_px, s)
             if moving:
                 footprint_moves(motion, s)
-            box_means(columns, posts.moments, table, sight.place, LONGEST, moving, s, places, sums)
-            mean_light(sun, s, sums, inputs)
+            box_means(columns, posts, top, sight.place, LONGEST, moving, tile)
+            mean_light(sun, tile)
             if moving:
-                light_rate(sun, s, sums, inputs)
-            _keep((row, first, columns), sight.owner, sight.facets, s, out)
+                light_rate(sun, tile)
+            _keep(row, first, columns, sight.owner, sight.facets, s, out)
 
 
 @lane
-def _keep(
-    at: tuple[int, int, int], owner: Ints, facets: Floats, s: Floats32, out: tuple[Float32s, Bytes, Float32s]
-) -> None:
+def _keep(row: int, first: int, columns: int, owner: Ints, facets: Floats, s: Floats32, out: Smooth) -> None:
     """Write a row's light, for doubtful pixels that of their facets, and its rate, not for these."""
-    row, first, columns = at
     for k in range(columns):
         column = first + k
         f = owner[row, column]
-        doubtful = f >= 0 and s[DOUBT * TILE + k] > 0.0
-        value = s[FAST * TILE + k]
+        doubtful = f >= 0 and s[t.DOUBT * TILE + k] > 0.0
+        value = s[t.FAST * TILE + k]
         if f < 0:
             value = np.float32(0.0)
         elif doubtful:
             value = np.float32(facets[f, L] + facets[f, L + 1] * (column + 0.5) + facets[f, L + 2] * (row + 0.5))
-        out[0][row, column], out[1][row, column] = value, doubtful
-        if out[2].size > 0:
-            out[2][row, column] = s[RATE * TILE + k] if f >= 0 and not doubtful else np.float32(0.0)
+        out.light[row, column], out.doubtful[row, column] = value, doubtful
+        if out.rate.size > 0:
+            out.rate[row, column] = s[t.RATE * TILE + k] if f >= 0 and not doubtful else np.float32(0.0)
 
 
 @entry
 def shade_doubtful(
     rows: tuple[int, int],
     sight: Sight,
-    whole: Float32s,
+    coverage: Float32s,
     posts: Posts,
-    limits: tuple[float, float],
+    samples: float,
+    least: float,
     sun: Sunlight,
-    room: tuple[tuple[Floats32, Ints32, Floats32, Floats], Floats, Floats],
-    smooth: tuple[Float32s, Bytes, Float32s],
-    out: tuple[Float32s, Float32s],
+    tile: Tile,
+    s: Floats,
+    line: Floats,
+    smooth: Smooth,
+    light: Float32s,
+    rate: Float32s,
 ) -> None:
     """Write the light frame's rows first to last, doubtful pixels from parts, and the others' rate of light.
 
     Parameters
     ----------
-    whole : of `raster.Owners`.
-    limits : parts of a pixel along the shorter side of its footprint; mean of the light frame from which changes count.
-    room : of `new_tile`; (ROW_FIELDS, width + 2), (LINE_FIELDS, width + 2).
+    coverage : of `raster.Owners`.
+    samples : parts of a pixel along the shorter side of its footprint.
+    least : mean of the light frame from which changes count.
+    s, line : (ROW_FIELDS, width + 2), (LINE_FIELDS, width + 2), room.
     smooth : from `shade_rows`.
-    out : light of facets, and its rate.
+    light, rate : of facets; that of the ground is written over it.
     """
-    tile, s, line = room
-    samples, least = limits
-    owners = sight.owner, whole
+    owners = Owners(sight.owner, coverage)
+    top = top_level(posts.levels)
     for row in range(rows[0], rows[1]):
-        _changes(row, smooth[0], s)
-        doubtful = _list_doubtful(row, sight.owner, smooth[1][row], line)
-        count = _list_changing(row, doubtful, sight.owner, smooth[1][row], least, s, line)
-        for listed in ((NONE, doubtful), (doubtful, count)):
-            part_means(
-                (row, *listed), listed[0] < doubtful, sight, posts, top_level(posts.levels), samples, sun[0], tile, line
-            )
-        _angles(row, count, sight.screen, sight.turn, sun, line, s)
-        reflect(sun[2], sun[3], s[_MU0], s[_MU], s[_CHORD2], count, s[_MU0])
+        _changes(row, smooth.light, s)
+        doubtful = _list_doubtful(row, sight.owner, smooth.doubtful[row], line)
+        count = _list_changing(row, doubtful, sight.owner, smooth.doubtful[row], least, s, line)
+        # Only where footprints fail, the first hit of a ray may be another one than that near the facet.
+        for first, last in ((NONE, doubtful), (doubtful, count)):
+            edge_on = first < doubtful
+            part_means(row, first, last, edge_on, sight, posts, top, samples, sun.towards, tile, line)
+        _angles(row, count, sight, sun, line, s)
+        reflect(sun.law, sun.law_parameters, s[_MU0], s[_MU], s[_CHORD2], count, s[_MU0])
         for k in range(count):
             s[_VALUE, int(line[COLUMN, k])] = s[_MU0, k] * s[_SUNLIGHT, k] + s[_AROUND, k]
-        _write(row, owners, sight.facets, s, out[0])
-        if smooth[2].size > 0:
-            _write_rate(row, owners, sight.facets, smooth[2], out[1])
+        _write(row, owners, sight.facets, s, light)
+        if smooth.rate.size > 0:
+            _write_rate(row, owners, sight.facets, smooth.rate, rate)
 
 
 @vector_kernel
 def _changes(row: int, values: Float32s, s: Floats) -> None:
     """Write least, greatest and mean light of each pixel and its neighbours, and its light."""
     height, width = values.shape
+    # Over three rows first, then over three columns of these.
     above, now, below = values[max(row - 1, 0)], values[row], values[min(row + 1, height - 1)]
     for k in range(width):
         s[_LOW, k + 1] = min(min(above[k], below[k]), now[k])
@@ -197,58 +200,57 @@ def _list_changing(row: int, count: int, owner: Ints, doubtful: Bytes, least: fl
     """List the columns of a row's other pixels around which light changes much, after `count` ones."""
     for column in range(owner.shape[1]):
         line[COLUMN, count] = column
-        wanted = (doubtful[column] == 0) & (s[_RANGE, column] > max(s[_MEAN, column], least))
-        count += wanted & (owner[row, column] >= 0)
+        changing = (doubtful[column] == 0) & (s[_RANGE, column] > max(s[_MEAN, column], least))
+        count += changing & (owner[row, column] >= 0)
     return count
 
 
 @lane
-def _angles(row: int, count: int, screen: Screen, turn: Floats, sun: Sunlight, line: Floats, s: Floats) -> None:
+def _angles(row: int, count: int, sight: Sight, sun: Sunlight, line: Floats, s: Floats) -> None:
     """Write the inputs of the law of reflection for the listed pixels."""
-    towards = sun[0]
+    sun_x, sun_y, sun_z = sun.towards[0], sun.towards[1], sun.towards[2]
+    focal, middle_column, middle_row = sight.projection
     for k in range(count):
-        column = int(line[COLUMN, k])
+        # The mean slope, weighted by b.
         b = max(line[MEAN_B, k], 0.0)
         per_b = 1.0 / max(b, _TINY)
         p = min(max(line[MEAN_BP, k] * per_b, -_STEEPEST), _STEEPEST)
         q = min(max(line[MEAN_BQ, k] * per_b, -_STEEPEST), _STEEPEST)
         up = 1.0 / math.sqrt(1.0 + p * p + q * q)
-        x, y = (column + 0.5 - screen[1]) / screen[0], (row + 0.5 - screen[2]) / screen[0]
-        dx, dy, dz = into_world(turn, x, y, 1.0)
+        x, y = (int(line[COLUMN, k]) + 0.5 - middle_column) / focal, (row + 0.5 - middle_row) / focal
+        dx, dy, dz = into_world(sight.turn, x, y, 1.0)
         per_d = -1.0 / math.sqrt(1.0 + x * x + y * y)
         ex, ey, ez = dx * per_d, dy * per_d, dz * per_d
-        mu0 = max((towards[2] - p * towards[0] - q * towards[1]) * up, b, 1e-6)
-        gx, gy, gz = ex - towards[0], ey - towards[1], ez - towards[2]
+        mu0 = max((sun_z - p * sun_x - q * sun_y) * up, b, 1e-6)
+        gx, gy, gz = ex - sun_x, ey - sun_y, ez - sun_z
         s[_MU0, k] = mu0
         s[_MU, k] = grazing(b / max(line[MEAN_REFLECTED, k], _TINY) - mu0)
         s[_CHORD2, k] = gx * gx + gy * gy + gz * gz
-        s[_SUNLIGHT, k] = b / mu0 * sun[1]
-        s[_AROUND, k] = around(sun[4], ez)
+        s[_SUNLIGHT, k] = b / mu0 * sun.irradiance_w_m2
+        s[_AROUND, k] = around(sun.ambient, ez)
 
 
 @lane
-def _write(row: int, owners: tuple[Ints, Float32s], facets: Floats, s: Floats, light: Float32s) -> None:
+def _write(row: int, owners: Owners, facets: Floats, s: Floats, light: Float32s) -> None:
     """Write the light of a row."""
-    owner, whole = owners
-    for column in range(owner.shape[1]):
-        f, share = owner[row, column], whole[row, column]
+    for column in range(owners.facets.shape[1]):
+        f, share = owners.facets[row, column], owners.coverage[row, column]
         if f < 0 or share <= 0.0:
             continue
         value = s[_VALUE, column]
         if share < 1.0:
             x, y = column + 0.5, row + 0.5
-            here = light[row, column]
-            value = here + share * (value - facets[f, L] - facets[f, L + 1] * x - facets[f, L + 2] * y)
-            value = max(value, (1.0 - share) * here)  # a pixel with an outline contains the light behind it too
+            exact = light[row, column]
+            value = exact + share * (value - facets[f, L] - facets[f, L + 1] * x - facets[f, L + 2] * y)
+            value = max(value, (1.0 - share) * exact)  # a pixel with an outline contains the light behind it too
         light[row, column] = value
 
 
 @lane
-def _write_rate(row: int, owners: tuple[Ints, Float32s], facets: Floats, rates: Float32s, rate: Float32s) -> None:
+def _write_rate(row: int, owners: Owners, facets: Floats, rates: Float32s, rate: Float32s) -> None:
     """Write the rate of a row's light; wrong for doubtful pixels."""
-    owner, whole = owners
-    for column in range(owner.shape[1]):
-        f, share = owner[row, column], whole[row, column]
+    for column in range(owners.facets.shape[1]):
+        f, share = owners.facets[row, column], owners.coverage[row, column]
         if f < 0 or share <= 0.0:
             continue
         value = np.float64(rates[row, column])

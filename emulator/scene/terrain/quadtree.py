@@ -14,11 +14,12 @@ heightmaps.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.terrain.compiled import map_entry
-from emulator.scene.terrain.ground import Ground
+from emulator.scene.terrain.ground import Ground, map_entry
 
 BLOCK = 8
 LEAST_REACH = 80.0
@@ -28,6 +29,32 @@ _MOST_BLOCKS = 1 << 16
 
 Ints = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
+
+
+class _Split(NamedTuple):
+    """What decides how blocks are split, see the module docstring, and the ground's grids.
+
+    Attributes
+    ----------
+    rows, columns : posts of each grid.
+    """
+
+    unit_m: float
+    reach_m: float
+    crowd: float
+    grids: int
+    rows: int
+    columns: int
+
+
+class _Box(NamedTuple):
+    """The box around a block, m: its low corner, its side, and its lowest and highest post."""
+
+    x: float
+    y: float
+    size: float
+    low: float
+    high: float
 
 
 class Quadtree:
@@ -56,31 +83,30 @@ class Quadtree:
         camera_m : (3,) in the world.
         planes : (n, 3) inward normals, in the world, of the planes through the camera that bound the view.
         """
-        found = self._found(camera_m, planes)
-        return [np.ascontiguousarray(found[found[:, 0] == k, 1:]) for k in range(self._ground.grids)]
+        chosen = self._chosen(camera_m, planes)
+        return [np.ascontiguousarray(chosen[chosen[:, 0] == k, 1:]) for k in range(self._ground.grids)]
 
     def by_level(self, camera_m: Floats, planes: Floats) -> Ints:
         """Return the same blocks, (n, 3): level, first column and row in posts of the level's own array; near first.
 
         See `Pyramid.levels` for these arrays.
         """
-        found = self._found(camera_m, planes).astype(np.int64)
-        grid, stride = found[:, 0], found[:, 3]
+        chosen = self._chosen(camera_m, planes).astype(np.int64)
+        grid, stride = chosen[:, 0], chosen[:, 3]
         level = grid + np.round(np.log2(stride)).astype(np.int64)
-        x, y = (self._lattice(found, axis) - self._levels[level, 2 + axis] for axis in (0, 1))
+        # First posts on the lattice, from the first post of the level.
+        x, y = (
+            ((chosen[:, 1 + axis] - (self._ground.shape[1 - axis] - 1) // 2) << grid) - self._levels[level, 2 + axis]
+            for axis in (0, 1)
+        )
         return np.stack([level, x >> level, y >> level], axis=1)
 
-    def _lattice(self, found: Ints, axis: int) -> Ints:
-        """Return the lattice place of blocks' first posts along x (axis 0) or y (1)."""
-        middle = (self._ground.shape[1 - axis] - 1) // 2
-        return (found[:, 1 + axis] - middle) << found[:, 0]
-
-    def _found(self, camera_m: Floats, planes: Floats) -> npt.NDArray[np.int32]:
+    def _chosen(self, camera_m: Floats, planes: Floats) -> npt.NDArray[np.int32]:
         """Return (n, 4) grid, column, row, posts from vertex to vertex; near first."""
         ground = self._ground
-        scalars = (ground.unit_m, self._reach_m, self.crowd, ground.grids, *ground.shape)
-        found, distance = _select(self._levels, self._low, self._high, scalars, camera_m, planes)
-        return found[np.argsort(distance, kind="stable")]
+        split = _Split(ground.unit_m, self._reach_m, self.crowd, ground.grids, *ground.shape)
+        blocks, distance = _select(self._levels, self._low, self._high, split, camera_m, planes)
+        return blocks[np.argsort(distance, kind="stable")]
 
     def _table(self, shapes: list[tuple[int, ...]]) -> Ints:
         """Return a row for each level: rows, columns, first x and y, offset in the bounds."""
@@ -152,13 +178,12 @@ def _select(
     levels: Ints,
     low: Floats,
     high: Floats,
-    scalars: tuple[float, float, float, int, int, int],
+    split: _Split,
     camera: Floats,
     planes: Floats,
 ) -> tuple[npt.NDArray[np.int32], Floats]:
     """Return (n, 4) grid, column, row, posts from vertex to vertex, and the distances."""
-    unit, reach, crowd, grids, rows, columns = scalars
-    found, distances = np.empty((_MOST_BLOCKS, 4), np.int32), np.empty(_MOST_BLOCKS)
+    blocks, distances = np.empty((_MOST_BLOCKS, 4), np.int32), np.empty(_MOST_BLOCKS)
     stack = np.empty((4 * len(levels) + 4, 3), np.int64)
     stack[0] = len(levels) - 1, 0, 0
     waiting, count = 1, 0
@@ -168,16 +193,17 @@ def _select(
         size = BLOCK << level
         x, y = levels[level, 2] + j * size, levels[level, 3] + i * size
         at = levels[level, 4] + i * levels[level, 1] + j
-        box = (x * unit, y * unit, size * unit, low[at], high[at])
+        box = _Box(x * split.unit_m, y * split.unit_m, size * split.unit_m, low[at], high[at])
         if _is_outside(box, camera, planes):
             continue
-        distance = max(_distance(box, camera), crowd * _from_site(box))
-        if level == 0 or distance > reach * (1 << (level - 1)):
-            grid = _finest_around(x, y, size, min(level, grids - 1), (rows, columns))
-            found[count, 0] = grid
-            found[count, 1] = (x >> grid) + (columns - 1) // 2
-            found[count, 2] = (y >> grid) + (rows - 1) // 2
-            found[count, 3] = 1 << (level - grid)
+        from_site = max(box.x, -box.x - box.size, box.y, -box.y - box.size, 0.0)  # on the axis where it is larger
+        distance = max(_distance(box, camera), split.crowd * from_site)
+        if level == 0 or distance > split.reach_m * (1 << (level - 1)):
+            grid = _finest_around(x, y, size, min(level, split.grids - 1), (split.rows, split.columns))
+            blocks[count, 0] = grid
+            blocks[count, 1] = (x >> grid) + (split.columns - 1) // 2
+            blocks[count, 2] = (y >> grid) + (split.rows - 1) // 2
+            blocks[count, 3] = 1 << (level - grid)
             distances[count] = distance
             count += 1
             continue
@@ -188,11 +214,11 @@ def _select(
             if 0 <= ci < levels[below, 0] and 0 <= cj < levels[below, 1]:
                 stack[waiting] = below, ci, cj
                 waiting += 1
-    return found[:count].copy(), distances[:count].copy()
+    return blocks[:count].copy(), distances[:count].copy()
 
 
 @map_entry
-def _is_outside(box: tuple[float, float, float, float, float], camera: Floats, planes: Floats) -> bool:
+def _is_outside(box: _Box, camera: Floats, planes: Floats) -> bool:
     x, y, size, low, high = box
     for k in range(len(planes)):
         a, b, c = planes[k, 0], planes[k, 1], planes[k, 2]
@@ -203,19 +229,12 @@ def _is_outside(box: tuple[float, float, float, float, float], camera: Floats, p
 
 
 @map_entry
-def _distance(box: tuple[float, float, float, float, float], camera: Floats) -> float:
+def _distance(box: _Box, camera: Floats) -> float:
     x, y, size, low, high = box
     dx = max(x - camera[0], 0.0, camera[0] - x - size)
     dy = max(y - camera[1], 0.0, camera[1] - y - size)
     dz = max(low - camera[2], 0.0, camera[2] - high)
     return float(np.sqrt(dx * dx + dy * dy + dz * dz))
-
-
-@map_entry
-def _from_site(box: tuple[float, float, float, float, float]) -> float:
-    """Return the distance of the box from the site, along the axis on which it is larger."""
-    x, y, size, _, _ = box
-    return max(x, -x - size, y, -y - size, 0.0)
 
 
 @map_entry

@@ -6,7 +6,7 @@
 Light is radiance, W m-2 sr-1, 400 to 700 nm: sunlight by the ground's law of reflection, with the shadows that the
 ground casts on itself and their penumbra, and an even light from all around. The ground curves with the body. Not
 modelled: light from slope to slope, and ground beyond the map, where the light frame is black. The time derivative is
-that of the shading, as footprints move over the map (`pixel_rate`); at outlines, that of facets. There is no light of
+that of the shading, as footprints move over the map (`pixel_law`); at outlines, that of facets. There is no light of
 single pixels between light frames: light frames at an eighth of the step made as many wrong events (docs/accuracy.md).
 
 Depth, optical flow and labels come from the facets of the light frame. Their corners are posts of the map, as fine as
@@ -18,25 +18,26 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
-from emulator.light import Light, Region, Scene
+from emulator.light import NOTHING, LastArrays, Light, Region
 from emulator.photometry.reflection_kernels import law_of
-from emulator.raster import Box, Owners, Renderer, Screen, Topology, View, join, prepare
-from emulator.scene.terrain.block_vertices import CORNERS, block_vertices
+from emulator.raster import Owners, Renderer, Screen, Topology, View, join, prepare
+from emulator.scene.terrain.block_vertices import CORNERS, Camera, Sunlight, Vertices, block_vertices
 from emulator.scene.terrain.ground import build_pyramid
-from emulator.scene.terrain.pixel_hits import Posts, Sight
-from emulator.scene.terrain.pixel_rate import rate_of_doubtful
-from emulator.scene.terrain.pixel_shading import LINE_FIELDS, ROW_FIELDS, shade_doubtful, shade_rows
+from emulator.scene.terrain.pixel_hits import Grids, Posts, Projection, Sight
+from emulator.scene.terrain.pixel_law import Motion, rate_of_doubtful
+from emulator.scene.terrain.pixel_shading import LINE_FIELDS, ROW_FIELDS, Smooth, shade_doubtful, shade_rows
 from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets, level_count
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.tile import new_tile
 from emulator.scene.terrain.world import TerrainWorld
+from emulator.scene.world import WorldScene
 from emulator.threads import ThreadPool, available_threads
 from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory
 from emulator.truth.surfaces import instants, motion_of, nearest_along, write_depth_and_flow
@@ -73,8 +74,6 @@ class TerrainGeometry(SceneGeometry):
         )
 
 
-_SIDE_NS = 1_000_000  # of scene time, between the poses for rates
-
 Floats = npt.NDArray[np.float64]
 
 
@@ -94,27 +93,25 @@ class CameraMotion:
     turning: Floats
 
     @property
-    def arrays(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Position, velocity, turn and turning, as kernels take them."""
-        return np.asarray(self.pose.position_m, np.float64), self.velocity_m_s, self.turn, self.turning
+    def camera(self) -> Camera:
+        """Place and motion, as kernels take them."""
+        place = np.asarray(self.pose.position_m, np.float64)
+        return Camera(place, self.velocity_m_s, self.turn, self.turning)
 
     @property
-    def of_directions(self) -> tuple[Floats, Floats]:
-        """Velocity, and the rate in the world of directions fixed in the camera, over the direction, (3, 3)."""
-        return self.velocity_m_s, self.turning.T @ self.turn
+    def of_directions(self) -> Motion:
+        """Velocities in the world of places that turn with the camera, by their places from it."""
+        return Motion(self.turning.T @ self.turn, self.velocity_m_s)
 
     @property
-    def of_ground(self) -> tuple[Floats, Floats]:
-        """Rate in the camera's axes of the place of a point that stands still: over the place, (3, 3), and of all."""
-        return self.turning @ self.turn.T, -self.turn @ self.velocity_m_s
+    def of_ground(self) -> Motion:
+        """Velocities in the camera's axes of places that stand still in the world."""
+        return Motion(self.turning @ self.turn.T, -self.turn @ self.velocity_m_s)
 
 
 def camera_motion(t_ns: int, camera: Trajectory, time: Timescale) -> CameraMotion:
     """Return the motion at stream time `t_ns`; at the start, where a path may begin, from poses after it only."""
-    now_ns = time.scene_ns(t_ns)
-    first_ns, last_ns = max(now_ns - _SIDE_NS, min(now_ns, time.scene_ns(0))), now_ns + _SIDE_NS
-    now, before, after = camera.pose(now_ns), camera.pose(first_ns), camera.pose(last_ns)
-    between_s = (last_ns - first_ns) / (1e9 * time.factor)
+    ((now, before, after),), between_s = instants(t_ns, [camera], time)
     turn, turning = (
         np.ascontiguousarray(m.T)
         for m in (now.world_from_body, (after.world_from_body - before.world_from_body) / between_s)
@@ -141,7 +138,7 @@ def build_terrain(parameters: TerrainParameters, pinhole: Pinhole, threads: int 
     return RasterTerrain(parameters, pinhole, threads=threads or available_threads())
 
 
-class RasterTerrain(Scene):
+class RasterTerrain(WorldScene[TerrainWorld]):
     """The ground of `parameters` as `pinhole` sees it, in radiance, drawn by the CPU; raises SceneError.
 
     Parameters
@@ -150,7 +147,8 @@ class RasterTerrain(Scene):
     """
 
     def __init__(self, parameters: TerrainParameters, pinhole: Pinhole, threads: int = 1) -> None:
-        world = self._world = TerrainWorld(parameters, pinhole)
+        world = TerrainWorld(parameters, pinhole)
+        super().__init__(world)
         self._reach = max(pinhole.focal_px / _facet_px(parameters, pinhole), LEAST_REACH)
         sunlit = world.sunlit()
         world.ground = dataclasses.replace(world.ground, albedo=None)  # it is part of the light now; a map is large
@@ -161,7 +159,7 @@ class RasterTerrain(Scene):
         heights = np.linspace(0, 1, _HEIGHTS)
         law = parameters.reflectance
         ambient = parameters.ambient_w_m2 * law.reflect(heights, heights, 0.0)
-        self._sun = (world.sun, world.irradiance_w_m2, *law_of(law), ambient)
+        self._sun = Sunlight(world.sun, world.irradiance_w_m2, *law_of(law), ambient)
         self._block = prepare(block_facets()[1])
         self._blocks = _Blocks(self._block, _FIRST_BLOCKS)
         width, height = pinhole.size
@@ -173,58 +171,16 @@ class RasterTerrain(Scene):
         self._tiles = [new_tile() for _ in range(threads)]
         self._lines = [(np.zeros((ROW_FIELDS, width + 2)), np.zeros((LINE_FIELDS, width + 2))) for _ in range(threads)]
         pyramid, ground = self._pyramid, world.ground
-        scalars = ground.unit_m, ground.grids, (min(ground.shape) - 1) / 2
-        self._posts = Posts(pyramid.heights, pyramid.moments, pyramid.levels, scalars)
-        self._smooth = np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
-        self._rates = np.zeros((height, width), np.float32), np.zeros((0, 0), np.float32)
+        grids = Grids(ground.unit_m, ground.grids, (min(ground.shape) - 1) / 2)
+        self._posts = Posts(pyramid.heights, pyramid.moments, pyramid.levels, grids)
+        light, rate = (np.zeros((height, width), np.float32) for _ in range(2))
+        self._smooth = Smooth(light, np.zeros((height, width), np.uint8), rate)
         self._owners = Owners.of(width, height)
         self._spare = np.zeros((height, width), np.float32)
-        self._drawn = Box()
+        self._drawn = NOTHING
         self._changed: Region | None = None
-        self._frames: tuple[Light | None, Light | None] = (None, None)
+        self._arrays = LastArrays()
         self._frame_ns: int | None = None
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._world.pinhole.size
-
-    @property
-    def renderer(self) -> str:
-        """The name of what draws."""
-        return "the CPU, exact coverage"
-
-    @property
-    def camera_path(self) -> Trajectory:
-        """The camera's path, on the scene's time."""
-        return self._world.camera
-
-    @property
-    def path_time(self) -> Timescale:
-        """Stream time to scene time."""
-        return self._world.time
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """Bound from the path's speed, turning and height, sampled once a second of the first four minutes."""
-        return self._world.motion_bound_px_s
-
-    @property
-    def distance_m(self) -> float:
-        """The least sampled height over the ground beneath."""
-        return self._world.distance_m
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Remarks for the user: faults of the map, views beyond it, a black light frame."""
-        first = np.zeros(self.size[::-1], np.float32)
-        self.light(0, first)
-        return self._world.notes(first)
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Counts of poses received from outside."""
-        return self._world.counts
 
     @property
     def facets_drawn(self) -> int:
@@ -261,45 +217,55 @@ class RasterTerrain(Scene):
 
     def _draw(self, t_ns: int, light: Light, rate: Light, *, with_rate: bool) -> None:
         """Write the light, and its rate if wanted; else that of facets."""
-        arrays = light, rate if with_rate else None
-        before = self._drawn if all(a is b for a, b in zip(self._frames, arrays, strict=True)) else None
+        before = self._drawn if self._arrays.are(light, rate if with_rate else None) else None
         motion = camera_motion(t_ns, self._world.camera, self._world.time)
         self._drawn = self._renderer.draw(self._view(t_ns, motion), light, rate, None, self._owners)
         self._shade(motion, light, rate, with_rate=with_rate)
-        self._frames, self._frame_ns = arrays, t_ns
-        self._changed = None if before is None else _region(self._drawn.union(before))
+        self._frame_ns = t_ns
+        self._changed = None if before is None else self._drawn.union(before)
 
     def close(self) -> None:
         """End the threads and close the port; a second call does nothing."""
         self._renderer.close()
         self._pool.close()
-        self._world.close()
+        super().close()
 
     def _shade(self, motion: CameraMotion, light: Light, rate: Light, *, with_rate: bool) -> None:
         """Write the fine map's light into the light frame, and its rate if wanted."""
         height, width = light.shape
-        screen = self._world.pinhole.focal_px, width / 2, height / 2
-        sight = Sight(self._owners.facets, self._renderer.facets, screen, motion.arrays[0], motion.turn)
-        smooth = *self._smooth, self._rates[0 if with_rate else 1]
-        limits = float(self._world.parameters.samples), _FAINT * float(light.mean())
+        projection = Projection(self._world.pinhole.focal_px, width / 2, height / 2)
+        sight = Sight(self._owners.facets, self._renderer.facets, projection, motion.camera.place, motion.turn)
+        smooth = self._smooth if with_rate else self._smooth._replace(rate=np.zeros((0, 0), np.float32))
+        samples, faint = float(self._world.parameters.samples), _FAINT * float(light.mean())
+        posts, sun = self._posts, self._sun
 
         def shade(band: int, thread: int) -> None:
-            rows, tile = _rows(band, height), self._tiles[thread]
-            shade_rows(rows, sight, motion.of_directions, self._posts, self._sun, tile, smooth)
+            shade_rows(_rows(band, height), sight, motion.of_directions, posts, sun, self._tiles[thread], smooth)
 
         def refine(band: int, thread: int) -> None:
-            rows, room = _rows(band, height), (self._tiles[thread], *self._lines[thread])
-            whole, both = self._owners.coverage, (light, rate)
-            shade_doubtful(rows, sight, whole, self._posts, limits, self._sun, room, smooth, both)
+            tile, (values, listed) = self._tiles[thread], self._lines[thread]
+            coverage = self._owners.coverage
+            shade_doubtful(
+                _rows(band, height),
+                sight,
+                coverage,
+                posts,
+                samples,
+                faint,
+                sun,
+                tile,
+                values,
+                listed,
+                smooth,
+                light,
+                rate,
+            )
 
         def follow(band: int, thread: int) -> None:
-            rate_of_doubtful(_rows(band, height), sight, motion.of_ground, smooth[1], (light, rate))
+            rate_of_doubtful(_rows(band, height), sight, motion.of_ground, smooth.doubtful, light, rate)
 
         for work in (shade, refine, follow) if with_rate else (shade, refine):
             self._pool.each(work, -(-height // _BAND))
-
-    def _together(self, work: Callable[[int], None]) -> None:
-        self._pool.each(lambda share, _: work(share), self._threads)
 
     def _view(self, t_ns: int, motion: CameraMotion) -> View:
         """Return the vertices in view, and give the renderer their topology."""
@@ -313,23 +279,26 @@ class RasterTerrain(Scene):
     def _fill(self, chosen: npt.NDArray[np.int64], motion: CameraMotion) -> None:
         """Write the vertices of the chosen blocks."""
         share = -(-len(chosen) // self._threads)
-        scalars = self._world.ground.unit_m, self._reach * self._world.ground.unit_m, self._tree.crowd
+        unit_m, posts = self._world.ground.unit_m, self._posts
 
         def fill(k: int) -> None:
-            ends = k * share, min((k + 1) * share, len(chosen))
             block_vertices(
                 chosen,
-                *ends,
-                (self._posts.heights, self._posts.moments),
-                self._pyramid.levels,
-                scalars,
-                motion.arrays,
+                k * share,
+                min((k + 1) * share, len(chosen)),
+                posts.heights,
+                posts.moments,
+                posts.levels,
+                unit_m,
+                self._reach * unit_m,
+                self._tree.crowd,
+                motion.camera,
                 self._sun,
                 self._scratches[k],
-                self._blocks.arrays,
+                self._blocks.vertices,
             )
 
-        self._together(fill)
+        self._pool.each(lambda k, _: fill(k), self._threads)
 
 
 class _Blocks:
@@ -342,18 +311,19 @@ class _Blocks:
     def _grow(self, count: int) -> None:
         n = count * CORNERS
         self._all = join([self._block] * count)
-        self.arrays = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n)
+        self.vertices = Vertices(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n))
 
     def topology(self, count: int) -> Topology:
         """Return the facets of `count` blocks; call it before the arrays are written."""
         if count * CORNERS > self._all.vertices:
             self._grow(2 * count)
-        a, m, n = self._all, count * len(self._block.faces), count * CORNERS
+        a = self._all
+        m, n = count * len(self._block.faces), count * CORNERS
         return Topology(a.faces[:m], a.shades[:m], a.across[:m], a.smooth[:m], a.two_sided[:m], n, n)
 
     def view(self, count: int) -> View:
         """Return the first `count` blocks."""
-        return View(*(array[: count * CORNERS] for array in self.arrays))
+        return View(*(array[: count * CORNERS] for array in self.vertices))
 
 
 def _facet_px(p: TerrainParameters, pinhole: Pinhole) -> float:
@@ -367,7 +337,3 @@ def _facet_px(p: TerrainParameters, pinhole: Pinhole) -> float:
 
 def _rows(band: int, height: int) -> tuple[int, int]:
     return band * _BAND, min((band + 1) * _BAND, height)
-
-
-def _region(box: Box) -> Region:
-    return Region(box.first_row, box.last_row, box.first_column, box.last_column)

@@ -39,8 +39,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from emulator.scene.terrain.compiled import map_entry
-from emulator.scene.terrain.ground import Ground, nested
+from emulator.scene.terrain.ground import Ground, map_entry, nested
 from emulator.scene.terrain.table import Ridge
 
 Floats = npt.NDArray[np.float64]
@@ -52,20 +51,19 @@ _TANGENT = math.sqrt(math.pi / (SIDES * math.tan(math.pi / SIDES)))  # of the po
 _CHAIN = 8  # craters
 
 
-def crater_sizes(rng: np.random.Generator, density: float, limits_m: tuple[float, float], area_m2: float) -> Floats:
+def crater_sizes(rng: np.random.Generator, density: float, low_m: float, high_m: float, area_m2: float) -> Floats:
     """Draw the diameters of the craters between two limits on an area, the largest first, as they are overlaid."""
-    low, high = limits_m
-    expected = density * (low**-2 - high**-2) * area_m2
+    expected = density * (low_m**-2 - high_m**-2) * area_m2
     u = rng.random(rng.poisson(expected))
-    return np.asarray(np.sort(low * (1 - u * (1 - (low / high) ** 2)) ** -0.5)[::-1])
+    return np.asarray(np.sort(low_m * (1 - u * (1 - (low_m / high_m) ** 2)) ** -0.5)[::-1])
 
 
-def boulder_sizes(rng: np.random.Generator, cover: float, limits_m: tuple[float, float], area_m2: float) -> Floats:
+def boulder_sizes(rng: np.random.Generator, cover: float, low_m: float, high_m: float, area_m2: float) -> Floats:
     """Draw the diameters of the boulders between two limits on an area."""
     if cover == 0:
         return np.empty(0)
     q = 1.79 + 0.152 / cover
-    sizes = np.geomspace(*limits_m, 257)
+    sizes = np.geomspace(low_m, high_m, 257)
     middle = np.sqrt(sizes[1:] * sizes[:-1])
     per_m2 = 4 / math.pi * q * cover * np.exp(-q * middle) / middle**2 * np.diff(sizes)
     cumulative = np.concatenate([[0.0], np.cumsum(per_m2)])
@@ -139,9 +137,9 @@ def brighten(albedo: Floats, places: Floats, diameters: Floats, ages: Floats) ->
         y, x, reach = places[k, 0], places[k, 1], 1.25 * diameters[k]
         for i in range(max(0, math.ceil(y - reach)), min(rows, math.floor(y + reach) + 1)):
             for j in range(max(0, math.ceil(x - reach)), min(columns, math.floor(x + reach) + 1)):
-                near = 1.0 - ((i - y) ** 2 + (j - x) ** 2) / (reach * reach)
-                if near > 0.0:
-                    albedo[i, j] *= 1.0 + BRIGHTER * young * near * near
+                closeness = 1.0 - ((i - y) ** 2 + (j - x) ** 2) / (reach * reach)
+                if closeness > 0.0:
+                    albedo[i, j] *= 1.0 + BRIGHTER * young * closeness * closeness
 
 
 @map_entry
@@ -207,7 +205,7 @@ def make_albedo(p: Ridge) -> npt.NDArray[np.float32]:
     grids: list[Floats] = []
     for k in range(_count(p)):
         post_m = _post_m(p, k)
-        noise = fractal(np.random.default_rng([p.seed, k, _ALBEDO]), p.posts, post_m, _band(k, post_m), 1.0)
+        noise = fractal(np.random.default_rng([p.seed, k, _ALBEDO]), p.posts, post_m, *_band(k, post_m), 1.0)
         octaves = math.log2(p.posts / 2) if k == 0 else 1.0
         share = p.albedo_rms * math.sqrt(octaves / (_count(p) + math.log2(p.posts / 2)))
         detail = 1 + share * np.pad(noise / max(float(noise.std()), 1e-30), (0, 1), mode="wrap")
@@ -236,14 +234,19 @@ def _widest_m(p: Ridge, grid: int, post_m: float) -> float:
     return max(octave_m, p.size_m * _LARGEST_SHARE) if grid == 0 else octave_m
 
 
-def fractal(rng: np.random.Generator, posts: int, post_m: float, band: tuple[float, float], rough: float) -> Floats:
-    """Return a periodic fractional Brownian surface, (posts, posts) m, of frequencies `band`[0] < k <= `band`[1].
+def fractal(
+    rng: np.random.Generator, posts: int, post_m: float, above_per_m: float, upto_per_m: float, rough: float
+) -> Floats:
+    """Return a periodic fractional Brownian surface, (posts, posts) m.
 
-    `rough` is C of the module docstring, in m^(1 - H).
+    Parameters
+    ----------
+    above_per_m, upto_per_m : its frequencies are above the first, up to the second.
+    rough : C of the module docstring, in m^(1 - H).
     """
     across = np.fft.fftfreq(posts, post_m)
     k = np.hypot(across[:, None], np.fft.rfftfreq(posts, post_m))
-    inside = (k > band[0]) & (k <= band[1])
+    inside = (k > above_per_m) & (k <= upto_per_m)
     spectrum = np.zeros_like(k)
     spectrum[inside] = _strength(rough) * k[inside] ** (-2 * HURST - 2)
     white = np.fft.rfft2(rng.standard_normal((posts, posts)))
@@ -260,20 +263,20 @@ def _strength(rough: float) -> float:
 def _craters(p: Ridge, grid: int, post_m: float) -> tuple[Floats, Floats, Floats]:
     """Return a grid's craters: places and diameters in posts, and shapes."""
     rng = np.random.default_rng([p.seed, grid, _CRATERS])
-    limits_m = _LEAST_POSTS * post_m, _widest_m(p, grid, post_m)
-    diameters = crater_sizes(rng, p.crater_density, limits_m, (p.posts * post_m) ** 2) / post_m
+    low_m, high_m = _LEAST_POSTS * post_m, _widest_m(p, grid, post_m)
+    diameters = crater_sizes(rng, p.crater_density, low_m, high_m, (p.posts * post_m) ** 2) / post_m
     return crater_places(rng, diameters, p.posts), diameters, crater_shapes(rng, len(diameters))
 
 
 def _detail(p: Ridge, grid: int, post_m: float) -> Floats:
     """Return the detail that a grid adds, (posts + 1, posts + 1) m."""
     rough = math.tan(math.radians(p.slope_deg)) * _SLOPE_OVER_M ** (1 - HURST)
-    relief = fractal(np.random.default_rng([p.seed, grid, _RELIEF]), p.posts, post_m, _band(grid, post_m), rough)
+    relief = fractal(np.random.default_rng([p.seed, grid, _RELIEF]), p.posts, post_m, *_band(grid, post_m), rough)
     heights = np.pad(relief, (0, 1), mode="wrap") / post_m
-    area_m2, limits_m = (p.posts * post_m) ** 2, (_LEAST_POSTS * post_m, _widest_m(p, grid, post_m))
+    low_m, high_m = _LEAST_POSTS * post_m, _widest_m(p, grid, post_m)
     sink_craters(heights, *_craters(p, grid, post_m))
     rng = np.random.default_rng([p.seed, grid, _BOULDERS])
-    boulders = boulder_sizes(rng, p.boulder_cover, limits_m, area_m2) / post_m
+    boulders = boulder_sizes(rng, p.boulder_cover, low_m, high_m, (p.posts * post_m) ** 2) / post_m
     places, lots = rng.random((len(boulders), 2)) * p.posts, rng.random((len(boulders), 4))
     raise_boulders(heights, places, boulders, lots)
     return heights * post_m

@@ -6,8 +6,12 @@ they do not overlap, and makes vectors. Numbers that need a search, as levels do
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
+
+from emulator.sensor.numerics.compiled import inlined
 
 TILE = 64
 """Corners in a row of a tile; it has one pixel less."""
@@ -53,11 +57,42 @@ MU0, MU, CHORD2, SUNLIGHT, AROUND = range(5)
 MEANS = 5
 
 
-def new_tile() -> tuple[Floats32, Ints32, Floats32, npt.NDArray[np.float64]]:
-    """Return room for a tile: fields, places, moments of each pixel and then their rates, inputs of the law."""
-    return (
+class Tile(NamedTuple):
+    """Memory of a tile.
+
+    Attributes
+    ----------
+    fields : (FIELDS + 1) TILE numbers; field f of pixel k is at f TILE + k.
+    places : PLACES TILE whole numbers, in the same order.
+    sums : moments of each pixel, and from RATES on their rates.
+    inputs : (MEANS, TILE), of the law of reflection.
+    """
+
+    fields: Floats32
+    places: Ints32
+    sums: Floats32
+    inputs: npt.NDArray[np.float64]
+
+
+def new_tile() -> Tile:
+    """Return room for a tile."""
+    return Tile(
         np.zeros((FIELDS + 1) * TILE, np.float32),
         np.zeros(PLACES * TILE, np.int32),
         np.zeros(2 * RATES, np.float32),
         np.zeros((MEANS, TILE)),
     )
+
+
+@inlined
+def triple(s: Floats32, field: int, k: int) -> tuple[float, float, float]:
+    """Return three fields of pixel k that follow each other, as x, y and z do."""
+    return s[field * TILE + k], s[(field + 1) * TILE + k], s[(field + 2) * TILE + k]
+
+
+@inlined
+def set_triple(s: Floats32, field: int, k: int, x: float, y: float, z: float) -> None:
+    """Write three fields of pixel k that follow each other."""
+    s[field * TILE + k] = x
+    s[(field + 1) * TILE + k] = y
+    s[(field + 2) * TILE + k] = z

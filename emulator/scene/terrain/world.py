@@ -28,8 +28,7 @@ from emulator.geometry.camera import Pinhole
 from emulator.light import SceneError
 from emulator.photometry.reflectance import Sun
 from emulator.scene.files import Progress, cached_array
-from emulator.scene.terrain.compiled import map_entry
-from emulator.scene.terrain.ground import Ground
+from emulator.scene.terrain.ground import Ground, map_entry
 from emulator.scene.terrain.heightmap import load_heightmap
 from emulator.scene.terrain.relief import make_albedo, make_ridge
 from emulator.scene.terrain.table import Ridge, TerrainParameters
@@ -37,6 +36,7 @@ from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.pose import Pose, Timescale, TrajectoryError, measured_bounds
 
+Floats = npt.NDArray[np.float64]
 Slopes = npt.NDArray[np.float32]
 
 
@@ -83,7 +83,7 @@ def _sweep(heights: npt.NDArray[np.float32], grid: int, drift: float, length_m: 
     room = len(heights) * rows + 2
     place, height = np.empty(room), np.empty(room)
     for line in range(lines):
-        _follow(heights, grid, (line - before, drift, length_m), (place, height), sheared[:, line])
+        _follow(heights, grid, line - before, drift, length_m, place, height, sheared[:, line])
     out = np.empty((rows, columns), np.float32)
     for i in range(rows):
         for j in range(columns):
@@ -95,23 +95,25 @@ def _sweep(heights: npt.NDArray[np.float32], grid: int, drift: float, length_m: 
 
 
 @map_entry
-def _follow(
+def _follow(  # noqa: PLR0913, PLR0917
     heights: npt.NDArray[np.float32],
     grid: int,
-    line: tuple[float, float, float],
-    profile_room: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]],
+    column: float,
+    drift: float,
+    length_m: float,
+    place: Floats,
+    height: Floats,
     out: Slopes,
 ) -> None:
     """Follow one line towards lower rows, and write the horizons at the rows of `grid`, (rows,).
 
     Parameters
     ----------
-    line : its column at row 0 of the grid, columns a row, metres a lattice row.
-    profile_room : for the hull's points, places along the line and heights.
+    column, drift : of the line at row 0 of the grid, and columns a row.
+    length_m : of the line, a lattice row.
+    place, height : room for the hull's points, places along the line and heights.
     """
     rows, columns = heights.shape[1], heights.shape[2]
-    column, drift, length_m = line
-    place, height = profile_room
     on_hull = 0
     k = len(heights) - 1
     middle_row, middle_column = (rows - 1) // 2, (columns - 1) // 2
@@ -171,8 +173,6 @@ _LOOKS = 240  # instants, a second of the scene apart, at which the path is samp
 _LOOK_NS = 1_000_000_000
 _APART_NS = 20_000_000
 
-Floats = npt.NDArray[np.float64]
-
 
 class TerrainWorld:
     """The world of `parameters` before `pinhole`.
@@ -198,8 +198,9 @@ class TerrainWorld:
         except (TrajectoryError, OSError) as error:
             raise SceneError(f"scene.camera: {error}") from error
         self.ground = build_ground(p)
-        self.distance_m = max(min(self._heights_on_the_way()), 1e-3)
-        self.motion_bound_px_s = max(self._moving_px_s(k * _LOOK_NS) for k in range(_LOOKS))
+        looks = [k * _LOOK_NS for k in range(_LOOKS)]
+        self.distance_m = max(min(self.height_m(t, self.camera.pose(t)) for t in looks), 1e-3)  # refuses a path below
+        self.motion_bound_px_s = max(map(self._moving_px_s, looks))
         self._sun = Sun(distance_au=p.sun_distance_au)
         self.sun = _towards(p.sun_azimuth_deg, p.sun_elevation_deg)
         albedo = self.ground.albedo
@@ -272,11 +273,6 @@ class TerrainWorld:
         height_m = self.height_m(scene_ns, self.camera.pose(scene_ns))
         wide = 1 + math.tan(self.pinhole.widest_rad) ** 2
         return self.pinhole.focal_px * wide * (turn + speed / max(height_m, 1e-3)) * self.time.factor
-
-    def _heights_on_the_way(self) -> list[float]:
-        """Return the camera's height over the ground at the sampled instants; refuses a path through the ground."""
-        times = [k * _LOOK_NS for k in range(_LOOKS)]
-        return [self.height_m(t, self.camera.pose(t)) for t in times]
 
 
 def build_ground(p: TerrainParameters) -> Ground:

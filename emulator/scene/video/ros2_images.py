@@ -29,8 +29,7 @@ from msgspec import Meta
 
 from emulator.light import MachineLacks, SceneError
 from emulator.scene.kind import SceneKind
-from emulator.scene.video.frames import linear_light
-from emulator.scene.video.video import Around, JoinedFrames, resampled
+from emulator.scene.video.video import Around, JoinedFrames, linear_light, resampled
 from emulator.tables.typed_table import check_bounds
 from emulator.trajectory.live import SceneClock
 from firmware_protocol.ros2 import IMAGE, CdrError, ImageError, levels_of, parse_image
@@ -77,7 +76,8 @@ class LiveImages:
     """
 
     def __init__(self, grey: _Float32s, delay_ns: int, *, by_stamp: bool) -> None:
-        self._grey, self._delay_ns, self._by_stamp = grey, delay_ns, by_stamp
+        self._grey = grey
+        self._delay_ns, self._by_stamp = delay_ns, by_stamp
         self._known: deque[tuple[int, _Float32s]] = deque(maxlen=_KNOWN)
         self._ahead_ns: int | None = None  # of the stamps, beyond the scene's time
         self.counters = ImageCounters()
@@ -101,14 +101,14 @@ class LiveImages:
 
     def around(self, t_ns: int) -> Around:
         """Return the images around `t_ns`."""
-        shown_ns, known = t_ns - self._delay_ns, self._known
-        if not known or shown_ns <= known[0][0]:
-            return Around.still(known[0][1] if known else self._grey)
-        if shown_ns >= known[-1][0]:
-            self.counters.late_pictures += shown_ns > known[-1][0]
-            return Around.still(known[-1][1])
-        after = next(k for k, (time_ns, _) in enumerate(known) if time_ns > shown_ns)
-        (start_ns, before), (end_ns, end) = known[after - 1], known[after]
+        shown_ns, images = t_ns - self._delay_ns, self._known
+        if not images or shown_ns <= images[0][0]:
+            return Around.still(images[0][1] if images else self._grey)
+        if shown_ns >= images[-1][0]:
+            self.counters.late_pictures += shown_ns > images[-1][0]
+            return Around.still(images[-1][1])
+        after = next(k for k, (time_ns, _) in enumerate(images) if time_ns > shown_ns)
+        (start_ns, before), (end_ns, end) = images[after - 1], images[after]
         share = np.float32((shown_ns - start_ns) / (end_ns - start_ns))
         return Around(before, end, share, (end_ns - start_ns) * 1e-9)
 
@@ -217,7 +217,8 @@ class Ros2Images(JoinedFrames):
         clock: Callable[[], int] = time.time_ns,
     ) -> None:  # fmt: skip
         super().__init__(size)
-        self._p, self._source, self._clock = parameters, source, clock
+        self._p = parameters
+        self._source, self._clock = source, clock
         self._scene_clock = SceneClock()
         grey = np.full(size[::-1], self._log_light(np.float32(_GREY)), np.float32)
         self._images = LiveImages(grey, round(parameters.delay_ms * 1e6), by_stamp=parameters.stamps == "header")

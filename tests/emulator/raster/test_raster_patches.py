@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from emulator.raster import Box, Patches, Renderer, Screen, View, join, prepare, with_patches
+from emulator.light import NOTHING
+from emulator.raster import Patches, Renderer, Screen, View, join, prepare, with_patches
 
 SCREEN = Screen(24, 18, 100.0, (12.0, 9.0))
 LIFT = 1e-6
@@ -136,7 +137,7 @@ def test_a_picture_without_patches_is_as_before(picture):
     assert (picture(Renderer(none, SCREEN), view)[0] == picture(Renderer(topology, SCREEN), view)[0]).all()
     assert (
         Renderer(none, SCREEN)
-        .draw(view, np.zeros((18, 24), np.float32), np.zeros((18, 24), np.float32), Box())
+        .draw(view, np.zeros((18, 24), np.float32), np.zeros((18, 24), np.float32), NOTHING)
         .last_row
     )
 

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulator.raster import Box, Renderer, Screen, View, join, prepare
+from emulator.light import NOTHING
+from emulator.raster import Renderer, Screen, View, join, prepare
 
 SCREEN = Screen(40, 30, 60.0, (20.0, 15.0))
 
@@ -81,7 +82,7 @@ def test_only_what_changes_is_written():
         points = np.column_stack([0.2 * corners + shift, np.full(4, 2.0)])
         return renderer.draw(View(points, np.ones((4, 3)), np.ones(4), np.zeros(4)), light, rate, before)
 
-    first = draw(-0.3, Box())
+    first = draw(-0.3, NOTHING)
     light[0, 0] = 7.0  # outside of both
     second = draw(0.2, first)
     assert light[0, 0] == 7.0

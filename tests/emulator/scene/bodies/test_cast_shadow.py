@@ -50,7 +50,7 @@ def traced(tree, points, sun, kernel=dim, memory=None):
     shares = np.ones((2, len(points)))
     chosen = np.arange(len(points), dtype=np.int32)
     more = () if memory is None else (memory,)
-    kernel(tree.arrays, points, chosen, len(points), moved, (TANGENT, 1e-7 * tree.radius_m), *more, shares)
+    kernel(tree, points, chosen, len(points), moved, TANGENT, 1e-7 * tree.radius_m, *more, shares)
     return shares[0]
 
 
@@ -96,7 +96,7 @@ def test_the_step_shadow_of_a_wall_is_the_disc_s_share(offset):
     wall = build_mesh(*_box((0, 9.5, -50), (80, 10, 50)))
     tree = build_tree(shadow_triangles(wall))
     x = (9.5 if offset > 0 else 10.0) * TANGENT * offset
-    hidden = covered(tree.arrays, (x, 0.0, 0.0), (0.0, 1.0, 0.0), TANGENT, 1e-6, 1.0)
+    hidden = covered(tree, (x, 0.0, 0.0), (0.0, 1.0, 0.0), TANGENT, 1e-6, 1.0)
     assert 1 - hidden == pytest.approx(seen_above(-offset)[0], abs=1e-6)
 
 
@@ -111,7 +111,7 @@ def test_an_eclipse_by_a_ball_is_two_circles_overlap():
     tree = build_tree(shadow_triangles(build_mesh(ball.vertices, ball.faces)))
     for offset in np.linspace(0, 2, 9):
         d, r, big = offset, math.tan(math.asin(1 / 150)) / TANGENT, 1.0
-        hidden = covered(tree.arrays, (150 * TANGENT * offset, 0.0, 0.0), (0.0, 0.0, 1.0), TANGENT, 1e-6, 1.0)
+        hidden = covered(tree, (150 * TANGENT * offset, 0.0, 0.0), (0.0, 0.0, 1.0), TANGENT, 1e-6, 1.0)
         assert hidden == pytest.approx(_overlap(d, r, big) / math.pi, abs=4e-3)
 
 

@@ -10,7 +10,7 @@ import trimesh
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from emulator.scene.bodies.clouds import clouded, fractal_noise
+from emulator.scene.bodies.albedo import clouded, fractal_noise
 from emulator.scene.bodies.mesh import build_mesh, facet_vectors, find_shape, load_mesh
 from emulator.scene.bodies.regolith import (
     Law,

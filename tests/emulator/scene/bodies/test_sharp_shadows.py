@@ -16,7 +16,14 @@ from emulator.scene.bodies.lit_surface import lit_surface, subdivide
 from emulator.scene.bodies.mesh import load_mesh
 from emulator.scene.bodies.polygons import cut_around, double_area, without_short_sides
 from emulator.scene.bodies.raster_bodies import RasterBodies
-from emulator.scene.bodies.shadow_polygons import SharpShadows, blank_room, receivers_of, with_narrow_penumbras
+from emulator.scene.bodies.shadow_polygons import (
+    Dark,
+    SharpShadows,
+    Surroundings,
+    blank_room,
+    receivers_of,
+    with_narrow_penumbras,
+)
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.threads import ThreadPool
 from emulator.trajectory.building import build_trajectory
@@ -49,8 +56,8 @@ def shadows(shapes, sun, *casters, turning=(0.0, 0.0, 0.0)):
     meshes = [load_mesh(shapes / f"{name}.obj", 1.0) for name in casters]
     tree = build_tree(np.concatenate([m.vertices[m.faces] for m in meshes]))
     plate = receivers_of(lit_surface(load_mesh(shapes / "plate.obj", 1.0), smooth=False), STILL)
-    dark = np.full(200, 3.0), np.zeros(200)
-    found = SharpShadows(0, tree, [plate], 1e-7).cast([dark], (sun, np.asarray(turning, float), EYE))
+    dark = Dark(np.full(200, 3.0), np.zeros(200))
+    found = SharpShadows(0, tree, [plate], 1e-7).cast([dark], Surroundings(sun, np.asarray(turning, float), EYE))
     return found, plate
 
 
@@ -135,9 +142,9 @@ def test_what_was_remembered_does_not_change_the_answer(shapes):
     meshes = [load_mesh(shapes / "bar.obj", 1.0)]
     tree = build_tree(meshes[0].vertices[meshes[0].faces])
     plate = receivers_of(lit_surface(load_mesh(shapes / "plate.obj", 1.0), smooth=False), STILL)
-    kept, dark = SharpShadows(0, tree, [plate], 1e-7), (np.zeros(200), np.zeros(200))
+    kept, dark = SharpShadows(0, tree, [plate], 1e-7), Dark(np.zeros(200), np.zeros(200))
     for angle in np.linspace(0, 1.2, 40):
-        around = unit(math.sin(angle), 0.2, math.cos(angle)), np.zeros(3), EYE
+        around = Surroundings(unit(math.sin(angle), 0.2, math.cos(angle)), np.zeros(3), EYE)
         fresh = SharpShadows(0, tree, [plate], 1e-7).cast([dark], around)
         assert areas(kept.cast([dark], around)).sum() == pytest.approx(areas(fresh).sum(), rel=1e-12)
 
@@ -148,7 +155,8 @@ def test_threads_and_parts_change_no_bit(shapes, monkeypatch, threads, parts):
     tree = build_tree(np.concatenate([m.vertices[m.faces] for m in meshes]))
     fine = subdivide(load_mesh(shapes / "plate.obj", 1.0), 1.0)
     plate = receivers_of(lit_surface(fine, smooth=False), STILL)
-    dark, around = (np.linspace(1, 2, 4000), np.zeros(4000)), (unit(0.2, 0.1, 1.0), np.array([1e-3, 0, 0]), EYE)
+    dark = Dark(np.linspace(1, 2, 4000), np.zeros(4000))
+    around = Surroundings(unit(0.2, 0.1, 1.0), np.array([1e-3, 0, 0]), EYE)
     one = SharpShadows(0, tree, [plate, plate], 1e-7).cast([dark, dark], around)
     monkeypatch.setattr("emulator.scene.bodies.shadow_polygons._MOST_PARTS", parts)
     monkeypatch.setattr("emulator.scene.bodies.shadow_polygons._FIRST_ROWS", 16)  # less than there is to write
@@ -262,8 +270,9 @@ def test_a_facet_in_the_dark_gets_one_triangle(shapes):
     above = meshes[0].vertices * (4.0, 4.0, 1.0) + (-4.0, 0, 0.5)
     tree = build_tree(np.concatenate([above[meshes[0].faces], meshes[1].vertices[meshes[1].faces]]))
     box = receivers_of(lit_surface(meshes[1], smooth=False), STILL)
-    found = SharpShadows(0, tree, [box], 1e-7).cast([(np.full(200, 3.0), np.zeros(200))], (sun, np.zeros(3), EYE))
-    top = np.flatnonzero(box[1][:, 2] > 0.5)
+    dark = Dark(np.full(200, 3.0), np.zeros(200))
+    found = SharpShadows(0, tree, [box], 1e-7).cast([dark], Surroundings(sun, np.zeros(3), EYE))
+    top = np.flatnonzero(box.planes[:, 2] > 0.5)
     assert sorted(found.over) == sorted(top)
     assert areas(found).sum() == pytest.approx(2.0, rel=1e-12)
     assert np.abs(found.velocities_m_s).max() == 0.0
@@ -272,7 +281,8 @@ def test_a_facet_in_the_dark_gets_one_triangle(shapes):
 @pytest.mark.system
 def test_corners_that_only_rounding_tells_apart_part_nothing():
     """A square whose first corner is there twice, cut around by a larger one: what overlaps is found."""
-    (pieces, counts, earlier), *_ = blank_room(1)
+    room = blank_room(1).pieces
+    pieces, counts, earlier = room
     ground = np.array([0.0, 0.0, 1.0, 0.0])
     corners = np.array([(0, 0), (1e-16, 1e-16), (2, 0), (2, 2), (0, 2)], float)
     tripled = np.zeros((24, 6))
@@ -284,7 +294,7 @@ def test_corners_that_only_rounding_tells_apart_part_nothing():
     earlier[0] = 0, n
     pieces[0, 0, :4, :2] = (-1, -1), (1, -1), (1, 1), (-1, 1)
     counts[0, 0] = 4
-    found, at = cut_around((pieces, counts, earlier), 1, tripled, ground, (1e-9, 1e-12))
+    found, at = cut_around(room, 1, tripled, ground, 1e-9, 1e-12)
     area = sum(double_area(pieces[at, i], counts[at, i], ground) for i in range(found)) / 2
     assert area == pytest.approx(3.0)
 

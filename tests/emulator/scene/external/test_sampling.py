@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from emulator.scene.external.sampling import sampled
+from emulator.scene.external.joining import sampled
 
 _Floats = npt.NDArray[np.float32]
 _IMAGES = arrays(np.float32, (6, 7), elements=st.sampled_from([0.0, 0.01, 0.3, 0.7, 1.0, 1.2]))

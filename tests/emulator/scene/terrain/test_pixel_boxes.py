@@ -9,7 +9,7 @@ from emulator.scene.terrain import tile
 from emulator.scene.terrain.box_moments import add_box, add_box_and_rate, half_at
 from emulator.scene.terrain.ground import MOMENTS
 from emulator.scene.terrain.pixel_boxes import box_means, footprints
-from emulator.scene.terrain.pixel_hits import level_for
+from emulator.scene.terrain.pixel_hits import Grids, Posts, Projection, level_for
 from emulator.scene.terrain.pixel_parts import shorter_side
 from emulator.scene.terrain.tile import RATES, TILE, new_tile
 
@@ -90,7 +90,7 @@ def test_numbers_of_16_bits_are_read_exactly():
 
 def with_corners(corners):
     """Return a tile whose first pixel has these four hits (2, 2, 3), the others a square."""
-    s = new_tile()[0]
+    s = new_tile().fields
     square = np.array([[(0, 0, -9), (1, 0, -9)], [(0, -1, -9), (1, -1, -9)]], float)
     for row, fields in ((0, (tile.ABOVE_X, tile.ABOVE_Y, tile.ABOVE_Z)), (1, (tile.X, tile.Y, tile.Z))):
         for axis, field in enumerate(fields):
@@ -101,7 +101,7 @@ def with_corners(corners):
 
 def boxes_of(corners):
     s = with_corners(corners)
-    footprints((0, 0), (1.0, 0.5, 0.5), np.diag([1.0, -1.0, -1.0]), 1.0, s)
+    footprints(0, 0, Projection(1.0, 0.5, 0.5), np.diag([1.0, -1.0, -1.0]), 1.0, s)
     names = "MIDDLE_X", "MIDDLE_Y", "TAPS", "TAP_X", "TAP_Y", "HALF_X", "HALF_Y", "DOUBT"
     return {name: float(s[getattr(tile, name) * TILE]) for name in names}
 
@@ -150,19 +150,20 @@ def test_the_next_level_counts_by_its_share(posts):
     levels = np.zeros((2, 9), np.int64)
     levels[:, 1:3] = posts.shape[:2], coarse.shape[:2]
     levels[1, 0] = ROWS * COLUMNS
-    s, places, sums, _ = new_tile()
+    room = new_tile()
+    s = room.fields
     half_m = 0.95 * 4.0 * UNIT_M
     for field, value in ((tile.MIDDLE_X, 7.1), (tile.MIDDLE_Y, 5.2), (tile.HALF_X, half_m), (tile.HALF_Y, half_m)):
         s[field * TILE] = value
     s[tile.TAPS * TILE : (tile.TAPS + 1) * TILE] = 1.0
     s[tile.BOX_SIZE * TILE] = half_m * 2 / (8.0 * UNIT_M)
-    table = levels, (UNIT_M, 1, 11.0), 1
-    box_means(1, moments, table, np.zeros(3), 8.0, False, s, places, sums)
+    fine_map = Posts(np.zeros(0, np.float32), moments, levels, Grids(UNIT_M, 1, 11.0))
+    box_means(1, fine_map, 1, np.zeros(3), 8.0, False, room)
     fine = expected(posts, 14.2, 10.4, 3.8, 3.8)
     ground = RegularGridInterpolator((np.arange(ROWS // 2 + 1), np.arange(COLUMNS // 2 + 1)), coarse.astype(np.float64))
     within = ((np.arange(POINTS) + 0.5) / POINTS * 2 - 1) * 1.9
     both = 0.5 * fine + 0.5 * ground(tuple(np.meshgrid(5.2 + within, 7.1 + within, indexing="ij"))).mean(axis=(0, 1))
-    np.testing.assert_allclose(sums[:MOMENTS], both, atol=5e-4)
+    np.testing.assert_allclose(room.sums[:MOMENTS], both, atol=5e-4)
 
 
 @njit

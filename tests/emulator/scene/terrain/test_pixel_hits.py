@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from emulator.scene.terrain import tile
-from emulator.scene.terrain.pixel_hits import clamp, meet_first, meet_map, write_levels
+from emulator.scene.terrain.pixel_hits import Fields, Grids, Posts, clamp, meet_first, meet_map, write_levels
 from emulator.scene.terrain.tile import TILE, new_tile
 
 POSTS = 41
@@ -28,9 +28,8 @@ def met(heights, meet, start=10.0, reach=1.0):
     s[tile.REACH * TILE : (tile.REACH + 1) * TILE] = reach
     s[tile.SIZE * TILE : (tile.SIZE + 1) * TILE] = 0.5
     eye = np.array([0.0, 0.0, EYE_M])
-    write_levels(
-        TILE, (level_of(columns, rows), (1.0, 1, columns // 2), 0), eye, (tile.X, tile.Y, tile.SIZE), s, places
-    )
+    posts = Posts(heights, np.zeros(0, np.uint16), level_of(columns, rows), Grids(1.0, 1, columns // 2))
+    write_levels(TILE, posts, 0, eye, Fields(tile.X, tile.Y, tile.SIZE), s, places)
     meet(heights.ravel().astype(np.float32), np.float32(EYE_M), s, places)
     x, z = (s[field * TILE : (field + 1) * TILE] for field in (tile.X, tile.Z))
     assert (x == x[0]).all()

@@ -9,8 +9,8 @@ from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Hapke, Lambert
 from emulator.raster.layout import FACET_FIELDS, W, WHighest, WLowest
 from emulator.scene.terrain.ground import MOMENTS, build_pyramid
-from emulator.scene.terrain.pixel_hits import Sight
-from emulator.scene.terrain.pixel_rate import rate_of_doubtful
+from emulator.scene.terrain.pixel_hits import Projection, Sight
+from emulator.scene.terrain.pixel_law import Motion, rate_of_doubtful
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.relief import make_ridge
 from emulator.scene.terrain.table import Heightmap, Ridge, TerrainParameters
@@ -135,8 +135,8 @@ def test_what_changed_is_known_for_the_same_two_arrays_only():
     assert known == [False, True, False, False, True]
 
 
-SCREEN = 40.0, 20.0, 10.0
-STANDING = np.zeros((3, 3)), np.zeros(3)
+SCREEN = Projection(40.0, 20.0, 10.0)
+STANDING = Motion(np.zeros((3, 3)), np.zeros(3))
 
 
 def rate_by_gradient(light, motion, inverse_depth=0.1, doubtful=1):
@@ -145,7 +145,7 @@ def rate_by_gradient(light, motion, inverse_depth=0.1, doubtful=1):
     rate = np.full(light.shape, np.nan, np.float32)
     sight = Sight(np.zeros(light.shape, np.int32), facets, SCREEN, np.zeros(3), np.eye(3))
     doubtful = np.full(light.shape, doubtful, np.uint8)
-    rate_of_doubtful((0, len(light)), sight, motion, doubtful, (light.astype(np.float32), rate))
+    rate_of_doubtful((0, len(light)), sight, Motion(*motion), doubtful, light.astype(np.float32), rate)
     return rate
 
 
@@ -192,7 +192,7 @@ def test_sides_of_facets_through_the_middles_of_pixels_are_no_outlines():
     with RasterTerrain(parameters(camera=above, sun_elevation_deg=60.0), camera) as scene:
         scene.light(0, np.zeros(camera.size[::-1], np.float32))
         assert (scene._owners.facets >= 0).all()
-        assert (scene._owners.whole < 0.999).sum() <= 2
+        assert (scene._owners.coverage < 0.999).sum() <= 2
 
 
 def test_the_reference_leaves_out_only_facets_without_samples(monkeypatch):

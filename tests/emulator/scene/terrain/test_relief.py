@@ -38,7 +38,7 @@ SMALL = Ridge(size_m=2048.0, finest_m=4.0, posts=128, ridge_m=300.0)
 
 def test_relief_has_the_spectrum_s_slope_and_the_height_differences_of_its_law():
     rng, n, rough = np.random.default_rng(5), 512, 0.1
-    power = np.mean([np.abs(np.fft.fft2(fractal(rng, n, 1.0, (0.0, 0.5), rough))) ** 2 for _ in range(4)], axis=0)
+    power = np.mean([np.abs(np.fft.fft2(fractal(rng, n, 1.0, 0.0, 0.5, rough))) ** 2 for _ in range(4)], axis=0)
     k = np.hypot(*np.meshgrid(np.fft.fftfreq(n), np.fft.fftfreq(n)))
     inside = (k > 4 / n) & (k < 0.5)
     slope, _ = np.polyfit(np.log(k[inside]), np.log(power[inside]), 1)
@@ -49,7 +49,7 @@ def test_relief_has_the_spectrum_s_slope_and_the_height_differences_of_its_law()
     band = integrate.quad(
         lambda q: 4 * math.pi * a * q ** (-2 * HURST - 1) * (1 - special.j0(2 * math.pi * q * r)), 1 / n, 0.5, limit=400
     )[0]
-    z = np.stack([fractal(rng, n, 1.0, (0.0, 0.5), rough) for _ in range(4)])
+    z = np.stack([fractal(rng, n, 1.0, 0.0, 0.5, rough) for _ in range(4)])
     assert np.mean((z[:, :, 8:] - z[:, :, :-8]) ** 2) == pytest.approx(band, rel=0.15)
 
 
@@ -65,7 +65,7 @@ def test_the_strength_s_integral_is_the_closed_form():
 
 def test_craters_are_as_many_of_each_size_as_the_law_says():
     area, limits = 4e6, (10.0, 300.0)
-    sizes = crater_sizes(np.random.default_rng(7), 0.046, limits, area)
+    sizes = crater_sizes(np.random.default_rng(7), 0.046, *limits, area)
     assert (np.diff(sizes) <= 0).all()
     for d in (10.0, 20.0, 50.0):
         expected = 0.046 * (d**-2 - limits[1] ** -2) * area
@@ -79,11 +79,11 @@ def test_craters_are_as_many_of_each_size_as_the_law_says():
 def test_boulders_cover_the_share_of_the_ground_that_the_law_says():
     k, limits, area = 0.02, (0.1, 0.4), 2e4
     q = 1.79 + 0.152 / k
-    sizes = boulder_sizes(np.random.default_rng(3), k, limits, area)
+    sizes = boulder_sizes(np.random.default_rng(3), k, *limits, area)
     covered = (math.pi / 4 * sizes**2).sum() / area
     assert covered == pytest.approx(k * (math.exp(-q * limits[0]) - math.exp(-q * limits[1])), rel=0.05)
     assert limits[0] <= sizes.min() <= sizes.max() <= limits[1]
-    assert boulder_sizes(np.random.default_rng(3), 0.0, limits, area).size == 0
+    assert boulder_sizes(np.random.default_rng(3), 0.0, *limits, area).size == 0
 
 
 def test_a_crater_has_its_depth_its_rim_and_its_volume():

@@ -7,8 +7,7 @@ import pytest
 from PIL import Image
 
 from emulator.light import SceneError
-from emulator.scene.video.frames import linear_light, read_frames
-from emulator.scene.video.video import Video, VideoParameters, coarsest_level
+from emulator.scene.video.video import Video, VideoParameters, coarsest_level, linear_light, read_frames
 
 SIZE = (12, 8)
 

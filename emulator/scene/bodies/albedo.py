@@ -1,0 +1,323 @@
+"""Relative albedo at the corners of facets: of a planet with clouds, and by a texture.
+
+A planet like the Earth from space has oceans, land and clouds at the vertices of a round body:
+
+    ocean 0.05, land 0.12 to 0.28, ice 0.6 beyond 68 degrees, thick cloud 0.7      (Henderson-Sellers and Wilson 1983)
+
+29 % is land. Clouds lie in belts: much at the equator and beyond 45 degrees, little at 25 degrees. Albedo is relative:
+`with_albedo` scales it to a mean of 1 over the surface, so the body's reflectance is that of the whole body, 0.3 for
+the Earth. Left out: the glint of the Sun on water, the haze above the limb, colours, and any real geography.
+
+The patterns come from noise, a smooth and seeded random function of the position in space; roughness uses it too. One
+octave is gradient noise: at each point of a cubic lattice a direction from a hash of the point and the seed, and
+between the points a smooth blend of the directions' linear functions (Perlin 2002, Improving noise). Its value depends
+on the position alone, so a finer mesh of the same body has the same values at the same positions.
+
+Light is computed at the corners of facets, so a texture becomes the albedo of corners, and facets are divided where it
+varies:
+
+    a facet is divided   while a plane over it leaves more than 5 % (rms) of the texture, at ten places and around each,
+                         and its longest side is above 2 pixels; those with most of the remainder and area first
+    which sides          those longer than half of its longest, in pixels; facets beside it are cut too, without gaps
+    value at a corner    mean over the size of a facet, taken a third of the way into the facet, so that nothing comes
+                         from beyond a seam; the mean of all facets with that corner and the same place in the texture
+
+Means come from a pyramid of images, each half as large as the one before.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from emulator.scene.bodies.compiled import entry
+from emulator.scene.bodies.lit_surface import cut_facets, split_sides
+from emulator.scene.bodies.mesh import Mesh
+from emulator.scene.bodies.table import Clouds
+from emulator.scene.bodies.textures import CLAMP, MIRROR, REPEAT
+
+Floats = npt.NDArray[np.float64]
+
+
+def with_albedo(mesh: Mesh, albedo: Floats) -> Mesh:
+    """Return a mesh with the albedo of its vertices, (n,) of any scale: its mean over the area becomes 1."""
+    tinted = dataclasses.replace(mesh, albedo=np.ascontiguousarray(albedo[mesh.faces]))
+    return dataclasses.replace(mesh, albedo=albedo[mesh.faces] / mean_albedo(tinted))
+
+
+def mean_albedo(mesh: Mesh) -> float:
+    """Return the mean over the area; albedo is linear over facets."""
+    if mesh.albedo is None:
+        return 1.0
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return float((areas * mesh.albedo.mean(axis=1)).sum() / areas.sum())
+
+
+_UNEVEN = 0.05
+_DARKEST = 0.02  # of the mean of the texture: what is darker is even
+_LEAST_PX = 2.0
+_INWARD = 1 / 3
+_PLACES = np.array([(a, b, 3 - a - b) for a in range(4) for b in range(4 - a)]) / 3 * 0.8 + 0.2 / 3
+"""Shares of the corners at ten places of a facet, (10, 3)."""
+_FLAT = _PLACES @ np.linalg.pinv(_PLACES)
+"""The values of ten places on the plane that fits them best, from their values."""
+
+_Image = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """Luminance over the coordinates u, to the right, and v, down, from 0 to 1.
+
+    Attributes
+    ----------
+    image : (height, width) float32, both powers of two.
+    wraps : of WRAPS, along u and v.
+    """
+
+    image: _Image
+    wraps: tuple[int, int] = (REPEAT, REPEAT)
+
+    @cached_property
+    def _levels(self) -> list[npt.NDArray[np.float32]]:
+        """The image and its square, (height, width, 2), each time half as large."""
+        levels = [np.stack([self.image, self.image**2], axis=2)]
+        while max(levels[-1].shape[:2]) > 1:
+            last = levels[-1]
+            rows, columns = (2 if side > 1 else 1 for side in last.shape[:2])
+            shape = (last.shape[0] // rows, rows, last.shape[1] // columns, columns, 2)
+            levels.append(last.reshape(shape).mean(axis=(1, 3)))
+        return levels
+
+    @property
+    def mean(self) -> float:
+        """The mean of the image."""
+        return float(self._levels[-1][0, 0, 0])
+
+    def in_pixels(self, uv: Floats) -> Floats:
+        """Return coordinates (..., 2) in pixels of the image."""
+        return uv * (self.image.shape[1], self.image.shape[0])
+
+    def around(self, uv: Floats, size_px: Floats) -> tuple[Floats, Floats]:
+        """Return mean and standard deviation over about `size_px` (n,) around the places `uv` (n, 2)."""
+        levels = np.clip(np.ceil(np.log2(np.maximum(size_px, 1.0))), 0, len(self._levels) - 1).astype(int)
+        values = np.empty((len(uv), 2))
+        for k in np.unique(levels):
+            chosen = levels == k
+            values[chosen] = self._between(self._levels[k], uv[chosen])
+        return values[:, 0], np.sqrt(np.maximum(values[:, 1] - values[:, 0] ** 2, 0.0))
+
+    def _between(self, level: npt.NDArray[np.float32], uv: Floats) -> Floats:
+        """Return the values of one level, (n, 2), in straight lines between its pixels."""
+        height, width, _ = level.shape
+        u, v = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
+        left, top = np.floor(u).astype(np.int64), np.floor(v).astype(np.int64)
+        columns = [_wrapped(left + k, width, self.wraps[0]) for k in (0, 1)]
+        rows = [_wrapped(top + k, height, self.wraps[1]) for k in (0, 1)]
+        fu, fv = (u - left)[:, None], (v - top)[:, None]
+        upper, lower = (level[row, columns[0]] * (1 - fu) + level[row, columns[1]] * fu for row in rows)
+        return np.asarray(upper * (1 - fv) + lower * fv)
+
+
+def _wrapped(index: npt.NDArray[np.int64], count: int, wrap: int) -> npt.NDArray[np.int64]:
+    if wrap == CLAMP:
+        return np.clip(index, 0, count - 1)
+    if wrap == MIRROR:
+        index = index % (2 * count)
+        return np.minimum(index, 2 * count - 1 - index)
+    return index % count
+
+
+def painted(mesh: Mesh, uv: Floats, texture: Texture, most_facets: int) -> tuple[Mesh, float, bool]:
+    """Divide a mesh by its texture.
+
+    Parameters
+    ----------
+    uv : (m, 3, 2) of the corners of its facets.
+    most_facets : number of facets, beyond which no facet is divided.
+
+    Returns
+    -------
+    mesh : with the albedo of its corners, whose mean over the surface is 1; None where the texture is black.
+    mean : luminance, the mean over the surface.
+    is_whole : True: all facets are even; false: `most_facets` ended the division.
+    """
+    while len(chosen := _uneven(mesh, uv, texture)):
+        room = (most_facets - len(mesh.faces)) // 6  # a facet becomes four, and each of its neighbours two
+        if room < most_facets // 100:
+            break
+        mesh, uv = _divided(mesh, uv, texture, chosen[:room])
+    values = _at_corners(mesh, uv, texture)
+    mean = mean_albedo(replace(mesh, albedo=values))
+    albedo = values / mean if mean > 0 else None
+    return replace(mesh, albedo=albedo), mean, not len(chosen)
+
+
+def _sides_px(uv: Floats, texture: Texture) -> Floats:
+    """Return the lengths of sides, from corner k to k + 1, (m, 3)."""
+    along = texture.in_pixels(np.roll(uv, -1, axis=1) - uv)
+    return np.asarray(np.hypot(along[..., 0], along[..., 1]))
+
+
+def _uneven(mesh: Mesh, uv: Floats, texture: Texture) -> npt.NDArray[np.int64]:
+    """Return the facets on which the texture varies, those with most of it first."""
+    longest = _sides_px(uv, texture).max(axis=1)
+    count = len(_PLACES)
+    mean, deviation = texture.around((_PLACES @ uv).reshape(-1, 2), np.repeat(longest / 3, count))
+    mean, within = mean.reshape(-1, count), (deviation**2).reshape(-1, count).mean(axis=1)
+    left = np.sqrt(within + ((mean - mean @ _FLAT) ** 2).mean(axis=1))
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    varies = left > _UNEVEN * np.maximum(mean.mean(axis=1), _DARKEST * texture.mean)
+    order = np.argsort(-area * left, kind="stable")
+    return np.asarray(order[(varies & (longest > _LEAST_PX))[order]])
+
+
+def _divided(mesh: Mesh, uv: Floats, texture: Texture, chosen: npt.NDArray[np.int64]) -> tuple[Mesh, Floats]:
+    lengths = _sides_px(uv, texture)
+    split = np.zeros(mesh.faces.shape, bool)
+    split[chosen] = lengths[chosen] > 0.5 * lengths[chosen].max(axis=1, keepdims=True)
+    split = _on_both_sides(mesh, split)
+    middle = (uv + np.roll(uv, -1, axis=1)) / 2
+    parts = [cut_facets(uv[..., k], middle[..., k], split) for k in range(2)]
+    return split_sides(mesh, split), np.stack(parts, axis=2)
+
+
+def _on_both_sides(mesh: Mesh, split: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return the mask with each side that one of its facets divides."""
+    start, end = mesh.faces.astype(np.int64), np.roll(mesh.faces, -1, axis=1).astype(np.int64)
+    number = np.minimum(start, end) * len(mesh.vertices) + np.maximum(start, end)
+    return np.isin(number, number[split])
+
+
+def _at_corners(mesh: Mesh, uv: Floats, texture: Texture) -> Floats:
+    """Return the luminance at the corners of facets, (m, 3)."""
+    inside = (uv + _INWARD * (uv.mean(axis=1, keepdims=True) - uv)).reshape(-1, 2)
+    size_px = np.repeat(_sides_px(uv, texture).max(axis=1) / 2, 3)
+    values, _ = texture.around(inside, size_px)
+    key = np.column_stack([mesh.faces.ravel(), np.round(texture.in_pixels(uv).reshape(-1, 2) * 64)])
+    _, number = np.unique(key, axis=0, return_inverse=True)
+    sums = np.bincount(number.ravel(), values) / np.bincount(number.ravel())
+    return np.asarray(sums[number.ravel()].reshape(-1, 3))
+
+
+_RMS = 0.191  # of one octave of unit amplitude, measured over 2 10^6 places
+
+
+@numba.njit(error_model="numpy")
+def _hash(x: int, y: int, z: int, seed: int) -> np.uint64:
+    h = np.uint64(seed) ^ np.uint64(x) * np.uint64(0x9E3779B97F4A7C15)
+    h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    h = h ^ np.uint64(y) * np.uint64(0xC2B2AE3D27D4EB4F)
+    h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    h = h ^ np.uint64(z) * np.uint64(0x165667B19E3779F9)
+    h = (h ^ (h >> np.uint64(31))) * np.uint64(0xBF58476D1CE4E5B9)
+    return h ^ (h >> np.uint64(29))
+
+
+@numba.njit(error_model="numpy")
+def _slope(h: np.uint64, dx: float, dy: float, dz: float) -> float:
+    """Return the linear function of a lattice point by its hash: its direction is even over the sphere."""
+    up = float(h & np.uint64(0xFFFFF)) / 524288.0 - 1.0
+    turn = float((h >> np.uint64(24)) & np.uint64(0xFFFFF)) * (2.0 * math.pi / 1048576.0)
+    flat = math.sqrt(max(1.0 - up * up, 0.0))
+    return flat * math.cos(turn) * dx + flat * math.sin(turn) * dy + up * dz
+
+
+@entry
+def _add(points: Floats, per_m: float, seed: int, amplitude: float, out: Floats) -> None:
+    for k in range(len(points)):
+        px, py, pz = points[k, 0] * per_m, points[k, 1] * per_m, points[k, 2] * per_m
+        x, y, z = math.floor(px), math.floor(py), math.floor(pz)
+        fx, fy, fz = px - x, py - y, pz - z
+        ux = fx * fx * fx * (fx * (fx * 6.0 - 15.0) + 10.0)
+        uy = fy * fy * fy * (fy * (fy * 6.0 - 15.0) + 10.0)
+        uz = fz * fz * fz * (fz * (fz * 6.0 - 15.0) + 10.0)
+        value = 0.0
+        for corner in range(8):
+            i, j, m = corner & 1, (corner >> 1) & 1, corner >> 2
+            weight = (ux if i else 1.0 - ux) * (uy if j else 1.0 - uy) * (uz if m else 1.0 - uz)
+            value += weight * _slope(_hash(x + i, y + j, z + m, seed), fx - i, fy - j, fz - m)
+        out[k] += amplitude * value
+
+
+def fractal_noise(points: Floats, longest_m: float, shortest_m: float, gain: float, seed: int) -> Floats:
+    """Return noise at places, (n,), its root mean square about 1 where all octaves are there.
+
+    Parameters
+    ----------
+    points : (n, 3) m.
+    longest_m, shortest_m : wavelengths; each octave has half the one before, and the last ones fade in as
+        `shortest_m` shrinks.
+    gain : amplitude of an octave over that of the one before.
+    """
+    out = np.zeros(len(points))
+    power, number = 0.0, 0
+    amplitude, wave_m = 1.0, longest_m
+    while wave_m > shortest_m and number < 24:
+        weight = min(wave_m / shortest_m - 1.0, 1.0)
+        _add(points, 1.0 / wave_m, (seed * 64 + number) & 0x7FFFFFFFFFFFFFFF, amplitude * weight, out)
+        power += amplitude * amplitude
+        amplitude *= gain
+        wave_m /= 2
+        number += 1
+    return out / (_RMS * math.sqrt(power)) if number else out
+
+
+_LAND = 0.29
+_OCEAN, _ICE, _CLOUD = 0.05, 0.6, 0.7
+_ICE_SINE = 0.93
+_MOST_FACETS = 100_000
+
+
+def clouded(mesh: Mesh, p: Clouds, facet_m: float) -> Mesh:
+    """Return a round body with facets of about `facet_m` and the albedo of a clouded planet."""
+    radius_m = float(np.linalg.norm(mesh.vertices, axis=1).mean())
+    round_ = _round(mesh, radius_m)
+    while _side_m(round_) > 1.5 * facet_m and 4 * len(round_.faces) <= _MOST_FACETS:
+        round_ = _round(split_sides(round_, np.ones(round_.faces.shape, bool)), radius_m)
+    return with_albedo(round_, _albedo(round_.vertices / radius_m, p))
+
+
+def _round(mesh: Mesh, radius_m: float) -> Mesh:
+    normals = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
+    return dataclasses.replace(mesh, vertices=radius_m * normals, normals=normals)
+
+
+def _side_m(mesh: Mesh) -> float:
+    return float(np.sqrt(mesh.area_m2 / len(mesh.faces) * 4 / np.sqrt(3)))
+
+
+def _albedo(places: Floats, p: Clouds) -> Floats:
+    """Return the albedo at places on the unit sphere, not yet brought to any mean."""
+    height = fractal_noise(places, 1.6, 0.04, 0.6, 3 * p.seed)
+    dryness = 0.5 + 0.25 * fractal_noise(places, 0.8, 0.1, 0.5, 3 * p.seed + 1)
+    land = _step((height - np.quantile(height, 1 - _LAND)) / 0.1)
+    ground = _OCEAN + land * (0.07 + 0.16 * np.clip(dryness, 0, 1))
+    ice = _step((np.abs(places[:, 2]) + 0.02 * height - _ICE_SINE) / 0.03)
+    ground = ground + ice * (_ICE - ground)
+    return ground + _cover(places, p) * (_CLOUD - ground)
+
+
+def _cover(places: Floats, p: Clouds) -> Floats:
+    """Return the share of thick cloud, 0 to 1: streaks that run east and west, swirled by a slower noise."""
+    swirl = np.stack([fractal_noise(places, 0.9, 0.2, 0.5, 3 * p.seed + 5 + k) for k in range(3)], axis=1)
+    stretched = (places + 0.12 * swirl) * (1.0, 1.0, 1.7)
+    density = fractal_noise(stretched, 0.7, 0.015, 0.68, 3 * p.seed + 2)
+    latitude = np.arcsin(np.clip(places[:, 2], -1, 1))
+    belts = 0.7 * np.cos(4.5 * latitude) - 0.9 * np.exp(-(((np.abs(latitude) - 0.45) / 0.2) ** 2))
+    density = density + 0.5 * belts + 0.6 * np.sin(latitude) ** 4
+    return _step((density - np.quantile(density, 1 - p.cloud_cover)) / 1.4)
+
+
+def _step(x: Floats) -> Floats:
+    """Return 0 below 0, 1 above 1, smooth between."""
+    x = np.clip(x, 0, 1)
+    return np.asarray(x * x * (3 - 2 * x))

@@ -1,0 +1,143 @@
+"""What scenes of a world have in common, whoever draws them: a camera on its path before bodies or ground."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+
+from emulator.geometry.camera import Pinhole
+from emulator.gl.context import QUICK_LOOK, Painter
+from emulator.gl.render_target import RenderTarget
+from emulator.light import Light, Scene
+from emulator.trajectory.pose import Timescale, Trajectory
+
+
+class World(Protocol):
+    """A world before a camera.
+
+    Attributes
+    ----------
+    camera : the camera's path, on the scene's time.
+    time : stream time to scene time.
+    """
+
+    pinhole: Pinhole
+    camera: Trajectory
+    time: Timescale
+
+    @property
+    def motion_bound_px_s(self) -> float:
+        """Upper bound of the speed of all points in the light frame."""
+
+    @property
+    def distance_m(self) -> float:
+        """Distance of the nearest object."""
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Counts of poses received from outside."""
+
+    def notes(self, first_frame: Light) -> tuple[str, ...]:
+        """Return remarks for the user; `first_frame` is the light at time 0."""
+
+    def close(self) -> None:
+        """Close the ports of live poses."""
+
+
+W = TypeVar("W", bound=World)
+
+
+class WorldScene(Scene, Generic[W]):
+    """A scene of `world`, drawn by the CPU unless a subclass says otherwise."""
+
+    def __init__(self, world: W) -> None:
+        self._world = world
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) in pixels."""
+        return self._world.pinhole.size
+
+    @property
+    def renderer(self) -> str:
+        """The name of what draws."""
+        return "the CPU, exact coverage"
+
+    @property
+    def camera_path(self) -> Trajectory:
+        """The camera's path, on the scene's time."""
+        return self._world.camera
+
+    @property
+    def path_time(self) -> Timescale:
+        """Stream time to scene time."""
+        return self._world.time
+
+    @property
+    def motion_bound_px_s(self) -> float:
+        """Bound from paths, sampled in advance."""
+        return self._world.motion_bound_px_s
+
+    @property
+    def distance_m(self) -> float:
+        """Distance of the nearest object."""
+        return self._world.distance_m
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Remarks on the world and on the light at time 0."""
+        first_frame = np.zeros(self.size[::-1], np.float32)
+        self.light(0, first_frame)
+        return self._world.notes(first_frame)
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Counts of poses received from outside."""
+        return self._world.counts
+
+    def close(self) -> None:
+        """Close the ports of live poses; a second call does nothing."""
+        self._world.close()
+
+
+class GlScene(WorldScene[W]):
+    """A scene of `world`, drawn by GL into `render_target`."""
+
+    def __init__(self, world: W, render_target: RenderTarget) -> None:
+        super().__init__(world)
+        self._render_target = render_target
+
+    @property
+    def painter(self) -> Painter:
+        """GL."""
+        return "gl"
+
+    @property
+    def renderer(self) -> str:
+        """The name of what draws, in GL's words."""
+        return self._render_target.renderer
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Remarks, that it is a quick look first."""
+        return (QUICK_LOOK, *super().notes)
+
+    def light(self, t_ns: int, out: Light) -> None:
+        """Write the radiance at `t_ns` into `out`, (height, width) float32."""
+        self.lights((t_ns,), (out,))
+
+    def lights(self, times_ns: Sequence[int], outs: Sequence[Light]) -> None:
+        """Write the radiance at several times into their light frames, (height, width) float32."""
+        self._render_target.draw_all([self._drawing(t_ns) for t_ns in times_ns], outs)
+
+    @abstractmethod
+    def _drawing(self, t_ns: int) -> Callable[[], None]:
+        """Prepare the draw calls for time `t_ns`. All errors are raised here, none while drawing."""
+
+    def close(self) -> None:
+        """Release the GL context, and close the ports; a second call does nothing."""
+        self._render_target.close()
+        super().close()
