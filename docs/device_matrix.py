@@ -20,7 +20,7 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Column:
-    """A column: its heading, and the word of a cell whose test passed."""
+    """A capability: the heading of its row, and the word of a cell whose test passed."""
 
     heading: str
     shown: str = "shown"
@@ -32,10 +32,10 @@ COLUMNS = {
     "frames": Column("frames", "exact"),
     "imu": Column("IMU", "exact"),
     "triggers": Column("triggers", "exact"),
-    "settings": Column("settings while streaming"),
-    "unplugged": Column("unplugged while streaming"),
+    "settings": Column("settings changed"),
+    "unplugged": Column("unplugged"),
     "plugged again": Column("plugged again"),
-    "cycles": Column("opened again and again"),
+    "cycles": Column("opened often"),
 }
 
 
@@ -79,8 +79,6 @@ class Camera:
         By client and column, the reason why the client cannot do it with any such camera.
     remarks
         By client and column, a note to what is shown.
-    hardware
-        Inferred or not public: where a real camera may differ.
     """
 
     name: str
@@ -88,7 +86,6 @@ class Camera:
     lacks: tuple[str, ...] = ()
     limits: Mapping[tuple[str, str], str] = field(default_factory=dict)
     remarks: Mapping[tuple[str, str], str] = field(default_factory=dict)
-    hardware: tuple[str, ...] = ()
 
 
 _KERNEL_ONLY = dict.fromkeys(
@@ -112,58 +109,15 @@ CAMERAS = {
             ("dv2", "settings"): "without the three calls that lose data or do not return, "
             "see [drivers](cameras.md#changed-while-streaming)",
         },
-        hardware=(
-            "The clock of its logic (104 MHz in register 6.3) and the two endpoints' numbers are assumed; "
-            "drivers take any.",
-            "It sends from the start, without the silence of `camera.start_delay_ms`: neuromorphic_drivers can then "
-            "reorder the first buffers.",
-            "The size of the cells of its background filter is not published.",
-        ),
     ),
-    "evk4": Camera(
-        "Prophesee EVK4 HD",
-        ("nd", "eventcv", "openeb"),
-        lacks=_IMX636_LACKS,
-        hardware=(
-            "Device release, version numbers, intervals and power of a shipped camera are not public.",
-            "It repeats the high word of the time every 16 µs; here a word is sent when it changes, and every 4096 µs.",
-            "Factory values of the biases differ a little from camera to camera.",
-            "It sends at once after the start: neuromorphic_drivers can then reorder the first buffers.",
-        ),
-    ),
-    "silkyevcam_hd": Camera(
-        "CenturyArks SilkyEvCam HD",
-        ("nd", "openeb"),
-        _IMX636_LACKS,
-        remarks=_SILKY_AND_IDS,
-        hardware=("As the EVK4; CenturyArks' own plug-in may compare more than the two open drivers do.",),
-    ),
+    "evk4": Camera("Prophesee EVK4 HD", ("nd", "eventcv", "openeb"), lacks=_IMX636_LACKS),
+    "silkyevcam_hd": Camera("CenturyArks SilkyEvCam HD", ("nd", "openeb"), _IMX636_LACKS, remarks=_SILKY_AND_IDS),
     "silkyevcam_hd_lite": Camera(
-        "CenturyArks SilkyEvCam HD Lite",
-        ("nd", "openeb"),
-        _IMX636_LACKS,
-        remarks=_SILKY_AND_IDS,
-        hardware=("Its sensor (IMX646) is inferred, and the factory values of its biases are not public.",),
+        "CenturyArks SilkyEvCam HD Lite", ("nd", "openeb"), _IMX636_LACKS, remarks=_SILKY_AND_IDS
     ),
-    "ueye_xcp_e": Camera(
-        "IDS uEye XCP-E",
-        ("nd", "openeb"),
-        _IMX636_LACKS,
-        remarks=_SILKY_AND_IDS,
-        hardware=("As the EVK4; the maker's own software may compare more.",),
-    ),
-    "ueye_xls_e": Camera(
-        "IDS uEye XLS-E",
-        ("nd", "openeb"),
-        _IMX636_LACKS,
-        hardware=("Its product number, kind and sensor are inferred.",),
-    ),
-    "evk3_hd": Camera(
-        "Prophesee EVK3 HD",
-        ("nd", "openeb"),
-        _IMX636_LACKS,
-        hardware=("Its strings are inferred; its pixels are the IMX636's here, a Gen4.1's own are not public.",),
-    ),
+    "ueye_xcp_e": Camera("IDS uEye XCP-E", ("nd", "openeb"), _IMX636_LACKS, remarks=_SILKY_AND_IDS),
+    "ueye_xls_e": Camera("IDS uEye XLS-E", ("nd", "openeb"), _IMX636_LACKS),
+    "evk3_hd": Camera("Prophesee EVK3 HD", ("nd", "openeb"), _IMX636_LACKS),
     "dvxplorer": Camera(
         "DVXplorer",
         ("dv2", "dv1", "nd", "libcaer"),
@@ -173,12 +127,6 @@ CAMERAS = {
             ("nd", "triggers"): "the driver has no setting for the detector; the test writes its registers "
             "beside the driver",
         },
-        hardware=(
-            "Strings, power, the interval of endpoint 81 and the bits of the orientation register are not public.",
-            "The bit that marks the start of a scan, and how busy columns lengthen a scan, are inferred.",
-            "The size of a step of the contrast thresholds is assumed: 7.3 % of the default.",
-            "In a mode with a fixed read-out time it loses events that do not fit a scan; here the scan takes longer.",
-        ),
     ),
     "dvxplorer_micro": Camera(
         "DVXplorer Micro (firmware 10)",
@@ -189,28 +137,15 @@ CAMERAS = {
             ("nd", "opens"): "it has no reader of the 32-bit words",
         },
         remarks={("dv2", "imu"): "values; the library stamps a sample when it arrives"},
-        hardware=(
-            "All events of a read-out get the time of its first event: that it is the first one is inferred.",
-            "Size of an area block and phase of sub-sampling are inferred.",
-        ),
     ),
     "dvxplorer_micro_firmware9": Camera(
-        "DVXplorer Micro (firmware 9)",
-        ("libcaer",),
-        lacks=("frames", "triggers", "imu"),
-        hardware=("As with firmware 10; how this firmware sends inertial samples is not public, and none are sent.",),
+        "DVXplorer Micro (firmware 9)", ("libcaer",), lacks=("frames", "triggers", "imu")
     ),
     "genx320": Camera(
         "Prophesee GenX320 (board with a CX3)",
         ("openeb", "nd"),
         lacks=_IMX636_LACKS,
         limits={("nd", "opens"): "it has no driver for this sensor"},
-        hardware=(
-            "Strings, kind of board and power-on values of the sold sensor are inferred.",
-            "How windows and latches act on each other, the period of the noise filter and what the anti-flicker filter"
-            " counts as a period are inferred; slopes of the biases are assumed.",
-            "The rate control passes the first events of a period; how the sensor spreads its losses is not public.",
-        ),
     ),
     "triton2": Camera(
         "LUCID Triton2 EVS (GigE Vision)",
@@ -221,13 +156,22 @@ CAMERAS = {
             for client in ("nd", "aravis")
             for column in ("unplugged", "plugged again")
         },
-        hardware=(
-            "Time limits of its control channel (3000 ms, at least 500 ms), its hardware address and the speed of "
-            "its link (1000 Mbit/s here, the family has 2500) are inferred.",
-            "LUCID's Arena SDK is not public and was not run.",
-        ),
     ),
 }
+
+TABLES = (
+    ("davis346",),
+    ("evk4",),
+    ("silkyevcam_hd", "silkyevcam_hd_lite", "ueye_xcp_e", "ueye_xls_e", "evk3_hd"),
+    ("dvxplorer",),
+    ("dvxplorer_micro", "dvxplorer_micro_firmware9"),
+    ("genx320",),
+    ("triton2",),
+)
+"""Keys of the cameras of each table."""
+
+HEADINGS = {"silkyevcam_hd": "Siblings of the EVK4", "dvxplorer_micro": "DVXplorer Micro"}
+"""Heading of a table of several cameras, by its first one."""
 
 NOT_RUN = (
     ("DV, jAER", "DAVIS346, DVXplorer", "programs with a graphical surface"),
@@ -239,8 +183,10 @@ NOT_RUN = (
 
 _HEAD = """# Cameras and clients
 
-This page shows, for each camera and each unmodified client, the tests that passed. It is written by
-`docs/device_matrix.py` from `docs/device_matrix.json`, which a run of the tests writes:
+The tests that passed for each camera and each unmodified client, in the run of {dates}. The clients run on a Linux
+kernel's USB in a guest that QEMU emulates ([how to attach a camera](cameras.md)), those of GigE Vision on the host's
+own network. No real camera was at hand: one may behave otherwise where [Cameras](cameras.md) says *inferred*, *assumed*
+or *not public*, and it sends from the start, without a start delay. This page is written from the outcomes:
 
 ```sh
 EVSTIM_MATRIX=docs/device_matrix.json python -m pytest -m guest --timeout 900
@@ -254,16 +200,11 @@ python docs/device_matrix.py
 | **fails** | a test of it failed in the run; the reason stands below the table |
 | not run | a test exists, and was skipped in the run |
 | not in the client | the client cannot do this with any such camera |
-| not tried | no test exists |
-| – | the camera does not have it |
+| empty, or no row | no test exists |
+| –, or no row | the camera does not have it |
 
-A number is that of the test below the table; a letter is that of a note. The run took place on {dates}. The clients run
-on a Linux kernel's USB in a guest that QEMU emulates ([how to attach a camera](cameras.md)), those of GigE Vision on
-the host's own network. No real camera was at hand: a client that accepts this one may behave otherwise with a real
-camera, see the list below each table.
-
-Seen to work by hand, without a test and so "not tried" in the tables: triggers of the GenX320 by OpenEB, triggers and
-settings of the EVK4's siblings by neuromorphic_drivers, settings of the DVXplorer Micro by dv-processing 2."""
+A number is that of the test below the table; a letter is that of a note. Settings are changed, and cameras unplugged,
+while they stream; *opened often* is closed amid the streams again and again."""
 
 
 def cell_word(column: str, outcomes: Iterable[str]) -> str:
@@ -275,33 +216,58 @@ def cell_word(column: str, outcomes: Iterable[str]) -> str:
 
 
 class _Table:
-    """A camera's table, with its tests numbered and its notes lettered in the order of their first cells."""
+    """A table of one camera or several, with its tests numbered and its notes lettered in the order of their cells.
 
-    def __init__(self, camera: Camera, rows: Sequence[Row]) -> None:
-        self._camera, self._rows = camera, rows
+    A column is a client, of several cameras with the same clients a camera: so no table has more than six columns.
+    """
+
+    def __init__(self, keys: Sequence[str], rows: Sequence[Row]) -> None:
+        self._cameras = {key: CAMERAS[key] for key in keys}
+        self._heading = HEADINGS.get(keys[0]) or CAMERAS[keys[0]].name
+        self._rows = [row for row in rows if row["camera"] in keys]
         self._tests: dict[str, list[Row]] = {}
         self._notes: list[str] = []
 
     def text(self) -> str:
-        headings = ["client", *(column.heading for column in COLUMNS.values())]
-        lines = [f"## {self._camera.name}", "", _line(headings), "|---" * len(headings) + "|"]
-        for client in self._camera.clients:
-            lines.append(_line([str(CLIENTS[client]), *(self._cell(client, column) for column in COLUMNS)]))
-        lines += ["", *self._list_of_tests(), "", *self._list_of_notes()]
-        lines += ["A real camera may differ:", "", *(f"- {one}" for one in self._camera.hardware)]
-        return "\n".join(lines)
+        headings, rows = self._by_camera() if len(self._cameras) > 2 else self._by_client()
+        lines = [f"## {self._heading}", "", _line(headings), "|---" * len(headings) + "|"]
+        lines += [_line(row) for row in rows if set(row[1:]) - {"", "–"}]
+        return "\n".join([*lines, "", *self._list_of_tests(), *self._list_of_notes()])
 
-    def _cell(self, client: str, column: str) -> str:
-        rows = [row for row in self._rows if row["client"] == client and column in row["what"]]
+    def _by_client(self) -> tuple[list[str], list[list[str]]]:
+        """Return the headings, clients of each camera, and a row for each capability."""
+        pairs = [(key, client) for key, camera in self._cameras.items() for client in camera.clients]
+        prefixes = {key: f"{camera.name}: " if len(self._cameras) > 1 else "" for key, camera in self._cameras.items()}
+        headings = ["", *(f"{prefixes[key]}{CLIENTS[client]}" for key, client in pairs)]
+        return headings, [
+            [COLUMNS[what].heading, *(self._cell(key, client, what) for key, client in pairs)] for what in COLUMNS
+        ]
+
+    def _by_camera(self) -> tuple[list[str], list[list[str]]]:
+        """Return the headings, cameras, and a row for each client and capability."""
+        clients = next(iter(self._cameras.values())).clients
+        headings = ["", *(camera.name for camera in self._cameras.values())]
+        return headings, [
+            [
+                f"{CLIENTS[client]}: {COLUMNS[what].heading}",
+                *(self._cell(key, client, what) for key in self._cameras),
+            ]
+            for client in clients
+            for what in COLUMNS
+        ]
+
+    def _cell(self, key: str, client: str, column: str) -> str:
+        camera = self._cameras[key]
+        rows = [row for row in self._rows if row["camera"] == key and row["client"] == client and column in row["what"]]
         if rows:
             numbers = dict.fromkeys(self._number(row) for row in rows)
-            marks = [str(number) for number in numbers] + self._letters(self._camera.remarks.get((client, column)))
+            marks = [str(number) for number in numbers] + self._letters(camera.remarks.get((client, column)))
             return f"{cell_word(column, (row['outcome'] for row in rows))} ({', '.join(marks)})"
-        if column in self._camera.lacks:
+        if column in camera.lacks:
             return "–"
-        if reason := self._camera.limits.get((client, column)):
+        if reason := camera.limits.get((client, column)):
             return f"not in the client ({self._letters(reason)[0]})"
-        return "not tried"
+        return ""
 
     def _number(self, row: Row) -> int:
         """Return the number of a test; its parameters share one."""
@@ -323,7 +289,7 @@ class _Table:
 
     def _list_of_notes(self) -> list[str]:
         notes = [f"- {chr(ord('a') + k)}: {note}" for k, note in enumerate(self._notes)]
-        return [*notes, ""] if notes else []
+        return ["", "Notes:", "", *notes] if notes else []
 
 
 def _of_parameters(rows: Sequence[Row]) -> str:
@@ -346,7 +312,7 @@ def page(rows: Sequence[Row]) -> str:
     """Return the page of these outcomes."""
     dates = sorted({row["date"] for row in rows})
     span = " to ".join(dict.fromkeys([*dates[:1], *dates[-1:]]))
-    tables = [_Table(camera, [row for row in rows if row["camera"] == key]).text() for key, camera in CAMERAS.items()]
+    tables = [_Table(keys, rows).text() for keys in TABLES]
     not_run = ["## Not run", "", _line(("client", "cameras", "reason")), "|---|---|---|", *map(_line, NOT_RUN)]
     return "\n\n".join([_HEAD.replace("{dates}", span), *tables, "\n".join(not_run)]) + "\n"
 

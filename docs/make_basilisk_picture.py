@@ -16,7 +16,7 @@ from emulator.run.assembly import build_scene, build_session, schedule
 from emulator.run.basilisk import BasiliskRun, connected
 from firmware_protocol.events import Events, empty_events
 from transports.link.pacing import MonotonicClock
-from transports.vizard.server import VizardServer
+from transports.vizard import VizardServer
 
 PAGE = Path(__file__).parent
 EXAMPLE = PAGE.parent / "examples" / "basilisk"

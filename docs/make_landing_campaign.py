@@ -18,9 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from emulator.campaign.campaign import Campaign, Row
-from emulator.campaign.loading import load_source
+from emulator.campaign.loading import load_source, proportion
 from emulator.campaign.report import numbers, quantiles, sensitivity
-from emulator.campaign.success import proportion
 from emulator.campaign.table import check_folder, read_rows, rows_folder
 from emulator.report.page import pyplot
 

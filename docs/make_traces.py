@@ -1,6 +1,6 @@
 """Write docs/traces/, short captures of two shipped rigs' links, and their decodes: python docs/make_traces.py.
 
-The decodes are in docs/serial.md and docs/can.md, between two markers.
+The decode of a capture, NAME.txt, explains each of its lines, or several that are alike.
 
 The instruments and links are those of the rigs `serial-demo` and `can-demo`; the events are a few that are given here,
 so that the captures are the same on every machine. The time of a line is that at which the last bit of a frame has
@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from emulator.rig.loading import load_rig
-from firmware_protocol.can_frames.bus_time import frame_bits
 from firmware_protocol.can_frames.canopen import NodeState
-from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.frame import Frame, frame_bits
 from firmware_protocol.can_frames.raw_events import Epoch, unpack_clock
 from firmware_protocol.events import EDGE, EVENT, Events
 from firmware_protocol.instrument.instrument import Instrument
@@ -32,10 +31,9 @@ from transports.can_bus.carriage import sources
 from transports.can_bus.kind import CanLink
 from transports.serial_line.kind import SerialLink
 
-__all__ = ["EDGES", "EVENTS", "FOLDER", "MARKERS", "files"]
+__all__ = ["EDGES", "EVENTS", "FOLDER", "files"]
 
-FOLDER = Path(__file__).parent
-MARKERS = [f"<!-- docs/make_traces.py: {place} -->" for place in ("begin", "end")]
+FOLDER = Path(__file__).with_name("traces")
 SIZE = (346, 260)
 START_US = 1_000_000
 EVENTS = np.array(
@@ -182,60 +180,27 @@ def _can() -> Iterator[tuple[str, str]]:
 
 # The files.
 
-_SECTION = """{begin}
 
-The capture [`{capture}`]({capture}) is of the link of the rig `{rig}`:
-five events, an edge, {contents} Each row explains one line, or several that are alike.
-The instrument and the link are those of the rig; the events are given, not those of its scene. Times in the text are
-the camera's own; the column holds the time at which the last bit has left, on a link that began at 1.02 s.
-{form}
-
-| line | time, s | {columns} |
-|---|---|{rule}|
-{rows}
-
-{end}"""
-
-
-def _page(name: str, lines: list[tuple[str, str]], **words: str) -> str:
-    """Return a page with the decode of its capture."""
-    begin, end = MARKERS
-    before, rest = (FOLDER / name).read_text(encoding="utf-8").split(begin)
-    rule = "|".join("---" for _ in words["columns"].split("|"))
-    rows, number = [], 1
+def _decode(heading: str, lines: list[tuple[str, str]]) -> str:
+    """Return the text that explains a capture: a row for each line, or for several that are alike."""
+    rows, number = [f"line | time, s | {heading}"], 1
     for row, group in groupby(lines, key=lambda pair: pair[1]):
         times = [line[1 : line.index(")")] for line, _ in group]
         last = number + len(times) - 1
         places = f"{number} to {last} | {times[0]} to {times[-1]}" if len(times) > 1 else f"{number} | {times[0]}"
-        rows.append(f"| {places} {row}")
+        rows.append(f"{places} {row}".removesuffix(" |"))
         number = last + 1
-    return before + _SECTION.format(begin=begin, end=end, rule=rule, rows="\n".join(rows), **words) + rest.split(end)[1]
+    return "\n".join(rows) + "\n"
 
 
 def files() -> dict[str, str]:
     """Return each file's name and content."""
     serial, can = list(_serial()), list(_can())
     return {
-        "traces/serial.hex": "\n".join(line for line, _ in serial) + "\n",
-        "serial.md": _page(
-            "serial.md",
-            serial,
-            capture="traces/serial.hex",
-            rig="serial-demo",
-            contents="a Ping and a housekeeping report.",
-            form="`<` goes to the camera, `>` comes from it; the profile is `ccsds-cobs`.",
-            columns="APID | service, subtype | meaning",
-        ),
-        "traces/can.log": "\n".join(line for line, _ in can) + "\n",
-        "can.md": _page(
-            "can.md",
-            can,
-            capture="traces/can.log",
-            rig="can-demo",
-            contents="a SYNC and a housekeeping report.",
-            form="The format is that of `candump -L`; `canplayer -I can.log` sends it.",
-            columns="identifier | frame | meaning",
-        ),
+        "serial.hex": "\n".join(line for line, _ in serial) + "\n",
+        "serial.txt": _decode("APID | service, subtype | meaning", serial),
+        "can.log": "\n".join(line for line, _ in can) + "\n",
+        "can.txt": _decode("identifier | frame | meaning", can),
     }
 
 

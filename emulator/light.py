@@ -135,6 +135,12 @@ class Scene(ABC):
         """Named counts of the scene during the run, for the summary."""
         return {}
 
+    def stop(self) -> None:  # noqa: B027 most scenes wait for no other program
+        """Limit the time of the present light frame to a second, where another program draws it; for a signal handler.
+
+        A frame that takes longer ends by SceneEnded.
+        """
+
     @abstractmethod
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at stream time `t_ns` into `out`, (height, width) float32. It depends on `t_ns` only."""

@@ -17,6 +17,7 @@ Every name is imported on its first use, so `import evstim` alone loads neither 
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -58,7 +59,7 @@ if TYPE_CHECKING:
         TemperatureParameters,
     )
     from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
-    from emulator.trajectory.descent import Gate
+    from emulator.trajectory.laws import Gate
     from emulator.trajectory.parameters import (
         BasiliskPath,
         DescentPath,
@@ -90,8 +91,7 @@ if TYPE_CHECKING:
     from firmware_protocol.prophesee.biases import BiasSlopes
     from firmware_protocol.receiver.can import CanReceiver, CanReceiverSettings
     from firmware_protocol.receiver.clock_estimator import ClockEstimate, ClockEstimator
-    from firmware_protocol.receiver.davis import DavisReceiver
-    from firmware_protocol.receiver.instrument import SerialReceiver
+    from firmware_protocol.receiver.instrument import DavisReceiver, SerialReceiver
     from firmware_protocol.recordings.part import IMU, Frame
     from transports.can_bus.kind import CanLink
     from transports.faults.bus import (
@@ -137,7 +137,7 @@ if TYPE_CHECKING:
         TimeBack,
         TimeFrozen,
     )
-    from transports.file.kind import FileLink
+    from transports.file import FileLink
     from transports.gige.kind import GigeLink
     from transports.gige.packet_faults import IpChange, LinkDown, LostHeartbeat, RefusedResends
     from transports.network_streams.kind import TcpLink, UdpLink
@@ -304,140 +304,6 @@ __all__ = [
     "shipped_rigs",
 ]
 
-_NAMES = {
-    "emulator.light": ("MachineLacks", "Scene", "SceneError"),
-    "emulator.optics.lens": ("LensParameters",),
-    "emulator.photometry.reflectance": ("Glossy", "Hapke", "Lambert", "LommelSeeliger", "LunarLambert", "Sun"),
-    "emulator.rig.loading": ("Rig", "RigError", "load_rig", "parse_rig", "shipped_rigs"),
-    "emulator.rig.tables": ("Camera", "SecondCamera", "Trigger", "TriggerEdges", "Verdict"),
-    "emulator.run.assembly": ("build_scene",),
-    "emulator.run.link_process": ("LinkFailed",),
-    "emulator.run.outcome": ("RunResult", "RunStatus"),
-    "emulator.scene.bodies.table": ("Bare", "Clouds", "Regolith"),
-    "emulator.scene.stars.skies": ("DrawnField",),
-    "emulator.scene.stars.table": ("MovingPoint",),
-    "emulator.scene.terrain.table": ("Heightmap", "Ridge"),
-    "emulator.sensor.parameters": (
-        "BackgroundParameters",
-        "ComparatorParameters",
-        "DefectParameters",
-        "FrameParameters",
-        "ImagerParameters",
-        "ImuParameters",
-        "JitterParameters",
-        "KickParameters",
-        "NoiseParameters",
-        "RadiationParameters",
-        "ResetParameters",
-        "TemperatureParameters",
-    ),
-    "emulator.sensor.presets": ("PRESETS", "ReadoutParameters", "SensorParameters"),
-    "emulator.trajectory.descent": ("Gate",),
-    "emulator.trajectory.parameters": (
-        "BasiliskPath",
-        "DescentPath",
-        "FilePath",
-        "FixedPath",
-        "Keyframe",
-        "KeyframePath",
-        "LivePath",
-        "OrbitPath",
-        "SpicePath",
-        "SpinPath",
-    ),
-    "evstim.deliveries": ("Delivery",),
-    "evstim.frames": ("events_from_frames", "events_from_video", "reconstruct"),
-    "evstim.recordings": ("iter_events", "read_events"),
-    "evstim.running": ("LiveRun", "run"),
-    "evstim.sensor": ("Sensor", "SensorOptions"),
-    "firmware_protocol.can_frames.canopen": ("SelectorSettings",),
-    "firmware_protocol.can_frames.dbc": ("Identifiers",),
-    "firmware_protocol.device.clock": ("ClockSettings", "ClockStep"),
-    "firmware_protocol.events": ("EDGE", "EVENT"),
-    "firmware_protocol.prophesee.biases": ("BiasSlopes",),
-    "firmware_protocol.instrument.settings": ("InstrumentSettings",),
-    "firmware_protocol.network_streams.coders": ("PictureSettings",),
-    "firmware_protocol.packets.profile": ("Profile",),
-    "firmware_protocol.receiver.can": ("CanReceiver", "CanReceiverSettings"),
-    "firmware_protocol.receiver.clock_estimator": ("ClockEstimate", "ClockEstimator"),
-    "firmware_protocol.receiver.davis": ("DavisReceiver",),
-    "firmware_protocol.receiver.instrument": ("SerialReceiver",),
-    "firmware_protocol.recordings.part": ("Frame", "IMU"),
-    "transports.can_bus.kind": ("CanLink",),
-    "transports.faults.bus": (
-        "BabblingIdiot",
-        "BusOff",
-        "ChangedFrames",
-        "DeadBus",
-        "ErrorFrames",
-        "LostFrames",
-        "ReorderedFrames",
-        "RepeatedFrames",
-    ),
-    "transports.faults.datagrams": ("LateDatagrams", "LostDatagrams", "RepeatedDatagrams"),
-    "transports.faults.line": (
-        "BitFlips",
-        "Burst",
-        "InsertedBytes",
-        "LostBytes",
-        "Overrun",
-        "Stall",
-        "StuckLine",
-        "Unplugged",
-        "WrongBaud",
-    ),
-    "transports.faults.usb": (
-        "ControlStall",
-        "EmptyTransfers",
-        "FifoOverflow",
-        "RegisterFlip",
-        "ShortTransfers",
-        "SlowControl",
-        "UsbSilence",
-        "UsbStall",
-        "UsbUnplugged",
-        "WrongVersion",
-    ),
-    "transports.faults.words": (
-        "MissedWraps",
-        "OddBytes",
-        "RepeatedEvents",
-        "StaleData",
-        "TimeAhead",
-        "TimeBack",
-        "TimeFrozen",
-    ),
-    "transports.file.kind": ("FileLink",),
-    "transports.gige.kind": ("GigeLink",),
-    "transports.gige.packet_faults": ("IpChange", "LinkDown", "LostHeartbeat", "RefusedResends"),
-    "transports.network_streams.kind": ("TcpLink", "UdpLink"),
-    "transports.recording.part": ("RecordingError",),
-    "transports.recording.record": ("load_record",),
-    "transports.ros2.kind": ("Ros2Link",),
-    "transports.serial_line.kind": ("SerialLink",),
-    "transports.udp_packets.kind": ("UdpPacketsLink",),
-    "transports.usb.kind": ("LoopbackLink", "UsbGadgetLink", "UsbipLink"),
-}
-"""Public names by the module that they come from."""
-
-_SOURCES = {name: module for module, names in _NAMES.items() for name in names} | {
-    "RecordingScene": "emulator.playback.recording:RecordingParameters",
-    "RunParameters": "emulator.rig.tables:Run",
-    "Body": "emulator.scene.bodies.table:BodyTable",
-    "BodiesScene": "emulator.scene.bodies.table:BodiesParameters",
-    "CheckerboardScene": "emulator.scene.checkerboard.table:CheckerboardParameters",
-    "StarsScene": "emulator.scene.stars.table:StarsParameters",
-    "TerrainScene": "emulator.scene.terrain.table:TerrainParameters",
-    "ExternalScene": "emulator.scene.external.table:ExternalParameters",
-    "Ros2Scene": "emulator.scene.video.ros2_images:Ros2ImageParameters",
-    "VideoScene": "emulator.scene.video.video:VideoParameters",
-    "attitude_from_basilisk": "emulator.trajectory.pose:from_basilisk",
-    "attitude_from_opengl": "emulator.trajectory.pose:from_opengl",
-    "attitude_from_scalar_last": "emulator.trajectory.pose:from_scalar_last",
-    "attitude_from_spice": "emulator.trajectory.pose:from_spice",
-}
-"""Public name -> "module", or "module:name there" where the two names differ."""
-
 __version__: str
 
 if not TYPE_CHECKING:  # else a type checker would take any name for one of ours
@@ -446,13 +312,25 @@ if not TYPE_CHECKING:  # else a type checker would take any name for one of ours
         """Import a public name on its first use."""
         if name == "__version__":
             value = import_module("importlib.metadata").version("evstim")
-        elif name in _SOURCES:
-            module, _, there = _SOURCES[name].partition(":")
-            value = getattr(import_module(module), there or name)
+        elif name in __all__:
+            module, attribute = _sources()[name]
+            value = getattr(import_module(module), attribute)
         else:
             raise AttributeError(f"module 'evstim' has no attribute {name!r}")
         globals()[name] = value
         return value
+
+
+@cache
+def _sources() -> dict[str, tuple[str, str]]:
+    """Return the module of each public name and its name there: read from the imports for type checkers, above."""
+    import ast  # loaded with the first public name
+    from pathlib import Path
+
+    module = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+    block = next(node for node in module.body if isinstance(node, ast.If))
+    imports = (node for node in block.body if isinstance(node, ast.ImportFrom))
+    return {alias.asname or alias.name: (node.module or "", alias.name) for node in imports for alias in node.names}
 
 
 def __dir__() -> list[str]:

@@ -93,9 +93,9 @@ def events_from_frames(  # noqa: PLR0913 - one call that names all it needs
 
 
 def _events(
-    frames: Iterable[npt.ArrayLike], times_us: _Float64s, how: _Conversion, parameters: SensorOptions
+    frames: Iterable[npt.ArrayLike], rounded_ns: _Float64s, how: _Conversion, parameters: SensorOptions
 ) -> Events:
-    times_ns, lights = _times_ns(times_us), _lights(frames, how.levels, how.light_at_white)
+    times_ns, lights = _times_ns(rounded_ns), _lights(frames, how.levels, how.light_at_white)
     first = next(lights, None)
     if first is None:
         raise ValueError("frames is empty: at least one frame is needed")
@@ -170,9 +170,9 @@ def _times_ns(times: _Float64s) -> list[int]:
     _check_growth(times, times)
     if times.size > 1:
         _check_interval(float(times[-1] - times[0]) / (times.size - 1))
-    whole = np.rint(times * 1000).astype(np.int64)
-    _check_growth(times, whole)
-    return [int(t) for t in whole]
+    rounded_ns = np.rint(times * 1000).astype(np.int64)
+    _check_growth(times, rounded_ns)
+    return [int(t) for t in rounded_ns]
 
 
 def _check_growth(times: _Float64s, rounded: npt.NDArray[Any]) -> None:

@@ -132,13 +132,13 @@ class Image:
 
     def send(self, t_ns: int | None = None, motion_bound_px_s: float = math.nan) -> None:
         """Send the image; `motion_bound_px_s` bounds the motion of all its points, NaN where that is not known."""
-        given = self.t_ns if t_ns is None else t_ns
-        if given is None:
+        frame_ns = self.t_ns if t_ns is None else t_ns
+        if frame_ns is None:
             raise ValueError("this rig leaves the times to the renderer: send(t_ns=...)")
         for plane in (self.light, self.motion, self.depth, self.rate):
             if plane is not None:
                 plane.flags.writeable = False
-        self._renderer._send_image(self._number, given, motion_bound_px_s)
+        self._renderer._send_image(self._number, frame_ns, motion_bound_px_s)
 
 
 class Renderer:
@@ -233,8 +233,8 @@ class Renderer:
         planes: dict[str, npt.NDArray[Any]] = {}
         offset = 0
         for name, dtype, channels in self._images.planes:
-            whole = shape if channels == 1 else (*shape, channels)
-            planes[name] = np.frombuffer(memory, dtype, math.prod(whole), offset).reshape(whole)
+            image_shape = shape if channels == 1 else (*shape, channels)
+            planes[name] = np.frombuffer(memory, dtype, math.prod(image_shape), offset).reshape(image_shape)
             offset += -(-planes[name].nbytes // 64) * 64
         return planes
 

@@ -126,7 +126,7 @@ def run(
 
 
 def _check_link(rig: Rig, link: str | None) -> None:
-    names = [one.name for one in rig.links]
+    names = [rig_link.name for rig_link in rig.links]
     if link is not None and link not in names:
         raise ValueError(f"link: this rig has no link {link!r}; it has {', '.join(names) or 'none'}")
     if link is not None and rig.run.restart_links:
@@ -161,7 +161,9 @@ class LiveRun(Generic[Batch]):
         self._link = link
         self.unread = 0
         self.truth_trouble = ""
-        self._record, self._truth, self._truth_every = record, truth, truth_every
+        self._record = record
+        self._truth = truth
+        self._truth_every = truth_every
         self._changed = threading.Condition()
         self._batches: deque[Any] = deque()
         self._queued_bytes = 0

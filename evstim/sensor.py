@@ -24,8 +24,9 @@ from emulator.sensor.parameters import (
     TemperatureParameters,
 )
 from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
-from emulator.tables.typed_table import TableError, convert, unknown
+from emulator.tables.typed_table import TableError, convert
 from firmware_protocol.events import Events
+from transports.registry import unknown
 
 _Float32s = npt.NDArray[np.float32]
 _LAST_NS = 1 << 62
@@ -212,19 +213,19 @@ class Sensor:
 
     def _frame(self, values: npt.ArrayLike, name: str) -> _Float32s:
         """Return a frame as the kernels take it; raises TypeError or ValueError with the fault and its place."""
-        given, shape = np.asarray(values), (self.parameters.height, self.parameters.width)
-        if given.dtype.kind != "f":
+        array, shape = np.asarray(values), (self.parameters.height, self.parameters.width)
+        if array.dtype.kind != "f":
             raise TypeError(
-                f"{name} is an array of {given.dtype}: linear light in floats is needed, 1.0 being the reference level "
+                f"{name} is an array of {array.dtype}: linear light in floats is needed, 1.0 being the reference level "
                 "(for 8-bit frames use evstim.events_from_frames)"
             )
-        if given.shape != shape:
-            raise ValueError(f"{name} has the shape {given.shape}: (height, width) = {shape} is needed")
+        if array.shape != shape:
+            raise ValueError(f"{name} has the shape {array.shape}: (height, width) = {shape} is needed")
         with np.errstate(over="ignore"):
-            frame = np.ascontiguousarray(given, np.float32)
+            frame = np.ascontiguousarray(array, np.float32)
         if not np.isfinite(frame).all():
             row, column = np.argwhere(~np.isfinite(frame))[0]
-            raise ValueError(f"{name} is {given[row, column]} at x = {column}, y = {row}: it must be finite")
+            raise ValueError(f"{name} is {array[row, column]} at x = {column}, y = {row}: it must be finite")
         return frame
 
 

@@ -92,5 +92,5 @@ def level_changes(edges: Edges, pulse_us: int) -> Edges:
     begins["kind"][is_pulse] = EdgeKind.RISING
     ends["kind"] = EdgeKind.FALLING
     ends["t"] += np.uint64(pulse_us)
-    both = np.concatenate([begins, ends])
-    return both[np.argsort(both["t"], kind="stable")]
+    changes = np.concatenate([begins, ends])
+    return changes[np.argsort(changes["t"], kind="stable")]

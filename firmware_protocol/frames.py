@@ -35,12 +35,12 @@ class LineKind(IntEnum):
     END = 5
 
 
-def line_record(most: int) -> np.dtype[Any]:
-    """Return the dtype of a line of at most `most` samples."""
+def line_record(samples: int) -> np.dtype[Any]:
+    """Return the dtype of a line of at most `samples` samples."""
     return np.dtype(
         [
             ("t", "<u8"), ("kind", "u1"), ("line", "<u2"), ("exposure", "<u4"), ("global_shutter", "?"),
-            ("by_column", "?"), ("roi", "<u2", (4,)), ("length", "<u2"), ("samples", "<u2", (most,)),
+            ("by_column", "?"), ("roi", "<u2", (4,)), ("length", "<u2"), ("samples", "<u2", (samples,)),
         ]
     )  # fmt: skip
 
@@ -149,13 +149,13 @@ def _whole(records: Readings) -> list[WholeFrame]:
     by_kind = {kind: records[records["kind"] == kind] for kind in LineKind}
     moments = [by_kind[kind] for kind in LineKind if kind not in (LineKind.RESET, LineKind.SIGNAL)]
     lines = [by_kind[LineKind.RESET], by_kind[LineKind.SIGNAL]]
-    if any(len(one) != 1 for one in moments) or not all(len(one) in (rows, columns) for one in lines):
+    if any(len(moment) != 1 for moment in moments) or not all(len(line) in (rows, columns) for line in lines):
         return []
     length = int(lines[0]["length"][0])
-    reads = [one["samples"][:, :length] for one in lines]
+    reads = [line["samples"][:, :length] for line in lines]
     if any(read.shape != reads[0].shape for read in reads) or reads[0].size != rows * columns:
         return []
     by_column = records["by_column"][0]
     reset, signal = (np.ascontiguousarray(read.T if by_column else read) for read in reads)
-    start, opened, shut, end = (int(one["t"][0]) for one in moments)
+    start, opened, shut, end = (int(moment["t"][0]) for moment in moments)
     return [WholeFrame(start, opened, shut, end, left, top, reset, signal, len(records))]

@@ -48,9 +48,9 @@ class ImuScale:
     unit: int = 2
 
     def __int__(self) -> int:
-        there = self.accelerometer << 7 | self.gyroscope << 6 | self.temperature << 5
+        present = self.accelerometer << 7 | self.gyroscope << 6 | self.temperature << 5
         shift, mask = _RANGES[self.unit == BMI160]
-        return there | (self.accelerometer_range & 3) << shift | self.gyroscope_range & mask
+        return present | (self.accelerometer_range & 3) << shift | self.gyroscope_range & mask
 
     @classmethod
     def parse(cls, byte: int, unit: int = 2) -> ImuScale:

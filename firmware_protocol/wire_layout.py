@@ -82,7 +82,7 @@ class Field:
 
 def choices_of(names: type[IntEnum]) -> dict[int, str]:
     """Return the name of each value of an enumeration."""
-    return {one.value: one.name for one in names}
+    return {choice.value: choice.name for choice in names}
 
 
 class Layout:
@@ -90,15 +90,19 @@ class Layout:
 
     def __init__(self, *fields: Field) -> None:
         self.fields = fields
-        self.bits = sum(one.bits for one in fields)
+        self.bits = sum(member.bits for member in fields)
         if self.bits % 8:
             raise ValueError(f"a layout has whole octets, not {self.bits} bits")
-        ends = [sum(one.bits for one in fields[: n + 1]) for n in range(len(fields))]
-        self._packing = [(one, one.name, one.fixed, *one.range, one.bits, (1 << one.bits) - 1) for one in fields]
-        self._places = [(one.name, self.bits - end, (1 << one.bits) - 1) for one, end in zip(fields, ends, strict=True)]
-        self._signs = [(one.name, one.bits) for one in fields if one.signed]
+        ends = [sum(member.bits for member in fields[: n + 1]) for n in range(len(fields))]
+        self._packing = [
+            (member, member.name, member.fixed, *member.range, member.bits, (1 << member.bits) - 1) for member in fields
+        ]
+        self._places = [
+            (member.name, self.bits - end, (1 << member.bits) - 1) for member, end in zip(fields, ends, strict=True)
+        ]
+        self._signs = [(member.name, member.bits) for member in fields if member.signed]
         if len(self.by_name) != len(fields):
-            raise ValueError(f"a name is used twice: {', '.join(one.name for one in fields)}")
+            raise ValueError(f"a name is used twice: {', '.join(member.name for member in fields)}")
 
     def __add__(self, other: Layout) -> Layout:
         return Layout(*self.fields, *other.fields)
@@ -111,19 +115,19 @@ class Layout:
     @cached_property
     def by_name(self) -> Mapping[str, Field]:
         """The fields by name."""
-        return {one.name: one for one in self.fields}
+        return {member.name: member for member in self.fields}
 
     def pack(self, **values: int) -> bytes:
         """Return the octets; fixed fields need no value. Raises ValueError for a value that does not fit."""
         if not values.keys() <= self.by_name.keys():
             raise TypeError(f"no field {', '.join(sorted(values.keys() - self.by_name.keys()))}")
         number = 0
-        for one, name, fixed, low, high, bits, mask in self._packing:
+        for member, name, fixed, low, high, bits, mask in self._packing:
             value = values.get(name, fixed)
             if value is None:
                 raise TypeError(f"no value for {name}")
-            if fixed is not None or one.choices or not low <= value <= high:
-                one.check(value)
+            if fixed is not None or member.choices or not low <= value <= high:
+                member.check(value)
             number = number << bits | value & mask
         return number.to_bytes(self.octets, "big")
 
@@ -140,8 +144,8 @@ class Layout:
     def holds(self, values: Mapping[str, int]) -> bool:
         """Return true if every field has a value that it can have; other names are ignored."""
         try:
-            for one in self.fields:
-                one.check(values[one.name])
+            for member in self.fields:
+                member.check(values[member.name])
         except ValueError:
             return False
         return True
@@ -149,4 +153,6 @@ class Layout:
     @cached_property
     def dtype(self) -> np.dtype[np.void]:
         """The same as a numpy record; only for fields of 8, 16, 32 or 64 bits."""
-        return np.dtype([(one.name, f">{'i' if one.signed else 'u'}{one.bits // 8}") for one in self.fields])
+        return np.dtype(
+            [(member.name, f">{'i' if member.signed else 'u'}{member.bits // 8}") for member in self.fields]
+        )

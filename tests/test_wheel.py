@@ -129,6 +129,20 @@ def test_what_is_in_the_wheel(wheel):
     assert rooms == {"evstim", "emulator", "transports", "firmware_protocol", "laboratory"}
 
 
+@pytest.mark.system
+def test_a_package_index_takes_the_wheel_and_the_sdist_which_makes_the_same_wheel(wheel, tmp_path):
+    hatchling = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", tmp_path]
+    subprocess.run(hatchling, cwd=ROOT, check=True, capture_output=True)
+    (sdist,) = tmp_path.glob("evstim-*.tar.gz")
+    checked = subprocess.run([sys.executable, "-m", "twine", "check", "--strict", wheel, sdist], capture_output=True)
+    assert checked.returncode == 0, checked.stdout
+    pip("wheel", sdist, "--no-deps", "--wheel-dir", tmp_path)
+    (again,) = tmp_path.glob("evstim-*.whl")
+    with zipfile.ZipFile(wheel) as first, zipfile.ZipFile(again) as second:
+        files = [{entry.filename: entry.CRC for entry in archive.infolist()} for archive in (first, second)]
+    assert files[0] == files[1]
+
+
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory):
     """The Python of a fresh environment with the wheel and its base dependencies, and nothing else."""
@@ -294,7 +308,7 @@ def test_a_fresh_environment_has_no_optional_package(installed):
     assert done.stdout.strip() == "[]"
 
 
-PAGES = ("README.md", "docs/index.md")
+PAGES = ("README.md", "docs/index.md", "docs/tutorial.md")
 LEFT_OUT = {  # commands that are not typed here, and the reason
     r"make (demo|test)": "they install all packages, and `make test` runs this test",
     r"(sudo )?usbip|sudo modprobe": "root and a kernel module; tests/guest attaches cameras in a machine of its own",
@@ -306,8 +320,9 @@ LEFT_OUT = {  # commands that are not typed here, and the reason
 RUNS_ON = {  # commands that run until Ctrl-C, and what they print when they work
     r"evstim run (?!.*--seconds)": r"[1-9]\d* frames",
     r"evstim listen (?!.*--seconds)": r"[1-9]\d* events",
+    r"python (first_try|centroid)\.py|\./centroid": r"x [\d.]+, y [\d.]+",
 }
-IS_READER = re.compile(r"evstim (listen|fault)|python |\./centroid|C=|cc ")  # they work beside a camera
+IS_READER = re.compile(r"evstim (listen|fault)|python |\./centroid|C=|cc |stty ")  # they work beside a camera
 LATE = re.compile(r"NOT GOOD: \d of \d+ rules broken: ((in real time|steps in time)(, )?)+\s")
 
 
@@ -357,8 +372,11 @@ class Desk:
 
 
 @pytest.fixture(scope="module")
-def desk(installed, tmp_path_factory):
-    """A copy of the source folder around the fresh environment, which has the kernels that this folder has."""
+def checkout(installed, tmp_path_factory):
+    """A copy of the source folder around the fresh environment, which has the kernels that this folder has.
+
+    Its folder, and the environment variables of its reader.
+    """
     folder = installed.parents[2]
     ignored = [line.strip("/") for line in (ROOT / ".gitignore").read_text().splitlines()]
     shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(".git", *ignored), dirs_exist_ok=True)
@@ -372,9 +390,14 @@ def desk(installed, tmp_path_factory):
     environment["XDG_RUNTIME_DIR"] = str(tmp_path_factory.mktemp("runtime"))  # no run of others is a run of this reader
     python = os.path.dirname(os.path.realpath(sys.executable))
     environment["PATH"] = os.pathsep.join([str(installed.parent), python, os.environ["PATH"]])
-    made = Desk(folder, environment)
-    yield made
-    for terminal in made.terminals:
+    return folder, environment
+
+
+@pytest.fixture
+def desk(checkout):
+    desk = Desk(*checkout)
+    yield desk
+    for terminal in desk.terminals:
         terminal.close()
 
 

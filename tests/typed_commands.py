@@ -1,16 +1,15 @@
 """The commands of a page, typed into terminals as a reader types them.
 
 A block of shell code has commands, and so has other text behind "$ "; further lines of text are what they print. A
-terminal is bash on a pseudo-terminal. Its prompt has the exit code of the last command.
+terminal is bash on a pseudo-terminal, which is read all the time. Its prompt has the exit code of the last command.
 """
 
 import os
 import pty
 import re
-import select
 import signal
 import subprocess
-import time
+import threading
 from contextlib import suppress
 
 __all__ = ["Terminal", "commands_of", "printed_by", "without_comment"]
@@ -55,6 +54,9 @@ class Terminal:
         self._shell = subprocess.Popen(shell, cwd=folder, env=settings, **streams)
         os.close(theirs)
         self._file, self._raw, self._begun = ours, b"", 0
+        self._news = threading.Condition()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
         self.is_idle = True
         self._until(PROMPT)
         self.run("stty -echo")
@@ -70,8 +72,9 @@ class Terminal:
         return self.end()
 
     def wait_for(self, pattern):
-        """Wait until the present command has printed something."""
-        self._until(re.compile(pattern))
+        """Wait until the present command has printed something; it must not end before."""
+        match = self._until(re.compile(f"{pattern}|{PROMPT.pattern}"))
+        assert match[1] is None, f"ended before {pattern!r}: {self.output}"
 
     def interrupt(self):
         """Send what Ctrl-C sends, where the program still runs, and wait for its end; return its exit code."""
@@ -104,20 +107,28 @@ class Terminal:
 
     def close(self):
         """End the shell with all that it started."""
-        os.close(self._file)  # a hangup
+        self._shell.send_signal(signal.SIGHUP)
         try:
             self._shell.wait(60)
         except subprocess.TimeoutExpired:
             os.killpg(self._shell.pid, signal.SIGKILL)
             self._shell.wait()
+        self._reader.join(60)
+        os.close(self._file)
+
+    def _read(self):
+        """Read until no program has the terminal any more."""
+        with suppress(OSError):
+            while data := os.read(self._file, 1 << 16):
+                with self._news:
+                    self._raw += data
+                    self._news.notify()
 
     def _until(self, pattern):
-        end_s = time.monotonic() + PATIENCE_S
-        while (found := pattern.search(self.output)) is None:
-            ready, _, _ = select.select([self._file], [], [], max(end_s - time.monotonic(), 0))
-            assert ready, f"no {pattern.pattern!r} in {self.output}"
-            self._raw += os.read(self._file, 1 << 16)
-        return found
+        with self._news:
+            match = self._news.wait_for(lambda: pattern.search(self.output), PATIENCE_S)
+            assert match, f"no {pattern.pattern!r} in {self.output}"
+            return match
 
 
 def plain(raw):

@@ -98,8 +98,8 @@ class Admission:
         self._settled.discard(seat)
 
     def _make_place(self, address: str) -> bool:
-        mine = sum(seat.address == address for seat in chain(self._idle, self._settled))
-        if mine >= self._places.per_address:
+        count = sum(seat.address == address for seat in chain(self._idle, self._settled))
+        if count >= self._places.per_address:
             return self._evict(address)
         if len(self) < self._places.total:
             return True
@@ -155,8 +155,8 @@ class Listener:
         """Listen on one address, 0 for any free port; raises OSError when the address cannot be used."""
         if not host:
             raise OSError("an empty host would listen on every address of this machine")
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        family, _, _, _, address = min(found, key=lambda one: one[0] != socket.AF_INET)  # localhost is 127.0.0.1
+        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        family, _, _, _, address = min(addresses, key=lambda info: info[0] != socket.AF_INET)  # localhost is 127.0.0.1
         self._socket = socket.create_server((str(address[0]), port), family=family, backlog=_BACKLOG)
         self._socket.setblocking(False)
         asyncio.get_running_loop().add_reader(self._socket, self._accept)

@@ -4,11 +4,17 @@
     ------------                                --------------------------------------------------
     read_guarded("module:name", path, *args) -> imports the module, then sets its own limits
                                                 name(path, *args): a mapping of values, or several
-    values  <------------- pipe --------------  each mapping (see `array_messages`), then the end, or the error
+    values  <------------- pipe --------------  each mapping (see `encoded`), then the end, or the error
 
 A library that meets a damaged file may run for ever, take all memory, or end its process by a signal. In a child of its
 own each of these becomes a ForeignFileError, after all values before it. The child is a new interpreter, not a fork:
 this process may have threads and a GL context.
+
+A message between two processes of one run has named values: arrays as their bytes, everything else as JSON.
+
+    u32 length of the head | head, JSON: [name, type, shape] of an array, [name, null, value] of another value | bytes
+
+Nothing that a receiver executes is sent: the sender may have read a file that takes over its process.
 """
 
 from __future__ import annotations
@@ -20,16 +26,74 @@ import os
 import resource
 import select
 import signal
+import struct
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
-from transports.array_messages import Values, decoded, encoded
+import numpy as np
+from numpy.lib import format as npy
+
 from transports.needs import install_command
+
+Values = Mapping[str, Any]
+"""Arrays and values of JSON by name."""
+
+_LENGTH = struct.Struct("<I")
+_MOST_HEAD_BYTES = 1 << 20
+_FOREIGN = "the other process sends something else"
+
+
+def encoded(values: Values) -> list[bytes | memoryview]:
+    """Return a message in pieces; those of arrays share the arrays' memory where it is contiguous."""
+    head: list[list[Any]] = []
+    pieces: list[bytes | memoryview] = []
+    for name, value in values.items():
+        if not isinstance(value, np.ndarray):
+            head.append([name, None, value])
+            continue
+        head.append([name, npy.dtype_to_descr(value.dtype), value.shape])
+        pieces.append(np.ascontiguousarray(value).reshape(-1).view(np.uint8).data)
+    text = json.dumps(head).encode()
+    return [_LENGTH.pack(len(text)), text, *pieces]
+
+
+def decoded(read: Callable[[int], bytes | bytearray], most_bytes: int = 1 << 40) -> dict[str, Any] | None:
+    """Return the next message of `read(size)`, which returns fewer bytes at the end of its input; None at that end.
+
+    The arrays can be written where `read` returns a bytearray. Raises ValueError for other bytes, and for an array of
+    more than `most_bytes`.
+    """
+    start = read(_LENGTH.size)
+    if len(start) < _LENGTH.size:
+        return None
+    (length,) = _LENGTH.unpack(start)
+    if length > _MOST_HEAD_BYTES:
+        raise ValueError(_FOREIGN)
+    text = read(length)
+    if len(text) < length:
+        return None
+    values: dict[str, Any] = {}
+    for name, descr, content in json.loads(text):
+        if descr is None:
+            values[name] = content
+            continue
+        if not isinstance(descr, str):
+            descr = [tuple(field) for field in descr]  # numpy needs tuples, which JSON does not have
+        dtype = npy.descr_to_dtype(descr)
+        size = math.prod(content) * dtype.itemsize
+        if not 0 <= size <= most_bytes:
+            raise ValueError(_FOREIGN)
+        data = read(size)
+        if len(data) < size:
+            return None  # the sender was killed
+        values[name] = np.frombuffer(data, dtype).reshape(content)
+    return values
+
 
 _MIB = 1 << 20
 _WALL_FACTOR = 10  # a busy machine gives the child a tenth of a processor
@@ -79,7 +143,7 @@ class Limits:
 
 def _mib_of(path: Path) -> int:
     files = path.iterdir() if path.is_dir() else [path]
-    return -(-sum(one.stat().st_size for one in files if one.is_file()) // _MIB)
+    return -(-sum(file.stat().st_size for file in files if file.is_file()) // _MIB)
 
 
 def read_guarded(reader: str, path: Path, *args: Any, limits: Limits | None = None) -> dict[str, Any]:
@@ -194,8 +258,8 @@ def serve(order: Mapping[str, Any]) -> NoReturn:
     try:
         read = getattr(importlib.import_module(module), name)
         _limit(**order["limits"])
-        found = read(Path(order["path"]), *order["args"])
-        for values in [found] if isinstance(found, Mapping) else found:
+        result = read(Path(order["path"]), *order["args"])
+        for values in [result] if isinstance(result, Mapping) else result:
             _send(order["output"], values)
     except BrokenPipeError:  # the reader of the values has seen enough
         os._exit(0)
@@ -230,10 +294,10 @@ def _limit(memory_bytes: int, cpu_s: int) -> None:
     _lower(resource.RLIMIT_CORE, 0)
 
 
-def _lower(which: int, value: int) -> None:
-    _, hard = resource.getrlimit(which)
-    wanted = value if hard == resource.RLIM_INFINITY else min(value, hard)
-    resource.setrlimit(which, (wanted, hard))
+def _lower(resource_limit: int, value: int) -> None:
+    _, hard = resource.getrlimit(resource_limit)
+    soft = value if hard == resource.RLIM_INFINITY else min(value, hard)
+    resource.setrlimit(resource_limit, (soft, hard))
 
 
 def _send(descriptor: int, values: Values) -> None:

@@ -63,7 +63,7 @@ class _Package:
     """Python package that an extra installs."""
 
     extra: str
-    wanted: str
+    needed_for: str
 
 
 PYTHON_PACKAGES: Mapping[str, _Package] = MappingProxyType(
@@ -94,64 +94,60 @@ def package(name: str) -> Need:
 
     def look() -> Finding:
         try:
-            return Finding(name, True, importlib.metadata.version(name), of.wanted)
+            return Finding(name, True, importlib.metadata.version(name), of.needed_for)
         except importlib.metadata.PackageNotFoundError:
-            return Finding(name, False, "not installed", of.wanted, install_command(of.extra))
+            return Finding(name, False, "not installed", of.needed_for, install_command(of.extra))
 
     return Need(f"extra {of.extra} ({name})", look)
 
 
 def network_interface(name: str) -> Need:
     """Return the need of a network interface of the kernel, such as can0."""
-    wanted = "a CAN bus of the kernel"
+    purpose = "a CAN bus of the kernel"
 
     def look() -> Finding:
         if (_NETWORK / name).exists():
-            return Finding(name, True, "there", wanted)
+            return Finding(name, True, "there", purpose)
         fix = (
             f"modprobe vcan && ip link add dev {name} type vcan && ip link set {name} up"
             "  # virtual; for a real bus connect its adapter"
         )
-        return Finding(name, False, "there is no such network interface", wanted, fix)
+        return Finding(name, False, "there is no such network interface", purpose, fix)
 
     return Need(f"network interface {name}", look)
 
 
-def _vhci() -> Finding:
-    return _module("vhci-hcd", _VHCI, "attaching the camera to this machine's own USB bus")
-
-
-def _vcan() -> Finding:
-    return _module("vcan", _VCAN, "virtual CAN buses in the kernel")
-
-
-def _module(module: str, place: Path, wanted: str) -> Finding:
+def _module(module: str, place: Path, purpose: str) -> Finding:
     """Distinguish a loaded module, one that can be loaded, and one that this kernel does not have."""
     if place.exists():
-        return Finding(module, True, "loaded", wanted)
+        return Finding(module, True, "loaded", purpose)
     release = platform.release()
     if any(Path(f"/lib/modules/{release}").rglob(f"{module}.ko*")):
-        return Finding(module, False, "not loaded", wanted, f"modprobe {module}")
+        return Finding(module, False, "not loaded", purpose, f"modprobe {module}")
     detail = f"kernel {release} comes without it"
-    return Finding(module, False, detail, wanted, "apt-get install linux-image-amd64  # and boot it")
+    return Finding(module, False, detail, purpose, "apt-get install linux-image-amd64  # and boot it")
 
 
 def _udc() -> Finding:
     controllers = sorted(p.name for p in _UDC.iterdir()) if _UDC.is_dir() else []
-    found = Finding("UDC", True, ", ".join(controllers), "a camera on a real USB cable (links usb_gadget)")
+    finding = Finding("UDC", True, ", ".join(controllers), "a camera on a real USB cable (links usb_gadget)")
     if not controllers:
         fix = "modprobe dummy_hcd  # for a trial; or a board with a USB device port (Raspberry Pi: dtoverlay=dwc2)"
-        return replace(found, good=False, detail="no USB device controller", fix=fix)
+        return replace(finding, good=False, detail="no USB device controller", fix=fix)
     if not _GADGETS.is_dir():
-        detail = f"{found.detail}, but no gadgets in configfs"
-        return replace(found, good=False, detail=detail, fix="modprobe libcomposite")
-    return found
+        detail = f"{finding.detail}, but no gadgets in configfs"
+        return replace(finding, good=False, detail=detail, fix="modprobe libcomposite")
+    return finding
 
 
-VHCI = Need("kernel module vhci-hcd", _vhci, "driver")
+VHCI = Need(
+    "kernel module vhci-hcd",
+    lambda: _module("vhci-hcd", _VHCI, "attaching the camera to this machine's own USB bus"),
+    "driver",
+)
 """Kernel module that attaches a USB/IP camera to a machine's own USB bus."""
 
-VCAN = Need("kernel module vcan", _vcan)
+VCAN = Need("kernel module vcan", lambda: _module("vcan", _VCAN, "virtual CAN buses in the kernel"))
 """Kernel module for virtual CAN buses."""
 
 UDC = Need("kernel module libcomposite and a USB device controller", _udc)

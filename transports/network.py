@@ -210,10 +210,10 @@ class DatagramInlet:
             failure = f"cannot listen on {self._host} port {self._port} (UDP): {error.strerror}"
             raise OSError(error.errno, f"{failure}; is another program there? `ss -lunp` lists it") from error
 
-    def take(self, most: int) -> Iterator[bytes]:
-        """Yield the received datagrams, at most `most`, so that a flood does not block the link's other work."""
+    def take(self, limit: int) -> Iterator[bytes]:
+        """Yield the received datagrams, at most `limit`, so that a flood does not block the link's other work."""
         assert self._socket is not None
-        for _ in range(most):
+        for _ in range(limit):
             try:
                 data, sender = self._socket.recvfrom(_LONGEST)
             except OSError:  # no more datagrams, or an error from a peer's socket
@@ -230,6 +230,6 @@ class DatagramInlet:
 
 
 def _resolved(host: str, port: int) -> tuple[int, Any]:
-    found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
-    family, _, _, _, address = min(found, key=lambda one: one[0] != socket.AF_INET)  # localhost is 127.0.0.1
+    addresses = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
+    family, _, _, _, address = min(addresses, key=lambda info: info[0] != socket.AF_INET)  # localhost is 127.0.0.1
     return family, address

@@ -12,7 +12,7 @@ class OutputFile:
 
     Parameters
     ----------
-    what : str
+    title : str
         Name of the file for people, in `trouble`.
     append : bool
         True to append to the existing contents.
@@ -25,12 +25,12 @@ class OutputFile:
     Attributes
     ----------
     trouble : str
-        Reason for the stop, "WHAT stopped: No space left on device (PATH)"; empty without an error.
+        Reason for the stop, "TITLE stopped: No space left on device (PATH)"; empty without an error.
     """
 
-    def __init__(self, path: Path, what: str, *, append: bool = False) -> None:
+    def __init__(self, path: Path, title: str, *, append: bool = False) -> None:
         self.path = path
-        self._what = what
+        self._title = title
         self._file: BinaryIO = path.open("ab" if append else "wb")
         self.trouble = ""
 
@@ -48,7 +48,7 @@ class OutputFile:
 
     def stop(self, error: OSError) -> None:
         """Stop writing, because of `error`."""
-        self.trouble = self.trouble or f"{self._what} stopped: {error.strerror or error} ({self.path})"
+        self.trouble = self.trouble or f"{self._title} stopped: {error.strerror or error} ({self.path})"
         with suppress(OSError):  # the data in the buffer cannot be written either
             self._file.close()
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from emulator.optics.lens import CHIPS
-from emulator.rig.kinds import IMU_UNITS, CameraModel, UsbModel, UsbSettings
+from emulator.optics.lens import Chip
+from emulator.rig.kinds import IMU_UNITS, CameraKernels, CameraModel, UsbModel, UsbSettings
 from emulator.rig.tables import Camera
 from emulator.sensor.presets import PRESETS
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo
+from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.fx3.registers import SystemInfo
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
 
@@ -33,7 +34,20 @@ def _device(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     return partial(Davis346, settings)
 
 
-_USB = UsbModel((346, 260), _device, imu_units=_IMU_UNITS)
+def _compile_activity_filter() -> None:
+    """Make the filters of background activity and refractory period."""
+    from firmware_protocol.davis346.activity_filter import ActivityFilter
 
-DAVIS346 = CameraModel("davis346", PRESETS["davis346"], CHIPS["davis346"], _USB)
-IDEAL = CameraModel("ideal", PRESETS["ideal"], CHIPS["davis346"], _USB)
+    ActivityFilter((32, 24))
+
+
+def _kernels(camera: Camera) -> tuple[CameraKernels, ...]:
+    return (CameraKernels("activity filter", 1.0, _compile_activity_filter),) if camera.activity_filter else ()
+
+
+_USB = UsbModel((346, 260), _device, kernels=_kernels, imu_units=_IMU_UNITS)
+_CHIP = Chip(18.5, 0.22, 0.24)
+"""Pitch as in its data sheet; fill factor and efficiency of a front-illuminated chip are estimates."""
+
+DAVIS346 = CameraModel("davis346", PRESETS["davis346"], _CHIP, _USB)
+IDEAL = CameraModel("ideal", PRESETS["ideal"], _CHIP, _USB)

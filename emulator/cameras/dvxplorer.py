@@ -6,11 +6,19 @@ import dataclasses
 from collections.abc import Callable
 from functools import partial
 
-from emulator.optics.lens import CHIPS
-from emulator.rig.kinds import IMU_UNITS, CameraModel, UsbModel, UsbSettings
+from emulator.optics.lens import Chip
+from emulator.rig.kinds import IMU_UNITS, CameraKernels, CameraModel, UsbModel, UsbSettings
 from emulator.rig.tables import Camera
 from emulator.sensor.presets import PRESETS
-from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, DvxplorerSettings
+from firmware_protocol.dvxplorer import (
+    Dvxplorer,
+    DvxplorerMicro,
+    DvxplorerMicroSettings,
+    DvxplorerSettings,
+    FrameDecoder,
+    GroupDecoder,
+    GroupEncoder,
+)
 from firmware_protocol.dvxplorer.registers import SYSTEM
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
@@ -41,9 +49,19 @@ def _micro(bcd_device: int, camera: Camera, usb: UsbSettings) -> Callable[[], Us
     return partial(DvxplorerMicro, settings)
 
 
+def _compile_coders() -> None:
+    """Make the coders and the decoders of both cameras' words."""
+    GroupEncoder((32, 24)), GroupDecoder(), DvxplorerMicro(), FrameDecoder()
+
+
+_KERNELS = (CameraKernels("DVXplorer coder", 3.0, _compile_coders),)
+_CHIP = Chip(9.0, 0.22, 0.24)
+"""Estimates, as for a DAVIS346."""
+
+
 def _model(name: str, device: Callable[[Camera, UsbSettings], Callable[[], UsbCamera]]) -> CameraModel:
-    usb = UsbModel((640, 480), device, has_groups=True, imu_units=("bmi160",))
-    return CameraModel(name, PRESETS["dvxplorer_micro"], CHIPS["dvxplorer_micro"], usb)
+    usb = UsbModel((640, 480), device, kernels=lambda camera: _KERNELS, imu_units=("bmi160",))
+    return CameraModel(name, PRESETS["dvxplorer_micro"], _CHIP, usb)
 
 
 DVXPLORER = _model("dvxplorer", _large)

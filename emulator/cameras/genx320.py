@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-from emulator.optics.lens import CHIPS
+from emulator.optics.lens import Chip
 from emulator.rig.kinds import CameraModel, UsbModel, UsbSettings
 from emulator.rig.tables import Camera
 from emulator.sensor.presets import PRESETS
-from firmware_protocol.genx320.biases import SLOPES
-from firmware_protocol.genx320.device import Genx320, Genx320Settings
+from firmware_protocol.genx320.device import SLOPES, Genx320, Genx320Settings
 from firmware_protocol.genx320.registers import Surroundings
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import UsbCamera
@@ -30,6 +29,9 @@ def _device(camera: Camera, usb: UsbSettings) -> Callable[[], UsbCamera]:
     return partial(Genx320, settings)
 
 
+_CHIP = Chip(6.3, 0.77, 0.7)
+"""Pitch as in `sensor.presets`; the others are estimates for a back-illuminated chip."""
+
 GENX320 = CameraModel(
-    "genx320", PRESETS["genx320"], CHIPS["genx320"], UsbModel((320, 320), _device, has_evt=True), bias_slopes=SLOPES
+    "genx320", PRESETS["genx320"], _CHIP, UsbModel((320, 320), _device, has_evt=True), bias_slopes=SLOPES
 )

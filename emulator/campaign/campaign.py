@@ -31,19 +31,21 @@ from emulator.campaign.loading import (
     Source,
     laid_over,
     located,
+    margin,
     parse_settings,
     path_of,
+    succeeds,
     with_value,
     with_worker,
 )
 from emulator.campaign.sampling import Law, grid_digits, unit_points
-from emulator.campaign.success import margin, succeeds
 from emulator.rig.loading import Rig, rig_of_table
 from emulator.run.machine import pose_port
 from emulator.run.outcome import RunResult, good, judge
 from emulator.tables.toml_text import shortened
-from emulator.tables.typed_table import KeyPath, TableError, unknown
+from emulator.tables.typed_table import KeyPath, TableError
 from transports.link.report import LinkReport
+from transports.registry import unknown
 
 Row = dict[str, Any]
 
@@ -64,7 +66,7 @@ def result_columns(rig: Rig, result: RunResult, digest: str) -> Row:
     ledger = result.ledger
     row: Row = {
         "verdict": good(judgements),
-        "broken": "; ".join(f"{one.rule}: {one.finding}" for one in judgements if not one.good),
+        "broken": "; ".join(f"{rule.rule}: {rule.finding}" for rule in judgements if not rule.good),
         "sim_s": result.sim_seconds,
         "frames": result.frames,
         "steps": result.steps,
@@ -102,22 +104,22 @@ def judged(settings: Settings, row: Row) -> Row:
 
 def check_columns(rig: Rig, settings: Settings) -> None:
     """Raise TableError for a column that no row of the campaign has."""
-    known = [*_ALWAYS, *(f"events.{name}" for name in _EVENTS), *(law.key for law in settings.parameters)]
-    known += ["program.exit", "program.trouble"]
-    known += [f"link.{link.name}.{column}" for link in rig.links for column in _LINK]
+    columns = [*_ALWAYS, *(f"events.{name}" for name in _EVENTS), *(law.key for law in settings.parameters)]
+    columns += ["program.exit", "program.trouble"]
+    columns += [f"link.{link.name}.{column}" for link in rig.links for column in _LINK]
     for rule in settings.success:
         if rule.column.startswith(_OF_PROGRAM) and settings.program is None:
             raise TableError(f"{rule.text!r} needs a [program]", ("success",))
-        _check_column(rule.column, known, ("success",))
+        _check_column(rule.column, columns, ("success",))
     shown = settings.report
     for column in shown.columns:
-        _check_column(column, [*known, "success", "margin"], ("report", "columns"))
-    _check_column(shown.worst, [*known, "success", "margin"], ("report", "worst"))
+        _check_column(column, [*columns, "success", "margin"], ("report", "columns"))
+    _check_column(shown.worst, [*columns, "success", "margin"], ("report", "worst"))
 
 
-def _check_column(column: str, known: list[str], path: tuple[str, ...]) -> None:
-    if column not in known and not column.startswith("result."):
-        raise TableError(unknown(column, known), path)
+def _check_column(column: str, columns: list[str], path: tuple[str, ...]) -> None:
+    if column not in columns and not column.startswith("result."):
+        raise TableError(unknown(column, columns), path)
 
 
 _PLACEHOLDER = re.compile(r"\{([A-Za-z_][\w.\[\]-]*)\}")
@@ -127,7 +129,7 @@ _ALWAYS_PLACEHOLDERS = ("index", "seed", "folder", "result", "python", "worker")
 
 def filled(argv: Sequence[str], values: Mapping[str, Any]) -> list[str]:
     """Return arguments with each {NAME} replaced by its value, a table or a list as JSON."""
-    return [_PLACEHOLDER.sub(lambda found: _text(values[found[1]]), argument) for argument in argv]
+    return [_PLACEHOLDER.sub(lambda match: _text(values[match[1]]), argument) for argument in argv]
 
 
 def _text(value: Any) -> str:
@@ -136,37 +138,37 @@ def _text(value: Any) -> str:
 
 def addresses_as_placeholders(addresses: Mapping[str, str | None]) -> dict[str, str]:
     """Return {address.NAME} and {port.NAME} of each link, and {address} and {port} where there is only one."""
-    found: dict[str, str] = {}
+    placeholders: dict[str, str] = {}
     for name, address in addresses.items():
         port = (address or "").rpartition(":")[2]
-        found |= {f"address.{name}": address or "", f"port.{name}": port}
+        placeholders |= {f"address.{name}": address or "", f"port.{name}": port}
         if len(addresses) == 1:
-            found |= {"address": address or "", "port": port}
-    return found
+            placeholders |= {"address": address or "", "port": port}
+    return placeholders
 
 
 def check_placeholders(rig: Rig, settings: Settings, folder: Path) -> None:
     """Raise TableError for an unknown placeholder, or for a program that is missing, seen from `folder`."""
     if settings.program is None:
         return
-    known = [*_ALWAYS_PLACEHOLDERS, *(law.key for law in settings.parameters)]
-    known += ["record"] if settings.record else []
+    names = [*_ALWAYS_PLACEHOLDERS, *(law.key for law in settings.parameters)]
+    names += ["record"] if settings.record else []
     if settings.program.start == "with":
-        known += addresses_as_placeholders({link.name: "" for link in rig.links})
-        known += [POSE_PORT] if pose_port(rig) is not None else []
+        names += addresses_as_placeholders({link.name: "" for link in rig.links})
+        names += [POSE_PORT] if pose_port(rig) is not None else []
     _check_program(settings.program.argv[0], folder)
     for name in (name for argument in settings.program.argv for name in _PLACEHOLDER.findall(argument)):
         if name == "record" and not settings.record:
             raise TableError('{record} needs record = ".npz", or another suffix', ("program", "argv"))
-        if name not in known:
-            raise TableError(f"placeholder {unknown(name, known)}", ("program", "argv"))
+        if name not in names:
+            raise TableError(f"placeholder {unknown(name, names)}", ("program", "argv"))
 
 
 def _check_program(name: str, folder: Path) -> None:
     if _PLACEHOLDER.search(name):
         return
-    found = os.access(folder / name, os.X_OK) if "/" in name else shutil.which(name)
-    if not found:
+    program = os.access(folder / name, os.X_OK) if "/" in name else shutil.which(name)
+    if not program:
         raise TableError(f"there is no program {name!r} that can be run", ("program", "argv"))
 
 
@@ -264,13 +266,13 @@ class Campaign:
             return []
         if not self.settings.parameters:
             raise CampaignError(f"{self.source.file}: a grid needs [[parameters]]")
-        found = []
+        grid = []
         for i, law in enumerate(self.settings.parameters):
             try:
-                found.append(law.grid())
+                grid.append(law.grid())
             except ValueError as error:
                 raise located(self.source, TableError(str(error), ("parameters", i))) from error
-        return found
+        return grid
 
     def _check(self) -> None:
         """Check everything but the rigs of the single runs, before the first run; raises CampaignError."""
@@ -305,10 +307,10 @@ def _rig_keys(law: Law) -> list[str]:
     return [key for key in (law.key, *law.also) if not key.startswith(_FOR_PROGRAM)]
 
 
-def _meet(one: KeyPath, other: KeyPath) -> bool:
+def _meet(path: KeyPath, other: KeyPath) -> bool:
     """Return whether a path leads to another, or through it."""
-    length = min(len(one), len(other))
-    return length > 0 and one[:length] == other[:length]
+    length = min(len(path), len(other))
+    return length > 0 and path[:length] == other[:length]
 
 
 def _check_keys(law: Law, i: int, *, has_program: bool) -> None:

@@ -12,21 +12,137 @@ A mistake raises CampaignError, whose message contains the file, the line, the k
 
 The tables of a campaign file are frozen types. Keys of a rig are dotted text, such as "faults[0].rate"; their values
 replace those in the tables of a rig.
+
+A run is a success by the rig's verdict, the program's exit and rules such as "result.error < 0.05". The share of
+successes has a confidence interval.
 """
 
 from __future__ import annotations
 
+import math
+import operator
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+from scipy.stats import binomtest
+
 from emulator.campaign.sampling import LAWS, Law, Sampling
-from emulator.campaign.success import SuccessRule, parse_rule
 from emulator.rig.loading import find_rig, parse_rig, read_rig
 from emulator.tables.toml_text import TextFileError, TomlError, line_of, read_text, read_toml, shortened
-from emulator.tables.typed_table import KeyPath, TableError, convert, convert_kind, field_types, unknown
+from emulator.tables.typed_table import KeyPath, TableError, convert, convert_kind, field_types
+from transports.registry import unknown
+
+_COMPARE: dict[str, Callable[[Any, Any], bool]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+}
+_WORDS = {"verdict": ("verdict", "==", True), "program": ("program.exit", "==", 0)}
+
+
+@dataclass(frozen=True)
+class SuccessRule:
+    """A column of a row, compared with a value.
+
+    Attributes
+    ----------
+    text : the rule as in the campaign file.
+    """
+
+    text: str
+    column: str
+    op: str
+    value: float | str | bool
+
+    def kept_by(self, row: Mapping[str, Any]) -> bool:
+        """Return whether a row keeps the rule; a row without a value there does not."""
+        value = row.get(self.column)
+        if value is None or isinstance(value, str) != isinstance(self.value, str):
+            return False
+        return _COMPARE[self.op](value, self.value)
+
+
+def parse_rule(text: object) -> SuccessRule:
+    """Return a rule from its text in a campaign file; raises ValueError."""
+    if not isinstance(text, str):
+        raise ValueError(f'expected text such as "result.error < 0.05", got {text!r}')
+    if text in _WORDS:
+        return SuccessRule(text, *_WORDS[text])
+    parts = text.split(maxsplit=2)
+    if len(parts) != 3 or parts[1] not in _COMPARE:
+        raise ValueError(
+            f'expected "verdict", "program" or "COLUMN OP VALUE" with one of {" ".join(_COMPARE)}, got {text!r}'
+        )
+    column, op, value = parts
+    rule = SuccessRule(text, column, op, _value(value))
+    if op in ("<", "<=", ">", ">=") and (isinstance(rule.value, str | bool) or math.isnan(rule.value)):
+        raise ValueError(f"{op} needs a number, got {value!r}")
+    return rule
+
+
+def _value(text: str) -> float | str | bool:
+    if text in ("true", "false"):
+        return text == "true"
+    try:
+        return float(text)
+    except ValueError:
+        return text.strip("\"'")
+
+
+def succeeds(rules: Sequence[SuccessRule], row: Mapping[str, Any]) -> bool:
+    """Return whether a run ended normally and kept every rule; without rules, whether its verdict is good."""
+    rules = rules or (parse_rule("verdict"),)
+    return row["outcome"] == "ok" and all(rule.kept_by(row) for rule in rules)
+
+
+def margin(rules: Sequence[SuccessRule], row: Mapping[str, Any]) -> float | None:
+    """Return the distance of a row to its nearest limit, as a share of that rule's value; below 0 the rule is broken.
+
+    None without a rule that compares numbers by size.
+    """
+    margins = [_margin(rule, row) for rule in rules]
+    measured = [value for value in margins if value is not None]
+    return min(measured) if measured else None
+
+
+def _margin(rule: SuccessRule, row: Mapping[str, Any]) -> float | None:
+    value, limit = row.get(rule.column), rule.value
+    if rule.op in ("==", "!=") or isinstance(value, str | bool) or value is None or isinstance(limit, str):
+        return None
+    distance = float(value) - limit if rule.op.startswith(">") else limit - float(value)
+    return distance / (abs(limit) or 1.0)
+
+
+@dataclass(frozen=True)
+class Proportion:
+    """Successes among runs, with the Wilson interval of their probability."""
+
+    successes: int
+    runs: int
+    low: float
+    high: float
+
+    @property
+    def share(self) -> float:
+        """Successes divided by runs; 0 without a run."""
+        return self.successes / self.runs if self.runs else 0.0
+
+    def __str__(self) -> str:
+        return f"{self.successes} of {self.runs} ({self.share:.1%}; 95 % interval {self.low:.1%} to {self.high:.1%})"
+
+
+def proportion(successes: int, runs: int, confidence: float = 0.95) -> Proportion:
+    """Return the share of successes with its Wilson interval."""
+    if not runs:
+        return Proportion(0, 0, 0.0, 1.0)
+    interval = binomtest(successes, runs).proportion_ci(confidence, method="wilson")
+    return Proportion(successes, runs, float(interval.low), float(interval.high))
 
 
 @dataclass(frozen=True)
@@ -159,9 +275,9 @@ def path_of(key: str) -> KeyPath:
     """Return a dotted key as a path; raises ValueError."""
     path: KeyPath = ()
     for part in key.split("."):
-        if not (found := _PART.fullmatch(part)):
+        if not (match := _PART.fullmatch(part)):
             raise ValueError(f'key must be like "camera.sensor.threshold_on" or "faults[0].rate", got {key!r}')
-        path = (*path, found[1], *(int(n) for n in re.findall(r"\d+", found[2])))
+        path = (*path, match[1], *(int(n) for n in re.findall(r"\d+", match[2])))
     return path
 
 
@@ -174,16 +290,16 @@ def with_value(table: Any, path: KeyPath, value: Any, at: KeyPath = ()) -> Any:
     """Return tables with one value set, and missing tables on its path made; the argument is not changed."""
     if not path:
         return value
-    head, rest = path[0], path[1:]
+    head, remaining = path[0], path[1:]
     if isinstance(head, int):
         if not isinstance(table, list) or head >= len(table):
             count = len(table) if isinstance(table, list) else 0
             raise TableError(f"{text_of((*at, head))} is not in the rig, which has {count} of them", (*at, head))
-        return [*table[:head], with_value(table[head], rest, value, (*at, head)), *table[head + 1 :]]
+        return [*table[:head], with_value(table[head], remaining, value, (*at, head)), *table[head + 1 :]]
     table = {} if table is None else table
     if not isinstance(table, dict):
         raise TableError(f"{text_of(at)} is no table", at)
-    return {**table, head: with_value(table.get(head), rest, value, (*at, head))}
+    return {**table, head: with_value(table.get(head), remaining, value, (*at, head))}
 
 
 def laid_over(table: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
@@ -272,22 +388,22 @@ def located(source: Source, error: TableError) -> CampaignError:
 
 
 def _settings(table: dict[str, Any]) -> Settings:
-    known = list(field_types(Settings))
+    keys = list(field_types(Settings))
     for key in table:
-        if key not in known:
-            raise TableError(unknown(key, known), (key,))
-    made: dict[str, Any] = {
+        if key not in keys:
+            raise TableError(unknown(key, keys), (key,))
+    values: dict[str, Any] = {
         "parameters": _parameters(table.get("parameters", [])),
         "success": _rules(table.get("success", [])),
     }
     if "program" in table:
-        made["program"] = convert(table["program"], Program, ("program",))
-    settings = convert({key: value for key, value in table.items() if key not in made}, Settings)
-    return _with(settings, made)
+        values["program"] = convert(table["program"], Program, ("program",))
+    settings = convert({key: value for key, value in table.items() if key not in values}, Settings)
+    return _with(settings, values)
 
 
-def _with(settings: Settings, made: dict[str, Any]) -> Settings:
-    return Settings(**{**{name: getattr(settings, name) for name in field_types(Settings)}, **made})
+def _with(settings: Settings, values: dict[str, Any]) -> Settings:
+    return Settings(**{**{name: getattr(settings, name) for name in field_types(Settings)}, **values})
 
 
 def _parameters(tables: object) -> tuple[Law, ...]:
@@ -313,6 +429,6 @@ def _rules(rules: object) -> tuple[SuccessRule, ...]:
     if not isinstance(rules, list):
         raise TableError("expected a list of rules", ("success",))
     try:
-        return tuple(parse_rule(one) for one in rules)
+        return tuple(parse_rule(rule) for rule in rules)
     except ValueError as error:
         raise TableError(str(error), ("success",)) from error

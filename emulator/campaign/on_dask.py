@@ -105,11 +105,13 @@ _idle: dict[str, list[WarmWorker]] = {}
 _lock = threading.Lock()
 
 
-def _task(source: dict[str, str], folder: str, index: int, number: int, wanted: str) -> Row:
+def _task(source: dict[str, str], folder: str, index: int, number: int, client_version: str) -> Row:
     """Do a run, in a dask worker."""
-    here = version("evstim")
-    if here != wanted:
-        raise CampaignStopped(f"a worker has evstim {here}, the campaign is of {wanted}: install the same everywhere")
+    worker_version = version("evstim")
+    if worker_version != client_version:
+        raise CampaignStopped(
+            f"a worker has evstim {worker_version}, the campaign is of {client_version}: install the same everywhere"
+        )
     campaign = Campaign(Source(**source))
     with _lock:
         idle = _idle.setdefault(campaign.id, [])

@@ -45,10 +45,10 @@ from emulator.run.link_process import LinkFailed
 from emulator.run.machine import on_a_free_pose_port, on_free_ports, pose_port
 from emulator.run.outcome import RunResult, RunStatus
 from emulator.run.session import Session
-from emulator.tables.registry import PluginError
 from emulator.tables.toml_text import TextFileError, read_text
 from firmware_protocol.events import Events
 from transports.link.pacing import MonotonicClock
+from transports.registry import PluginError
 
 _MOST_BYTES = 1 << 20
 _MOST_COLUMNS = 200

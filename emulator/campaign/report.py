@@ -33,8 +33,8 @@ import numpy.typing as npt
 from scipy.stats import spearmanr
 
 from emulator.campaign.campaign import Campaign, Row
+from emulator.campaign.loading import SuccessRule, proportion
 from emulator.campaign.sampling import Law
-from emulator.campaign.success import SuccessRule, proportion
 from emulator.report.document import Document, Section
 from emulator.report.page import BLUE, INK, RED, ChartsLacking, image, panels, svg
 
@@ -47,29 +47,29 @@ _Slices = Sequence[npt.NDArray[np.intp]]
 
 def slices_of(x: _Floats) -> _Slices:
     """Return the indices of the runs of each slice of a parameter: of each value where there are few, else of ranks."""
-    values, which = np.unique(x, return_inverse=True)
+    values, group = np.unique(x, return_inverse=True)
     if len(values) <= _MOST_SLICES:
-        return [np.flatnonzero(which == k) for k in range(len(values))]
+        return [np.flatnonzero(group == k) for k in range(len(values))]
     count = min(_MOST_SLICES, max(2, len(x) // _FEWEST_IN_SLICE))
     return np.array_split(np.argsort(x, kind="stable"), count)
 
 
 def pawn(y: _Floats, slices: _Slices) -> float:
     """Return the index of a parameter with these slices for the values `y` (n,) of a column."""
-    whole = np.sort(y)
-    return _index(y, whole, _cumulative(whole, whole), slices)
+    ordered = np.sort(y)
+    return _index(y, ordered, _cumulative(ordered, ordered), slices)
 
 
 def pawn_of_chance(y: _Floats, slices: _Slices) -> float:
     """Return the 95 % quantile of the index of a parameter without influence, in samples like this one."""
-    draw, whole = np.random.default_rng(1), np.sort(y)
-    of_all = _cumulative(whole, whole)
-    found = [_index(draw.permutation(y), whole, of_all, slices) for _ in range(_DRAWS)]
-    return float(np.quantile(found, 0.95))
+    draw, ordered = np.random.default_rng(1), np.sort(y)
+    of_all = _cumulative(ordered, ordered)
+    indices = [_index(draw.permutation(y), ordered, of_all, slices) for _ in range(_DRAWS)]
+    return float(np.quantile(indices, 0.95))
 
 
-def _index(y: _Floats, whole: _Floats, of_all: _Floats, slices: _Slices) -> float:
-    distances = [np.abs(_cumulative(np.sort(y[one]), whole) - of_all).max() for one in slices]
+def _index(y: _Floats, ordered: _Floats, of_all: _Floats, slices: _Slices) -> float:
+    distances = [np.abs(_cumulative(np.sort(y[rows]), ordered) - of_all).max() for rows in slices]
     return float(np.median(distances))
 
 
@@ -104,32 +104,32 @@ def numbers(rows: Sequence[Row], column: str) -> _Floats:
 
 def parameter_numbers(rows: Sequence[Row], law: Law) -> _Floats:
     """Return a parameter as floats (n,): texts and tables as their place in the list of values."""
-    found = numbers(rows, law.key)
-    if not np.isnan(found).any():
-        return found
-    known: dict[Any, int] = {}
-    return np.array([float(known.setdefault(row.get(law.key), len(known))) for row in rows])
+    values = numbers(rows, law.key)
+    if not np.isnan(values).any():
+        return values
+    codes: dict[Any, int] = {}
+    return np.array([float(codes.setdefault(row.get(law.key), len(codes))) for row in rows])
 
 
 def sensitivity(rows: Sequence[Row], laws: Sequence[Law], column: str, base_points: int) -> Sensitivity:
     """Return the dependence of a column on the parameters; `base_points` is that of a Saltelli design, else 0."""
     y = numbers(rows, column)
-    there = ~np.isnan(y)
-    y_there = y[there]
+    has_value = ~np.isnan(y)
+    y_there = y[has_value]
     if len(y_there) < _FEWEST or np.ptp(y_there) == 0:
-        why = f"fewer than {_FEWEST} runs have a value" if len(y_there) < _FEWEST else "all runs have the same value"
-        return Sensitivity(column, f"no sensitivity: {why}", [])
-    if base_points and _salib() and there.all() and len(y) == base_points * (len(laws) + 2):
+        reason = f"fewer than {_FEWEST} runs have a value" if len(y_there) < _FEWEST else "all runs have the same value"
+        return Sensitivity(column, f"no sensitivity: {reason}", [])
+    if base_points and _salib() and has_value.all() and len(y) == base_points * (len(laws) + 2):
         return Sensitivity(column, _SOBOL.format(base_points), _sobol(y, laws))
-    x = np.stack([parameter_numbers(rows, law)[there] for law in laws], axis=1)
-    found = [
-        {"parameter": law.key, **_influence(one, y_there), **_rank(one, y_there)}
-        for law, one in zip(laws, x.T, strict=True)
+    x = np.stack([parameter_numbers(rows, law)[has_value] for law in laws], axis=1)
+    shares = [
+        {"parameter": law.key, **_influence(values, y_there), **_rank(values, y_there)}
+        for law, values in zip(laws, x.T, strict=True)
     ]
     method = f"PAWN index and rank correlation of {len(y_there)} runs as sampled"
     if base_points:
         method += "; no Sobol indices, because the design is not whole, or SALib is not installed"
-    return Sensitivity(column, method, found)
+    return Sensitivity(column, method, shares)
 
 
 _SOBOL = "Sobol indices (Saltelli's design, {} base points) with 95 % confidence: share of the variance"
@@ -148,14 +148,14 @@ def _sobol(y: _Floats, laws: Sequence[Law]) -> list[dict[str, Any]]:
     problem = {"num_vars": count, "names": [str(k) for k in range(count)], "bounds": [[0.0, 1.0]] * count}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = analyze(problem, y, calc_second_order=False, seed=1)
+        indices = analyze(problem, y, calc_second_order=False, seed=1)
     return [
         {
             "parameter": law.key,
-            "alone (S1)": float(found["S1"][k]),
-            "± S1": float(found["S1_conf"][k]),
-            "with all others (ST)": float(found["ST"][k]),
-            "± ST": float(found["ST_conf"][k]),
+            "alone (S1)": float(indices["S1"][k]),
+            "± S1": float(indices["S1_conf"][k]),
+            "with all others (ST)": float(indices["ST"][k]),
+            "± ST": float(indices["ST_conf"][k]),
         }
         for k, law in enumerate(laws)
     ]
@@ -209,13 +209,15 @@ def _binned(x: _Floats, success: _Floats) -> tuple[_Floats, _Floats, _Floats, _F
     """Return for bins of about equal counts: mean of x, share, and the ends of its interval."""
     values = np.unique(x)
     edges = np.quantile(x, np.linspace(0, 1, _BINS + 1))
-    which = np.searchsorted(values, x) if len(values) <= _BINS else np.clip(np.searchsorted(edges, x) - 1, 0, _BINS - 1)
-    found = []
-    for k in np.unique(which):
-        mine = which == k
-        known = proportion(int(success[mine].sum()), int(mine.sum()))
-        found.append((float(x[mine].mean()), known.share, known.low, known.high))
-    return tuple(np.array(column) for column in zip(*found, strict=True))  # type: ignore[return-value]
+    bin_of_row = (
+        np.searchsorted(values, x) if len(values) <= _BINS else np.clip(np.searchsorted(edges, x) - 1, 0, _BINS - 1)
+    )
+    bars = []
+    for k in np.unique(bin_of_row):
+        in_bin = bin_of_row == k
+        estimate = proportion(int(success[in_bin].sum()), int(in_bin.sum()))
+        bars.append((float(x[in_bin].mean()), estimate.share, estimate.low, estimate.high))
+    return tuple(np.array(column) for column in zip(*bars, strict=True))  # type: ignore[return-value]
 
 
 def scatter(rows: Sequence[Row], laws: Sequence[Law], column: str, labels: _Labels) -> str:
@@ -224,9 +226,9 @@ def scatter(rows: Sequence[Row], laws: Sequence[Law], column: str, labels: _Labe
     y, success = numbers(rows, column), numbers(rows, "success") > 0
     for axes, law in zip(charts, laws, strict=True):
         x = parameter_numbers(rows, law)
-        for which, colour, name in ((success, BLUE, "success"), (~success, RED, "no success")):
-            if which.any():
-                axes.plot(x[which], y[which], ".", markersize=5, alpha=0.6, color=colour, label=name)
+        for rows_shown, colour, name in ((success, BLUE, "success"), (~success, RED, "no success")):
+            if rows_shown.any():
+                axes.plot(x[rows_shown], y[rows_shown], ".", markersize=5, alpha=0.6, color=colour, label=name)
         _scale(axes, law, rows, labels)
     charts[0].set_ylabel(labels[column])
     if not success.all():
@@ -252,7 +254,7 @@ def _limits(rules: Sequence[SuccessRule], column: str, values: _Floats) -> list[
     """Return the limits of a column that are not far from its values."""
     span = float(np.ptp(values))
     numbers = [float(rule.value) for rule in rules if rule.column == column and not isinstance(rule.value, str)]
-    return [one for one in numbers if values.min() - _FAR * span <= one <= values.max() + _FAR * span]
+    return [number for number in numbers if values.min() - _FAR * span <= number <= values.max() + _FAR * span]
 
 
 def _scale(axes: Any, law: Law, rows: Sequence[Row], labels: _Labels) -> None:
@@ -271,8 +273,8 @@ def _scale(axes: Any, law: Law, rows: Sequence[Row], labels: _Labels) -> None:
 
 def _panels(count: int) -> tuple[Any, list[Any]]:
     across = math.ceil(count / math.ceil(count / _ACROSS))
-    figure, found = panels(count, across, (12 / across, _HEIGHT))
-    return figure, [axes for (axes,) in found]
+    figure, grid = panels(count, across, 12 / across, _HEIGHT)
+    return figure, [axes for (axes,) in grid]
 
 
 _MOST_COLUMNS = 6
@@ -282,7 +284,7 @@ _MOST_WORST = 10
 def write_report(campaign: Campaign, rows: Sequence[Row], folder: Path) -> Path:
     """Write report.html into a folder, which is made, and return its path; at least one row. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
-    page = Document(f"{campaign.name}: report of a campaign", campaign.settings.title, _verdict(campaign, rows))
+    page = Document(f"{campaign.name}: report of a campaign", campaign.settings.title, *_verdict(campaign, rows))
     labels = _Labels(campaign.settings.report.labels)
     for section in (_success, _distributions, _sensitivities, _worst):
         page.add(section(campaign, rows, labels))
@@ -295,8 +297,8 @@ def _verdict(campaign: Campaign, rows: Sequence[Row]) -> tuple[str, str]:
     least = campaign.settings.min_success
     if len(rows) < campaign.runs:
         return "unfinished", f"Success: {success}. {campaign.runs - len(rows)} of {campaign.runs} runs are missing."
-    wanted = f"At least {least:.1%} are required" if least else "No least share is required"
-    return "good" if success.share >= least else "bad", f"Success: {success}. {wanted} (min_success)."
+    requirement = f"At least {least:.1%} are required" if least else "No least share is required"
+    return "good" if success.share >= least else "bad", f"Success: {success}. {requirement} (min_success)."
 
 
 def _success(campaign: Campaign, rows: Sequence[Row], labels: _Labels) -> Section:
@@ -325,9 +327,11 @@ def _add_chart(section: Section, draw: Callable[[], str]) -> None:
 def _shown(campaign: Campaign, rows: Sequence[Row]) -> list[str]:
     """Return the columns of the report; those without a number are left out."""
     chosen = list(campaign.settings.report.columns)
-    given = [name for name in dict.fromkeys(name for row in rows for name in row) if name.startswith("result.")]
-    wanted = chosen or ["margin", "events.rate_hz", *given]
-    return [name for name in wanted if len(_finite(rows, name))][:_MOST_COLUMNS]
+    result_columns = [
+        name for name in dict.fromkeys(name for row in rows for name in row) if name.startswith("result.")
+    ]
+    columns = chosen or ["margin", "events.rate_hz", *result_columns]
+    return [name for name in columns if len(_finite(rows, name))][:_MOST_COLUMNS]
 
 
 def _finite(rows: Sequence[Row], column: str) -> _Floats:
@@ -351,8 +355,8 @@ def _distributions(campaign: Campaign, rows: Sequence[Row], labels: _Labels) -> 
 
 def quantiles(rows: Sequence[Row], column: str) -> Row:
     """Return quantiles of the numbers of a column."""
-    found = np.quantile(_finite(rows, column), [0.0, 0.1, 0.5, 0.9, 1.0]).tolist()
-    return dict(zip(("least", "10 %", "median", "90 %", "most"), found, strict=True))
+    values = np.quantile(_finite(rows, column), [0.0, 0.1, 0.5, 0.9, 1.0]).tolist()
+    return dict(zip(("least", "10 %", "median", "90 %", "most"), values, strict=True))
 
 
 def _sensitivities(campaign: Campaign, rows: Sequence[Row], labels: _Labels) -> Section:
@@ -360,9 +364,9 @@ def _sensitivities(campaign: Campaign, rows: Sequence[Row], labels: _Labels) -> 
     settings = campaign.settings
     designed = settings.sampling == "saltelli" and settings.repeats == 1
     for column in ["success", *_shown(campaign, rows)] if settings.parameters else ():
-        found = sensitivity(rows, settings.parameters, column, settings.count if designed else 0)
-        section.heading(labels[column]).text(found.method)
-        named = [row | {"parameter": labels[row["parameter"]]} for row in found.rows]
+        effects = sensitivity(rows, settings.parameters, column, settings.count if designed else 0)
+        section.heading(labels[column]).text(effects.method)
+        named = [row | {"parameter": labels[row["parameter"]]} for row in effects.rows]
         section.records(named, f"Influence of each parameter on {labels[column]}")
     return section if settings.parameters else section.text("No parameter varies: runs differ by their seed.")
 
@@ -374,8 +378,14 @@ def worst_runs(campaign: Campaign, rows: Sequence[Row]) -> list[Row]:
 
     def badness(row: Row) -> tuple[bool, bool, bool, float, int]:
         value = row.get(shown.worst)
-        known = isinstance(value, int | float)
-        return (row["outcome"] == "ok", bool(row["success"]), not known, sign * float(value or 0.0), int(row["index"]))
+        is_number = isinstance(value, int | float)
+        return (
+            row["outcome"] == "ok",
+            bool(row["success"]),
+            not is_number,
+            sign * float(value or 0.0),
+            int(row["index"]),
+        )
 
     return sorted(rows, key=badness)[:_MOST_WORST]
 

@@ -52,8 +52,8 @@ def _sobol(count: int, dimensions: int, seed: int) -> _Points:
 
 def _saltelli(count: int, dimensions: int, seed: int) -> _Points:
     """Return for each base point: A, A with one column after the other of B, B (the order that SALib reads)."""
-    both = _sobol(count, 2 * dimensions, seed)
-    a, b = both[:, :dimensions], both[:, dimensions:]
+    points = _sobol(count, 2 * dimensions, seed)
+    a, b = points[:, :dimensions], points[:, dimensions:]
     rows = np.repeat(a[:, None, :], dimensions + 2, axis=1)
     for k in range(dimensions):
         rows[:, k + 1, k] = b[:, k]

@@ -62,11 +62,11 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
 
 
 def _write(path: Path, rows: Sequence[Row]) -> None:
-    whole = _file_of(rows)
+    content = _file_of(rows)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with part.open("wb") as file:
-            file.write(whole)
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
         part.replace(path)
@@ -111,12 +111,12 @@ def done_rows(folder: Path) -> set[int]:
     return {int(name.removesuffix(_SUFFIX)) for name in names if name.removesuffix(_SUFFIX).isdigit()}
 
 
-def read_rows(folder: Path, known: Mapping[int, Row] = MappingProxyType({})) -> list[Row]:
+def read_rows(folder: Path, rows_by_index: Mapping[int, Row] = MappingProxyType({})) -> list[Row]:
     """Return the rows of a folder in the order of their indices; those of `known` are not read again.
 
     Raises RowUnreadable.
     """
-    return [known.get(index) or read_row(folder, index) for index in sorted(done_rows(folder))]
+    return [rows_by_index.get(index) or read_row(folder, index) for index in sorted(done_rows(folder))]
 
 
 def read_row(folder: Path, index: int) -> Row:
@@ -191,8 +191,8 @@ def _read(file: Path) -> dict[str, Any]:
 
 def _difference_message(campaign: Campaign, folder: Path, before: dict[str, Any], now: dict[str, Any]) -> str:
     differences = [line for part in ("campaign", "rig") for line in _differences(before.get(part), now.get(part), part)]
-    more = [f"and {len(differences) - _MOST_LISTED} more"] if len(differences) > _MOST_LISTED else []
-    listed = "; ".join([*differences[:_MOST_LISTED], *more])
+    remainder = [f"and {len(differences) - _MOST_LISTED} more"] if len(differences) > _MOST_LISTED else []
+    listed = "; ".join([*differences[:_MOST_LISTED], *remainder])
     return (
         f"{folder} has the runs of another campaign: {listed}. Undo the change in {campaign.source.file}, "
         "or give another --folder"
@@ -204,8 +204,8 @@ def _differences(before: Any, now: Any, at: str) -> Iterator[str]:
         for key in sorted({*before, *now}):
             yield from _differences(before.get(key), now.get(key), f"{at}.{key}")
     elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
-        for i, (one, other) in enumerate(zip(before, now, strict=True)):
-            yield from _differences(one, other, f"{at}[{i}]")
+        for i, (old, other) in enumerate(zip(before, now, strict=True)):
+            yield from _differences(old, other, f"{at}[{i}]")
     elif before != now:
         yield f"{at} was {_short(before)}, is {_short(now)}"
 

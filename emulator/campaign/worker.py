@@ -74,12 +74,6 @@ class _Worker:
             self._session.stop()
 
 
-def _end_with_parent() -> None:
-    """Request SIGTERM from the kernel for the death of the parent process: the run must then not go on."""
-    with suppress(AttributeError, OSError):
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-
-
 def main() -> None:
     """Serve the socket whose number is the first argument."""
     descriptor = int(sys.argv[1])
@@ -88,7 +82,8 @@ def main() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     worker = _Worker(Connection(descriptor))
     signal.signal(signal.SIGTERM, worker.abandon)
-    _end_with_parent()
+    with suppress(AttributeError, OSError):  # SIGTERM also when the parent process dies: the run must then not go on
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):  # the other side has disconnected
         worker.serve()
 

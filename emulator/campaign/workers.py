@@ -97,15 +97,15 @@ class WarmWorker:
         return row
 
     def _start(self) -> Connection:
-        near, far = socket.socketpair()
-        with far:
+        parent_end, child_end = socket.socketpair()
+        with child_end:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "emulator.campaign.worker", str(far.fileno())],
-                pass_fds=[far.fileno()],
+                [sys.executable, "-P", "-m", "emulator.campaign.worker", str(child_end.fileno())],
+                pass_fds=[child_end.fileno()],
                 stdin=subprocess.DEVNULL,
                 env={**os.environ, "LP_NUM_THREADS": str(self._threads), "PYTHONPATH": os.pathsep.join(sys.path)},
             )
-        self._socket = Connection(near.detach())
+        self._socket = Connection(parent_end.detach())
         setup = {
             "source": asdict(self._campaign.source),
             "folder": str(self._folder),
@@ -241,7 +241,7 @@ class LocalWorkers(Workers):
         self._threads = ThreadPoolExecutor(len(workers))
 
     def stop(self) -> None:
-        """See `Workers.stop`; the runs in progress are abandoned."""
+        """Begin no further run, and abandon those in progress; for a signal handler."""
         super().stop()  # first: no row of an abandoned run is taken
         for worker in self._workers:
             worker.abandon()
@@ -289,16 +289,16 @@ class Part:
 
 def part_of(text: str) -> Part:
     """Return a part written as "3/10", the third of ten; raises ValueError."""
-    found = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
-    if not found or not 1 <= int(found[1]) <= int(found[2]):
+    match = re.fullmatch(r"(\d{1,9})/(\d{1,9})", text)
+    if not match or not 1 <= int(match[1]) <= int(match[2]):
         raise ValueError(f"expected I/N with I from 1 to N, such as 3/10, got {text!r}")
-    return Part(int(found[1]), int(found[2]))
+    return Part(int(match[1]), int(match[2]))
 
 
-def remaining(folder: Path, wanted: Iterable[int]) -> list[int]:
+def remaining(folder: Path, indices: Iterable[int]) -> list[int]:
     """Return those of the wanted runs that have no row yet."""
     done = done_rows(rows_folder(folder))
-    return [index for index in wanted if index not in done]
+    return [index for index in indices if index not in done]
 
 
 def run_campaign(

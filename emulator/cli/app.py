@@ -12,7 +12,6 @@ import logging
 import os
 import sys
 from importlib.metadata import version
-from importlib.util import resolve_name
 from typing import IO, cast
 
 from cyclopts import App, CycloptsError, Group
@@ -20,6 +19,7 @@ from cyclopts import App, CycloptsError, Group
 from emulator.cli.output import (
     BAD_VERDICT,
     GOOD,
+    LACKING,
     WRONG_USE,
     Failure,
     break_lines,
@@ -31,7 +31,9 @@ from emulator.cli.output import (
     status,
 )
 from emulator.cli.signals import ignore_stop_signals
+from emulator.cli.verbs import VERBS, Verb
 from transports.link.background_log import BackgroundWriter
+from transports.registry import PluginError
 
 app = App(
     name="evstim",
@@ -42,78 +44,6 @@ app = App(
     result_action="return_value",
     suppress_keyboard_interrupt=False,  # it would exit with 130, without a message
 )
-# Module by name, so that a command imports only its own modules: numba and GL would slow `evstim rigs` down.
-_COMMANDS = {
-    "Run and read": (
-        ("demo", ".demo:demo", "Run a rig, read its camera over USB/IP in a second process, and compare every event."),
-        ("run", ".run:run", "Run a rig: render its scene, simulate its sensor, serve its links."),
-        (
-            "listen",
-            ".listen.cameras:verbs",
-            "Read a camera, real or emulated: on USB (the default), a serial line or a CAN bus.",
-        ),
-        ("picture", ".picture:picture", "Write a picture or movie of a rig or a recording: its light and its events."),
-        ("doctor", ".doctor:doctor", "Show which parts this machine has and lacks, with the command that adds each."),
-    ),
-    "Rigs": (
-        ("rigs", ".rigs:rigs", "List the rigs that are installed with evstim."),
-        ("check", ".rigs:check", "Check a rig file without running it."),
-        ("plan", ".plan:plan", "Show the plan of a run: step, effects and expected load."),
-        ("schema", ".rigs:schema", "Print the JSON Schema of rig files, or of reports."),
-    ),
-    "While a rig runs": (
-        ("fault", ".fault:fault", "Inject a fault into a link of a running rig."),
-        ("trigger", ".fault:trigger", "Give the camera of a running rig an edge, or reset its clock."),
-        (
-            "dynamics",
-            ".dynamics:dynamics",
-            "Fly an FMU: its poses go to a running rig, its inputs come from a file or a CAN bus.",
-        ),
-        (
-            "vizard",
-            ".vizard:vizard",
-            "Run a rig in step with a Basilisk simulation, which sends poses and requests images.",
-        ),
-    ),
-    "Recordings": (
-        ("record", ".record:record", "Record the events of a rig to a file: AEDAT4, EVT3, HDF5, a ROS bag, ..."),
-        ("info", ".info:info", "Show the format and the content of a recording of events."),
-        ("convert", ".convert:convert", "Convert a recording of events to another format."),
-        ("recover", ".convert:recover", "Save the readable part of a recording that was cut."),
-    ),
-    "Measure": (
-        (
-            "campaign",
-            ".campaign:verbs",
-            "Run a rig many times over sampled parameters, and report on the table of all runs.",
-        ),
-        (
-            "accuracy",
-            "laboratory.verbs.accuracy:verbs",
-            "Measure accuracy against speed, where each method fails, and other simulators on the same scenes.",
-        ),
-        (
-            "characterise",
-            "laboratory.verbs.characterise:characterise",
-            "Measure a simulated sensor with the methods of a laboratory.",
-        ),
-        (
-            "validate",
-            "laboratory.verbs.validate:validate",
-            "Repeat public measurements of real cameras on the simulated sensors.",
-        ),
-        ("bench", "laboratory.verbs.bench:verbs", "Measure the speeds that the documentation quotes."),
-    ),
-    "Connect": (
-        (
-            "gadget",
-            ".gadget:verbs",
-            "Make or remove the USB gadget for a camera on a real cable, at a machine with a USB device port.",
-        ),
-        ("dbc", ".listen.can:dbc", "Write the DBC file of a rig's CAN link."),
-        ("export", ".export:export", "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark."),
-    ),
-}
 _TASKS = """\
 evstim emulates an event camera: it renders a scene, simulates the sensor, and sends its events over the camera's links.
 
@@ -126,18 +56,33 @@ evstim emulates an event camera: it renders a scene, simulates the sensor, and s
 All commands: evstim --help. Parts that this machine lacks: evstim doctor."""
 
 
-def _add_commands() -> None:
-    for sort_key, (title, commands) in enumerate(_COMMANDS.items()):
-        group = Group(title, sort_key=sort_key)
-        for verb, target, summary in commands:
-            app.command(resolve_name(target, "emulator.cli"), name=verb, help=summary, group=group)
+_GROUPS: dict[str, Group] = {}
 
 
-_add_commands()
-_OPTIONS = Group("Options", sort_key=len(_COMMANDS))
+def _add(verb: Verb) -> None:
+    group = _GROUPS.setdefault(verb.group, Group(verb.group, sort_key=len(_GROUPS)))
+    app.command(verb.command, name=verb.name, help=verb.help, group=group)
+
+
+for name in VERBS.built_in_names:
+    _add(VERBS[name])
+_OPTIONS = Group("Options", sort_key=1000)  # after all verbs
 app.register_install_completion_command(group=_OPTIONS)
 for flag in ("--help", "--version"):
     app[flag].group = (_OPTIONS,)
+
+
+def _add_verbs_of_packages(name: str) -> None:
+    """Add the verb of this name from an installed package, or those of all packages where none has it."""
+    try:
+        verbs = [VERBS[name]] if name in VERBS else VERBS.usable().values()
+        for verb in verbs:
+            if verb.name not in app:
+                _add(verb)
+        if name in VERBS:
+            VERBS.imported(name, VERBS[name].command)
+    except PluginError as error:
+        raise Failure(str(error), LACKING) from error
 
 
 def main() -> None:
@@ -184,6 +129,8 @@ def _exit_code(tokens: list[str], as_json: bool, boxed: bool) -> int:
     if as_json and "--version" in tokens:
         print_json({"name": "evstim", "version": version("evstim")})
         return GOOD
+    if tokens[0] not in VERBS.built_in_names:
+        _add_verbs_of_packages(tokens[0])
     code = int(app(tokens, console=help_console(app), exit_on_error=False, print_error=boxed) or GOOD)
     if sys.stdout is not None:
         sys.stdout.flush()

@@ -24,10 +24,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 from rich.progress import Progress as Bar
 
 from emulator.campaign.campaign import Campaign, Row
-from emulator.campaign.loading import CampaignError, load_source
+from emulator.campaign.loading import CampaignError, load_source, proportion
 from emulator.campaign.one_run import CampaignStopped, Place, run_row
 from emulator.campaign.report import write_report
-from emulator.campaign.success import proportion
 from emulator.campaign.table import (
     FolderError,
     RowUnreadable,
@@ -44,7 +43,7 @@ from emulator.campaign.table import (
 )
 from emulator.campaign.workers import LocalWorkers, WarmWorker, Workers, cores, part_of, remaining, run_campaign
 from emulator.cli.checks import check_recording, failures, prepared
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json, status
 from emulator.cli.signals import interrupt_on_stop_signals, stop_on_signals
 from emulator.run.kernels import parts_of
 
@@ -61,12 +60,12 @@ class Progress:
     rows : the rows that came since this command began, by the index of their run.
     """
 
-    def __init__(self, campaign: Campaign, wanted: int, done_before: int) -> None:
+    def __init__(self, campaign: Campaign, runs: int, done_before: int) -> None:
         self.interrupted = False
         self.trouble = ""
         self.rows: dict[int, Row] = {}
         self.run_s = 0.0
-        self._wanted = wanted
+        self._wanted = runs
         self._before = done_before
         self._name = campaign.name
         self._successes = 0
@@ -127,7 +126,7 @@ def finish(
     """Write table and report where the campaign is complete, print the summary and return the exit code."""
     rows = read_rows(rows_folder(folder), progress.rows)
     successes = sum(bool(row["success"]) for row in rows)
-    known = proportion(successes, len(rows))
+    success = proportion(successes, len(rows))
     outcomes = Counter(str(row["outcome"]) for row in rows)
     summary: dict[str, object] = {
         "campaign": campaign.name,
@@ -136,7 +135,7 @@ def finish(
         "done": len(rows),
         "came": progress.came,
         "outcomes": outcomes,
-        "success": asdict(known),
+        "success": asdict(success),
         "wall_s": progress.wall_s,
         "run_s": progress.run_s,
         "folder": str(folder),
@@ -144,7 +143,7 @@ def finish(
     complete = len(rows) == campaign.runs
     if rows and (complete or report is not None) and not in_part and not progress.trouble:
         summary["report"] = _write(campaign, rows, folder, report)
-    _print(summary, outcomes, str(known), progress)
+    _print(summary, outcomes, str(success), progress)
     if progress.trouble:
         resume = f"{len(rows)} of {campaign.runs} runs are done; the same command goes on with the others"
         raise Failure(f"{progress.trouble}. {resume}", LACKING)
@@ -152,7 +151,7 @@ def finish(
         print_json(summary)
     if progress.interrupted or progress.remaining:
         return BAD_VERDICT
-    return GOOD if not complete or known.share >= campaign.settings.min_success else BAD_VERDICT
+    return GOOD if not complete or success.share >= campaign.settings.min_success else BAD_VERDICT
 
 
 def _write(campaign: Campaign, rows: list[Row], folder: Path, report: Path | None) -> str:
@@ -196,7 +195,7 @@ def again(
     *,
     record: Path | None = None,
     folder: Path | None = None,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Do one run of a campaign once more, and compare it with its row.
 
@@ -212,8 +211,6 @@ def again(
         Write the delivered events to this file; its suffix determines the format.
     folder
         Of the campaign; default: beside FILE, its name without .toml.
-    json
-        Print one JSON object as the last line on stdout.
     """
     with failures(), campaign_failures():
         campaign = Campaign(load_source(file))
@@ -229,7 +226,10 @@ def again(
         interrupt_on_stop_signals()
         with tempfile.TemporaryDirectory(prefix="evstim-") as place:
             row = run_row(campaign, index, Place(Path(place), record=record), lambda _: None)
-    different = None if before is None else _different(before, row)
+    different = None
+    if before is not None:
+        names = [name for name in before if name.startswith("events.") or name.endswith(".digest")]
+        different = [name for name in [*names, "outcome"] if before[name] != row.get(name)]
     if json:
         print_json({"row": row, "different": different})
     else:
@@ -243,12 +243,6 @@ def _row_before(campaign: Campaign, folder: Path, index: int) -> Row | None:
         return None
     row = read_row(rows, index)
     return row if row["campaign"] == campaign.id else None
-
-
-def _different(before: Row, now: Row) -> list[str]:
-    """Return the columns of events that differ: counts and digests."""
-    names = [name for name in before if name.startswith("events.") or name.endswith(".digest")]
-    return [name for name in [*names, "outcome"] if before[name] != now.get(name)]
 
 
 def _print_row(row: Row, different: list[str] | None) -> None:
@@ -268,7 +262,7 @@ def report(
     *,
     folder: Path | None = None,
     to: Path | None = None,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Write the report of the runs that are done; also while the campaign goes on.
 
@@ -280,18 +274,18 @@ def report(
         Of the campaign; default: beside FILE, its name without .toml.
     to
         Folder for the report; default: the campaign's.
-    json
-        Print one JSON object as the last line on stdout.
     """
     with failures(), campaign_failures():
-        made = Campaign(load_source(file))
+        loaded = Campaign(load_source(file))
         check_tables()
-        here = folder or file.with_suffix("")
-        check_folder(made, here)
-        done = len(done_rows(rows_folder(here)))
+        campaign_folder = folder or file.with_suffix("")
+        check_folder(loaded, campaign_folder)
+        done = len(done_rows(rows_folder(campaign_folder)))
         if not done:
-            raise Failure(f"{here}: no run of {made.name} is done", WRONG_USE)
-        return finish(made, here, Progress(made, done, done), to or here, in_part=False, as_json=json)
+            raise Failure(f"{campaign_folder}: no run of {loaded.name} is done", WRONG_USE)
+        return finish(
+            loaded, campaign_folder, Progress(loaded, done, done), to or campaign_folder, in_part=False, as_json=json
+        )
 
 
 @dataclass(frozen=True)
@@ -343,7 +337,7 @@ def campaign(
     *,
     share: Annotated[Share, Parameter(name="*")] = _ALL,
     where: Annotated[Placement, Parameter(name="*")] = _HERE,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Run a campaign, or the rest of it. Ctrl-C ends it with its summary; the same command continues it.
 
@@ -351,77 +345,75 @@ def campaign(
     ----------
     file
         The campaign, see docs/campaigns.md.
-    json
-        Print one JSON object as the last line on stdout.
     """
     with failures(), campaign_failures():
-        made = Campaign(load_source(file))
+        loaded = Campaign(load_source(file))
         check_tables()
         folder = where.folder or file.with_suffix("")
-        wanted = _wanted(made, share)
+        indices = _wanted(loaded, share)
         in_part = share.only is not None or share.part is not None
-        todo = _begun(made, folder, wanted)
+        todo = _begun(loaded, folder, indices)
         with working_in(folder, alone=not in_part):
             todo = remaining(folder, todo)
-            made.check_all(todo)
-            progress = Progress(made, len(wanted), len(wanted) - len(todo))
-            _run(made, folder, todo, where, progress)
-        return finish(made, folder, progress, where.report, in_part=in_part, as_json=json)
+            loaded.check_all(todo)
+            progress = Progress(loaded, len(indices), len(indices) - len(todo))
+            _run(loaded, folder, todo, where, progress)
+        return finish(loaded, folder, progress, where.report, in_part=in_part, as_json=json)
 
 
-def _wanted(made: Campaign, share: Share) -> Sequence[int]:
+def _wanted(loaded: Campaign, share: Share) -> Sequence[int]:
     if share.only is not None and share.part is not None:
         raise Failure("--only and --part: give one of them", WRONG_USE)
     if share.only is not None:
-        made.values(share.only)  # raises CampaignError for a run that there is not
+        loaded.values(share.only)  # raises CampaignError for a run that there is not
         return [share.only]
     try:
-        return range(made.runs) if share.part is None else part_of(share.part).indices(made.runs)
+        return range(loaded.runs) if share.part is None else part_of(share.part).indices(loaded.runs)
     except ValueError as error:
         raise Failure(f"--part: {error}", WRONG_USE) from error
 
 
-def _begun(made: Campaign, folder: Path, wanted: Sequence[int]) -> list[int]:
+def _begun(loaded: Campaign, folder: Path, indices: Sequence[int]) -> list[int]:
     """Make or check the folder, and return the runs that remain to be done."""
     try:
-        remark = begin_folder(made, folder)
+        remark = begin_folder(loaded, folder)
     except OSError as error:
         raise Failure(f"--folder: {error.filename or folder}: {error.strerror or error}", WRONG_USE) from error
     if remark:
         status.print(f"note: {remark}", markup=False)
-    return remaining(folder, wanted)
+    return remaining(folder, indices)
 
 
-def _run(made: Campaign, folder: Path, todo: list[int], where: Placement, progress: Progress) -> None:
+def _run(loaded: Campaign, folder: Path, todo: list[int], where: Placement, progress: Progress) -> None:
     if not todo:
         return
     if where.scheduler is None:
-        prepared(parts_of(made.rig(todo[0])))
-    workers = _workers(made, folder.absolute(), len(todo), where)
+        prepared(parts_of(loaded.rig(todo[0])))
+    workers = _workers(loaded, folder.absolute(), len(todo), where)
     gc.freeze()  # loaded modules stay: no collection need examine them again
     stop_on_signals(_Stopping(workers, progress).stop)
     with progress.shown():
         try:
-            run_campaign(made, folder, todo, workers, progress.add)
+            run_campaign(loaded, folder, todo, workers, progress.add)
         except CampaignStopped as error:
             progress.trouble = str(error)
     if not progress.interrupted:  # a report of many runs takes its time
         interrupt_on_stop_signals()
 
 
-def _workers(made: Campaign, folder: Path, most: int, where: Placement) -> Workers:
+def _workers(loaded: Campaign, folder: Path, runs: int, where: Placement) -> Workers:
     if where.scheduler is not None:
         if where.workers is not None:
             raise Failure("--workers and --scheduler: the scheduler's workers do the runs; give one of them", WRONG_USE)
         from emulator.campaign.on_dask import DaskWorkers
 
-        return DaskWorkers(made, folder, where.scheduler)
+        return DaskWorkers(loaded, folder, where.scheduler)
     count = cores() if where.workers is None else where.workers
     if not 1 <= count <= 1024:
         raise Failure(f"--workers must be 1 to 1024, got {count}", WRONG_USE)
-    count = min(count, most)
+    count = min(count, runs)
     threads = max(1, cores() // count)
-    return LocalWorkers([WarmWorker(made, folder, threads) for _ in range(count)])
+    return LocalWorkers([WarmWorker(loaded, folder, threads) for _ in range(count)])
 
 
 class _Stopping:

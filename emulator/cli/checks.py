@@ -18,9 +18,9 @@ from emulator.light import MachineLacks, SceneError
 from emulator.rig.loading import RigError
 from emulator.run.kernels import Part, Preparation, prepare, uncompiled
 from emulator.run.link_process import LinkFailed
-from emulator.tables.registry import PluginError
 from transports.recording.format import Format, format_to_write, reason
 from transports.recording.part import LibraryMissing, RecordingError
+from transports.registry import PluginError
 
 
 @contextmanager
@@ -90,6 +90,14 @@ def parsed_size(text: str | None) -> tuple[int, int] | None:
     return int(size[1]), int(size[2])
 
 
+def parsed_address(option: str, text: str, least_port: int = 1) -> tuple[str, int]:
+    """Return (host, port) of text such as "127.0.0.1:10015"; raises Failure."""
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal() or not least_port <= int(port) <= 65535:
+        raise Failure(f"{option}: {text!r} is not HOST:PORT, such as 127.0.0.1:10015", WRONG_USE)
+    return host.strip("[]"), int(port)
+
+
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
     """Turn errors of a recording that is read into Failure."""
@@ -130,15 +138,11 @@ def prepared(parts: Sequence[Part]) -> int:
             bar.update(task, completed=state.share)
             for name in [] if status.is_terminal else [n for n in state.ended if n not in printed]:
                 printed.add(name)
-                left = _time_left(bar.tasks[0].time_remaining)
+                left_s = bar.tasks[0].time_remaining  # None: not known yet
+                left = f", about {left_s:.0f} s left" if left_s else ""
                 status.print(f"compiled: {name} ({len(state.ended)} of {len(missing)}){left}", markup=False)
 
         failed = prepare(missing, show)
     if failed:
         status.print(f"not compiled ahead: {', '.join(failed)}; that happens during the run", markup=False)
     return len(missing)
-
-
-def _time_left(seconds: float | None) -> str:
-    """Return the end of a line of progress; None is not known yet."""
-    return f", about {seconds:.0f} s left" if seconds else ""

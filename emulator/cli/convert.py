@@ -9,12 +9,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from emulator.cli.checks import check_recording, parsed_size, reading, writing
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, console, print_json, status
 from transports.recording.aedat4 import RawEvents, recover_aedat4
 from transports.recording.format import Format
 from transports.recording.guarded import OpenRecording
@@ -32,7 +29,7 @@ def convert(
     *,
     to: str = "",
     size: str | None = None,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Convert a recording of events to another format, piece by piece: memory does not grow with the file.
 
@@ -46,8 +43,6 @@ def convert(
         Name of the format, where the suffix does not determine it: aedat31, evt2, ros1-dvs, ...
     size
         WIDTHxHEIGHT of the sensor, such as 346x260, for files that do not contain it.
-    json
-        Print one JSON object as the last line on stdout.
     """
     _check_apart(source, target)
     sensor = parsed_size(size)
@@ -67,7 +62,9 @@ class _Done:
 
 
 def _convert(source: OpenRecording | Reader, facts: Facts, target: Path, form: Format) -> _Done:
-    start_s, tally, trouble = time.monotonic(), Counter[str](), ""
+    start_s = time.monotonic()
+    tally = Counter[str]()
+    trouble = ""
     with writing(target):
         file = RecordingFile(target, form, facts, hold=bool(facts.streams & set(form.holds)))
     with _closed(file, target):
@@ -116,9 +113,9 @@ def _print(source: Path, target: Path, form: Format, done: _Done, json: bool) ->
         )  # fmt: skip
     else:
         console.print(f"{target}: {form.title}, {named(file.written) or 'nothing'}, {rate:.1f} Mev/s", markup=False)
-        for why, counts in ((f"as {form.title} cannot hold them", file.left_out), (_LATE, +file.late)):
+        for reason, counts in ((f"as {form.title} cannot hold them", file.left_out), (_LATE, +file.late)):
             if counts:
-                console.print(f"left out, {why}: {named(counts)}", markup=False)
+                console.print(f"left out, {reason}: {named(counts)}", markup=False)
         console.print(f"opens in: {form.readers}")
         if done.trouble:
             console.print(f"{source}: {done.trouble}; the part before it is in {target}", markup=False)
@@ -136,7 +133,7 @@ def recover(
     /,
     *,
     size: str | None = None,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Save the readable part of a recording that was cut or never finished.
 
@@ -149,8 +146,6 @@ def recover(
         The file to write: .aedat4 for AEDAT 4.0, any format for a .part file.
     size
         WIDTHxHEIGHT of the sensor, such as 346x260, for a .part file.
-    json
-        Print one JSON object as the last line on stdout.
     """
     _check_apart(source, target)
     if source.suffix == ".part":

@@ -15,18 +15,15 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
-from dataclasses import dataclass
 from json import dumps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from cyclopts import Parameter
 
 from emulator.cli.checks import failures, prepared
 from emulator.cli.driver_client import DRIVER, driver_works
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json, status
 from emulator.cli.run import summary
 from emulator.cli.run_summary import lateness_lines
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
@@ -52,8 +49,8 @@ def fly_landing(*, as_json: bool) -> int:
     code = subprocess.run(command, stdout=sys.stderr, check=False).returncode
     file = out / "verdict.json"
     if not file.exists():
-        own = code if code in (WRONG_USE, LACKING) else BAD_VERDICT
-        raise Failure(f"the landing did not begin: fly.py ended with {code}, see above", own)
+        exit_code = code if code in (WRONG_USE, LACKING) else BAD_VERDICT
+        raise Failure(f"the landing did not begin: fly.py ended with {code}, see above", exit_code)
     verdict = json.loads(file.read_text())
     if as_json:
         print_json({**verdict, "good": verdict["soft"], "folder": str(out)})
@@ -99,45 +96,23 @@ _DRIVER = (
     "from emulator.cli.driver_client import main; sys.exit(main(*sys.argv[1:]))"
 )
 
-_Command = Callable[[str, Path, float], list[str]]
+
+def start_reader(kind: str, address: str, record: Path, seconds: float) -> subprocess.Popen[bytes]:
+    """Start the reader of a camera on a link of this kind: for GigE Vision a third-party driver, if it works."""
+    if kind == "gige" and driver_works():
+        description, code = f"{DRIVER}, unmodified,", _DRIVER
+        arguments = [address.rpartition(":")[0], str(record), str(seconds)]
+    else:
+        advice = "" if kind == "usbip" else f" (pip install {DRIVER} for a third-party driver)"
+        description, code = f"evstim's own receiver{advice}", _START
+        camera = ["--usbip", address] if kind == "usbip" else ["gige", address]
+        arguments = ["listen", *camera, "--seconds", str(seconds), "--record", str(record)]
+    status.print(f"the camera is at {address}; {description} attaches to it in a second process")
+    command = [sys.executable, "-P", "-c", code, dumps(sys.path), *arguments]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL)
 
 
-@dataclass(frozen=True)
-class DemoReader:
-    """A reader: its description, and its arguments for a camera's address, a record and a time in seconds."""
-
-    description: str
-    arguments: _Command
-    code: str = _START
-
-    def start(self, address: str, record: Path, seconds: float) -> subprocess.Popen[bytes]:
-        """Start it."""
-        command = [sys.executable, "-P", "-c", self.code, dumps(sys.path), *self.arguments(address, record, seconds)]
-        return subprocess.Popen(command, stdout=subprocess.DEVNULL)
-
-
-def _usbip(address: str, record: Path, seconds: float) -> list[str]:
-    return ["listen", "--usbip", address, "--seconds", str(seconds), "--record", str(record)]
-
-
-def _gige(address: str, record: Path, seconds: float) -> list[str]:
-    return ["listen", "gige", address, "--seconds", str(seconds), "--record", str(record)]
-
-
-def _driver(address: str, record: Path, seconds: float) -> list[str]:
-    return [address.rpartition(":")[0], str(record), str(seconds)]
-
-
-def reader_of(kind: str) -> DemoReader:
-    """Return the reader of a camera on a link of this kind: for GigE Vision a third-party driver, if it works."""
-    if kind == "usbip":
-        return DemoReader("evstim's own receiver", _usbip)
-    if driver_works():
-        return DemoReader(f"{DRIVER}, unmodified,", _driver, _DRIVER)
-    return DemoReader(f"evstim's own receiver (pip install {DRIVER} for a third-party driver)", _gige)
-
-
-def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Annotated[bool, Parameter(negative="")] = False) -> int:
+def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Json = False) -> int:
     """Run a rig, read its camera in a second process, as a driver does, and compare every event.
 
     The camera is on USB/IP or on GigE Vision; the latter is read by neuromorphic_drivers where that is installed.
@@ -149,8 +124,6 @@ def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Annotated[bool, Pa
         500 m, guided by events, is flown instead.
     seconds
         Time for which the second process reads.
-    json
-        Print one JSON object as the last line on stdout.
     """
     if rig == "landing":
         with failures():
@@ -162,7 +135,7 @@ def demo(rig: str = "eros", /, *, seconds: float = 5.0, json: Annotated[bool, Pa
         status.print(f"{loaded.name}: {loaded.title}")
         result = _run(loaded, sent, received, seconds)
         ignore_stop_signals()
-        verdict = _compare(sent, received, whole=isinstance(loaded.links[0], UsbipLink))
+        verdict = _compare(sent, received, to_the_end=isinstance(loaded.links[0], UsbipLink))
     good = verdict["equal"] is True and result.good
     if json:
         print_json({**summary(loaded, result), "comparison": verdict, "good": good})
@@ -199,9 +172,7 @@ def _run(rig: Rig, sent: Path, received: Path, seconds: float) -> RunResult:
             nonlocal receiver
             address = now.links[link.name].address
             if receiver is None and address is not None:
-                reader = reader_of(link.kind)
-                status.print(f"the camera is at {address}; {reader.description} attaches to it in a second process")
-                receiver = reader.start(address, received, seconds)
+                receiver = start_reader(link.kind, address, received, seconds)
             elif receiver is not None and receiver.poll() is not None:
                 session.stop()
 
@@ -215,7 +186,7 @@ def _run(rig: Rig, sent: Path, received: Path, seconds: float) -> RunResult:
                 receiver.wait(10)
 
 
-def _compare(sent: Path, received: Path, *, whole: bool) -> dict[str, object]:
+def _compare(sent: Path, received: Path, *, to_the_end: bool) -> dict[str, object]:
     """Compare, event by event, the delivered events since the last clock reset with the received ones.
 
     Over UDP, which has no end of stream, a reader that stops first has received the beginning of the stream.
@@ -225,7 +196,7 @@ def _compare(sent: Path, received: Path, *, whole: bool) -> dict[str, object]:
     if not received.exists():
         return {"sent": len(delivered), "received": 0, "equal": False, "why": "the second process wrote no record"}
     arrived, _ = load_record(received)
-    expected = delivered if whole else delivered[: len(arrived)]
+    expected = delivered if to_the_end else delivered[: len(arrived)]
     equal = len(arrived) > 0 and np.array_equal(expected, arrived)
     return {"sent": len(delivered), "received": len(arrived), "equal": equal}
 

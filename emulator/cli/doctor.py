@@ -10,11 +10,11 @@ from cyclopts import Parameter
 from rich.text import Text
 
 from emulator.cli.checks import check_recording, failures, prepared
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, console, print_json, status
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, Flag, Json, console, print_json, status
 from emulator.cli.rigs import Needed, examined_needs
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from emulator.run.assembly import build_scene
-from emulator.run.keeping_up import RealTimeSpeed, keeping_up
+from emulator.run.expected_speed import RealTimeSpeed, keeping_up
 from emulator.run.kernels import CODER, DECODER, EVT, parts_of, uncompiled
 from emulator.run.machine import examine
 from transports.needs import Finding
@@ -24,9 +24,9 @@ def doctor(
     rig: str | None = None,
     /,
     *,
-    prepare: Annotated[bool, Parameter(negative="")] = False,
+    prepare: Flag = False,
     every: Annotated[bool, Parameter(name="--all", negative="")] = False,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Show which parts this machine has and lacks, with the command that adds each missing part.
 
@@ -39,8 +39,6 @@ def doctor(
         has to.
     every
         Show each part that this machine has on a line of its own, with its version and its use.
-    json
-        Print one JSON object as the last line on stdout.
     """
     with failures():
         if prepare:
@@ -58,15 +56,15 @@ def doctor(
 def _of_rig(rig: Rig, *, as_json: bool) -> int:
     """Show the needs of a rig, compile its kernels and measure its speed; the latter two where nothing is missing."""
     needed = examined_needs(rig)
-    lacks = any(one.stops_the_run for one in needed)
+    lacks = any(need.stops_the_run for need in needed)
     if not as_json:
-        for one in needed:
-            console.print(f"{rig.name}: {one.line}", markup=False)
+        for need in needed:
+            console.print(f"{rig.name}: {need.line}", markup=False)
     if not lacks:
         prepared(parts_of(rig))
     speed = None if lacks else keeping_up(rig)
     if as_json:
-        print_json({"findings": [one.found for one in needed], **_as_json(rig, needed, speed)})
+        print_json({"findings": [need.finding for need in needed], **_as_json(rig, needed, speed)})
     else:
         console.print(_sentence(rig, speed), markup=False)
         if speed is not None and speed.expected is not None:
@@ -87,7 +85,7 @@ def _prepare(names: Sequence[str]) -> None:
 def _as_json(rig: Rig, needed: Sequence[Needed], speed: RealTimeSpeed | None) -> dict[str, object]:
     return {
         "rig": rig.name,
-        "needs": [one.as_json() for one in needed],
+        "needs": [need.as_json() for need in needed],
         "real_time": None if speed is None else speed.good,
         "times_real_time": None if speed is None else speed.times_real_time,
         "planned_load": None if speed is None else speed.planned_load,
@@ -110,8 +108,8 @@ def _sentence(rig: Rig, speed: RealTimeSpeed | None) -> str:
 
 def _print(findings: Sequence[Finding], *, every: bool) -> None:
     """Print what is there and whether README's next step works, then each missing part, or `every` part, on a line."""
-    there = ", ".join(finding.name for finding in findings if finding.good)
-    console.print(f"there: {there} (`evstim doctor --all` has their versions)", markup=False, highlight=False)
+    present = ", ".join(finding.name for finding in findings if finding.good)
+    console.print(f"there: {present} (`evstim doctor --all` has their versions)", markup=False, highlight=False)
     console.print(_next_step(), markup=False, highlight=False)
     missing = [finding for finding in findings if not finding.good]
     console.print("missing, each for its own use alone:" if missing else "nothing is missing")

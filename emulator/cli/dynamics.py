@@ -7,12 +7,9 @@ import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import Parameter
-
-from emulator.cli.checks import failures
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json
+from emulator.cli.checks import failures, parsed_address
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Flag, Json, console, print_json
 from emulator.cli.signals import ignore_stop_signals, stop_on_signals
 from emulator.dynamics.flight import (
     DynamicsError,
@@ -44,8 +41,8 @@ def dynamics(
     map: Path,
     seconds: float,
     to: str = "127.0.0.1:10364",
-    stamped: Annotated[bool, Parameter(negative="")] = False,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    stamped: Flag = False,
+    json: Json = False,
 ) -> int:
     """Fly an FMU in real time, and send its poses to a rig with a path of kind "live". See docs/loops.md.
 
@@ -61,13 +58,11 @@ def dynamics(
         HOST:PORT at which the rig receives poses.
     stamped
         Give poses the FMU's time as stream time. Default: each holds from its arrival.
-    json
-        Print one JSON object as the last line on stdout.
     """
     with failures(), _dynamics_failures():
         if not 0 < seconds < 1e7:
             raise Failure(f"--seconds is {seconds:g}: give more than 0 and less than 1e7", WRONG_USE)
-        flown, complete = _flown(fmu, map, Pace(seconds, stamped, lambda _: True), _address(to))
+        flown, complete = _flown(fmu, map, Pace(seconds, stamped, lambda _: True), to)
     ignore_stop_signals()
     result = {"steps": flown.steps, "seconds": flown.t_s, "position_m": flown.last.position_m}
     result["q_world_from_body"] = flown.last.q_world_from_body
@@ -80,22 +75,16 @@ def dynamics(
     return GOOD if complete else BAD_VERDICT
 
 
-def _flown(file: Path, map_file: Path, pace: Pace, to: tuple[str, int]) -> tuple[FlightResult, bool]:
+def _flown(file: Path, map_file: Path, pace: Pace, to: str) -> tuple[FlightResult, bool]:
+    address = parsed_address("--to", to)
     mapping, ending = load_mapping(map_file), _Stop()
     with opened_inputs(mapping, map_file.parent) as inputs, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
-        names = tuple(name for one in inputs for name in one.names)
+        names = tuple(name for source in inputs for name in source.names)
         with Fmu(file, mapping, names) as unit:
             stop_on_signals(ending.stop)
             pace = dataclasses.replace(pace, waiting=wall_clock(lambda: ending.requested))
-            flown = fly(unit, mapping, inputs, pace, lambda data: out.sendto(data, to))
+            flown = fly(unit, mapping, inputs, pace, lambda data: out.sendto(data, address))
     return flown, not ending.requested
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 1 << 16:
-        raise Failure(f"--to is {text!r}: give HOST:PORT, such as 127.0.0.1:10364", WRONG_USE)
-    return host, int(port)
 
 
 @contextmanager

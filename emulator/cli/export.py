@@ -6,12 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Literal
-
-from cyclopts import Parameter
+from typing import Literal
 
 from emulator.cli.checks import failures
-from emulator.cli.output import GOOD, WRONG_USE, Failure, console, print_json
+from emulator.cli.output import GOOD, WRONG_USE, Failure, Json, console, print_json
 from emulator.rig.loading import load_rig
 from firmware_protocol.can_frames.dbc import CanMessage, can_messages
 from firmware_protocol.ground.cosmos import CosmosPorts, cosmos_files
@@ -34,15 +32,18 @@ class _Wanted:
 
 
 _MAKERS: Mapping[str, Callable[[_Wanted], Mapping[str, str]]] = {
-    "xtce": lambda one: {"evstim.xml": xtce_text(one.packets)},
-    "cosmos": lambda one: {
-        f"openc3-cosmos-evstim/{name}": text for name, text in cosmos_files(one.packets, _cosmos_ports(one.udp)).items()
+    "xtce": lambda content: {"evstim.xml": xtce_text(content.packets)},
+    "cosmos": lambda content: {
+        f"openc3-cosmos-evstim/{name}": text
+        for name, text in cosmos_files(
+            content.packets, CosmosPorts(content.udp.command_host, content.udp.command_port, content.udp.port)
+        ).items()
     },
-    "fprime": lambda one: {
-        "EvstimTopologyDictionary.json": fprime_text(one.packets, version=version("evstim")),
+    "fprime": lambda content: {
+        "EvstimTopologyDictionary.json": fprime_text(content.packets, version=version("evstim")),
     },
-    "wireshark": lambda one: {
-        "evstim.lua": wireshark_text(one.packets, (one.udp.port, one.udp.command_port), one.frames),
+    "wireshark": lambda content: {
+        "evstim.lua": wireshark_text(content.packets, (content.udp.port, content.udp.command_port), content.frames),
     },
 }
 
@@ -53,7 +54,7 @@ def export(
     /,
     *,
     out: Path = Path(),
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Write the definitions of the camera's packets for a ground system: see docs/packets.md.
 
@@ -67,8 +68,6 @@ def export(
         default values of a link.
     out
         Folder for the files. Default: the current one.
-    json
-        Print one JSON object as the last line on stdout.
     """
     files = _MAKERS[kind](_wanted(rig))
     paths = [out / name for name in files]
@@ -87,18 +86,14 @@ def _wanted(rig: str | None) -> _Wanted:
     if rig is not None:
         with failures():
             links = tuple(load_rig(rig).links)
-    udp = next((one for one in links if isinstance(one, UdpPacketsLink)), UdpPacketsLink())
-    can = next((one for one in links if isinstance(one, CanLink)), None)
+    udp = next((link for link in links if isinstance(link, UdpPacketsLink)), UdpPacketsLink())
+    can = next((link for link in links if isinstance(link, CanLink)), None)
     return _Wanted(instrument_packets(), udp, () if can is None else _frames(can))
 
 
 def _frames(can: CanLink) -> tuple[tuple[int, CanMessage], ...]:
     ids = can.identifiers.by_name
-    return tuple((ids[one.name], one) for one in can_messages(fd=can.fd, transport=can.carriage))
-
-
-def _cosmos_ports(udp: UdpPacketsLink) -> CosmosPorts:
-    return CosmosPorts(udp.command_host, udp.command_port, udp.port)
+    return tuple((ids[message.name], message) for message in can_messages(fd=can.fd, transport=can.carriage))
 
 
 def _write(path: Path, text: str) -> None:

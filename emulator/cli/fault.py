@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json
 from emulator.cli.run_summary import fault_line
 from emulator.run.control import NoAnswer, send_request, sockets
 from transports.faults.script import FaultRecord
@@ -30,7 +30,7 @@ def fault(
     link: str | None = None,
     for_s: float | None = None,
     keys: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Inject a fault into a link of a running rig and show its effect. Without a kind: list the possible faults.
 
@@ -47,8 +47,6 @@ def fault(
         Duration in stream time, seconds.
     keys
         Further keys of the fault, as in a rig: --set rate=1e-4 --set count=0.
-    json
-        Print one JSON object as the last line on stdout.
     """
     path, faults = find_run(run)
     if kind is None:
@@ -80,13 +78,13 @@ def find_run(run: str | None) -> tuple[Path, dict[str, Any]]:
     """Return the control socket of the chosen run, and its answer about faults."""
     if run is not None and Path(run).is_socket():
         return Path(run), answer_of(Path(run), {"request": "faults"})
-    found = []
+    runs = []
     for path in sockets():
         try:
-            found.append((path, send_request(path, {"request": "faults"})))
+            runs.append((path, send_request(path, {"request": "faults"})))
         except NoAnswer:
             continue  # its run has died
-    meant = [(path, faults) for path, faults in found if run in (None, faults["rig"], str(faults["pid"]))]
+    meant = [(path, faults) for path, faults in runs if run in (None, faults["rig"], str(faults["pid"]))]
     if not meant:
         name = "no rig" if run is None else f"no rig {run!r}"
         raise Failure(f"{name} is running; start one: evstim run serial-demo", LACKING)
@@ -145,7 +143,7 @@ def _follow(path: Path, injected: dict[str, Any], kind: str, for_s: float) -> Fa
     while record is None or (record.ended_us is None and time.monotonic() < until_s):
         time.sleep(_POLL_PERIOD_S)
         records = answer_of(path, {"request": "faults"})["links"][injected["link"]]["injected"][injected["after"] :]
-        record = next((FaultRecord(**each) for each in records if each["kind"] == kind), None)
+        record = next((FaultRecord(**fields) for fields in records if fields["kind"] == kind), None)
         if record is None and time.monotonic() > until_s:
             raise Failure(f"link {injected['link']!r} did not begin the fault", LACKING)
     return record
@@ -157,7 +155,7 @@ def trigger(
     *,
     run: str | None = None,
     link: str | None = None,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Give the external input of the cameras of a running rig an edge, or reset their clocks.
 
@@ -170,8 +168,6 @@ def trigger(
         one that runs was started in another folder.
     link
         Name of the link of one camera; without it, all cameras.
-    json
-        Print one JSON object as the last line on stdout.
     """
     path, faults = find_run(run)
     message: dict[str, Any] = {"request": "trigger", "kind": kind}

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
 
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json
 from emulator.rig.kinds import CAMERA_MODELS, UsbSettings
 from emulator.rig.tables import Camera
 from firmware_protocol.usb.descriptors import DescriptorSet
@@ -43,7 +43,7 @@ def up(
     udc: str = "",
     user: str | None = None,
     plug: Annotated[UsbCameraOptions, Parameter(name="*")] = _DEFAULTS,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Make the gadget, so that `evstim run` need not be root; hosts find it when a rig with a link usb_gadget runs.
 
@@ -59,14 +59,16 @@ def up(
         User who may run the camera, beside root.
     plug
         The camera.
-    json
-        Print one JSON object as the last line on stdout.
     """
     descriptors = _descriptors(plug)
     gadget = _gadget(name)
     try:
+        user_id = None if user is None else pwd.getpwnam(user).pw_uid
+    except KeyError as error:
+        raise Failure(f"this machine has no user {user!r}", WRONG_USE) from error
+    try:
         controller = controller_of(udc, Places())
-        gadget.make(descriptors, None if user is None else _user_id(user))
+        gadget.make(descriptors, user_id)
     except GadgetError as error:
         raise Failure(str(error), LACKING) from error
     if json:
@@ -76,15 +78,13 @@ def up(
     return GOOD
 
 
-def down(*, name: str = "evstim", json: Annotated[bool, Parameter(negative="")] = False) -> int:
+def down(*, name: str = "evstim", json: Json = False) -> int:
     """Remove the gadget, and parts that a killed program left. Needs root.
 
     Parameters
     ----------
     name
         Name of the gadget.
-    json
-        Print one JSON object as the last line on stdout.
     """
     gadget = _gadget(name)
     was_there = gadget.exists
@@ -110,21 +110,16 @@ def _descriptors(plug: UsbCameraOptions) -> DescriptorSet:
     """Return the descriptors that USB hosts read."""
     model = CAMERA_MODELS.get(plug.model)
     if model is None or model.usb is None:
-        known = ", ".join(name for name, one in CAMERA_MODELS.usable().items() if one.usb is not None)
-        raise Failure(f"there is no USB camera {plug.model!r}; there are: {known}", WRONG_USE)
+        usb_models = ", ".join(
+            name for name, camera_model in CAMERA_MODELS.usable().items() if camera_model.usb is not None
+        )
+        raise Failure(f"there is no USB camera {plug.model!r}; there are: {usb_models}", WRONG_USE)
     try:
         camera = Camera(model=plug.model, serial=plug.serial, speed=plug.speed)
         device = model.usb.device(camera, UsbSettings(start_delay_ms=0.0))()
     except ValueError as error:
         raise Failure(str(error), WRONG_USE) from error
     return device.descriptors(device.identity.speed)
-
-
-def _user_id(user: str) -> int:
-    try:
-        return pwd.getpwnam(user).pw_uid
-    except KeyError as error:
-        raise Failure(f"this machine has no user {user!r}", WRONG_USE) from error
 
 
 verbs = App(name="gadget")

@@ -9,47 +9,47 @@ import datetime
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from cyclopts import Parameter
 
 from emulator.cli.checks import parsed_size, reading
-from emulator.cli.output import BAD_VERDICT, GOOD, console, print_json
+from emulator.cli.output import BAD_VERDICT, GOOD, Json, console, print_json
 from emulator.run.truth.file import truth_in
-from firmware_protocol.events import Events
 from transports.recording.guarded import OpenRecording
 from transports.recording.part import Facts, Part, RecordingError
 
 
-def show_truth(file: Path, found: Mapping[str, Any], *, json: bool) -> int:
+def show_truth(file: Path, content: Mapping[str, Any], *, json: bool) -> int:
     """Print the summary of a truth file, from `truth_in`; return the exit code."""
     if json:
-        print_json({"file": file, **found})
+        print_json({"file": file, **content})
     else:
-        for line in _truth_lines(found):
+        for line in _truth_lines(content):
             console.print(line, markup=False)
-    return GOOD if found["complete"] else BAD_VERDICT
+    return GOOD if content["complete"] else BAD_VERDICT
 
 
-def _truth_lines(found: Mapping[str, Any]) -> list[str]:
-    names = ", ".join(f"{k} {name}" for k, name in enumerate(found["names"]))
-    origins = ", ".join(f"{count} {name}" for name, count in found["origins"].items())
+def _truth_lines(content: Mapping[str, Any]) -> list[str]:
+    names = ", ".join(f"{k} {name}" for k, name in enumerate(content["names"]))
+    origins = ", ".join(f"{count} {name}" for name, count in content["origins"].items())
+    size = f"{content['width']} x {content['height']}"
+    layers = ", ".join(content["of_each_picture"])
     lines = [
-        f"format    {found['format']}, version {found['version']}: HDF5 (opens in h5py; see docs/recordings.md)",
-        f"of        {found['rig']}: {found['title']}; {found['camera']}, {found['width']} x {found['height']} pixels",
-        f"pictures  {found['pictures']} in {found['seconds']:.3f} s, each with {', '.join(found['of_each_picture'])}",
-        f"poses     {found['poses']}",
+        f"format    {content['format']}, version {content['version']}: HDF5 (opens in h5py; see docs/recordings.md)",
+        f"of        {content['rig']}: {content['title']}; {content['camera']}, {size} pixels",
+        f"pictures  {content['pictures']} in {content['seconds']:.3f} s, each with {layers}",
+        f"poses     {content['poses']}",
         f"labels    {names}",
-        f"events    {found['events']}{': ' + origins if origins else ''}",
-        f"clean     {found['clean_events']} events of the ideal sensor",
+        f"events    {content['events']}{': ' + origins if origins else ''}",
+        f"clean     {content['clean_events']} events of the ideal sensor",
     ]
-    lines += [f"absent    {found['absent']}"] if found["absent"] else []
-    if found["missing_pictures"] or found["missing_events"]:
-        lost = f"{found['missing_pictures']} pictures and {found['missing_events']} events"
+    lines += [f"absent    {content['absent']}"] if content["absent"] else []
+    if content["missing_pictures"] or content["missing_events"]:
+        lost = f"{content['missing_pictures']} pictures and {content['missing_events']} events"
         lines.append(f"NOTE      it lacks {lost}, which came faster than they could be written")
-    elif not found["complete"]:
+    elif not content["complete"]:
         lines.append("NOTE      it was not finished: the process that wrote it was killed, or the disk was full")
     return lines
 
@@ -120,10 +120,9 @@ class Survey:
         for name, records in (("events", part.events), ("edges", part.edges), ("imu", part.imu)):
             self.streams[name].add(records["t"].astype(np.int64))
         self.streams["frames"].add(np.array([frame.t_us for frame in part.frames], np.int64))
-        if len(part.events):
-            self._add_events(part.events)
-
-    def _add_events(self, events: Events) -> None:
+        events = part.events
+        if not len(events):
+            return
         self.on += int(np.count_nonzero(events["on"]))
         self.extent = (max(self.extent[0], int(events["x"].max()) + 1), max(self.extent[1], int(events["y"].max()) + 1))
         self._count_bins(events["t"].astype(np.int64) // _BIN_US)
@@ -142,7 +141,7 @@ def info(
     /,
     *,
     size: str | None = None,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Show the format, the camera and every stream of a recording or a truth file, and which programs open it.
 
@@ -152,8 +151,6 @@ def info(
         A recording in any format that can be read: see docs/recordings.md.
     size
         WIDTHxHEIGHT of the sensor, such as 346x260, for files that do not give it.
-    json
-        Print one JSON object as the last line on stdout.
     """
     if (truth := truth_in(file)) is not None:
         return show_truth(file, truth, json=json)
@@ -164,9 +161,9 @@ def info(
                 survey.add(part)
         except RecordingError as error:
             trouble = str(error)
-    found = _as_json(file, recording, survey, trouble)
+    summary = _as_json(file, recording, survey, trouble)
     if json:
-        print_json(found)
+        print_json(summary)
     else:
         for line in _recording_lines(recording, survey):
             console.print(line, markup=False)
@@ -178,12 +175,18 @@ def info(
 def _as_json(file: Path, recording: OpenRecording, survey: Survey, trouble: str) -> dict[str, object]:
     facts, events = recording.facts, survey.streams["events"]
     streams = {
-        name: {"count": one.count, "first_us": one.first_us, "last_us": one.last_us, "steps_back": one.steps_back}
-        for name, one in survey.streams.items()
+        name: {
+            "count": stream.count,
+            "first_us": stream.first_us,
+            "last_us": stream.last_us,
+            "steps_back": stream.steps_back,
+        }
+        for name, stream in survey.streams.items()
     }
+    counts = {name: stream.count for name, stream in survey.streams.items()}
     return {
         "file": file, "format": recording.format.name, "size": facts.size, "camera": facts.camera,
-        "unix_us": facts.unix_us or None, **{name: one.count for name, one in survey.streams.items()}, "on": survey.on,
+        "unix_us": facts.unix_us or None, **counts, "on": survey.on,
         "first_us": events.first_us, "last_us": events.last_us or 0, "seconds": events.seconds,
         "mean_hz": events.mean_hz, "busiest_hz": survey.busiest * 1e6 / _BIN_US, "steps_back": events.steps_back,
         "extent": survey.extent, "streams": streams, "trouble": trouble,
@@ -191,7 +194,8 @@ def _as_json(file: Path, recording: OpenRecording, survey: Survey, trouble: str)
 
 
 def _recording_lines(recording: OpenRecording, survey: Survey) -> list[str]:
-    form, facts, events = recording.format, recording.facts, survey.streams["events"]
+    form, facts = recording.format, recording.facts
+    events = survey.streams["events"]
     size = "unknown" if facts.size is None else f"{facts.size[0]} x {facts.size[1]}"
     share = f", {survey.on / events.count:.1%} ON" if events.count else ""
     busiest = f", {survey.busiest * 1e6 / _BIN_US:.0f} in the busiest 0.1 s" if events.count else ""
@@ -201,8 +205,13 @@ def _recording_lines(recording: OpenRecording, survey: Survey) -> list[str]:
         f"begins    {_date(facts)}",
     ]
     for name, title in _STREAMS.items():
-        more = (share, busiest) if name == "events" else ("", "")
-        content = _stream_text(survey.streams[name], more) if name in form.holds else "none: the format holds none"
+        stream = survey.streams[name]
+        if name not in form.holds:
+            content = "none: the format holds none"
+        elif name == "events":
+            content = _stream_text(stream, share, busiest)
+        else:
+            content = _stream_text(stream)
         lines.append(f"{title:<9} {content}")
     for name, title in _STREAMS.items():
         if back := survey.streams[name].steps_back:
@@ -210,16 +219,16 @@ def _recording_lines(recording: OpenRecording, survey: Survey) -> list[str]:
     return lines
 
 
-def _stream_text(stream: StreamSurvey, more: tuple[str, str]) -> str:
-    """Return count and times of a stream, with more on either."""
+def _stream_text(stream: StreamSurvey, share: str = "", busiest: str = "") -> str:
+    """Return count and times of a stream, with further text behind each."""
     if not stream.count:
         return "none"
     mean = "" if stream.mean_hz is None else f"; {stream.mean_hz:.4g} a second"
-    return f"{stream.count}{more[0]}, from {stream.first_us} to {stream.last_us} us{mean}{more[1]}"
+    return f"{stream.count}{share}, from {stream.first_us} to {stream.last_us} us{mean}{busiest}"
 
 
 def _date(facts: Facts) -> str:
     if not facts.unix_us:
         return "at no known date: times count from the camera's start"
-    when = datetime.datetime.fromtimestamp(facts.unix_us * 1e-6, datetime.UTC)
-    return f"{when:%Y-%m-%d %H:%M:%S} UTC (t = 0)"
+    begin = datetime.datetime.fromtimestamp(facts.unix_us * 1e-6, datetime.UTC)
+    return f"{begin:%Y-%m-%d %H:%M:%S} UTC (t = 0)"

@@ -21,8 +21,9 @@ import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
+from cyclopts import Parameter
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
@@ -32,6 +33,11 @@ if TYPE_CHECKING:
 
 
 GOOD, BAD_VERDICT, WRONG_USE, LACKING = range(4)
+
+Flag = Annotated[bool, Parameter(negative="")]
+"""An option without a value, and without a `--no-` form."""
+Json = Annotated[bool, Parameter(negative="", help="Print one JSON object as the last line on stdout.")]
+"""The option `--json` of a verb."""
 
 _ESCAPES = {code: repr(chr(code))[1:-1] for code in (*range(32), *range(127, 160)) if chr(code) not in "\t\n"}
 

@@ -15,7 +15,7 @@ import numpy as np
 from cyclopts import Parameter
 
 from emulator.cli.checks import failures, parsed_size, prepared, reading
-from emulator.cli.output import GOOD, WRONG_USE, Failure, console, print_json
+from emulator.cli.output import GOOD, WRONG_USE, Failure, Json, console, print_json
 from emulator.light import Light
 from emulator.report.pictures import MOVIES, Rgb, captioned, event_picture, save_movie, save_png, scaled, white_of
 from emulator.rig.loading import Rig, load_rig
@@ -72,7 +72,7 @@ def picture(
     /,
     *,
     show: Annotated[PictureOptions, Parameter(name="*")] = _DEFAULTS,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Write a picture (.png) or movie (.gif, .mp4): the light, ON events in orange, OFF events in blue.
 
@@ -86,8 +86,6 @@ def picture(
         File to write; its suffix determines the format.
     show
         Content of the picture.
-    json
-        Print one JSON object as the last line on stdout.
     """
     if file.suffix.lower() not in (".png", *MOVIES):
         raise Failure(f"{file}: the name must end in .png, {' or '.join(MOVIES)}, got {file.suffix!r}", WRONG_USE)

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Annotated
-
-from cyclopts import Parameter
 
 from emulator.cli.checks import failures, prepared
-from emulator.cli.output import GOOD, console, print_json
+from emulator.cli.output import GOOD, Json, console, print_json
 from emulator.plan.plan import Decision, Plan, make_plan
 from emulator.plan.scene_probe import probe
 from emulator.rig.kinds import CAMERA_MODELS, SCENES
@@ -24,35 +21,35 @@ _METHODS = {
 }
 
 
-def plan(rig: str, /, *, json: Annotated[bool, Parameter(negative="")] = False) -> int:
+def plan(rig: str, /, *, json: Json = False) -> int:
     """Show the plan of a run: steps, each effect with the bound that decided it, expected load and measured speed.
 
     Parameters
     ----------
     rig
         Path of a rig file, or the name of a shipped one.
-    json
-        Print one JSON object as the last line on stdout.
     """
     with failures():
         loaded = load_rig(rig)
         if SCENES[loaded.scene.kind].events:
             return _nothing_to_plan(loaded, json)
         prepared(parts_of(loaded))
-        made, speed = _plan(loaded)
+        planned, speed = _plan(loaded)
     if json:
-        print_json({**_as_json(made), "speed": speed.as_json()})
+        print_json({**_as_json(planned), "speed": speed.as_json()})
     else:
-        _print(made, speed)
+        _print(planned, speed)
     return GOOD
 
 
 def _nothing_to_plan(rig: Rig, json: bool) -> int:
-    why = f"{rig.name}: a {rig.scene.kind} plays events that exist already: there is no light and no sensor to plan for"
+    reason = (
+        f"{rig.name}: a {rig.scene.kind} plays events that exist already: there is no light and no sensor to plan for"
+    )
     if json:
-        print_json({"rig": rig.name, "plan": None, "why": why})
+        print_json({"rig": rig.name, "plan": None, "why": reason})
     else:
-        console.print(why, markup=False)
+        console.print(reason, markup=False)
     return GOOD
 
 
@@ -60,20 +57,20 @@ def _plan(rig: Rig) -> tuple[Plan, ExpectedSpeed]:
     sensor = rig.camera.sensor
     with build_scene(rig) as scene:
         step_ns = rig.run.step_us * 1000
-        made = make_plan(rig, probe(scene, sensor, step_ns, rig.run.seconds or 10.0))
-        return made, expected_speed(made, scene)
+        planned = make_plan(rig, probe(scene, sensor, step_ns, rig.run.seconds or 10.0))
+        return planned, expected_speed(planned, scene)
 
 
-def _as_json(made: Plan) -> dict[str, object]:
-    decisions = [{k: v for k, v in dataclasses.asdict(d).items() if k != "changes"} for d in made.decisions]
+def _as_json(planned: Plan) -> dict[str, object]:
+    decisions = [{k: v for k, v in dataclasses.asdict(d).items() if k != "changes"} for d in planned.decisions]
     return {
-        "rig": made.rig.name,
-        "pinned": made.pinned,
-        "tolerance": made.tolerance,
-        "probe": _finite(dataclasses.asdict(made.probe)),
-        "steps": made.steps,
-        "effects": [_finite({**d, "kept": d["kept"] or (made.pinned and d["choice"])}) for d in decisions],
-        "load": {**dataclasses.asdict(made.load), "total": made.load.total},
+        "rig": planned.rig.name,
+        "pinned": planned.pinned,
+        "tolerance": planned.tolerance,
+        "probe": _finite(dataclasses.asdict(planned.probe)),
+        "steps": planned.steps,
+        "effects": [_finite({**d, "kept": d["kept"] or (planned.pinned and d["choice"])}) for d in decisions],
+        "load": {**dataclasses.asdict(planned.load), "total": planned.load.total},
     }
 
 
@@ -82,17 +79,18 @@ def _finite(table: dict[str, object]) -> dict[str, object]:
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in table.items()}
 
 
-def _print(made: Plan, speed: ExpectedSpeed) -> None:
-    p, steps, load = made.probe, made.steps, made.load
-    sensor = made.rig.camera.sensor
-    console.print(f"{made.rig.name}: {made.rig.title}\n")
+def _print(planned: Plan, speed: ExpectedSpeed) -> None:
+    p = planned.probe
+    steps, load = planned.steps, planned.load
+    sensor = planned.rig.camera.sensor
+    console.print(f"{planned.rig.name}: {planned.rig.title}\n")
     console.print(
         f"scene    {p.active_share:.0%} of {sensor.width}x{sensor.height} pixels active, contrast rate "
         f"{p.contrast_rate:.3g} /s, light {p.least_current:.2g} to {p.largest_current:.2g} of the reference, about "
         f"{p.events_per_s * 1e-6:.3g} Mev/s expected"
     )
-    console.print(f"chip     {_chip(made)}")
-    method = made.rig.run.method
+    console.print(f"chip     {_chip(planned)}")
+    method = planned.rig.run.method
     console.print(f"method   {method}: {_METHODS.get(method, 'the rule of another simulator')}")
     motion = f", {p.motion_px_s * steps.step_us * 1e-6:.2g} px of motion" if math.isfinite(p.motion_px_s) else ""
     console.print(
@@ -105,16 +103,16 @@ def _print(made: Plan, speed: ExpectedSpeed) -> None:
         f"{load.pixels:.2f}, events {load.events:.2f}"
     )
     console.print(f"speed    {speed.line}\n")
-    for line in _effects(made):
+    for line in _effects(planned):
         console.print(line)
-    if made.pinned:
+    if planned.pinned:
         console.print("\nThis rig has no run.tolerance_us, so no effect is dropped.")
 
 
-def _chip(made: Plan) -> str:
+def _chip(planned: Plan) -> str:
     """Return the light of the active pixels in units: on the chip, and as a pixel's current."""
-    lens, chip = made.rig.camera.lens, CAMERA_MODELS[made.rig.camera.model].chip
-    bounds = made.probe.least_current, made.probe.largest_current
+    lens, chip = planned.rig.camera.lens, CAMERA_MODELS[planned.rig.camera.model].chip
+    bounds = planned.probe.least_current, planned.probe.largest_current
     if not all(map(math.isfinite, bounds)):
         return "the light of no pixel changes"
     lux = [lens.chip_lux(light) for light in bounds]
@@ -125,18 +123,18 @@ def _chip(made: Plan) -> str:
     )
 
 
-def _effects(made: Plan) -> list[str]:
+def _effects(planned: Plan) -> list[str]:
     """Return the effects as aligned lines."""
-    eps, share = _us(made.tolerance.eps_us), f"{made.tolerance.wrong_share:g}"
+    eps, share = _us(planned.tolerance.eps_us), f"{planned.tolerance.wrong_share:g}"
     rows = [("effect", "verdict", f"time error (< {eps})", f"wrong events (< {share})", "bound")]
-    rows += [_row(decision, made) for decision in made.decisions]
+    rows += [_row(decision, planned) for decision in planned.decisions]
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
 
 
-def _row(decision: Decision, made: Plan) -> tuple[str, str, str, str, str]:
+def _row(decision: Decision, planned: Plan) -> tuple[str, str, str, str, str]:
     worth = "matters" if decision.kept else "hardly matters"
-    verdict = f"kept: no tolerance, {worth}" if made.pinned else ("kept" if decision.kept else "dropped")
+    verdict = f"kept: no tolerance, {worth}" if planned.pinned else ("kept" if decision.kept else "dropped")
     if not decision.choice:
         verdict = "kept: no choice" if decision.kept else "left out: not in the grade"
     time = "-" if decision.cost_us is None else _us(decision.cost_us)

@@ -10,13 +10,13 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from emulator.cli.checks import check_recording, failures, prepared
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, console, print_json
 from emulator.cli.run import print_summary, run_rig, summary
 from emulator.cli.signals import ignore_stop_signals
 from emulator.rig.loading import Rig, load_rig, with_options
 from emulator.run.kernels import parts_of
 from emulator.run.outcome import RunResult, good, judge
-from transports.file.kind import FileLink
+from transports.file import FileLink
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def record(
     *,
     to: str = "",
     course: Annotated[RunOptions, Parameter(name="*")] = _DEFAULTS,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Record all that a rig's camera sends and the format can hold, without its links: no host is needed.
 
@@ -63,13 +63,15 @@ def record(
         The recording; its suffix gives the format, see docs/recordings.md.
     to
         Name of the format, where the suffix does not give it: aedat31, evt2, ros1-dvs, ...
-    json
-        Print one JSON object as the last line on stdout.
     """
     with failures():
         loaded = load_rig(rig)
         absent = _not_recorded(loaded)
-        loaded = _recording_rig(loaded, file, check_recording("FILE", file, to).name)
+        form = check_recording("FILE", file, to).name
+        # The file is the only link, without the triggers and cameras of other links.
+        link = FileLink(str(file), form, f"{loaded.camera.model.upper()}_{loaded.camera.serial}")
+        trigger = None if loaded.trigger is None or loaded.trigger.source else loaded.trigger
+        loaded = dataclasses.replace(loaded, links=(link,), faults=(), trigger=trigger, second_camera=None)
         try:
             loaded = with_options(loaded, course.seconds, course.seed, course.pace)
         except ValueError as error:
@@ -81,7 +83,7 @@ def record(
         print_json({**summary(loaded, result), "not_recorded": absent})
     else:
         print_summary(loaded, result)
-        for line in (*(f"not recorded: {one}" for one in absent), _outcome(file, result)):
+        for line in (*(f"not recorded: {part}" for part in absent), _outcome(file, result)):
             console.print(line, markup=False)
     return GOOD if good(judge(loaded.verdict, result)) else BAD_VERDICT
 
@@ -93,13 +95,6 @@ def _outcome(file: Path, result: RunResult) -> str:
     if troubles:
         return f"NOT WHOLE: {'; '.join(troubles)}; `evstim info {file}` shows the content of {file}"
     return f"written to {file}; `evstim info {file}` shows its content"
-
-
-def _recording_rig(rig: Rig, file: Path, form: str) -> Rig:
-    """Return the rig with the file as its only link, without the triggers and cameras of other links."""
-    link = FileLink(str(file), form, f"{rig.camera.model.upper()}_{rig.camera.serial}")
-    trigger = None if rig.trigger is None or rig.trigger.source else rig.trigger
-    return dataclasses.replace(rig, links=(link,), faults=(), trigger=trigger, second_camera=None)
 
 
 def _not_recorded(rig: Rig) -> list[str]:

@@ -10,12 +10,10 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
-
-from cyclopts import Parameter
+from typing import Literal
 
 from emulator.cli.checks import failures
-from emulator.cli.output import GOOD, console, print_json
+from emulator.cli.output import GOOD, Flag, Json, console, print_json
 from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from emulator.rig.remarks import OpenedFile, open_files, remarks
@@ -34,22 +32,22 @@ class Needed:
 
     name: str
     by: By
-    found: Finding
+    finding: Finding
 
     @property
     def stops_the_run(self) -> bool:
         """Return whether the rig cannot run here because this part is missing."""
-        return self.by == "run" and not self.found.good
+        return self.by == "run" and not self.finding.good
 
     @property
     def line(self) -> str:
         """Line for people, with the command that adds the part where it is missing."""
-        state = "there" if self.found.good else f"missing; {self.found.fix}"
+        state = "there" if self.finding.good else f"missing; {self.finding.fix}"
         return f"{_WORDS[self.by]} the {self.name}: {state}"
 
     def as_json(self) -> dict[str, object]:
-        """Return it for JSON; `fix` is a shell command, null where the thing is there."""
-        return {"name": self.name, "by": self.by, "good": self.found.good, "fix": self.found.fix}
+        """Return the need for JSON; `fix` is a shell command, null where the thing is there."""
+        return {"name": self.name, "by": self.by, "good": self.finding.good, "fix": self.finding.fix}
 
 
 def examined_needs(rig: Rig) -> tuple[Needed, ...]:
@@ -57,33 +55,24 @@ def examined_needs(rig: Rig) -> tuple[Needed, ...]:
     return tuple(Needed(need.name, need.by, need.look()) for need in needs_of(rig))
 
 
-Json = Annotated[bool, Parameter(negative="")]
-
-
 def rigs(*, json: Json = False) -> int:
-    """List the rigs that are installed with evstim, and the needs of each beyond evstim's base dependencies.
-
-    Parameters
-    ----------
-    json
-        Print one JSON object as the last line on stdout.
-    """
+    """List the rigs that are installed with evstim, and the needs of each beyond evstim's base dependencies."""
     with failures():
         loaded = {path: load_rig(str(path)) for path in shipped_rigs().values()}
-        found = [(path, rig, examined_needs(rig)) for path, rig in loaded.items()]
+        shipped = [(path, rig, examined_needs(rig)) for path, rig in loaded.items()]
     if json:
         print_json({
             "rigs": [
-                {"name": rig.name, "title": rig.title, "path": path, "needs": [one.as_json() for one in needed]}
-                for path, rig, needed in found
+                {"name": rig.name, "title": rig.title, "path": path, "needs": [need.as_json() for need in needed]}
+                for path, rig, needed in shipped
             ]
         })  # fmt: skip
         return GOOD
-    width = max(len(rig.name) for _, rig, _ in found)
-    for _, rig, needed in found:
+    width = max(len(rig.name) for _, rig, _ in shipped)
+    for _, rig, needed in shipped:
         console.print(f"{rig.name:{width}}  {rig.title}")
-        for one in needed:
-            console.print(f"{'':{width}}  {one.line}", markup=False)
+        for need in needed:
+            console.print(f"{'':{width}}  {need.line}", markup=False)
     return GOOD
 
 
@@ -99,7 +88,7 @@ def schema(of: Literal["rig", "report"] = "rig", /) -> int:
     return GOOD
 
 
-def check(rig: str, /, *, draw: Annotated[bool, Parameter(negative="")] = False, json: Json = False) -> int:
+def check(rig: str, /, *, draw: Flag = False, json: Json = False) -> int:
     """Check a rig file without running it, and open every file that it names; trajectories are read.
 
     Parameters
@@ -108,8 +97,6 @@ def check(rig: str, /, *, draw: Annotated[bool, Parameter(negative="")] = False,
         Path of a rig file, or the name of a shipped one.
     draw
         Also build the scene; this reads its files, or its recording, and needs the libraries that render it.
-    json
-        Print one JSON object as the last line on stdout.
     """
     with failures():
         loaded = load_rig(rig)

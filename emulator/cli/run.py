@@ -15,8 +15,8 @@ from cyclopts import Parameter
 
 from emulator.cli import restore_collection
 from emulator.cli.checks import check_output, check_recording, failures, prepared
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
-from emulator.cli.run_display import LiveTable, OptionalPage, RunReporter, begin_report, check_serving
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json, status
+from emulator.cli.run_display import LiveTable, OptionalPage, begin_report, check_serving, end_report
 from emulator.cli.run_summary import (
     Truth,
     begin_trace,
@@ -46,6 +46,7 @@ from transports.link.process import LinkSetup
 
 if TYPE_CHECKING:
     from emulator.live_page.controls import Repeats
+    from emulator.run.report.files import RunReporter
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ def run(
     seed: int | None = None,
     pace: Literal["realtime", "free"] | None = None,
     files: Annotated[Files, Parameter(name="*")] = NO_FILES,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Run a rig: render its scene, simulate its sensor, serve its links. Ctrl-C ends the run with its summary.
 
@@ -120,8 +121,6 @@ def run(
         Seed of everything random. Default: the rig's.
     pace
         realtime: every event leaves at its own time; free: as fast as possible, without loss.
-    json
-        Print one JSON object as the last line on stdout.
     """
     with failures():
         loaded = rig_with_options(load_rig(rig), seconds, seed, pace)
@@ -151,8 +150,8 @@ def _repeats(files: Files) -> Repeats | None:
 
     written = {"record": files.record, "truth": files.truth, "fault-log": files.fault_log, "trace": files.trace}
     written |= {"report": files.report, "ready-file": files.ready_file}
-    found = [f"--{name}" for name, path in written.items() if path is not None]
-    return Repeats(f"the new run would write over the files of {', '.join(found)}" if found else "")
+    options = [f"--{name}" for name, path in written.items() if path is not None]
+    return Repeats(f"the new run would write over the files of {', '.join(options)}" if options else "")
 
 
 def run_with_files(
@@ -168,7 +167,8 @@ def run_with_files(
     prepared([*parts_of(rig), *truth.parts])
     result = run_rig(rig, files, RunParts(reporting, truth, simulation, repeats), show=show)
     ignore_stop_signals()
-    reporting.write(result, summary(rig, result), truth.trouble)
+    if reporting is not None:
+        end_report(reporting, result, summary(rig, result), truth.trouble)
     return result, truth
 
 
@@ -211,14 +211,15 @@ class RunParts:
 def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *, show: bool = False) -> RunResult:
     """Run a loaded rig, with a live table on stderr when `show`."""
     parts = parts or RunParts()
-    reporting, simulation = parts.reporting or RunReporter(rig, None), parts.simulation
+    reporting, simulation = parts.reporting, parts.simulation
     truth = parts.truth or Truth(rig, files.truth, files.truth_every)
     with build_scene(rig) as scene, truth.begin() as truth_file:
         if show and scene.renderer:
             console.print(f"renderer: {scene.renderer}")
         for note in [*remarks(rig), *scene.notes] if show else ():
             console.print(f"note: {note}", markup=False)
-        reporting.plan(scene, is_driven=simulation is not None)
+        if reporting:
+            reporting.plan(scene, is_driven=simulation is not None)
         serving = OptionalPage(rig, files.serve, parts.repeats)
         setups = serving.wired(link_setups(rig, files.record, truth.clock, files.fault_log))
         setups = begin_trace(setups, files.trace)
@@ -235,18 +236,24 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
             ready = ReadySignal(files.ready_file)
 
             def report(now: RunStatus) -> None:
-                _signal_ready(ready, now)
+                try:
+                    ready.send({name: link.address for name, link in now.links.items()})
+                except OSError as error:
+                    raise Failure(f"--ready-file: {error.strerror or error}", LACKING) from error
                 faults.serve(now)
-                reporting.renew(now)
+                if reporting:
+                    reporting.renew(now)
                 if page:
                     page.renew(now)
                 if live:
                     live.update(now)
 
             def take(events: Events) -> None:
-                reporting.take(events, session)
+                t_us = session.t_ns // 1000
+                if reporting:
+                    reporting.take(events, session.light, t_us)
                 if page:
-                    page.show(events, session.light, session.t_ns // 1000, session.last_readings)
+                    page.show(events, session.light, t_us, session.last_readings)
                 if simulation is not None:
                     simulation.take(events)
 
@@ -272,13 +279,6 @@ def _session(rig: Rig, scene: Scene, setups: list[LinkSetup[Any]], truth: Any) -
         raise Failure(f"{text}: {free_mb:.1f} MB free; free more, or name a file on another disk", LACKING) from error
 
 
-def _signal_ready(ready: ReadySignal, now: RunStatus) -> None:
-    try:
-        ready.send({name: link.address for name, link in now.links.items()})
-    except OSError as error:
-        raise Failure(f"--ready-file: {error.strerror or error}", LACKING) from error
-
-
 def summary(rig: Rig, result: RunResult) -> dict[str, object]:
     """Return the object that `run --json` prints."""
     latencies = [report.latency for report in result.links.values()]
@@ -290,7 +290,7 @@ def summary(rig: Rig, result: RunResult) -> dict[str, object]:
         "steps": result.steps,
         "events": result.ledger.as_json(),
         "balanced": result.ledger.balanced,
-        "rules": [one.as_json() for one in judge(rig.verdict, result)],
+        "rules": [rule.as_json() for rule in judge(rig.verdict, result)],
         "latency_us": dataclasses.asdict(_worst(latencies)),
         "lateness": {**result.lateness.as_json(), "late_share": result.late_share, "too_late": result.too_late},
         "undersampled_share": result.undersampled_share,
@@ -363,7 +363,7 @@ def print_summary(rig: Rig, result: RunResult) -> None:
     for line in lateness_lines(rig, result):
         console.print(line)
     rules = judge(rig.verdict, result)
-    for broken in (one for one in rules if not one.good and one.rule.startswith(_SHOWN)):
+    for broken in (rule for rule in rules if not rule.good and rule.rule.startswith(_SHOWN)):
         console.print(f"NOT GOOD: {broken.rule}: {broken.finding}", markup=False)
     console.print("ledger: balanced" if ledger.balanced else f"ledger: OFF BY {ledger.imbalance} EVENTS")
     console.print(verdict_line(rules), markup=False)

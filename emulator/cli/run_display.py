@@ -9,9 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
-from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -22,12 +19,11 @@ from rich.table import Table
 
 from emulator.cli.output import LACKING, WRONG_USE, Failure, console, status
 from emulator.cli.run_summary import quantile_text
-from emulator.light import MachineLacks, Scene
+from emulator.light import MachineLacks
 from emulator.rig.loading import Rig
 from emulator.run.control import FaultInjection
-from emulator.run.outcome import Rates, RunResult, RunStatus, judge
+from emulator.run.outcome import Rates, RunResult, RunStatus
 from emulator.run.session import Operator, Session
-from firmware_protocol.events import Events
 from transports.link.edges import EdgeSink
 from transports.link.process import LinkSetup
 
@@ -35,8 +31,7 @@ if TYPE_CHECKING:
     from emulator.live_page.controls import Repeats
     from emulator.live_page.messages import Address
     from emulator.live_page.page import LivePage
-    from emulator.run.report.content import Circumstances
-    from emulator.run.report.observation import Observation
+    from emulator.run.report.files import RunReporter
 
 
 _PLAIN_PERIOD_S = 5.0
@@ -91,76 +86,27 @@ class LiveTable:
         return table
 
 
-class RunReporter:
-    """Observation of a run for its report; without a folder it does nothing.
-
-    `began` is the date and time of the run's begin.
-    """
-
-    def __init__(self, rig: Rig, folder: Path | None, began: datetime | None = None) -> None:
-        self._rig = rig
-        self._folder = folder
-        self._seen: Observation | None = None
-        self._there: Circumstances
-        if folder is not None:
-            from emulator.run.report.content import Circumstances
-            from emulator.run.report.observation import Observation
-
-            self._seen, self._there = Observation(rig.camera.size), Circumstances(began)
-
-    def plan(self, scene: Scene, *, is_driven: bool) -> None:
-        """Record what the run models, before it begins; raises SceneError."""
-        if self._seen is not None:
-            from emulator.run.report.modelled import modelled
-
-            self._there = replace(self._there, modelled=modelled(self._rig, scene, is_driven=is_driven))
-
-    def take(self, events: Events, session: Session) -> None:
-        """Count the events of a step, and sometimes take a picture."""
-        if self._seen is not None:
-            self._seen.take(events, session.light, session.t_ns // 1000)
-
-    def renew(self, status: RunStatus) -> None:
-        """Record the state of the run."""
-        if self._seen is not None:
-            self._seen.renew(status)
-
-    def write(self, result: RunResult, summary: Mapping[str, Any], truth_trouble: str = "") -> None:
-        """Write the report and name it; where that fails the run's own result still stands.
-
-        A `truth_trouble` makes the run bad.
-        """
-        if self._folder is None or self._seen is None:
-            return
-        from emulator.run.report.content import ReportContent
-        from emulator.run.report.files import write_report
-
-        judgements = judge(self._rig.verdict, result)
-        there = replace(self._there, ended=datetime.now(UTC), truth_trouble=truth_trouble)
-        reported = ReportContent(self._rig, result, self._seen, judgements, summary, version("evstim"), there)
-        try:
-            paths = write_report(reported, self._folder)
-        except OSError as error:
-            console.print(
-                f"--report: {error.strerror or error} ({self._folder}): the report is not whole", markup=False
-            )
-        else:
-            console.print(f"report: {paths[0]}", markup=False)
-
-
-def begin_report(rig: Rig, folder: Path | None) -> RunReporter:
-    """Make the folder, which may exist already, with files that state no verdict; raises Failure."""
+def begin_report(rig: Rig, folder: Path | None) -> RunReporter | None:
+    """Make the folder of a report, with files that state no verdict; None without a folder. Raises Failure."""
     if folder is None:
-        return RunReporter(rig, None)
-    from emulator.run.report.files import begin_files
+        return None
+    from emulator.run.report.files import RunReporter
 
-    began = datetime.now(UTC)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        begin_files(rig, folder, began)
+        return RunReporter(rig, folder)
     except OSError as error:
         raise Failure(f"--report: {folder}: {error.strerror or error}", WRONG_USE) from error
-    return RunReporter(rig, folder, began)
+
+
+def end_report(reporter: RunReporter, result: RunResult, summary: Mapping[str, Any], truth_trouble: str) -> None:
+    """Write the report and name it; where that fails the run's own result still stands."""
+    try:
+        path = reporter.write(result, summary, truth_trouble)
+    except OSError as error:
+        reason = error.strerror or error
+        console.print(f"--report: {reason} ({reporter.folder}): the report is not whole", markup=False)
+    else:
+        console.print(f"report: {path}", markup=False)
 
 
 class OptionalPage:

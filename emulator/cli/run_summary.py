@@ -47,15 +47,17 @@ def link_json(report: LinkReport) -> dict[str, object]:
         "use": None if report.use is None else dataclasses.asdict(report.use),
         "counts": dict(report.counts),
         "faults": [dataclasses.asdict(fault) for fault in report.faults],
-        "recordings": [dataclasses.asdict(one) for one in report.recordings],
+        "recordings": [dataclasses.asdict(recording) for recording in report.recordings],
     }
 
 
 def link_lines(link: LinkLedger, report: LinkReport) -> list[str]:
     """Return the summary lines on a link's events, the use of its line, its faults and its recordings."""
+    causes = [f"{count} {reason}" for cause, reason in _CAUSES.items() if (count := getattr(report.camera, cause, 0))]
+    named = f" ({', '.join(causes)})" if causes else ""
     lines = [
         f"{link.name}: {link.delivered} delivered (digest {report.digest:08x}), {link.dropped} dropped, "
-        f"{link.dropped_in_device} dropped in the device{_causes(report)}"
+        f"{link.dropped_in_device} dropped in the device{named}"
     ]
     if (use := report.use) is not None:
         lines.append(f"{link.name}: line used {use.share:.1%}, {use.busiest:.1%} in the busiest second")
@@ -77,23 +79,17 @@ def fault_line(fault: FaultRecord) -> str:
     )
 
 
-def _causes(report: LinkReport) -> str:
-    causes = [f"{count} {why}" for cause, why in _CAUSES.items() if (count := getattr(report.camera, cause, 0))]
-    return f" ({', '.join(causes)})" if causes else ""
-
-
 def quantile_text(value_us: float | None) -> str:
     """Return a quantile of latencies, us; "-" where nothing was measured."""
     return "-" if value_us is None else f"{value_us:.0f}"
 
 
-_STRETCHED_SHARE = 0.01  # fewer longer steps than this change no result
 _REPORTED_LATENESS_US = 1000.0
 
 
 def verdict_line(rules: Sequence[Judgement]) -> str:
     """Return the last line of a summary: whether the run was good, else the rules that it broke."""
-    broken = [one.rule for one in rules if not one.good]
+    broken = [rule.rule for rule in rules if not rule.good]
     if not broken:
         return f"good: {len(rules)} of {len(rules)} rules kept"
     return f"NOT GOOD: {len(broken)} of {len(rules)} rules broken: {', '.join(broken)}"
@@ -104,7 +100,7 @@ def lateness_lines(rig: Rig, result: RunResult) -> list[str]:
     late = result.lateness
     if result.too_late:
         return [f"NOT IN REAL TIME: {_broken(rig, result)}. {_remedies(rig)}"]
-    if late.worst_gap_us > _REPORTED_LATENESS_US or late.steps_stretched > _STRETCHED_SHARE * result.steps:
+    if late.worst_gap_us > _REPORTED_LATENESS_US or result.often_stretched:
         return [
             f"late: {late.frames_late} of {result.steps} steps, the worst by {late.worst_gap_us:.0f} us; "
             f"{late.steps_stretched} steps made longer to keep up"
@@ -135,17 +131,19 @@ def timing_json(report: LinkReport) -> dict[str, object]:
     """Return the `edges`, `clock` and `readings` of a link for the JSON summary."""
     on_the_way = dataclasses.asdict(report.edges)
     fates = {} if report.camera is None else _edge_fates(report.camera.edges)
+    counted = {} if report.camera is None else report.camera.readings
     return {
         "edges": {**on_the_way, **fates, "balanced": report.edges_balanced},
         "clock": None if report.clock is None else dataclasses.asdict(report.clock),
-        "readings": {kind: _reading_json(report, kind) for kind in report.readings},
+        "readings": {
+            kind: {
+                **dataclasses.asdict(reading),
+                **_reading_fates(counted.get(kind, Counts())),
+                "balanced": report.readings_balanced,
+            }
+            for kind, reading in report.readings.items()
+        },
     }
-
-
-def _reading_json(report: LinkReport, kind: str) -> dict[str, object]:
-    counted = {} if report.camera is None else report.camera.readings
-    fates = _reading_fates(counted.get(kind, Counts()))
-    return {**dataclasses.asdict(report.readings[kind]), **fates, "balanced": report.readings_balanced}
 
 
 def _edge_fates(c: Counts) -> dict[str, int]:

@@ -12,8 +12,8 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from emulator.cli.checks import failures
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.checks import failures, parsed_address
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json, status
 from emulator.cli.run import NO_FILES, Files, print_summary, rig_with_options, run_with_files, summary
 from emulator.cli.run_summary import quantile_text
 from emulator.report.pictures import check_png, grey_png
@@ -21,11 +21,11 @@ from emulator.rig.loading import Rig, load_rig
 from emulator.run.basilisk import BasiliskRun, Server, camera_differs, connected
 from emulator.run.outcome import RunResult, good, judge
 from emulator.trajectory.basilisk import ConnectedPath
-from firmware_protocol.vizard.messages import Update
+from firmware_protocol.vizard import Update
 from transports.link.pacing import MonotonicClock
 from transports.needs import install_command
 from transports.network import check_allow
-from transports.vizard.server import ForwardingServer, Other, VizardServer
+from transports.vizard import ForwardingServer, Other, VizardServer
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def vizard(
     seed: int | None = None,
     connection: Annotated[ConnectionOptions, Parameter(name="*")] = _DEFAULTS,
     files: Annotated[Files, Parameter(name="*")] = NO_FILES,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Run a rig in step with a Basilisk simulation: it gives poses and time, and gets images; the links get events.
 
@@ -75,8 +75,6 @@ def vizard(
         Simulated time to run for; the simulation then ends with an error. Default: until it ends by itself.
     seed
         Seed of everything random. Default: the rig's.
-    json
-        Print one JSON object as the last line on stdout.
     """
     with failures():
         _check_installed()
@@ -115,7 +113,8 @@ def _check_installed() -> None:
 
 @contextmanager
 def _server(connection: ConnectionOptions) -> Iterator[VizardServer]:
-    host, port = _address("--at", connection.at)
+    host, port = parsed_address("--at", connection.at, least_port=0)
+    host = "127.0.0.1" if host == "localhost" else host
     if not connection.white > 0:
         raise Failure(f"--white is {connection.white:g}: it must be above 0", WRONG_USE)
     try:
@@ -139,7 +138,7 @@ def _forwarding(server: VizardServer, connection: ConnectionOptions) -> Iterator
         yield server
         return
     try:
-        other = Other(*_address("--forward", connection.forward))
+        other = Other(*parsed_address("--forward", connection.forward))
     except OSError as error:
         reason = f"--forward: no program listens on {connection.forward}: {error.strerror or error}; start it first"
         raise Failure(reason, LACKING) from error
@@ -147,14 +146,6 @@ def _forwarding(server: VizardServer, connection: ConnectionOptions) -> Iterator
         yield ForwardingServer(server, other)
     finally:
         other.close()
-
-
-def _address(option: str, text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    host = host.strip("[]")
-    if not host or not port.isdecimal() or int(port) > 65535:
-        raise Failure(f"{option}: {text!r} is not HOST:PORT, such as 127.0.0.1:5556", WRONG_USE)
-    return "127.0.0.1" if host == "localhost" else host, int(port)
 
 
 def _simulation(rig: Rig, paths: Sequence[ConnectedPath], server: Server, connection: ConnectionOptions) -> BasiliskRun:
@@ -175,7 +166,7 @@ def _basilisk_json(simulation: BasiliskRun, server: VizardServer) -> dict[str, A
     latencies = {"answer_us": counters.answer.summary(), "first_event_us": counters.first_event.summary()}
     counts = {name: value for name, value in vars(counters).items() if name not in ("answer", "first_event")}
     other = {"other_peers_refused": server.refused, "left": server.peer_gone}
-    return {**times, **counts, **other, **{name: dataclasses.asdict(one) for name, one in latencies.items()}}
+    return {**times, **counts, **other, **{name: dataclasses.asdict(latency) for name, latency in latencies.items()}}
 
 
 def _problems(simulation: BasiliskRun, result: RunResult, seconds: float | None) -> list[str]:
@@ -195,11 +186,11 @@ def _print(counts: dict[str, Any], problems: Sequence[str]) -> None:
         f"basilisk: {counts['updates']} updates, {counts['images']} images, {counts['no_images']} requests for other "
         f"cameras' images, {counts['other_peers_refused']} messages of other peers refused"
     )
-    for what, name in (("first event handed to a link", "first_event_us"), ("reply", "answer_us")):
+    for event, name in (("first event handed to a link", "first_event_us"), ("reply", "answer_us")):
         latency = counts[name]
         if latency["p50"] is not None:
             console.print(
-                f"basilisk: update to {what} p50 {quantile_text(latency['p50'])} us, p99 "
+                f"basilisk: update to {event} p50 {quantile_text(latency['p50'])} us, p99 "
                 f"{quantile_text(latency['p99'])} us, max {latency['max']:.0f} us"
             )
     for problem in problems:

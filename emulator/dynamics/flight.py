@@ -128,7 +128,9 @@ class Mapping:
     @property
     def outputs(self) -> tuple[str, ...]:
         """Variables that are read after each step."""
-        return tuple(one for one in (*self.position_m, *self.q_world_from_body) if isinstance(one, str))
+        return tuple(
+            component for component in (*self.position_m, *self.q_world_from_body) if isinstance(component, str)
+        )
 
 
 def load_mapping(path: Path) -> Mapping:
@@ -171,9 +173,9 @@ class FileInputs:
             raise DynamicsError(f"{file}: line 1 must name the columns: {_TIME}, then variables of the FMU")
         self.names = tuple(lines[0][1:])
         self._rows = [_numbers(file, k, line, len(lines[0])) for k, line in enumerate(lines[1:], 2) if line]
-        for k, (one, other) in enumerate(zip(self._rows, self._rows[1:], strict=False), 3):
-            if other[0] <= one[0]:
-                raise DynamicsError(f"{file}: row {k}: times must ascend, {other[0]:g} comes after {one[0]:g}")
+        for k, (row, other) in enumerate(zip(self._rows, self._rows[1:], strict=False), 3):
+            if other[0] <= row[0]:
+                raise DynamicsError(f"{file}: row {k}: times must ascend, {other[0]:g} comes after {row[0]:g}")
         self._next = 0
 
     def at(self, t_s: float) -> dict[str, float]:
@@ -289,8 +291,8 @@ def fly(
     send(bytes(pose))
     while number < steps and pace.waiting((number + 1) * mapping.step_s):
         t_s = number * mapping.step_s
-        given = {name: value for one in inputs for name, value in one.at(t_s).items()}
-        unit.step(t_s, mapping.step_s, given)
+        values = {name: value for source in inputs for name, value in source.at(t_s).items()}
+        unit.step(t_s, mapping.step_s, values)
         number += 1
         pose = _pose(unit, mapping, number, pace)
         send(bytes(pose))
@@ -303,8 +305,8 @@ def _pose(unit: Stepping, mapping: Mapping, number: int, pace: Pace) -> PoseMess
     wrong = [name for name in mapping.outputs if not math.isfinite(unit.outputs[name])]
     if wrong:
         raise FlightEnded(f"at {t_s:g} s the FMU gives {wrong[0]} = {unit.outputs[wrong[0]]}: no pose was sent for it")
-    x, y, z = (_number(unit, one) for one in mapping.position_m)
-    w, i, j, k = (_number(unit, one) for one in mapping.q_world_from_body)
+    x, y, z = (_number(unit, component) for component in mapping.position_m)
+    w, i, j, k = (_number(unit, component) for component in mapping.q_world_from_body)
     length = math.hypot(w, i, j, k)
     if abs(length - 1) > _UNIT_WITHIN:
         raise FlightEnded(f"at {t_s:g} s q_world_from_body has length {length:.4g}: a unit quaternion is needed")
@@ -316,8 +318,8 @@ def _pose(unit: Stepping, mapping: Mapping, number: int, pace: Pace) -> PoseMess
         raise FlightEnded(f"at {t_s:g} s: {error}") from error
 
 
-def _number(unit: Stepping, one: str | float) -> float:
-    return unit.outputs[one] if isinstance(one, str) else float(one)
+def _number(unit: Stepping, component: str | float) -> float:
+    return unit.outputs[component] if isinstance(component, str) else float(component)
 
 
 def wall_clock(stop: Callable[[], bool]) -> Callable[[float], bool]:

@@ -46,11 +46,11 @@ class Fmu:
             raise DynamicsError(f"{file}: no such file")
         self._file, self._names = file, list(dict.fromkeys(mapping.outputs))
         context = multiprocessing.get_context("spawn")
-        self._near, far = context.Pipe()
-        self._process = context.Process(target=serve, args=(far,), name=f"FMU {file.name}", daemon=True)
+        self._near, child_end = context.Pipe()
+        self._process = context.Process(target=serve, args=(child_end,), name=f"FMU {file.name}", daemon=True)
         with starting_a_process(serve):
             self._process.start()
-        far.close()
+        child_end.close()
         content = {"file": str(file), "start": mapping.start, "outputs": self._names, "inputs": list(inputs)}
         try:
             self.outputs = self._answer(content, _START_S, "when it starts")
@@ -62,21 +62,21 @@ class Fmu:
         """Set inputs and do one step from `t_s`; raises FlightEnded."""
         self.outputs = self._answer((t_s, step_s, inputs), _STEP_S, f"in its step from {t_s:g} s")
 
-    def _answer(self, message: object, limit_s: float, when: str) -> dict[str, float]:
+    def _answer(self, message: object, limit_s: float, moment: str) -> dict[str, float]:
         try:
             self._near.send(message)
             if not self._near.poll(limit_s):
-                raise FlightEnded(f"{self._file}: the FMU does not answer within {limit_s:g} s {when}")
+                raise FlightEnded(f"{self._file}: the FMU does not answer within {limit_s:g} s {moment}")
             kind, content = self._near.recv()
         except (EOFError, OSError) as error:
-            raise FlightEnded(f"{self._file}: the FMU crashed {when} ({self._end()})") from error
-        return self._values(kind, content, when)
+            raise FlightEnded(f"{self._file}: the FMU crashed {moment} ({self._end()})") from error
+        return self._values(kind, content, moment)
 
-    def _values(self, kind: str, content: Any, when: str) -> dict[str, float]:
+    def _values(self, kind: str, content: Any, moment: str) -> dict[str, float]:
         if kind == "wrong":
             raise DynamicsError(f"{self._file} {content}")
         if kind == "failed":
-            raise FlightEnded(f"{self._file}: the FMU failed {when}: {content}")
+            raise FlightEnded(f"{self._file}: the FMU failed {moment}: {content}")
         return dict(zip(self._names, content, strict=True))
 
     def _end(self) -> str:

@@ -33,33 +33,33 @@ class _Wrong(Exception):
     """The FMU cannot be used with this mapping."""
 
 
-def serve(near: Connection) -> None:
+def serve(connection: Connection) -> None:
     """Answer until the other side closes the connection."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.dup2(2, 1)  # output of an FMU must not mix with the command's result
     folder = tempfile.mkdtemp(prefix="evstim-fmu-")
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         try:
-            _serve(near, near.recv(), folder)
+            _serve(connection, connection.recv(), folder)
         except _Wrong as error:
-            near.send(("wrong", str(error)))
+            connection.send(("wrong", str(error)))
         except EOFError:
             pass
         except Exception as error:  # noqa: BLE001 - fmpy raises plain Exception for all errors of an FMU
-            near.send(("failed", str(error)))
+            connection.send(("failed", str(error)))
         finally:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def _serve(near: Connection, setup: dict[str, Any], folder: str) -> None:
+def _serve(connection: Connection, setup: dict[str, Any], folder: str) -> None:
     unit = _Unit(setup["file"], folder, {*setup["outputs"], *setup["inputs"], *setup["start"]})
     unit.begin(setup["start"])
-    near.send(("ok", unit.get(setup["outputs"])))
+    connection.send(("ok", unit.get(setup["outputs"])))
     while True:
-        t_s, step_s, inputs = near.recv()
+        t_s, step_s, inputs = connection.recv()
         unit.put(inputs)
         unit.step(t_s, step_s)
-        near.send(("ok", unit.get(setup["outputs"])))
+        connection.send(("ok", unit.get(setup["outputs"])))
 
 
 class _Unit:
@@ -108,9 +108,12 @@ def _description(fmpy: Any, file: str) -> Any:
         raise _Wrong(f"is of FMI {description.fmiVersion}: evstim takes {' and '.join(_KINDS)}")
     if description.coSimulation is None:
         raise _Wrong("has no co-simulation, only model exchange: export it with its solver")
-    here, there = _platforms(fmpy, description), fmpy.supported_platforms(file)
-    if not here & set(there):
-        raise _Wrong(f"has no machine code for {' or '.join(sorted(here))}, only for {', '.join(there) or 'none'}")
+    machine = {fmpy.platform_tuple if description.fmiVersion.startswith("3") else fmpy.platform, fmpy.platform}
+    supported = fmpy.supported_platforms(file)
+    if not machine & set(supported):
+        raise _Wrong(
+            f"has no machine code for {' or '.join(sorted(machine))}, only for {', '.join(supported) or 'none'}"
+        )
     return description
 
 
@@ -139,21 +142,17 @@ def _check_size(file: str) -> None:
     _check_mib(f"has a {_DESCRIPTION} of", description, _MOST_DESCRIPTION_MIB)
 
 
-def _check_mib(what: str, size: int, most_mib: int) -> None:
+def _check_mib(name: str, size: int, most_mib: int) -> None:
     if size > most_mib << 20:
-        raise _Wrong(f"{what} {size / (1 << 20):.0f} MiB: at most {most_mib} MiB are unpacked. {_SMALLER}")
-
-
-def _platforms(fmpy: Any, description: Any) -> set[str]:
-    return {fmpy.platform_tuple if description.fmiVersion.startswith("3") else fmpy.platform, fmpy.platform}
+        raise _Wrong(f"{name} {size / (1 << 20):.0f} MiB: at most {most_mib} MiB are unpacked. {_SMALLER}")
 
 
 def _references(description: Any, used: Iterable[str]) -> dict[str, int]:
-    known = {variable.name: variable for variable in description.modelVariables}
+    variables = {variable.name: variable for variable in description.modelVariables}
     for name in used:
-        if name not in known:
-            raise _Wrong(f"has no variable {name!r}; it has {', '.join(list(known)[:20])}")
-        if known[name].type not in _KINDS[description.fmiVersion]:
+        if name not in variables:
+            raise _Wrong(f"has no variable {name!r}; it has {', '.join(list(variables)[:20])}")
+        if variables[name].type not in _KINDS[description.fmiVersion]:
             kind = _KINDS[description.fmiVersion][0]
-            raise _Wrong(f"has {name!r} as {known[name].type}: variables of a pose and inputs must be {kind}")
-    return {name: known[name].valueReference for name in used}
+            raise _Wrong(f"has {name!r} as {variables[name].type}: variables of a pose and inputs must be {kind}")
+    return {name: variables[name].valueReference for name in used}

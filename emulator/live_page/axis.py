@@ -18,6 +18,7 @@ from emulator.run.outcome import RunStatus
 from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.frames import LineKind
 from firmware_protocol.imu_samples import no_samples, physical
+from transports.link.deliveries import LatencySummary
 from transports.link.report import LinkReport
 
 _POINTS = 20
@@ -87,13 +88,14 @@ class TimeAxis:
         if dt_s <= 0:
             return
         count, mean = self._mean_rates()
-        p50, p99 = _slowest(status.links)
+        latencies = [report.latency for report in status.links.values() if report.latency.p99 is not None]
+        slowest = max(latencies, key=lambda latency: latency.p99 or 0.0, default=LatencySummary())
         self._points.append(
             {
                 "t_s": status.sim_seconds,
                 "rate": (status.read_out - before.read_out) / dt_s,
-                "p50": p50,
-                "p99": p99,
+                "p50": slowest.p50,
+                "p99": slowest.p99,
                 "edges": max(0, _edges(status.links) - _edges(before.links)),
                 "imu_hz": count / dt_s,
                 "imu": mean,
@@ -112,12 +114,6 @@ class TimeAxis:
 def _edges(links: Mapping[str, LinkReport]) -> int:
     """Return the edges that the camera with the most of them has taken: an edge goes to all."""
     return max((report.edges.taken for report in links.values()), default=0)
-
-
-def _slowest(links: Mapping[str, LinkReport]) -> tuple[float | None, float | None]:
-    latencies = [report.latency for report in links.values() if report.latency.p99 is not None]
-    slowest = max(latencies, key=lambda latency: latency.p99 or 0.0, default=None)
-    return (None, None) if slowest is None else (slowest.p50, slowest.p99)
 
 
 def _faults(name: str, report: LinkReport) -> list[dict[str, Any]]:

@@ -15,17 +15,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
-from emulator.rig.kinds import known_faults
 from emulator.rig.loading import Rig
 from emulator.run.changes import Change
 from emulator.run.outcome import RunResult, RunStatus, judge
 from emulator.tables.typed_table import field_types
-from transports.faults.kinds import Fault
+from transports.faults.kinds import FAULTS, Fault
 from transports.faults.script import FaultRecord
 from transports.link.report import LinkReport
 
 if TYPE_CHECKING:
-    from emulator.run.session import Operator
+    from emulator.run.session import Session
 
 _NOT_IN_THE_MENU = ("link", "at_s")
 _BY_HAND = ("live page", "live page, undo", "evstim", "program")
@@ -70,8 +69,8 @@ class _Row:
 
     def joins(self, other: Change) -> bool:
         """Return whether a change is a further step of the same movement of a slider."""
-        mine = self.change
-        same = (mine.what, mine.link, mine.by) == (other.what, other.link, other.by) and mine.by == "live page"
+        change = self.change
+        same = (change.what, change.link, change.by) == (other.what, other.link, other.by) and change.by == "live page"
         return same and other.after is not None and 0 <= other.t_ns - self.until_ns <= _MERGE_NS
 
     def with_step(self, other: Change) -> _Row:
@@ -82,7 +81,7 @@ class _Row:
 class ChangeList:
     """List of the changes of a run from outside, the newest last; its length is bounded."""
 
-    def __init__(self, session: Operator) -> None:
+    def __init__(self, session: Session) -> None:
         self._session = session
         self._made_of = -1
         self._rows: list[_Row] = []
@@ -160,8 +159,8 @@ def _record(change: Change, links: Mapping[str, LinkReport]) -> FaultRecord | No
     report = links.get(change.link)
     if not change.fault or report is None:
         return None
-    of_number = (one for one in report.faults if one.number == change.fault)
-    return next((one for one in of_number if one.began_us <= (change.taken_us or 0)), None)
+    of_number = (record for record in report.faults if record.number == change.fault)
+    return next((record for record in of_number if record.began_us <= (change.taken_us or 0)), None)
 
 
 def _reason_of_fault(change: Change, record: FaultRecord | None) -> str:
@@ -169,7 +168,7 @@ def _reason_of_fault(change: Change, record: FaultRecord | None) -> str:
         return "inject the fault again"
     if record is None:
         return "the link has no record of this fault yet, or was started again"
-    if known_faults()[record.kind].disconnects:
+    if FAULTS[record.kind].disconnects:
         return "the host has lost the camera, and must open it again"
     if record.ended_us is not None:
         return f"over since {record.ended_us / 1e6:.3f} s"
@@ -247,7 +246,7 @@ class Repeats:
         if seed is not None:
             self.count += 1
             rules = judge(rig.verdict, result)
-            broken = [one.rule for one in rules if not one.good]
+            broken = [rule.rule for rule in rules if not rule.good]
             self.before = {
                 **totals(result),
                 "seed": rig.run.seed,

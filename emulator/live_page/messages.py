@@ -199,19 +199,19 @@ class ViewerCommands:
 
     def __init__(
         self,
-        session: Operator,
+        operator: Operator,
         inject: Inject,
         trigger: Callable[[int, int], None] | None = None,
         *,
         can_pause: bool = False,
         repeats: Repeats | None = None,
     ) -> None:
-        self._session = session
+        self._operator = operator
         self._inject = inject
         self._trigger = trigger
         self._triggers = 0
         self._can_pause = can_pause
-        self._changes = ChangeList(session)
+        self._changes = ChangeList(operator.session)
         self._repeats = repeats or Repeats("it was not started by `evstim run`")
         self.status: RunStatus | None = None
         self.paused = False
@@ -220,7 +220,7 @@ class ViewerCommands:
     def state(self) -> dict[str, Any]:
         """Return the possible commands, and the state of the run."""
         return {
-            "adjustable": {name: min(value, _LARGEST) for name, value in self._session.adjustable.items()},
+            "adjustable": {name: min(value, _LARGEST) for name, value in self._operator.session.adjustable.items()},
             "can_trigger": self._trigger is not None,
             "triggers": self._triggers,
             "can_pause": self._can_pause,
@@ -239,7 +239,7 @@ class ViewerCommands:
 
     def steps_allowed(self) -> bool:
         """Return whether the next step may begin; this uses up a requested single step."""
-        if not self.paused or self._session.stopping:
+        if not self.paused or self._operator.session.stopping:
             return True
         self._steps, allowed = max(self._steps - 1, 0), self._steps > 0
         return allowed
@@ -247,7 +247,7 @@ class ViewerCommands:
     def _carried_out(self, command: dict[str, Any]) -> dict[str, Any]:
         match command:
             case {"do": "adjust", "name": name, "value": value}:
-                self._session.adjust(name, value)
+                self._operator.adjust(name, value)
                 return {"did": f"{name} = {value:g}"}
             case {"do": "pixel", "x": x, "y": y}:
                 return {"pixel": [x, y], "thresholds": self._thresholds(x, y)}
@@ -257,10 +257,10 @@ class ViewerCommands:
                 return self._undone(number)
             case {"do": "again", "seed": seed}:
                 self._repeats.request(seed)
-                self._session.stop()
+                self._operator.session.stop()
                 return {"did": f"the run starts again with seed {seed}"}
             case {"do": "stop"}:
-                self._session.stop()
+                self._operator.session.stop()
                 return {"did": "the run ends"}
             case {"do": "trigger"}:
                 return self._triggered()
@@ -271,10 +271,10 @@ class ViewerCommands:
     def _thresholds(self, x: int, y: int) -> list[float] | None:
         """Return the thresholds of a pixel, ON and OFF, [] for a dead pixel; None where they cannot be read."""
         try:
-            thresholds = self._session.thresholds_of(x, y)
+            thresholds = self._operator.session.thresholds_of(x, y)
         except ValueError:
             return None
-        return [one for one in thresholds if math.isfinite(one)]
+        return [threshold for threshold in thresholds if math.isfinite(threshold)]
 
     def _injected(self, fault: dict[str, Any]) -> dict[str, Any]:
         if self.status is None:
@@ -288,7 +288,7 @@ class ViewerCommands:
         change = self._changes.reversible(number, self.status.links)
         if not change.fault:
             assert change.before is not None
-            self._session.adjust(change.what, change.before, undo=True)
+            self._operator.adjust(change.what, change.before, undo=True)
             return {"did": f"{change.what} = {change.before:.4g} again"}
         answer = self._inject({"request": "end", "link": change.link, "number": change.fault}, self.status)
         return answer if "error" in answer else {"did": f"end of {answer['kind']} on {answer['link']}"}

@@ -38,7 +38,7 @@ _MOST_COUNT = 15
 
 def reduction(size: tuple[int, int]) -> int:
     """Return the number of sensor pixels, along x and y, for a pixel of the page."""
-    return max(-(-side // most) for side, most in zip(size, _MOST_SIZE, strict=True))
+    return max(-(-side // longest) for side, longest in zip(size, _MOST_SIZE, strict=True))
 
 
 class Canvas:
@@ -70,13 +70,13 @@ class Canvas:
         """
         from_us, self._until_us = self._until_us, max(until_us, self._until_us)
         every = 1 + len(events) // _MOST_DRAWN
-        drawn = events[::every]
-        place = (drawn["y"] // self._by).astype(np.intp) * self._width + drawn["x"] // self._by
-        active, last = self._last(drawn, place, from_us)
+        thinned = events[::every]
+        place = (thinned["y"] // self._by).astype(np.intp) * self._width + thinned["x"] // self._by
+        active, last = self._last(thinned, place, from_us)
         self._number += 1
         return Picture(
             self._number, from_us, self._until_us, len(events), every, light_codes(light),
-            active, last, self._counts(drawn, place, active),
+            active, last, self._counts(thinned, place, active),
         )  # fmt: skip
 
     def _last(
@@ -99,7 +99,7 @@ class Canvas:
         slot[active] = np.arange(len(active))
         on = events["on"]
         up, down = (
-            np.minimum(np.bincount(slot[place[which]], minlength=len(active)), _MOST_COUNT) for which in (on, ~on)
+            np.minimum(np.bincount(slot[place[polarity]], minlength=len(active)), _MOST_COUNT) for polarity in (on, ~on)
         )
         return np.asarray(up | down << 4, np.uint8)
 

@@ -241,7 +241,9 @@ class Connections:
         return Bounded
 
 
-BAD_MESSAGE, REFUSED, FULL = 4400, 4401, 4429
+BAD_MESSAGE = 4400
+REFUSED = 4401
+FULL = 4429
 """Codes with which a WebSocket is closed."""
 
 _HELLO_S = 5.0

@@ -164,6 +164,10 @@ class Veiled(Scene):
         inner = self.scene.pixel_light
         return None if inner is None else partial(self._pixels, inner)
 
+    def stop(self) -> None:
+        """Limit the time of the present light frame of the scene."""
+        self.scene.stop()
+
     def geometry(self, rays: Rays | None = None) -> SceneGeometry | None:
         """Return the geometry of the scene."""
         return self.scene.geometry(rays)

@@ -13,10 +13,8 @@ aplanatic (Abbe's sine condition), so the sine is 1 / (2 N), and a star (an irra
 and a surface of the same light agree at every f-number. The other common form, 1 / (4 N^2 + 1), takes 1 / (2 N) for the
 tangent: it is 11 % lower at f/1.4. Source: Born and Wolf, Principles of Optics, sections 4.5.1 and 4.8.
 
-The chip's parameters are estimates (fill factor 22 %, peak efficiency 24 % for the front-illuminated DAVIS346; pitch as
-in its data sheet; pitch and fill factor of the Gen 3.1 and pitch of the GenX320 as in `sensor.presets`, their other
-values after front- and back-illuminated chips), and so is the reference: 1 klux on a scene of middle grey through f/1.4
-is about 50 lx on the chip.
+The reference is an estimate: 1 klux on a scene of middle grey through f/1.4 is about 50 lx on the chip. The records of
+the cameras have the chip's parameters.
 
 Distortion follows the model of Brown and Conrady, as OpenCV writes it. With x, y the tangents of a direction
 (x / z, y / z) and r^2 = x^2 + y^2, its image is at
@@ -67,16 +65,6 @@ class Chip:
         area_m2 = (self.pitch_um * 1e-6) ** 2
         photons_s = irradiance_w_m2 * area_m2 * self.fill_factor * _WAVELENGTH_M / (_PLANCK_J_S * _LIGHT_M_S)
         return photons_s * self.quantum_efficiency * _ELECTRON_C
-
-
-CHIPS = {
-    "davis346": Chip(18.5, 0.22, 0.24),
-    "dvxplorer_micro": Chip(9.0, 0.22, 0.24),
-    "imx636": Chip(4.86, 0.77, 0.7),
-    "gen31": Chip(15.0, 0.25, 0.3),
-    "genx320": Chip(6.3, 0.77, 0.7),
-}
-"""Chips by camera model; the module docstring gives the sources."""
 
 
 _Coefficient = Annotated[float, Meta(ge=-10, le=10)]

@@ -167,6 +167,10 @@ class Through(Scene):
         inner = self.scene.pixel_light
         return None if inner is None or self._bent is not None else partial(self._pixels, inner)
 
+    def stop(self) -> None:
+        """Limit the time of the present light frame of the scene."""
+        self.scene.stop()
+
     def geometry(self, rays: Rays | None = None) -> SceneGeometry | None:
         """Return the geometry of the scene, along the rays that the lens bends."""
         return self.scene.geometry(rays or self._rays)

@@ -180,9 +180,11 @@ def _large_signals(p: SensorParameters, scene: Probe) -> Decision | None:
     least = least_current(p, scene)
     range_ln = math.log(max(_largest(scene) / least, 1.0))
     late_us = 1e6 * (1 + range_ln) / (2 * math.pi * p.corner_max_hz)
-    here = p.photoreceptor == "circuit"
-    changes = {"photoreceptor": "large_signal"} if here else {}
-    return Decision("large signals", "second pole, and slew over the range", late_us, None, changes, here, here)
+    is_circuit = p.photoreceptor == "circuit"
+    changes = {"photoreceptor": "large_signal"} if is_circuit else {}
+    return Decision(
+        "large signals", "second pole, and slew over the range", late_us, None, changes, is_circuit, is_circuit
+    )
 
 
 def _source_follower(p: SensorParameters) -> Decision | None:
@@ -201,18 +203,14 @@ def _leaks(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Deci
         ("leak jitter", p.leak_hz * p.jitter.leak_share, {"jitter": {"leak_share": 0.0}}),
         ("parasitic", p.parasitic_hz_at_reference * largest, {"parasitic_hz_at_reference": 0.0}),
     )
-    return [_leaking(name, rate_hz, changes, p, (scene, tolerance)) for name, rate_hz, changes in off]
-
-
-def _leaking(
-    name: str, rate_hz: float, changes: dict[str, Any], p: SensorParameters, given: tuple[Probe, Tolerance]
-) -> Decision | None:
-    if not rate_hz:
-        return None
-    scene, tolerance = given
-    drift_us = min(over(rate_hz * threshold(p) * tolerance.duration_s, scene), interval_s(p, scene)) * 1e6
-    share = over(rate_hz * threshold(p), scene)
-    return Decision(name, "drift of the stamps, and its share of the events", drift_us, share, changes)
+    decisions: list[Decision | None] = []
+    for name, rate_hz, changes in off:
+        if rate_hz:
+            slope = rate_hz * threshold(p)
+            drift_us = min(over(slope * tolerance.duration_s, scene), interval_s(p, scene)) * 1e6
+            bound = "drift of the stamps, and its share of the events"
+            decisions.append(Decision(name, bound, drift_us, over(slope, scene), changes))
+    return decisions
 
 
 def _mismatch(p: SensorParameters, scene: Probe) -> Decision | None:
@@ -274,7 +272,7 @@ def _comparator(p: SensorParameters, scene: Probe) -> Decision | None:
         return None
     late_us, unit_us = math.inf, over(c.contrast_per_e, scene) * 1e6
     if math.isfinite(unit_us):
-        on, off = c.on_us / unit_us, c.off_us / unit_us  # see `sensor.pixels.comparator`
+        on, off = c.on_us / unit_us, c.off_us / unit_us  # see `sensor.pixels.event_time`
         late_us = unit_us * max(math.log1p(on + math.sqrt(2 * on)), off + min(1.0, math.sqrt(2 * off)))
     none = {"comparator": {"on_us": 0.0, "off_us": 0.0}}
     share = late_us * 1e-6 / interval_s(p, scene) if math.isfinite(late_us) else math.inf
@@ -282,17 +280,17 @@ def _comparator(p: SensorParameters, scene: Probe) -> Decision | None:
 
 
 def _resets(p: SensorParameters, scene: Probe) -> list[Decision | None]:
-    n, found = run_events(p, scene), list[Decision | None]()
+    n, decisions = run_events(p, scene), list[Decision | None]()
     offset, noise = abs(p.reset.offset), p.reset.noise
     if offset:
         bound, share = "stamps in a run, and its share of a threshold", offset / min(p.threshold_on, p.threshold_off)
         off_us = over(n * offset, scene) * 1e6
-        found.append(Decision("reset offset", bound, off_us, share, {"reset": {"offset": 0.0}}))
+        decisions.append(Decision("reset offset", bound, off_us, share, {"reset": {"offset": 0.0}}))
     if noise:
         off_us = over(2 * math.sqrt(n) * noise, scene) * 1e6
         bound = "two deviations of the stamps in a run"
-        found.append(Decision("reset noise", bound, off_us, None, {"reset": {"noise": 0.0}}))
-    return found
+        decisions.append(Decision("reset noise", bound, off_us, None, {"reset": {"noise": 0.0}}))
+    return decisions
 
 
 def _acknowledge(p: SensorParameters, scene: Probe) -> Decision | None:
@@ -336,11 +334,11 @@ def _corner_hz(p: SensorParameters, current: float) -> float:
 def chip_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision | None]:
     """Return the cost of each effect of the chip."""
     return [
-        _dark_current(p, scene),
+        Decision("dark current", "its share of the darkest light; never left out", None, _dim(p, scene), choice=False),
         _temperature(p, scene, tolerance),
         *_efficiencies(p, scene),
-        _prnu(p, scene),
-        _dcnu(p, scene),
+        _of_light("PRNU", 2 * p.imager.prnu, {"prnu": 0.0}, p, scene),
+        _of_light("DCNU", 2 * p.imager.dcnu, {"dcnu": 0.0}, p, scene, of_dark=True),
         *_shot_noise(p, scene),
         _hot_pixels(p, scene),
         _dead_pixels(p),
@@ -351,12 +349,6 @@ def chip_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[
 
 def _dim(p: SensorParameters, scene: Probe) -> float:
     return min(1.0, p.dark_current_relative / least_current(p, scene))
-
-
-def _dark_current(p: SensorParameters, scene: Probe) -> Decision:
-    return Decision(
-        "dark current", "its share of the darkest light; never left out", None, _dim(p, scene), choice=False
-    )
 
 
 def _temperature(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> Decision | None:
@@ -378,14 +370,6 @@ def _efficiencies(p: SensorParameters, scene: Probe) -> list[Decision | None]:
             "quantum efficiency", abs(1 / p.imager.quantum_efficiency - 1), {"quantum_efficiency": 1.0}, p, scene
         ),
     ]
-
-
-def _prnu(p: SensorParameters, scene: Probe) -> Decision | None:
-    return _of_light("PRNU", 2 * p.imager.prnu, {"prnu": 0.0}, p, scene)
-
-
-def _dcnu(p: SensorParameters, scene: Probe) -> Decision | None:
-    return _of_light("DCNU", 2 * p.imager.dcnu, {"dcnu": 0.0}, p, scene, of_dark=True)
 
 
 def _of_light(

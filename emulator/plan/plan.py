@@ -216,8 +216,8 @@ def _step_for(wanted_us: float, probe: Probe, order: int) -> float:
 
 def _step_for_sequences(tolerated: float, probe: Probe, order: int) -> float:
     """Return the step, us, with that number of slips per event; at most a second."""
-    made = probe.hermite_slips if order == _HERMITE else probe.line_slips
-    return min(1e6, probe.step_s * 1e6 * float((tolerated / made) ** (1 / order))) if made > 0 else 1e6
+    slips = probe.hermite_slips if order == _HERMITE else probe.line_slips
+    return min(1e6, probe.step_s * 1e6 * float((tolerated / slips) ** (1 / order))) if slips > 0 else 1e6
 
 
 def _load(rig: Rig, probe: Probe, steps: Steps) -> Load:

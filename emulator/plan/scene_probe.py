@@ -84,7 +84,7 @@ def probe(scene: Scene, sensor: SensorParameters, step_ns: int, duration_s: floa
     sensor = at_temperature(sensor)
     instants_ns = [round((k + 0.5) / _INSTANTS * duration_s * 1e9) for k in range(_INSTANTS)]
     triples = [[_look(scene, sensor, t_ns + k * step_ns) for k in range(3)] for t_ns in instants_ns]
-    return _figures(scene, sensor, triples, _draw_times(scene, instants_ns[0]))
+    return _figures(scene, sensor, triples, *_draw_times(scene, instants_ns[0]))
 
 
 def _look(scene: Scene, sensor: SensorParameters, t_ns: int) -> Sampled:
@@ -113,7 +113,7 @@ def _draw_times(scene: Scene, t_ns: int) -> tuple[float, float]:
 
 
 def _figures(
-    scene: Scene, sensor: SensorParameters, triples: list[list[Sampled]], draw_s: tuple[float, float]
+    scene: Scene, sensor: SensorParameters, triples: list[list[Sampled]], draw_s: float, draw_with_rate_s: float
 ) -> Probe:
     h = (triples[0][1].t_ns - triples[0][0].t_ns) * 1e-9
     change = np.concatenate([after.u - middle.u for _, middle, after in triples])
@@ -122,7 +122,7 @@ def _figures(
     weight = np.abs(change)
     total = float(weight.sum())
     threshold = (sensor.threshold_on + sensor.threshold_off) / 2
-    without = [[_without_slopes(s) for s in triple] for triple in triples]
+    without = [[Sampled(s.u, None, s.t_ns) for s in triple] for triple in triples]  # their slopes
     line = _errors(without)
     line_mean_us = float((line[0] * line[1]).sum()) / total if total else 0.0
     return Probe(
@@ -136,17 +136,13 @@ def _figures(
         largest_current=weighted_quantile(current, weight, _FASTEST_CORNER_SHARE) if total else math.nan,
         fastest_change=float(weight.max()) / h,
         events_per_s=float(weight.mean()) / h / threshold * sensor.width * sensor.height,
-        draw_s=draw_s[0],
-        draw_with_rate_s=draw_s[1],
+        draw_s=draw_s,
+        draw_with_rate_s=draw_with_rate_s,
         motion_px_s=scene.motion_bound_px_s,
         line_slips=_slips(without),
         hermite_slips=_slips(triples),
         mean_current=float(current[np.isfinite(current)].mean()) if np.isfinite(current).any() else 0.0,
     )
-
-
-def _without_slopes(s: Sampled) -> Sampled:
-    return Sampled(s.u, None, s.t_ns)
 
 
 def _slips(triples: list[list[Sampled]]) -> float:

@@ -284,10 +284,10 @@ class ControlledSteps:
         self._frames = [*self._frames[-2:], sample(frame, self._dark, _CONTROL_PIXELS)]
         if len(self._frames) == 3:
             self._recent.append(_look(*self._frames))
-            last_ns, has_slopes, seen = self._recent[-1].dt_us * 1000, frame.rate is not None, _together(self._recent)
-            longest_ns = self._limits.longest_step_ns(has_slopes)
-            wanted = self._longest(seen, last_ns, longest_ns)
-            self._step_ns = float(np.clip(wanted, self._limits.shortest_ns, longest_ns))
+            last_ns = self._recent[-1].dt_us * 1000
+            longest_ns = self._limits.longest_step_ns(frame.rate is not None)
+            step_ns = self._longest(_together(self._recent), last_ns, longest_ns)
+            self._step_ns = float(np.clip(step_ns, self._limits.shortest_ns, longest_ns))
 
     def _longest(self, seen: _Seen, last_ns: float, longest_ns: float) -> float:
         """Return the longest step of half to twice the last that meets the limits, ns; the shortest if none does."""

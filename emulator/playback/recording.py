@@ -69,12 +69,12 @@ RECORDING = SceneKind(
 )
 
 
-def read_events(path: Path, known: tuple[int, int] | None = None) -> tuple[Events, tuple[int, int] | None]:
+def read_events(path: Path, size: tuple[int, int] | None = None) -> tuple[Events, tuple[int, int] | None]:
     """Read a recording: (n,) EVENT, sorted, and the sensor's (width, height) where the file contains it, or `known`.
 
     Raises SceneError where the file cannot be read, holds no events, or goes back in time.
     """
-    with _opened(path, known) as recording:
+    with _opened(path, size) as recording:
         events = join_events([part.events for part in recording.parts()]).copy()
     if not len(events):
         raise SceneError(f"{path}: holds no events")
@@ -108,10 +108,10 @@ def load_recording(path: Path, size: tuple[int, int]) -> Events:
 
 
 @contextmanager
-def _opened(path: Path, known: tuple[int, int] | None) -> Iterator[OpenRecording]:
+def _opened(path: Path, size: tuple[int, int] | None) -> Iterator[OpenRecording]:
     """Open a recording, and turn its errors into SceneError or MachineLacks."""
     try:
-        with OpenRecording(path, known) as recording:
+        with OpenRecording(path, size) as recording:
             yield recording
     except LibraryMissing as error:
         raise MachineLacks(f"{path}: {error}") from error

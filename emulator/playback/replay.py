@@ -75,7 +75,9 @@ class Replay:
 
     def reset(self, frame: LightFrame) -> None:
         """Start at the time of `frame`; its light has no effect."""
-        self._next, self._start_ns, self.raised = 0, int(frame.t_ns), 0
+        self._next = 0
+        self._start_ns = int(frame.t_ns)
+        self.raised = 0
 
     def expose(self, frame: LightFrame) -> Events:
         """Return the events up to the time of `frame`; its light has no effect."""

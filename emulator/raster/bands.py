@@ -16,21 +16,25 @@ and read.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.raster.compiled import entry, kernel, lane
-from emulator.raster.depth import alone, fill_depth, mark_seen
-from emulator.raster.depth import shows as may_show
+from emulator.raster.depth import alone, fill_depth, mark_seen, may_show
 from emulator.raster.layout import (
     BAND,
+    Band,
     Data,
     Float32s,
     Floats,
     G,
     Ints,
     L,
+    Lists,
+    Owners,
+    Scratch,
     XHigh,
     XLow,
     YHigh,
@@ -40,6 +44,15 @@ from emulator.raster.pixel import TOLERANCE, pixel_light
 from emulator.raster.rows import add_facet
 
 _EMPTY = 1e-9  # of a pixel: less is rounding of sums along a row
+
+
+class Columns(NamedTuple):
+    """Columns of a band that facets touch, and around them those that are written; the ends are not included."""
+
+    first: int
+    end: int
+    window_first: int
+    window_end: int
 
 
 @lane
@@ -54,87 +67,88 @@ def _extent(facets: Floats, listed: Ints, width: int) -> tuple[int, int]:
 
 @lane
 def _sum_up(
-    acc: Floats,
-    rows: tuple[int, int],
-    columns: tuple[int, int, int, int],
-    pictures: tuple[Float32s, Float32s],
-    facets: Floats,
-    nearest: Ints,
-    places: tuple[Ints, Ints, Ints],
-    owners: tuple[Ints, Float32s],
+    band: Band, columns: Columns, facets: Floats, scratch: Scratch, owners: Owners, light: Float32s, rate: Float32s
 ) -> int:
     """Write pixels whose area is a whole number; list the others, number them in `slots`; return their number."""
+    acc, nearest = scratch.acc, scratch.nearest
+    slots, places, masks = scratch.slots, scratch.places, scratch.masks
+    has_owners = len(owners.facets) > 0
     n = 0
-    owner, whole = owners
-    told = len(owner) > 0
-    light, rate = pictures
-    slots, found, masks = places
-    c0, c1, left, right = columns
-    for r in range(rows[1] - rows[0]):
-        row = rows[0] + r
-        for c in range(left, c0):
+    for r in range(band.end_row - band.first_row):
+        row = band.first_row + r
+        # No facet touches the window beyond `columns`: it is black there.
+        for c in range(columns.window_first, columns.first):
             light[row, c] = rate[row, c] = 0.0
-        for c in range(c1, right):
+        for c in range(columns.end, columns.window_end):
             light[row, c] = rate[row, c] = 0.0
-        if told:
-            owner[row, left:right], whole[row, left:right] = -1, 1.0
-            for c in range(c0, c1):
-                owner[row, c] = nearest[r + 1, c + 1]
-        cell = acc[r, c0]
-        area, l0, l1, g0, g1 = cell[1], cell[3], cell[4], cell[6], cell[7]
-        for c in range(c0, c1):
+        if has_owners:
+            owners.facets[row, columns.window_first : columns.window_end] = -1
+            owners.coverage[row, columns.window_first : columns.window_end] = 1.0
+            for c in range(columns.first, columns.end):
+                owners.facets[row, c] = nearest[r + 1, c + 1]
+        # Sums along the row, see `rows`: what edges further left add to each pixel right of them, before what an edge
+        # within the pixel adds to it. The planes' growth down the row is part of them; that to the right is not.
+        cell = acc[r, columns.first]
+        area = cell[1]
+        light_sum, light_right = cell[3], cell[4]
+        rate_sum, rate_right = cell[6], cell[7]
+        for c in range(columns.first, columns.end):
             cell = acc[r, c + 1]
-            here = area + cell[0]
-            value = cell[2] + l0 + l1 * (c + 0.5)
-            changing = cell[5] + g0 + g1 * (c + 0.5)
-            area, l0, l1, g0, g1 = area + cell[1], l0 + cell[3], l1 + cell[4], g0 + cell[6], g1 + cell[7]
-            if abs(here) <= _EMPTY:
+            covered = area + cell[0]
+            value = cell[2] + light_sum + light_right * (c + 0.5)
+            changing = cell[5] + rate_sum + rate_right * (c + 0.5)
+            area += cell[1]
+            light_sum += cell[3]
+            light_right += cell[4]
+            rate_sum += cell[6]
+            rate_right += cell[7]
+            if abs(covered) <= _EMPTY:
                 value, changing = 0.0, cell[5]  # an edge that enters just now
-            elif abs(here - 1.0) > TOLERANCE:
+            elif abs(covered - 1.0) > TOLERANCE:
+                # Other layers, or an outline. Where one facet hides whole layers around, the pixel has its light.
                 f = alone(nearest, r, c)
-                if f >= 0 and abs(here - round(here)) <= TOLERANCE:
+                if f >= 0 and abs(covered - round(covered)) <= TOLERANCE:
                     x, y = c + 0.5, row + 0.5
                     value = facets[f, L] + facets[f, L + 1] * x + facets[f, L + 2] * y
                     changing = facets[f, G] + facets[f, G + 1] * x + facets[f, G + 2] * y
                 else:
                     slots[r, c] = n
                     masks[c] |= 1 << r
-                    found[n, 0], found[n, 1] = row, c
+                    places[n, 0], places[n, 1] = row, c
                     n += 1
-                    if told:
-                        whole[row, c] = abs(2.0 * (here - math.floor(here)) - 1.0)
+                    if has_owners:
+                        owners.coverage[row, c] = abs(2.0 * (covered - math.floor(covered)) - 1.0)
             light[row, c] = max(value, 0.0)
             rate[row, c] = changing
     return n
 
 
 @lane
-def _pair_up(
-    data: Data,
-    listed: Ints,
-    places: tuple[Ints, Ints, Ints],
-    pairs: Ints,
-    rows: tuple[int, int],
-    columns: tuple[int, int],
-) -> int:
-    """Write (slot, facet) of each listed pixel that a facet touches; return their number, beyond the room too."""
-    vertices, faces, facets = data[0], data[1], data[4]
-    slots, _, masks = places
+def _pair_up(data: Data, listed: Ints, band: Band, columns: tuple[int, int], scratch: Scratch) -> int:
+    """Write (slot, facet) of each listed pixel that a facet touches; return their number, beyond the room too.
+
+    Few pixels are listed, and most facets touch none of them. The facet's box is narrowed to columns, then in each row
+    to places, with a listed pixel; only there the facet itself is looked at.
+    """
+    vertices, faces, facets = data.vertices, data.faces, data.facets
+    slots, masks, pairs = scratch.slots, scratch.masks, scratch.pairs
     n = 0
     for f in listed:
-        r0, r1 = int(max(facets[f, YLow], rows[0])), int(min(facets[f, YHigh], rows[1] - 1.0))
-        if facets[f, XHigh] < columns[0] or facets[f, XLow] >= columns[1] or facets[f, YHigh] < rows[0]:
+        if facets[f, XHigh] < columns[0] or facets[f, XLow] >= columns[1] or facets[f, YHigh] < band.first_row:
             continue
-        b0, b1 = int(max(facets[f, XLow], columns[0])), int(min(facets[f, XHigh], columns[1] - 1.0))
-        wanted = ((2 << (r1 - rows[0])) - 1) & ~((1 << (r0 - rows[0])) - 1)
-        while b0 <= b1 and masks[b0] & wanted == 0:
+        r0 = int(max(facets[f, YLow], band.first_row))
+        r1 = int(min(facets[f, YHigh], band.end_row - 1.0))
+        b0 = int(max(facets[f, XLow], columns[0]))
+        b1 = int(min(facets[f, XHigh], columns[1] - 1.0))
+        rows = ((2 << (r1 - band.first_row)) - 1) & ~((1 << (r0 - band.first_row)) - 1)  # bits r0 to r1
+        while b0 <= b1 and masks[b0] & rows == 0:
             b0 += 1
-        while b1 >= b0 and masks[b1] & wanted == 0:
+        while b1 >= b0 and masks[b1] & rows == 0:
             b1 -= 1
         if b0 > b1:
             continue
         for r in range(r0, r1 + 1):
-            line = slots[r - rows[0]]
+            line = slots[r - band.first_row]
             c0, c1 = b0, b1
             while c0 <= c1 and line[c0] < 0:
                 c0 += 1
@@ -156,9 +170,11 @@ def _strip(vertices: Floats, faces: Ints, f: int, row: int) -> tuple[float, floa
     """Return the least and the largest column of a facet within a row."""
     left, right = 1e300, -1e300
     low, high = float(row), row + 1.0
+    # They are at a corner within the row, or where a side crosses one of the row's borders.
     for side in range(3):
         a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
-        ax, ay, bx, by = vertices[a, 0], vertices[a, 1], vertices[b, 0], vertices[b, 1]
+        ax, ay = vertices[a, 0], vertices[a, 1]
+        bx, by = vertices[b, 0], vertices[b, 1]
         if low <= ay <= high:
             left, right = min(left, ax), max(right, ax)
         for y in (low, high):
@@ -174,6 +190,7 @@ def _group(pairs: Ints, n: int, ends: Ints, grouped: Ints) -> None:
     ends[:] = 0
     for i in range(n):
         ends[pairs[i, 0]] += 1
+    # Counts become beginnings, and these, one facet after another, ends.
     total = 0
     for k in range(len(ends)):
         count = ends[k]
@@ -186,45 +203,43 @@ def _group(pairs: Ints, n: int, ends: Ints, grouped: Ints) -> None:
 
 
 @kernel
-def _one_by_one(
-    data: Data,
-    here: Ints,
-    n: int,
-    rows: tuple[int, int],
-    columns: tuple[int, int],
-    scratch: Data,
-) -> int:
-    """Write light and rate of the first n `found` pixels to `answers`; return 0, or the pairs that lack room."""
-    slots, found, masks, answers, ends, pairs, grouped, keys, sides, lines = scratch[5:]
-    count: int = _pair_up(data, here, (slots, found, masks), pairs, rows, columns)
-    masks[columns[0] : columns[1]] = 0
+def _one_by_one(data: Data, listed: Ints, n: int, band: Band, columns: tuple[int, int], scratch: Scratch) -> int:
+    """Write light and rate of the first n of `places` to `answers`; return 0, or the pairs that lack room.
+
+    The pixels' numbers and bits are taken back, so that the next band finds none.
+    """
+    slots, places, ends, grouped = scratch.slots, scratch.places, scratch.ends, scratch.grouped
+    count: int = _pair_up(data, listed, band, columns, scratch)
+    scratch.masks[columns[0] : columns[1]] = 0
     for k in range(n):
-        slots[found[k, 0] - rows[0], found[k, 1]] = -1
-    if count > len(pairs):
+        slots[places[k, 0] - band.first_row, places[k, 1]] = -1
+    if count > len(scratch.pairs):
         return count
-    _group(pairs, count, ends[:n], grouped)
+    _group(scratch.pairs, count, ends[:n], grouped)
     begin = 0
     for k in range(n):
-        value, changing = pixel_light(data, (found[k, 1], found[k, 0]), grouped[begin : ends[k]], keys, (sides, lines))
-        answers[k, 0], answers[k, 1] = max(value, 0.0), changing
+        value, changing = pixel_light(data, places[k, 1], places[k, 0], grouped[begin : ends[k]], scratch)
+        scratch.answers[k, 0], scratch.answers[k, 1] = max(value, 0.0), changing
         begin = ends[k]
     return 0
 
 
 @lane
-def _mark_others(data: Data, here: Ints, marks: tuple[Ints, Ints], depth: Floats, rows: tuple[int, int, int]) -> None:
-    """Mark the facets that may show although they hold no sample; patches show where their facets do.
+def _mark_hidden_samples(data: Data, listed: Ints, band: Band, scratch: Scratch) -> None:
+    """Mark the facets that may show although they are the nearest at no sample; patches show where their facets do.
 
     A patch has no area, so the sum of areas would not show that one is missing.
     """
-    over, (shows, held), (first, last, band) = data[6], marks, rows
-    for f in here:
-        if over[f] >= 0 and shows[f] == band:
-            shows[over[f]] = band
-    for f in here:
-        if over[f] < 0 and shows[f] != band and held[f] != band and may_show(data[4], f, depth, first, last):
-            shows[f] = band
-    for f in here:
+    over, shows, held = data.over, scratch.shows, scratch.held
+    for f in listed:
+        if over[f] >= 0 and shows[f] == band.number:
+            shows[over[f]] = band.number
+    for f in listed:
+        # A facet that holds a sample and is the nearest at none is hidden there, and taken to be hidden altogether.
+        is_open = over[f] < 0 and shows[f] != band.number and held[f] != band.number
+        if is_open and may_show(data.facets, f, scratch.depth, band):
+            shows[f] = band.number
+    for f in listed:
         if over[f] >= 0:
             shows[f] = shows[over[f]]
 
@@ -232,34 +247,34 @@ def _mark_others(data: Data, here: Ints, marks: tuple[Ints, Ints], depth: Floats
 @entry
 def query_bands(
     data: Data,
-    lists: Data,
+    lists: Lists,
     pixels: npt.NDArray[np.int64],
     begin: int,
     shape: tuple[int, int],
-    scratch: Data,
+    scratch: Scratch,
     out: Floats,
 ) -> tuple[int, int]:
     """Write light and rate, (n, 2), of pixels in ascending order; return the last index and the missing room."""
-    starts, listed = lists
-    slots, found, masks, answers = scratch[5:9]
     height, width = shape
     k = begin
     while k < len(pixels):
-        band = pixels[k] // width // BAND
-        first, last = band * BAND, min((band + 1) * BAND, height)
+        number = pixels[k] // width // BAND
+        band = Band(number, number * BAND, min((number + 1) * BAND, height))
+        # List the pixels of this band, as `_sum_up` does with those that it cannot write.
         n = 0
         c0, c1 = width, 0
-        while k + n < len(pixels) and pixels[k + n] < last * width:
+        while k + n < len(pixels) and pixels[k + n] < band.end_row * width:
             row, column = pixels[k + n] // width, pixels[k + n] % width
-            found[n, 0], found[n, 1] = row, column
-            slots[row - first, column] = n
-            masks[column] |= 1 << (row - first)
+            scratch.places[n, 0], scratch.places[n, 1] = row, column
+            scratch.slots[row - band.first_row, column] = n
+            scratch.masks[column] |= 1 << (row - band.first_row)
             c0, c1 = min(c0, column), max(c1, column + 1)
             n += 1
-        lacking = _one_by_one(data, listed[starts[band] : starts[band + 1]], n, (first, last), (c0, c1), scratch)
+        listed = lists.listed[lists.starts[number] : lists.starts[number + 1]]
+        lacking = _one_by_one(data, listed, n, band, (c0, c1), scratch)
         if lacking > 0:
             return k, lacking
-        out[k : k + n] = answers[:n]
+        out[k : k + n] = scratch.answers[:n]
         k += n
     return k, 0
 
@@ -268,55 +283,50 @@ def query_bands(
 def draw_bands(
     data: Data,
     bands: tuple[int, int],
-    lists: Data,
+    lists: Lists,
     window: tuple[int, int],
-    scratch: Data,
+    scratch: Scratch,
+    owners: Owners,
     light: Float32s,
     rate: Float32s,
-    owners: tuple[Ints, Float32s],
 ) -> tuple[int, int]:
     """Draw the bands from the first to before the last; return the one that needs more room and how much, or (-1, 0).
 
     Parameters
     ----------
-    data : vertices, faces, across, smooth, facets, kinds, over.
-    bands : first, last.
-    lists : `starts` and `listed` of `projection.bucket`.
+    bands : first, and the one after the last.
     window : first column to write, and the one after the last.
-    scratch : see `renderer.Scratch`.
-    owners : of `renderer.Owners`; empty arrays if not requested.
+    owners : empty arrays if not requested.
     """
-    starts, listed = lists
-    acc, depth, nearest, held, shows, slots, found, masks, answers = scratch[:9]
-    facets = data[4]
-    places = (slots, found, masks)
     height, width = light.shape
-    for band in range(bands[0], bands[1]):
-        here = listed[starts[band] : starts[band + 1]]
-        first, last = band * BAND, min((band + 1) * BAND, height)
-        c0, c1 = _extent(facets, here, width)
+    for number in range(bands[0], bands[1]):
+        band = Band(number, number * BAND, min((number + 1) * BAND, height))
+        rows = slice(band.first_row, band.end_row)
+        listed = lists.listed[lists.starts[number] : lists.starts[number + 1]]
+        c0, c1 = _extent(data.facets, listed, width)
         if c0 >= c1:
-            light[first:last, window[0] : window[1]] = 0.0
-            rate[first:last, window[0] : window[1]] = 0.0
-            if len(owners[0]) > 0:
-                owners[0][first:last, window[0] : window[1]] = -1
+            light[rows, window[0] : window[1]] = 0.0
+            rate[rows, window[0] : window[1]] = 0.0
+            if len(owners.facets) > 0:
+                owners.facets[rows, window[0] : window[1]] = -1
             continue
-        acc[:, c0 : c1 + 1] = 0.0
-        depth[:, c0 : c1 + 2] = 0.0
-        nearest[:, c0 : c1 + 2] = -1
-        fill_depth(data, here, depth, nearest, held, (first, last, band))
-        mark_seen(nearest, (c0, c1 + 2), shows, band)
-        _mark_others(data, here, (shows, held), depth, (first, last, band))
-        for f in here:
-            if shows[f] == band:
-                add_facet(acc, f, shows, band, data, (first, last, width))
-        n = _sum_up(acc, (first, last), (c0, c1, window[0], window[1]), (light, rate), facets, nearest, places, owners)
+        # Only columns that facets touch are cleared and read; samples are one more on each side.
+        scratch.acc[:, c0 : c1 + 1] = 0.0
+        scratch.depth[:, c0 : c1 + 2] = 0.0
+        scratch.nearest[:, c0 : c1 + 2] = -1
+        fill_depth(data, listed, scratch.depth, scratch.nearest, scratch.held, band)
+        mark_seen(scratch.nearest, (c0, c1 + 2), scratch.shows, number)
+        _mark_hidden_samples(data, listed, band, scratch)
+        for f in listed:
+            if scratch.shows[f] == number:
+                add_facet(scratch.acc, f, scratch.shows, data, band, width)
+        n = _sum_up(band, Columns(c0, c1, window[0], window[1]), data.facets, scratch, owners, light, rate)
         if n == 0:
             continue
-        count = _one_by_one(data, here, n, (first, last), (c0, c1), scratch)
-        if count > 0:
-            return band, count
+        lacking = _one_by_one(data, listed, n, band, (c0, c1), scratch)
+        if lacking > 0:
+            return number, lacking
         for k in range(n):
-            row, column = found[k, 0], found[k, 1]
-            light[row, column], rate[row, column] = answers[k, 0], answers[k, 1]
+            row, column = scratch.places[k, 0], scratch.places[k, 1]
+            light[row, column], rate[row, column] = scratch.answers[k, 0], scratch.answers[k, 1]
     return -1, 0

@@ -8,7 +8,7 @@ range of w and of the screen box; and the sign of its winding, +1 seen from outs
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,22 +18,113 @@ Ints = npt.NDArray[np.int32]
 Bytes = npt.NDArray[np.uint8]
 Float32s = npt.NDArray[np.float32]
 
-Data = tuple[Any, ...]
-"""Arrays that kernels pass on: vertices, faces, across, smooth, facets, kinds, over."""
-
-Plane = tuple[float, float, float]
-Sides = tuple[float, float, float, float, float]
-
 BAND = 16
 """Rows of a band: its accumulators stay in the second-level cache."""
 
 VERTEX_FIELDS, FACET_FIELDS = 8, 16
 Valid = 6  # a vertex's x, y, vx, vy, w, dw/dt are 0 to 5
-L, G, W = 0, 3, 6
-WLowest, WHighest, XLow, XHigh, YLow, YHigh, Sign = 9, 10, 11, 12, 13, 14, 15
+L, G, W = range(0, 9, 3)  # three numbers each
+WLowest, WHighest, XLow, XHigh, YLow, YHigh, Sign = range(9, FACET_FIELDS)
 
-CULLED, SHOWABLE, FLAT = 0, 1, 2
+CULLED, SHOWABLE, FLAT = range(3)
 """Kinds of facets: skipped; drawn; drawn with constant radiance because it is too thin for a gradient."""
+
+
+class Data(NamedTuple):
+    """Surfaces on the screen.
+
+    Attributes
+    ----------
+    vertices, facets : see the module.
+    faces, across, smooth, over : of `Topology`.
+    kinds : (m,) uint8, of each facet.
+    """
+
+    vertices: Floats
+    faces: Ints
+    across: Ints
+    smooth: Bytes
+    facets: Floats
+    kinds: Bytes
+    over: Ints
+
+
+class Lists(NamedTuple):
+    """The facets that may touch each band: those of band b are listed[starts[b]:starts[b + 1]], in ascending order."""
+
+    starts: Ints
+    listed: Ints
+
+
+class Band(NamedTuple):
+    """A band of rows: its number, its first row, and the row after its last."""
+
+    number: int
+    first_row: int
+    end_row: int
+
+
+class Plane(NamedTuple):
+    """A linear function of the place on the screen: its value at the origin, and its growth a pixel right and down."""
+
+    origin: float
+    right: float
+    down: float
+
+
+class Owners(NamedTuple):
+    """The nearest facet at the middle of each pixel, for light that is not linear over facets.
+
+    Attributes
+    ----------
+    facets : (height, width) int32, the row of `Renderer.facets`; -1 for none.
+    coverage : (height, width) float32: 1 where one surface covers the pixel, less where an outline passes, 0 near its
+        middle.
+    """
+
+    facets: Ints
+    coverage: Float32s
+
+    @classmethod
+    def of(cls, width: int, height: int) -> Owners:
+        """Return room for a picture."""
+        return cls(np.full((height, width), -1, np.int32), np.ones((height, width), np.float32))
+
+
+class Scratch(NamedTuple):
+    """Memory of one thread, for one band at a time.
+
+    Attributes
+    ----------
+    acc : (BAND, width + 1, 8), accumulators of pixels, see `rows`.
+    depth, nearest : (BAND + 2, width + 2), 1 / depth and facet at samples, see `depth`.
+    held, shows : (m,), the last band in which a facet held a sample, and in which it may show.
+    slots : (BAND, width), the number of each pixel that is computed one by one; -1 for others.
+    places : (pixels, 2), row and column of these pixels.
+    masks : (width,), a bit for each row of the band that has such a pixel in this column.
+    answers : (pixels, 2), their light and rate.
+    ends : (pixels,), the end of each pixel's facets in `grouped`.
+    pairs : (n, 2), number of a pixel and a facet that touches it.
+    grouped : (n,), facets of `pairs` by pixel.
+    keys : (n,), nearness by which facets are sorted.
+    sides, lines : (n, SIDE_FIELDS), (n, LINE_FIELDS), see `lines`.
+    """
+
+    acc: Floats
+    depth: Floats
+    nearest: Ints
+    held: Ints
+    shows: Ints
+    slots: Ints
+    places: Ints
+    masks: Ints
+    answers: Floats
+    ends: Ints
+    pairs: Ints
+    grouped: Ints
+    keys: Floats
+    sides: Floats
+    lines: Floats
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ surfaces that pass through each other the velocity of equal depth.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from emulator.raster.compiled import lane, vector_kernel
@@ -22,41 +24,56 @@ _NONE = np.int64(-1)  # no interval; as a literal it would have a type of its ow
 _NO_STEP = 1e-10  # of the light: where it is continuous from facet to facet, its change is rounding
 _FROM, _TO, _FROM_SIDE, _TO_SIDE, _W, _WX, _SLOT = range(LINE_FIELDS)
 _Y_LOW, _Y_MIDDLE, _Y_HIGH, _X_LOW, _X_MIDDLE, _LONG, _LOWER, _UPPER, _LONG_SIDE, _LOWER_SIDE, _UPPER_SIDE = range(11)
-_OF, _OF_W, _OF_L, _OF_G = 11, 12, 15, 18
+_OF, _OF_W, _OF_L, _OF_G = 11, *range(12, SIDE_FIELDS, 3)  # a facet's number, and three numbers for each plane
+
+
+class Contents(NamedTuple):
+    """Contents of a pixel.
+
+    Attributes
+    ----------
+    facets : (n, SIDE_FIELDS) or longer, sides and planes of the facets that touch it, in the pixel's frame.
+    intervals : (n, LINE_FIELDS) or longer, of facets on the present line.
+    """
+
+    facets: Floats
+    intervals: Floats
+
+
+class _Line(NamedTuple):
+    """A line through a pixel.
+
+    Attributes
+    ----------
+    axis : 0 for a row, x along it; 1 for a column. Then x and y are exchanged in the pixel's frame.
+    y : its place in the pixel's frame.
+    """
+
+    axis: int
+    y: float
 
 
 @lane
-def resolve(
-    data: Data,
-    place: tuple[int, int],
-    listed: Ints,
-    scratch: tuple[Floats, Floats],
-    upright: bool,
-) -> tuple[float, float]:
-    """Return light and rate of a pixel; `upright` lines are columns, others rows.
-
-    Parameters
-    ----------
-    scratch : (n, SIDE_FIELDS) and (n, LINE_FIELDS) or longer.
-    """
-    sides, lines = scratch
-    o, origin = 0, place
+def resolve(data: Data, place: tuple[int, int], listed: Ints, contents: Contents, upright: bool) -> tuple[float, float]:
+    """Return light and rate of the pixel (column, row); `upright` lines are columns, others rows."""
+    axis, origin = 0, place
     if upright:
-        o, origin = 1, (place[1], place[0])
+        axis, origin = 1, (place[1], place[0])
     low, high = 1.0, 0.0
     for i in range(len(listed)):
-        out = sides[i]
-        _set_sides(data, origin, listed[i], o, out)
-        _set_planes(data, origin, listed[i], o, out)
-        low, high = min(low, out[_Y_LOW]), max(high, out[_Y_HIGH])
+        facet = contents.facets[i]
+        _set_sides(data, origin, listed[i], axis, facet)
+        _set_planes(data, origin, listed[i], axis, facet)
+        low, high = min(low, facet[_Y_LOW]), max(high, facet[_Y_HIGH])
+    # Lines divide the part of the pixel with facets evenly: each is the middle of its share.
     low, high = max(low, 0.0), min(high, 1.0)
     apart = max(high - low, 0.0) / LINES
     light = rate = 0.0
     for k in range(LINES):
-        line = (o, low + (k + 0.5) * apart)
-        n = _cut(sides, len(listed), line[1], lines)
-        more, changing = _along(data, (sides, lines), n, origin, line)
-        light, rate = light + more, rate + changing
+        line = _Line(axis, low + (k + 0.5) * apart)
+        n = _cut(contents, len(listed), line.y)
+        light_along, rate_along = _along(data, contents, n, origin, line)
+        light, rate = light + light_along, rate + rate_along
     return light * apart, rate * apart
 
 
@@ -67,54 +84,66 @@ def _side_of(i: int, j: int) -> int:
 
 
 @lane
-def _set_sides(data: Data, origin: tuple[int, int], f: int, o: int, out: Floats) -> None:
+def _set_sides(data: Data, origin: tuple[int, int], f: int, axis: int, out: Floats) -> None:
     """Write a facet's sides in the pixel's frame: corners by ascending y, and the growth of x with y on each side."""
-    vertices, faces = data[0], data[1]
+    vertices, faces = data.vertices, data.faces
     x, y = origin
     i, j, k = 0, 1, 2
-    if vertices[faces[f, i], 1 - o] > vertices[faces[f, j], 1 - o]:
+    if vertices[faces[f, i], 1 - axis] > vertices[faces[f, j], 1 - axis]:
         i, j = j, i
-    if vertices[faces[f, j], 1 - o] > vertices[faces[f, k], 1 - o]:
+    if vertices[faces[f, j], 1 - axis] > vertices[faces[f, k], 1 - axis]:
         j, k = k, j
-    if vertices[faces[f, i], 1 - o] > vertices[faces[f, j], 1 - o]:
+    if vertices[faces[f, i], 1 - axis] > vertices[faces[f, j], 1 - axis]:
         i, j = j, i
     a, b, c = faces[f, i], faces[f, j], faces[f, k]
-    ax, ay, bx, by = vertices[a, o] - x, vertices[a, 1 - o] - y, vertices[b, o] - x, vertices[b, 1 - o] - y
-    cx, cy = vertices[c, o] - x, vertices[c, 1 - o] - y
-    out[_Y_LOW], out[_Y_MIDDLE], out[_Y_HIGH], out[_X_LOW], out[_X_MIDDLE] = ay, by, cy, ax, bx
-    out[_LONG], out[_LOWER], out[_UPPER] = (cx - ax) / (cy - ay), (bx - ax) / (by - ay), (cx - bx) / (cy - by)
-    out[_LONG_SIDE], out[_LOWER_SIDE], out[_UPPER_SIDE] = _side_of(i, k), _side_of(i, j), _side_of(j, k)
+    ax, ay = vertices[a, axis] - x, vertices[a, 1 - axis] - y
+    bx, by = vertices[b, axis] - x, vertices[b, 1 - axis] - y
+    cx, cy = vertices[c, axis] - x, vertices[c, 1 - axis] - y
+    out[_Y_LOW] = ay
+    out[_Y_MIDDLE] = by
+    out[_Y_HIGH] = cy
+    out[_X_LOW] = ax
+    out[_X_MIDDLE] = bx
+    out[_LONG] = (cx - ax) / (cy - ay)
+    out[_LOWER] = (bx - ax) / (by - ay)
+    out[_UPPER] = (cx - bx) / (cy - by)
+    out[_LONG_SIDE] = _side_of(i, k)
+    out[_LOWER_SIDE] = _side_of(i, j)
+    out[_UPPER_SIDE] = _side_of(j, k)
 
 
 @lane
-def _set_plane(facets: Floats, f: int, at: int, origin: tuple[int, int], o: int, out: Floats, to: int) -> None:
+def _set_plane(facets: Floats, f: int, at: int, origin: tuple[int, int], axis: int, out: Floats, to: int) -> None:
     """Write a plane of a facet in the pixel's frame: value at its origin, along x and along y."""
     x, y = origin
-    along_x, along_y = facets[f, at + 1 + o], facets[f, at + 2 - o]
-    out[to], out[to + 1], out[to + 2] = facets[f, at] + along_x * x + along_y * y, along_x, along_y
+    along_x, along_y = facets[f, at + 1 + axis], facets[f, at + 2 - axis]
+    out[to] = facets[f, at] + along_x * x + along_y * y
+    out[to + 1] = along_x
+    out[to + 2] = along_y
 
 
 @lane
-def _set_planes(data: Data, origin: tuple[int, int], f: int, o: int, out: Floats) -> None:
+def _set_planes(data: Data, origin: tuple[int, int], f: int, axis: int, out: Floats) -> None:
     """Write a facet's planes of 1 / depth, radiance and rate in the pixel's frame."""
-    facets = data[4]
+    facets = data.facets
     out[_OF] = f
-    _set_plane(facets, f, W, origin, o, out, _OF_W)
-    _set_plane(facets, f, L, origin, o, out, _OF_L)
-    _set_plane(facets, f, G, origin, o, out, _OF_G)
-    if data[5][f] == FLAT:
+    _set_plane(facets, f, W, origin, axis, out, _OF_W)
+    _set_plane(facets, f, L, origin, axis, out, _OF_L)
+    _set_plane(facets, f, G, origin, axis, out, _OF_G)
+    if data.kinds[f] == FLAT:
         out[_OF_W] = min(max(out[_OF_W], facets[f, WLowest]), facets[f, WHighest])
 
 
 @lane
-def _cut(sides: Floats, count: int, y: float, lines: Floats) -> int:
-    """Write the interval of each facet on a line, in the pixel's frame; return their number.
+def _cut(contents: Contents, count: int, y: float) -> int:
+    """Write the interval of each of `count` facets on a line, in the pixel's frame; return their number.
 
     Each facet is written, and the next one over it if it has no interval: no branch that cannot be predicted.
     """
     n = 0
     for i in range(count):
-        facet, out = sides[i], lines[n]
+        facet, out = contents.facets[i], contents.intervals[n]
+        # Places on the long side and on one of the other two, which meet at the corner of middle y.
         below = y < facet[_Y_MIDDLE]
         xa = facet[_X_LOW] + (y - facet[_Y_LOW]) * facet[_LONG]
         xb = (facet[_X_LOW] if below else facet[_X_MIDDLE]) + (y - (facet[_Y_LOW] if below else facet[_Y_MIDDLE])) * (
@@ -123,9 +152,13 @@ def _cut(sides: Floats, count: int, y: float, lines: Floats) -> int:
         from_side, to_side = facet[_LONG_SIDE], facet[_LOWER_SIDE] if below else facet[_UPPER_SIDE]
         turned = xa > xb
         left, right = xb if turned else xa, xa if turned else xb
-        out[_FROM], out[_TO], out[_SLOT] = left, right, i
-        out[_FROM_SIDE], out[_TO_SIDE] = to_side if turned else from_side, from_side if turned else to_side
-        out[_W], out[_WX] = facet[_OF_W] + facet[_OF_W + 2] * y, facet[_OF_W + 1]
+        out[_FROM] = left
+        out[_TO] = right
+        out[_SLOT] = i
+        out[_FROM_SIDE] = to_side if turned else from_side
+        out[_TO_SIDE] = from_side if turned else to_side
+        out[_W] = facet[_OF_W] + facet[_OF_W + 2] * y
+        out[_WX] = facet[_OF_W + 1]
         on_line = (facet[_Y_LOW] <= y) & (y < facet[_Y_HIGH])
         n += int(on_line & (right > 0.0) & (left < 1.0) & (right - left > _SHORTEST))
     return n
@@ -139,9 +172,9 @@ def _depth(lines: Floats, k: int, x: float) -> float:
 
 
 @lane
-def _value(seen: tuple[Floats, Floats], k: int, at: int, x: float, y: float) -> float:
+def _value(contents: Contents, k: int, at: int, x: float, y: float) -> float:
     """Return radiance or rate of an interval's facet: computed for the few intervals that are visible."""
-    facet = seen[0][int(seen[1][k, _SLOT])]
+    facet = contents.facets[int(contents.intervals[k, _SLOT])]
     value: float = (facet[at] + facet[at + 2] * y) + facet[at + 1] * x
     return value
 
@@ -165,6 +198,7 @@ def _change(lines: Floats, n: int, w: int, x: float) -> tuple[float, int, bool]:
     end, heir, passed = lines[w, _TO], -1, False
     rounding = 1e-12 * abs(lines[w, _W])
     for k in range(n):
+        # Both facets' 1 / depth are linear: their difference at the ends of the common part decides.
         start, stop = max(x, lines[k, _FROM]), min(end, lines[k, _TO])
         if k == w or stop - start <= _SHORTEST:
             continue
@@ -180,40 +214,35 @@ def _change(lines: Floats, n: int, w: int, x: float) -> tuple[float, int, bool]:
 
 
 @lane
-def _along(
-    data: Data,
-    seen: tuple[Floats, Floats],
-    n: int,
-    origin: tuple[int, int],
-    line: tuple[int, float],
-) -> tuple[float, float]:
-    """Return the integrals of light and rate along a line; `seen` are facets and intervals."""
-    lines, y = seen[1], line[1]
+def _along(data: Data, contents: Contents, n: int, origin: tuple[int, int], line: _Line) -> tuple[float, float]:
+    """Return the integrals of light and rate along a line with n intervals."""
+    intervals, y = contents.intervals, line.y
     light = rate = 0.0
     x, w, heir, passed = 0.0, _NONE, _NONE, False
     for k in range(4 * n + 5):
-        following = heir if heir >= 0 else _nearest(lines, n, x)
+        # At x interval w ends, for its heir where there is one; the visible facet, and so the light, changes.
+        following = heir if heir >= 0 else _nearest(intervals, n, x)
         if k > 0:
-            before = _value(seen, w, _OF_L, x, y) if w >= 0 else 0.0
-            step = before - (_value(seen, following, _OF_L, x, y) if following >= 0 else 0.0)
+            before = _value(contents, w, _OF_L, x, y) if w >= 0 else 0.0
+            step = before - (_value(contents, following, _OF_L, x, y) if following >= 0 else 0.0)
             if abs(step) > _NO_STEP * before:
                 if passed:
-                    rate += step * _equal_depth_speed(data, seen, (w, heir), x, origin, line)
-                else:
+                    rate += step * _equal_depth_speed(data, contents, w, heir, x, origin, line)
+                else:  # the edge is that of the nearer facet
                     last = w >= 0 and heir < 0
-                    rate += step * _speed(data, seen, w if last else following, last, origin, line)
+                    rate += step * _speed(data, contents, w if last else following, last, origin, line)
         w, heir, passed = following, _NONE, False
-        if w < 0:
+        if w < 0:  # nothing up to the next interval
             end = 2.0
             for i in range(n):
-                if x < lines[i, _FROM] < end:
-                    end = lines[i, _FROM]
+                if x < intervals[i, _FROM] < end:
+                    end = intervals[i, _FROM]
         else:
-            end, heir, passed = _change(lines, n, w, x)
+            end, heir, passed = _change(intervals, n, w, x)
             stop = min(end, 1.0)
             middle = 0.5 * (x + stop)
-            light += (stop - x) * _value(seen, w, _OF_L, middle, y)
-            rate += (stop - x) * _value(seen, w, _OF_G, middle, y)
+            light += (stop - x) * _value(contents, w, _OF_L, middle, y)
+            rate += (stop - x) * _value(contents, w, _OF_G, middle, y)
         if end >= 1.0:
             break
         x = end
@@ -221,62 +250,53 @@ def _along(
 
 
 @lane
-def _speed(
-    data: Data,
-    seen: tuple[Floats, Floats],
-    k: int,
-    last: bool,
-    origin: tuple[int, int],
-    line: tuple[int, float],
-) -> float:
+def _speed(data: Data, contents: Contents, k: int, last: bool, origin: tuple[int, int], line: _Line) -> float:
     """Return the velocity of an interval's last or first end along the line."""
-    vertices, faces = data[0], data[1]
-    sides, lines = seen
-    f, side = int(sides[int(lines[k, _SLOT]), _OF]), int(lines[k, _TO_SIDE] if last else lines[k, _FROM_SIDE])
+    vertices, faces, intervals = data.vertices, data.faces, contents.intervals
+    f = int(contents.facets[int(intervals[k, _SLOT]), _OF])
+    side = int(intervals[k, _TO_SIDE] if last else intervals[k, _FROM_SIDE])
     a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
-    o, y = line
-    along, across = vertices[b, o] - vertices[a, o], vertices[b, 1 - o] - vertices[a, 1 - o]
-    t = (y + origin[1] - vertices[a, 1 - o]) / across
-    v_along = vertices[a, 2 + o] + t * (vertices[b, 2 + o] - vertices[a, 2 + o])
-    v_across = vertices[a, 3 - o] + t * (vertices[b, 3 - o] - vertices[a, 3 - o])
+    axis, y = line
+    along, across = vertices[b, axis] - vertices[a, axis], vertices[b, 1 - axis] - vertices[a, 1 - axis]
+    # The side's velocity where the line meets it, less what moves the side along itself.
+    t = (y + origin[1] - vertices[a, 1 - axis]) / across
+    v_along = vertices[a, 2 + axis] + t * (vertices[b, 2 + axis] - vertices[a, 2 + axis])
+    v_across = vertices[a, 3 - axis] + t * (vertices[b, 3 - axis] - vertices[a, 3 - axis])
     speed: float = v_along - v_across * (along / across)
     return speed
 
 
 @lane
 def _equal_depth_speed(
-    data: Data,
-    seen: tuple[Floats, Floats],
-    pair: tuple[int, int],
-    x: float,
-    origin: tuple[int, int],
-    line: tuple[int, float],
+    data: Data, contents: Contents, k: int, m: int, x: float, origin: tuple[int, int], line: _Line
 ) -> float:
-    """Return the velocity along the line of the point where two facets have equal depth."""
-    sides, lines = seen
-    k, m = pair
-    o, y = line
-    spot = (origin[0] + x, origin[1] + y)
-    if o == 1:
-        spot = (spot[1], spot[0])
-    first, second = int(sides[int(lines[k, _SLOT]), _OF]), int(sides[int(lines[m, _SLOT]), _OF])
-    difference = _inverse_depth_rate(data, first, spot) - _inverse_depth_rate(data, second, spot)
-    slope = lines[k, _WX] - lines[m, _WX]
+    """Return the velocity along the line of the point where the facets of intervals k and m have equal depth."""
+    intervals = contents.intervals
+    column, row = origin[0] + x, origin[1] + line.y
+    if line.axis == 1:
+        column, row = row, column
+    first, second = (
+        int(contents.facets[int(intervals[k, _SLOT]), _OF]),
+        int(contents.facets[int(intervals[m, _SLOT]), _OF]),
+    )
+    difference = _inverse_depth_rate(data, first, column, row) - _inverse_depth_rate(data, second, column, row)
+    slope = intervals[k, _WX] - intervals[m, _WX]
     return -difference / slope if slope != 0.0 else 0.0
 
 
 @vector_kernel
-def _inverse_depth_rate(data: Data, f: int, spot: tuple[float, float]) -> float:
+def _inverse_depth_rate(data: Data, f: int, x: float, y: float) -> float:
     """Return the rate of a facet's 1 / depth at a fixed point of the screen."""
-    vertices, faces, facets = data[0], data[1], data[4]
+    vertices, faces, facets = data.vertices, data.faces, data.facets
     a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-    x, y = spot
     wx, wy = facets[f, W + 1], facets[f, W + 2]
+    # The point's shares of the corners, by areas.
     e1x, e1y = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1]
     e2x, e2y = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1]
     det = e1x * e2y - e1y * e2x
     px, py = x - vertices[a, 0], y - vertices[a, 1]
     share_b, share_c = (px * e2y - py * e2x) / det, (e1x * py - e1y * px) / det
+    # A corner's rate at a fixed point is that of the material less what it carries with its motion.
     total = 0.0
     for v, share in ((a, 1.0 - share_b - share_c), (b, share_b), (c, share_c)):
         total += share * (vertices[v, 5] - wx * vertices[v, 2] - wy * vertices[v, 3])

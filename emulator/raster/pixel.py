@@ -28,6 +28,8 @@ from emulator.raster.layout import (
     G,
     Ints,
     L,
+    Plane,
+    Scratch,
     Sign,
     W,
     WHighest,
@@ -37,7 +39,7 @@ from emulator.raster.layout import (
     YHigh,
     YLow,
 )
-from emulator.raster.lines import resolve
+from emulator.raster.lines import Contents, resolve
 
 
 @lane
@@ -57,13 +59,26 @@ def flux(share: float, l0: float, l1: float, q0: float, q1: float) -> float:
 
 
 @lane
+def plane_of(facets: Floats, f: int, at: int) -> Plane:
+    """Return a facet's plane, of L, G or W."""
+    return Plane(facets[f, at], facets[f, at + 1], facets[f, at + 2])
+
+
+@lane
+def less(plane: Plane, share: float, other: Plane) -> Plane:
+    """Return plane - share * other."""
+    return Plane(
+        plane.origin - share * other.origin, plane.right - share * other.right, plane.down - share * other.down
+    )
+
+
+@lane
 def is_still(data: Data, f: int, side: int) -> bool:
     """Return whether light is continuous across a side, so that no flux passes: the neighbour shares its radiance."""
-    across, smooth, facets, kinds = data[2], data[3], data[4], data[5]
-    g = across[f, side]
-    same: bool = facets[g, Sign] == facets[f, Sign]
-    gradients = bool(kinds[f] == SHOWABLE and kinds[g] == SHOWABLE)
-    return same and gradients and bool(smooth[f, side] != 0)
+    g = data.across[f, side]
+    same: bool = data.facets[g, Sign] == data.facets[f, Sign]
+    gradients = bool(data.kinds[f] == SHOWABLE and data.kinds[g] == SHOWABLE)
+    return same and gradients and bool(data.smooth[f, side] != 0)
 
 
 _BEFORE = 1.0 + 1e-9
@@ -115,28 +130,25 @@ def _contains(vertices: Floats, faces: Ints, facets: Floats, f: int, column: int
 @lane
 def integrals(data: Data, f: int, column: int, row: int) -> tuple[float, float, float]:
     """Return area, light and rate of a facet within a pixel, exact; of a patch no area, and the difference of light."""
-    vertices, faces, facets, over = data[0], data[1], data[4], data[6][f]
-    k = facets[f, Sign]
+    vertices, faces, facets, over = data.vertices, data.faces, data.facets, data.over[f]
     area = light = rate = 0.0
-    j0, jx, jy = facets[f, L], facets[f, L + 1], facets[f, L + 2]
-    g0, gx, gy = facets[f, G], facets[f, G + 1], facets[f, G + 2]
-    whole = 1.0
+    layer = 1.0  # area of a pixel that the facet fills
+    light_plane, rate_plane = plane_of(facets, f, L), plane_of(facets, f, G)
     if over >= 0:
-        whole = 0.0
-        j0, jx, jy = j0 - facets[over, L], jx - facets[over, L + 1], jy - facets[over, L + 2]
-        g0, gx, gy = g0 - facets[over, G], gx - facets[over, G + 1], gy - facets[over, G + 2]
+        layer = 0.0
+        light_plane = less(light_plane, 1.0, plane_of(facets, over, L))
+        rate_plane = less(rate_plane, 1.0, plane_of(facets, over, G))
+    # Planes in the pixel's frame.
+    j0, jx, jy = light_plane
+    g0, gx, gy = rate_plane
     j0 += jx * column + jy * row
     g0 += gx * column + gy * row
     if _contains(vertices, faces, facets, f, column, row):
-        return whole, j0 + 0.5 * (jx + jy), g0 + 0.5 * (gx + gy)
+        return layer, j0 + 0.5 * (jx + jy), g0 + 0.5 * (gx + gy)
     for side in range(3):
         a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
-        ax, ay, bx, by = (
-            vertices[a, 0] - column,
-            vertices[a, 1] - row,
-            vertices[b, 0] - column,
-            vertices[b, 1] - row,
-        )
+        ax, ay = vertices[a, 0] - column, vertices[a, 1] - row
+        bx, by = vertices[b, 0] - column, vertices[b, 1] - row
         dx, dy = bx - ax, by - ay
         t0, t1 = 0.0, 1.0  # the part within the row
         if dy > 0.0:
@@ -162,14 +174,15 @@ def integrals(data: Data, f: int, column: int, row: int) -> tuple[float, float, 
             left1 = s0
         elif dx < 0.0:
             left0, left1 = s1, t1
-        if left0 < left1:
+        if left0 < left1:  # the whole pixel is right of this part
             h, middle = (left1 - left0) * dy, ay + 0.5 * (left0 + left1) * dy
             area += h
             light += h * (j0 + 0.5 * jx + jy * middle)
             rate += h * (g0 + 0.5 * gx + gy * middle)
         if not s0 < s1:
             continue
-        p, q, y0, y1 = ax + s0 * dx, ax + s1 * dx, ay + s0 * dy, ay + s1 * dy
+        p, q = ax + s0 * dx, ax + s1 * dx
+        y0, y1 = ay + s0 * dy, ay + s1 * dy
         within, mx, my = piece(p, y0, q, y1)
         area += within
         light += j0 * within + jx * mx + jy * my
@@ -179,22 +192,23 @@ def integrals(data: Data, f: int, column: int, row: int) -> tuple[float, float, 
             dq = vertices[b, 2] * dy - vertices[b, 3] * dx - qa
             l0, l1 = j0 + jx * p + jy * y0, j0 + jx * q + jy * y1
             rate -= flux(s1 - s0, l0, l1, qa + dq * s0, qa + dq * s1)
-    return k * whole * area, k * light, k * rate
+    sign = facets[f, Sign]
+    return sign * layer * area, sign * light, sign * rate
 
 
 @lane
 def _outline(data: Data, f: int, column: int, row: int) -> tuple[int, float]:
     """Return the crossings of the facet's part of an outline with the pixel's border, and its |dx| - |dy| within."""
-    vertices, faces, across, kinds = data[0], data[1], data[2], data[5]
+    vertices, faces, facets = data.vertices, data.faces, data.facets
     crossings, lean = 0, 0.0
     for side in range(3):
-        g = across[f, side]
-        if g >= 0 and kinds[g] != CULLED and data[4][g, Sign] == data[4][f, Sign]:
-            continue
+        g = data.across[f, side]
+        if g >= 0 and data.kinds[g] != CULLED and facets[g, Sign] == facets[f, Sign]:
+            continue  # the surface goes on: no outline
         a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
         ax, ay = vertices[a, 0] - column, vertices[a, 1] - row
         dx, dy = vertices[b, 0] - column - ax, vertices[b, 1] - row - ay
-        t0, t1 = 0.0, 1.0
+        t0, t1 = 0.0, 1.0  # the part within the pixel
         if dx != 0.0:
             t0, t1 = max(t0, min(-ax / dx, (1.0 - ax) / dx)), min(t1, max(-ax / dx, (1.0 - ax) / dx))
         elif not 0.0 <= ax <= 1.0:
@@ -210,51 +224,43 @@ def _outline(data: Data, f: int, column: int, row: int) -> tuple[int, float]:
 
 
 @lane
-def pixel_light(
-    data: Data,
-    place: tuple[int, int],
-    listed: Ints,
-    keys: Floats,
-    scratch: tuple[Floats, Floats],
-) -> tuple[float, float]:
-    """Return light and rate of the pixel (column, row).
+def pixel_light(data: Data, column: int, row: int, listed: Ints, scratch: Scratch) -> tuple[float, float]:
+    """Return light and rate of a pixel.
 
     Parameters
     ----------
     listed : (n,) facets that touch the pixel; sorted in place.
-    keys : (n,) or longer, scratch.
-    scratch : of `resolve`.
     """
-    column, row = place
+    facets, over, keys = data.facets, data.over, scratch.keys
     n = len(listed)
-    over = data[6]
     for i in range(n):
         f = listed[i]
         if over[f] >= 0:  # before its facet
-            keys[i] = depth_range(data[4], over[f], column, row)[1] * _BEFORE
+            keys[i] = depth_range(facets, over[f], column, row)[1] * _BEFORE
         else:
-            keys[i] = depth_range(data[4], f, column, row)[1]
+            keys[i] = depth_range(facets, f, column, row)[1]
     _sort(listed, keys, n)
     area = light = rate = 0.0
-    farthest = 1e300
+    farthest = 1e300  # the least 1 / depth of the facets that fill the pixel so far
     for i in range(n):
         if area >= 1.0 - TOLERANCE and keys[i] < farthest:
-            n = i
+            n = i  # all others are behind
             break
-        a, b, c = integrals(data, listed[i], column, row)
-        area, light, rate = area + a, light + b, rate + c
+        covered, its_light, its_rate = integrals(data, listed[i], column, row)
+        area, light, rate = area + covered, light + its_light, rate + its_rate
         if area > 1.0 + TOLERANCE:
-            break
-        if a > 0.0:
-            farthest = min(farthest, depth_range(data[4], listed[i], column, row)[0])
+            break  # facets overlap
+        if covered > 0.0:
+            farthest = min(farthest, depth_range(facets, listed[i], column, row)[0])
     if abs(area - 1.0) <= TOLERANCE:
         return light, rate
     crossings, lean = 0, 0.0
     for i in range(n):
         if over[listed[i]] < 0:
-            more, leaning = _outline(data, listed[i], column, row)
-            crossings, lean = crossings + more, lean + leaning
+            its_crossings, its_lean = _outline(data, listed[i], column, row)
+            crossings, lean = crossings + its_crossings, lean + its_lean
     if area < 1.0 and crossings == 2:
         return light, rate
-    light, rate = resolve(data, place, listed[:n], scratch, lean > 0.0)
+    # Lines across the outline: columns where it is more level than upright.
+    light, rate = resolve(data, (column, row), listed[:n], Contents(scratch.sides, scratch.lines), lean > 0.0)
     return light, rate

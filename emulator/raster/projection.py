@@ -11,6 +11,8 @@ these sides across themselves. New facets have no neighbours: their sides are ad
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
@@ -25,8 +27,6 @@ from emulator.raster.layout import (
     G,
     Ints,
     L,
-    Plane,
-    Sides,
     Sign,
     Valid,
     View,
@@ -47,7 +47,7 @@ _FARTHEST_PX = 1e15  # far beyond any frame; keeps conversions to integers valid
 @entry
 def project(positions: Floats, velocities: Floats, camera: Floats, out: Floats) -> int:
     """Write vertices, (n, 8), and return the number nearer than the nearest depth; `camera` is (4,)."""
-    focal, x0, y0, nearest = camera[0], camera[1], camera[2], camera[3]
+    focal, x0, y0, nearest = camera
     lost = 0
     for k in range(len(positions)):
         z = positions[k, 2]
@@ -68,17 +68,25 @@ def project(positions: Floats, velocities: Floats, camera: Floats, out: Floats) 
     return lost
 
 
+class _Edges(NamedTuple):
+    """A facet on the screen: its corner a, its edges a-b and a-c, and twice its area, below 0 seen from outside."""
+
+    ax: float
+    ay: float
+    b_x: float
+    b_y: float
+    c_x: float
+    c_y: float
+    det: float
+
+
 @lane
-def _plane(
-    facets: Floats, f: int, at: int, corners: tuple[float, float], edges: Sides, values: Plane
-) -> tuple[float, float]:
-    """Write the plane through three corner values."""
-    ax, ay = corners
-    e1x, e1y, e2x, e2y, det = edges
-    d1, d2 = values[1] - values[0], values[2] - values[0]
-    px = (d1 * e2y - d2 * e1y) / det
-    py = (d2 * e1x - d1 * e2x) / det
-    facets[f, at] = values[0] - px * ax - py * ay
+def _write_plane(facets: Floats, f: int, at: int, e: _Edges, a: float, b: float, c: float) -> tuple[float, float]:
+    """Write the plane through values at the three corners; return its growth right and down."""
+    d1, d2 = b - a, c - a
+    px = (d1 * e.c_y - d2 * e.b_y) / e.det
+    py = (d2 * e.b_x - d1 * e.c_x) / e.det
+    facets[f, at] = a - px * e.ax - py * e.ay
     facets[f, at + 1] = px
     facets[f, at + 2] = py
     return px, py
@@ -114,16 +122,13 @@ def set_up(
         kinds[f] = CULLED
         spans[f, 0] = spans[f, 1] = 0
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ax, ay, bx, by, cx, cy = (
-            vertices[a, 0],
-            vertices[a, 1],
-            vertices[b, 0],
-            vertices[b, 1],
-            vertices[c, 0],
-            vertices[c, 1],
-        )
-        e1x, e1y, e2x, e2y = bx - ax, by - ay, cx - ax, cy - ay
+        ax, ay = vertices[a, 0], vertices[a, 1]
+        bx, by = vertices[b, 0], vertices[b, 1]
+        cx, cy = vertices[c, 0], vertices[c, 1]
+        e1x, e1y = bx - ax, by - ay
+        e2x, e2y = cx - ax, cy - ay
         det = e1x * e2y - e1y * e2x
+        # Skipped are facets seen from behind, on a skipped facet, with a corner too near, or beside the frame.
         if not (det < 0.0 or (det > 0.0 and two_sided[f])):
             continue
         if over[f] >= 0 and kinds[over[f]] == CULLED:  # a patch comes after its facet
@@ -136,48 +141,44 @@ def set_up(
             continue
         if not (x_high - x_low < _FARTHEST_PX and y_high - y_low < _FARTHEST_PX):
             continue
+        # Values at the corners: 1 / depth, radiance, and its rate for the material.
         wa, wb, wc = vertices[a, 4], vertices[b, 4], vertices[c, 4]
         i, j, k = shades[f, 0], shades[f, 1], shades[f, 2]
         la, lb, lc = radiance[i], radiance[j], radiance[k]
         ga, gb, gc = rates[i], rates[j], rates[k]
+        facets[f, WLowest], facets[f, WHighest] = min(wa, wb, wc), max(wa, wb, wc)
+        facets[f, XLow], facets[f, XHigh] = x_low, x_high
+        facets[f, YLow], facets[f, YHigh] = y_low, y_high
+        facets[f, Sign] = 1.0 if det < 0.0 else -1.0
         e3x, e3y = cx - bx, cy - by
         longest2 = max(e1x * e1x + e1y * e1y, e2x * e2x + e2y * e2y, e3x * e3x + e3y * e3y)
-        facets[f, WLowest], facets[f, WHighest] = min(wa, wb, wc), max(wa, wb, wc)
-        facets[f, XLow], facets[f, XHigh], facets[f, YLow], facets[f, YHigh] = x_low, x_high, y_low, y_high
-        facets[f, Sign] = 1.0 if det < 0.0 else -1.0
         if det * det > _THINNEST_PX * _THINNEST_PX * longest2:
             kinds[f] = SHOWABLE
-            edges = (e1x, e1y, e2x, e2y, det)
-            px, py = _plane(facets, f, L, (ax, ay), edges, (la, lb, lc))
-            moved = (
-                ga - px * vertices[a, 2] - py * vertices[a, 3],
-                gb - px * vertices[b, 2] - py * vertices[b, 3],
-                gc - px * vertices[c, 2] - py * vertices[c, 3],
-            )
-            _plane(facets, f, G, (ax, ay), edges, moved)
-            _plane(facets, f, W, (ax, ay), edges, (wa, wb, wc))
+            edges = _Edges(ax, ay, e1x, e1y, e2x, e2y, det)
+            px, py = _write_plane(facets, f, L, edges, la, lb, lc)
+            # At a fixed point the material that moves in has other radiance.
+            ga = ga - px * vertices[a, 2] - py * vertices[a, 3]
+            gb = gb - px * vertices[b, 2] - py * vertices[b, 3]
+            gc = gc - px * vertices[c, 2] - py * vertices[c, 3]
+            _write_plane(facets, f, G, edges, ga, gb, gc)
+            _write_plane(facets, f, W, edges, wa, wb, wc)
         else:
             kinds[f] = FLAT
             for at in range(9):
                 facets[f, at] = 0.0
-            facets[f, L], facets[f, G], facets[f, W] = (la + lb + lc) / 3, (ga + gb + gc) / 3, (wa + wb + wc) / 3
-        first, last = _bands(y_low, y_high, height)
-        spans[f, 0], spans[f, 1] = first, last
-        entries += last - first
+            facets[f, L] = (la + lb + lc) / 3
+            facets[f, G] = (ga + gb + gc) / 3
+            facets[f, W] = (wa + wb + wc) / 3
+        # The bands whose rows, and one more on each side, it may touch.
+        spans[f, 0] = int(max(y_low - 1.0, 0.0)) // BAND
+        spans[f, 1] = int(min(max(y_high + 1.0, 0.0), height - 1.0)) // BAND + 1
+        entries += spans[f, 1] - spans[f, 0]
         if x_high > 0.0 and x_low < width and y_high > 0.0 and y_low < height:
             touched[0] = min(touched[0], int(max(y_low, 0.0)))
             touched[1] = max(touched[1], int(min(y_high, height - 1.0)) + 1)
             touched[2] = min(touched[2], int(max(x_low, 0.0)))
             touched[3] = max(touched[3], int(min(x_high, width - 1.0)) + 1)
     return entries
-
-
-@lane
-def _bands(y_low: float, y_high: float, height: int) -> tuple[int, int]:
-    """Return the bands whose rows, and one more on each side, a facet may touch."""
-    first = int(max(y_low - 1.0, 0.0)) // BAND
-    last = int(min(max(y_high + 1.0, 0.0), height - 1.0)) // BAND
-    return first, last + 1
 
 
 @entry
@@ -188,6 +189,7 @@ def bucket(spans: Ints, starts: Ints, listed: Ints) -> None:
     ----------
     spans : of `set_up`.
     """
+    # Counts two places ahead become beginnings one place ahead, which move to the ends as facets are listed.
     starts[:] = 0
     for f in range(len(spans)):
         for b in range(spans[f, 0], spans[f, 1]):
@@ -205,24 +207,25 @@ def clip(topology: Topology, view: View, nearest_m: float) -> tuple[Topology, Vi
     ahead = view.positions_m[: topology.vertices, 2] >= nearest_m
     inside = ahead[topology.faces]
     count = inside.sum(axis=1)
-    one, two = np.flatnonzero(count == 1), np.flatnonzero(count == 2)
-    if not len(one) and not len(two):
+    with_one, with_two = np.flatnonzero(count == 1), np.flatnonzero(count == 2)  # facets by their corners ahead
+    if not len(with_one) and not len(with_two):
         return topology, view
-    turn_one, turn_two = inside[one].argmax(axis=1), ((~inside[two]).argmax(axis=1) + 1) % 3
+    turn_one, turn_two = inside[with_one].argmax(axis=1), ((~inside[with_two]).argmax(axis=1) + 1) % 3
     vertices = _Corners(topology.vertices, np.hstack([view.positions_m, view.velocities_m_s]))
     entries = _Corners(topology.entries, np.column_stack([view.radiance, view.radiance_rate]))
     depth = view.positions_m[:, 2]
     faces: list[list[Ints]] = []
     shades: list[list[Ints]] = []
     for table, corners, out in ((topology.faces, vertices, faces), (topology.shades, entries, shades)):
-        a, b, c = _turned(table[one], turn_one)
-        za, zb, zc = (depth[k] for k in _turned(topology.faces[one], turn_one))
+        a, b, c = _turned(table[with_one], turn_one)
+        za, zb, zc = (depth[k] for k in _turned(topology.faces[with_one], turn_one))
         out.append([a, corners.cut(a, b, za, zb, nearest_m), corners.cut(a, c, za, zc, nearest_m)])
-        a, b, c = _turned(table[two], turn_two)
-        za, zb, zc = (depth[k] for k in _turned(topology.faces[two], turn_two))
+        a, b, c = _turned(table[with_two], turn_two)
+        za, zb, zc = (depth[k] for k in _turned(topology.faces[with_two], turn_two))
         behind_b, behind_a = corners.cut(b, c, zb, zc, nearest_m), corners.cut(a, c, za, zc, nearest_m)
         out.extend([[a, b, behind_b], [a, behind_b, behind_a]])
-    added = np.concatenate([one, two, two])
+    added = np.concatenate([with_one, with_two, with_two])
+    over = np.where(np.isin(topology.over, added), np.int32(-1), topology.over)  # a patch on a cut facet is one itself
     places = vertices.values
     places[topology.vertices :, 2] = nearest_m  # exact, without rounding
     extended = Topology(
@@ -233,7 +236,7 @@ def clip(topology: Topology, view: View, nearest_m: float) -> tuple[Topology, Vi
         np.concatenate([topology.two_sided, topology.two_sided[added]]),
         len(places),
         len(entries.values),
-        np.concatenate([_over_whole(topology.over, added), np.full(len(added), -1, np.int32)]),
+        np.concatenate([over, np.full(len(added), -1, np.int32)]),
     )
     return extended, View(places[:, :3], places[:, 3:], entries.values[:, 0], entries.values[:, 1])
 
@@ -244,17 +247,12 @@ class _Corners:
     def __init__(self, count: int, values: Floats) -> None:
         self.values = values[:count]
 
-    def cut(self, near: Ints, far: Ints, z_near: Floats, z_far: Floats, depth_m: float) -> Ints:
-        """Append values where the line from corner `near` to corner `far` crosses `depth_m`; return their numbers."""
-        share = ((depth_m - z_near) / (z_far - z_near))[:, None]
+    def cut(self, a: Ints, b: Ints, z_a: Floats, z_b: Floats, depth_m: float) -> Ints:
+        """Append values where the line from corner a to corner b crosses `depth_m`; return their numbers."""
+        share = ((depth_m - z_a) / (z_b - z_a))[:, None]
         first = len(self.values)
-        self.values = np.concatenate([self.values, self.values[near] * (1 - share) + self.values[far] * share])
+        self.values = np.concatenate([self.values, self.values[a] * (1 - share) + self.values[b] * share])
         return np.arange(first, len(self.values), dtype=np.int32)
-
-
-def _over_whole(over: Ints, cut: Ints) -> Ints:
-    """Return the facets below patches: a patch on a facet that is cut becomes a facet of its own."""
-    return np.where(np.isin(over, cut), np.int32(-1), over)
 
 
 def _turned(corners: Ints, first: npt.NDArray[np.intp]) -> tuple[Ints, Ints, Ints]:

@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.raster.bands import draw_bands, query_bands
 from emulator.raster.depth import nearest_facets
-from emulator.raster.layout import BAND, FACET_FIELDS, VERTEX_FIELDS, Box, Bytes, Float32s, Floats, Ints, Screen, View
+from emulator.raster.layout import (
+    BAND,
+    FACET_FIELDS,
+    VERTEX_FIELDS,
+    Box,
+    Data,
+    Float32s,
+    Floats,
+    Ints,
+    Lists,
+    Owners,
+    Scratch,
+    Screen,
+    View,
+)
 from emulator.raster.lines import LINE_FIELDS, SIDE_FIELDS
 from emulator.raster.projection import bucket, clip, project, set_up
 from emulator.raster.topology import Topology
@@ -19,74 +33,35 @@ _FIRST_PAIRS = 1 << 14
 _RUNS_A_THREAD = 4  # of bands: with 6 a light frame took 3 % more processor time
 
 
-@dataclass(frozen=True, eq=False)
-class Owners:
-    """The nearest facet at the middle of each pixel, for light that is not linear over facets.
-
-    Attributes
-    ----------
-    facets : (height, width) int32, the row of `Renderer.facets`; -1 for none.
-    whole : (height, width) float32: 1 where one surface covers the pixel, less where an outline passes, 0 near its
-        middle.
-    """
-
-    facets: Ints
-    whole: Float32s
-
-    @classmethod
-    def of(cls, width: int, height: int) -> Owners:
-        """Return room for a picture."""
-        return cls(np.full((height, width), -1, np.int32), np.ones((height, width), np.float32))
-
-
 _NO_OWNERS = Owners.of(0, 0)
 
 
-class _Scratch:
-    """Memory of one thread, for one band at a time."""
+def _new_scratch(screen: Screen, facets: int) -> Scratch:
+    width, pixels = screen.width, BAND * screen.width
+    return Scratch(
+        acc=np.zeros((BAND, width + 1, 8)),
+        depth=np.zeros((BAND + 2, width + 2)),
+        nearest=np.full((BAND + 2, width + 2), -1, np.int32),
+        held=np.full(facets, -1, np.int32),
+        shows=np.full(facets, -1, np.int32),
+        slots=np.full((BAND, width), -1, np.int32),
+        places=np.zeros((pixels, 2), np.int32),
+        masks=np.zeros(width, np.int32),
+        answers=np.zeros((pixels, 2)),
+        ends=np.zeros(pixels, np.int32),
+        **_room_for(_FIRST_PAIRS),
+    )
 
-    def __init__(self, screen: Screen, facets: int) -> None:
-        width = screen.width
-        self.acc = np.zeros((BAND, width + 1, 8))
-        self.depth = np.zeros((BAND + 2, width + 2))
-        self.nearest = np.full((BAND + 2, width + 2), -1, np.int32)
-        self.held = np.full(facets, -1, np.int32)
-        self.shows = np.full(facets, -1, np.int32)
-        self.slots = np.full((BAND, width), -1, np.int32)
-        self.found = np.zeros((BAND * width, 2), np.int32)
-        self.masks = np.zeros(width, np.int32)
-        self.answers = np.zeros((BAND * width, 2))
-        self.ends = np.zeros(BAND * width, np.int32)
-        self.grow(_FIRST_PAIRS)
 
-    def grow(self, pairs: int) -> None:
-        """Make room for `pairs` pairs of a pixel and a facet in a band."""
-        self.pairs = np.zeros((pairs, 2), np.int32)
-        self.grouped = np.zeros(pairs, np.int32)
-        self.keys = np.zeros(pairs)
-        self.sides = np.zeros((pairs, SIDE_FIELDS))
-        self.lines = np.zeros((pairs, LINE_FIELDS))
-
-    @property
-    def arrays(self) -> tuple[npt.NDArray[np.generic], ...]:
-        """As `draw_bands` wants them."""
-        return (
-            self.acc,
-            self.depth,
-            self.nearest,
-            self.held,
-            self.shows,
-            self.slots,
-            self.found,
-            self.masks,
-            self.answers,
-            self.ends,
-            self.pairs,
-            self.grouped,
-            self.keys,
-            self.sides,
-            self.lines,
-        )
+def _room_for(pairs: int) -> dict[str, Any]:
+    """Return the arrays of a `Scratch` for `pairs` pairs of a pixel and a facet in a band."""
+    return {
+        "pairs": np.zeros((pairs, 2), np.int32),
+        "grouped": np.zeros(pairs, np.int32),
+        "keys": np.zeros(pairs),
+        "sides": np.zeros((pairs, SIDE_FIELDS)),
+        "lines": np.zeros((pairs, LINE_FIELDS)),
+    }
 
 
 class Renderer:
@@ -105,7 +80,7 @@ class Renderer:
         self._touched = np.zeros(4, np.int32)
         self._drawn = topology
         self._make_room(topology)
-        self._scratches = [_Scratch(screen, len(topology.faces)) for _ in range(threads)]
+        self._scratches = [_new_scratch(screen, len(topology.faces)) for _ in range(threads)]
         self._pool = ThreadPool(threads)
 
     @property
@@ -124,8 +99,8 @@ class Renderer:
         self._prepare(view)
         row0, row1, column0, column1 = (int(k) for k in self._touched)
         touched = Box(row0, row1, column0, column1) if row0 < row1 else Box()
-        whole = Box(0, self.screen.height, 0, self.screen.width)
-        window = touched.union(whole if before is None else before)
+        frame = Box(0, self.screen.height, 0, self.screen.width)
+        window = touched.union(frame if before is None else before)
         if not window.empty:
             self._draw(window, light, rate, owners)
         return touched
@@ -133,17 +108,19 @@ class Renderer:
     def query(self, view: View, pixels: npt.NDArray[np.int64]) -> tuple[Float32s, Float32s]:
         """Return mean radiance and its rate of the pixels row * width + column alone, (n,) float32 each."""
         width, height = self.screen.width, self.screen.height
-        wanted, place = np.unique(np.asarray(pixels, np.int64), return_inverse=True)
-        if len(wanted) and not 0 <= wanted[0] <= wanted[-1] < width * height:
-            raise ValueError(f"pixels {wanted[0]} to {wanted[-1]} are not all in a light frame of {width} x {height}")
-        self._prepare(view)
-        out, scratch, done = np.zeros((len(wanted), 2)), self._scratches[0], 0
-        while done < len(wanted):
-            done, lacking = query_bands(
-                self._data, (self._starts, self._listed), wanted, done, (height, width), scratch.arrays, out
+        ascending, place = np.unique(np.asarray(pixels, np.int64), return_inverse=True)
+        if len(ascending) and not 0 <= ascending[0] <= ascending[-1] < width * height:
+            raise ValueError(
+                f"pixels {ascending[0]} to {ascending[-1]} are not all in a light frame of {width} x {height}"
             )
+        self._prepare(view)
+        out = np.zeros((len(ascending), 2))
+        done = 0
+        while done < len(ascending):
+            scratch = self._scratches[0]
+            done, lacking = query_bands(self._data, self._lists, ascending, done, (height, width), scratch, out)
             if lacking:
-                scratch.grow(2 * lacking)
+                self._scratches[0] = scratch._replace(**_room_for(2 * lacking))
         answers = out[place].astype(np.float32)
         return answers[:, 0], answers[:, 1]
 
@@ -151,7 +128,7 @@ class Renderer:
         """Write the row of `facets` that is the nearest at each pixel's middle, (height, width) int32; -1 for none."""
         self._prepare(view)
         scratch = self._scratches[0]
-        nearest_facets(self._data, (self._starts, self._listed), (scratch.depth, scratch.nearest, scratch.held), out)
+        nearest_facets(self._data, self._lists, scratch.depth, scratch.nearest, scratch.held, out)
 
     def corners(self) -> Ints:
         """Return a vertex of each of `facets`, (m,): its first that was not made by a cut at the nearest depth."""
@@ -170,34 +147,25 @@ class Renderer:
             scratch.shows.fill(-1)
             scratch.held.fill(-1)
 
-        def draw(item: int, thread: int) -> None:
-            begin = first + item * run
-            self._draw_run(thread, (begin, min(begin + run, last)), window, (light, rate), owners)
+        def draw(share: int, thread: int) -> None:
+            band = first + share * run
+            end = min(band + run, last)
+            while band >= 0:
+                scratch, columns = self._scratches[thread], (window.first_column, window.last_column)
+                band, pairs = draw_bands(self._data, (band, end), self._lists, columns, scratch, owners, light, rate)
+                if band >= 0:
+                    self._scratches[thread] = scratch._replace(**_room_for(2 * pairs))
 
         self._pool.each(draw, -(-(last - first) // run))
 
-    def _draw_run(
-        self, thread: int, bands: tuple[int, int], window: Box, pictures: tuple[Float32s, Float32s], owners: Owners
-    ) -> None:
-        """Draw the bands from the first to before the last."""
-        scratch, (band, last) = self._scratches[thread], bands
-        while band >= 0:
-            band, pairs = draw_bands(
-                self._data,
-                (band, last),
-                (self._starts, self._listed),
-                (window.first_column, window.last_column),
-                scratch.arrays,
-                *pictures,
-                (owners.facets, owners.whole),
-            )
-            if band >= 0:
-                scratch.grow(2 * pairs)
+    @property
+    def _data(self) -> Data:
+        t = self._drawn
+        return Data(self._vertices, t.faces, t.across, t.smooth, self._facets, self._kinds, t.over)
 
     @property
-    def _data(self) -> tuple[Floats, Ints, Ints, Bytes, Floats, Bytes, Ints]:
-        t = self._drawn
-        return self._vertices, t.faces, t.across, t.smooth, self._facets, self._kinds, t.over
+    def _lists(self) -> Lists:
+        return Lists(self._starts, self._listed)
 
     def _make_room(self, topology: Topology) -> None:
         self._vertices = np.zeros((topology.vertices, VERTEX_FIELDS))
@@ -210,9 +178,10 @@ class Renderer:
         self._drawn = topology
         if topology.vertices > len(self._vertices) or len(topology.faces) > len(self._kinds):
             self._make_room(topology)
-        for scratch in self._scratches:
+        for k, scratch in enumerate(self._scratches):
             if len(topology.faces) > len(scratch.shows):
-                scratch.shows, scratch.held = (np.full(len(topology.faces), -1, np.int32) for _ in range(2))
+                shows, held = (np.full(len(topology.faces), -1, np.int32) for _ in range(2))
+                self._scratches[k] = scratch._replace(shows=shows, held=held)
 
     def _prepare(self, view: View) -> None:
         """Project, cut and sort into bands."""

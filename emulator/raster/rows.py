@@ -10,45 +10,52 @@ Accumulators of a pixel (8 float64, one cache line), the pixel left of the frame
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from emulator.raster.compiled import lane, vector_kernel
-from emulator.raster.layout import Data, Floats, G, Ints, L, Plane, Sign
-from emulator.raster.pixel import flux, is_still, piece
+from emulator.raster.layout import Band, Data, Floats, G, Ints, L, Plane, Sign
+from emulator.raster.pixel import flux, is_still, less, piece, plane_of
+
+
+class _Edge(NamedTuple):
+    """An edge on the screen, y ascending from end a to end b, and q = vx dy - vy dx at both."""
+
+    ax: float
+    ay: float
+    bx: float
+    by: float
+    qa: float
+    qb: float
+
+
+class _Jump(NamedTuple):
+    """Contribution of an edge to the pixels right of it: area, and the planes of radiance and rate."""
+
+    area: float
+    light: Plane
+    rate: Plane
 
 
 @lane
 def _carry(cell: Floats, h: float, middle: float, area: float, light: Plane, rate: Plane) -> None:
     """Add the sums for pixels right of a piece; `light`, `rate` are planes in the row's frame, `middle` the mean y."""
     cell[1] += area * h
-    cell[3] += h * (light[0] + light[2] * middle)
-    cell[4] += h * light[1]
-    cell[6] += h * (rate[0] + rate[2] * middle)
-    cell[7] += h * rate[1]
+    cell[3] += h * (light.origin + light.down * middle)
+    cell[4] += h * light.right
+    cell[6] += h * (rate.origin + rate.down * middle)
+    cell[7] += h * rate.right
 
 
 @vector_kernel
-def _add_edge(
-    acc: Floats,
-    ends: tuple[float, float, float, float],
-    moving: tuple[float, float],
-    planes: tuple[float, float, float, float, float, float, float],
-    rows: tuple[int, int, int],
-) -> None:
-    """Add an edge whose jump of area, radiance and rate is `planes`.
-
-    Parameters
-    ----------
-    acc : (rows, width + 1, 8).
-    ends : x and y of both ends, y ascending.
-    moving : q = vx dy - vy dx at both ends.
-    rows : first row, row after the last, width.
-    """
-    ax, ay, bx, by = ends
-    area, j0, jx, jy, g0, gx, gy = planes
-    first, last, width = rows
+def _add_edge(acc: Floats, edge: _Edge, jump: _Jump, band: Band, width: int) -> None:
+    """Add an edge to the accumulators, (rows, width + 1, 8)."""
+    ax, ay, bx, by, qa, qb = edge
+    area, whole_light, whole_rate = jump
+    first, last = band.first_row, band.end_row
     dx, dy = bx - ax, by - ay
-    qa, dq = moving[0], moving[1] - moving[0]
-    moves = moving[0] != 0.0 or moving[1] != 0.0
+    dq = qb - qa
+    moves = qa != 0.0 or qb != 0.0
+    # The share of the edge up to a place, for the flux, by y or by x: by the longer one, which loses less to rounding.
     steep = dy >= abs(dx)
     per_length = 1.0 / dy if steep else 1.0 / dx
     row = math.floor(max(ay, float(first)))
@@ -60,28 +67,30 @@ def _add_edge(
         y = float(first)
         x = ax + (y - ay) * slope
     while row < last:
+        # The part of the edge within the row, from x, y to x_end, y_end.
         y_end, x_end = row + 1.0, bx
-        ends_here = by <= y_end
-        if ends_here:
+        ends_in_row = by <= y_end
+        if ends_in_row:
             y_end = by
         else:
             x_end = ax + (y_end - ay) * slope
             x_end = min(max(x_end, min(ax, bx)), max(ax, bx))
-        light = (j0 + jy * row, jx, jy)
-        rate = (g0 + gy * row, gx, gy)
+        light = Plane(whole_light.origin + whole_light.down * row, whole_light.right, whole_light.down)
+        rate = Plane(whole_rate.origin + whole_rate.down * row, whole_rate.right, whole_rate.down)
         line = acc[row - first]
         y0, x0 = y, x
         if x0 < 0.0:  # the part left of the frame adds only to the sums for pixels further right
             y_in = y_end if x_end < 0.0 else y0 - x0 * rise
             _carry(line[0], y_in - y0, 0.5 * (y0 + y_in) - row, area, light, rate)
             x0, y0 = 0.0 if x_end >= 0.0 else width + 1.0, y_in
-        elif x_end < width < x0:
+        elif x_end < width < x0:  # the part right of the frame adds nothing
             y0 += (width - x0) * rise
             x0 = float(width)
         column = math.floor(min(x0, width + 1.0))
         if not rightward and column == x0:
             column -= 1
         while 0 <= column < width:
+            # The piece within the pixel, from x0, y0 to x1, y1: to the edge's end in the row, or the pixel's side.
             x1, y1 = x_end, y_end
             done = True
             if rightward:
@@ -92,17 +101,19 @@ def _add_edge(
             if not done:
                 y1 = min(max(y0 + (x1 - x0) * rise, y0), y_end)
             cell = line[column + 1]
-            p, q, v0, v1 = x0 - column, x1 - column, y0 - row, y1 - row
+            # Integrals right of the piece in the pixel's frame, in which the planes begin at `light_at`, `rate_at`.
+            p, q = x0 - column, x1 - column
+            v0, v1 = y0 - row, y1 - row
             a, mx, my = piece(p, v0, q, v1)
-            here, g_here = light[0] + jx * column, rate[0] + gx * column
+            light_at, rate_at = light.origin + light.right * column, rate.origin + rate.right * column
             cell[0] += area * a
-            cell[2] += here * a + jx * mx + jy * my
-            local_rate = g_here * a + gx * mx + gy * my
-            if moves:
+            cell[2] += light_at * a + light.right * mx + light.down * my
+            local_rate = rate_at * a + rate.right * mx + rate.down * my
+            if moves:  # light flows through a moving edge
                 t0, t1 = (x0 - ax) * per_length, (x1 - ax) * per_length
                 if steep:
                     t0, t1 = (y0 - ay) * per_length, (y1 - ay) * per_length
-                l0, l1 = here + jx * p + jy * v0, here + jx * q + jy * v1
+                l0, l1 = light_at + light.right * p + light.down * v0, light_at + light.right * q + light.down * v1
                 local_rate -= flux(t1 - t0, l0, l1, qa + dq * t0, qa + dq * t1)
             cell[5] += local_rate
             _carry(cell, y1 - y0, 0.5 * (v0 + v1), area, light, rate)
@@ -112,55 +123,56 @@ def _add_edge(
             column += 1 if rightward else -1
         if x_end < 0.0 <= x0 <= width:  # the rest of an edge that leaves to the left
             _carry(line[0], y_end - y0, 0.5 * (y0 + y_end) - row, area, light, rate)
-        if ends_here:
+        if ends_in_row:
             break
         y, x = y_end, x_end
         row += 1
 
 
 @lane
-def add_facet(
-    acc: Floats,
-    f: int,
-    shows: Ints,
-    stamp: int,
-    data: Data,
-    rows: tuple[int, int, int],
-) -> None:
+def _scaled(k: float, plane: Plane) -> Plane:
+    return Plane(k * plane.origin, k * plane.right, k * plane.down)
+
+
+@lane
+def add_facet(acc: Floats, f: int, shows: Ints, data: Data, band: Band, width: int) -> None:
     """Add the edges of a facet that shows; an edge between two such facets is added by the first of them."""
-    vertices, faces, across, facets, over = data[0], data[1], data[2], data[4], data[6][f]
-    k = facets[f, Sign]
+    vertices, faces, facets, over = data.vertices, data.faces, data.facets, data.over[f]
+    sign = facets[f, Sign]
     for side in range(3):
-        g = across[f, side]
-        shared = g >= 0 and shows[g] == stamp
+        g = data.across[f, side]
+        shared = g >= 0 and shows[g] == band.number
         if shared and g < f:
             continue
         a, b = faces[f, side], faces[f, side + 1 if side < 2 else 0]
-        ax, ay, bx, by = vertices[a, 0], vertices[a, 1], vertices[b, 0], vertices[b, 1]
-        s = k
-        area, j0, jx, jy = s, s * facets[f, L], s * facets[f, L + 1], s * facets[f, L + 2]
-        g0, gx, gy = s * facets[f, G], s * facets[f, G + 1], s * facets[f, G + 2]
+        ax, ay = vertices[a, 0], vertices[a, 1]
+        bx, by = vertices[b, 0], vertices[b, 1]
+        # The jump is that from nothing to the facet, from the facet below to a patch, or from the neighbour.
+        area = sign
+        light, rate = _scaled(sign, plane_of(facets, f, L)), _scaled(sign, plane_of(facets, f, G))
         if over >= 0:
             area = 0.0
-            j0, jx, jy = j0 - s * facets[over, L], jx - s * facets[over, L + 1], jy - s * facets[over, L + 2]
-            g0, gx, gy = g0 - s * facets[over, G], gx - s * facets[over, G + 1], gy - s * facets[over, G + 2]
+            light = less(light, sign, plane_of(facets, over, L))
+            rate = less(rate, sign, plane_of(facets, over, G))
         still = False
         if shared:
-            o = facets[g, Sign]
+            other_sign = facets[g, Sign]
             still = is_still(data, f, side)
-            area -= o
-            j0, jx, jy = j0 - o * facets[g, L], jx - o * facets[g, L + 1], jy - o * facets[g, L + 2]
-            g0, gx, gy = g0 - o * facets[g, G], gx - o * facets[g, G + 1], gy - o * facets[g, G + 2]
+            area -= other_sign
+            light = less(light, other_sign, plane_of(facets, g, L))
+            rate = less(rate, other_sign, plane_of(facets, g, G))
         qa = qb = 0.0
         dx, dy = bx - ax, by - ay
         if not still:
             qa = vertices[a, 2] * dy - vertices[a, 3] * dx
             qb = vertices[b, 2] * dy - vertices[b, 3] * dx
+        # A level edge has no area on its right, but light flows through it where it moves.
         if dy == 0.0 and (dx == 0.0 or (qa == 0.0 and qb == 0.0)):
             continue
-        if max(ay, by) < rows[0] or min(ay, by) >= rows[1] or min(ax, bx) >= rows[2]:
+        if max(ay, by) < band.first_row or min(ay, by) >= band.end_row or min(ax, bx) >= width:
             continue
         if dy >= 0.0:
-            _add_edge(acc, (ax, ay, bx, by), (qa, qb), (area, j0, jx, jy, g0, gx, gy), rows)
+            _add_edge(acc, _Edge(ax, ay, bx, by, qa, qb), _Jump(area, light, rate), band, width)
         else:  # the other way round all signs change; those of the flux twice
-            _add_edge(acc, (bx, by, ax, ay), (-qb, -qa), (-area, -j0, -jx, -jy, -g0, -gx, -gy), rows)
+            turned = _Jump(-area, _scaled(-1.0, light), _scaled(-1.0, rate))
+            _add_edge(acc, _Edge(bx, by, ax, ay, -qb, -qa), turned, band, width)

@@ -153,12 +153,12 @@ def _neighbours(corners: Ints, shades: Ints) -> tuple[Ints, Bytes]:
     across, smooth = np.full(start.size, -1, np.int32), np.zeros(start.size, np.uint8)
     order = np.argsort(forward, kind="stable")
     place = np.searchsorted(forward[order], backward)
-    found = np.zeros(start.size, bool)
+    matches = np.zeros(start.size, bool)
     inside = place < start.size
-    found[inside] = forward[order[place[inside]]] == backward[inside]
+    matches[inside] = forward[order[place[inside]]] == backward[inside]
     _, number, times = np.unique(forward, return_inverse=True, return_counts=True)
     alone = times[number] == 1
-    side = np.flatnonzero(found & alone)
+    side = np.flatnonzero(matches & alone)
     other = order[place[side]]
     side, other = side[alone[other]], other[alone[other]]
     across[side] = other // 3

@@ -21,7 +21,9 @@ Floats = npt.NDArray[np.floating]
 Numbers = npt.NDArray[np.floating] | npt.NDArray[np.integer]
 
 _WIDTH = 720.0
-_LEFT, _RIGHT, _TOP = 78.0, 14.0, 12.0
+_LEFT = 78.0
+_RIGHT = 14.0
+_TOP = 12.0
 _BELOW = 58.0  # ticks and label of the x axis
 _LANE = 46.0
 _KEY_WIDTH = 15.0  # of a letter in a bar
@@ -55,7 +57,8 @@ class Axis:
         """Return the place of a value, 0 at the low end and 1 at the high one; outside values are at the ends."""
         low, high = self.low, self.high
         if self.log:
-            low, high, value = math.log10(low), math.log10(high), math.log10(max(value, low))
+            value = math.log10(max(value, low))
+            low, high = math.log10(low), math.log10(high)
         return min(max((value - low) / (high - low), 0.0), 1.0) if high > low else 0.0
 
     @property
@@ -105,7 +108,9 @@ class Chart:
     """
 
     def __init__(self, x: Axis, y: Axis, description: str, height: float = 170.0, lanes: Sequence[Lane] = ()) -> None:
-        self._x, self._y, self._description = x, y, description
+        self._x = x
+        self._y = y
+        self._description = description
         self._bottom = _TOP + height
         self._height = self._bottom + _BELOW + _LANE * len(lanes)
         self._parts = [*self._ticks_x(), *self._ticks_y()]
@@ -136,39 +141,35 @@ class Chart:
         parts = []
         for value in self._x.ticks:
             x = self._at_x(value)
-            parts.append(_line((x, _TOP), (x, self._bottom), "grid"))
-            parts.append(_text((x, self._bottom + 20), _tick_text(value, self._x), "middle"))
+            parts.append(_line(x, _TOP, x, self._bottom, "grid"))
+            parts.append(_text(x, self._bottom + 20, _tick_text(value, self._x), "middle"))
         middle = (_LEFT + _WIDTH - _RIGHT) / 2
-        axis = _line((_LEFT, self._bottom), (_WIDTH - _RIGHT, self._bottom), "axis")
-        return [*parts, axis, _text((middle, self._bottom + 44), self._x.label, "middle")]
+        axis = _line(_LEFT, self._bottom, _WIDTH - _RIGHT, self._bottom, "axis")
+        return [*parts, axis, _text(middle, self._bottom + 44, self._x.label, "middle")]
 
     def _ticks_y(self) -> list[str]:
         parts = []
         for value in self._y.ticks:
             y = self._at_y(value)
-            parts.append(_line((_LEFT, y), (_WIDTH - _RIGHT, y), "grid"))
-            parts.append(_text((_LEFT - 6, y + 4), _tick_text(value, self._y), "end"))
+            parts.append(_line(_LEFT, y, _WIDTH - _RIGHT, y, "grid"))
+            parts.append(_text(_LEFT - 6, y + 4, _tick_text(value, self._y), "end"))
         middle = (_TOP + self._bottom) / 2
         label = f'<text x="16" y="{middle:.1f}" text-anchor="middle" transform="rotate(-90 16 {middle:.1f})">'
-        return [*parts, _line((_LEFT, _TOP), (_LEFT, self._bottom), "axis"), f"{label}{escaped(self._y.label)}</text>"]
+        return [*parts, _line(_LEFT, _TOP, _LEFT, self._bottom, "axis"), f"{label}{escaped(self._y.label)}</text>"]
 
     def _lane(self, lane: Lane, top: float) -> list[str]:
         """Return one lane: its name over a line, on which the marks are."""
         base = top + 34
-        parts = [_text((0, top + 14), lane.name, "start"), _line((_LEFT, base), (_WIDTH - _RIGHT, base), "grid")]
+        parts = [_text(0, top + 14, lane.name, "start"), _line(_LEFT, base, _WIDTH - _RIGHT, base, "grid")]
         free_from = 9.5 * len(lane.name)  # labels begin behind the lane's name
-        for mark in _thinned(lane.marks):
+        for mark in lane.marks[:: max(1, math.ceil(len(lane.marks) / _MOST_MARKS))]:
             x = self._at_x(mark.t_s)
             end = x if mark.until_s is None else self._at_x(mark.until_s)
-            parts.append(_rect((x - 1.5, base - 10), (max(end - x, 0.0) + 3, 14), lane.kind))
+            parts.append(_rect(x - 1.5, base - 10, max(end - x, 0.0) + 3, 14, lane.kind))
             if mark.label and x >= free_from:
-                parts.append(_text((x, top + 14), mark.label, "start" if x < _WIDTH - 60 else "end"))
+                parts.append(_text(x, top + 14, mark.label, "start" if x < _WIDTH - 60 else "end"))
                 free_from = x + _LABEL_GAP
         return parts
-
-
-def _thinned(marks: Sequence[Mark]) -> Sequence[Mark]:
-    return marks[:: max(1, math.ceil(len(marks) / _MOST_MARKS))]
 
 
 def _tick_text(value: float, axis: Axis) -> str:
@@ -188,17 +189,19 @@ class Share:
 
 def share_bar(shares: Sequence[Share], description: str) -> str:
     """Return one stacked bar of the whole width; a part that is not zero is at least 3 wide."""
-    total, parts, x = sum(one.amount for one in shares), [], 0.0
-    for one in shares:
-        width = max(3.0, _WIDTH * one.amount / total) if one.amount and total else 0.0
+    total = sum(share.amount for share in shares)
+    parts = []
+    x = 0.0
+    for share in shares:
+        width = max(3.0, _WIDTH * share.amount / total) if share.amount and total else 0.0
         if not width:
             continue
         width = min(width, max(_WIDTH - x, 3.0))
-        parts.append(_rect((min(x, _WIDTH - 3.0), 2), (width, 28), f"part {one.kind}"))
+        parts.append(_rect(min(x, _WIDTH - 3.0), 2, width, 28, f"part {share.kind}"))
         if width > _KEY_WIDTH:
-            parts.append(_text((x + width / 2, 22), one.key, "middle", f"key {one.kind}"))
+            parts.append(_text(x + width / 2, 22, share.key, "middle", f"key {share.kind}"))
         x += width
-    outline = _rect((0.5, 2), (_WIDTH - 1, 28), "outline")
+    outline = _rect(0.5, 2, _WIDTH - 1, 28, "outline")
     return _svg(32, description, [*parts, outline])
 
 
@@ -237,8 +240,8 @@ def _quantile_axis(axis: Axis, bottom: float) -> list[str]:
     parts = []
     for value in axis.ticks:
         x = _quantile_x(axis, value)
-        parts += [_line((x, _TOP), (x, bottom), "grid"), _text((x, bottom + 20), _tick_text(value, axis), "middle")]
-    return [*parts, _text((_WIDTH / 2, bottom + 44), axis.label, "middle")]
+        parts += [_line(x, _TOP, x, bottom, "grid"), _text(x, bottom + 20, _tick_text(value, axis), "middle")]
+    return [*parts, _text(_WIDTH / 2, bottom + 44, axis.label, "middle")]
 
 
 def _quantile_x(axis: Axis, value: float) -> float:
@@ -249,20 +252,19 @@ def _quantile_row(row: Quantiles, axis: Axis, top: float) -> list[str]:
     """Return a name, a line from the least to the largest value with a mark for each, and the bound."""
     y, xs = top + 44, [_quantile_x(axis, value) for _, value in row.values]
     name = row.name if len(row.name) <= _MOST_NAME else f"{row.name[:_MOST_NAME]}\u2026"
-    parts = [_text((2, top + 18), name, "start")]
+    parts = [_text(2, top + 18, name, "start")]
     if row.bound:
         x = _quantile_x(axis, row.bound)
-        parts.append(_line((x, top + 26), (x, y + 14), "bound"))
+        parts.append(_line(x, top + 26, x, y + 14, "bound"))
         bound = f"{row.bound_name} {number_text(row.bound)}"
-        parts.append(_text((_WIDTH - 4, top + 18), bound, "end", "bound-text"))
+        parts.append(_text(_WIDTH - 4, top + 18, bound, "end", "bound-text"))
     if xs:
-        parts.append(_line((min(xs), y), (max(xs), y), "range"))
-    parts += [_shape(shape, (x, y)) for shape, x in zip(_SHAPES, xs, strict=False)]
+        parts.append(_line(min(xs), y, max(xs), y, "range"))
+    parts += [_shape(shape, x, y) for shape, x in zip(_SHAPES, xs, strict=False)]
     return parts
 
 
-def _shape(shape: str, at: tuple[float, float]) -> str:
-    x, y = at
+def _shape(shape: str, x: float, y: float) -> str:
     if shape == "circle":
         return f'<circle class="dot" cx="{x:.1f}" cy="{y:.1f}" r="6"/>'
     corners = {
@@ -283,18 +285,17 @@ def _svg(height: float, description: str, parts: Sequence[str]) -> str:
     return f'<svg viewBox="0 0 {_WIDTH:g} {height:g}" role="img" aria-label="{label}">{"".join(parts)}</svg>'
 
 
-def _line(start: tuple[float, float], end: tuple[float, float], kind: str) -> str:
-    return f'<line class="{kind}" x1="{start[0]:.1f}" y1="{start[1]:.1f}" x2="{end[0]:.1f}" y2="{end[1]:.1f}"/>'
+def _line(x1: float, y1: float, x2: float, y2: float, kind: str) -> str:
+    return f'<line class="{kind}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>'
 
 
-def _rect(corner: tuple[float, float], size: tuple[float, float], kind: str) -> str:
-    x, y = corner
-    return f'<rect class="{kind}" x="{x:.1f}" y="{y:.1f}" width="{size[0]:.1f}" height="{size[1]:.1f}"/>'
+def _rect(x: float, y: float, width: float, height: float, kind: str) -> str:
+    return f'<rect class="{kind}" x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}"/>'
 
 
-def _text(at: tuple[float, float], text: str, anchor: str, kind: str = "") -> str:
+def _text(x: float, y: float, text: str, anchor: str, kind: str = "") -> str:
     name = f' class="{kind}"' if kind else ""
-    return f'<text{name} x="{at[0]:.1f}" y="{at[1]:.1f}" text-anchor="{anchor}">{escaped(text)}</text>'
+    return f'<text{name} x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escaped(text)}</text>'
 
 
 def printable(text: str) -> str:

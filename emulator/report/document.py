@@ -79,8 +79,8 @@ class Section:
         table += f'<tbody role="rowgroup">{body}</tbody></table>'
         scroll = "scroll short" if len(rows) <= _MOST_SHORT else "scroll"
         self.element(f'<div class="{scroll}" role="region" tabindex="0" aria-label="{_text(caption)}">{table}</div>')
-        more = len(rows) - limit
-        return self.text(f"and {more} more, listed in report.json" if more > 0 else "", "note")
+        hidden = len(rows) - limit
+        return self.text(f"and {hidden} more, listed in report.json" if hidden > 0 else "", "note")
 
     def facts(self, caption: str, facts: Mapping[str, Any]) -> Self:
         """Add names and values as a table of two columns."""
@@ -108,14 +108,14 @@ class Section:
 
 def signature(subject: Sequence[str]) -> Section:
     """Return the section that a reviewer signs: what is signed, a line each, boxes for the decision, and fields."""
-    made = Section("Review", "signature whole")
+    section = Section("Review", "signature whole")
     for line in subject:
-        made.text(line)
+        section.text(line)
     choices = ("accepted", "accepted with remarks", "rejected")
     boxes = "".join(f'<span class="choice"><span class="box"></span>{choice}</span>' for choice in choices)
     labels = ("Name and role", "Organisation", "Date", "Signature")
     fields = "".join(f"<div><small>{label}</small></div>" for label in labels)
-    return made.element(
+    return section.element(
         f'<div class="sign"><div class="wide"><small>Decision</small>{boxes}</div>'
         f'<div class="wide"><small>Remarks</small></div>{fields}</div>'
     )
@@ -128,12 +128,15 @@ class Document:
     ----------
     title, subtitle
         Heading, and the line below it.
-    verdict
-        Its kind, and its words; None: the document has none.
+    verdict, words
+        Kind of the verdict, and its words; "": the document has none.
     """
 
-    def __init__(self, title: str, subtitle: str = "", verdict: tuple[str, str] | None = None) -> None:
-        self._title, self._subtitle, self._verdict = title, subtitle, verdict
+    def __init__(self, title: str, subtitle: str = "", verdict: str = "", words: str = "") -> None:
+        self._title = title
+        self._subtitle = subtitle
+        self._verdict = verdict
+        self._words = words
         self._sections: list[Section] = []
 
     def add(self, section: Section) -> Self:
@@ -144,11 +147,10 @@ class Document:
     def html(self) -> str:
         """Return the whole file."""
         title, verdict = _text(self._title), ""
-        if self._verdict is not None:
-            kind, words = self._verdict
+        if kind := self._verdict:
             title = f"{title}: {kind}"
             verdict = f'<div class="verdict {kind}" role="status"><strong>{_SYMBOLS[kind]} {kind.upper()}</strong>'
-            verdict += f"{_text(words)}</div>"
+            verdict += f"{_text(self._words)}</div>"
         head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
         head += f"<title>{title}</title><style>{_STYLE.read_text(encoding='utf-8')}</style>"
         header = f'<h1>{_text(self._title)}</h1><p class="subtitle">{_text(self._subtitle)}</p>'

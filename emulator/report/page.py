@@ -76,7 +76,9 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-BLUE, RED, INK = "#0072b2", "#d55e00", "#333333"
+BLUE = "#0072b2"
+RED = "#d55e00"
+INK = "#333333"
 """Colours that are distinct for colour-blind people too."""
 
 
@@ -99,18 +101,17 @@ def check_charts() -> None:
 
 
 def panels(
-    count: int, columns: int, size: tuple[float, float], *, high: int = 1, layout: str = "constrained"
+    count: int, columns: int, width_in: float, height_in: float, *, high: int = 1, layout: str = "constrained"
 ) -> tuple[Any, list[list[Any]]]:
     """Return a figure and the axes of its `count` panels, from left to right, at most `columns` in a row.
 
-    `size` is the width and height of one axes, inches. A panel has `high` axes, one below the other. `layout` is an
-    engine of matplotlib, or "none".
+    `width_in` and `height_in` are those of one axes, inches. A panel has `high` axes, one below the other. `layout` is
+    an engine of matplotlib, or "none".
     """
     columns = min(columns, count)
     bands = math.ceil(count / columns)
-    width, height = size
     figure, grid = pyplot().subplots(
-        high * bands, columns, figsize=(width * columns, height * bands), squeeze=False, layout=layout
+        high * bands, columns, figsize=(width_in * columns, height_in * bands), squeeze=False, layout=layout
     )
     every = [[grid[high * band + row][k] for row in range(high)] for band in range(bands) for k in range(columns)]
     for unused in every[count:]:

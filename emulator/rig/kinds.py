@@ -1,4 +1,4 @@
-"""The kinds of links, scenes, faults and cameras that a rig can name.
+"""The kinds of links, scenes and cameras that a rig can name, and the assignment of faults to its links.
 
 A registry has the built-in kinds, and those of installed packages (groups "evstim.links", "evstim.scenes" and
 "evstim.cameras"). A fault is converted from a table of a rig, or of `evstim fault`. A camera model has one record: its
@@ -10,19 +10,20 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
-from emulator.optics.lens import CHIPS, Chip
+from emulator.optics.lens import Chip
 from emulator.rig.tables import Camera
 from emulator.scene.kind import SceneKind
 from emulator.sensor.presets import SensorParameters
-from emulator.tables.registry import Registry
-from emulator.tables.typed_table import KeyPath, TableError, convert_kind, unknown
+from emulator.tables.typed_table import KeyPath, TableError, convert_kind
+from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.imu_samples import BMI160
 from firmware_protocol.prophesee.biases import BiasSlopes
 from firmware_protocol.usb.device import UsbCamera
-from transports.faults.kinds import Fault
-from transports.link.kind import LinkKind, LinkParameters
+from transports.faults.kinds import FAULTS, Fault
+from transports.link.kind import LinkKind, LinkParameters, possible_faults
+from transports.registry import PluginError, Registry, unknown
 
 LINKS: Registry[LinkKind[Any]] = Registry(
     "evstim.links",
@@ -33,7 +34,7 @@ LINKS: Registry[LinkKind[Any]] = Registry(
         "loopback": "transports.usb.kind:LOOPBACK",
         "serial": "transports.serial_line.kind:SERIAL",
         "gige": "transports.gige.kind:GIGE",
-        "file": "transports.file.kind:FILE",
+        "file": "transports.file:FILE",
         "tcp": "transports.network_streams.kind:TCP",
         "udp": "transports.network_streams.kind:UDP",
         "udp_packets": "transports.udp_packets.kind:UDP_PACKETS",
@@ -61,19 +62,18 @@ SCENES: Registry[SceneKind] = Registry(
 """Kinds of scenes by the name that rigs write."""
 
 
-def known_faults() -> dict[str, type[Fault]]:
-    """Return the types of all faults, by kind."""
-    return {kind: fault for link in LINKS.usable().values() for kind, fault in link.faults.items()}
-
-
 def faults_of(link: LinkParameters) -> Mapping[str, type[Fault]]:
     """Return the faults that a link of these parameters can have, by kind."""
-    return LINKS[link.kind].possible_faults(link)
+    return possible_faults(LINKS[link.kind], link)
 
 
 def convert_fault(table: object, links: Sequence[LinkParameters], path: KeyPath) -> Fault:
     """Return a table as a fault of one of `links`, whose name it then has; raises TableError."""
-    return assigned_fault(convert_kind(table, known_faults(), path), links, path)
+    try:
+        fault = convert_kind(table, FAULTS, path)
+    except PluginError as error:
+        raise TableError(str(error), (*path, "kind")) from error
+    return assigned_fault(fault, links, path)
 
 
 def assigned_fault(fault: Fault, links: Sequence[LinkParameters], path: KeyPath = ()) -> Fault:
@@ -103,6 +103,14 @@ class UsbSettings:
     is_master: bool = True
 
 
+class CameraKernels(NamedTuple):
+    """Kernels of a camera: their name for people, the time to compile them, and the function that does it."""
+
+    name: str
+    seconds: float
+    compile: Callable[[], None]
+
+
 @dataclass(frozen=True)
 class UsbModel:
     """The USB device of a camera model.
@@ -114,8 +122,10 @@ class UsbModel:
     device
         Returns the factory of the device in a link's process, which can be pickled; raises ValueError for a camera
         that the device cannot represent.
-    has_evt, has_groups
-        Whether it sends EVT words, or words of groups of pixels: a run compiles their kernels before it begins.
+    has_evt
+        Whether it sends EVT words: a run compiles their kernels before it begins.
+    kernels
+        Returns the kernels of its own that a camera uses, which a run compiles likewise.
     imu_units
         Inertial units that it can have; None: it has no use for one, and any is allowed.
     """
@@ -123,7 +133,7 @@ class UsbModel:
     size: tuple[int, int]
     device: Callable[[Camera, UsbSettings], Callable[[], UsbCamera]]
     has_evt: bool = False
-    has_groups: bool = False
+    kernels: Callable[[Camera], tuple[CameraKernels, ...]] = lambda camera: ()
     imu_units: tuple[str, ...] | None = None
 
 
@@ -136,22 +146,21 @@ class CameraModel:
     name
         Name of the model, the value of `camera.model` in rigs.
     gige
-        Whether it is a GigE Vision device.
+        Returns the factory of its GigE Vision device for a camera, the parameters of the link, and the length of a
+        pulse on its input, us; None: it is no such device.
     bias_slopes
         Effects of its biases where a rig gives none, if `camera.bias_slopes` may change them.
+    commanded_biases
+        Returns the biases that telecommands of an instrument change; None: those of the instrument's own sensor.
     """
 
     name: str
     sensor: SensorParameters
     chip: Chip
     usb: UsbModel | None = None
-    gige: bool = False
+    gige: Callable[[Camera, Any, int], Callable[[], EventDevice]] | None = None
     bias_slopes: BiasSlopes | None = None
-
-    @property
-    def is_imx636(self) -> bool:
-        """True for an IMX636: biases act by `camera.bias_slopes`."""
-        return self.chip is CHIPS["imx636"]
+    commanded_biases: Callable[[Camera], Any] | None = None
 
 
 CAMERA_MODELS: Registry[CameraModel] = Registry(
@@ -182,6 +191,14 @@ IMU_UNITS = {"mpu_6050": 1, "mpu_9250": 2, "bmi160": BMI160}
 """Register TYPE of an inertial unit."""
 
 
+IMU_DRIVERS = {
+    1: "firmware_protocol.davis346.registers:driver_imu_settings",
+    2: "firmware_protocol.davis346.registers:driver_imu_settings",
+    BMI160: "firmware_protocol.dvxplorer.registers:driver_imu_settings",
+}
+"""Import path of the function that returns the settings which drivers write to a unit, by its TYPE."""
+
+
 def usb_model(camera: Camera, kind: LinkKind[Any]) -> UsbModel | None:
     """Return the USB device of a camera on a link of a kind; None if there is none.
 
@@ -195,7 +212,7 @@ def usb_model(camera: Camera, kind: LinkKind[Any]) -> UsbModel | None:
 
 def gige_models() -> tuple[str, ...]:
     """Return the camera models that have a GigE Vision device."""
-    return tuple(name for name, model in CAMERA_MODELS.usable().items() if model.gige)
+    return tuple(name for name, model in CAMERA_MODELS.usable().items() if model.gige is not None)
 
 
 def usb_sizes() -> dict[str, tuple[int, int]]:

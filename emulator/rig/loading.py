@@ -28,9 +28,10 @@ from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.rig.top_level import values_of
 from emulator.scene.kind import SceneParameters
 from emulator.tables.toml_text import TextFileError, TomlError, dotted, line_of, read_text, read_toml, shortened
-from emulator.tables.typed_table import TableError, beside, convert, unknown
+from emulator.tables.typed_table import TableError, beside, convert
 from transports.faults.kinds import Fault
 from transports.link.kind import LinkParameters
+from transports.registry import unknown
 from transports.usb.kind import LoopbackLink, UsbipLink
 
 __all__ = [

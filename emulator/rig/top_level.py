@@ -23,13 +23,11 @@ from emulator.rig.kinds import (
     UsbSettings,
     convert_fault,
     gige_models,
-    known_faults,
     usb_sizes,
 )
 from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.scene.kind import SceneParameters
 from emulator.sensor.presets import SensorParameters
-from emulator.tables.registry import PluginError, Record, Registry
 from emulator.tables.typed_table import KeyPath as KeyPath
 from emulator.tables.typed_table import (
     TableError,
@@ -40,13 +38,13 @@ from emulator.tables.typed_table import (
     kinds_of,
     split_kind,
     table_type,
-    unknown,
 )
 from firmware_protocol.prophesee.biases import BiasSlopes
-from transports.faults.kinds import Fault
+from transports.faults.kinds import FAULTS, Fault
 from transports.link.kind import CameraFacts, LinkParameters, Unsuitable
+from transports.registry import PluginError, Registry, unknown
 
-R = TypeVar("R", bound=Record)
+R = TypeVar("R")
 _LINK_NAME = re.compile(r"\w[\w.-]{0,63}", re.ASCII)
 
 
@@ -129,7 +127,7 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
     path = ("camera",)
     if not isinstance(table, dict):
         raise TableError(f"expected a table, got {table!r}", path)
-    model = table.get("model", "davis346")
+    model = table.get("model", Camera.model)
     if not isinstance(model, str) or model not in CAMERA_MODELS:
         raise TableError(unknown(str(model), list(CAMERA_MODELS)), (*path, "model"))
     own = {k: v for k, v in table.items() if k != "sensor"}
@@ -235,13 +233,13 @@ def _links(tables: object, rig: Mapping[str, Any]) -> tuple[LinkParameters, ...]
 
 def _link(table: object, camera: Camera, path: KeyPath) -> LinkParameters:
     kind, rest = _of_kind(table, LINKS, path)
-    link: LinkParameters = convert(kind.complete(rest), kind.parameters, path)
+    link: LinkParameters = convert(kind.parameters.complete(rest), kind.parameters, path)
     if not _LINK_NAME.fullmatch(link.name):
         message = f"{link.name!r} cannot be part of a file's name: take 1 to 64 of the letters A-Z a-z 0-9 . _ -"
         raise TableError(f"{message}, the first no dot or hyphen", (*path, "name"))
     model = CAMERA_MODELS[camera.model]
     usb_size = None if model.usb is None else model.usb.size
-    facts = CameraFacts(camera.model, camera.size, usb_size, model.gige, usb_sizes, gige_models)
+    facts = CameraFacts(camera.model, camera.size, usb_size, model.gige is not None, usb_sizes, gige_models)
     try:
         kind.check(link, facts)
     except Unsuitable as error:
@@ -253,8 +251,8 @@ def _check_apart(link: LinkParameters, earlier: tuple[LinkParameters, ...], path
     """Raise TableError for a link that has the name or the port of an earlier one."""
     if link.name in [other.name for other in earlier]:
         raise TableError(f"name {link.name!r} is taken by an earlier link; give each its own", path)
-    place = LINKS[link.kind].listens_on(link)
-    if place is not None and place in [LINKS[other.kind].listens_on(other) for other in earlier]:
+    place = link.listens_on()
+    if place is not None and place in [other.listens_on() for other in earlier]:
         raise TableError(f"port {place[1]} is taken by an earlier link; give each its own", (*path, "port"))
 
 
@@ -292,7 +290,7 @@ TOP_LEVEL: Mapping[str, TopLevelKey] = {
     "run": TopLevelKey("Time and method of the run.", _run, _one(Run), absent={}),
     "verdict": TopLevelKey("Limits of a good run.", _verdict, _one(Verdict), absent={}),
     "links": TopLevelKey("Links that carry the events, any number of them.", _links, _parameters(LINKS), True, []),
-    "faults": TopLevelKey("Faults of links, and their times.", _faults, known_faults, True, []),
+    "faults": TopLevelKey("Faults of links, and their times.", _faults, FAULTS.usable, True, []),
 }
 """Top-level keys by name, in the order of the reference; each is a field of `emulator.rig.loading.Rig`."""
 

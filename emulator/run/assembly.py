@@ -39,14 +39,12 @@ from emulator.rig.kinds import (
 from emulator.rig.loading import Rig, RigError, Run
 from emulator.rig.second_camera import carries_second, second_rig
 from emulator.rig.tables import OWN_METHODS, Trigger
-from emulator.run.readings import ReadingSource, ReadingSources
+from emulator.run.camera import CameraView, ReadingSource, ReadingSources
 from emulator.run.session import Schedule, Session
-from emulator.run.stereo import SecondView
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.pixels.method import MakePixels
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import EventSource, Sensor, own_pixels
-from emulator.tables.registry import imported
 from firmware_protocol.device.clock import ClockSettings
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.items import ReadingKind
@@ -55,6 +53,7 @@ from firmware_protocol.frames import FrameSettings
 from firmware_protocol.imu_samples import IMU_SAMPLE
 from firmware_protocol.usb.device import UsbCamera
 from transports.faults.script import FaultPlan
+from transports.link.deliveries import RecorderFactory
 from transports.link.edges import EdgeRing, EdgeSink, EdgeSource, ListedEdges, PeriodicEdges
 from transports.link.feed import Timing
 from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Wiring
@@ -63,6 +62,7 @@ from transports.link.process import LinkSetup
 from transports.link.rings import EventRing, ReadingRing
 from transports.recording.format import with_addition
 from transports.recording.part import Facts
+from transports.registry import imported
 
 if TYPE_CHECKING:
     from emulator.run.truth.source import TruthFile
@@ -71,14 +71,14 @@ if TYPE_CHECKING:
 def build_scene(rig: Rig, size: tuple[int, int] | None = None) -> Scene:
     """Return the rig's scene at `size` = (width, height) pixels, by default its camera's; raises SceneError."""
     size = size or rig.camera.size
-    kind, lens, chip = SCENES[rig.scene.kind], rig.camera.lens, CAMERA_MODELS[rig.camera.model].chip
-    threads = rig.run.threads
-    build = partial(imported(kind.build), rig.scene, **({"threads": threads} if kind.threads else {}))
+    kind, lens = SCENES[rig.scene.kind], rig.camera.lens
+    chip, threads = CAMERA_MODELS[rig.camera.model].chip, rig.run.threads
+    build = partial(SCENES.imported(kind.name, kind.build), rig.scene, **({"threads": threads} if kind.threads else {}))
     if kind.gl:
         from emulator.gl.context import selected_painter
 
         if selected_painter(rig.run.painter) == "gl":
-            build = partial(imported(kind.gl), rig.scene)
+            build = partial(SCENES.imported(kind.name, kind.gl), rig.scene)
     if kind.lens == "none":
         scene: Scene = build(size)
         return scene
@@ -145,8 +145,8 @@ _EXPOSURE_NS, _INTERVAL_NS = 4_000_000, 40_000_000
 
 
 def initial_readings(rig: Rig) -> Mapping[ReadingKind, tuple[int, ...]]:
-    """Return the settings of each kind of readings at the start, as `EventDevice.reading_settings`."""
-    has_host = any(LINKS[one.kind].serves == "usb" and not carries_second(rig, one.name) for one in rig.links)
+    """Return the settings of each kind of readings at the start, as `TakesReadings.reading_settings`."""
+    has_host = any(LINKS[link.kind].serves == "usb" and not carries_second(rig, link.name) for link in rig.links)
     return {kind: () if has_host else settings for kind, settings in _driver_settings(rig).items()}
 
 
@@ -190,9 +190,15 @@ def build_session(
     """
     parameters, frames = planned_sensor(rig, scene), build_frames(rig, scene)
     steps = build_steps(rig, frames, parameters)
-    sensor = build_sensor(rig, parameters) if truth is None else _with_truth(rig, parameters, scene, truth)
-    own = [setup for setup in setups if not carries_second(rig, setup.name)]
-    readings = ReadingSources(reading_sources(rig, scene, sensor), own)
+    if truth is None:
+        sensor = build_sensor(rig, parameters)
+    else:
+        from emulator.run.truth.source import TruthSensor
+
+        sensor = build_sensor(rig, parameters, TruthSensor)
+        truth.begin(sensor, scene)
+    first_setups = [setup for setup in setups if not carries_second(rig, setup.name)]
+    readings = ReadingSources(reading_sources(rig, scene, sensor), first_setups)
     session = Session(frames, sensor, steps, setups, clock, readings)
     if rig.second_camera is not None:
         second = second_rig(rig)
@@ -225,12 +231,12 @@ def build_steps(rig: Rig, frames: SceneFrames, sensor: SensorParameters) -> Step
     return ControlledSteps(limits(rig, frames.scene.motion_bound_px_s), dark, first_ns, refinement)
 
 
-def _second_view(rig: Rig, parameters: SensorParameters, setups: Sequence[LinkSetup[Any]]) -> SecondView:
+def _second_view(rig: Rig, parameters: SensorParameters, setups: Sequence[LinkSetup[Any]]) -> CameraView:
     names = [link.name for link in rig.links]
     scene, sensor = build_scene(rig), build_sensor(rig, parameters)
-    own = [setup for setup in setups if setup.name in names]
-    readings = ReadingSources(reading_sources(rig, scene, sensor), own)
-    return SecondView(build_frames(rig, scene), sensor, readings, names)
+    second_setups = [setup for setup in setups if setup.name in names]
+    readings = ReadingSources(reading_sources(rig, scene, sensor), second_setups)
+    return CameraView(build_frames(rig, scene), sensor, readings, names)
 
 
 def reading_sources(rig: Rig, scene: Scene, sensor: EventSource | None = None) -> list[ReadingSource]:
@@ -250,7 +256,7 @@ def _frame_sources(rig: Rig, sensor: EventSource | None = None) -> list[ReadingS
     frames = rig.camera.frames
     if frames is None:
         return []
-    from emulator.sensor.aps.frames import FrameSource
+    from emulator.sensor.frames import FrameSource
 
     disturb = None
     if frames.kicks.share and sensor is not None:
@@ -267,20 +273,14 @@ def _reading_rings(rig: Rig, kind: LinkKind[Any]) -> tuple[ReadingRing, ...]:
     imu = () if rig.camera.imu is None else (ReadingRing(ReadingKind.IMU, IMU_SAMPLE, _IMU_RING),)
     rings = (*ReadingSources.new_rings(_frame_sources(rig)), *imu)
     if kind.serves == "plain":  # its settings hold from the start, not from the first poll of its process
-        asked = initial_readings(rig)
+        settings = initial_readings(rig)
         for ring in rings:
-            ring.write_settings(asked[ring.kind])
+            ring.write_settings(settings[ring.kind])
     return rings
 
 
 def _has_readings(kind: LinkKind[Any]) -> bool:
     return kind.serves == "usb" or kind.has_readings
-
-
-def _with_truth(rig: Rig, parameters: SensorParameters, scene: Scene, truth: TruthFile) -> EventSource:
-    from emulator.sensor.origins import TracedSensor
-
-    return truth.source(build_sensor(rig, parameters, TracedSensor), scene)
 
 
 def build_sensor(rig: Rig, parameters: SensorParameters, kind: type[Sensor] = Sensor) -> EventSource:
@@ -289,7 +289,7 @@ def build_sensor(rig: Rig, parameters: SensorParameters, kind: type[Sensor] = Se
     Raises RigError when the rig's method lacks a required effect, SceneError when a recording cannot be used.
     """
     if events := SCENES[rig.scene.kind].events:
-        source: EventSource = imported(events)(rig.scene, parameters)
+        source: EventSource = SCENES.imported(rig.scene.kind, events)(rig.scene, parameters)
         return source
     try:
         return kind(parameters, rig.run.seed, _pixels(rig.run))
@@ -374,11 +374,20 @@ def _link_setup(
     facts = _facts(rig, kind)
     camera = CameraFacts(rig.camera.model, rig.camera.size, streams=facts.streams, imu_unit=facts.imu_unit)
     wiring = Wiring(_faults(rig, link, fault_log), triggers.sink(link.name, ring), camera)
-    endpoint = imported(kind.endpoint)(link, wiring)
+    endpoint = LINKS.imported(kind.name, kind.endpoint)(link, wiring)
     setup = LinkSetup(
-        link.name, ring, _device(rig, link, kind, is_master), endpoint, record, timing=timing, facts=facts
+        link.name, ring, _device(rig, link, kind, is_master), endpoint, _recorder(record), timing=timing, facts=facts
     )
     return dataclasses.replace(setup, readings=_reading_rings(rig, kind))
+
+
+def _recorder(path: Path | None) -> RecorderFactory | None:
+    """Return the recorder of a link's file; its module is imported only for a run that has one."""
+    if path is None:
+        return None
+    from transports.recording.live import FileRecorder
+
+    return FileRecorder(path)
 
 
 def _facts(rig: Rig, kind: LinkKind[Any]) -> Facts:
@@ -406,33 +415,22 @@ def _faults(rig: Rig, link: LinkParameters, log: Path | None) -> FaultPlan:
 
 def _instrument(rig: Rig, link: Any) -> Callable[[], EventDevice]:
     from firmware_protocol.instrument.instrument import Instrument
-    from firmware_protocol.instrument.settings import Imx636Biases
 
-    biases = Imx636Biases(rig.camera.bias_model) if CAMERA_MODELS[rig.camera.model].is_imx636 else None
+    biases_of = CAMERA_MODELS[rig.camera.model].commanded_biases
+    biases = None if biases_of is None else biases_of(rig.camera)
     return partial(Instrument, rig.camera.size, link.instrument, biases)
 
 
-def _gige_camera(rig: Rig, link: Any) -> Callable[[], EventDevice]:
-    from firmware_protocol.imx636.triton2 import Triton2
-    from firmware_protocol.imx636.triton2_registers import Triton2Settings
-
-    settings = Triton2Settings(
-        size=rig.camera.size,
-        address=link.host,
-        serial=rig.camera.serial,
-        start_delay_us=round(rig.camera.start_delay_ms * 1000),
-        block_us=link.block_us,
-        biases=rig.camera.bias_model,
-        ptp=link.ptp,
-        ptp_domain=link.ptp_domain,
-        pulse_us=_pulse_us(rig),
-    )
-    return partial(Triton2, settings)
+def _gige_camera(rig: Rig, link: LinkParameters) -> Callable[[], EventDevice]:
+    gige = CAMERA_MODELS[rig.camera.model].gige
+    if gige is None:
+        raise RigError(f"{rig.name}: a {rig.camera.model} is no GigE Vision device")
+    return gige(rig.camera, link, _pulse_us(rig))
 
 
 def _usb_camera(rig: Rig, kind: LinkKind[Any], is_master: bool) -> Callable[[], UsbCamera]:
     usb = usb_model(rig.camera, kind)
     if usb is None:
         raise RigError(f"{rig.name}: there is no USB model for a {rig.camera.model} yet")
-    delay_ms = rig.camera.start_delay_ms if kind.start_delay else 0.0
+    delay_ms = rig.camera.start_delay_ms if kind.usb_model is None else 0.0
     return usb.device(rig.camera, UsbSettings(delay_ms, _pulse_us(rig), is_master))

@@ -29,7 +29,7 @@ from emulator.trajectory.basilisk import ConnectedPath, pose_of, simulated_path
 from emulator.trajectory.parameters import BasiliskPath
 from emulator.trajectory.pose import TrajectoryError
 from firmware_protocol.events import Events
-from firmware_protocol.vizard.messages import (
+from firmware_protocol.vizard import (
     INPUT_REPLY,
     NO_IMAGE,
     OK,
@@ -55,7 +55,7 @@ _LAST_LOOKS = 20
 
 
 class Server(Protocol):
-    """Socket of one simulation; see `transports.vizard.server`."""
+    """Socket of one simulation; see `transports.vizard`."""
 
     @property
     def peer_gone(self) -> bool:
@@ -120,7 +120,10 @@ class BasiliskRun:
         clock: Clock,
         on_first: Callable[[Update], None] = lambda _: None,
     ) -> None:
-        self._server, self._paths, self._images, self._clock = server, paths, images, clock
+        self._server = server
+        self._paths = paths
+        self._images = images
+        self._clock = clock
         self._on_first = on_first
         self._cameras = {path.camera for path in paths if path.camera is not None}
         self._light: Callable[[], Light] | None = None
@@ -249,7 +252,8 @@ def camera_differs(rig: Rig, camera: CameraState) -> str:
     """Return the difference of the rig's camera from Basilisk's in size or focal length; "" where there is none."""
     width, height = rig.camera.size
     own_px = width / 2 / math.tan(math.radians(rig.camera.lens.field_of_view_deg) / 2)
-    theirs_px = _focal_px(camera)
+    half = math.radians(camera.field_of_view_deg) / 2
+    theirs_px = camera.size[1] / 2 / math.tan(half) if 0 < half < math.pi / 2 else math.nan
     if camera.size == (width, height) and abs(theirs_px / own_px - 1) < _FOCAL_WITHIN:
         return ""
     return (
@@ -258,21 +262,18 @@ def camera_differs(rig: Rig, camera: CameraState) -> str:
     )
 
 
-def _focal_px(camera: CameraState) -> float:
-    half = math.radians(camera.field_of_view_deg) / 2
-    return camera.size[1] / 2 / math.tan(half) if 0 < half < math.pi / 2 else math.nan
-
-
 def _connected(value: T, paths: list[ConnectedPath]) -> T:
     """Return a table of a rig with all Basilisk paths in it connected; they are added to `paths`."""
     if isinstance(value, BasiliskPath):
         paths.append(ConnectedPath(**_fields(value), simulated=simulated_path(value)))
         return paths[-1]  # type: ignore[return-value]
     if isinstance(value, tuple):
-        return tuple(_connected(one, paths) for one in value)  # type: ignore[return-value]
+        return tuple(_connected(element, paths) for element in value)  # type: ignore[return-value]
     if not dataclasses.is_dataclass(value) or isinstance(value, type):
         return value
-    return dataclasses.replace(value, **{name: _connected(one, paths) for name, one in _fields(value).items()})
+    return dataclasses.replace(
+        value, **{name: _connected(field_value, paths) for name, field_value in _fields(value).items()}
+    )
 
 
 def _fields(value: Any) -> dict[str, Any]:

@@ -131,59 +131,54 @@ class BiasFollowing:
         self._factors_of: dict[str, Mapping[str, float]] = {}
         self._without_effect: dict[str, Mapping[str, str]] = {}
 
-    def follow(self, settings: Mapping[str, CameraSettings], t_ns: int = 0) -> None:
+    def follow(self, link: str, settings: CameraSettings, t_ns: int = 0) -> None:
         """Adjust the sensor, which is at stream time `t_ns`, where the factors of a link have changed."""
-        for link, one in settings.items():
-            self._log_without_effect(link, one.without_effect)
-            if one.sensor_factors != self._factors_of.get(link, {}):
-                self._factors_of[link] = one.sensor_factors
-                self._adjust(link, one, t_ns)
+        self._log_without_effect(link, settings.without_effect)
+        if settings.sensor_factors != self._factors_of.get(link, {}):
+            self._factors_of[link] = settings.sensor_factors
+            self._adjust(link, settings, t_ns)
 
     def _log_without_effect(self, link: str, without_effect: Mapping[str, str]) -> None:
         """Log the settings that have become without effect."""
         before, self._without_effect[link] = self._without_effect.get(link, {}), without_effect
-        for name, why in without_effect.items():
+        for name, reason in without_effect.items():
             if name not in before:
-                log.warning("%s: bias %s has no effect: %s", link, name, why)
+                log.warning("%s: bias %s has no effect: %s", link, name, reason)
 
     def _adjust(self, link: str, settings: CameraSettings, t_ns: int) -> None:
         """Set the parameters to their new factors; one that cannot follow keeps its old factor."""
-        parameters = {} if self._sensor is None else self._sensor.adjustable
-        accepted, wanted = self._accepted.setdefault(link, {}), settings.sensor_factors
-        for name in sorted({*accepted, *wanted}):
-            factor = wanted.get(name, 1.0)
+        sensor = self._sensor
+        accepted = self._accepted.setdefault(link, {})
+        factors = settings.sensor_factors
+        for name in sorted({*accepted, *factors}):
+            factor = factors.get(name, 1.0)
             if factor == accepted.get(name, 1.0):
                 continue
-            if name not in parameters:
+            if sensor is None or name not in sensor.adjustable:
                 log.warning("%s: biases have no effect on %s: this source of events cannot change it", link, name)
                 continue
             product = self._product(link, name, factor)
-            value = parameters[name] * product / self._applied.get(name, 1.0)
-            if value == parameters[name] or self._set(link, name, value):
-                accepted[name], self._applied[name] = factor, product
-                self._record(link, settings, t_ns, name, (parameters[name], value))
+            before = sensor.adjustable[name]
+            value = before * product / self._applied.get(name, 1.0)
+            if value != before:
+                try:
+                    sensor.adjust(name, value)
+                except ValueError as error:
+                    log.warning("%s: the biases are beyond the sensor's model: %s", link, error)
+                    continue
+                log.info("%s: biases make %s %.4g", link, name, value)
+                if self.changes is not None:
+                    self.changes.add(Change(t_ns, settings.by, name, link, before, value, settings.t_us))
+            accepted[name] = factor
+            self._applied[name] = product
 
     def _product(self, link: str, name: str, factor: float) -> float:
         """Return the product of all links' factors with a new one of `link`, within the bounds of one."""
-        others = (one.get(name, 1.0) for other, one in self._accepted.items() if other != link)
-        product = factor * math.prod(others)
+        other_factors = (factors.get(name, 1.0) for other, factors in self._accepted.items() if other != link)
+        product = factor * math.prod(other_factors)
         bounded = min(max(product, LEAST_FACTOR), MOST_FACTOR)
         if bounded != product:
             log.warning(
                 "%s: biases of all links make %s %.4g times as large: limited to %g", link, name, product, bounded
             )
         return bounded
-
-    def _set(self, link: str, name: str, value: float) -> bool:
-        assert self._sensor is not None
-        try:
-            self._sensor.adjust(name, value)
-        except ValueError as error:
-            log.warning("%s: the biases are beyond the sensor's model: %s", link, error)
-            return False
-        log.info("%s: biases make %s %.4g", link, name, value)
-        return True
-
-    def _record(self, link: str, settings: CameraSettings, t_ns: int, name: str, values: tuple[float, float]) -> None:
-        if self.changes is not None and values[0] != values[1]:
-            self.changes.add(Change(t_ns, settings.by, name, link, *values, settings.t_us))

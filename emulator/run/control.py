@@ -63,8 +63,8 @@ def runtime_directory() -> Path:
     base = os.environ.get("XDG_RUNTIME_DIR")
     path = Path(base) / "evstim" if base else Path(tempfile.gettempdir()) / f"evstim-{os.getuid()}"
     path.mkdir(mode=0o700, exist_ok=True)
-    found = path.lstat()
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+    status = path.lstat()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o077:
         raise PermissionError(f"{path} must be a directory that is yours alone (chmod 700)")
     return path
 
@@ -130,8 +130,9 @@ class ControlSocket:
             for _ in range(_MOST_ACCEPTED):
                 client = _Client(self._socket.accept()[0])
                 client.advance(answer)
-                self._clients.append(client)
-                self._close_oldest()
+                self._clients = [*(client for client in self._clients if not client.over), client]
+                while len(self._clients) > _MOST_CLIENTS:
+                    self._clients.pop(0).close()
         self._clients = [client for client in self._clients if not client.over]
 
     def close(self) -> None:
@@ -152,11 +153,6 @@ class ControlSocket:
         self._socket.setblocking(False)
         unnamed.rename(self.path)
 
-    def _close_oldest(self) -> None:
-        self._clients = [client for client in self._clients if not client.over]
-        while len(self._clients) > _MOST_CLIENTS:
-            self._clients.pop(0).close()
-
 
 @dataclass
 class _Client:
@@ -174,7 +170,7 @@ class _Client:
         """Read and answer as far as possible without waiting."""
         try:
             if not self.answer and self._receive():
-                self.answer = _encoded(_answered(self.line, answer))
+                self.answer = json.dumps(_answered(self.line, answer)).encode()[:_MOST_ANSWER_BYTES] + b"\n"
             if self.answer:
                 self.answer = self.answer[self.socket.send(self.answer) :]
                 self.over = not self.answer
@@ -222,10 +218,6 @@ def _answered(line: bytes, answer: Callable[[Message], Message]) -> Message:
         return {"error": str(error)}
     except RecursionError:
         return {"error": "the JSON is nested too deeply"}
-
-
-def _encoded(message: Message) -> bytes:
-    return json.dumps(message).encode()[:_MOST_ANSWER_BYTES] + b"\n"
 
 
 def _parsed(line: bytes) -> Message:
@@ -284,8 +276,8 @@ class FaultInjection:
                 return self._end(link, number, status)
             case {"request": "trigger", "kind": str(kind)}:
                 return self._trigger(kind, message.get("link"))
-        known = "'faults', 'inject' with a fault, 'end' with a link and number, 'trigger' with a kind"
-        return {"error": f"known requests: {known}"}
+        requests = "'faults', 'inject' with a fault, 'end' with a link and number, 'trigger' with a kind"
+        return {"error": f"known requests: {requests}"}
 
     def _faults(self, status: RunStatus) -> Message:
         links: dict[str, Any] = {}
@@ -310,7 +302,7 @@ class FaultInjection:
     def _end(self, link: str, number: int, status: RunStatus) -> Message:
         report = status.links.get(link)
         records = () if report is None else report.faults
-        record = next((one for one in records if one.number == number), None)
+        record = next((fault for fault in records if fault.number == number), None)
         if record is None:
             return {"error": f"there is no fault {number} on link {link!r}"}
         if record.ended_us is not None:
@@ -321,9 +313,11 @@ class FaultInjection:
     def _trigger(self, kind: str, link: object) -> Message:
         if kind not in _EDGES:
             return {"error": f"kind {kind!r}: known are {', '.join(_EDGES)}"}
-        names = [one.name for one in self._rig.links if link in (None, one.name)]
+        names = [camera_link.name for camera_link in self._rig.links if link in (None, camera_link.name)]
         if not names:
-            return {"error": f"link {link!r}: there is {', '.join(one.name for one in self._rig.links)}"}
+            return {
+                "error": f"link {link!r}: there is {', '.join(camera_link.name for camera_link in self._rig.links)}"
+            }
         for name in names:
             self._session.happen(name, _EDGES[kind])
         return {"links": names}

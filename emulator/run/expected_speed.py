@@ -8,6 +8,8 @@ The cost of a step is that of its light frame and that of its pixels. Where the 
     threads            with the number that the machine allows, where the rig sets one
 
 A setting is named only where such a probe supports it.
+
+`keeping_up` measures the speed instead: it computes some seconds of the stream, with the whole session but links.
 """
 
 from __future__ import annotations
@@ -20,11 +22,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from emulator.light import Scene, SceneFrames
-from emulator.plan.plan import Plan
+from emulator.plan.plan import Plan, make_plan
+from emulator.plan.scene_probe import probe
+from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
-from emulator.run.assembly import build_frames, build_scene, build_sensor
+from emulator.run.assembly import build_frames, build_scene, build_sensor, build_session, schedule
+from emulator.run.outcome import RunStatus
 from emulator.sensor.sensor import EventSource
 from emulator.threads import available_threads
+from transports.link.pacing import MonotonicClock
 
 _INSTANTS = 4
 _PROBE_S = 1.0
@@ -82,35 +88,41 @@ class ExpectedSpeed:
         return {"times_real_time": self.cost.factor, **costs, "remedies": list(self.remedies)}
 
 
-def expected_speed(made: Plan, scene: Scene) -> ExpectedSpeed:
+def expected_speed(plan: Plan, scene: Scene) -> ExpectedSpeed:
     """Probe a planned rig for about a second, and its remedies for another one where it is too slow."""
-    step_ns, duration_s = round(made.steps.step_us * 1000), made.rig.run.seconds or 10.0
-    cost = _cost(made, scene, step_ns, duration_s)
-    remedies = () if cost.factor > 1 else tuple(_remedies(made, scene, cost, duration_s))
+    step_ns, duration_s = round(plan.steps.step_us * 1000), plan.rig.run.seconds or 10.0
+    cost = _cost(plan, scene, step_ns, duration_s)
+    remedies = () if cost.factor > 1 else tuple(_remedies(plan, scene, cost, duration_s))
     return ExpectedSpeed(cost, remedies)
 
 
-def _remedies(made: Plan, scene: Scene, cost: StepCost, duration_s: float) -> Iterator[str]:
+def _remedies(plan: Plan, scene: Scene, cost: StepCost, duration_s: float) -> Iterator[str]:
     step_ns = round(cost.step_s * 1e9)
-    if 0 < made.rig.run.threads < available_threads():
-        unbound = _with_rig(made, dataclasses.replace(made.rig, run=dataclasses.replace(made.rig.run, threads=0)))
+    if 0 < plan.rig.run.threads < available_threads():
+        unbound = dataclasses.replace(
+            plan, rig=dataclasses.replace(plan.rig, run=dataclasses.replace(plan.rig.run, threads=0))
+        )
         with build_scene(unbound.rig) as other:
             if _cost(unbound, other, step_ns, duration_s).factor > 1:
                 yield "run.threads = 0"
-    if step_us := longer_step_us(cost, _cost(made, scene, step_ns * _LONGER, duration_s)):
-        yield _step_text(made, step_us)
-    size, half = made.rig.camera.size, _halved(made)
+    if step_us := longer_step_us(cost, _cost(plan, scene, step_ns * _LONGER, duration_s)):
+        yield _step_text(plan, step_us)
+    size, half = plan.rig.camera.size, _halved(plan)
     with build_scene(half.rig) as other:
-        found = smaller_size(cost, _cost(half, other, step_ns, duration_s), size)
-    if found:
-        yield f"a camera of {found[0]}x{found[1]} pixels"
+        size_in_time = smaller_size(cost, _cost(half, other, step_ns, duration_s), size)
+    if size_in_time:
+        yield f"a camera of {size_in_time[0]}x{size_in_time[1]} pixels"
 
 
 def longer_step_us(cost: StepCost, longer: StepCost) -> int | None:
     """Return the least step in real time, from the costs of two; None where there is none up to a second."""
     slope = (longer.total_s - cost.total_s) / (longer.step_s - cost.step_s)
     least_s = _least(cost.total_s - slope * cost.step_s, slope)
-    return None if least_s is None or least_s * 1e6 > _LONGEST_STEP_US else _rounded_up(least_s * 1e6)
+    if least_s is None or least_s * 1e6 > _LONGEST_STEP_US:
+        return None
+    least_us = least_s * 1e6
+    unit_us = math.pow(10, max(0, math.floor(math.log10(max(least_us, 1.0))) - 1))  # rounded up to two digits
+    return round(math.ceil(least_us / unit_us) * unit_us)
 
 
 def smaller_size(cost: StepCost, half: StepCost, size: tuple[int, int]) -> tuple[int, int] | None:
@@ -119,8 +131,8 @@ def smaller_size(cost: StepCost, half: StepCost, size: tuple[int, int]) -> tuple
     a_pixel_s = (cost.total_s - half.total_s) / (pixels * 3 / 4)
     if a_pixel_s <= 0:
         return None
-    most = (_SPARE * cost.step_s - (cost.total_s - a_pixel_s * pixels)) / a_pixel_s
-    share = math.sqrt(most / pixels) if most > 0 else 0.0
+    most_pixels = (_SPARE * cost.step_s - (cost.total_s - a_pixel_s * pixels)) / a_pixel_s
+    share = math.sqrt(most_pixels / pixels) if most_pixels > 0 else 0.0
     width, height = (int(side * share) // 2 * 2 for side in size)
     return (width, height) if min(width, height) >= 2 else None
 
@@ -130,34 +142,26 @@ def _least(fixed_s: float, slope: float) -> float | None:
     return max(fixed_s, 0.0) / (_SPARE - slope) if slope < _SPARE else None
 
 
-def _rounded_up(value: float) -> int:
-    """Return a number of two digits that is not smaller."""
-    unit = math.pow(10, max(0, math.floor(math.log10(max(value, 1.0))) - 1))
-    return round(math.ceil(value / unit) * unit)
-
-
-def _step_text(made: Plan, step_us: int) -> str:
+def _step_text(plan: Plan, step_us: int) -> str:
     """Return the change that gives such steps, with the motion of the image in one: long steps cost accuracy."""
-    motion_px = made.probe.motion_px_s * step_us * 1e-6
+    motion_px = plan.probe.motion_px_s * step_us * 1e-6
     motion = f" ({motion_px:.2g} px of motion a step)" if math.isfinite(motion_px) else ""
-    change = f"run.step_us = {step_us}" if made.pinned else f"a run.tolerance_us that permits steps of {step_us} us"
+    change = f"run.step_us = {step_us}" if plan.pinned else f"a run.tolerance_us that permits steps of {step_us} us"
     return change + motion
 
 
-def _halved(made: Plan) -> Plan:
-    width, height = (max(2, side // 2) for side in made.rig.camera.size)
-    camera = made.rig.camera
+def _halved(plan: Plan) -> Plan:
+    width, height = (max(2, side // 2) for side in plan.rig.camera.size)
+    camera = plan.rig.camera
     sensor = dataclasses.replace(camera.sensor, width=width, height=height)
-    return _with_rig(made, dataclasses.replace(made.rig, camera=dataclasses.replace(camera, sensor=sensor)))
+    return dataclasses.replace(
+        plan, rig=dataclasses.replace(plan.rig, camera=dataclasses.replace(camera, sensor=sensor))
+    )
 
 
-def _with_rig(made: Plan, rig: Rig) -> Plan:
-    return dataclasses.replace(made, rig=rig)
-
-
-def _cost(made: Plan, scene: Scene, step_ns: int, duration_s: float) -> StepCost:
+def _cost(plan: Plan, scene: Scene, step_ns: int, duration_s: float) -> StepCost:
     """Return the mean cost of a step at instants spread over the run."""
-    frames, sensor = build_frames(made.rig, scene), build_sensor(made.rig, made.sensor)
+    frames, sensor = build_frames(plan.rig, scene), build_sensor(plan.rig, plan.sensor)
     sensor.warm_up()
     instants_ns = [round((k + 0.5) / _INSTANTS * duration_s * 1e9) for k in range(_INSTANTS)]
     costs = [_cost_at(frames, sensor, t_ns, step_ns) for t_ns in instants_ns]
@@ -182,3 +186,53 @@ def _cost_at(frames: SceneFrames, sensor: EventSource, t_ns: int, step_ns: int) 
         drawing_s.append(drawn_s - begun_s)
         pixels_s.append(time.perf_counter() - drawn_s)
     return statistics.median(drawing_s[1:]), statistics.median(pixels_s[1:])
+
+
+_STREAM_S, _WALL_S = 2.0, 10.0
+
+
+@dataclass(frozen=True)
+class RealTimeSpeed:
+    """Speed of a rig on this machine.
+
+    Attributes
+    ----------
+    times_real_time
+        Stream seconds for a second of this machine, scene and sensor without links.
+    stream_s
+        Stream time that was computed for this.
+    planned_load
+        Cores that the plan expects the whole run to keep busy; None for a recording, which has no plan.
+    expected
+        Speed expected from a probe over the whole run; None for a recording.
+    """
+
+    times_real_time: float
+    stream_s: float
+    planned_load: float | None
+    expected: ExpectedSpeed | None = None
+
+    @property
+    def good(self) -> bool:
+        """Return whether the rig runs in real time here."""
+        return self.times_real_time > 1 and (self.planned_load is None or self.planned_load < 1)
+
+
+def keeping_up(rig: Rig) -> RealTimeSpeed:
+    """Compute up to two seconds of a rig's stream without pacing, for at most ten seconds."""
+    with build_scene(rig) as scene:
+        load, expected = None, None
+        if not SCENES[rig.scene.kind].events:
+            step_ns = rig.run.step_us * 1000
+            plan = make_plan(rig, probe(scene, rig.camera.sensor, step_ns, rig.run.seconds or 10.0))
+            load, expected = plan.load.total, expected_speed(plan, scene)
+        session = build_session(rig, scene, [], MonotonicClock())
+
+        def follow(now: RunStatus) -> None:
+            if now.wall_seconds > _WALL_S:
+                session.stop()
+
+        stream_s = min(_STREAM_S, rig.run.seconds or _STREAM_S)
+        free = dataclasses.replace(schedule(rig), duration_ns=round(stream_s * 1e9), paced=False, lockstep_ns=0)
+        result = session.run(free, follow)
+    return RealTimeSpeed(result.sim_seconds / result.wall_seconds, result.sim_seconds, load, expected)

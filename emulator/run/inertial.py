@@ -9,17 +9,16 @@ import numpy as np
 from emulator.light import Scene
 from emulator.optics.glare import Veiled
 from emulator.optics.through import Through
-from emulator.rig.kinds import IMU_UNITS
+from emulator.rig.kinds import IMU_DRIVERS, IMU_UNITS
 from emulator.rig.loading import Rig
 from emulator.scene.terrain.table import TerrainParameters
-from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuSource, ImuUnit
+from emulator.sensor.imu import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuSource, ImuUnit
 from emulator.sensor.parameters import ImuParameters
 from emulator.trajectory.building import HasCameraPath
 from emulator.trajectory.parameters import OrbitPath
 from emulator.trajectory.pose import Fixed, Timescale
-from firmware_protocol.davis346.registers import driver_imu_settings
-from firmware_protocol.dvxplorer import registers as dvxplorer_registers
-from firmware_protocol.imu_samples import BMI160, ImuSettings
+from firmware_protocol.imu_samples import ImuSettings
+from transports.registry import imported
 
 
 def imu_source(rig: Rig, imu: ImuParameters, scene: Scene) -> ImuSource:
@@ -32,11 +31,11 @@ def carried(rig: Rig, imu: ImuParameters, scene: Scene) -> Carried:
     inner = scene
     while isinstance(inner, Through | Veiled):
         inner = inner.scene
-    given = Gravity(np.zeros(3) if imu.gravity_m_s2 is None else np.array(imu.gravity_m_s2), imu.gm_m3_s2)
+    gravity = Gravity(np.zeros(3) if imu.gravity_m_s2 is None else np.array(imu.gravity_m_s2), imu.gm_m3_s2)
     is_given = imu.gravity_m_s2 is not None or imu.gm_m3_s2 > 0
     if not isinstance(inner, HasCameraPath):
-        return Carried(Fixed(), given if is_given else EARTH_IN_THE_PICTURE, Timescale())
-    return Carried(inner.camera_path, given if is_given else _gravity_of(rig), inner.path_time)
+        return Carried(Fixed(), gravity if is_given else EARTH_IN_THE_PICTURE, Timescale())
+    return Carried(inner.camera_path, gravity if is_given else _gravity_of(rig), inner.path_time)
 
 
 def _gravity_of(rig: Rig) -> Gravity:
@@ -49,6 +48,6 @@ def _gravity_of(rig: Rig) -> Gravity:
 
 def host_imu_settings(unit: str) -> ImuSettings:
     """Return the settings that the drivers of a unit's cameras write by default."""
-    if IMU_UNITS[unit] == BMI160:
-        return dvxplorer_registers.driver_imu_settings()
-    return driver_imu_settings(IMU_UNITS[unit])
+    number = IMU_UNITS[unit]
+    settings: ImuSettings = imported(IMU_DRIVERS[number])(number)
+    return settings

@@ -21,7 +21,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from multiprocessing.connection import wait
-from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
@@ -30,13 +29,12 @@ import numpy as np
 import numpy.typing as npt
 from numba import config
 
-from emulator.light import LightFrame, Scene
+from emulator.light import LightFrame, MachineLacks, Region, Scene, SceneError
 from emulator.rig.kinds import LINKS, SCENES, usb_model
 from emulator.rig.loading import Rig
 from emulator.run.link_process import starting_a_process
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.compiled import cache_folder, checksum_of
-from transports.link.kind import LinkParameters
 
 _WIDTH, _HEIGHT = 32, 24
 _SCENE_S = 3.0
@@ -90,29 +88,15 @@ def parts_of(rig: Rig) -> list[Part]:
         parts.append(Part(f"pixels of {rig.scene.kind}", 2.0, partial(_draw_pixel, rig), painter, after=(parts[0],)))
     if not kind.events:
         parts += [*PIXELS.after, PIXELS, _effects(sensor)]
-    if any(LINKS[link.kind].serves == "instrument" for link in rig.links):
+    kinds = [LINKS[link.kind] for link in rig.links]
+    if any(kind.serves == "instrument" for kind in kinds):
         parts.append(CODER)
-    if any(_has_evt(rig, link) for link in rig.links):
+    cameras = [usb for kind in kinds if kind.serves == "usb" and (usb := usb_model(rig.camera, kind)) is not None]
+    if any(link.sends_evt() for link in rig.links) or any(camera.has_evt for camera in cameras):
         parts.append(EVT)
-    if any(_has_groups(rig, link) for link in rig.links):
-        parts.append(GROUPS)
-    if rig.camera.activity_filter:
-        parts.append(ACTIVITY_FILTER)
+    for camera in cameras:
+        parts += [part for kernels in camera.kernels(rig.camera) if (part := Part(*kernels)) not in parts]
     return parts
-
-
-def _has_evt(rig: Rig, link: LinkParameters) -> bool:
-    """Return whether a link, or the USB device behind it, sends EVT3 or EVT2 words."""
-    kind = LINKS[link.kind]
-    usb = usb_model(rig.camera, kind) if kind.serves == "usb" else None
-    return kind.has_evt(link) or (usb is not None and usb.has_evt)
-
-
-def _has_groups(rig: Rig, link: LinkParameters) -> bool:
-    """Return whether the USB device behind a link sends words of groups of pixels."""
-    kind = LINKS[link.kind]
-    usb = usb_model(rig.camera, kind) if kind.serves == "usb" else None
-    return usb is not None and usb.has_groups
 
 
 def _effects(sensor: SensorParameters) -> Part:
@@ -129,25 +113,24 @@ def _present(parameters: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _of_the_step(which: str) -> None:
+def _of_the_step(section: str) -> None:
     """Compile a large part of the pixel step alone."""
     from emulator.sensor.pixels.array import PixelArray
 
-    PixelArray(_FEW, 0).compile_part(which)
+    PixelArray(_FEW, 0).compile_part(section)
 
 
 def _step() -> None:
     """Advance a few pixels by a step in which some fire, and some are refined; merge the events of two threads."""
-    from emulator.light import LightFrame, Region
     from emulator.sensor.pixels.array import PixelArray
-    from emulator.sensor.pixels.workers import EventBuffers
+    from emulator.sensor.pixels.crossings import EventBuffers
 
     dark, bright = np.zeros((_HEIGHT, _WIDTH), np.float32), np.ones((_HEIGHT, _WIDTH), np.float32)
     pixels = PixelArray(_FEW, 0)
     pixels.reset(LightFrame(0, dark))
     everything = Region(0, _HEIGHT, 0, _WIDTH, np.array([[0, _HEIGHT, 0, _WIDTH]]))
     pixels.step(LightFrame(1_000_000, bright, dark, _lit, everything))
-    EventBuffers().add([np.zeros(1, np.uint64)] * 2, (0, 10), 0)
+    EventBuffers().add([np.zeros(1, np.uint64)] * 2, 0, 10, 0)
 
 
 def _lit(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:
@@ -156,7 +139,6 @@ def _lit(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s
 
 def _read_out(sensor: SensorParameters) -> None:
     """Read out one event of each pixel of a sensor with these effects, then noise alone, where there is any."""
-    from emulator.light import LightFrame
     from emulator.sensor.pixels.array import PixelArray
     from emulator.sensor.pixels.crossings import Crossings
     from emulator.sensor.sensor import Sensor
@@ -170,12 +152,12 @@ def _read_out(sensor: SensorParameters) -> None:
     loud = 0.3 * sensor.threshold_on if sensor.noise.rms else 0.0  # so that there are noise events by the end
     sensor = dataclasses.replace(sensor, noise=dataclasses.replace(sensor.noise, rms=loud))
     is_grid = bool(loud) and sensor.noise.grade == "grid"
-    one = Sensor(sensor, 0) if is_grid else Sensor(sensor, 0, OneEvent)
+    small_sensor = Sensor(sensor, 0) if is_grid else Sensor(sensor, 0, OneEvent)
     light = np.full((_HEIGHT, _WIDTH), 0.02, np.float32)
-    one.reset(LightFrame(0, light))
+    small_sensor.reset(LightFrame(0, light))
     for t_ns in (1_000_000, 50_000_000, 5_000_000_000):
-        one.expose(LightFrame(t_ns, light, np.zeros_like(light)))
-    one.finish()
+        small_sensor.expose(LightFrame(t_ns, light, np.zeros_like(light)))
+    small_sensor.finish()
 
 
 def _draw(rig: Rig) -> None:
@@ -214,7 +196,6 @@ def _size(rig: Rig) -> tuple[int, int]:
 
 def _use_scene(rig: Rig, use: Callable[[Scene], None]) -> None:
     """Build the rig's scene and use it; the run reports errors of the scene."""
-    from emulator.light import MachineLacks, SceneError
     from emulator.run.assembly import build_scene
 
     with suppress(MachineLacks, SceneError), build_scene(rig, _size(rig)) as scene:
@@ -266,20 +247,6 @@ def _code_evt() -> None:
     Evt3Encoder(), Evt3Decoder(), Evt2Encoder("evt2"), Evt2Decoder("evt2")
 
 
-def _code_groups() -> None:
-    """Compile the coders and the decoders of both DVXplorers' words."""
-    from firmware_protocol.dvxplorer import DvxplorerMicro, FrameDecoder, GroupDecoder, GroupEncoder
-
-    GroupEncoder((_WIDTH, _HEIGHT)), GroupDecoder(), DvxplorerMicro(), FrameDecoder()
-
-
-def _filter_activity() -> None:
-    """Make the filters of background activity and refractory period."""
-    from firmware_protocol.davis346.activity_filter import ActivityFilter
-
-    ActivityFilter((_WIDTH, _HEIGHT))
-
-
 _CANDIDATES = Part("pixel candidates", 6.0, partial(_of_the_step, "candidates"))
 _BLOCKS = Part("pixel blocks", 6.5, partial(_of_the_step, "blocks"))
 PIXELS = Part("pixel step", 3.0, _step, after=(_CANDIDATES, _BLOCKS))
@@ -287,8 +254,6 @@ CODER = Part("telemetry coder", 4.0, _encode)
 TRUTH = Part("truth", 4.0, _find_truth)
 DECODER = Part("telemetry decoder", 3.0, _decode)
 EVT = Part("EVT coder", 6.0, _code_evt)
-GROUPS = Part("DVXplorer coder", 3.0, _code_groups)
-ACTIVITY_FILTER = Part("activity filter", 1.0, _filter_activity)
 
 
 _TICK_S = 0.2
@@ -327,20 +292,20 @@ def prepare(parts: Sequence[Part], on_state: Callable[[Preparation], None] = lam
     failed: list[str] = []
     try:
         while waiting or running:
-            busy = {part.key for part in (*waiting, *(one.part for one in running))}
+            busy = {part.key for part in (*waiting, *(compiling.part for compiling in running))}
             for part in [part for part in waiting if not busy & {needed.key for needed in part.after}]:
                 if len(running) < len(os.sched_getaffinity(0)):
                     waiting.remove(part)
                     running.append(_started(part))
-            wait([one.process.sentinel for one in running], _TICK_S)
-            gone = [one for one in running if not one.process.is_alive()]
-            running = [one for one in running if one not in gone]
-            ended += [one.part.name for one in gone]
-            failed += [one.part.name for one in gone if one.process.exitcode]
+            wait([compiling.process.sentinel for compiling in running], _TICK_S)
+            gone = [compiling for compiling in running if not compiling.process.is_alive()]
+            running = [compiling for compiling in running if compiling not in gone]
+            ended += [compiling.part.name for compiling in gone]
+            failed += [compiling.part.name for compiling in gone if compiling.process.exitcode]
             on_state(Preparation(tuple(ended), _share(parts, ended, running)))
     finally:
-        for one in running:
-            one.process.terminate()
+        for compiling in running:
+            compiling.process.terminate()
     return failed
 
 
@@ -348,12 +313,14 @@ def _share(parts: Sequence[Part], ended: Sequence[str], running: Sequence[_Runni
     """Return the share of the work that is done; a part in work counts by its time."""
     done_s = sum(part.seconds for part in parts if part.name in ended)
     now_s = time.monotonic()
-    begun_s = sum(min(now_s - one.began_s, _MOST_OF_A_PART * one.part.seconds) for one in running)
+    begun_s = sum(min(now_s - compiling.began_s, _MOST_OF_A_PART * compiling.part.seconds) for compiling in running)
     return (done_s + begun_s) / sum(part.seconds for part in parts)
 
 
 def _started(part: Part) -> _Running:
-    process = _processes().Process(target=_compile, args=(part,), daemon=True)
+    context = multiprocessing.get_context("forkserver")  # processes are copies of one server, which alone imports these
+    context.set_forkserver_preload([__name__, "numba.np.arraymath"])  # numba imports the second one to compile
+    process = context.Process(target=_compile, args=(part,), daemon=True)
     with starting_a_process(part.compile), _safe_path():
         process.start()
     return _Running(part, process, time.monotonic())
@@ -376,13 +343,6 @@ def _safe_path() -> Iterator[None]:
             os.environ["PYTHONSAFEPATH"] = before
 
 
-def _processes() -> ForkServerContext:
-    """Return the kind of process: copies of one server, which alone imports numba and this module."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([__name__, "numba.np.arraymath"])  # numba imports the second one to compile
-    return context
-
-
 def _compile(part: Part) -> None:
     """Compile a part and note that it is done."""
     signal.signal(
@@ -403,7 +363,7 @@ def _note(part: Part) -> Path:
 
 @cache
 def _folder() -> Path:
-    from emulator.sensor.pixels.step import unpack
+    from emulator.sensor.pixels.crossings import unpack
 
     return cache_folder(unpack)
 

@@ -28,14 +28,13 @@ from typing import Any
 
 from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EdgeKind, Events
+from firmware_protocol.recordings.part import RecordingSummary
 from transports.faults.kinds import Fault
 from transports.link.deliveries import DeliveryTally
 from transports.link.loop import STOP_SIGNALS, EndFault, Happen, InjectFault, Stop, run_link_process
 from transports.link.pacing import Clock
 from transports.link.process import LinkSetup
 from transports.link.report import CameraSettings, LinkReport, Occurrence
-from transports.recording.format import with_addition
-from transports.recording.part import RecordingSummary
 
 _FOUND_BY = ("__file__", "__spec__")
 _one_at_a_time = threading.Lock()
@@ -188,14 +187,15 @@ class LinkProcess:
     def push(self, events: Events, now_us: int) -> None:
         """Hand over events up to `now_us`; events without room in the ring are refused and counted there."""
         self._offered += len(events)
-        self._push(events, now_us)
+        if not self.gone:
+            self._setup.ring.push(events)
+            self._setup.ring.publish(now_us)
 
     def push_all(self, events: Events, now_us: int, goes_on: Callable[[], bool] = lambda: True) -> None:
         """Hand over every event, and wait for room: for runs that are not paced, where nothing need be lost.
 
         The wait ends when `goes_on` returns False, or the link is gone; events without room are counted as dropped.
         """
-        self._offered += len(events)
         ring = self._setup.ring
         while len(events) > ring.room and not self.gone and goes_on():
             if ring.room == 0:
@@ -203,9 +203,9 @@ class LinkProcess:
                 self.listen()
                 continue
             piece = events[: ring.room]
-            self._push(piece, int(piece["t"][-1]))
+            self.push(piece, int(piece["t"][-1]))
             events = events[len(piece) :]
-        self._push(events, now_us)
+        self.push(events, now_us)
 
     def push_readings(self, kind: ReadingKind, readings: Readings, goes_on: Callable[[], bool] | None = None) -> None:
         """Hand over readings of a kind, before the events of the same time; those without room are refused and counted.
@@ -233,16 +233,14 @@ class LinkProcess:
             self._setup.endpoint.remove_remains()
         return self._accounted()
 
-    def _push(self, events: Events, now_us: int) -> None:
-        if not self.gone:
-            self._setup.ring.push(events)
-            self._setup.ring.publish(now_us)
-
     def _spawn(self) -> None:
         self._tally = DeliveryTally()
         self._began_ns = self._clock.now_ns()
         endpoint = self._setup.endpoint.restarted(self._starts) if self._starts else self._setup.endpoint
-        setup = dataclasses.replace(self._setup, tally=self._tally, record=self._record(), endpoint=endpoint)
+        recorder = self._setup.recorder
+        if recorder is not None and self._starts:
+            recorder = recorder.restarted(self._starts)
+        setup = dataclasses.replace(self._setup, tally=self._tally, recorder=recorder, endpoint=endpoint)
         context = multiprocessing.get_context("spawn")
         self._control, theirs = context.Pipe()
         self._process = context.Process(
@@ -252,13 +250,6 @@ class LinkProcess:
             self._process.start()
         theirs.close()
         self._starts += 1
-
-    def _record(self) -> Path | None:
-        """Return the record file of this start: a restarted link must not overwrite the earlier one."""
-        record = self._setup.record
-        if record is None or not self._starts:
-            return record
-        return with_addition(record, f"restart{self._starts}")
 
     def _take(self, word: LinkReport | CameraSettings | Occurrence) -> None:
         if not isinstance(word, LinkReport):
@@ -271,21 +262,23 @@ class LinkProcess:
     def _died(self) -> None:
         self._process.join(1.0)
         self._setup.endpoint.remove_remains()
-        why = f"its process ended (exit code {self._process.exitcode})"
+        reason = f"its process ended (exit code {self._process.exitcode})"
         ran_ns = self._clock.now_ns() - self._began_ns
         if not self._setup.restart or ran_ns < _RESTART_AFTER_NS:
-            self._leave(why, "died")
+            self._leave(reason, "died")
             return
         self._delivered_before += self._tally.delivered
         self._recordings += self.report.recordings
-        self._error = f"{why} and was started again {self._starts} times" if self._starts > 1 else f"{why}; restarted"
+        self._error = (
+            f"{reason} and was started again {self._starts} times" if self._starts > 1 else f"{reason}; restarted"
+        )
         self._spawn()
         self.report = LinkReport("restarting")
         self._changes.append(CameraSettings(self._setup.ring.settled_us, "restart"))
 
-    def _leave(self, why: str, state: str) -> None:
+    def _leave(self, reason: str, state: str) -> None:
         self.gone = True
-        self._error = why
+        self._error = reason
         self.report = dataclasses.replace(self.report, state=state, address=None)
 
     def _finish(self, drain_s: float) -> None:
@@ -318,9 +311,8 @@ def traced(setups: Sequence[LinkSetup[Any]], path: Path) -> tuple[list[LinkSetup
     """
     names = [setup.name for setup in setups if setup.endpoint.traced(path) is not None]
     paths = {name: path if len(names) == 1 else path.with_name(f"{path.name}-{name}") for name in names}
-    return [_traced(setup, paths.get(setup.name)) for setup in setups], list(paths.values())
-
-
-def _traced(setup: LinkSetup[Any], path: Path | None) -> LinkSetup[Any]:
-    endpoint = None if path is None else setup.endpoint.traced(path)
-    return setup if endpoint is None else dataclasses.replace(setup, endpoint=endpoint)
+    links = []
+    for setup in setups:
+        endpoint = setup.endpoint.traced(paths[setup.name]) if setup.name in paths else None
+        links.append(setup if endpoint is None else dataclasses.replace(setup, endpoint=endpoint))
+    return links, list(paths.values())

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from emulator.gl.context import PACKAGES, WANTED, probe, renderers, selected_painter
-from emulator.rig.kinds import LINKS, SCENES
+from emulator.rig.kinds import SCENES
 from emulator.rig.loading import Rig
 from emulator.scene.kind import SceneParameters
 from emulator.trajectory.parameters import LivePath
@@ -62,93 +62,93 @@ def examine() -> list[Finding]:
 def egl() -> Finding:
     """Look for OpenGL by EGL."""
     report = probe()
-    wanted = 'run.painter = "gl"; nothing else needs GL'
-    there = renderers()
+    use = 'run.painter = "gl"; nothing else needs GL'
+    available = renderers()
     if report.available:
-        others = f"; also there: {', '.join(_others(there, report.renderer))}" if len(there) > 1 else ""
-        return Finding("EGL", True, f"{report.renderer}, OpenGL {report.version}{others}", wanted)
-    fix = f"unset {WANTED}" if there else f"apt-get install {PACKAGES}"
-    return Finding("EGL", False, report.reason, wanted, fix)
+        also = f"; also there: {', '.join(_others(available, report.renderer))}" if len(available) > 1 else ""
+        return Finding("EGL", True, f"{report.renderer}, OpenGL {report.version}{also}", use)
+    fix = f"unset {WANTED}" if available else f"apt-get install {PACKAGES}"
+    return Finding("EGL", False, report.reason, use, fix)
 
 
-def _others(there: tuple[str, ...], chosen: str) -> list[str]:
+def _others(available: tuple[str, ...], chosen: str) -> list[str]:
     """Return the renderers but the chosen one, once, if it is among them."""
-    others = list(there)
-    if chosen in others:
-        others.remove(chosen)
-    return others
+    names = list(available)
+    if chosen in names:
+        names.remove(chosen)
+    return names
 
 
 def _usbip_tool() -> Finding:
     path = shutil.which("usbip") or shutil.which("usbip", path=_SBIN)
-    wanted = "attaching the camera to this machine's own USB bus"
+    use = "attaching the camera to this machine's own USB bus"
     if path:
-        return Finding("usbip", True, path, wanted)
-    return Finding("usbip", False, "the tool is not installed", wanted, "apt-get install usbip")
+        return Finding("usbip", True, path, use)
+    return Finding("usbip", False, "the tool is not installed", use, "apt-get install usbip")
 
 
 def _gvcp() -> Finding:
     """Check whether a GigE Vision camera can listen on the port that drivers use."""
-    wanted = "GigE Vision cameras on 127.0.0.1"
+    use = "GigE Vision cameras on 127.0.0.1"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as tried:
         try:
             tried.bind(("127.0.0.1", GVCP_PORT))
         except OSError as error:
             detail = f"UDP port {GVCP_PORT} cannot be used: {error.strerror}"
             fix = f"ss -lunp 'sport = :{GVCP_PORT}'  # its owner; or another address of the link: host = \"127.0.0.2\""
-            return Finding("GVCP", False, detail, wanted, fix)
-    return Finding("GVCP", True, f"UDP port {GVCP_PORT} is free", wanted)
+            return Finding("GVCP", False, detail, use, fix)
+    return Finding("GVCP", True, f"UDP port {GVCP_PORT} is free", use)
 
 
 def _udp_buffer() -> Finding:
     """Check the size of the kernel's buffer for a receiver that is not read for a moment."""
-    wanted = "receivers of GigE Vision streams, at most 16 MiB each"
-    most = int(_RMEM_MAX.read_text()) if _RMEM_MAX.exists() else 0
-    detail = f"net.core.rmem_max = {most}"
-    if most >= _UDP_BUFFER:
-        return Finding("UDP buffer", True, detail, wanted)
-    return Finding("UDP buffer", False, detail, wanted, f"sysctl -w net.core.rmem_max={_UDP_BUFFER}")
+    use = "receivers of GigE Vision streams, at most 16 MiB each"
+    limit_bytes = int(_RMEM_MAX.read_text()) if _RMEM_MAX.exists() else 0
+    detail = f"net.core.rmem_max = {limit_bytes}"
+    if limit_bytes >= _UDP_BUFFER:
+        return Finding("UDP buffer", True, detail, use)
+    return Finding("UDP buffer", False, detail, use, f"sysctl -w net.core.rmem_max={_UDP_BUFFER}")
 
 
 def _priority() -> Finding:
     """Check whether the process that answers hosts may run at a high priority."""
-    wanted = "answers of GigE Vision cameras within a driver's 25 ms on a busy machine"
+    use = "answers of GigE Vision cameras within a driver's 25 ms on a busy machine"
     capabilities = next((line for line in _STATUS.read_text().splitlines() if line.startswith("CapEff:")), "CapEff: 0")
     if int(capabilities.split()[1], 16) >> _CAP_SYS_NICE & 1:
-        return Finding("priority", True, "CAP_SYS_NICE", wanted)
+        return Finding("priority", True, "CAP_SYS_NICE", use)
     nice = resource.getrlimit(resource.RLIMIT_NICE)[0]
     if nice >= _NICE_LIMIT or nice == resource.RLIM_INFINITY:
-        return Finding("priority", True, "this user may run at nice -20", wanted)
-    return Finding("priority", False, "this user may not run at nice -20", wanted, _PRIORITY_FIX)
+        return Finding("priority", True, "this user may run at nice -20", use)
+    return Finding("priority", False, "this user may not run at nice -20", use, _PRIORITY_FIX)
 
 
 def _libusb() -> Finding:
     path = ctypes.util.find_library("usb-1.0")
-    wanted = "`evstim listen` on the real USB bus"
+    use = "`evstim listen` on the real USB bus"
     if path:
-        return Finding("libusb", True, path, wanted)
-    return Finding("libusb", False, "not found", wanted, "apt-get install libusb-1.0-0")
+        return Finding("libusb", True, path, use)
+    return Finding("libusb", False, "not found", use, "apt-get install libusb-1.0-0")
 
 
 def _usb_permission() -> Finding:
     bus = Path("/dev/bus/usb")
-    wanted = "opening USB cameras on this machine"
+    use = "opening USB cameras on this machine"
     if not bus.is_dir():
         detail = "no /dev/bus/usb: this machine has no USB host"
-        return Finding("USB permission", False, detail, wanted, "modprobe vhci-hcd")
+        return Finding("USB permission", False, detail, use, "modprobe vhci-hcd")
     nodes = [node for node in bus.rglob("*") if node.is_char_device()]
     closed = [node for node in nodes if not os.access(node, os.R_OK | os.W_OK)]
     if not closed:
-        return Finding("USB permission", True, f"all {len(nodes)} device nodes can be opened", wanted)
+        return Finding("USB permission", True, f"all {len(nodes)} device nodes can be opened", use)
     detail = f"{len(closed)} of {len(nodes)} device nodes cannot be opened"
-    return Finding("USB permission", False, detail, wanted, _UDEV_FIX)
+    return Finding("USB permission", False, detail, use, _UDEV_FIX)
 
 
 def _cores() -> Finding:
     count = len(os.sched_getaffinity(0))
-    wanted = "the session and each link in a process of its own"
+    use = "the session and each link in a process of its own"
     fix = None if count >= 2 else "taskset -p ffff $$  # or a machine with two cores"
-    return Finding("cores", count >= 2, str(count), wanted, fix)
+    return Finding("cores", count >= 2, str(count), use, fix)
 
 
 def on_free_ports(rig: Rig, folder: Path) -> Rig:
@@ -179,7 +179,7 @@ def _live_path(scene: SceneParameters) -> LivePath | None:
 
 def _on_free_port(link: LinkParameters, folder: Path) -> LinkParameters:
     changed: dict[str, object] = {}
-    if LINKS[link.kind].listens_on(link) is not None:
+    if link.listens_on() is not None:
         changed["port"] = 0
     if getattr(link, "symlink", ""):
         changed["symlink"] = str(folder / f"{link.name}.tty")
@@ -206,7 +206,7 @@ GL = Need("OpenGL 4.3 by EGL", egl)
 def needs_of(rig: Rig) -> tuple[Need, ...]:
     """Return the needs of the scene, the links and the painter of a rig, each once."""
     scene = SCENES[rig.scene.kind]
-    found = [*scene.needs(rig.scene), *(need for link in rig.links for need in LINKS[link.kind].needs(link))]
+    needs = [*scene.needs(rig.scene), *(need for link in rig.links for need in link.needs())]
     if scene.gl and selected_painter(rig.run.painter) == "gl":
-        found.append(GL)
-    return tuple({need.name: need for need in found}.values())
+        needs.append(GL)
+    return tuple({need.name: need for need in needs}.values())

@@ -20,9 +20,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, Protocol
 
-from emulator.rig.tables import Verdict
 from emulator.run.changes import Change
 from emulator.run.pacing import Lateness
 from transports.link.report import LinkReport
@@ -106,6 +105,7 @@ class RunStatus:
     lost_at_readout: int = 0
 
 
+_STRETCHED_SHARE = 0.01  # fewer longer steps than this change no result
 _WINDOW = 10  # statuses over which rates are averaged
 
 
@@ -174,6 +174,11 @@ class RunResult:
         return self.max_late_us > 0 and self.late_share > self.max_late_share
 
     @property
+    def often_stretched(self) -> bool:
+        """True when so many steps were made longer that the result may have changed."""
+        return self.lateness.steps_stretched > _STRETCHED_SHARE * self.steps
+
+    @property
     def drawn_by(self) -> str:
         """The painter in words, with GL's name of its renderer."""
         return f"GL: {self.renderer}" if self.painter == "gl" else self.renderer or "the CPU"
@@ -223,14 +228,43 @@ class Judgement:
         return {"rule": self.rule, "good": self.good, "told": self.finding, **limit}
 
 
-def judge(rules: Verdict, result: RunResult) -> tuple[Judgement, ...]:
+class Limits(Protocol):
+    """Limits of a good run, as `emulator.rig.tables.Verdict` declares them for a rig; 0 sets no limit."""
+
+    @property
+    def max_drop(self) -> float:
+        """Share of the events that a link may lose; negative: any."""
+        ...
+
+    @property
+    def min_rate_hz(self) -> float:
+        """Least mean event rate at the read-out."""
+        ...
+
+    @property
+    def max_rate_hz(self) -> float:
+        """Greatest mean event rate at the read-out."""
+        ...
+
+    @property
+    def max_latency_us(self) -> float:
+        """Greatest 99th percentile of the time from an event to its bytes, on any link."""
+        ...
+
+    @property
+    def max_undersampled(self) -> float:
+        """Greatest share of the solved pixel-steps whose light may have changed unseen."""
+        ...
+
+
+def judge(rules: Limits, result: RunResult) -> tuple[Judgement, ...]:
     """Return every rule that was applied to a run that has ended."""
     return (*_always(result), *_own(rules, result))
 
 
 def good(judgements: tuple[Judgement, ...]) -> bool:
     """Return whether all rules were kept."""
-    return all(one.good for one in judgements)
+    return all(judgement.good for judgement in judgements)
 
 
 def _always(result: RunResult) -> Iterator[Judgement]:
@@ -257,7 +291,7 @@ def _always(result: RunResult) -> Iterator[Judgement]:
         yield Judgement("steps in time", not result.late_too_often, finding, *figures, "at most")
 
 
-def _own(rules: Verdict, result: RunResult) -> Iterator[Judgement]:
+def _own(rules: Limits, result: RunResult) -> Iterator[Judgement]:
     if rules.max_drop >= 0:
         yield from (_drop(rules.max_drop, result, name, link) for name, link in result.links.items())
     rate_hz = result.ledger.read_out / result.sim_seconds if result.sim_seconds else 0.0
@@ -280,14 +314,14 @@ def _own(rules: Verdict, result: RunResult) -> Iterator[Judgement]:
         yield Judgement("verdict.max_undersampled", share <= rules.max_undersampled, finding, *figures, "at most")
 
 
-def _drop(most: float, result: RunResult, name: str, link: LinkReport) -> Judgement:
+def _drop(limit: float, result: RunResult, name: str, link: LinkReport) -> Judgement:
     """Judge the losses of a link; events that came while no host was streaming, or were not selected, do not count."""
     in_camera = 0 if link.camera is None else link.camera.dropped_for_room
     lost = link.dropped + in_camera
-    wanted = lost + link.delivered
-    share = lost / wanted if wanted else 0.0
-    finding = f"{lost} of {wanted} events lost ({share:.3g}), at most {most:g}"
-    return Judgement(f"verdict.max_drop {name}", share <= most, finding, share, most, "of the events", "at most")
+    counted = lost + link.delivered
+    share = lost / counted if counted else 0.0
+    finding = f"{lost} of {counted} events lost ({share:.3g}), at most {limit:g}"
+    return Judgement(f"verdict.max_drop {name}", share <= limit, finding, share, limit, "of the events", "at most")
 
 
 def _latency(most_us: float, name: str, link: LinkReport) -> Judgement:
@@ -299,7 +333,6 @@ def _latency(most_us: float, name: str, link: LinkReport) -> Judgement:
     return Judgement(rule, p99_us <= most_us, finding, p99_us, most_us, "us (p99)", "at most")
 
 
-_STRETCHED_SHARE = 0.01  # fewer longer steps than this change no result
 _MANY = 0.1  # above it, shorter steps for all pixels are cheaper than refining single ones
 
 
@@ -310,11 +343,12 @@ def undersampled_text(share: float | None) -> str:
 
 def undersampled_advice(result: RunResult) -> str:
     """Return advice where the share is large; "" where it is not. In a late run it follows from lateness."""
-    share, stretched = result.undersampled_share, result.lateness.steps_stretched
+    share = result.undersampled_share
     if share is None or share <= _MANY:
         return ""
     remedy = "shorten run.step_us, or give run.tolerance_us"
-    if result.too_late or stretched > _STRETCHED_SHARE * result.steps:
+    if result.too_late or result.often_stretched:
+        stretched = result.lateness.steps_stretched
         remedy = f"the run was late, and {stretched} of {result.steps} steps were made longer: let it keep up first"
     return (
         f"light frames too far apart: in {share:.0%} of the solved pixel-steps the light changed unseen between them; "

@@ -26,6 +26,7 @@ from firmware_protocol.events import Events
 from transports.link.deliveries import LatencyHistogram, LatencySummary
 from transports.link.edges import EdgeRing
 from transports.link.pacing import Clock
+from transports.link.rings import FOREVER_US
 
 LONGEST_STRETCH = 8
 _MEMORY = 0.9  # of the running mean of a length's load, a step
@@ -95,14 +96,13 @@ class StepRule:
     def _cheaper(self) -> int:
         """Return the neighbouring length with the least load; for one not tried yet half the load is assumed."""
         shorter, longer = max(self.stretch // 2, 1), min(2 * self.stretch, LONGEST_STRETCH)
-        here = self._load[self.stretch]
-        expected = {shorter: self._load.get(shorter, here), longer: self._load.get(longer, here / 2)}
-        expected[self.stretch] = here
+        load = self._load[self.stretch]
+        expected = {shorter: self._load.get(shorter, load), longer: self._load.get(longer, load / 2)}
+        expected[self.stretch] = load
         return min(expected, key=lambda stretch: expected[stretch])
 
 
 _POLL_NS = 200_000
-_FOREVER_US = 1 << 62
 
 
 class Lockstep:
@@ -125,7 +125,7 @@ class Lockstep:
     @property
     def limit_ns(self) -> int:
         """Stream time that the run may reach."""
-        self.received += len(self._syncs.take(_FOREVER_US))
+        self.received += len(self._syncs.take(FOREVER_US))
         return self.received * self._period_ns
 
     def wait(self, t_ns: int, goes_on: Callable[[], bool]) -> int:

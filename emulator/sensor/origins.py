@@ -16,13 +16,14 @@ from __future__ import annotations
 
 import dataclasses
 from enum import IntEnum
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame
 from emulator.sensor.chip.defects import at_temperature
+from emulator.sensor.chip.readout import Arrivals
 from emulator.sensor.chip.sources import BackgroundEvents, Particles
 from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.numerics.compiled import cached_entry
@@ -63,14 +64,18 @@ class LeakShare:
     """
 
     def __init__(self, start: Floats, refractory_ns: int, parasitic_hz: float) -> None:
-        self._start, self._refractory_ns, self._parasitic_hz = start, refractory_ns, parasitic_hz
+        self._start = start
+        self._refractory_ns = refractory_ns
+        self._parasitic_hz = parasitic_hz
         self._share, self._half, self._rate_hz = (np.zeros_like(start) for _ in range(3))
         self._light = np.zeros(start.size, np.float32)
         self._t_ns = 0
 
     def reset(self, light: npt.NDArray[np.float32], t_ns: int) -> None:
         """Start at `t_ns` on `light`, (height, width)."""
-        self._share[:], self._half[:], self._t_ns = 0, (1 - self._start) / 2, t_ns
+        self._share[:] = 0
+        self._half[:] = (1 - self._start) / 2
+        self._t_ns = t_ns
         self._light[:] = light.reshape(-1)
 
     def step(
@@ -89,28 +94,38 @@ class LeakShare:
             self._rate_hz += self._parasitic_hz / 2 * np.nan_to_num(np.maximum(self._light, 0) + np.maximum(flat, 0))
             self._light[:] = flat
         leaks = np.empty(len(crossings), np.bool_)
-        arrays = crossings.t_ns, crossings.pixel, crossings.on
-        _step(arrays, (self._t_ns, t_ns, self._refractory_ns), self._rate_hz, (self._share, self._half), leaks)
+        arrivals = Arrivals(crossings.t_ns, crossings.pixel, crossings.on)
+        interval = _Interval(self._t_ns, t_ns, self._refractory_ns)
+        _step(arrivals, interval, self._rate_hz, self._share, self._half, leaks)
         self._t_ns = t_ns
         return leaks
 
 
+class _Interval(NamedTuple):
+    """A step, and the time after an event until the reference is read."""
+
+    t0_ns: int
+    t1_ns: int
+    refractory_ns: int
+
+
 @cached_entry
 def _step(
-    crossings: tuple[npt.NDArray[np.int64], npt.NDArray[np.uint32], npt.NDArray[np.bool_]],
-    times_ns: tuple[int, int, int],
+    crossings: Arrivals,
+    interval: _Interval,
     rate_hz: Floats,
-    levels: tuple[Floats, Floats],
+    share: Floats,
+    half: Floats,
     leaks: npt.NDArray[np.bool_],
 ) -> None:
-    share, half = levels
-    (t_ns, pixel, on), (t0_ns, t1_ns, refractory_ns) = crossings, times_ns
-    for k in range(t_ns.size):
-        p = pixel[k]
-        leaks[k] = on[k] and share[p] + rate_hz[p] * (t_ns[k] - t0_ns) * 1e-9 > half[p]
+    """Write which crossings are the leak's, and move `share` to the end; `half` is half of the next event's way."""
+    t0_ns = interval.t0_ns
+    for k in range(crossings.t_ns.size):
+        t_ns, p = crossings.t_ns[k], crossings.pixel[k]
+        leaks[k] = crossings.on[k] and share[p] + rate_hz[p] * (t_ns - t0_ns) * 1e-9 > half[p]
         half[p] = 0.5
-        share[p] = -rate_hz[p] * (t_ns[k] + refractory_ns - t0_ns) * 1e-9
-    moved_s = (t1_ns - t0_ns) * 1e-9
+        share[p] = -rate_hz[p] * (t_ns + interval.refractory_ns - t0_ns) * 1e-9  # 0 when the reference is read
+    moved_s = (interval.t1_ns - t0_ns) * 1e-9
     for p in range(share.size):
         share[p] += rate_hz[p] * moved_s
 
@@ -139,11 +154,11 @@ class TracedSensor(Sensor):
     def __init__(self, parameters: SensorParameters, seed: int, make_pixels: MakePixels = own_pixels) -> None:
         super().__init__(parameters, seed, make_pixels)
         self.origins: _Codes = np.empty(0, np.uint8)
-        here, self._seed = at_temperature(parameters), seed
+        p = at_temperature(parameters)
+        self._seed = seed
         self._bits: list[list[Crossings]] = []
-        self._drawn = draw(here, seed)
-        start = np.asarray(self._drawn.phase, np.float64)
-        self._leak = LeakShare(start, round(here.refractory_us * 1000), here.parasitic_hz_at_reference)
+        start = np.asarray(draw(p, seed).phase, np.float64)
+        self._leak = LeakShare(start, round(p.refractory_us * 1000), p.parasitic_hz_at_reference)
         self._constant_hz = self._leak_hz()
         self._make_twins()
 
@@ -183,10 +198,10 @@ class TracedSensor(Sensor):
                 for jitter, b in zip(self._jitters, bits, strict=True)
             ]
         for source in self._sources:
-            own = source.step(seen.reshape(-1), settled_ns)
-            codes = np.full(len(own), _OF_SOURCES.get(type(source), Origin.UNKNOWN), np.uint8)
-            crossings = merged(crossings, own)
-            bits = [merged(a, b) for a, b in zip(bits, _bits(own, codes), strict=True)]
+            raised = source.step(seen.reshape(-1), settled_ns)
+            codes = np.full(len(raised), _OF_SOURCES.get(type(source), Origin.UNKNOWN), np.uint8)
+            crossings = merged(crossings, raised)
+            bits = [merged(a, b) for a, b in zip(bits, _bits(raised, codes), strict=True)]
         self._bits.append([dataclasses.replace(b, t_ns=b.t_ns.copy(), pixel=b.pixel.copy()) for b in bits])
         return crossings
 
@@ -218,4 +233,4 @@ def _bits(crossings: Crossings, codes: _Codes) -> list[Crossings]:
 
 def _codes(bits: list[Events]) -> _Codes:
     """Return the codes whose bits are the polarities of lists of the same events."""
-    return np.asarray(sum(one["on"].astype(np.uint8) << k for k, one in enumerate(bits)), np.uint8)
+    return np.asarray(sum(events["on"].astype(np.uint8) << k for k, events in enumerate(bits)), np.uint8)

@@ -8,7 +8,7 @@ Every effect of a sensor is off, or changes nothing, by default:
     noise          rms is 0                                   noise.points, noise.grid
     background     rates are 0                                chip.sources
     jitter         latency, deviation and leak share are 0    chip.readout, chip.defects
-    comparator     times are 0                                pixels.comparator
+    comparator     times are 0                                pixels.event_time
     reset          offset, noise are 0, at_acknowledge false  pixels.state, chip.readout, chip.scan
     imager         gains are 1, spreads 0, shot noise false   chip.imager
     radiation      flux and dose are 0                        chip.sources, chip.defects
@@ -20,7 +20,7 @@ Sources of the defaults of `FrameParameters`, a DAVIS346; DN are units of the 10
     noise of columns and rows      the same: 0.42 and 0.10 of 255
     fixed pattern of columns       the same: 2.2 of 255, mostly of period 2
     sensitivity, reset level, gain spread   estimate: a rig's own
-    row kicks                      the same: see `aps.row_kicks`
+    row kicks                      the same: see `row_kicks`
 
 Sources of the defaults of `ImuParameters`:
 
@@ -237,7 +237,7 @@ class JitterParameters:
 
 @dataclass(frozen=True, slots=True)
 class ComparatorParameters:
-    """Delay of the comparators, which depends on the slope of the signal and on the polarity; see `pixels.comparator`.
+    """Delay of the comparators, which depends on the slope of the signal and on the polarity; see `pixels.event_time`.
 
     No camera's times are published. An estimate for the DAVIS346 at its default biases: an output node of 10 fF swings
     by 1 V at the bias currents that its drivers set, 387 nA for ON and 0.19 nA for OFF, in 0.03 us and 53 us. The

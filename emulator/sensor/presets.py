@@ -217,17 +217,16 @@ class SensorParameters:
             raise ValueError(f"width x height = {self.width * self.height}: at most {_MOST_PIXELS} pixels")
         if not self.corner_max_hz >= self.corner_min_hz:
             raise ValueError(f"corner_max_hz must be at least corner_min_hz, got {self.corner_max_hz!r}")
-        self._check_photoreceptor()
-        self._check_noise()
-        self._check_reset()
-        for name in ("hot_pixels", "dead_pixels"):
-            self._check_places(name)
-
-    def _check_photoreceptor(self) -> None:
         if self.photoreceptor not in ("one_pole", "large_signal", "circuit"):
             raise ValueError(f"photoreceptor = {self.photoreceptor!r}: must be 'one_pole', 'large_signal' or 'circuit'")
         if self.photoreceptor == "circuit" and math.isinf(max(self.corner_hz_at_reference, self.corner_max_hz)):
             raise ValueError('photoreceptor = "circuit": needs a finite corner_hz_at_reference and corner_max_hz')
+        self._check_noise()
+        self._check_reset()
+        for name in ("hot_pixels", "dead_pixels"):
+            for x, y in getattr(self.defects, name):
+                if not (0 <= x < self.width and 0 <= y < self.height):
+                    raise ValueError(f"defects.{name}: [{x}, {y}] must lie within {self.width} x {self.height} pixels")
 
     def _check_noise(self) -> None:
         unlimited = math.isinf(self.corner_max_hz) or math.isinf(self.corner_hz_at_reference)
@@ -244,11 +243,6 @@ class SensorParameters:
                 f"reset.offset = {r.offset!r}: it and three times reset.noise ({r.noise!r}) must be at most half of "
                 f"the lower threshold, {least:g}; else a reset raises events by itself"
             )
-
-    def _check_places(self, name: str) -> None:
-        for x, y in getattr(self.defects, name):
-            if not (0 <= x < self.width and 0 <= y < self.height):
-                raise ValueError(f"defects.{name}: [{x}, {y}] must lie within {self.width} x {self.height} pixels")
 
 
 IMX636_W_M2 = 0.1644

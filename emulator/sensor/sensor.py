@@ -22,7 +22,6 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame, Region
-from emulator.sensor.aps.row_kicks import LineReads, RowKicks
 from emulator.sensor.chip.defects import NEVER_NS, Defects, Leaks, at_temperature, draw_defects
 from emulator.sensor.chip.imager import Imager, part_of_the_way
 from emulator.sensor.chip.readout import ArbiterReadOut, Jitter, ReadOut
@@ -33,13 +32,13 @@ from emulator.sensor.noise.law import corner_hz, of_array
 from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.parameters import DefectParameters, KickParameters
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, joined
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, EventBuffers, joined
 from emulator.sensor.pixels.method import MakePixels, PixelMethod
 from emulator.sensor.pixels.state import draw
-from emulator.sensor.pixels.workers import EventBuffers
 from emulator.sensor.presets import SensorParameters
-from emulator.tables.registry import imported
+from emulator.sensor.row_kicks import LineReads, RowKicks
 from firmware_protocol.events import Events
+from transports.registry import imported
 
 _Float32s = npt.NDArray[np.float32]
 
@@ -107,8 +106,8 @@ def make_noise(p: SensorParameters, seed: int, defects: Defects, pixels: PixelMe
     """Return the noise of the grade "points" of these pixels; None where there is none. Dead pixels have none."""
     if not p.noise.rms or p.noise.grade != "points" or defects.dead.size == p.width * p.height:
         return None
-    drawn = draw(p, seed)
-    thresholds = np.stack([drawn.on, drawn.off])
+    drawn_pixels = draw(p, seed)
+    thresholds = np.stack([drawn_pixels.on, drawn_pixels.off])
     thresholds[:, defects.dead] = np.inf
     return NoiseEvents(p, seed, thresholds, pixels.levels() if pixels.capabilities.takes_row_reads else None)
 
@@ -212,7 +211,8 @@ def longest_step_ns(p: SensorParameters) -> int:
     Bounded are the mean number of events that do not come from changing light, of pixels that all are as noisy as in
     the worst light, and the pixels that are moved where the sensor has a grid of times of its own.
     """
-    pixels, b, r = p.width * p.height, p.background, p.radiation
+    pixels = p.width * p.height
+    b, r = p.background, p.radiation
     each_hz = p.leak_hz + p.parasitic_hz_at_reference + b.hz + b.hot_share * b.hot_hz + _noise_hz(p)
     hot_hz = p.defects.hot_hz * math.exp(p.defects.hot_spread**2 / 2)
     track = (1 + r.off_share) * min(1 + 2 * r.depth_um / r.pixel_pitch_um, p.width + p.height)
@@ -230,8 +230,8 @@ def _noise_hz(p: SensorParameters) -> float:
     if not p.noise.rms:
         return 0.0
     with np.errstate(all="ignore"):  # noise so small that no number holds its rate
-        found = of_array(p, np.asarray((p.threshold_on + p.threshold_off) / 2), corner_hz(p, _LIGHTS))
-        return float(np.nan_to_num(found.on + found.off).max())
+        rates = of_array(p, np.asarray((p.threshold_on + p.threshold_off) / 2), corner_hz(p, _LIGHTS))
+        return float(np.nan_to_num(rates.on + rates.off).max())
 
 
 def _load_rare_kernels() -> None:
@@ -240,9 +240,9 @@ def _load_rare_kernels() -> None:
     They merge the events of two threads, and insert the noise events of a step.
     """
     key = np.zeros(1, np.uint64)
-    EventBuffers().add([key, key], (0, 10), 0)
-    none, one = ((np.empty(n, np.int64), np.empty(n, np.uint32), np.empty(n, np.bool_)) for n in (0, 1))
-    insert(key, 0, 10, none, one)
+    EventBuffers().add([key, key], 0, 10, 0)
+    nothing, out = ((np.empty(n, np.int64), np.empty(n, np.uint32), np.empty(n, np.bool_)) for n in (0, 1))
+    insert(key, 0, 10, nothing, out)
 
 
 class Sensor:
@@ -274,25 +274,25 @@ class Sensor:
 
     def __init__(self, parameters: SensorParameters, seed: int, make_pixels: MakePixels = own_pixels) -> None:
         self.parameters = parameters
-        here = at_temperature(parameters)
-        self._imager = Imager(here, seed)
-        own = dataclasses.replace(here, dark_current_relative=self._imager.dark_current_relative)
-        self.pixels = make_pixels(own, seed)
-        self.pixels.capabilities.check(own)
-        defects = draw_defects(own, seed)
-        self._dead = dead_pixels(own, defects)
-        self._leaks = _leaks(self.pixels, own, seed, defects)
-        self._noise = make_noise(own, seed, defects, self.pixels)
-        self._sources = make_sources(own, seed, defects, self._noise)
-        self._jitter = make_jitter(own, seed)
-        self._readout = make_readout(own)
-        self._dark = np.float32(here.dark_current_relative)
-        self._before, self._way = (np.empty((own.height, own.width), np.float32) for _ in range(2))
+        at_reference = at_temperature(parameters)
+        self._imager = Imager(at_reference, seed)
+        p = dataclasses.replace(at_reference, dark_current_relative=self._imager.dark_current_relative)
+        self.pixels = make_pixels(p, seed)
+        self.pixels.capabilities.check(p)
+        defects = draw_defects(p, seed)
+        self._dead = dead_pixels(p, defects)
+        self._leaks = _leaks(self.pixels, p, seed, defects)
+        self._noise = make_noise(p, seed, defects, self.pixels)
+        self._sources = make_sources(p, seed, defects, self._noise)
+        self._jitter = make_jitter(p, seed)
+        self._readout = make_readout(p)
+        self._dark = np.float32(at_reference.dark_current_relative)
+        self._before, self._way = (np.empty((p.height, p.width), np.float32) for _ in range(2))
         self._t_ns = 0
         self._seed = seed
         self._kicks: RowKicks | None = None
         self._reads: LineReads | None = None
-        self.longest_step_ns = longest_step_ns(own)
+        self.longest_step_ns = longest_step_ns(p)
 
     def with_kicks(self, kicks: KickParameters) -> Callable[[LineReads], None] | None:
         """Let reads of active pixels disturb the events; None where the method of the pixels cannot.
@@ -517,8 +517,8 @@ class Sensor:
 
     def _between(self, light: _Float32s, share: float) -> _Float32s:
         """Return the light at a share of the way from the last frame, linear in the log of the photocurrent."""
-        before, after, out = self._before.reshape(-1), np.ascontiguousarray(light).reshape(-1), self._way.reshape(-1)
-        part_of_the_way(before, after, self._dark, np.float32(share), out)
+        after = np.ascontiguousarray(light).reshape(-1)
+        part_of_the_way(self._before.reshape(-1), after, self._dark, np.float32(share), self._way.reshape(-1))
         return self._way
 
     def _remember(self, light: _Float32s) -> None:

@@ -15,7 +15,6 @@ a key by the type `RigFile`.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import os
 import re
 import types
@@ -27,6 +26,8 @@ from typing import Annotated, Any, Literal, NewType, TypeVar
 
 import msgspec
 from msgspec import Meta
+
+from transports.registry import unknown
 
 KeyPath = tuple[str | int, ...]
 T = TypeVar("T")
@@ -49,22 +50,26 @@ def convert(table: object, target: type[T], path: KeyPath = ()) -> T:
     """Return `table` as a `target`, a dataclass; raises TableError."""
     if not isinstance(table, dict):
         raise TableError(f"expected a table, got {table!r}", path)
-    known = field_types(target)
+    fields = field_types(target)
     for key in table:
-        if key not in known:
-            raise TableError(unknown(key, list(known)), (*path, key))
-    values = {key: _value(value, known[key], (*path, key)) for key, value in table.items()}
-    _require_all(values, target, path)
+        if key not in fields:
+            raise TableError(unknown(key, list(fields)), (*path, key))
+    values = {key: _value(value, fields[key], (*path, key)) for key, value in table.items()}
+    for f in dataclasses.fields(target):  # type: ignore[arg-type]
+        is_optional = f.default is not dataclasses.MISSING or f.default_factory is not dataclasses.MISSING
+        if f.name not in values and not is_optional:
+            raise TableError(f"{f.name!r} is missing", path)
     try:
         return target(**values)
     except ValueError as error:
-        raise TableError(str(error), _path_of_error(str(error), known, path)) from error
+        first = re.match(r"\w+", str(error))  # a refusal names its key first
+        raise TableError(str(error), (*path, first[0]) if first and first[0] in fields else path) from error
 
 
 def convert_kind(table: object, kinds: Mapping[str, type[T]], path: KeyPath) -> T:
     """Convert a table to the type that its `kind` selects; raises TableError."""
-    kind, rest = split_kind(table, kinds, path)
-    return convert(rest, kinds[kind], path)
+    kind, values = split_kind(table, kinds, path)
+    return convert(values, kinds[kind], path)
 
 
 def split_kind(table: object, kinds: Collection[str], path: KeyPath) -> tuple[str, dict[str, Any]]:
@@ -77,13 +82,6 @@ def split_kind(table: object, kinds: Collection[str], path: KeyPath) -> tuple[st
     if kind not in kinds:
         raise TableError(unknown(kind, list(kinds)), (*path, "kind"))
     return kind, {key: value for key, value in table.items() if key != "kind"}
-
-
-def unknown(key: str, known: list[str]) -> str:
-    """Return the message that `key` is not known, with the most similar known key."""
-    near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
-    meant = f"; did you mean {near[0]!r}?" if near else f"; known are {', '.join(known)}"
-    return f"{key!r} is not known here{meant}"
 
 
 def field_types(target: Any) -> Mapping[str, Any]:
@@ -163,7 +161,7 @@ def _value(value: object, annotation: Any, path: KeyPath) -> object:
     if item := item_type(annotation):
         if not isinstance(value, list):
             raise TableError(f"expected a list of tables, got {value!r}", path)
-        return tuple(_value(one, item, (*path, i)) for i, one in enumerate(value))
+        return tuple(_value(element, item, (*path, i)) for i, element in enumerate(value))
     if kinds := kinds_of(annotation):
         return convert_kind(value, kinds, path)
     table = table_type(annotation)
@@ -172,7 +170,7 @@ def _value(value: object, annotation: Any, path: KeyPath) -> object:
 
 def _plain(value: object, annotation: Any, path: KeyPath) -> object:
     if typing.get_origin(annotation) is Literal and isinstance(value, str) and value not in typing.get_args(annotation):
-        raise TableError(unknown(value, [str(one) for one in typing.get_args(annotation)]), path)
+        raise TableError(unknown(value, [str(choice) for choice in typing.get_args(annotation)]), path)
     try:
         return msgspec.convert(value, annotation)
     except msgspec.ValidationError as error:
@@ -186,19 +184,6 @@ def _plain(value: object, annotation: Any, path: KeyPath) -> object:
         raise TableError(f"{message}; here it is {value!r}", path) from error
 
 
-def _require_all(values: Mapping[str, object], target: Any, path: KeyPath) -> None:
-    for f in dataclasses.fields(target):
-        is_optional = f.default is not dataclasses.MISSING or f.default_factory is not dataclasses.MISSING
-        if f.name not in values and not is_optional:
-            raise TableError(f"{f.name!r} is missing", path)
-
-
-def _path_of_error(message: str, known: Mapping[str, object], path: KeyPath) -> KeyPath:
-    """Return the path of the key that a refusal names first."""
-    first = re.match(r"\w+", message)
-    return (*path, first.group()) if first and first.group() in known else path
-
-
 RigFile = NewType("RigFile", str)
 """A path, absolute or from the rig file's folder; or a name that is no file, such as that of a shipped shape."""
 
@@ -208,8 +193,8 @@ NO_FILE = RigFile("")
 def beside(value: T, folder: Path) -> T:
     """Return a dataclass, and those in it, with the whole path of each file that lies in `folder`."""
     if isinstance(value, tuple):
-        found = tuple(beside(one, folder) for one in value)
-        return value if found == value else found  # type: ignore[return-value]
+        located = tuple(beside(element, folder) for element in value)
+        return value if located == value else located  # type: ignore[return-value]
     if not dataclasses.is_dataclass(value) or isinstance(value, type):
         return value
     types = field_types(type(value))
@@ -217,8 +202,8 @@ def beside(value: T, folder: Path) -> T:
     for name, annotation in types.items():
         old = getattr(value, name)
         if annotation == tuple[RigFile, ...]:
-            found = tuple(str(folder / one) if os.path.isfile(folder / one) else one for one in old)
-            new = old if found == old else found
+            located = tuple(str(folder / file) if os.path.isfile(folder / file) else file for file in old)
+            new = old if located == old else located
         else:
             is_file = annotation is RigFile and os.path.isfile(folder / old)  # False for names that no file can have
             new = RigFile(str(folder / old)) if is_file else beside(old, folder)

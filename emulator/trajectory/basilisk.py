@@ -26,15 +26,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from emulator.geometry.attitude import Matrix, Quaternion, Vector, multiply
-from emulator.trajectory.live import between, known_motion
+from emulator.trajectory.live import ComingPoses, TimedPose, between, known_motion
 from emulator.trajectory.parameters import BasiliskPath
-from emulator.trajectory.pose import AT_REST, Motion, Pose, Trajectory, TrajectoryError, from_basilisk
-from firmware_protocol.vizard.messages import Update, UpdateError
+from emulator.trajectory.pose import AT_REST, Motion, Pose, TrajectoryError, from_basilisk
+from firmware_protocol.vizard import Update, UpdateError
 
 _KNOWN = 64
 
 
-class SimulatedPath(Trajectory):
+class SimulatedPath(ComingPoses):
     """A path that a simulation drives; `add` gives it poses.
 
     Parameters
@@ -44,39 +44,29 @@ class SimulatedPath(Trajectory):
 
     def __init__(self, first: Pose) -> None:
         self._first = first
-        self._known: deque[tuple[int, Pose]] = deque(maxlen=_KNOWN)
+        self._known: deque[TimedPose] = deque(maxlen=_KNOWN)
 
     def add(self, t_ns: int, pose: Pose) -> None:
         """Add the pose at `t_ns`, later than all before; raises TrajectoryError where it is not."""
         if self._known and t_ns <= self._known[-1][0]:
             raise TrajectoryError(f"a pose at {t_ns} ns came after the one at {self._known[-1][0]} ns")
-        self._known.append((t_ns, pose))
+        self._known.append(TimedPose(t_ns, pose))
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at `t_ns`, as far as it is known by now."""
-        known = self._known
-        if not known:
+        poses = self._known
+        if not poses:
             return self._first
-        if t_ns <= known[0][0] or len(known) == 1:
-            return known[0][1]
-        after = next((k for k, (at_ns, _) in enumerate(known) if at_ns >= t_ns), len(known) - 1)
-        return between(known[after - 1], known[after], t_ns)
+        if t_ns <= poses[0][0] or len(poses) == 1:
+            return poses[0][1]
+        after = next((k for k, (at_ns, _) in enumerate(poses) if at_ns >= t_ns), len(poses) - 1)
+        return between(poses[after - 1], poses[after], t_ns)
 
     def motion(self, t_ns: int) -> Motion:
         """Return the motion at `t_ns` from the poses known now, see `known_motion`."""
         if len(self._known) < 2 or t_ns < self._known[0][0]:
             return AT_REST
         return known_motion(list(self._known), t_ns)
-
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Infinite: poses to come are not known."""
-        return float("inf")
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Infinite: poses to come are not known."""
-        return float("inf")
 
 
 _CAMERA_FROM_UNITY: Quaternion = np.array([0.5, -0.5, -0.5, 0.5])

@@ -95,27 +95,23 @@ def scale_of(time_system: str) -> str:
 
 def epoch_ns(text: str, time_system: str = "UTC") -> int:
     """Return an epoch on the scale of its time system, ns since 2000-01-01T00:00:00 of that; raises ValueError."""
-    found = _EPOCH.match(text)
-    if not found:
+    match = _EPOCH.match(text)
+    if not match:
         raise ValueError(f"epoch {text!r}: expected yyyy-mm-ddThh:mm:ss or yyyy-dddThh:mm:ss")
-    year, day_of_year, month, day, hour, minute, second, fraction = found.groups()
+    year, day_of_year, month, day, hour, minute, second, fraction = match.groups()
     start = datetime(int(year), int(month or 1), int(day or 1), int(hour), int(minute))
     if day_of_year:
         start += timedelta(days=int(day_of_year) - 1)
     if int(second) >= 60:
-        _require_leap_second(text, start, int(second), time_system)
-    whole = (start - _ORIGIN) // timedelta(seconds=1) + int(second)
-    ns = whole * 10**9 + int(Fraction(fraction or "0") * 10**9)
+        after = start + timedelta(minutes=1)
+        is_last_minute = (start.hour, start.minute) == (23, 59)
+        if time_system != "UTC" or int(second) > 60 or not is_last_minute or after.date() not in _LEAPS:
+            raise ValueError(f"epoch {text!r}: there was no leap second in {time_system}")
+    seconds = (start - _ORIGIN) // timedelta(seconds=1) + int(second)
+    ns = seconds * 10**9 + int(Fraction(fraction or "0") * 10**9)
     if time_system == "UTC":
         return ns + (_FIRST_OFFSET_S + bisect_right(_LEAPS, start.date())) * 10**9
     return ns + _BEHIND_TAI_NS.get(time_system, 0)
-
-
-def _require_leap_second(text: str, minute: datetime, second: int, time_system: str) -> None:
-    after = minute + timedelta(minutes=1)
-    is_last_minute = (minute.hour, minute.minute) == (23, 59)
-    if time_system != "UTC" or second > 60 or not is_last_minute or after.date() not in _LEAPS:
-        raise ValueError(f"epoch {text!r}: there was no leap second in {time_system}")
 
 
 _CELESTIAL = re.compile(
@@ -204,7 +200,8 @@ class PolynomialPath(Trajectory):
 
     def _curve(self, t_ns: int) -> tuple[int, KroghInterpolator]:
         """Return the polynomial around `t_ns`, and the first sample that it goes through."""
-        first = self._first_used(t_ns)
+        after = int(np.searchsorted(self._times_ns, t_ns, "right"))
+        first = min(max(after - (self._used + 1) // 2, 0), len(self._times_ns) - self._used)  # of the samples around it
         if self._at is None or self._at[0] != first:
             self._at = first, self._through(first)
         return self._at
@@ -220,11 +217,6 @@ class PolynomialPath(Trajectory):
     def turn_bound_rad_s(self) -> float:
         """Zero: it does not turn."""
         return 0.0
-
-    def _first_used(self, t_ns: int) -> int:
-        """Return the first of the samples around `t_ns`."""
-        after = int(np.searchsorted(self._times_ns, t_ns, "right"))
-        return min(max(after - (self._used + 1) // 2, 0), len(self._times_ns) - self._used)
 
     def _through(self, first: int) -> KroghInterpolator:
         from scipy.interpolate import (
@@ -393,7 +385,8 @@ def _parse(
         except (TrajectoryError, ValueError) as error:
             raise TrajectoryError(f"segment at line {samples.line}: {error}") from error
     meta = segments[0].meta
-    frame = meta.get("REF_FRAME") or meta.get("REF_FRAME_A" if _a_is_world(meta) else "REF_FRAME_B", "")
+    a_is_world = "REF_FRAME_A" in meta and world_is_a(meta["REF_FRAME_A"], meta.get("REF_FRAME_B", ""))
+    frame = meta.get("REF_FRAME") or meta.get("REF_FRAME_A" if a_is_world else "REF_FRAME_B", "")
     methods = sorted({s.meta["INTERPOLATION_METHOD"] for s in segments if "INTERPOLATION_METHOD" in s.meta})
     notes = tuple(f"INTERPOLATION_METHOD {m}: attitudes lie on a spline of rotations instead" for m in methods)
     return CcsdsPath(Segmented(built), scale_of(segments[0].time_system), axes_of(frame), notes)
@@ -433,10 +426,10 @@ def _data_lines(text: str) -> Iterator[_Line]:
 def _require_same(segments: list[_Samples]) -> None:
     for samples in segments[1:]:
         for name in _SAME:
-            first, here = (s.meta.get(name, "missing") for s in (segments[0], samples))
-            if first != here:
+            first, later = (s.meta.get(name, "missing") for s in (segments[0], samples))
+            if first != later:
                 raise TrajectoryError(
-                    f"segment at line {samples.line}: {name} is {here}, and {first} in the first segment: "
+                    f"segment at line {samples.line}: {name} is {later}, and {first} in the first segment: "
                     "convert the file to one"
                 )
 
@@ -472,10 +465,6 @@ def _degree(meta: dict[str, str]) -> int:
     if not text.isdecimal():
         raise TrajectoryError(f"INTERPOLATION = {meta['INTERPOLATION']} needs INTERPOLATION_DEGREE, a whole number")
     return int(text)
-
-
-def _a_is_world(meta: dict[str, str]) -> bool:
-    return "REF_FRAME_A" in meta and world_is_a(meta["REF_FRAME_A"], meta.get("REF_FRAME_B", ""))
 
 
 def _world_from_body(meta: dict[str, str], cells: list[str]) -> _Floats:

@@ -92,7 +92,7 @@ class Joint:
     rotation: Track
 
     def pose(self, t_s: float) -> Pose:
-        """Return its pose in the frame of the joint before."""
+        """Return the pose of the joint in the frame of the joint before."""
         return self.fixed.after(Pose(self.translation.at(t_s), self.rotation.at(t_s)))
 
 

@@ -66,10 +66,12 @@ class Keyframes(Trajectory):
         self._places = np.array([pose.position_m for pose in poses])
         self._turns = np.array([pose.q_world_from_body for pose in poses])
         _require_narrow(self._turns, self._times_ns)
-        given = None if velocities_m_s is None else np.asarray(velocities_m_s, np.float64)
-        if given is not None and (given.shape != self._places.shape or not np.isfinite(given).all()):
-            raise TrajectoryError(f"velocities are {given.shape}: one of three finite m/s is needed for each keyframe")
-        self._curve, self._vectors = _splines(self._seconds, self._places, given, self._turns)
+        velocities = None if velocities_m_s is None else np.asarray(velocities_m_s, np.float64)
+        if velocities is not None and (velocities.shape != self._places.shape or not np.isfinite(velocities).all()):
+            raise TrajectoryError(
+                f"velocities are {velocities.shape}: one of three finite m/s is needed for each keyframe"
+            )
+        self._curve, self._vectors = _splines(self._seconds, self._places, velocities, self._turns)
         self._velocity, self._acceleration = self._curve.derivative(), self._curve.derivative(2)
         self._vector_rates = self._vectors.derivative()
         self._bounds: tuple[float, float] | None = None

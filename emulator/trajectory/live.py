@@ -37,6 +37,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -83,6 +84,13 @@ class LiveCounters:
     late_pictures: int = 0
 
 
+class TimedPose(NamedTuple):
+    """A pose and its time."""
+
+    t_ns: int
+    pose: Pose
+
+
 @dataclass(frozen=True, eq=False)
 class _Known:
     """A pose and its time; `on_arrival`: the sender gave no time."""
@@ -92,13 +100,27 @@ class _Known:
     on_arrival: bool
 
     @property
-    def at(self) -> tuple[int, Pose]:
+    def at(self) -> TimedPose:
         """Time and pose."""
-        return self.t_ns, self.pose
+        return TimedPose(self.t_ns, self.pose)
 
 
-class LivePoses(Trajectory):
-    """A path whose poses are still coming; `add` gives them.
+class ComingPoses(Trajectory):
+    """A path whose poses are still coming: their bounds are not known."""
+
+    @property
+    def speed_bound_m_s(self) -> float:
+        """Infinite: poses to come are not known."""
+        return float("inf")
+
+    @property
+    def turn_bound_rad_s(self) -> float:
+        """Infinite: poses to come are not known."""
+        return float("inf")
+
+
+class LivePoses(ComingPoses):
+    """A path whose poses `add` gives.
 
     Parameters
     ----------
@@ -108,7 +130,9 @@ class LivePoses(Trajectory):
     """
 
     def __init__(self, first: Pose = STILL, hold_ns: int = 100_000_000, ahead_ns: int = 1_000_000_000) -> None:
-        self._first, self._hold_ns, self._ahead_ns = first, hold_ns, ahead_ns
+        self._first = first
+        self._hold_ns = hold_ns
+        self._ahead_ns = ahead_ns
         self._known: deque[_Known] = deque(maxlen=_KNOWN)
         self._last: PoseMessage | None = None
         self.counters = LiveCounters()
@@ -125,24 +149,24 @@ class LivePoses(Trajectory):
 
     def restart(self, t_ns: int) -> None:
         """Go back to time `t_ns`: the newest pose without a time of its own holds from there."""
-        arrived = [known for known in self._known if known.on_arrival]
-        timed = [known for known in self._known if not known.on_arrival and known.t_ns <= t_ns + self._ahead_ns]
+        arrived = [pose for pose in self._known if pose.on_arrival]
+        timed = [pose for pose in self._known if not pose.on_arrival and pose.t_ns <= t_ns + self._ahead_ns]
         if arrived and (not timed or timed[-1].t_ns < t_ns):
             timed.append(_Known(t_ns, arrived[-1].pose, on_arrival=True))
         self._known = deque(timed, maxlen=_KNOWN)
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at `t_ns`, as far as it is known by now."""
-        known = self._known
-        if not known or t_ns < known[0].t_ns:
-            return known[0].pose if len(known) == _KNOWN else self._first
-        if t_ns > known[-1].t_ns:
+        poses = self._known
+        if not poses or t_ns < poses[0].t_ns:
+            return poses[0].pose if len(poses) == _KNOWN else self._first
+        if t_ns > poses[-1].t_ns:
             return self._beyond(t_ns)
-        after = next(k for k, one in enumerate(known) if one.t_ns >= t_ns)
-        if after > 1 and known[after].t_ns > known[after - 1].t_ns + _GOES_ON_NS >= t_ns:
+        after = next(k for k, pose in enumerate(poses) if pose.t_ns >= t_ns)
+        if after > 1 and poses[after].t_ns > poses[after - 1].t_ns + _GOES_ON_NS >= t_ns:
             # Two poses a microsecond apart, with some noise, would send the body far away within a millisecond.
-            after -= known[after - 1].t_ns >= known[after - 2].t_ns + _GOES_ON_NS
-        return known[0].pose if after == 0 else between(known[after - 1].at, known[after].at, t_ns)
+            after -= poses[after - 1].t_ns >= poses[after - 2].t_ns + _GOES_ON_NS
+        return poses[0].pose if after == 0 else between(poses[after - 1].at, poses[after].at, t_ns)
 
     def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
         """Return both from the poses known now; no light frame is counted as late."""
@@ -153,20 +177,10 @@ class LivePoses(Trajectory):
 
     def motion(self, t_ns: int) -> Motion:
         """Return the motion at `t_ns` from the poses known now, see `known_motion`; at rest where it stands still."""
-        known = [one.at for one in self._known]
-        if len(known) < 2 or t_ns < known[0][0] or t_ns > known[-1][0] + self._hold_ns:
+        poses = [received.at for received in self._known]
+        if len(poses) < 2 or t_ns < poses[0][0] or t_ns > poses[-1][0] + self._hold_ns:
             return AT_REST
-        return known_motion(known, t_ns)
-
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Infinite: poses to come are not known."""
-        return float("inf")
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Infinite: poses to come are not known."""
-        return float("inf")
+        return known_motion(poses, t_ns)
 
     def _is_repetition(self, message: PoseMessage) -> bool:
         """Return whether a pose, or a later one, was there already; otherwise count losses and restarts."""
@@ -202,11 +216,8 @@ class LivePoses(Trajectory):
         return between(self._known[-2].at, newest.at, min(t_ns, newest.t_ns + self._hold_ns))
 
 
-def between(before: tuple[int, Pose], after: tuple[int, Pose], t_ns: int) -> Pose:
-    """Return the pose on the straight line and great circle through two, each with its time in ns.
-
-    `t_ns` may lie beyond the second.
-    """
+def between(before: TimedPose, after: TimedPose, t_ns: int) -> Pose:
+    """Return the pose on the straight line and great circle through two; `t_ns` may lie beyond the second."""
     (before_ns, a), (after_ns, b) = before, after
     x = (t_ns - before_ns) / (after_ns - before_ns)
     place = (1 - x) * a.position_m + x * b.position_m  # exact at both, also beside a place very far away
@@ -216,27 +227,27 @@ def between(before: tuple[int, Pose], after: tuple[int, Pose], t_ns: int) -> Pos
     return Pose(place, multiply(part, b.q_world_from_body))
 
 
-def known_motion(known: Sequence[tuple[int, Pose]], t_ns: int) -> Motion:
+def known_motion(poses: Sequence[TimedPose], t_ns: int) -> Motion:
     """Return the motion at `t_ns` between two or more poses with their times, increasing, or beyond the last.
 
     Velocity and turning are those of the straight line and the great circle. The acceleration is that of the parabola
     through three poses: the two around `t_ns` and the one before, or the next where there is none; 0 with two poses.
     Its error is that of the places times 4 / period^2.
     """
-    last = next((k for k, (at_ns, _) in enumerate(known) if at_ns >= t_ns), len(known) - 1)
+    last = next((k for k, (at_ns, _) in enumerate(poses) if at_ns >= t_ns), len(poses) - 1)
     last = max(last, 1)
-    (before_ns, a), (after_ns, b) = known[last - 1], known[last]
+    (before_ns, a), (after_ns, b) = poses[last - 1], poses[last]
     seconds = (after_ns - before_ns) * 1e-9
     turn = rotation_vector(multiply(conjugate(a.q_world_from_body), b.q_world_from_body))
-    bend = _second_derivative(known[max(0, last - 2) : max(3, last + 1)])
+    bend = _second_derivative(poses[max(0, last - 2) : max(3, last + 1)])
     return Motion((b.position_m - a.position_m) / seconds, bend, turn / seconds)
 
 
-def _second_derivative(known: Sequence[tuple[int, Pose]]) -> Vector:
+def _second_derivative(poses: Sequence[TimedPose]) -> Vector:
     """Return the second derivative of the parabola through three places, (3,); 0 for fewer."""
-    if len(known) < 3:
+    if len(poses) < 3:
         return np.zeros(3)
-    (t0, a), (t1, b), (t2, c) = known
+    (t0, a), (t1, b), (t2, c) = poses
     first = (b.position_m - a.position_m) / (t1 - t0)
     second = (c.position_m - b.position_m) / (t2 - t1)
     return np.asarray(2e18 * (second - first) / (t2 - t0))
@@ -440,8 +451,8 @@ def live_counts(*paths: Trajectory) -> dict[str, int]:
     received = [path for path in paths if isinstance(path, ReceivedPath)]
     counters = [*(path.counters for path in received), *{path.receiver: None for path in received}]
     counts: dict[str, int] = {}
-    for one in counters:
-        values = vars(one.counters if isinstance(one, PoseReceiver) else one)
+    for counter in counters:
+        values = vars(counter.counters if isinstance(counter, PoseReceiver) else counter)
         for name, value in values.items():
             label = _NAMES.get(name, f"poses {name}")
             counts[label] = counts.get(label, 0) + int(value)

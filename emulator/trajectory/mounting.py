@@ -86,7 +86,7 @@ def looking_along(sight: npt.ArrayLike, up: npt.ArrayLike) -> Matrix:
     z = unit(sight)
     x = cross(z, unit(up))
     if np.linalg.norm(x) < _ALONG:
-        x = cross(z, _any_other(z))
+        x = cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])  # any other axis
     x = unit(x)
     return np.column_stack([x, cross(z, x), z])
 
@@ -94,10 +94,6 @@ def looking_along(sight: npt.ArrayLike, up: npt.ArrayLike) -> Matrix:
 def _turning(rate: Vector, direction: Vector) -> Vector:
     """Return the part of `rate` that turns a vector along the unit vector `direction`, not the one that stretches."""
     return np.asarray(rate - (rate @ direction) * direction)
-
-
-def _any_other(axis: Vector) -> Vector:
-    return np.asarray(np.eye(3)[int(np.argmin(np.abs(axis)))])
 
 
 @dataclass(frozen=True)
@@ -123,11 +119,16 @@ class Spinning(Trajectory):
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at `t_ns`."""
-        turning = spin(self._momentum, self._tilt.precession.turns(t_ns)) @ _about_x(self._tilt.tilt_rad)
-        return Pose(self._position_m, quaternion_of(turning @ _about_z(self._turned.turns(t_ns))))
+        c, s = math.cos(self._tilt.tilt_rad), math.sin(self._tilt.tilt_rad)
+        about_x = np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
+        angle = 2 * math.pi * self._turned.turns(t_ns)
+        c, s = math.cos(angle), math.sin(angle)
+        about_z = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+        turning = spin(self._momentum, self._tilt.precession.turns(t_ns)) @ about_x
+        return Pose(self._position_m, quaternion_of(turning @ about_z))
 
     def motion(self, t_ns: int) -> Motion:
-        """Return its rate: the spin along its own +Z and the precession along the momentum, added."""
+        """Return the rate: the spin along its own +Z and the precession along the momentum, added."""
         spin_rad_s, precession_rad_s = (2 * math.pi * float(c.rate_hz) for c in (self._turned, self._tilt.precession))
         momentum = self.pose(t_ns).world_from_body.T @ self._momentum
         return Motion(np.zeros(3), np.zeros(3), precession_rad_s * momentum + [0.0, 0.0, spin_rad_s])
@@ -141,16 +142,6 @@ class Spinning(Trajectory):
     def turn_bound_rad_s(self) -> float:
         """Sum of both rates, reached when the axes lie along each other."""
         return 2 * math.pi * float(abs(self._turned.rate_hz) + abs(self._tilt.precession.rate_hz))
-
-
-def _about_x(angle: float) -> Matrix:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]])
-
-
-def _about_z(turns: float) -> Matrix:
-    c, s = math.cos(2 * math.pi * turns), math.sin(2 * math.pi * turns)
-    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
 
 
 class PlaceAndAttitude(Trajectory):

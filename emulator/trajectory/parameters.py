@@ -13,8 +13,7 @@ from ipaddress import IPv4Address
 from typing import ClassVar, Literal
 
 from emulator.tables.typed_table import NO_FILE, RigFile
-from emulator.trajectory.descent import LANDING, Gate
-from emulator.trajectory.orbit import Elements
+from emulator.trajectory.laws import LANDING, Elements, Gate
 
 _Triple = tuple[float, float, float]
 _Quaternion = tuple[float, float, float, float]
@@ -22,22 +21,19 @@ _UP: _Triple = (0.0, 0.0, 1.0)
 _AS_THE_WORLD: _Quaternion = (1.0, 0.0, 0.0, 0.0)
 
 
-def _require_finite(owner: object) -> None:
-    for name, value in vars(owner).items():
-        numbers = value if isinstance(value, tuple) else (value,)
-        if any(isinstance(n, float) and not math.isfinite(n) for n in numbers):
-            raise ValueError(f"{name} is {value}: it must be finite")
+class _Checked:
+    """Base of the tables: numbers must be finite, attitudes unit quaternions, and directions not zero."""
 
-
-def _require_attitude(owner: object, name: str) -> None:
-    q = getattr(owner, name)
-    if q is not None and abs(math.hypot(*q) - 1) >= 1e-3:
-        raise ValueError(f"{name} is {q}, of length {math.hypot(*q):.4g}: a unit quaternion (w, x, y, z) is needed")
-
-
-def _require_direction(owner: object, name: str) -> None:
-    if not any(getattr(owner, name)):
-        raise ValueError(f"{name} is all zeros and points nowhere")
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            numbers = value if isinstance(value, tuple) else (value,)
+            if any(isinstance(n, float) and not math.isfinite(n) for n in numbers):
+                raise ValueError(f"{name} is {value}: it must be finite")
+            if name == "q_world_from_body" and abs(math.hypot(*value) - 1) >= 1e-3:
+                length = math.hypot(*value)
+                raise ValueError(f"{name} is {value}, of length {length:.4g}: a unit quaternion (w, x, y, z) is needed")
+            if name in ("up", "pole") and not any(value):
+                raise ValueError(f"{name} is all zeros and points nowhere")
 
 
 def _require_senders(host: str, allow: tuple[str, ...]) -> None:
@@ -54,7 +50,7 @@ def _require_senders(host: str, allow: tuple[str, ...]) -> None:
 
 
 @dataclass(frozen=True)
-class FixedPath:
+class FixedPath(_Checked):
     """A fixed pose.
 
     Attributes
@@ -75,14 +71,9 @@ class FixedPath:
     look_at_m: _Triple | None = None
     up: _Triple = _UP
 
-    def __post_init__(self) -> None:
-        _require_finite(self)
-        _require_attitude(self, "q_world_from_body")
-        _require_direction(self, "up")
-
 
 @dataclass(frozen=True)
-class Keyframe:
+class Keyframe(_Checked):
     """One pose of a path.
 
     Attributes
@@ -99,13 +90,9 @@ class Keyframe:
     position_m: _Triple
     q_world_from_body: _Quaternion = _AS_THE_WORLD
 
-    def __post_init__(self) -> None:
-        _require_finite(self)
-        _require_attitude(self, "q_world_from_body")
-
 
 @dataclass(frozen=True)
-class KeyframePath:
+class KeyframePath(_Checked):
     """A smooth path through poses at given times.
 
     Attributes
@@ -123,13 +110,9 @@ class KeyframePath:
     look_at_m: _Triple | None = None
     up: _Triple = _UP
 
-    def __post_init__(self) -> None:
-        _require_finite(self)
-        _require_direction(self, "up")
-
 
 @dataclass(frozen=True)
-class OrbitPath(Elements):
+class OrbitPath(Elements, _Checked):
     """An elliptical orbit around the origin.
 
     Attributes
@@ -156,12 +139,11 @@ class OrbitPath(Elements):
 
     def __post_init__(self) -> None:
         Elements.__post_init__(self)
-        _require_finite(self)
-        _require_direction(self, "up")
+        _Checked.__post_init__(self)
 
 
 @dataclass(frozen=True)
-class SpinPath:
+class SpinPath(_Checked):
     """A rotation about +Z at a fixed place; with a tilt that axis precesses about the angular momentum.
 
     Attributes
@@ -188,13 +170,9 @@ class SpinPath:
     tilt_deg: float = 0.0
     precession_deg_s: float = 0.0
 
-    def __post_init__(self) -> None:
-        _require_finite(self)
-        _require_direction(self, "pole")
-
 
 @dataclass(frozen=True)
-class DescentPath:
+class DescentPath(_Checked):
     """A landing in phases above a world with z up.
 
     Attributes
@@ -212,12 +190,9 @@ class DescentPath:
     heading_deg: float = 0.0
     site_m: _Triple = (0.0, 0.0, 0.0)
 
-    def __post_init__(self) -> None:
-        _require_finite(self)
-
 
 @dataclass(frozen=True)
-class FilePath:
+class FilePath(_Checked):
     """A path read from files.
 
     Attributes
@@ -245,8 +220,7 @@ class FilePath:
     up: _Triple = _UP
 
     def __post_init__(self) -> None:
-        _require_finite(self)
-        _require_direction(self, "up")
+        super().__post_init__()
         if not self.path:
             raise ValueError("path is missing: name a .csv, .oem or .fli file")
         if not self.period_s > 0:
@@ -254,7 +228,7 @@ class FilePath:
 
 
 @dataclass(frozen=True)
-class LivePath:
+class LivePath(_Checked):
     """Poses that come from outside while the run goes on, one UDP datagram each.
 
     Attributes
@@ -282,8 +256,7 @@ class LivePath:
     ahead_ms: float = 1000.0
 
     def __post_init__(self) -> None:
-        _require_finite(self)
-        _require_attitude(self, "q_world_from_body")
+        super().__post_init__()
         if not 0 <= self.port <= 65535:
             raise ValueError(f"port must be 0 (any free one) to 65535, got {self.port}")
         for name in ("hold_ms", "ahead_ms"):
@@ -293,7 +266,7 @@ class LivePath:
 
 
 @dataclass(frozen=True)
-class BasiliskPath:
+class BasiliskPath(_Checked):
     """The path of a camera, spacecraft or celestial body in a Basilisk simulation, for `evstim vizard`.
 
     Attributes
@@ -319,14 +292,13 @@ class BasiliskPath:
     q_world_from_body: _Quaternion = _AS_THE_WORLD
 
     def __post_init__(self) -> None:
-        _require_finite(self)
-        _require_attitude(self, "q_world_from_body")
+        super().__post_init__()
         if (self.camera is not None) + bool(self.spacecraft) + bool(self.body) != 1:
             raise ValueError("give one of camera, spacecraft and body: its object in the simulation")
 
 
 @dataclass(frozen=True)
-class SpicePath:
+class SpicePath(_Checked):
     """A camera's path from SPICE kernels; the world is `frame` with the target at its origin.
 
     Attributes
@@ -361,8 +333,7 @@ class SpicePath:
     up: _Triple = _UP
 
     def __post_init__(self) -> None:
-        _require_finite(self)
-        _require_direction(self, "up")
+        super().__post_init__()
         for name in ("kernels", "observer", "target", "frame", "start_utc"):
             if not getattr(self, name):
                 raise ValueError(f"{name} is missing")

@@ -94,13 +94,15 @@ class _Query:
 def _followed(query: _Query) -> dict[str, npt.NDArray[Any]]:
     """Return the keyframes of a path as near to SPICE as it must be; see `read_kernels`."""
     times_ns = np.linspace(0, query.last_ns, _FEWEST + 1).astype(np.int64)
-    known = [query.at(int(t)) for t in times_ns]
+    samples = [query.at(int(t)) for t in times_ns]
     while True:
-        poses, velocities = [pose for pose, _ in known], np.array([velocity for _, velocity in known])
+        poses, velocities = [pose for pose, _ in samples], np.array([velocity for _, velocity in samples])
         path = Keyframes(times_ns.tolist(), poses, velocities)
         half_ns = (times_ns[:-1] + times_ns[1:]) // 2
         between = [query.at(int(t)) for t in half_ns]
-        off = np.max([_distance(path.pose(int(t)), *one) for t, one in zip(half_ns, between, strict=True)], axis=0)
+        off = np.max(
+            [_distance(path.pose(int(t)), *sample) for t, sample in zip(half_ns, between, strict=True)], axis=0
+        )
         if off.max() <= 1:
             places = np.array([pose.position_m for pose in poses])
             turns = np.array([pose.q_world_from_body for pose in poses])
@@ -112,27 +114,29 @@ def _followed(query: _Query) -> dict[str, npt.NDArray[Any]]:
                 "an aberration or a camera_frame that does not jump"
             )
         times_ns = np.insert(times_ns, np.arange(1, times_ns.size), half_ns)
-        known = [one for pair in zip(known, [*between, None], strict=True) for one in pair if one is not None]
+        samples = [
+            sample for pair in zip(samples, [*between, None], strict=True) for sample in pair if sample is not None
+        ]
 
 
-def _distance(found: Pose, expected: Pose, velocity: _Floats) -> tuple[float, float]:
+def _distance(pose: Pose, expected: Pose, velocity: _Floats) -> tuple[float, float]:
     """Return how far a pose is off, in place and in attitude, over what is allowed."""
     near_m = min(_PLACE_M, _ANGLE_RAD * float(np.linalg.norm(expected.position_m)))
     allowed_m = max(near_m, _STEP_S * float(np.linalg.norm(velocity)), 1e-9)
-    off_m = float(np.linalg.norm(found.position_m - expected.position_m))
-    return off_m / allowed_m, turn_rad(found, expected) / _ANGLE_RAD
+    off_m = float(np.linalg.norm(pose.position_m - expected.position_m))
+    return off_m / allowed_m, turn_rad(pose, expected) / _ANGLE_RAD
 
 
 def _coverage(spice: Any, p: SpicePath) -> str:
     """Return the times for which the kernels have the observer, as a sentence; empty where they cannot be read."""
-    found = []
+    times = []
     try:
         observer = spice.bods2c(p.observer)
         for number in range(spice.ktotal("SPK")):
             window = spice.spkcov(spice.kdata(number, "SPK")[0], observer)
             for k in range(spice.wncard(window)):
                 first, last = (spice.et2utc(et, "ISOC", 3) for et in spice.wnfetd(window, k))
-                found.append(f"{first} to {last}")
+                times.append(f"{first} to {last}")
     except spice.SpiceyError:
-        found.clear()
-    return f" (places of {p.observer} cover {', '.join(found)} UTC)" if found else ""
+        times.clear()
+    return f" (places of {p.observer} cover {', '.join(times)} UTC)" if times else ""

@@ -29,7 +29,10 @@ from emulator.geometry.camera import Pinhole, Rays, Seen
 from emulator.raster import Renderer, Screen, View, join, prepare
 from emulator.raster.layout import W, WHighest, WLowest
 from emulator.trajectory.pose import STILL, Pose, Timescale, Trajectory
-from emulator.truth.compiled import entry
+from firmware_protocol.compiled import entry_of
+
+entry = entry_of("emulator.truth", "emulator.raster")
+"""Compile a function for calls from Python; it releases the GIL."""
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int32]
@@ -61,7 +64,7 @@ class NearestSurface:
         view = View(vertices, np.zeros_like(vertices), self._dark, self._dark)
         self._renderer.nearest(view, self._nearest)
         of_vertex = np.searchsorted(self._last, self._renderer.corners(), side="right") + 1
-        nearest_along(self._nearest, self._renderer.facets, of_vertex.astype(np.uint16), rays, (labels, inverse_depth))
+        nearest_along(self._nearest, self._renderer.facets, of_vertex.astype(np.uint16), rays, labels, inverse_depth)
 
     def close(self) -> None:
         """Give back what the renderer holds."""
@@ -73,9 +76,10 @@ def nearest_along(
     facets: Floats,
     label: npt.NDArray[np.uint16],
     rays: Rays,
-    out: tuple[npt.NDArray[np.uint16], Floats],
+    labels: npt.NDArray[np.uint16],
+    inverse_depth: Floats,
 ) -> None:
-    """Write labels and 1 / depth along `rays`.
+    """Write `labels` and `inverse_depth`, 1 / depth, along `rays`.
 
     Parameters
     ----------
@@ -83,7 +87,7 @@ def nearest_along(
     facets : of `Renderer.facets`.
     label : (m,), of each facet.
     """
-    _along(nearest, facets, label, rays.columns, rays.rows, *out)
+    _along(nearest, facets, label, rays.columns, rays.rows, labels, inverse_depth)
 
 
 @entry

@@ -64,11 +64,11 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
     # --- the methods of a backend, by pyusb's names (usb/backend/__init__.py)
 
     def enumerate_devices(self) -> list[str]:
-        """See `usb.backend.IBackend`."""
+        """Return the handle of the one device."""
         return ["handle"]
 
     def get_device_descriptor(self, dev: object) -> SimpleNamespace:
-        """See `usb.backend.IBackend`."""
+        """Return the fields of the device descriptor."""
         fields, identity = bytes(self._descriptors.device), self.device.identity
         return SimpleNamespace(
             bLength=18, bDescriptorType=1, bcdUSB=int.from_bytes(fields[2:4], "little"),
@@ -79,7 +79,7 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
         )  # fmt: skip
 
     def get_configuration_descriptor(self, dev: object, config: int) -> SimpleNamespace:
-        """See `usb.backend.IBackend`."""
+        """Return the fields of the one configuration."""
         fields = bytes(self._descriptors.configuration)
         return SimpleNamespace(
             bLength=9, bDescriptorType=2, wTotalLength=len(fields), bNumInterfaces=fields[4],
@@ -88,7 +88,7 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
         )  # fmt: skip
 
     def get_interface_descriptor(self, dev: object, intf: int, alt: int, config: int) -> SimpleNamespace:
-        """See `usb.backend.IBackend`."""
+        """Return the fields of an interface; raises IndexError for an alternate setting, which there is none of."""
         if alt:
             raise IndexError
         interface = self._descriptors.configuration.interfaces[intf]
@@ -100,7 +100,7 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
         )  # fmt: skip
 
     def get_endpoint_descriptor(self, dev: object, ep: int, intf: int, alt: int, config: int) -> SimpleNamespace:
-        """See `usb.backend.IBackend`."""
+        """Return the fields of an endpoint of an interface."""
         endpoint = self._descriptors.configuration.interfaces[intf].endpoints[ep]
         return SimpleNamespace(
             bLength=7, bDescriptorType=5, bEndpointAddress=endpoint.address, bmAttributes=int(endpoint.transfer_type),
@@ -109,38 +109,38 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
         )  # fmt: skip
 
     def open_device(self, dev: object) -> str:
-        """See `usb.backend.IBackend`."""
+        """Attach a host to the device."""
         self._check()
         self.call(self.device.attached)
         return "open"
 
     def close_device(self, dev_handle: object) -> None:
-        """See `usb.backend.IBackend`."""
+        """Detach the host from the device."""
         self.call(self.device.detached)
 
     def get_configuration(self, dev_handle: object) -> int:
-        """See `usb.backend.IBackend`."""
+        """Return 0: no configuration is set until a host sets one."""
         return 0
 
     def set_configuration(self, dev_handle: object, config_value: int) -> None:
-        """See `usb.backend.IBackend`."""
+        """Send the request SET_CONFIGURATION."""
         self._request(SetupPacket(0x00, 9, config_value, 0, 0))
 
     def claim_interface(self, dev_handle: object, intf: int) -> None:
-        """See `usb.backend.IBackend`."""
+        """Do nothing, but fail where the bus is broken."""
         self._check()
 
     def release_interface(self, dev_handle: object, intf: int) -> None:
-        """See `usb.backend.IBackend`."""
+        """Do nothing: no other program has the device."""
 
     def clear_halt(self, dev_handle: object, ep: int) -> None:
-        """See `usb.backend.IBackend`."""
+        """Send the request CLEAR_FEATURE(ENDPOINT_HALT)."""
         self._request(SetupPacket(0x02, 1, 0, ep, 0))
 
     def ctrl_transfer(
         self, dev_handle: object, bmRequestType: int, bRequest: int, wValue: int, wIndex: int, *data_and_timeout: Any
     ) -> int:
-        """See `usb.backend.IBackend`; the last two are an array.array of bytes and a timeout, ms."""
+        """Send a control request; the last two are an array.array of bytes, for the reply, and a timeout, ms."""
         data, timeout = data_and_timeout
         setup = SetupPacket(bmRequestType, bRequest, wValue, wIndex, len(data))
         reply = self._request(setup, b"" if setup.is_in else data.tobytes(), timeout * 1e-3)
@@ -150,7 +150,7 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
         return len(reply)
 
     def bulk_read(self, dev_handle: object, ep: int, intf: int, buff: Any, timeout: float) -> int:
-        """See `usb.backend.IBackend`; `timeout` in ms."""
+        """Read from an IN endpoint into `buff`, and return the number of bytes; `timeout` in ms."""
         with self.changed:
             transfer = self._wait_for_data(ep & 15, len(buff), timeout * 1e-3)
             buff[: len(transfer.data)] = array.array("B", transfer.data)
@@ -158,7 +158,7 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
         return len(transfer.data)
 
     def bulk_write(self, dev_handle: object, ep: int, intf: int, data: Any, timeout: float) -> int:
-        """See `usb.backend.IBackend`."""
+        """Write data to an OUT endpoint; `timeout` is not used, as the device takes all at once."""
         with self.changed:
             self._check()
             try:
@@ -169,21 +169,21 @@ class FakeUsbBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no ty
         return len(data)
 
     def intr_read(self, dev_handle: object, ep: int, intf: int, buff: Any, timeout: float) -> int:
-        """See `usb.backend.IBackend`; `timeout` in ms."""
+        """Read as `bulk_read` does: the device makes no difference."""
         return self.bulk_read(dev_handle, ep, intf, buff, timeout)
 
     def _wait_for_data(self, endpoint: int, most_bytes: int, timeout_s: float) -> Transfer:
-        found: list[Transfer] = []
+        transfers: list[Transfer] = []
 
         def ready() -> bool:
             if self.fault is None and (transfer := self._read(endpoint, most_bytes)) is not None:
-                found.append(transfer)
-            return bool(found) or self.fault is not None
+                transfers.append(transfer)
+            return bool(transfers) or self.fault is not None
 
         if not self.changed.wait_for(ready, timeout_s):
             raise usb.core.USBTimeoutError("timeout", None, errno.ETIMEDOUT)
         self._check()
-        return found[0]
+        return transfers[0]
 
     def _read(self, endpoint: int, most_bytes: int) -> Transfer | None:
         try:

@@ -80,28 +80,28 @@ class _Wire(CanBus):
         self.to_camera: deque[TimedFrame] = deque()
 
     async def open(self) -> None:
-        """See `CanBus.open`."""
+        """Do nothing: the bus is memory."""
 
     async def close(self) -> None:
-        """See `CanBus.close`."""
+        """Do nothing: the bus is memory."""
 
     def send(self, frame: Frame, *, urgent: bool = False) -> bool:
-        """See `CanBus.send`."""
+        """Send a frame at once; an urgent one comes back as a bus confirms it."""
         now_ns = self._clock.now_ns()
         self.from_camera.append((now_ns, frame))
         if urgent:
-            self.to_camera.append(TimedFrame(frame, now_ns, own=True))
+            self.to_camera.append(TimedFrame(frame, now_ns, is_ours=True))
         return True
 
     def take(self) -> list[TimedFrame]:
-        """See `CanBus.take`."""
+        """Return the frames that have come since the last call."""
         heard = list(self.to_camera)
         self.to_camera.clear()
         return heard
 
     @property
     def address(self) -> str:
-        """See `CanBus.address`."""
+        """Return the place of the bus."""
         return "memory"
 
 

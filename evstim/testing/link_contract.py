@@ -23,7 +23,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 import pytest
 
-from emulator.rig.kinds import LINKS, SCENES
+from emulator.rig.kinds import LINKS, SCENES, faults_of
 from emulator.rig.loading import Rig
 from emulator.rig.tables import Camera
 from emulator.run.assembly import link_setups
@@ -54,10 +54,10 @@ class NoReader:
     """The reader of a link that reads itself."""
 
     def read(self, count: int) -> None:
-        """See `Reader.read`."""
+        """Return None: the link reads itself."""
 
     def close(self) -> None:
-        """See `Reader.close`."""
+        """Do nothing: there is no reader to go away."""
 
 
 def event_stream(count: int, start_us: int = 0, size: tuple[int, int] = (346, 260)) -> Events:
@@ -164,7 +164,7 @@ class LinkContract:
 
     def test_every_fault_of_its_kind_begins_and_the_ledger_balances(self, link: LinkProcess, connected: Reader) -> None:
         """Each fault that the kind names can be injected, and the events that it destroys are counted."""
-        kinds = LINKS[self.parameters.kind].possible_faults(self.parameters)
+        kinds = faults_of(self.parameters)
         link.start(FREE_RUNNING)
         for fault in kinds.values():
             link.inject(fault())
@@ -178,13 +178,9 @@ class LinkContract:
         """A process that was killed is an error in the report, not silence and not the end of the run."""
         assert link.pid is not None
         os.kill(link.pid, signal.SIGKILL)
-        _listen_until_gone(link)
+        clock = MonotonicClock()
+        while not link.gone:
+            link.listen()
+            clock.sleep_until(clock.now_ns() + 1_000_000)
         assert link.report.state == "died"
         assert "ended" in str(link.stop(0.0).error)
-
-
-def _listen_until_gone(link: LinkProcess) -> None:
-    clock = MonotonicClock()
-    while not link.gone:
-        link.listen()
-        clock.sleep_until(clock.now_ns() + 1_000_000)

@@ -88,11 +88,11 @@ def evstim_camera() -> Generator[FakeCamera]:
         yield camera
 
 
-def _options(given: dict[str, Any]) -> Any:
+def _options(keys: dict[str, Any]) -> Any:
     from evstim.testing.running_rig import RigOptions
 
     try:
-        return RigOptions(**given)
+        return RigOptions(**keys)
     except TypeError as error:
         raise pytest.UsageError(f"mark rig: {error}; known are seconds, seed, pace, keep_s and ready_s") from error
 
@@ -112,7 +112,7 @@ def _entered(rig: RunningRig, config: pytest.Config) -> None:
 
 def _write(rig: RunningRig, item: pytest.Item) -> None:
     """Write the rig's events and counts into the artefacts' folder, and name the files in the test's report."""
-    from evstim.testing.artefacts import write_artefacts
+    from evstim.testing.running_rig import write_artefacts
 
     base = item.config.invocation_params.dir / item.config.getoption("evstim_artefacts")
     name = "".join(c if c.isalnum() or c in "-_." else "_" for c in item.nodeid)[-120:]

@@ -84,9 +84,9 @@ class RobotKeywords:
             self._folder = None
 
 
-def _values(given: dict[str, Any]) -> dict[str, Any]:
+def _values(texts: dict[str, Any]) -> dict[str, Any]:
     """Return arguments, which Robot Framework writes as text, as numbers where they are some."""
-    return {key: _value(value) for key, value in given.items()}
+    return {key: _value(value) for key, value in texts.items()}
 
 
 def _value(text: Any) -> Any:

@@ -3,29 +3,46 @@
     RunningRig   starts a run, waits until its links are open, stops it, and lists the faults of its end
 
 The pytest fixture `evstim_rig` and the keywords for Robot Framework are both made of it.
+
+`write_artefacts` writes the files of a failed test: the rig's last events, its counts and its report. The events are
+AEDAT 4.0 where faery is installed, which most viewers open, else an .npz.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import threading
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal, Self
 
+import msgspec
 import numpy as np
 
+from emulator.cli.run import summary
+from emulator.light import MachineLacks, SceneError
 from emulator.rig.loading import Rig, load_rig
 from emulator.rig.tables import Verdict
+from emulator.run.assembly import build_scene
 from emulator.run.machine import on_free_ports
 from emulator.run.outcome import Judgement, RunResult, RunStatus, judge
+from emulator.run.report.content import Circumstances, ReportContent
+from emulator.run.report.files import write_report
+from emulator.run.report.modelled import Modelled, is_drawn_here, modelled
 from emulator.run.report.observation import Observation
 from evstim.running import LiveRun, run
 from firmware_protocol.events import EVENT, Events
+from transports.recording.format import FORMATS
+from transports.recording.part import Facts, Part
+from transports.recording.writing import RecordingFile
 
-__all__ = ["RigOptions", "RunningRig", "faults_of_a_run", "on_free_ports", "rules_of_a_test"]
+__all__ = ["RigOptions", "RunningRig", "faults_of_a_run", "on_free_ports", "rules_of_a_test", "write_artefacts"]
 
 _MOST_KEPT = 2_000_000  # events, 26 MB
 
@@ -160,3 +177,33 @@ def rules_of_a_test(result: RunResult) -> tuple[Judgement, ...]:
 def faults_of_a_run(result: RunResult) -> list[str]:
     """Return the rules that the run of a test has broken, a line each."""
     return [f"{rule.rule}: {rule.finding}" for rule in rules_of_a_test(result) if not rule.good]
+
+
+def write_artefacts(rig: RunningRig, test: str, folder: Path) -> list[Path]:
+    """Write events, summary.json and the report of a rig that has been stopped; return their paths. `test` names it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    events, counts = _write_events(rig, folder), folder / "summary.json"
+    results = msgspec.to_builtins(summary(rig.rig, rig.result))
+    counts.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    circumstances = Circumstances(rig.began, rig.ended, _plan_of(rig.rig), test=test)
+    judged = (rig.rig, rig.result, rig.seen, rules_of_a_test(rig.result))
+    content = ReportContent(*judged, results, version("evstim"), circumstances)
+    return [events, counts, *write_report(content, folder)]
+
+
+def _plan_of(rig: Rig) -> Modelled | None:
+    """Return what the run modelled, from its scene built once more; frames of another program do not come again."""
+    if not is_drawn_here(rig):
+        return modelled(rig, None)
+    with suppress(SceneError, MachineLacks, OSError), build_scene(rig) as scene:
+        return modelled(rig, scene)
+    return None
+
+
+def _write_events(rig: RunningRig, folder: Path) -> Path:
+    form = FORMATS["aedat4" if find_spec("faery") else "npz"]
+    path = folder / f"events{form.suffixes[0]}"
+    file = RecordingFile(path, form, Facts(size=rig.rig.camera.size, camera=rig.rig.camera.model))
+    file.write(Part(events=rig.recent_events()))
+    file.close()
+    return path

@@ -23,18 +23,18 @@ import pytest
 
 from evstim.testing.link_contract import event_stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.davis346.fx3 import Fx3Camera
-from firmware_protocol.davis346.settings import Fx3Settings
 from firmware_protocol.dvxplorer import Dvxplorer, DvxplorerMicro, DvxplorerMicroSettings, DvxplorerSettings
 from firmware_protocol.events import Events
+from firmware_protocol.fx3.camera import Fx3Camera
+from firmware_protocol.fx3.settings import Fx3Settings
 from firmware_protocol.usb.device import SetupPacket, UsbDevice
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import ControlStall, ShortTransfers, SlowControl, UsbStall
-from transports.usb.davis_host import DavisHost, Fx3Host
-from transports.usb.dvxplorer_host import DvxplorerHost
+from transports.usb.davis_host import DavisHost
+from transports.usb.dvxplorer_host import DvxplorerHost, MicroHost
+from transports.usb.fx3_host import Fx3Host
 from transports.usb.host import StallError, StreamSettings, TransferTimeout, UsbHost
-from transports.usb.micro_host import MicroHost
 
 _T = TypeVar("_T")
 
@@ -160,7 +160,9 @@ class UsbContract:
             assert sent == 4
             entries = bytes((4, 13, 0, 0, 0, 7, 4, 14, 0, 0, 0, 9))
             assert host.control_out(SetupPacket(0x40, 0xC2, 2, 0, 12), entries) == 12
-            read = [host.control_in(SetupPacket(0xC0, 0xBF, *one, 4))[-2:] for one in (_DELAY, (4, 13), (4, 14))]
+            read = [
+                host.control_in(SetupPacket(0xC0, 0xBF, *register, 4))[-2:] for register in (_DELAY, (4, 13), (4, 14))
+            ]
             assert read == [b"\1\2", b"\0\7", b"\0\x09"]
 
     def test_every_event_arrives_in_order(self, model: Fx3Camera) -> None:
@@ -170,10 +172,10 @@ class UsbContract:
         camera.start(StreamSettings(transfer_bytes=2048, transfers=4, reset_timestamps=False))
         plugged.call(_show, model, sent)
         received = _read(camera, len(sent))
-        rest = camera.stop()
+        last_transfers = camera.stop()
         camera.close()
         assert np.array_equal(received, sent)
-        assert not len(rest)
+        assert not len(last_transfers)
         assert model.counters.delivered == len(sent) == model.counters.accounted
 
     def test_a_read_of_nothing_ends_and_requests_do_not_wait_for_it(self, model: Fx3Camera) -> None:

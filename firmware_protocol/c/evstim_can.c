@@ -1,4 +1,4 @@
-/* Raw CAN frames, in the layout of docs/can.md: events that need no reassembly, little-endian.
+/* Raw CAN frames, in the layout of docs/instrument.md: events that need no reassembly, little-endian.
  *
  * Events, classic, 64 bits:  t 16 | seq 3 | dt 7 | x0 9 | y0 9 | on0 1 | x1 9 | y1 9 | on1 1   (lowest bits first)
  * Events, FD:                u32 t | u8 seq | u8 n | u8 dropped | n x u24 (x 9 | y 9 | on 1 | dt 5) | zeros

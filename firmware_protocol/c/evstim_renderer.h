@@ -14,7 +14,7 @@
  * One file without a library: include it before system headers, or define _POSIX_C_SOURCE as 200112L or above. For
  * little-endian machines. A connection belongs to one thread.
  *
- * The messages are drawn in evstim's firmware_protocol/renderer/messages.py. This file is in the public domain (CC0),
+ * The messages are drawn in evstim's firmware_protocol/renderer.py. This file is in the public domain (CC0),
  * so that renderers under any licence can use it.
  */
 #ifndef EVSTIM_RENDERER_H

@@ -116,12 +116,6 @@ class TimeOfDay:
         if not 0 <= self.ms < _DAY_MS or not 0 <= self.days <= 0xFFFF:
             raise ObjectError(f"no time of day: {self.ms} ms, day {self.days}")
 
-    @classmethod
-    def of_us(cls, t_us: int) -> TimeOfDay:
-        """Return the time `t_us` after 1984-01-01."""
-        days, ms = divmod(t_us // 1000, _DAY_MS)
-        return cls(ms, days)
-
     @property
     def us(self) -> int:
         """Microseconds since 1984-01-01."""

@@ -119,7 +119,9 @@ class Identifiers:
 Transport = Literal["raw", "isotp", "cfp"]
 """Transport of the instrument's messages."""
 
-CAMERA, MASTER, ANYONE = "CAMERA", "MASTER", "Vector__XXX"
+CAMERA = "CAMERA"
+MASTER = "MASTER"
+ANYONE = "Vector__XXX"
 
 _RAW_ONLY = frozenset({"events", "epoch", "clock", "edges"})
 _ABSENT: Mapping[str, frozenset[str]] = {
@@ -145,7 +147,7 @@ class Signal:
     values: tuple[tuple[int, str], ...] = ()
 
     def line(self) -> str:
-        """Return its line of a DBC file."""
+        """Return the signal's line of a DBC file."""
         order = 0 if self.big_endian else 1
         top = (1 << self.bits) - 1
         scaled = top if self.factor == "1" else float(self.factor) * top
@@ -245,7 +247,7 @@ def _heartbeats() -> list[CanMessage]:
 
 
 def _values(names: Iterable[NmtCommand] | Iterable[NodeState]) -> tuple[tuple[int, str], ...]:
-    return tuple((int(one), one.name.lower().replace("_", " ")) for one in names)
+    return tuple((int(member), member.name.lower().replace("_", " ")) for member in names)
 
 
 def _events() -> CanMessage:

@@ -179,15 +179,21 @@ def unpack_events(data: bytes, tick_us: int, near_us: int) -> EventsFrame:
     if dt == _NO_SECOND and word >> 45:
         raise RawError("an events frame without a second event has bits for one")
     events = empty_events(1 if dt == _NO_SECOND else 2)
-    for record, (at, bits) in zip(events, ((ticks, word >> 26), (ticks + dt, word >> 45)), strict=False):
-        record["t"], record["x"], record["y"], record["on"] = at * tick_us, bits & 511, bits >> 9 & 511, bits >> 18 & 1
+    events[0] = ticks * tick_us, *_pixel(word >> 26)
+    if dt != _NO_SECOND:
+        events[1] = (ticks + dt) * tick_us, *_pixel(word >> 45)
     return EventsFrame(word >> 16 & 7, events)
 
 
-def unwrapped(low: int, bits: int, near: int) -> int:
-    """Return the number with these low `bits` that is nearest to `near`, and not negative."""
+def _pixel(bits: int) -> tuple[int, int, bool]:
+    """Return x, y and on of the low 19 bits."""
+    return bits & 511, bits >> 9 & 511, bool(bits >> 18 & 1)
+
+
+def unwrapped(low: int, bits: int, expected: int) -> int:
+    """Return the number with these low `bits` that is nearest to `expected`, and not negative."""
     span = 1 << bits
-    value = near + (low - near + (span >> 1)) % span - (span >> 1)
+    value = expected + (low - expected + (span >> 1)) % span - (span >> 1)
     return value if value >= 0 else value + span
 
 
@@ -228,9 +234,9 @@ def pack_fd_events(events: Events, tick_us: int, seq: int, dropped: int = 0) -> 
     while first < len(events):
         end = _end_of_frame(first, cell_of, gaps)
         start, stop = int(cell_of[first]), int(cell_of[end - 1]) + 1
-        own = (int(cells[start]) & 0x7FFFF).to_bytes(_CELL_BYTES, "little")  # the first event's dt is 0
+        first_cell = (int(cells[start]) & 0x7FFFF).to_bytes(_CELL_BYTES, "little")  # the first event's dt is 0
         head = _HEAD.pack(int(ticks[first]) & 0xFFFF_FFFF, (seq + len(frames)) & 0xFF, stop - start, min(dropped, 255))
-        data = head + own + raw[_CELL_BYTES * (start + 1) : _CELL_BYTES * stop]
+        data = head + first_cell + raw[_CELL_BYTES * (start + 1) : _CELL_BYTES * stop]
         frames.append((data.ljust(fd_length(len(data)), b"\0"), end - first))
         first, dropped = end, 0
     return frames
@@ -271,8 +277,7 @@ def unpack_fd_events(data: bytes, tick_us: int, near_us: int) -> FdEventsFrame:
             t += cell & _LONGEST_SKIP
             continue
         t += dt
-        record = events[count]
-        record["t"], record["x"], record["y"], record["on"] = t * tick_us, cell & 511, cell >> 9 & 511, cell >> 18 & 1
+        events[count] = t * tick_us, *_pixel(cell)
         count += 1
     return FdEventsFrame(seq, dropped, events[:count])
 

@@ -123,10 +123,10 @@ class RawSender:
         if not len(events):
             return []
         t = events["t"].astype(np.int64)
-        far = np.flatnonzero(np.diff(t) >= (_HALF_SPAN_TICKS - 1) * self._settings.tick_us) + 1
+        jumps = np.flatnonzero(np.diff(t) >= (_HALF_SPAN_TICKS - 1) * self._settings.tick_us) + 1
         periods = (t - t[0]) // self._settings.epoch_us
         turns = np.flatnonzero(np.diff(periods) > 0) + 1
-        return [part for part in np.split(events, np.union1d(far, turns)) if len(part)]
+        return [part for part in np.split(events, np.union1d(jumps, turns)) if len(part)]
 
     def _frames_of(self, events: Events) -> list[Packed]:
         first_us = int(events["t"][0])
@@ -248,12 +248,12 @@ class RawReceiver:
         return empty_events()
 
     def _take_epoch(self, epoch: Epoch) -> None:
-        near = epoch.ticks if self._near_us is None else self._near_us // epoch.tick_us
+        expected_ticks = epoch.ticks if self._near_us is None else self._near_us // epoch.tick_us
         before, self._epoch = self._epoch, epoch
         self._tick_us = epoch.tick_us
-        self._near_us = unwrapped(epoch.ticks, 30, near) * epoch.tick_us
+        self._near_us = unwrapped(epoch.ticks, 30, expected_ticks) * epoch.tick_us
         if before is not None:
-            sent = _signed16(epoch.sent - before.sent)
+            sent = (epoch.sent - before.sent + 0x8000 & 0xFFFF) - 0x8000  # below 0 where a later frame came before
             self._count(lost=sent - self._since_epoch, dropped=(epoch.dropped - before.dropped) & 0xFFFF)
         self._since_epoch = 0
 
@@ -262,25 +262,20 @@ class RawReceiver:
             self._count(before_epoch=1)
             return empty_events()
         unpack = unpack_fd_events if frame.fd else unpack_events
-        found = unpack(frame.data, self._tick_us, self._near_us)
-        if self._last == (found.seq, frame.data):
+        unpacked = unpack(frame.data, self._tick_us, self._near_us)
+        if self._last == (unpacked.seq, frame.data):
             self._count(repeated=1)
             return empty_events()
         span = 256 if frame.fd else 8
-        if self._last is not None and found.seq != (self._last[0] + 1) % span:
+        if self._last is not None and unpacked.seq != (self._last[0] + 1) % span:
             self._count(gaps=1)
-        self._last = found.seq, frame.data
-        if len(found.events):
-            self._near_us = int(found.events["t"][-1])
-        self._since_epoch += len(found.events)
-        self._count(events=len(found.events), before_clock=int(not self._clocked))
-        return found.events
+        self._last = unpacked.seq, frame.data
+        if len(unpacked.events):
+            self._near_us = int(unpacked.events["t"][-1])
+        self._since_epoch += len(unpacked.events)
+        self._count(events=len(unpacked.events), before_clock=int(not self._clocked))
+        return unpacked.events
 
-    def _count(self, **more: int) -> None:
+    def _count(self, **increments: int) -> None:
         c = self.counters
-        self.counters = replace(c, **{name: getattr(c, name) + n for name, n in more.items()})
-
-
-def _signed16(value: int) -> int:
-    value &= 0xFFFF
-    return value - 0x10000 if value & 0x8000 else value
+        self.counters = replace(c, **{name: getattr(c, name) + n for name, n in increments.items()})

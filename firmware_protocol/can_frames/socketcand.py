@@ -27,8 +27,7 @@ import re
 from collections import deque
 from dataclasses import dataclass
 
-from firmware_protocol.can_frames.bus_time import BitRates, frame_bits
-from firmware_protocol.can_frames.frame import Frame, FrameError
+from firmware_protocol.can_frames.frame import BitRates, Frame, FrameError, frame_bits
 
 GREETING = b"< hi >"
 
@@ -69,9 +68,9 @@ class SocketcandSession:
         self._unread += data
         answers, frames = [], []
         at = 0
-        for found in _COMMAND.finditer(self._unread):
-            at = found.end()
-            answer, frame = self._command(found[1].decode("ascii", "replace").split())
+        for command in _COMMAND.finditer(self._unread):
+            at = command.end()
+            answer, frame = self._command(command[1].decode("ascii", "replace").split())
             answers.append(answer)
             frames += [frame] if frame is not None else []
         self._unread = self._unread[at:][-_MOST_UNREAD:]

@@ -141,7 +141,9 @@ class IsoTpSender:
             raise ValueError("a message is still under way")
         if not 0 < len(message) < 1 << 32:
             raise ValueError(f"an ISO-TP message has 1 to 2^32 - 1 bytes, not {len(message)}")
-        self._message, self._at, self._begun, self._waits = bytes(message), 0, False, 0
+        self._message = bytes(message)
+        self._at = self._waits = 0
+        self._begun = False
         self._deadline_ns = None
 
     def next_frame(self, now_ns: int) -> Frame | None:
@@ -160,7 +162,8 @@ class IsoTpSender:
         """Process a flow-control frame of the peer; raises IsoTpFailure if it refuses the message."""
         if self._deadline_ns is None or len(frame.data) < 3 or frame.data[0] >> 4 != 3:
             return
-        status, block, code = frame.data[0] & 15, frame.data[1], frame.data[2]
+        status = frame.data[0] & 15
+        block, code = frame.data[1], frame.data[2]
         if status == FlowStatus.WAIT:
             self._waits += 1
             if self._waits > self._settings.waits:
@@ -169,7 +172,9 @@ class IsoTpSender:
         elif status == FlowStatus.GO_ON:
             self._may_send = block or None
             self._separation_ns = separation_ns(code)
-            self._deadline_ns, self._waits, self._next_ns = None, 0, now_ns
+            self._deadline_ns = None
+            self._waits = 0
+            self._next_ns = now_ns
         else:
             raise self._failed("the peer has no room for it" if status == FlowStatus.OVERFLOW else "bad flow status")
 
@@ -178,10 +183,10 @@ class IsoTpSender:
         self._message = b""
         self._deadline_ns = None
 
-    def _failed(self, why: str) -> IsoTpFailure:
+    def _failed(self, reason: str) -> IsoTpFailure:
         n = len(self._message)
         self.abort()
-        return IsoTpFailure(f"a message of {n} bytes on {self._settings.send:#x} was given up: {why}")
+        return IsoTpFailure(f"a message of {n} bytes on {self._settings.send:#x} was given up: {reason}")
 
     def _first(self, now_ns: int) -> Frame:
         message, room = self._message, self._settings.frame_bytes
@@ -247,8 +252,8 @@ class IsoTpReceiver:
             return self._continue(frame.data, now_ns)
         return None
 
-    def _give_up(self, why: str) -> None:
-        self.faults[why] += 1
+    def _give_up(self, reason: str) -> None:
+        self.faults[reason] += 1
         self._length = 0
         self._message.clear()
 
@@ -275,7 +280,8 @@ class IsoTpReceiver:
             self.faults["too long"] += 1
             self._answer(FlowStatus.OVERFLOW)
         else:
-            self._length, self._serial, self._in_block = length, 0, 0
+            self._length = length
+            self._serial = self._in_block = 0
             self._message[:] = data[at:]
             self._deadline_ns = now_ns + self._settings.timeout_ns
             self._answer(FlowStatus.GO_ON)
@@ -362,8 +368,8 @@ class CfpReceiver:
             return None
         key = frame.identifier & _CONNECTION
         take = self._begin if frame.identifier & 2 else self._continue
-        found = take(key, frame, now_ns)
-        if found is None:
+        unfinished = take(key, frame, now_ns)
+        if unfinished is None:
             return None
         if frame.identifier & 1:
             return bytes(self._open.pop(key).packet)

@@ -38,12 +38,14 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of, kernel
-from firmware_protocol.davis346.registers import Module, RegisterFile
 from firmware_protocol.events import Events, empty_events
+from firmware_protocol.fx3.registers import Module, RegisterFile
 
 CELL_BITS = 2
 STAMP_MASK = (1 << 18) - 1
-PASSES, ISOLATED, TOO_SOON = 0, 1, 2
+PASSES = 0
+ISOLATED = 1
+TOO_SOON = 2
 
 _LAST = (1 << CELL_BITS) - 1
 
@@ -70,7 +72,9 @@ def find_fates(
     rows, columns = stamps.shape
     shortest, longest = limits
     for i in range(len(ticks)):
-        now, row, column = ticks[i], np.int64(y[i]) >> CELL_BITS, np.int64(x[i]) >> CELL_BITS
+        now = ticks[i]
+        row = np.int64(y[i]) >> CELL_BITS
+        column = np.int64(x[i]) >> CELL_BITS
         if row >= rows or column >= columns:
             fates[i] = PASSES
             continue

@@ -34,9 +34,9 @@ from firmware_protocol.device import LEAST_FACTOR, MOST_FACTOR
 _FULL_SCALE_A = (11e-12, 94e-12, 756e-12, 6.054e-9, 48.437e-9, 387.5e-9, 3.1e-6, 24.8e-6)
 
 
-def _check(what: str, value: int, maximum: int) -> None:
+def _check(field: str, value: int, maximum: int) -> None:
     if not 0 <= value <= maximum:
-        raise ValueError(f"{what} {value} is not in 0..{maximum}")
+        raise ValueError(f"{field} {value} is not in 0..{maximum}")
 
 
 @dataclass(frozen=True)

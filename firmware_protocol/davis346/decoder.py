@@ -1,6 +1,6 @@
 """Decoder of DAVIS word streams: bytes in any pieces to events, specials, frames, IMU samples and a count of faults.
 
-`words` describes the layout of the words. The meaning of events follows libcaer 3.3.15 (davis.c):
+`words` and `fx3.words` describe the layout of the words. The meaning of events follows libcaer 3.3.15 (davis.c):
 
 - a wrap word adds its number of steps of 32768 us and sets the time to that multiple; time is unrolled in 64 bits;
 - a column before any row belongs to row 0; a row outside the array is ignored and the previous one stays in force; a
@@ -11,20 +11,22 @@
 APS samples and misc words are counted as not interpreted, and `FrameReader` reads frames from them. libcaer drops the
 last byte of a buffer with an odd length; this decoder accepts a split inside a word.
 
-`blocks` describes the words of frames. The meaning of frames follows libcaer 3.3.15 too: a frame that lacks a line or a
-sample is dropped and counted; a timestamp reset ends an open frame without an image; words before a frame's start are
-skipped.
+`fx3.blocks` describes the words of frames. The meaning of frames follows libcaer 3.3.15 too: a frame that lacks a line
+or a sample is dropped and counted; a timestamp reset ends an open frame without an image; words before a frame's start
+are skipped.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.davis346.blocks import IMU_READ, ImuReader, edges_of
-from firmware_protocol.davis346.words import (
+from firmware_protocol.events import EVENT, Events
+from firmware_protocol.fx3.blocks import IMU_READ, ImuReader
+from firmware_protocol.fx3.decoded import SPECIAL_EVENT, Decoded, FrameRead, WordFaults
+from firmware_protocol.fx3.words import (
     APS_SAMPLE,
     COLUMN_ON,
     KIND,
@@ -43,51 +45,10 @@ from firmware_protocol.davis346.words import (
     is_column,
     is_row,
 )
-from firmware_protocol.events import EVENT, Edges, Events
-from firmware_protocol.imu_samples import ImuSamples
 
 Times = npt.NDArray[np.int64]
 
-_KIND, _SPECIAL_END, _SAMPLE, _MISC8, _MISC10 = 0xF000, 0x1000, 0x4000, 0x5000, 0x6000
-_TIME_RESET, _START_GLOBAL, _START_ROLLING, _END = 1, 8, 9, 10
-_RESET, _SIGNAL, _LINE_END, _EXPOSURE_START, _EXPOSURE_END = 11, 12, 13, 14, 15
-_WHITE_BELOW, _WHITE = 384, 1023
-
-
-@dataclass(frozen=True)
-class FrameRead:
-    """A frame in the user's coordinates.
-
-    Attributes
-    ----------
-    start_us, exposure_start_us, exposure_end_us, end_us
-        Device time.
-    exposure_cycles
-        Exposure register, cycles of the ADC's clock.
-    roi
-        First column, first row, last column, last row.
-    resets
-        Timestamp resets that the reader had read before.
-    reset, signal
-        (rows, columns) uint16, the two reads of the region.
-    """
-
-    start_us: int
-    exposure_start_us: int
-    exposure_end_us: int
-    end_us: int
-    exposure_cycles: int
-    global_shutter: bool
-    roi: tuple[int, int, int, int]
-    resets: int
-    reset: Words
-    signal: Words
-
-    @property
-    def pixels(self) -> Words:
-        """(rows, columns) uint16, 0 to 1023: reset less signal; white where reset is too low or signal is 0."""
-        value = np.clip(self.reset.astype(np.int32) - self.signal, 0, _WHITE)
-        return np.where((self.reset < _WHITE_BELOW) | (self.signal == 0), _WHITE, value).astype(np.uint16)
+_TIME_RESET = int(Special.TIMESTAMP_RESET)  # a plain number, which numpy compares without widening
 
 
 @dataclass
@@ -99,9 +60,9 @@ class _Open:
     exposure: list[int] = field(default_factory=list)
     roi_bytes: list[int] = field(default_factory=list)
     moments_us: dict[int, int] = field(default_factory=dict)
-    lines: dict[int, list[Words]] = field(default_factory=lambda: {_RESET: [], _SIGNAL: []})
+    lines: dict[int, list[Words]] = field(default_factory=lambda: {Special.RESET_COLUMN: [], Special.SIGNAL_COLUMN: []})
     line: list[Words] | None = None
-    line_kind: int = _RESET
+    line_kind: int = Special.RESET_COLUMN
 
 
 class FrameReader:
@@ -129,7 +90,7 @@ class FrameReader:
         """Read words (n,) other than events, with the time in force at each; return the frames that they complete."""
         frames: list[FrameRead] = []
         done = 0
-        for at in np.flatnonzero(words < _SPECIAL_END).tolist():
+        for at in np.flatnonzero(words < ROW).tolist():
             self._data(words[done:at])
             self._special(int(words[at]), int(times_us[at]), frames)
             done = at + 1
@@ -138,21 +99,21 @@ class FrameReader:
 
     def _special(self, code: int, t_us: int, frames: list[FrameRead]) -> None:
         self.resets += code == _TIME_RESET
-        if code in (_START_GLOBAL, _START_ROLLING):
+        if code in (Special.FRAME_START_GLOBAL, Special.FRAME_START_ROLLING):
             self._abandon()
-            self._open = _Open(t_us, code == _START_GLOBAL)
+            self._open = _Open(t_us, code == Special.FRAME_START_GLOBAL)
         elif self._open is None:
             return
         elif code == _TIME_RESET:
             self._abandon()
-        elif code in (_RESET, _SIGNAL):
+        elif code in (Special.RESET_COLUMN, Special.SIGNAL_COLUMN):
             self._open.line, self._open.line_kind = [], code
-        elif code == _LINE_END and self._open.line is not None:
+        elif code == Special.COLUMN_END and self._open.line is not None:
             self._open.lines[self._open.line_kind].append(np.concatenate([np.empty(0, "<u2"), *self._open.line]))
             self._open.line = None
-        elif code in (_EXPOSURE_START, _EXPOSURE_END):
+        elif code in (Special.EXPOSURE_START, Special.EXPOSURE_END):
             self._open.moments_us.setdefault(code, t_us)
-        elif code == _END:
+        elif code == Special.FRAME_END:
             self._finish(self._open, t_us, frames)
 
     def _abandon(self) -> None:
@@ -163,16 +124,16 @@ class FrameReader:
         if self._open is None or not len(words):
             return
         if self._open.line is not None:
-            self._open.line.append(words[words & _KIND == _SAMPLE] & 0xFFF)
-        elif not self._open.lines[_RESET]:
+            self._open.line.append(words[words & KIND == APS_SAMPLE] & 0xFFF)
+        elif not self._open.lines[Special.RESET_COLUMN]:
             self._head(words)
 
     def _head(self, words: Words) -> None:
         """Read exposure and region, which come before the first line."""
         assert self._open is not None
-        misc10 = words[words & 0xFC00 == _MISC10]
+        misc10 = words[words & 0xFC00 == MISC10]
         self._open.exposure += (misc10 & 0x3FF).tolist()
-        roi = words[np.isin(words & 0xFF00, (_MISC8 | 0x100, _MISC8 | 0x200))]
+        roi = words[np.isin(words & 0xFF00, (MISC8 | 0x100, MISC8 | 0x200))]
         self._open.roi_bytes += (roi & 0xFF).tolist()
 
     def _finish(self, frame: _Open, end_us: int, frames: list[FrameRead]) -> None:
@@ -188,15 +149,23 @@ class FrameReader:
             return None
         left, top, right, bottom = (high << 8 | low for high, low in zip(*[iter(frame.roi_bytes)] * 2, strict=True))
         shape = (bottom - top + 1, right - left + 1) if self._turned else (right - left + 1, bottom - top + 1)
-        reads = [_array(frame.lines[kind], shape) for kind in (_RESET, _SIGNAL)]
+        reads = [_array(frame.lines[kind], shape) for kind in (Special.RESET_COLUMN, Special.SIGNAL_COLUMN)]
         if reads[0] is None or reads[1] is None:
             return None
         reset, signal = (read if self._turned else read.T for read in reads if read is not None)
         exposure = sum(part << 10 * k for k, part in enumerate(frame.exposure))
         return FrameRead(
-            frame.start_us, frame.moments_us[_EXPOSURE_START], frame.moments_us[_EXPOSURE_END], end_us, exposure,
-            frame.global_shutter, (left, top, right, bottom), self.resets, reset, signal,
-        )  # fmt: skip
+            start_us=frame.start_us,
+            exposure_start_us=frame.moments_us[Special.EXPOSURE_START],
+            exposure_end_us=frame.moments_us[Special.EXPOSURE_END],
+            end_us=end_us,
+            exposure_cycles=exposure,
+            global_shutter=frame.global_shutter,
+            roi=(left, top, right, bottom),
+            resets=self.resets,
+            reset=reset,
+            signal=signal,
+        )
 
 
 def _array(lines: list[Words], shape: tuple[int, int]) -> Words | None:
@@ -206,88 +175,10 @@ def _array(lines: list[Words], shape: tuple[int, int]) -> Words | None:
     return np.stack(lines)
 
 
-SPECIAL_EVENT = np.dtype([("t", "<u8"), ("code", "<u2"), ("index", "<i8")])
-"""Device time in us, code (see `words.Special`), and how many events of the same Decoded came before it."""
-
 _BLOCK_WORDS = 32768
 
 Index = npt.NDArray[np.int64]
 Mask = npt.NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Decoded:
-    """Content of a piece of stream.
-
-    Attributes
-    ----------
-    events
-        (n,) EVENT in device time, microseconds since the last timestamp reset.
-    specials
-        (m,) SPECIAL_EVENT.
-    frames
-        Frames that this piece completed.
-    imu_read
-        (k,) IMU_READ: samples of the inertial unit; see `ImuReader`.
-    resets_in_all
-        Timestamp resets since the decoder was made.
-    """
-
-    events: Events
-    specials: npt.NDArray[np.void]
-    frames: tuple[FrameRead, ...] = ()
-    imu_read: npt.NDArray[np.void] = field(default_factory=lambda: np.empty(0, IMU_READ))
-    resets_in_all: int = 0
-
-    @property
-    def resets(self) -> Index:
-        """Index into `events` of the first event after each timestamp reset."""
-        index: Index = self.specials["index"][self.specials["code"] == _RESET_DECODER]
-        return index
-
-    def since_reset(self) -> Decoded:
-        """Return the part after the last timestamp reset; the whole if there was none."""
-        at = np.flatnonzero(self.specials["code"] == _RESET_DECODER)
-        if not len(at):
-            return self
-        first, specials = int(self.resets[-1]), self.specials[at[-1] + 1 :].copy()
-        specials["index"] -= first
-        frames = tuple(frame for frame in self.frames if frame.resets == self.resets_in_all)
-        imu_read = self.imu_read[self.imu_read["resets"] == self.resets_in_all]
-        return Decoded(self.events[first:], specials, frames, imu_read, self.resets_in_all)
-
-    @property
-    def imu(self) -> ImuSamples:
-        """(k,) IMU_SAMPLE in device time."""
-        return np.ascontiguousarray(self.imu_read["sample"])
-
-    @property
-    def edges(self) -> Edges:
-        """(k,) EDGE in device time: edges that the external input and the generator reported; see `blocks`."""
-        marks = self.specials[np.isin(self.specials["code"], _MARKS)]
-        return edges_of(marks["t"], marks["code"])
-
-
-@dataclass(frozen=True)
-class WordFaults:
-    """Words that a correct DVS stream does not contain, counted since the decoder was made."""
-
-    row_outside: int = 0
-    column_outside: int = 0
-    time_not_increasing: int = 0
-    unknown_special: int = 0
-    unknown_misc: int = 0
-    not_interpreted: int = 0
-
-    def __add__(self, other: WordFaults) -> WordFaults:
-        return WordFaults(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
-
-    @property
-    def total(self) -> int:
-        """All faults; valid words that are not interpreted are not among them."""
-        return (
-            self.row_outside + self.column_outside + self.time_not_increasing + self.unknown_special + self.unknown_misc
-        )
 
 
 class Decoder:
@@ -338,7 +229,7 @@ class Decoder:
         imu = [np.empty(0, IMU_READ)]
         filled = 0
         for first in range(0, len(words), _BLOCK_WORDS):
-            count, special = self._block(words[first : first + _BLOCK_WORDS], events[filled:], (frames, imu))
+            count, special = self._block(words[first : first + _BLOCK_WORDS], events[filled:], frames, imu)
             special["index"] += filled
             filled += count
             specials.append(special)
@@ -347,9 +238,9 @@ class Decoder:
         )
 
     def _block(
-        self, words: Words, out: Events, readings: tuple[list[FrameRead], list[npt.NDArray[np.void]]]
+        self, words: Words, out: Events, frames: list[FrameRead], imu: list[npt.NDArray[np.void]]
     ) -> tuple[int, npt.NDArray[np.void]]:
-        """Decode into the front of `out` and append to `readings`; return how many events, and the specials."""
+        """Decode into the front of `out`, append to `frames` and `imu`; return how many events, and the specials."""
         rare = np.flatnonzero((words < ROW) | ((words >= APS_SAMPLE) & (words < TIMESTAMP)))
         at, columns = self._columns_in(words)
         stamp_of, time_us = self._timeline(words, rare)
@@ -362,8 +253,8 @@ class Decoder:
         seldom, seldom_us = words.take(rare), time_us.take(stamp_of.take(rare))
         specials = self._specials(seldom, rare, at, seldom_us)
         if len(seldom):
-            readings[0].extend(self._frames.feed(seldom, seldom_us))
-            readings[1].append(self._imu.feed(seldom, seldom_us))
+            frames.extend(self._frames.feed(seldom, seldom_us))
+            imu.append(self._imu.feed(seldom, seldom_us))
         self._time_us, self._row = int(time_us[-1]), int(rows[-1])
         return len(at), specials
 
@@ -392,7 +283,7 @@ class Decoder:
         """Return for each word the index of the time in force, and those times (us), first that of the last piece."""
         moves = words >= TIMESTAMP
         kinds = words.take(rare)
-        turns = rare[(kinds & KIND == WRAP) | (kinds == _RESET_DECODER)]
+        turns = rare[(kinds & KIND == WRAP) | (kinds == _TIME_RESET)]
         moves[turns] = True
         stamps = np.compress(moves, words)
         time_us = np.empty(len(stamps) + 1, np.int64)
@@ -403,34 +294,30 @@ class Decoder:
         else:
             time_us[1:] = stamps & LOW_BITS
             time_us[1:] += self._time_us >> WRAP_BITS << WRAP_BITS
-        self._count_backward(time_us, stamps)
+        steady = time_us[1:] > time_us[:-1]
+        if not steady.all():
+            self.faults += WordFaults(time_not_increasing=_count(~steady & (stamps != _TIME_RESET)))
         return np.cumsum(moves), time_us
 
     def _bases(self, stamps: Words) -> Index:
         """Return the multiple of 32768 us in force at each timestamp, wrap or reset, itself included."""
-        reset = stamps == _RESET_DECODER
+        reset = stamps == _TIME_RESET
         steps = np.where(stamps & KIND == WRAP, stamps & MAX_STEPS, 0)
         total = np.cumsum(steps, dtype=np.int64) + (self._time_us >> WRAP_BITS)
         total -= np.maximum.accumulate(np.where(reset, total, 0))
         base: Index = total << WRAP_BITS
         return base
 
-    def _count_backward(self, time_us: Index, stamps: Words) -> None:
-        steady = time_us[1:] > time_us[:-1]
-        if steady.all():
-            return
-        self.faults += WordFaults(time_not_increasing=_count(~steady & (stamps != _RESET_DECODER)))
-
     def _specials(self, words: Words, rare: Index, at: Index, time_us: Index) -> npt.NDArray[np.void]:
         """Return the specials among `words`, found at `rare`; count unknown words and words not interpreted."""
         special = words < ROW
-        found = np.empty(_count(special), SPECIAL_EVENT)
+        specials = np.empty(_count(special), SPECIAL_EVENT)
         if len(words):
             self._count_rare(words)
-            found["code"] = words[special]
-            found["t"] = time_us[special]
-            found["index"] = np.searchsorted(at, rare[special])
-        return found
+            specials["code"] = words[special]
+            specials["t"] = time_us[special]
+            specials["index"] = np.searchsorted(at, rare[special])
+        return specials
 
     def _count_rare(self, words: Words) -> None:
         unknown_special = (words < ROW) & ~np.isin(words, _KNOWN_SPECIALS)
@@ -445,17 +332,6 @@ def _count(mask: Mask) -> int:
     return int(np.count_nonzero(mask))
 
 
-_RESET_DECODER = int(Special.TIMESTAMP_RESET)
-_MARKS = np.array(
-    [
-        Special.INPUT_FALLING,
-        Special.INPUT_RISING,
-        Special.INPUT_PULSE,
-        Special.GENERATOR_FALLING,
-        Special.GENERATOR_RISING,
-    ],
-    WORD,
-)
 _KNOWN_SPECIALS = np.array(sorted(Special), WORD)
 _LAST_MISC8 = MISC8 | 0x3FF
 _LAST_MISC10 = MISC10 | 0x3FF

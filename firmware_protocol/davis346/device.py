@@ -1,20 +1,69 @@
-"""USB device model of a DAVIS346, and the names of its requests; `fx3` describes the requests and the run gate."""
+"""USB device model of a DAVIS346; `fx3.camera` describes its requests and its run gate."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import cache
+from dataclasses import dataclass
+from typing import ClassVar
 
 from firmware_protocol.davis346.biases import BIASES, sensor_factors
-from firmware_protocol.davis346.filters import DvsFilters, Statistics
-from firmware_protocol.davis346.fx3 import ENTRY, FLUSH, LOG_LEVEL, MULTI_WRITE, REGISTER, Fx3Camera, Parts
-from firmware_protocol.davis346.inputs import DavisReadings
-from firmware_protocol.davis346.registers import Layout, Module, SystemInfo, registers
-from firmware_protocol.davis346.settings import Davis346Settings
-from firmware_protocol.davis346.stream import EventStream, Fifo
+from firmware_protocol.davis346.filters import DavisStatistics, DvsFilters
+from firmware_protocol.davis346.registers import Layout, frame_settings, imu_settings, lines_wait, registers
 from firmware_protocol.davis346.words import WordEncoder
-from firmware_protocol.usb.control import name_request
-from firmware_protocol.usb.device import RequestKind, SetupPacket
+from firmware_protocol.device.fates import Fates
+from firmware_protocol.fx3.camera import Fx3Camera, Parts
+from firmware_protocol.fx3.inputs import ReadingInput
+from firmware_protocol.fx3.registers import Module, Register, RegisterFile
+from firmware_protocol.fx3.settings import Fx3Settings
+from firmware_protocol.fx3.stream import EventStream, Fifo
+
+PRODUCT_ID = 0x841A
+
+
+@dataclass(frozen=True)
+class Davis346Settings(Fx3Settings):
+    """Settings of a DAVIS346.
+
+    Attributes
+    ----------
+    bcd_device
+        Low byte: firmware version, 6 for all drivers. High byte: hardware, 2 "blue", 3 "red".
+    size
+        (width, height) of the array. neuromorphic_drivers assumes 346 x 260; other sensors may send their events in
+        DAVIS words if the receiver is configured for their size.
+    layout
+        Order in which rows and columns are sent.
+    imu_unit
+        0 none, 1 MPU-6050, 2 MPU-9250 or MPU-6500.
+    activity_filter
+        True if it has the filters of background activity and refractory period.
+    """
+
+    product_id: ClassVar[int] = PRODUCT_ID
+    imu_units: ClassVar[tuple[int, ...]] = (1, 2)
+
+    bcd_device: int = 0x0206
+    size: tuple[int, int] = (346, 260)
+    layout: Layout = Layout.UPRIGHT
+    activity_filter: bool = False
+    product: str = "DAViS FX3"
+
+    def registers(self) -> Iterator[Register]:
+        """Yield its registers."""
+        return registers(self.size, self.layout, self.system, self.imu_unit, activity_filter=self.activity_filter)
+
+
+class _DavisReadings(ReadingInput):
+    """Frames and inertial samples of a DAVIS346."""
+
+    def __init__(self, settings: Davis346Settings, registers: RegisterFile, fates: Fates) -> None:
+        super().__init__(settings, registers, fates)
+        self._size, self._layout = settings.size, settings.layout
+
+    def follow(self, *, words: bool) -> None:
+        self._lines_wait = lines_wait(self._registers)
+        self._frames = frame_settings(self._registers, self._size, self._layout, words=words)
+        self._imu = imu_settings(self._registers, words=words)
 
 
 class Davis346(Fx3Camera):
@@ -26,52 +75,11 @@ class Davis346(Fx3Camera):
         super().__init__(settings or Davis346Settings())
 
     def _make_parts(self) -> Parts:
-        own = self.settings
-        stream = EventStream(WordEncoder(own.size, own.layout.turned), Fifo(own.fifo_bytes))
-        filters = DvsFilters(own.size, self._fates, has_activity=own.activity_filter)
-        readings = DavisReadings(own, self._registers, self._fates)
-        return Parts(stream, filters, readings, Statistics(self, stream, filters))
+        settings = self.settings
+        stream = EventStream(WordEncoder(settings.size, settings.layout.turned), Fifo(settings.fifo_bytes))
+        filters = DvsFilters(settings.size, self._fates, has_activity=settings.activity_filter)
+        readings = _DavisReadings(settings, self._registers, self._fates)
+        return Parts(stream, filters, readings, DavisStatistics(self, stream, filters))
 
     def _factors_of_biases(self) -> Mapping[str, float]:
         return sensor_factors({bias.address: self._registers.read(Module.BIAS, bias.address) for bias in BIASES})
-
-
-_SIZE = (346, 260)  # names do not depend on it
-_MODULES = frozenset(map(int, Module))
-
-
-def name_davis_request(setup: SetupPacket, data: bytes) -> str:
-    """Return a request to a DAVIS346 in words; `data` are those of its OUT stage."""
-    if setup.kind is not RequestKind.VENDOR:
-        return name_request(setup, data)
-    if setup.request == REGISTER and setup.is_in:
-        return f"read {_name(setup.value, setup.index)}"
-    if setup.request == REGISTER and len(data) == 4:
-        return f"write {_name(setup.value, setup.index)} = {int.from_bytes(data, 'big')}"
-    if setup.request == MULTI_WRITE and data and len(data) % ENTRY.size == 0:
-        return f"write {', '.join(_entries(data))}"
-    if setup.request == LOG_LEVEL:
-        return f"log level {setup.value}"
-    return "flush the data path" if setup.request == FLUSH else name_request(setup, data)
-
-
-def name_answer(setup: SetupPacket, data: bytes) -> str:
-    """Return the answer to a request in words; empty if it has no name."""
-    if setup.kind is not RequestKind.VENDOR or setup.request != REGISTER or len(data) != 4:
-        return ""
-    return f"{_name(setup.value, setup.index)} = {int.from_bytes(data, 'big')}"
-
-
-def _entries(data: bytes) -> Iterator[str]:
-    for module, address, value in ENTRY.iter_unpack(data):
-        yield f"{_name(module, address)} = {value}"
-
-
-def _name(module: int, address: int) -> str:
-    module_name = Module(module).name.lower() if module in _MODULES else f"module {module}"
-    return f"{module_name}.{_names().get((module, address), 'parameter')} ({module}.{address})"
-
-
-@cache
-def _names() -> dict[tuple[int, int], str]:
-    return {(r.module.value, r.address): r.name for r in registers(_SIZE, Layout.UPRIGHT, SystemInfo())}

@@ -17,22 +17,25 @@ have no counter for polarity, region and skip.
 
 Source: DVSAERFilters of the published logic (DAVIS FX3), libcaer 3.3.15 (davis.h).
 
-`Statistics` writes the counter registers: events since power-on, from the counters of the camera's parts.
+`DavisStatistics` writes the counter registers: events since power-on, from the counters of the camera's parts.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import Enum
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.davis346.registers import Module, RegisterFile, Statistic
-from firmware_protocol.davis346.stream import EventStream
+from firmware_protocol.davis346.registers import Statistic
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Counts
 from firmware_protocol.events import Events
+from firmware_protocol.fx3.registers import Module, RegisterFile, Statistics
+from firmware_protocol.fx3.stream import EventStream
 
 if TYPE_CHECKING:
     from firmware_protocol.davis346.activity_filter import ActivityFilter, ActivityResult
@@ -88,12 +91,12 @@ class FilterSettings:
 
 
 @dataclass(frozen=True)
-class Passed:
-    """Events that pass, and the counts of the others; `DvsFilters.take` adds the fields up.
+class _Filtered:
+    """Counts of the events of a batch that did not pass, for `DvsFilters.take`.
 
     Attributes
     ----------
-    filtered, hot
+    not_selected, hot
         Numbers of events not selected, and of those among them at hot pixels.
     counted
         Number of events that reached the skip filter.
@@ -101,8 +104,7 @@ class Passed:
         Result of the activity filter; None: it is off.
     """
 
-    events: Events
-    filtered: int = 0
+    not_selected: int = 0
     hot: int = 0
     counted: int = 0
     activity: ActivityResult | None = None
@@ -123,7 +125,12 @@ class DvsFilters:
         self._whole = (0, 0, size[0] - 1, size[1] - 1)
         self._skip_count = 0
         self.hot = 0
-        self._activity = _activity_filter(size) if has_activity else None
+        self._filtered = _Filtered()
+        self._activity: ActivityFilter | None = None
+        if has_activity:
+            from firmware_protocol.davis346.activity_filter import ActivityFilter
+
+            self._activity = ActivityFilter(size)
 
     def power_on(self) -> None:
         """Set the count of the skip filter to zero, and clear the memory of the activity filter."""
@@ -137,13 +144,16 @@ class DvsFilters:
         if self._activity is not None:
             self._activity.follow(registers, now_us)
 
-    def passed(self, events: Events, registers: RegisterFile) -> Passed:
-        """Return the part of `events`, (n,) EVENT, that passes; `events` may be changed. `take` counts the result."""
+    def passed(self, events: Events, registers: RegisterFile) -> Events:
+        """Return the part of `events`, (n,) EVENT, that passes; `events` may be changed. `take` counts the others."""
         settings = self._settings
+        self._filtered = _Filtered()
         if self._activity is None and settings.is_open and settings.region == self._whole:
-            return Passed(events)
+            return events
         good = _of_polarity(events, settings) & self._in_region(events, settings)
-        cold = _cold(events, settings)
+        cold = np.ones(len(events), np.bool_)
+        for x, y in settings.hot:
+            cold &= (events["x"] != x) | (events["y"] != y)
         hot = int(np.count_nonzero(good & ~cold))
         good &= cold
         activity = None if self._activity is None else self._activity.result_for(events[good], registers)
@@ -157,17 +167,19 @@ class DvsFilters:
             events["on"] = False
         passing = events if good.all() else events[good]
         dropped = 0 if activity is None else activity.isolated + activity.too_soon
-        return Passed(passing, len(events) - len(passing) - dropped, hot, counted, activity)
+        self._filtered = _Filtered(len(events) - len(passing) - dropped, hot, counted, activity)
+        return passing
 
-    def take(self, passed: Passed) -> None:
-        """Count the events that did not pass."""
-        if self._activity is not None and passed.activity is not None:
-            self._activity.take(passed.activity)
-            self._fates.dropped_background += passed.activity.isolated
-            self._fates.dropped_refractory += passed.activity.too_soon
-        self._fates.not_selected += passed.filtered
-        self.hot += passed.hot
-        self._skip_count += passed.counted
+    def take(self) -> None:
+        """Count the events that did not pass in the last call of `passed`."""
+        filtered = self._filtered
+        if self._activity is not None and filtered.activity is not None:
+            self._activity.take(filtered.activity)
+            self._fates.dropped_background += filtered.activity.isolated
+            self._fates.dropped_refractory += filtered.activity.too_soon
+        self._fates.not_selected += filtered.not_selected
+        self.hot += filtered.hot
+        self._skip_count += filtered.counted
 
     def _in_region(self, events: Events, settings: FilterSettings) -> Mask:
         if settings.region == self._whole:  # so that events outside the array are still refused, and not filtered
@@ -181,43 +193,23 @@ class DvsFilters:
 def _of_polarity(events: Events, settings: FilterSettings) -> Mask:
     if settings.suppressed is None:
         return np.ones(len(events), np.bool_)
-    others: Mask = events["on"] != settings.suppressed
-    return others
+    passing: Mask = events["on"] != settings.suppressed
+    return passing
 
 
-def _cold(events: Events, settings: FilterSettings) -> Mask:
-    cold = np.ones(len(events), np.bool_)
-    for x, y in settings.hot:
-        cold &= (events["x"] != x) | (events["y"] != y)
-    return cold
-
-
-def _activity_filter(size: tuple[int, int]) -> ActivityFilter:
-    from firmware_protocol.davis346.activity_filter import ActivityFilter
-
-    return ActivityFilter(size)
-
-
-class Statistics:
-    """Updates the counter registers when they are read.
+class DavisStatistics(Statistics):
+    """Counts of the DVS module and of the multiplexer.
 
     This model has one FIFO in place of the DVS module's and the USB buffers', so both dropped counters show its drops.
     """
 
     def __init__(self, camera: EventDevice, stream: EventStream, filters: DvsFilters) -> None:
-        self._camera, self._stream, self._filters = camera, stream, filters
-        self._before = dict.fromkeys(Statistic, 0)
+        super().__init__()
+        self._camera = camera
+        self._stream = stream
+        self._filters = filters
 
-    def power_on(self) -> None:
-        """Start the counts at zero."""
-        self._before = self._counted()
-
-    def refresh(self, registers: RegisterFile) -> None:
-        """Write the counts since power-on into the registers."""
-        for statistic, count in self._counted().items():
-            registers.count(statistic, count - self._before[statistic])
-
-    def _counted(self) -> dict[Statistic, int]:
+    def counted(self) -> Mapping[Enum, int]:
         """Return the counts since the camera was made."""
         fates = self._camera.counters
         return {

@@ -1,14 +1,7 @@
-"""The DAVIS346's registers: 32-bit parameters in modules, as declared data, and the settings that they hold.
+"""The DAVIS346's registers, as declared data, and the settings that they hold; `fx3.registers` has those of all models.
 
-    module  0 multiplexer   1 DVS   2 APS   3 IMU   4 external input   5 bias (0-127) and chip (128-255)
-            6 system information   9 USB
-
-Source: libcaer 3.3.15 (davis.h), neuromorphic-drivers 0.16.1, register traffic of three drivers.
-
-Behaviour that these sources do not describe: the FPGA cannot refuse a request. A write to a register that does not
-exist, or that is read-only, is ignored; a read of one that does not exist gives 0. A register stores as many low bits
-of a written value as its part of the logic uses, one for a flag, and reads back those. Widths are those of the
-published logic's configuration records (DVSAER, APSADC, IMU, Multiplexer, FX3 and ChipBiasConfigRecords with these
+Source: libcaer 3.3.15 (davis.h), neuromorphic-drivers 0.16.1, register traffic of three drivers. Widths are those of
+the published logic's configuration records (DVSAER, APSADC, IMU, Multiplexer, FX3 and ChipBiasConfigRecords with these
 addresses; ExtInput of an older one): coordinates have 9 bits for this array, times 20 bits in cycles (exposure 22,
 frame interval 23) and as many more as the clock's MHz take.
 
@@ -33,56 +26,26 @@ Inertial unit: the registers of module 3 select its parts, ranges, low-pass filt
 Source: libcaer 3.3.15 (davis.h), which quotes InvenSense's register maps. The sample rate is 1 kHz / (1 + divider), and
 8 kHz / (1 + divider) at *, but never above 1 kHz here; the bus to the real unit carries some 2 kHz at most. Value 7 of
 unit 1 is reserved, and read as 0.
-
-Run gate: the run bits that control the data path.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from enum import Enum, IntEnum
+from enum import Enum
 
 from firmware_protocol.davis346.biases import BIASES
 from firmware_protocol.frames import FrameSettings
+from firmware_protocol.fx3.registers import (
+    Access,
+    Module,
+    Register,
+    RegisterFile,
+    Rows,
+    SystemInfo,
+    declare,
+    shared_registers,
+)
 from firmware_protocol.imu_samples import ImuScale, ImuSettings
-
-
-class Module(IntEnum):
-    """wValue of a register request."""
-
-    MULTIPLEXER = 0
-    DVS = 1
-    APS = 2
-    IMU = 3
-    EXTERNAL_INPUT = 4
-    BIAS = 5
-    SYSTEM = 6
-    USB = 9
-
-
-class Access(Enum):
-    """Access that a host has."""
-
-    READ_ONLY = "read"
-    READ_WRITE = "read and write"
-
-
-@dataclass(frozen=True)
-class Register:
-    """One parameter of one module, with its power-on value."""
-
-    module: Module
-    address: int
-    name: str
-    default: int = 0
-    access: Access = Access.READ_WRITE
-    note: str = ""
-    bits: int = 1
-
-    def stored_bits(self, value: int) -> int:
-        """Return the bits of a written value that the register stores."""
-        return value & (1 << self.bits) - 1
 
 
 class Layout(Enum):
@@ -105,20 +68,6 @@ class Layout(Enum):
         return (height, width) if self.turned else (width, height)
 
 
-@dataclass(frozen=True)
-class SystemInfo:
-    """Module 6: data of the logic. The clocks are exact here (deviation 1000 thousandths)."""
-
-    logic_version: int = 18
-    chip_id: int = 5
-    timestamp_master: bool = True
-    logic_clock_mhz: int = 104
-    adc_clock_mhz: int = 30
-    usb_clock_mhz: int = 80
-    clock_deviation: int = 1000
-    logic_patch: int = 1
-
-
 class Statistic(Enum):
     """A 64-bit counter: (module, address of its upper word); the lower word follows it."""
 
@@ -131,18 +80,6 @@ class Statistic(Enum):
     DVS_FILTERED_BACKGROUND_ACTIVITY = (Module.DVS, 89)
     DVS_FILTERED_REFRACTORY = (Module.DVS, 91)
 
-
-Rows = tuple[tuple[int, str, int] | tuple[int, str, int, int], ...]
-"""Address, name, power-on value, and the width in bits unless it is a flag."""
-
-_MULTIPLEXER: Rows = (
-    (0, "RUN", 0),
-    (1, "TIMESTAMP_RUN", 0),
-    (2, "TIMESTAMP_RESET", 0),
-    (3, "RUN_CHIP", 0),
-    (4, "DROP_EXTINPUT_ON_STALL", 1),
-    (5, "DROP_DVS_ON_STALL", 1),
-)
 
 _DVS: Rows = (
     (3, "RUN", 0),
@@ -164,7 +101,6 @@ _DVS_CAPABILITIES: Rows = (
     (40, "HAS_ROI_FILTER", 1),
     (50, "HAS_SKIP_FILTER", 1),
     (60, "HAS_POLARITY_FILTER", 1),
-    (80, "HAS_STATISTICS", 1),
 )
 
 _APS: Rows = (
@@ -199,44 +135,6 @@ _CHIP: Rows = (
 )
 
 
-def external_input(clock_mhz: int) -> Rows:
-    """Power-on values of the published logic (ExtInputConfigRecords.vhd): pulses of 1 us, the generator at 1 MHz."""
-    bits = 20 + clock_mhz.bit_length()
-    return (
-        (0, "RUN_DETECTOR", 0),
-        (1, "DETECT_RISING", 0),
-        (2, "DETECT_FALLING", 0),
-        (3, "DETECT_PULSES", 1),
-        (4, "PULSE_POLARITY", 1),
-        (5, "PULSE_LENGTH", clock_mhz, bits),
-        (11, "RUN_GENERATOR", 0),
-        (12, "GENERATOR_POLARITY", 1),
-        (13, "GENERATOR_INTERVAL", clock_mhz, bits),
-        (14, "GENERATOR_LENGTH", clock_mhz // 2, bits),
-        (15, "INJECT_ON_RISING", 0),
-        (16, "INJECT_ON_FALLING", 0),
-    )
-
-
-def _system(info: SystemInfo) -> Rows:
-    return (
-        (0, "LOGIC_VERSION", info.logic_version),
-        (1, "CHIP_IDENTIFIER", info.chip_id),
-        (2, "DEVICE_IS_MASTER", int(info.timestamp_master)),
-        (3, "LOGIC_CLOCK_MHZ", info.logic_clock_mhz),
-        (4, "ADC_CLOCK_MHZ", info.adc_clock_mhz),
-        (5, "USB_CLOCK_MHZ", info.usb_clock_mhz),
-        (6, "CLOCK_DEVIATION_THOUSANDTHS", info.clock_deviation),
-        (7, "LOGIC_PATCH", info.logic_patch),
-    )
-
-
-def declare(module: Module, rows: Rows, access: Access = Access.READ_WRITE, note: str = "") -> Iterator[Register]:
-    """Yield registers of a module that share their access and their note."""
-    for address, name, default, *bits in rows:
-        yield Register(module, address, name, default, access, note, *bits)
-
-
 def _geometry(size: tuple[int, int], layout: Layout) -> Iterator[Register]:
     """Sizes in the chip's frame (read only); regions and hot pixels in the user's."""
     columns, rows = layout.chip_size(*size)
@@ -261,88 +159,41 @@ def _geometry(size: tuple[int, int], layout: Layout) -> Iterator[Register]:
         yield from declare(Module.DVS, (row, column), note="user's frame; just outside = off")
 
 
-def _counters() -> Iterator[Register]:
-    for statistic in Statistic:
-        module, address = statistic.value
-        halves: Rows = ((address, f"{statistic.name}_UPPER", 0), (address + 1, f"{statistic.name}_LOWER", 0))
-        yield from declare(module, halves, Access.READ_ONLY, "half of a 64-bit counter")
-
-
-def _clocked(info: SystemInfo) -> Iterator[Register]:
-    adc = info.adc_clock_mhz
-    times: Rows = (
-        (12, "EXPOSURE", 4000 * adc, 22 + adc.bit_length()),
-        (13, "FRAME_INTERVAL", 50000 * adc, 23 + adc.bit_length()),
-    )
-    yield from declare(Module.APS, times, note="ADC clock cycles")
-    yield from declare(Module.EXTERNAL_INPUT, external_input(info.logic_clock_mhz), note="logic clock cycles")
-
-
-def usb_registers(info: SystemInfo) -> Iterator[Register]:
-    """Yield the registers of the USB module."""
-    usb = info.usb_clock_mhz
-    yield Register(Module.USB, 0, "RUN")
-    delay: Rows = ((1, "EARLY_PACKET_DELAY", 1000 * usb, 20 + usb.bit_length()),)
-    yield from declare(Module.USB, delay, note="USB clock cycles")
-
-
 def registers(
     size: tuple[int, int], layout: Layout, info: SystemInfo, imu_unit: int = 0, *, activity_filter: bool = False
 ) -> Iterator[Register]:
     """Yield every register of a camera with a (width, height) array; `imu_unit`: 0 none, 1 MPU-6050, 2 MPU-9250."""
     fixed = Access.READ_ONLY
+    adc = info.adc_clock_mhz
+    times: Rows = (
+        (12, "EXPOSURE", 4000 * adc, 22 + adc.bit_length()),
+        (13, "FRAME_INTERVAL", 50000 * adc, 23 + adc.bit_length()),
+    )
+    yield from shared_registers(info, imu_unit, Statistic, drops_events_on_stall=True)
     yield from _geometry(size, layout)
-    yield from declare(Module.MULTIPLEXER, _MULTIPLEXER)
-    yield from declare(Module.MULTIPLEXER, ((80, "HAS_STATISTICS", 1),), fixed)
     yield from declare(Module.DVS, _DVS)
     yield from declare(Module.DVS, _DVS_CAPABILITIES, fixed)
     yield from declare(Module.DVS, ((30, "HAS_BACKGROUND_ACTIVITY_FILTER", int(activity_filter)),), fixed)
     yield from declare(Module.APS, _APS)
     yield from declare(Module.APS, ((3, "COLOUR_FILTER", 0), (6, "HAS_GLOBAL_SHUTTER", 1)), fixed)
-    yield from declare(Module.IMU, ((0, "TYPE", imu_unit), (1, "ORIENTATION", 0)), fixed, "0: no IMU")
+    yield from declare(Module.APS, times, note="ADC clock cycles")
     yield from declare(Module.IMU, _IMU)
-    yield from declare(Module.EXTERNAL_INPUT, ((10, "HAS_GENERATOR", 1),), fixed)
     for bias in BIASES:
         yield Register(Module.BIAS, bias.address, bias.name, int(bias.default), note=str(bias.default), bits=bias.bits)
     yield from declare(Module.BIAS, _CHIP)
-    yield from declare(Module.SYSTEM, _system(info), fixed)
-    yield from _clocked(info)
-    yield from usb_registers(info)
-    yield from _counters()
 
 
-class RegisterFile:
-    """Values of the declared registers."""
-
-    def __init__(self, declared: Iterator[Register]) -> None:
-        self._declared = {(r.module.value, r.address): r for r in declared}
-        self.power_on()
-
-    def power_on(self) -> None:
-        """Set every register to its power-on value."""
-        self._values = {key: register.default for key, register in self._declared.items()}
-
-    def __iter__(self) -> Iterator[Register]:
-        return iter(self._declared.values())
-
-    def read(self, module: int, address: int) -> int:
-        """Return the 32-bit value; 0 for a register that does not exist."""
-        return self._values.get((module, address), 0)
-
-    def write(self, module: int, address: int, value: int) -> None:
-        """Store the register's bits of a value; ignored if it is read-only or does not exist."""
-        register = self._declared.get((module, address))
-        if register is not None and register.access is Access.READ_WRITE:
-            self._values[module, address] = register.stored_bits(value)
-
-    def count(self, statistic: Enum, value: int) -> None:
-        """Set a 64-bit counter, whose value is its (module, address), as the logic does."""
-        module, upper = statistic.value
-        self._values[module, upper] = value >> 32 & 0xFFFFFFFF
-        self._values[module, upper + 1] = value & 0xFFFFFFFF
+_RUN = 4
+_WAIT_ON_STALL = 5
+_GLOBAL_SHUTTER = 7
+_ROI = 8
+_EXPOSURE = 12
+_INTERVAL = 13
 
 
-_RUN, _WAIT, _GLOBAL_SHUTTER, _ROI, _EXPOSURE, _INTERVAL = 4, 5, 7, 8, 12, 13
+def lines_wait(values: RegisterFile) -> bool:
+    """Return true if lines that find no room wait for it."""
+    return bool(values.read(Module.APS, _WAIT_ON_STALL))
 
 
 def frame_settings(values: RegisterFile, size: tuple[int, int], layout: Layout, *, words: bool) -> FrameSettings:
@@ -361,11 +212,6 @@ def frame_settings(values: RegisterFile, size: tuple[int, int], layout: Layout, 
         run, bool(aps[_GLOBAL_SHUTTER]), not layout.turned, aps[_EXPOSURE], exposure_ns, interval_ns,
         first_column, first_row, last_column, last_row,
     )  # fmt: skip
-
-
-def aps_waits_on_stall(values: RegisterFile) -> bool:
-    """Return true if lines that find no room wait for it."""
-    return bool(values.read(Module.APS, _WAIT))
 
 
 _BANDWIDTHS_MHZ = {
@@ -405,20 +251,3 @@ def driver_imu_settings(unit: int) -> ImuSettings:
     """Return the drivers' settings for unit 1 or 2: all parts, 1 kHz, low-pass 1, 4 g, 500 deg/s."""
     accelerometer_mhz, gyroscope_mhz = (bandwidths[_DRIVER_LOW_PASS] for bandwidths in _BANDWIDTHS_MHZ[unit])
     return ImuSettings(True, unit, int(ImuScale()), accelerometer_mhz, gyroscope_mhz)
-
-
-@dataclass(frozen=True)
-class RunGate:
-    """The run bits that control the data path."""
-
-    timestamps: bool
-    reset: bool
-    words: bool
-    events: bool
-
-    @classmethod
-    def of(cls, values: RegisterFile) -> RunGate:
-        """Return the run bits in the registers."""
-        run, timestamps, reset, chip = (bool(values.read(Module.MULTIPLEXER, k)) for k in range(4))
-        words = run and timestamps and chip and bool(values.read(Module.USB, 0))
-        return cls(timestamps, reset, words, words and bool(values.read(Module.DVS, 3)))

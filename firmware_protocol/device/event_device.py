@@ -20,8 +20,6 @@ from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import ItemEncoder, Items, Numbers, ReadingKind, Readings
 from firmware_protocol.events import Edges, Events
 
-__all__ = ["EventDevice", "ReadingKind", "Readings"]
-
 _FOREVER_US = 1 << 62
 _NO_BOUND = 1 << 30
 
@@ -31,12 +29,10 @@ _Taken = TypeVar("_Taken", bound=Items)
 class EventDevice(ABC):
     """An event camera without a transport. One thread at a time may use it.
 
-    Attributes
-    ----------
-    set_by : the way in which hosts set the biases of its sensor, "register" or "telecommand".
+    What only some devices have stands in classes of its own, from which they inherit beside this one: `HostAdjusted`,
+    `TakesReadings`, `HasClockInput`, `StartsSilent`.
     """
 
-    set_by: ClassVar[str] = "register"
     _fates: Fates
 
     @property
@@ -52,15 +48,7 @@ class EventDevice(ABC):
     @property
     def at_rest(self) -> bool:
         """True while no host notices the time that it has reached: a request finds it advanced all the same."""
-        return not self.streaming and self.now_us >= self.silent_until_us
-
-    @property
-    def settings_version(self) -> int | None:
-        """Number that changes with its sensor factors, settings without effect, commands and settings of readings.
-
-        None: these are to be compared each time.
-        """
-        return None
+        return not self.streaming
 
     @property
     @abstractmethod
@@ -73,28 +61,9 @@ class EventDevice(ABC):
         return _FOREVER_US
 
     @property
-    def silent_until_us(self) -> int:
-        """Time, on the scale of `now_us`, until which it sends nothing, because its host is not ready before."""
-        return 0
-
-    @property
     def epoch_us(self) -> int:
         """Time, on the scale of `now_us`, at which the device's own clock was last zero."""
         return 0
-
-    @property
-    def sensor_factors(self) -> Mapping[str, float]:
-        """Factors of the sensor's parameters by its host's settings, by name; parameters not named are unchanged."""
-        return {}
-
-    @property
-    def without_effect(self) -> Mapping[str, str]:
-        """Settings that its host changed without an effect on the simulated sensor, by name, each with the reason."""
-        return {}
-
-    def take_commands(self) -> tuple[str, ...]:
-        """Return the telecommands that changed it since the last call, as text."""
-        return ()
 
     @property
     @abstractmethod
@@ -151,24 +120,71 @@ class EventDevice(ABC):
         A camera whose detector is off, or that has none, counts them as ignored.
         """
 
+    @abstractmethod
+    def advance(self, now_us: int) -> None:
+        """Set stream time to `now_us`; the clock never goes back."""
+
+
+class HostAdjusted(ABC):
+    """A device whose hosts change the parameters of its sensor, by registers or telecommands.
+
+    Attributes
+    ----------
+    set_by : the way in which hosts set the biases of its sensor, "register" or "telecommand".
+    """
+
+    set_by: ClassVar[str] = "register"
+
+    @property
+    @abstractmethod
+    def settings_version(self) -> int:
+        """Number that changes with its factors, settings without effect, commands and settings of readings."""
+
+    @property
+    @abstractmethod
+    def sensor_factors(self) -> Mapping[str, float]:
+        """Factors of the sensor's parameters by its host's settings, by name; parameters not named are unchanged."""
+
+    @property
+    def without_effect(self) -> Mapping[str, str]:
+        """Settings that its host changed without an effect on the simulated sensor, by name, each with the reason."""
+        return {}
+
+    def take_commands(self) -> tuple[str, ...]:
+        """Return the telecommands that changed it since the last call, as text."""
+        return ()
+
+
+class TakesReadings(ABC):
+    """A device that takes readings: lines of frames, samples of an inertial unit."""
+
+    @property
+    @abstractmethod
+    def settings_version(self) -> int:
+        """Number that changes with the settings of readings."""
+
+    @abstractmethod
     def reading_settings(self, kind: ReadingKind) -> tuple[int, ...]:
         """Settings of its host for a kind of readings, in the order of that kind's settings; empty: none requested."""
-        return ()
 
     def room_readings(self, kind: ReadingKind) -> int:
         """Readings of a kind that certainly fit its buffer now, for runs that are not paced."""
         return _NO_BOUND
 
+    @abstractmethod
     def offer_readings(self, kind: ReadingKind, readings: Readings) -> bool:
         """Take readings of one kind, (n,) in stream time, sorted; they are copied.
 
         False: it never uses this kind, and the caller counts them as ignored.
         """
-        return False
+
+
+class HasClockInput(ABC):
+    """A device with a synchronisation input, which sets its clock to zero."""
 
     @abstractmethod
-    def advance(self, now_us: int) -> None:
-        """Set stream time to `now_us`; the clock never goes back."""
+    def restart_clock(self) -> bool:
+        """Restart its clock at zero, now, as a pulse on the input does; False if this model has no such input."""
 
     def take_resets(self) -> tuple[int, ...]:
         """Return the times, on its own scale, at which its host set its clock to zero since the last call."""
@@ -178,9 +194,16 @@ class EventDevice(ABC):
         """Set its clock to zero at `at_us` of its own time, which is in the past: its master was reset then."""
         self.restart_clock()
 
-    def restart_clock(self) -> bool:
-        """Restart the device's own clock at zero, now, as a pulse on a synchronisation input does.
 
-        False for a device that has no such input.
-        """
-        return False
+class StartsSilent(EventDevice):
+    """A device that sends nothing for a while after its start, because its host is not ready before."""
+
+    @property
+    @abstractmethod
+    def silent_until_us(self) -> int:
+        """End of the silence, on the scale of `now_us`; a past time if there is none."""
+
+    @property
+    def at_rest(self) -> bool:
+        """True while it neither streams nor waits for the end of its silence."""
+        return not self.streaming and self.now_us >= self.silent_until_us

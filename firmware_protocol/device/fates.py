@@ -117,7 +117,7 @@ class Fates(Counts):
     @property
     def all_queued(self) -> int:
         """Items of all kinds that are queued."""
-        return self.queued + self.edges.queued + sum(one.queued for one in self.readings.values())
+        return self.queued + self.edges.queued + sum(counts.queued for counts in self.readings.values())
 
     def of(self, kind: ReadingKind) -> Counts:
         """Return the counts of a kind of readings, which begin with the first call."""
@@ -148,7 +148,7 @@ class Fates(Counts):
     def waiting(self, numbers: Numbers) -> Fates:
         """Return a copy in which the items that wait in the device's queues are queued as well."""
         now = self.copy()
-        now.edges, now.readings = self.edges.copy(), {kind: one.copy() for kind, one in self.readings.items()}
+        now.edges, now.readings = self.edges.copy(), {kind: counts.copy() for kind, counts in self.readings.items()}
         for counts, number in now._by_kind(numbers):
             counts.queued += number
         return now

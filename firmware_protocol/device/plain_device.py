@@ -14,7 +14,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.event_device import EventDevice, HasClockInput, TakesReadings
 from firmware_protocol.device.fates import Counts, Fates
 from firmware_protocol.device.items import Items, Numbers, Reading, ReadingKind, Readings, count_kinds
 from firmware_protocol.events import EVENT, Edges, Events, copy_events, empty_edges, empty_events, level_changes
@@ -29,9 +29,9 @@ def own_time(records: Events | Edges, epoch_us: int) -> Events | Edges:
     """Return (n,) EVENT or EDGE in the time of a device's own clock, which was zero at `epoch_us`."""
     if not epoch_us or not len(records):
         return records
-    own = copy_events(records) if records.dtype == EVENT else records.copy()
-    own["t"] -= np.uint64(epoch_us % (1 << 64))
-    return own
+    shifted = copy_events(records) if records.dtype == EVENT else records.copy()
+    shifted["t"] -= np.uint64(epoch_us % (1 << 64))
+    return shifted
 
 
 class _ItemsOfClock:
@@ -67,7 +67,7 @@ class _ItemsOfClock:
         edges, readings = self._take_edges(until_us), self._take_readings(until_us)
         if not (len(events) or len(edges) or readings):
             return None
-        times = [events["t"][-1:], edges["t"][-1:], *(one.record["t"][-1:] for one in readings[-1:])]
+        times = [events["t"][-1:], edges["t"][-1:], *(reading.record["t"][-1:] for reading in readings[-1:])]
         self.taken_us = max(self.taken_us, *(int(t[0]) for t in times if len(t)))
         return Items(events, edges, self.epoch_us, readings)
 
@@ -138,12 +138,12 @@ class ItemQueue:
         return taken
 
     def clear(self) -> None:
-        """See `ItemEncoder.clear`."""
+        """Drop the items that wait; the clock keeps its epoch."""
         self._clocks = deque([_ItemsOfClock(self.epoch_us, self._clocks[-1].taken_us)])
         self.waiting = Numbers()
 
 
-class PlainDevice(EventDevice):
+class PlainDevice(EventDevice, TakesReadings, HasClockInput):
     """Holds events, edges and readings until `take`; those that find it full are dropped and counted.
 
     Parameters
@@ -151,7 +151,7 @@ class PlainDevice(EventDevice):
     capacity
         Most events that it holds, with those whose fate is open; edges likewise.
     readings
-        Settings of each kind of readings that it takes, as `EventDevice.reading_settings`; others are refused.
+        Settings of each kind of readings that it takes, as `TakesReadings.reading_settings`; others are refused.
     pulse_us
         Length of a pulse at its input.
 
@@ -159,6 +159,8 @@ class PlainDevice(EventDevice):
     ----------
     takes_edges
         True if its link carries edges; if not, they are ignored.
+    is_watched
+        True if a receiver notices when data leave: they then leave at their own time, not some milliseconds later.
     """
 
     def __init__(
@@ -171,6 +173,7 @@ class PlainDevice(EventDevice):
         self._pulse_us = pulse_us
         self._settings = dict(readings)
         self.takes_edges = True
+        self.is_watched = True
         self._running = True
         self._queue = ItemQueue()
         self._now_us = 0
@@ -185,6 +188,11 @@ class PlainDevice(EventDevice):
     def streaming(self) -> bool:
         """True unless its link has reported that no receiver is present."""
         return self._running
+
+    @property
+    def at_rest(self) -> bool:
+        """True while no receiver notices when data leave."""
+        return not (self._running and self.is_watched)
 
     @property
     def room_events(self) -> int:

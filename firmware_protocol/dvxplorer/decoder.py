@@ -16,9 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.compiled import kernel
-from firmware_protocol.davis346.blocks import ImuReader, is_imu
-from firmware_protocol.davis346.decoder import SPECIAL_EVENT, Decoded, WordFaults
-from firmware_protocol.davis346.words import KIND, LOW_BITS, MAX_STEPS, MISC8, TIMESTAMP, WORD, WRAP, WRAP_BITS, Words
 from firmware_protocol.dvxplorer.words import (
     ADDRESSES,
     COLUMN,
@@ -33,6 +30,9 @@ from firmware_protocol.dvxplorer.words import (
 )
 from firmware_protocol.events import empty_events
 from firmware_protocol.evt.words import EVENT_BYTES, put_short, put_time
+from firmware_protocol.fx3.blocks import ImuReader, is_imu
+from firmware_protocol.fx3.decoded import SPECIAL_EVENT, Decoded, WordFaults
+from firmware_protocol.fx3.words import KIND, LOW_BITS, MAX_STEPS, MISC8, TIMESTAMP, WORD, WRAP, WRAP_BITS, Words
 from firmware_protocol.imu_samples import AXES_ON_THE_WIRE
 
 _Bytes = npt.NDArray[np.uint8]
@@ -44,7 +44,11 @@ _TIME, _COLUMN, _GROUP_1, _GROUP_2, _COLUMNS, _GROUPS, _BAD_COLUMN, _BAD_GROUP, 
 _NONE = np.int64(-1)
 
 # Compiled code holds plain numbers.
-_TIMESTAMP, _LOW_BITS, _WRAP, _WRAP_BITS, _MAX_STEPS = TIMESTAMP, LOW_BITS, WRAP, WRAP_BITS, MAX_STEPS
+_TIMESTAMP = TIMESTAMP
+_LOW_BITS = LOW_BITS
+_WRAP = WRAP
+_WRAP_BITS = WRAP_BITS
+_MAX_STEPS = MAX_STEPS
 _KIND, _RESET = KIND, 1
 
 _INPUT_MARKS = (2, 3, 4, 16, 17)
@@ -55,19 +59,19 @@ _MISC10 = 0x6000
 @entry
 def count_items(words: Words) -> tuple[int, int]:
     """Return the numbers of pixels and of words of other kinds, specials and misc, in (n,) words."""
-    pixels, others = 0, 0
+    pixels, rare = 0, 0
     for word in words:
         kind = word & _KIND
         bits = np.int64(word & 0xFF if kind in (GROUP_1, GROUP_2) else 0)
         bits -= bits >> 1 & 0x55
         bits = (bits & 0x33) + (bits >> 2 & 0x33)
         pixels += int((bits & 0xF) + (bits >> 4))
-        others += kind in (0, 0x5000, 0x6000)
-    return pixels, others
+        rare += kind in (0, 0x5000, 0x6000)
+    return pixels, rare
 
 
 @entry
-def read_words(words: Words, state: _Int64s, events: _Bytes, others: _Int64s) -> int:
+def read_words(words: Words, state: _Int64s, events: _Bytes, rare: _Int64s) -> int:
     """Write the records of all (n,) words; return the number of events.
 
     Parameters
@@ -78,10 +82,13 @@ def read_words(words: Words, state: _Int64s, events: _Bytes, others: _Int64s) ->
         (9,) with the layout above, updated.
     events
         (13 m,) bytes of room for EVENT records, m the number of pixels.
-    others
+    rare
         (k, 3): word, its time, and the number of events before it; k words of other kinds.
     """
-    time_us, column, first, second = state[_TIME], state[_COLUMN], state[_GROUP_1], state[_GROUP_2]
+    time_us = state[_TIME]
+    column = state[_COLUMN]
+    first = state[_GROUP_1]
+    second = state[_GROUP_2]
     columns, groups, at, at_other = state[_COLUMNS], state[_GROUPS], 0, 0
     for word in words:
         kind, value = word & _KIND, int(word & 0xFFF)
@@ -105,9 +112,14 @@ def read_words(words: Words, state: _Int64s, events: _Bytes, others: _Int64s) ->
             column = column if column < columns else _NONE
         else:
             time_us *= word != _RESET
-            others[at_other, 0], others[at_other, 1], others[at_other, 2] = word, time_us, at // EVENT_BYTES
+            rare[at_other, 0] = word
+            rare[at_other, 1] = time_us
+            rare[at_other, 2] = at // EVENT_BYTES
             at_other += 1
-    state[_TIME], state[_COLUMN], state[_GROUP_1], state[_GROUP_2] = time_us, column, first, second
+    state[_TIME] = time_us
+    state[_COLUMN] = column
+    state[_GROUP_1] = first
+    state[_GROUP_2] = second
     return at // EVENT_BYTES
 
 
@@ -169,19 +181,19 @@ class GroupDecoder:
         self._odd = bytes(data[even:])
         words = np.frombuffer(data, WORD, even // 2)
         n_pixels, n_others = count_items(words)
-        events, others = empty_events(n_pixels), np.empty((n_others, 3), np.int64)
+        events, rare = empty_events(n_pixels), np.empty((n_others, 3), np.int64)
         self._state[_BAD_COLUMN:] = 0
-        n_events = read_words(words, self._state, events.view(np.uint8), others)
-        self._count_faults(others[:, 0])
-        seldom, times_us = others[:, 0].astype(WORD), others[:, 1]
+        n_events = read_words(words, self._state, events.view(np.uint8), rare)
+        self._count_faults(rare[:, 0])
+        seldom, times_us = rare[:, 0].astype(WORD), rare[:, 1]
         imu = self._imu.feed(seldom, times_us)
         imu["sample"]["counts"] = imu["sample"]["counts"][:, AXES_ON_THE_WIRE]
         self._resets += int(np.count_nonzero(seldom == _RESET))
-        return Decoded(events[:n_events], _specials(others), (), imu, self._resets)
+        return Decoded(events[:n_events], _specials(rare), (), imu, self._resets)
 
-    def _count_faults(self, others: _Int64s) -> None:
-        specials = others[others < COLUMN]
-        misc = others[others >= MISC8]
+    def _count_faults(self, rare: _Int64s) -> None:
+        specials = rare[rare < COLUMN]
+        misc = rare[rare >= MISC8]
         known_misc = is_imu(misc.astype(WORD))
         self.faults += WordFaults(
             row_outside=int(self._state[_BAD_GROUP]),
@@ -192,9 +204,9 @@ class GroupDecoder:
         )
 
 
-def _specials(others: _Int64s) -> npt.NDArray[np.void]:
+def _specials(rare: _Int64s) -> npt.NDArray[np.void]:
     """Return the (m,) SPECIAL_EVENT records of marks and resets."""
-    chosen = others[np.isin(others[:, 0], (_RESET, *_INPUT_MARKS))]
+    chosen = rare[np.isin(rare[:, 0], (_RESET, *_INPUT_MARKS))]
     specials = np.empty(len(chosen), SPECIAL_EVENT)
     specials["code"], specials["t"], specials["index"] = chosen.T
     return specials

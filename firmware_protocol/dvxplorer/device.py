@@ -1,4 +1,4 @@
-"""USB device model of a DVXplorer with an FX3, 640 x 480; `davis346.fx3` describes its requests and its run gate.
+"""USB device model of a DVXplorer with an FX3, 640 x 480; `fx3.camera` describes its requests and its run gate.
 
 Events need the chip's mode to be "stream" as well. Not modelled: binning, the activity decision block, global reset,
 the external trigger mode of the chip, and messages on the debug endpoint.
@@ -14,14 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from firmware_protocol.davis346.blocks import Block, blocks_of
-from firmware_protocol.davis346.fx3 import Fx3Camera, Parts
-from firmware_protocol.davis346.inputs import ReadingInput
-from firmware_protocol.davis346.registers import Register, RunGate, SystemInfo
-from firmware_protocol.davis346.settings import Fx3Settings
-from firmware_protocol.davis346.stream import EventStream, Fifo
 from firmware_protocol.device.items import ReadingKind, Readings
-from firmware_protocol.dvxplorer.biases import sensor_factors, without_effect
 from firmware_protocol.dvxplorer.filters import ChipFilters, ChipStatistics
 from firmware_protocol.dvxplorer.registers import (
     SIZE,
@@ -32,8 +25,16 @@ from firmware_protocol.dvxplorer.registers import (
     registers,
     run_gate,
     scan_us,
+    sensor_factors,
+    without_effect,
 )
 from firmware_protocol.dvxplorer.words import GroupEncoder
+from firmware_protocol.fx3.blocks import Block, blocks_of
+from firmware_protocol.fx3.camera import Fx3Camera, Parts
+from firmware_protocol.fx3.inputs import ReadingInput
+from firmware_protocol.fx3.registers import Register, RunGate, SystemInfo
+from firmware_protocol.fx3.settings import Fx3Settings
+from firmware_protocol.fx3.stream import EventStream, Fifo
 from firmware_protocol.imu_samples import AXES_ON_THE_WIRE, BMI160
 
 PRODUCT_ID = 0x8419
@@ -75,15 +76,14 @@ class _Samples(ReadingInput):
     """Inertial samples on their way into the stream."""
 
     def follow(self, *, words: bool) -> None:
-        """See `ReadingInput.follow`."""
         self._imu = imu_settings(self._registers, words=words)
 
     def _blocks_of(self, kind: ReadingKind, readings: Readings) -> list[Block]:
         """Return samples as blocks; their words have the axes in the order of the wire."""
         sent = readings.copy()
         sent["counts"] = readings["counts"][:, AXES_ON_THE_WIRE]
-        own = blocks_of(kind, readings)
-        return [Block(b.t_us, a.words, b.reading) for a, b in zip(blocks_of(kind, sent), own, strict=True)]
+        blocks = blocks_of(kind, readings)
+        return [Block(b.t_us, a.words, b.reading) for a, b in zip(blocks_of(kind, sent), blocks, strict=True)]
 
 
 class Dvxplorer(Fx3Camera):

@@ -19,21 +19,25 @@ so a counter of dropped columns or groups of pixels counts those that found no r
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from enum import Enum
+
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.davis346.filters import Passed
-from firmware_protocol.davis346.registers import RegisterFile
-from firmware_protocol.davis346.stream import EventStream
 from firmware_protocol.device.event_device import EventDevice
 from firmware_protocol.device.fates import Counts
 from firmware_protocol.dvxplorer.registers import AREA_WORDS, SIZE, Chip, ChipStatistic, chip_of
 from firmware_protocol.dvxplorer.words import ROWS_OF_GROUP, GroupEncoder
 from firmware_protocol.events import Events
+from firmware_protocol.fx3.registers import RegisterFile, Statistics
+from firmware_protocol.fx3.stream import EventStream
 
 Mask = npt.NDArray[np.bool_]
 
-_FLATTEN, _ON_ONLY, _OFF_ONLY = 1 << 6, 1 << 5, 1 << 4
+_FLATTEN = 1 << 6
+_ON_ONLY = 1 << 5
+_OFF_ONLY = 1 << 4
 _NO_AREA, _NO_SUBSAMPLING = 1 << 1, 1 << 2
 _BLOCK = 32
 _KEPT_OF = {1: (1, 2), 2: (2, 4), 3: (1, 4), 4: (4, 8), 7: (1, 8)}
@@ -53,6 +57,7 @@ class ChipFilters:
         self._columns, self._rows = (np.ones(pixels, np.bool_) for pixels in SIZE)
         self._blocks: Mask | None = None
         self._format = 0
+        self._filtered = 0
         self._all_pixels = True
         self._selected_by: tuple[int, ...] = ()
 
@@ -77,10 +82,11 @@ class ChipFilters:
         self._blocks = None if blocks is None or blocks.all() else blocks
         self._all_pixels = bool(columns.all() and rows.all()) and self._blocks is None
 
-    def passed(self, events: Events, registers: RegisterFile) -> Passed:
-        """Return the part of `events`, (n,) EVENT, that passes; `events` may be changed. `take` counts the result."""
+    def passed(self, events: Events, registers: RegisterFile) -> Events:
+        """Return the part of `events`, (n,) EVENT, that passes; `events` may be changed. `take` counts the others."""
+        self._filtered = 0
         if self._all_pixels and not self._format & (_FLATTEN | _ON_ONLY | _OFF_ONLY):
-            return Passed(events)
+            return events
         good = self._of_polarity(events["on"])
         inside = (events["x"] < SIZE[0]) & (events["y"] < SIZE[1])  # others are refused later, not filtered
         x, y = events["x"][inside], events["y"][inside]
@@ -90,11 +96,12 @@ class ChipFilters:
         passing = events if good.all() else events[good]
         if self._format & _FLATTEN:
             passing["on"] = True
-        return Passed(passing, len(events) - len(passing))
+        self._filtered = len(events) - len(passing)
+        return passing
 
-    def take(self, passed: Passed) -> None:
-        """Count the events that did not pass."""
-        self._fates.not_selected += passed.filtered
+    def take(self) -> None:
+        """Count the events that did not pass in the last call of `passed`."""
+        self._fates.not_selected += self._filtered
 
     def _of_polarity(self, on: Mask) -> Mask:
         good = np.ones(len(on), np.bool_)
@@ -134,23 +141,16 @@ def _blocks(values: tuple[int, ...]) -> Mask:
     return np.ascontiguousarray(of_chip[::-1, ::-1])
 
 
-class ChipStatistics:
-    """Updates the counter registers when they are read."""
+class ChipStatistics(Statistics):
+    """Counts of the DVS module and of the multiplexer."""
 
     def __init__(self, camera: EventDevice, stream: EventStream, encoder: GroupEncoder) -> None:
-        self._camera, self._stream, self._encoder = camera, stream, encoder
-        self._before = dict.fromkeys(ChipStatistic, 0)
+        super().__init__()
+        self._camera = camera
+        self._stream = stream
+        self._encoder = encoder
 
-    def power_on(self) -> None:
-        """Start the counts at zero."""
-        self._before = self._counted()
-
-    def refresh(self, registers: RegisterFile) -> None:
-        """Write the counts since power-on into the registers."""
-        for statistic, count in self._counted().items():
-            registers.count(statistic, count - self._before[statistic])
-
-    def _counted(self) -> dict[ChipStatistic, int]:
+    def counted(self) -> Mapping[Enum, int]:
         """Return the counts since the camera was made."""
         fates = self._camera.counters
         return {

@@ -19,15 +19,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from firmware_protocol.davis346.blocks import Block, Marks, no_marks
-from firmware_protocol.davis346.inputs import ReadingInput
-from firmware_protocol.davis346.registers import RegisterFile
-from firmware_protocol.davis346.settings import Fx3Settings
-from firmware_protocol.davis346.stream import Late
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import Numbers, Reading, ReadingKind, count_kinds
 from firmware_protocol.dvxplorer.frame_words import FRAME_WORD, FrameEncoder, FrameTimes, in_wire_order
 from firmware_protocol.events import Events, copy_events, empty_events, join_events
+from firmware_protocol.fx3.blocks import Block, Marks, no_marks
+from firmware_protocol.fx3.inputs import ReadingInput
+from firmware_protocol.fx3.registers import RegisterFile
+from firmware_protocol.fx3.settings import Fx3Settings
+from firmware_protocol.fx3.stream import Late
 from firmware_protocol.imu_samples import IMU_SAMPLE, ImuSamples, ImuSettings
 from firmware_protocol.usb.device import Transfer
 
@@ -70,7 +70,7 @@ class FrameStream:
 
     @property
     def waiting(self) -> Numbers:
-        """See `ItemEncoder.waiting`."""
+        """Numbers of events that wait."""
         cut = 0 if self._cut is None else len(self._cut.events)
         return Numbers(self._queued + cut)
 
@@ -124,18 +124,20 @@ class FrameStream:
         """Remove up to `room` octets of whole words; None if there are none."""
         if room < FRAME_WORD.itemsize:
             return None
-        whole = self._cut or self._next(now_us, max(room // FRAME_WORD.itemsize, _LEAST_ROOM))
-        if whole is None or len(whole.data) <= room:
+        transfer = self._cut or self._next(now_us, max(room // FRAME_WORD.itemsize, _LEAST_ROOM))
+        if transfer is None or len(transfer.data) <= room:
             self._cut = None
-            return whole
+            return transfer
         end = room - room % FRAME_WORD.itemsize
-        self._cut = replace(whole, data=whole.data[end:])
-        return Transfer(epoch_us=whole.epoch_us, data=whole.data[:end])
+        self._cut = replace(transfer, data=transfer.data[end:])
+        return Transfer(epoch_us=transfer.epoch_us, data=transfer.data[:end])
 
     def _next(self, now_us: int, room: int) -> Transfer | None:
         if len(self._room) < room:
             self._room = np.empty(room, FRAME_WORD)
-        out, taken, written = self._room[:room], [empty_events()], 0
+        out = self._room[:room]
+        taken = [empty_events()]
+        written = 0
         while self._queue:
             n_events, n_words = self._encoder.encode(self._queue[0], out[written:])
             taken.append(self._queue[0][:n_events])
@@ -195,7 +197,7 @@ class SampleOutput(ReadingInput):
         self._ready: deque[Reading] = deque()
 
     def follow(self, *, words: bool) -> None:
-        """See `ReadingInput.follow`."""
+        """Read the settings of the inertial unit."""
         self._imu = self._settings_in(self._registers, words=words)
 
     def room(self, kind: ReadingKind, free_words: int) -> int:
@@ -217,8 +219,8 @@ class SampleOutput(ReadingInput):
         """Remove the oldest sample that is ready; None if there is none, or no `room` for it."""
         if not self._ready or room < SAMPLE_BYTES:
             return None
-        one = self._ready.popleft()
-        return Transfer(epoch_us=epoch_us, readings=(one,), data=sample_bytes(one.record))
+        sample = self._ready.popleft()
+        return Transfer(epoch_us=epoch_us, readings=(sample,), data=sample_bytes(sample.record))
 
     def flush(self) -> None:
         """Drop the samples that wait."""

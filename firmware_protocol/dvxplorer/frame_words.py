@@ -26,10 +26,10 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of, kernel
-from firmware_protocol.davis346.decoder import SPECIAL_EVENT, Decoded, WordFaults
 from firmware_protocol.dvxplorer.words import LOWEST_BIT
 from firmware_protocol.events import Events, bytes_of, empty_events
 from firmware_protocol.evt.words import EVENT_BYTES, put_short, put_time, short_at, time_at
+from firmware_protocol.fx3.decoded import SPECIAL_EVENT, Decoded, WordFaults
 
 FRAME_WORD = np.dtype("<u4")
 FrameWords = npt.NDArray[np.uint32]
@@ -41,11 +41,19 @@ _State = npt.NDArray[np.int64]
 _Keys = npt.NDArray[np.int32]
 _Counts = npt.NDArray[np.int32]
 
-_GROUPS, _TIME, _COLUMN, _FIRST = 1 << 31, 1 << 27, 1 << 26, 1 << 21
-_SUB_SHIFT, _TIME_BITS, _FARTHEST = 11, 22, 31
+_GROUPS = 1 << 31
+_TIME = 1 << 27
+_COLUMN = 1 << 26
+_FIRST = 1 << 21
+_SUB_SHIFT = 11
+_TIME_BITS = 22
+_FARTHEST = 31
 _MS_US = 1000
 _MOST_TIMES = 1024  # time words one by one; a longer gap, a second without a reader, has one
-_DIGITS, _DIGIT_BITS, _DIGIT = 3, 7, 127  # of a key, and the largest value of one
+# of a key, and the largest value of one
+_DIGITS = 3
+_DIGIT_BITS = 7
+_DIGIT = 127
 _FEW = 40  # events of one time that are sorted by insertion
 _MOST_OF_COLUMN = 64  # words: one of the column, and one for each of 60 groups
 
@@ -133,9 +141,9 @@ def _sort_by_digits(keys: _Keys, begin: int, end: int, counts: _Counts) -> None:
             place, counts[digit, value] = place + counts[digit, value], place
         for k in range(begin, end):
             key = keys[np.uint64(side), np.uint64(k)]
-            own = np.uint64(key >> shift & _DIGIT)
-            keys[np.uint64(1 - side), np.uint64(counts[np.uint64(digit), own])] = key
-            counts[np.uint64(digit), own] += 1
+            value_of_key = np.uint64(key >> shift & _DIGIT)
+            keys[np.uint64(1 - side), np.uint64(counts[np.uint64(digit), value_of_key])] = key
+            counts[np.uint64(digit), value_of_key] += 1
         side = 1 - side
     if side:
         for k in range(begin, end):
@@ -164,12 +172,16 @@ def put_frame_times(events: _Bytes, period_us: float, state: _State) -> None:
     key, at_us = _LAST_KEY, _NONE
     for k in range(len(events) // EVENT_BYTES):
         at = k * EVENT_BYTES
-        t, x, own = time_at(events, at), short_at(events, at + 8), _key(events, at)
-        same_column = x == column and t == at_us and own > key
+        t = time_at(events, at)
+        x = short_at(events, at + 8)
+        event_key = _key(events, at)
+        same_column = x == column and t == at_us and event_key > key
         same_frame = x > column and column >= 0 and (t == frame_us or t < frame_us + period_us)
         if not (same_column or same_frame):
             frame_us = max(t, frame_us + 1)
-        column, at_us, key = x, t, own
+        column = x
+        at_us = t
+        key = event_key
         put_time(events, at, frame_us)
     state[_FRAME], state[_X] = frame_us, column
 
@@ -260,14 +272,14 @@ def in_wire_order(events: Events, size: tuple[int, int]) -> Events:
 
     These are `events` themselves if they are in this order.
     """
-    keys, given = np.empty((2, len(events)), np.int32), bytes_of(events)
-    order = sort_keys(given, size, keys, np.empty((_DIGITS, _DIGIT + 1), np.int32))
+    keys, octets = np.empty((2, len(events)), np.int32), bytes_of(events)
+    order = sort_keys(octets, size, keys, np.empty((_DIGITS, _DIGIT + 1), np.int32))
     if order < 0:
         raise ValueError("an event lies outside the array" if order == _OUTSIDE else "events must be sorted by time")
     if not order:
         return events
     ordered = empty_events(len(events))
-    put_keys(given, keys, bytes_of(ordered))
+    put_keys(octets, keys, bytes_of(ordered))
     return ordered
 
 
@@ -344,8 +356,8 @@ def count_pixels(words: FrameWords) -> int:
 def read_frames(words: FrameWords, state: _State, events: _Bytes) -> int:
     """Write the records of all (n,) words into `events`, bytes of EVENT; return their number."""
     at = 0
-    for some in words:
-        word: Any = np.int64(some)
+    for octets in words:
+        word: Any = np.int64(octets)
         if word & _GROUPS:
             at = _put_groups(word, state, events, at)
         elif word & _COLUMN:
@@ -415,9 +427,9 @@ class FrameDecoder:
     def feed(self, data: bytes) -> Decoded:
         """Decode the next bytes of the stream; any bytes give a result."""
         data = self._odd + data if self._odd else data
-        whole = len(data) & ~3
-        self._odd = bytes(data[whole:])
-        words = np.frombuffer(data, FRAME_WORD, whole // 4)
+        used = len(data) & ~3
+        self._odd = bytes(data[used:])
+        words = np.frombuffer(data, FRAME_WORD, used // 4)
         events = empty_events(count_pixels(words))
         self._state[_BAD_COLUMN:] = 0
         n = read_frames(words, self._state, events.view(np.uint8))

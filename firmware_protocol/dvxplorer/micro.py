@@ -1,10 +1,10 @@
 """USB device model of a DVXplorer Micro (CX3), 640 x 480: the camera of one chip, in the protocols of two firmwares.
 
     firmware   bcdDevice   opened by              registers                          runs while
-    10         0x040A      dv-processing 2.0.4    `micro_registers`, eight bytes     1.3 is 1
+    10         0x040A      dv-processing 2.0.4    below, eight bytes                 1.3 is 1
     9          0x0409      libcaer 3.3.15         those of a DVXplorer, four bytes   5.3000 is 2 ("stream")
 
-Requests are those of a DVXplorer (`davis346.fx3`), but firmware 10 has no multi-write, stalls registers of four bytes,
+Requests are those of a DVXplorer (`fx3.camera`), but firmware 10 has no multi-write, stalls registers of four bytes,
 and has two more requests, without data: 0xC7 stores the registers in its flash memory, 0xC8 loads them from there.
 
 It has no reset of its time, no external input and no master or slave. Events leave in frames (`frame_stream`); inertial
@@ -12,36 +12,65 @@ samples leave at the interrupt endpoint with firmware 10 only: no driver of firm
 
 dv-processing 1.7.9 cannot open it: it requests a reset of time, which its library refuses for this model.
 neuromorphic_drivers has no reader of its words. Real strings and power are not public.
+
+Values of registers have eight bytes in firmware 10, which hides the sensor chip (module 5) behind module 1:
+
+    3   run                          4   polarity: 0 both, 1 all are ON, 2 ON only, 3 OFF only
+    5, 6   sub-sampling of columns, rows, the codes of `filters`
+    8, 9, 10   global hold, reset, skip        11, 12   time-out of a buffer on, us
+    13   rate of the read-out: 0-3 constant 100, 200, 500, 1000; 4-6 constant, lossy 2000, 5000, 10000;
+         7-10 variable 2000, 5000, 10000, 15000 a second
+    14, 15   contrast threshold ON, OFF, 0 to 17
+    16, 17, 18   area block x, y; a write to 18 makes it send events (0) or not (1)
+    19-22   crop: x, y, width, height in the user's frame; a write to 23 applies them
+    24, 25   flips
+
+Module 3 is that of a DVXplorer with the BMI160's own codes of rates and ranges. Power-on values are those that
+dv-processing 2.0.4 writes.
+
+Inferred: an area block has 32 x 32 pixels, and 1 blocks it; the period of a scan at a rate is that of the registers
+that dv-processing writes for this rate to a DVXplorer. Flips, global hold, reset and the time-out are registers only.
+
+Source: register traffic of dv-processing 2.0.4.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
-from firmware_protocol.davis346.fx3 import FLUSH, LOG_LEVEL, REGISTER, Parts
-from firmware_protocol.davis346.registers import Access, Module, Register, RegisterFile, RunGate
-from firmware_protocol.davis346.settings import DEBUG_ENDPOINT
-from firmware_protocol.dvxplorer.biases import level_factors, sensor_factors
 from firmware_protocol.dvxplorer.device import Dvxplorer, DvxplorerSettings
 from firmware_protocol.dvxplorer.filters import ChipFilters, Mask, polarity_format, sampled
 from firmware_protocol.dvxplorer.frame_stream import FrameStream, SampleOutput
-from firmware_protocol.dvxplorer.micro_registers import (
-    APPLY_CROP,
-    BLOCK_AREA,
-    CROP,
-    POLARITY,
-    RUN,
-    SUBSAMPLING,
-    THRESHOLDS,
-    micro_imu_settings,
-    micro_registers,
-    micro_scan_us,
+from firmware_protocol.dvxplorer.registers import (
+    SIZE,
+    Chip,
+    chip_of,
+    imu_settings_of,
+    level_factors,
+    registers,
+    scan_us,
+    sensor_factors,
 )
-from firmware_protocol.dvxplorer.registers import SIZE, Chip, chip_of, registers, scan_us
-from firmware_protocol.imu_samples import ImuSettings
+from firmware_protocol.fx3.camera import FLUSH, LOG_LEVEL, REGISTER, Parts
+from firmware_protocol.fx3.registers import (
+    Access,
+    Module,
+    Register,
+    RegisterFile,
+    Rows,
+    RunGate,
+    Statistics,
+    SystemInfo,
+    declare,
+    imu_type_registers,
+    system_registers,
+)
+from firmware_protocol.fx3.settings import DEBUG_ENDPOINT
+from firmware_protocol.imu_samples import BMI160, ImuSettings
 from firmware_protocol.usb.device import RequestKind, SetupPacket, Stall, Transfer
 
 _IN = 0x80
@@ -85,14 +114,11 @@ class DvxplorerMicroSettings(DvxplorerSettings):
         return registers(self.system)  # without an inertial unit
 
 
-class _NoStatistics:
+class _NoStatistics(Statistics):
     """Statistics of a camera without counters."""
 
-    def power_on(self) -> None:
-        """Do nothing."""
-
-    def refresh(self, registers: RegisterFile) -> None:
-        """Do nothing."""
+    def counted(self) -> Mapping[Enum, int]:
+        return {}
 
 
 class MicroFilters(ChipFilters):
@@ -191,9 +217,9 @@ class DvxplorerMicro(Dvxplorer):
     def _stored_keys(self) -> Iterator[tuple[int, int]]:
         """Yield the registers that the flash memory has: all that can be written but the run bits."""
         runs = {(Module.DVS, RUN), *((Module.IMU, address) for address in (2, 3, 4))}
-        for one in self._registers:
-            if one.access is Access.READ_WRITE and (one.module, one.address) not in runs:
-                yield one.module.value, one.address
+        for register in self._registers:
+            if register.access is Access.READ_WRITE and (register.module, register.address) not in runs:
+                yield register.module.value, register.address
 
     def _read_register(self, setup: SetupPacket) -> bytes:
         if not self.settings.has_new_firmware:
@@ -231,3 +257,83 @@ class DvxplorerMicro(Dvxplorer):
 def _no_imu(values: RegisterFile, *, words: bool) -> ImuSettings:
     """Return the settings of a camera without an inertial unit."""
     return ImuSettings()
+
+
+RUN = 3
+POLARITY = 4
+SUBSAMPLING = 5
+RATE = 13
+THRESHOLDS = 14
+BLOCK_AREA = 18
+CROP = 19
+APPLY_CROP = 23
+
+_DVS: Rows = (
+    (RUN, "RUN", 0),
+    (POLARITY, "POLARITY", 0, 2),
+    (SUBSAMPLING, "SUBSAMPLING_HORIZONTAL", 0, 3),
+    (SUBSAMPLING + 1, "SUBSAMPLING_VERTICAL", 0, 3),
+    (8, "GLOBAL_HOLD", 1),
+    (9, "GLOBAL_RESET", 0),
+    (10, "GLOBAL_RESET_SKIP", 0),
+    (11, "TIMEOUT", 1),
+    (12, "TIMEOUT_US", 2000, 32),
+    (RATE, "READOUT_RATE", 8, 4),
+    (THRESHOLDS, "CONTRAST_THRESHOLD_ON", 9, 5),
+    (THRESHOLDS + 1, "CONTRAST_THRESHOLD_OFF", 9, 5),
+    (16, "AREA_BLOCK_X", 0, 5),
+    (17, "AREA_BLOCK_Y", 0, 4),
+    (BLOCK_AREA, "AREA_BLOCK", 0),
+    (CROP, "CROP_X", 0, 10),
+    (CROP + 1, "CROP_Y", 0, 10),
+    (CROP + 2, "CROP_WIDTH", SIZE[0], 10),
+    (CROP + 3, "CROP_HEIGHT", SIZE[1], 10),
+    (APPLY_CROP, "CROP_APPLY", 0),
+    (24, "FLIP_HORIZONTAL", 0),
+    (25, "FLIP_VERTICAL", 0),
+)
+
+_IMU: Rows = (
+    (2, "RUN_ACCELEROMETER", 0),
+    (3, "RUN_GYROSCOPE", 0),
+    (4, "RUN_TEMPERATURE", 0),
+    (5, "ACCELEROMETER_RATE", 11, 4),
+    (6, "ACCELEROMETER_FILTER", 2, 2),
+    (7, "ACCELEROMETER_RANGE", 5, 4),
+    (8, "GYROSCOPE_RATE", 11, 4),
+    (9, "GYROSCOPE_FILTER", 2, 2),
+    (10, "GYROSCOPE_RANGE", 2, 3),
+)
+
+_SCANS_US = (10_000.0, 5_000.0, 2_000.0, 1_000.0, 500.0, 200.0, 100.0, 499.0, 199.0, 99.6, 65.0)
+"""Period of a scan by the rate, us: `registers.scan_us` of the values that dv-processing writes to a DVXplorer."""
+
+_ACCELEROMETER_RANGES = {3: 0, 5: 1, 8: 2, 12: 3}
+_SLOWEST_ACCELEROMETER, _SLOWEST_GYROSCOPE = 5, 6  # codes of 12.5 and of 25 Hz
+
+
+def micro_registers(system: SystemInfo, imu_unit: int = 0) -> Iterator[Register]:
+    """Yield every register of firmware 10; `imu_unit`: 0 none, 3 BMI160."""
+    fixed = Access.READ_ONLY
+    frame: Rows = ((0, "SIZE_COLUMNS", SIZE[0]), (1, "SIZE_ROWS", SIZE[1]), (2, "ORIENTATION", 0))
+    yield from declare(Module.DVS, frame, fixed)
+    yield from declare(Module.DVS, _DVS)
+    yield from imu_type_registers(imu_unit)
+    yield from declare(Module.IMU, _IMU)
+    yield from system_registers(system)
+
+
+def micro_scan_us(values: RegisterFile) -> float:
+    """Return the period of a scan without events, us; that of the fastest rate for unknown ones."""
+    return _SCANS_US[min(values.read(Module.DVS, RATE), len(_SCANS_US) - 1)]
+
+
+def micro_imu_settings(values: RegisterFile, *, words: bool) -> ImuSettings:
+    """Return the settings in the registers; `words`: true while the data path runs."""
+    unit, _, *codes = (values.read(Module.IMU, k) for k in range(11))
+    if unit != BMI160:
+        return ImuSettings()
+    codes[3] = min(max(codes[3] - _SLOWEST_ACCELEROMETER, 0), 7)
+    codes[5] = _ACCELEROMETER_RANGES.get(codes[5], 0)  # the chip takes others as 2 g
+    codes[6] = min(max(codes[6] - _SLOWEST_GYROSCOPE, 0), 7)
+    return imu_settings_of(codes, words=words)

@@ -2,12 +2,12 @@
 
     module  0 multiplexer   1 DVS   3 IMU   4 external input   5 sensor chip   6 system information   9 USB
 
-Modules 0, 4, 6 and 9 are those of a DAVIS346 (`davis346.registers`), and so are the rules for writes: a write to a
+Modules 0, 4, 6 and 9 are those of all models (`fx3.registers`), and so are the rules for writes: a write to a
 register that does not exist, or that is read-only, is ignored, and a read of one that does not exist gives 0.
 
 Registers of the sensor chip are one byte wide; longer values take consecutive addresses, the high byte first:
 
-    000B 000C 000D 000F-0015 0018 001C 001E   biases, see `biases`
+    000B 000C 000D 000F-0015 0018 001C 001E   biases, see below
     3000   mode: 0 off, 1 monitor, 2 stream
     3067   format: bit 7 groups in pairs, 6 all events are ON, 5 ON events only, 4 OFF events only
     3200   bit 2 no sub-sampling, bit 1 no area blocking        3202 binning
@@ -37,6 +37,25 @@ Source: Bosch's data sheet of the BMI160, from memory, with halves and quarters 
 samples at the faster of the two rates that run, at most 1 kHz here: inferred.
 
 Sources: libcaer 3.3.15 (dvxplorer.h, dvxplorer.c), neuromorphic-drivers 0.16.1, register traffic of three drivers.
+
+The effect of the registers on the sensor is a set of factors on the parameters at dv-processing's default words:
+
+    threshold_on     1 + STEP x (v_on - 9)      v_on  = ON current, 0 to 8, + 9 in the larger range (0x0B bit 1)
+    threshold_off    1 + STEP x (v_off - 9)     v_off = 8 - OFF current, + 9 at the lower level (0x12 bit 1 is 0)
+
+dv-processing writes such levels, 0 to 17, default 9 (observed), and libcaer's five presets of sensitivity fit the same
+scale: very low 15 and 15, low 12 and 12, default 9 and 9, high 5 and 5, very high 2 and 2. A larger level is a higher
+threshold.
+
+No threshold in physical units is public. Basis of the model, all of it assumed: the two ranges of a current are a
+factor of ten apart (5 and 50 uA, libcaer 3.3.15, dvxplorer.h) and nine steps go through one; a step is then a tenth of
+a decade, and the threshold of a change detector rises with the logarithm of its current, F ln(I / I_d) with F = 0.0714
+(jAER for a DAVIS, which cites IEEE 7962235). So a step is F ln(10) / 9 = 0.0183 ln units, 7.3 % of the preset's 0.25.
+
+The period of a scan is proportional to that of the registers (`registers.scan_us`); at their power-on values the factor
+is 1.
+
+The other bias registers have no effect here: `without_effect` names them.
 """
 
 from __future__ import annotations
@@ -45,7 +64,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from firmware_protocol.davis346.registers import (
+from firmware_protocol.device import LEAST_FACTOR, MOST_FACTOR
+from firmware_protocol.fx3.registers import (
     Access,
     Module,
     Register,
@@ -54,14 +74,13 @@ from firmware_protocol.davis346.registers import (
     RunGate,
     SystemInfo,
     declare,
-    external_input,
-    usb_registers,
+    shared_registers,
 )
 from firmware_protocol.imu_samples import BMI160, ImuScale, ImuSettings
 
 SIZE = (640, 480)
 CHIP_ID = 20
-SYSTEM = SystemInfo(chip_id=CHIP_ID, logic_patch=4)
+SYSTEM = SystemInfo(chip_id=CHIP_ID, adc_clock_mhz=0, logic_patch=4)
 _ORIENTATION = 3
 """Both axes are flipped: libcaer and dv-processing then agree in the coordinates of the cropper."""
 
@@ -93,15 +112,6 @@ class ChipStatistic(Enum):
     DVS_DROPPED_COLUMNS = (Module.DVS, 85)
     DVS_DROPPED_GROUPS = (Module.DVS, 87)
 
-
-_MULTIPLEXER: Rows = (
-    (0, "RUN", 0),
-    (1, "TIMESTAMP_RUN", 0),
-    (2, "TIMESTAMP_RESET", 0),
-    (3, "RUN_CHIP", 0),
-    (4, "DROP_EXTINPUT_ON_STALL", 1),
-    (5, "DROP_DVS_ON_STALL", 0),
-)
 
 _IMU: Rows = (
     (2, "RUN_ACCELEROMETER", 0),
@@ -169,37 +179,12 @@ def registers(system: SystemInfo = SYSTEM, imu_unit: int = 0) -> Iterator[Regist
     """Yield every register; `imu_unit`: 0 none, 3 BMI160."""
     fixed = Access.READ_ONLY
     frame: Rows = ((0, "SIZE_COLUMNS", SIZE[0]), (1, "SIZE_ROWS", SIZE[1]), (2, "ORIENTATION", _ORIENTATION))
-    yield from declare(Module.MULTIPLEXER, _MULTIPLEXER)
-    yield from declare(Module.MULTIPLEXER, ((80, "HAS_STATISTICS", 1),), fixed)
+    yield from shared_registers(system, imu_unit, ChipStatistic, drops_events_on_stall=False)
     yield from declare(Module.DVS, frame, fixed, "events are in the user's frame whatever the orientation")
     yield from declare(Module.DVS, ((3, "RUN", 0),))
-    yield from declare(Module.DVS, ((80, "HAS_STATISTICS", 1),), fixed)
-    yield from declare(Module.IMU, ((0, "TYPE", imu_unit), (1, "ORIENTATION", 0)), fixed, "0: no IMU")
     yield from declare(Module.IMU, _IMU)
-    yield from declare(Module.EXTERNAL_INPUT, ((10, "HAS_GENERATOR", 1),), fixed)
-    yield from declare(Module.EXTERNAL_INPUT, external_input(system.logic_clock_mhz), note="logic clock cycles")
     for address, name, default in _CHIP:
         yield Register(Module.BIAS, address, name, default, bits=8)
-    yield from system_registers(system)
-    yield from usb_registers(system)
-    for statistic in ChipStatistic:
-        module, upper = statistic.value
-        halves: Rows = ((upper, f"{statistic.name}_UPPER", 0), (upper + 1, f"{statistic.name}_LOWER", 0))
-        yield from declare(module, halves, fixed, "half of a 64-bit counter")
-
-
-def system_registers(info: SystemInfo) -> Iterator[Register]:
-    """Return the registers of system information."""
-    rows: Rows = (
-        (0, "LOGIC_VERSION", info.logic_version),
-        (1, "CHIP_IDENTIFIER", info.chip_id),
-        (2, "DEVICE_IS_MASTER", int(info.timestamp_master)),
-        (3, "LOGIC_CLOCK_MHZ", info.logic_clock_mhz),
-        (5, "USB_CLOCK_MHZ", info.usb_clock_mhz),
-        (6, "CLOCK_DEVIATION_THOUSANDTHS", info.clock_deviation),
-        (7, "LOGIC_PATCH", info.logic_patch),
-    )
-    return declare(Module.SYSTEM, rows, Access.READ_ONLY)
 
 
 def chip_of(values: RegisterFile) -> Callable[[int], int]:
@@ -285,9 +270,54 @@ def _rate(hz: float) -> tuple[int, int]:
     return (doubled // 400, 5) if doubled >= 800 else (1, 2000 // doubled)
 
 
-def driver_imu_settings() -> ImuSettings:
+def driver_imu_settings(unit: int = BMI160) -> ImuSettings:
     """Return the drivers' settings: all parts, 800 Hz, 4 g, 500 deg/s."""
-    values = RegisterFile(registers(imu_unit=BMI160))
+    values = RegisterFile(registers(imu_unit=unit))
     for address in (2, 3, 4):
         values.write(Module.IMU, address, 1)
     return imu_settings(values, words=True)
+
+
+STEP = 0.073
+_DEFAULT_LEVEL = 9
+_DEFAULT_SCAN_US = 199.0  # of the registers' power-on values
+_RANGE_LEVELS = 9
+_MOST_CURRENT = 8
+
+_RANGES = 0x0B
+_LEVELS = 0x12
+_ON = 0x1C
+_OFF = 0x1E
+_ON_RANGE, _OFF_LEVEL = 1 << 1, 1 << 1
+
+_OTHERS = {
+    "amplifier current": (0x18, 0xFF, 4),
+    "logarithmic pixel and source follower ranges": (0x0B, 0x0D, 0x04),
+    "logarithmic amplifier and digital ranges": (0x0C, 0xFF, 0x14),
+    "source follower level": (0x12, 0x10, 0x10),
+}
+"""Register, bits and default of biases that are not modelled."""
+
+
+def sensor_factors(chip: Callable[[int], int], scan_us: float) -> dict[str, float]:
+    """Return the factors that are not 1, by sensor parameter.
+
+    `chip` returns the chip's register at an address; `scan_us` is the period of a scan that the registers select.
+    """
+    on = min(chip(_ON), _MOST_CURRENT) + _RANGE_LEVELS * bool(chip(_RANGES) & _ON_RANGE)
+    off = _MOST_CURRENT - min(chip(_OFF), _MOST_CURRENT) + _RANGE_LEVELS * (not chip(_LEVELS) & _OFF_LEVEL)
+    return level_factors(on, off, scan_us)
+
+
+def level_factors(on: int, off: int, scan_us: float) -> dict[str, float]:
+    """Return the factors that are not 1, by sensor parameter, of ON and OFF levels (0 to 17) and a period of a scan."""
+    levels = {"threshold_on": on, "threshold_off": off}
+    factors = {name: 1 + STEP * (v - _DEFAULT_LEVEL) for name, v in levels.items()}
+    factors["scan_us"] = min(max(scan_us / _DEFAULT_SCAN_US, LEAST_FACTOR), MOST_FACTOR)
+    return {name: factor for name, factor in factors.items() if factor != 1}
+
+
+def without_effect(chip: Callable[[int], int]) -> dict[str, str]:
+    """Return the biases that were changed without an effect here, each with the reason."""
+    changed = [name for name, (address, bits, default) in _OTHERS.items() if (chip(address) ^ default) & bits]
+    return dict.fromkeys(changed, "it is not modelled: its effect is not public")

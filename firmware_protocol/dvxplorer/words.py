@@ -6,7 +6,7 @@
     0011         eight pixels of group 1              7..0 bit i is pixel y + i; 8: they are OFF
     0010         eight pixels of group 2              likewise
 
-Timestamps, wraps, specials and inertial samples are those of a DAVIS346 (`davis346.words`), and so are the rules of
+Timestamps, wraps, specials and inertial samples are those of all models (`fx3.words`), and so are the rules of
 time that drivers depend on. A column holds until the next one, group addresses until the next ones.
 
 Two grammars, by bit 7 of the chip's packet format register (see `registers`):
@@ -36,8 +36,11 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.compiled import entry_of, kernel
-from firmware_protocol.davis346.blocks import Block, Marks, no_marks, put_in_place, with_places
-from firmware_protocol.davis346.words import (
+from firmware_protocol.events import EVENT, Events, bytes_of
+from firmware_protocol.evt.words import EVENT_BYTES, short_at, time_at
+from firmware_protocol.fx3.blocks import Block, Marks, no_marks, put_in_place, with_places
+from firmware_protocol.fx3.stream import TimedEncoder
+from firmware_protocol.fx3.words import (
     LOW_BITS,
     MAX_STEPS,
     SINGLE_WRAPS,
@@ -46,16 +49,16 @@ from firmware_protocol.davis346.words import (
     WRAP,
     WRAP_BITS,
     Encoded,
-    TimedEncoder,
     Words,
     WordState,
     is_column,
     is_row,
 )
-from firmware_protocol.events import EVENT, Events, bytes_of
-from firmware_protocol.evt.words import EVENT_BYTES, short_at, time_at
 
-COLUMN, GROUP_2, GROUP_1, ADDRESSES = 0x1000, 0x2000, 0x3000, 0x4000
+COLUMN = 0x1000
+GROUP_2 = 0x2000
+GROUP_1 = 0x3000
+ADDRESSES = 0x4000
 SCAN_START = 0x800
 COLUMN_BITS = 0x3FF
 OFF_BIT = 0x100
@@ -64,7 +67,7 @@ ROWS_OF_GROUP = 8
 LOWEST_BIT = np.array([0, *(np.log2(mask & -mask) for mask in range(1, 256))], np.uint8)
 """Number of the lowest bit that is set in a byte."""
 
-entry = entry_of("firmware_protocol.dvxplorer", "firmware_protocol.evt", "firmware_protocol.davis346.words")
+entry = entry_of("firmware_protocol.dvxplorer", "firmware_protocol.evt", "firmware_protocol.fx3.words")
 
 _Bytes = npt.NDArray[np.uint8]
 _Times = npt.NDArray[np.int64]
@@ -73,32 +76,32 @@ _State = npt.NDArray[np.int64]
 # Content of a state: device time and column in the words so far, next event and mark of this call, the time of the
 # records that is zero in the words, a flag for pairs of groups, the size of the array, and the number of column words.
 _TIME, _COLUMN, _AT_EVENT, _AT_MARK, _EPOCH, _PAIRS, _WIDTH, _HEIGHT, _COLUMNS = range(9)
-_BACKWARDS, _OUTSIDE, _TOO_LATE = -1, -2, -3
+_BACKWARDS = -1
+_OUTSIDE = -2
+_TOO_LATE = -3
 _MOST_WORDS = 6  # of one iteration of the loop
 _LONGEST_GAP_WRAPS = 1 << 25  # 12 days: 8192 words
 _NO_COLUMN = np.int64(-1)
 
 # Compiled code holds plain numbers.
-_WRAP, _WRAP_BITS, _TIMESTAMP, _LOW_BITS, _MAX_STEPS, _SINGLE = (
-    WRAP,
-    WRAP_BITS,
-    TIMESTAMP,
-    LOW_BITS,
-    MAX_STEPS,
-    SINGLE_WRAPS,
-)
+_WRAP = WRAP
+_WRAP_BITS = WRAP_BITS
+_TIMESTAMP = TIMESTAMP
+_LOW_BITS = LOW_BITS
+_MAX_STEPS = MAX_STEPS
+_SINGLE = SINGLE_WRAPS
 
 
 @entry
-def write_words(events: _Bytes, marks: tuple[_Times, Words], state: _State, out: Words) -> int:
+def write_words(events: _Bytes, mark_times: _Times, mark_words: Words, state: _State, out: Words) -> int:
     """Write words until all events and marks are written or `out` is full.
 
     Parameters
     ----------
     events
         (13 n,) bytes of EVENT records.
-    marks
-        (m,) times and (m,) words, sorted; a mark comes before events of the same time.
+    mark_times, mark_words
+        (m,) times, us, and words of marks, sorted; a mark comes before events of the same time.
     state
         (9,) with the layout above; on return the state after the last word.
     out
@@ -109,7 +112,6 @@ def write_words(events: _Bytes, marks: tuple[_Times, Words], state: _State, out:
     int
         Number of words; negative: backwards, outside or too late, and `state` is invalid.
     """
-    mark_times, mark_words = marks
     written = 0
     while written <= len(out) - _MOST_WORDS:
         at, at_mark = state[_AT_EVENT] * EVENT_BYTES, state[_AT_MARK]
@@ -217,7 +219,7 @@ class PixelWords(Encoded):
     """Words of a run of events, marks and blocks, in which a word may complete up to eight events."""
 
     def events_in(self, words: Words) -> int:
-        """See `Encoded.events_in`."""
+        """Return the number of pixels in those of the words that complete events."""
         return int(_PIXELS_IN[words[is_column(words)] & 0xFF].sum(dtype=np.int64))
 
 
@@ -257,17 +259,19 @@ class GroupEncoder(TimedEncoder):
     def encode(
         self, events: Events, epoch_us: int = 0, marks: Marks | None = None, blocks: Sequence[Block] = ()
     ) -> PixelWords:
-        """See `TimedEncoder.encode`."""
+        """Return the words of items in stream order, written by the kernel."""
         placed = with_places(no_marks() if marks is None else marks, blocks)
-        state = self._kernel_state(epoch_us)
-        at = placed["t"].astype(np.int64), np.ascontiguousarray(placed["code"])
+        column = int(_NO_COLUMN) if self.state.row < 0 else self.state.row & COLUMN_BITS
+        state = np.array([self.state.time_us, column, 0, 0, epoch_us, self.compressed, *self._size, 0], np.int64)
+        mark_times = placed["t"].astype(np.int64)
+        mark_words = np.ascontiguousarray(placed["code"])
         pieces: list[Words] = []
-        most = self.words_per_event * len(events) + 2 * len(placed) + _MOST_WORDS + 64
-        if len(self._room) < most:
-            self._room = np.empty(most, WORD)
+        room = self.words_per_event * len(events) + 2 * len(placed) + _MOST_WORDS + 64
+        if len(self._room) < room:
+            self._room = np.empty(room, WORD)
         data = bytes_of(events)
         while state[_AT_EVENT] < len(events) or state[_AT_MARK] < len(placed):
-            written = write_words(data, at, state, self._room)
+            written = write_words(data, mark_times, mark_words, state, self._room)
             if written < 0:
                 raise ValueError(_COMPLAINTS[written])
             pieces.append(self._room[:written].copy())
@@ -277,12 +281,8 @@ class GroupEncoder(TimedEncoder):
         return PixelWords(*put_in_place(words, blocks))
 
     def count(self, queued: Words, dropped: Words) -> None:
-        """See `TimedEncoder.count`."""
+        """Count groups of pixels, and the columns that found no room."""
         self.groups += int(np.count_nonzero(is_column(queued)))
         if len(dropped):
             self.dropped_groups += int(np.count_nonzero(is_column(dropped)))
             self.dropped_columns += int(np.count_nonzero(is_row(dropped)))
-
-    def _kernel_state(self, epoch_us: int) -> _State:
-        column = int(_NO_COLUMN) if self.state.row < 0 else self.state.row & COLUMN_BITS
-        return np.array([self.state.time_us, column, 0, 0, epoch_us, self.compressed, *self._size, 0], np.int64)

@@ -28,6 +28,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from firmware_protocol.compiled import kernel
 from firmware_protocol.events import EdgeKind, Edges, Events, empty_edges, empty_events
 from firmware_protocol.evt.evt3 import full_high, put_edge, put_event
 from firmware_protocol.evt.words import (
@@ -48,7 +49,6 @@ from firmware_protocol.evt.words import (
     entry,
     fault_of,
     is_left,
-    kernel,
     next_high,
     next_time,
     run_end,
@@ -84,8 +84,6 @@ NO_MASK, MASK_FIRST, MASK_LAST = range(3)
 """Second half of a word: none (EVT2), or a bit for each of 32 columns, before it (EVT2.1) or after it (legacy)."""
 
 _ON, _HIGH, _TRIGGER = ON << 28, HIGH << 28, TRIGGER << 28
-_LOW_BITS, _HIGH_BITS = LOW_BITS, HIGH_BITS
-_LIMIT_PX, _WINDOW_PX = LIMIT_PX, WINDOW_PX
 _RISING, _PULSE = int(EdgeKind.RISING), int(EdgeKind.PULSE)
 _MOST_WORDS = 6  # of one iteration of the loop
 
@@ -105,10 +103,10 @@ def write_evt2(events: _Bytes, edges: _Bytes, mask: int, state: _State, out: _Wo
         fault = fault_of(t, state)
         if fault:
             return fault
-        high = t >> _LOW_BITS
+        high = t >> LOW_BITS
         if high != state[HIGH_SENT] or state[MUST_OPEN]:
             if high != state[HIGH_SENT]:
-                state[HIGH_SENT] = _next_high(state[HIGH_SENT], high, _HIGH_BITS)
+                state[HIGH_SENT] = _next_high(state[HIGH_SENT], high, HIGH_BITS)
             written = _put(out, written, mask, _HIGH | state[HIGH_SENT] & 0xFFFFFFF, 0)
             state[MUST_OPEN] = high != state[HIGH_SENT]
             continue
@@ -116,7 +114,7 @@ def write_evt2(events: _Bytes, edges: _Bytes, mask: int, state: _State, out: _Wo
             state[LAST] = t
             written = _put_edge(edges, mask, (t & 0x3F) << 22, state, out, written)
         else:
-            written = _put_events(events, run_end(t, _LOW_BITS, edges, state), mask, state, out, written)
+            written = _put_events(events, run_end(t, LOW_BITS, edges, state), mask, state, out, written)
         if written < 0:
             return OUTSIDE
     return written
@@ -146,26 +144,26 @@ def _put_edge(edges: _Bytes, mask: int, low: int, state: _State, out: _Words, wr
 @kernel
 def _put_events(events: _Bytes, until: int, mask: int, state: _State, out: _Words, written: int) -> int:
     """Write the events up to the time `until`, or as many as fit; return a negative number for one outside."""
-    at, origin, last = state[AT_EVENT] * EVENT_BYTES, state[ORIGIN], state[LAST]
+    at = state[AT_EVENT] * EVENT_BYTES
+    origin, last = state[ORIGIN], state[LAST]
     while at < len(events) and written <= len(out) - _MOST_WORDS:
         t = time_at(events, at) - origin
         if t < last or t > until:
             break
         last = t
-        x, y, on = short_at(events, at + 8), short_at(events, at + 10), events[np.uint64(at + 12)] != 0
-        if (x | y) >= _LIMIT_PX:
+        x, y = short_at(events, at + 8), short_at(events, at + 10)
+        on = events[np.uint64(at + 12)] != 0
+        if (x | y) >= LIMIT_PX:
             return OUTSIDE
-        bits, count, column = 0, 1, x
+        bits, column = 0, x
+        count = 1
         if mask != NO_MASK:
-            column = x - x % _WINDOW_PX
+            column = x - x % WINDOW_PX
             bits, count = window(events, at, column)
         at += count * EVENT_BYTES
         written = _put(out, written, mask, (_ON if on else 0) | (t & 0x3F) << 22 | column << 11 | y, bits)
     state[AT_EVENT], state[LAST] = at // EVENT_BYTES, last
     return written
-
-
-_ON_KIND, _HIGH_KIND, _TRIGGER_KIND = ON, HIGH, TRIGGER
 
 
 @kernel
@@ -184,12 +182,12 @@ def count_evt2(words: _Words, mask: int, is_started: bool) -> tuple[int, int]:
     for i in range(len(words) if mask == NO_MASK else len(words) // 2):
         word, columns = _pair(words, i, mask)
         kind = word >> 28
-        is_started = is_started or kind == _HIGH_KIND
-        if is_started and kind <= _ON_KIND:
+        is_started = is_started or kind == HIGH
+        if is_started and kind <= ON:
             while columns:
                 columns &= columns - 1
                 events += 1
-        edges += is_started and kind == _TRIGGER_KIND
+        edges += is_started and kind == TRIGGER
     return events, edges
 
 
@@ -200,18 +198,18 @@ def read_evt2(words: _Words, mask: int, state: _State, events: _Bytes, edges: _B
     for i in range(len(words) if mask == NO_MASK else len(words) // 2):
         word, columns = _pair(words, i, mask)
         kind, t = word >> 28, state[0] << 6 | (word >> 22 & 0x3F)
-        if kind == _HIGH_KIND:
-            state[0] = full_high(state[0], word & 0xFFFFFFF, _HIGH_BITS)
+        if kind == HIGH:
+            state[0] = full_high(state[0], word & 0xFFFFFFF, HIGH_BITS)
         elif state[0] < 0:
             continue
-        elif kind <= _ON_KIND:
+        elif kind <= ON:
             x = word >> 11 & 0x7FF
             while columns:
                 if columns & 1:
                     at = put_event(events, at, t, x, word & 0x7FF, kind)
                 columns >>= 1
                 x += 1
-        elif kind == _TRIGGER_KIND:
+        elif kind == TRIGGER:
             at_edge = put_edge(edges, at_edge, t, word >> 8 & 0x1F, word & 1)
 
 
@@ -260,9 +258,9 @@ class Evt2Decoder:
         """
         data = self._rest + data
         unit = 4 if self._mask == NO_MASK else 8
-        whole = len(data) - len(data) % unit
-        self._rest = data[whole:]
-        words = np.frombuffer(data[:whole], "<u4")
+        complete_bytes = len(data) - len(data) % unit
+        self._rest = data[complete_bytes:]
+        words = np.frombuffer(data[:complete_bytes], "<u4")
         n_events, n_edges = count_evt2(words, self._mask, bool(self._high[0] >= 0))
         events, edges = empty_events(n_events), empty_edges(n_edges)
         read_evt2(words, self._mask, self._high, events.view(np.uint8), edges.view(np.uint8))

@@ -20,11 +20,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from firmware_protocol.compiled import kernel
 from firmware_protocol.events import EdgeKind, Edges, Events, empty_edges, empty_events
-from firmware_protocol.evt import words
 from firmware_protocol.evt.words import (
     AT_EDGE,
     AT_EVENT,
+    BASE,
     EDGE_BYTES,
     EVENT_BYTES,
     HIGH,
@@ -32,18 +33,25 @@ from firmware_protocol.evt.words import (
     HIGH_SENT,
     LAST,
     LIMIT_PX,
+    LOW,
     MUST_OPEN,
     ORIGIN,
     OUTSIDE,
+    ROW,
     ROW_SENT,
+    SINGLE,
     TIME_SENT,
+    TRIGGER,
+    VECTOR_8,
+    VECTOR_12,
+    WINDOW_PX,
     Coder,
     Words,
     edge_is_next,
     entry,
     fault_of,
     is_left,
-    kernel,
+    next_high,
     next_time,
     put_short,
     put_time,
@@ -57,16 +65,13 @@ _Bytes = npt.NDArray[np.uint8]
 _Words = npt.NDArray[np.uint16]
 _State = npt.NDArray[np.int64]
 
-_HIGH, _LOW, _ROW, _SINGLE, _BASE, _TRIGGER = (
-    kind << 12 for kind in (words.HIGH, words.LOW, words.ROW, words.SINGLE, words.BASE, words.TRIGGER)
-)
-_VECTOR_12, _VECTOR_8 = words.VECTOR_12 << 12, words.VECTOR_8 << 12
-_BITS, _LIMIT_PX, _WINDOW_PX = words.HIGH_BITS, words.LIMIT_PX, words.WINDOW_PX
+_HIGH, _LOW, _ROW, _SINGLE, _BASE, _TRIGGER = (kind << 12 for kind in (HIGH, LOW, ROW, SINGLE, BASE, TRIGGER))
+_VECTOR_12, _VECTOR_8 = VECTOR_12 << 12, VECTOR_8 << 12
 _RISING, _PULSE = int(EdgeKind.RISING), int(EdgeKind.PULSE)
 _FEWEST = 5  # events of a vector: it takes four words
 _MOST_WORDS = 8  # of one iteration of the loop
 
-_next_high = kernel(words.next_high)
+_next_high = kernel(next_high)
 
 
 @entry
@@ -96,7 +101,7 @@ def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _
         fault = fault_of(t, state)
         if fault:
             return fault
-        high = t >> _BITS
+        high = t >> HIGH_BITS
         if high != state[HIGH_SENT] or state[MUST_OPEN]:
             written = _put_high(high, state, out, written)
             if high != state[HIGH_SENT]:
@@ -104,7 +109,7 @@ def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _
         if is_edge:
             written = _put_edge(edges, t, state, out, written)
         else:
-            written = _put_events(events, run_end(t, _BITS, edges, state), width, state, out, written)
+            written = _put_events(events, run_end(t, HIGH_BITS, edges, state), width, state, out, written)
         if written < 0:
             return OUTSIDE
     return written
@@ -114,7 +119,7 @@ def write_words(events: _Bytes, edges: _Bytes, width: int, state: _State, out: _
 def _put_high(high: int, state: _State, out: _Words, written: int) -> int:
     """Write one high part on the way to `high`, or `high` itself; return the index of the next word."""
     if high != state[HIGH_SENT]:
-        state[HIGH_SENT] = _next_high(state[HIGH_SENT], high, _BITS)
+        state[HIGH_SENT] = _next_high(state[HIGH_SENT], high, HIGH_BITS)
     out[np.uint64(written)] = _HIGH | state[HIGH_SENT] & 0xFFF
     state[MUST_OPEN] = state[MUST_OPEN] and high != state[HIGH_SENT]
     return written + 1
@@ -137,21 +142,24 @@ def _put_edge(edges: _Bytes, t: int, state: _State, out: _Words, written: int) -
 @kernel
 def _put_events(events: _Bytes, until: int, width: int, state: _State, out: _Words, written: int) -> int:
     """Write the events up to the time `until`, or as many as fit; return a negative number for one outside."""
-    at, t_before, row_before = state[AT_EVENT] * EVENT_BYTES, state[TIME_SENT], state[ROW_SENT]
+    at = state[AT_EVENT] * EVENT_BYTES
+    t_before, row_before = state[TIME_SENT], state[ROW_SENT]
     origin, last = state[ORIGIN], state[LAST]
     t = time_at(events, at) - origin
     while last <= t <= until:
-        x, y, on = short_at(events, at + 8), short_at(events, at + 10), events[np.uint64(at + 12)] != 0
-        if (x | y) >= _LIMIT_PX:
+        x, y = short_at(events, at + 8), short_at(events, at + 10)
+        on = events[np.uint64(at + 12)] != 0
+        if (x | y) >= LIMIT_PX:
             return OUTSIDE
         out[np.uint64(written)] = _LOW | t & 0xFFF
         written += t != t_before
         out[np.uint64(written)] = _ROW | y
         written += y != row_before
-        last, t_before, row_before = t, t, y
-        base = x - x % _WINDOW_PX
+        last = t_before = t
+        row_before = y
+        base = x - x % WINDOW_PX
         bits, count = 0, 0
-        if base + _WINDOW_PX <= width and _may_be_vector(events, at):
+        if base + WINDOW_PX <= width and _may_be_vector(events, at):
             bits, count = window(events, at, base)
         if count >= _FEWEST:
             written = _put_vector(base, on, bits, out, written)
@@ -163,7 +171,9 @@ def _put_events(events: _Bytes, until: int, width: int, state: _State, out: _Wor
         if at >= len(events) or written > len(out) - _MOST_WORDS:
             break
         t = time_at(events, at) - origin
-    state[AT_EVENT], state[LAST], state[TIME_SENT], state[ROW_SENT] = at // EVENT_BYTES, last, t_before, row_before
+    state[AT_EVENT] = at // EVENT_BYTES
+    state[LAST], state[TIME_SENT] = last, t_before
+    state[ROW_SENT] = row_before
     return written
 
 
@@ -175,7 +185,7 @@ def _may_be_vector(events: _Bytes, at: int) -> bool:
         return False
     differences = time_at(events, other) ^ time_at(events, at)
     differences |= short_at(events, other + 10) ^ short_at(events, at + 10)
-    differences |= (short_at(events, other + 8) ^ short_at(events, at + 8)) // _WINDOW_PX
+    differences |= (short_at(events, other + 8) ^ short_at(events, at + 8)) // WINDOW_PX
     differences |= (events[np.uint64(other + 12)] != 0) ^ (events[np.uint64(at + 12)] != 0)
     return bool(differences == 0)
 
@@ -225,11 +235,6 @@ class Evt3Encoder(Coder):
 # Content of a state: full high part (-1: none yet), low part, row, column and polarity of the next vector.
 HIGH_READ, _LOW_READ, _ROW_READ, _COLUMN, _POLARITY = range(5)
 
-# Kinds of words. Compiled code holds plain numbers.
-_ROW_KIND, _SINGLE_KIND, _BASE_KIND, _LOW_KIND, _HIGH_KIND, _TRIGGER_KIND = (
-    words.ROW, words.SINGLE, words.BASE, words.LOW, words.HIGH, words.TRIGGER,
-)  # fmt: skip
-_VECTOR_12_KIND, _VECTOR_8_KIND = words.VECTOR_12, words.VECTOR_8
 _FALLING = int(EdgeKind.FALLING)
 
 
@@ -245,39 +250,47 @@ def count_words(words: _Words) -> tuple[int, int]:
     for word in words:
         kind = word >> 12
         # The column bits of a vector, none for other words; then their number.
-        bits = np.int64(word & (0xFFF if kind == _VECTOR_12_KIND else 0xFF if kind == _VECTOR_8_KIND else 0))
+        bits = np.int64(word & (0xFFF if kind == VECTOR_12 else 0xFF if kind == VECTOR_8 else 0))
         bits -= bits >> 1 & 0x555
         bits = (bits & 0x333) + (bits >> 2 & 0x333)
-        events += (bits & 0xF) + (bits >> 4 & 0xF) + (bits >> 8) + (kind == _SINGLE_KIND)
-        edges += kind == _TRIGGER_KIND
+        events += (bits & 0xF) + (bits >> 4 & 0xF) + (bits >> 8) + (kind == SINGLE)
+        edges += kind == TRIGGER
     return events, edges
 
 
 @entry
 def read_words(words: _Words, state: _State, events: _Bytes, edges: _Bytes) -> None:
     """Write the records of all (n,) words to `events` and `edges`, sized by `count_words`, and update `state`."""
-    high, low, row = state[HIGH_READ], state[_LOW_READ], state[_ROW_READ]
-    column, on, at, at_edge = state[_COLUMN], state[_POLARITY], 0, 0
+    high, low = state[HIGH_READ], state[_LOW_READ]
+    row, column = state[_ROW_READ], state[_COLUMN]
+    on = state[_POLARITY]
+    at = at_edge = 0
     for word in words:
         kind, value = word >> 12, int(word & 0xFFF)
-        if kind == _SINGLE_KIND:
+        if kind == SINGLE:
             at = put_event(events, at, high << 12 | low, value & 0x7FF, row, value >> 11)
-        elif kind == _ROW_KIND:
+        elif kind == ROW:
             row = value & 0x7FF
-        elif kind == _LOW_KIND:
+        elif kind == LOW:
             low = value
-        elif kind == _HIGH_KIND:
-            high, low = full_high(high, value, _BITS), 0  # a new high part begins at low part 0
-        elif kind == _BASE_KIND:
+        elif kind == HIGH:
+            high, low = full_high(high, value, HIGH_BITS), 0  # a new high part begins at low part 0
+        elif kind == BASE:
             column, on = value & 0x7FF, value >> 11
-        elif kind in (_VECTOR_12_KIND, _VECTOR_8_KIND):
-            length = 12 if kind == _VECTOR_12_KIND else 8
-            at = _put_columns(events, at, high << 12 | low, value & (1 << length) - 1, (column, row, on))
+        elif kind in (VECTOR_12, VECTOR_8):
+            length = 12 if kind == VECTOR_12 else 8
+            bits, x = value & (1 << length) - 1, column
+            while bits:
+                if bits & 1:
+                    at = put_event(events, at, high << 12 | low, x, row, on)
+                bits >>= 1
+                x += 1
             column = column + length & 0xFFFF
-        elif kind == _TRIGGER_KIND:
+        elif kind == TRIGGER:
             at_edge = put_edge(edges, at_edge, high << 12 | low, value >> 8, value & 1)
-    state[HIGH_READ], state[_LOW_READ], state[_ROW_READ] = high, low, row
-    state[_COLUMN], state[_POLARITY] = column, on
+    state[HIGH_READ], state[_LOW_READ] = high, low
+    state[_ROW_READ], state[_COLUMN] = row, column
+    state[_POLARITY] = on
 
 
 @kernel
@@ -298,18 +311,6 @@ def put_event(events: _Bytes, at: int, t: int, x: int, y: int, on: int) -> int:
     put_short(events, at + 10, y)
     events[np.uint64(at + 12)] = on
     return at + EVENT_BYTES
-
-
-@kernel
-def _put_columns(events: _Bytes, at: int, t: int, bits: int, place: tuple[int, int, int]) -> int:
-    """Write an event for each bit; `place` is the column of the first, the row, the polarity."""
-    column, row, on = place
-    while bits:
-        if bits & 1:
-            at = put_event(events, at, t, column, row, on)
-        bits >>= 1
-        column += 1
-    return at
 
 
 @kernel
@@ -336,9 +337,9 @@ class Evt3Decoder:
         Any bytes are words: there is no error, and at most 12 events a word.
         """
         data = self._rest + data
-        whole = len(data) & ~1
-        self._rest = data[whole:]
-        words = np.frombuffer(data[:whole], "<u2")
+        complete_bytes = len(data) & ~1
+        self._rest = data[complete_bytes:]
+        words = np.frombuffer(data[:complete_bytes], "<u2")
         if self._state[HIGH_READ] < 0:
             starts = np.flatnonzero(words >> 12 == HIGH)
             words = words[starts[0] :] if len(starts) else words[:0]

@@ -37,53 +37,6 @@ import numpy.typing as npt
 from firmware_protocol.compiled import entry_of, kernel
 from firmware_protocol.events import Edges, Events, bytes_of, empty_edges, empty_events
 
-__all__ = [
-    "AT_EDGE",
-    "AT_EVENT",
-    "BACKWARDS",
-    "BASE",
-    "EDGE_BYTES",
-    "EVENT_BYTES",
-    "HIGH",
-    "HIGH_BITS",
-    "HIGH_SENT",
-    "LAST",
-    "LIMIT_PX",
-    "LONGEST_GAP_US",
-    "LOW",
-    "MUST_OPEN",
-    "ORIGIN",
-    "OUTSIDE",
-    "ROW",
-    "ROW_SENT",
-    "SINGLE",
-    "TIME_SENT",
-    "TOO_LATE",
-    "TRIGGER",
-    "VECTOR_8",
-    "VECTOR_12",
-    "WINDOW_PX",
-    "Coder",
-    "Filled",
-    "Words",
-    "edge_is_next",
-    "entry",
-    "evt3_header",
-    "fault_of",
-    "is_left",
-    "kernel",
-    "new_state",
-    "next_high",
-    "next_time",
-    "put_short",
-    "put_time",
-    "run_end",
-    "short_at",
-    "time_at",
-    "window",
-]
-
-
 ROW, SINGLE, BASE, VECTOR_12, VECTOR_8, LOW, HIGH, TRIGGER = 0x0, 0x2, 0x3, 0x4, 0x5, 0x6, 0x8, 0xA
 LIMIT_PX = 1 << 11
 WINDOW_PX = 32
@@ -97,20 +50,20 @@ def evt3_header(size: tuple[int, int]) -> bytes:
     return "".join(f"% {line}\n" for line in lines).encode("ascii")
 
 
-def next_high(written: int, wanted: int, bits: int) -> int:
-    """Return the full high part of a time to write next after `written`, on the way to `wanted` > `written`.
+def next_high(written: int, target: int, bits: int) -> int:
+    """Return the full high part of a time to write next after `written`, on the way to `target` > `written`.
 
     A word holds `bits` bits of it. -1 stands before the first word, so every stream begins with high part 0.
     """
     wrap = 1 << bits
     quarter = wrap // 4
-    if written >> bits == wanted >> bits and wanted - written < 2 * quarter:
-        return wanted
+    if written >> bits == target >> bits and target - written < 2 * quarter:
+        return target
     next_step = (written // quarter + 1) * quarter
     end_of_wrap = written | wrap - 1
     if end_of_wrap > written:
         next_step = min(next_step, end_of_wrap)
-    return min(next_step, wanted)
+    return min(next_step, target)
 
 
 entry = entry_of("firmware_protocol.evt", "firmware_protocol.events")
@@ -161,8 +114,6 @@ _State = npt.NDArray[np.int64]
 HIGH_SENT, TIME_SENT, ROW_SENT, LAST, AT_EVENT, AT_EDGE, MUST_OPEN, ORIGIN = range(8)
 BACKWARDS, TOO_LATE, OUTSIDE = -1, -2, -3
 LONGEST_GAP_US = 1 << 37  # 38 hours: 41 000 words
-
-_WINDOW_PX = WINDOW_PX
 
 
 def new_state(origin_us: int = 0) -> _State:
@@ -217,13 +168,14 @@ def same_group(events: _Bytes, at: int, other: int, base: int) -> bool:
         return False
     x, on = short_at(events, other + 8), (events[np.uint64(at + 12)] != 0) == (events[np.uint64(other + 12)] != 0)
     same_row = short_at(events, other + 10) == short_at(events, at + 10)
-    return time_at(events, other) == time_at(events, at) and same_row and on and base <= x < base + _WINDOW_PX
+    return time_at(events, other) == time_at(events, at) and same_row and on and base <= x < base + WINDOW_PX
 
 
 @kernel
 def window(events: _Bytes, at: int, base: int) -> tuple[int, int]:
     """Return the columns in the window from `base`, a bit each, that records from `at` on fill, and their number."""
-    bits, count, last, other = 0, 0, -1, at
+    bits = count = 0
+    last, other = -1, at
     while same_group(events, at, other, base) and short_at(events, other + 8) > last:
         last = short_at(events, other + 8)
         bits |= 1 << (last - base)
@@ -322,9 +274,10 @@ class Coder:
             raise ValueError(_COMPLAINTS[TOO_LATE])
         if t_us <= state[LAST]:
             return b""
-        words, written, wanted = list[int](), int(state[HIGH_SENT]), t_us >> format_.low_bits
-        while written < wanted:
-            written = next_high(written, wanted, format_.high_bits)
+        words, written = list[int](), int(state[HIGH_SENT])
+        target_high = t_us >> format_.low_bits
+        while written < target_high:
+            written = next_high(written, target_high, format_.high_bits)
             words += format_.high_words(written)
         state[LAST] = t_us
         state[HIGH_SENT] = written
@@ -335,7 +288,8 @@ class Coder:
         state = self._state.copy()
         state[AT_EVENT] = state[AT_EDGE] = 0
         if self._standalone:
-            state[MUST_OPEN], state[TIME_SENT], state[ROW_SENT] = 1, -1, -1
+            state[MUST_OPEN] = 1
+            state[TIME_SENT] = state[ROW_SENT] = -1
         return state
 
     def _written(self, events: _Bytes, edges: _Bytes, state: _State, out: npt.NDArray[np.unsignedinteger]) -> bytes:

@@ -1,7 +1,6 @@
 """USB device model of Prophesee's board with a GenX320: the Treuzell protocol of the EVK4, another sensor.
 
-The USB side, with its endpoints, is `prophesee.usb`; the registers are in `registers`, the effect of the biases on the
-pixels in `biases`.
+The USB side, with its endpoints, is `prophesee.usb`; the registers are in `registers`.
 
 Run gate: events leave while the pixels run (register 0000 bit 10), the output is enabled (9028 bit 1 is 0) and time
 runs (9008 bit 0). Words are EVT2.1 from power-on; EVT2 or EVT3 if the host sets it (7044).
@@ -9,6 +8,20 @@ runs (9008 bit 0). Words are EVT2.1 from power-on; EVT2 or EVT3 if the host sets
 Sources: OpenEB 5.1.1, whose drivers require the ids, the interface, `Chip.compatible`, the chip's register and a
 release from 03.08.00 on. Inferred: the strings and the name of the sensor, which OpenEB does not compare; the kind of
 board, which for other boards is OpenEB's number of the system (EVK3 with a GenX320 in production: 3B).
+
+The effect of the biases on the simulated pixels is uncertain: no formula and no measurement is public.
+
+Biases are absolute, 0 to 127; at the values that OpenEB writes when it opens the sensor (fo 34, hpf 40, diff_on 25,
+diff 51, diff_off 28, refr 10) all factors are 1. `prophesee.biases` has the form of the factors.
+
+    directions      those of Prophesee's page "Biases", which holds for all its sensors: a higher diff_on, diff_off is a
+                    higher threshold, a higher fo passes faster changes, a higher refr is a shorter dead time. OpenMV's
+                    guide to its presets agrees on the first three, and states the opposite of refr
+    diff_on,        twice the IMX636's slopes, which were fitted to a measurement: assumed is that 7 bits here span the
+    diff_off        range of 8 bits there
+    fo, refr        one over the value at open, as for the IMX636: assumed is a current proportional to the register
+
+`[camera.bias_slopes]` of a rig replaces any of them.
 """
 
 from __future__ import annotations
@@ -16,11 +29,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from firmware_protocol.genx320.biases import SLOPES
 from firmware_protocol.genx320.registers import SIZE, Registers, Surroundings
 from firmware_protocol.genx320.selection import Selection
-from firmware_protocol.prophesee.biases import BiasModel
+from firmware_protocol.prophesee.biases import BiasModel, BiasSlopes
 from firmware_protocol.prophesee.usb import BoardIdentity, TreuzellCamera, TreuzellSettings
+
+SLOPES = BiasSlopes(diff_on=0.0298, diff_off=0.0508, diff_off_above=0.0234, off_delay=0.084, fo=1 / 34, refr=0.1)
+"""Effect of one step of each bias."""
 
 _TRAIL = 0xD000, 0xD008, 0xD00C
 
@@ -78,6 +93,7 @@ class Genx320(TreuzellCamera):
     @property
     def without_effect(self) -> Mapping[str, str]:
         """Settings that hosts changed without an effect here, each with the reason."""
-        control, one, other = (self.read_register(address) for address in _TRAIL)
-        trail = {"trail_filter": "it is not modelled"} if control & 5 == 1 and (one | other) & 1 else {}
-        return {**super().without_effect, **trail}
+        control, trail, burst = (self.read_register(address) for address in _TRAIL)
+        is_on = control & 5 == 1 and (trail | burst) & 1
+        changed = {"trail_filter": "it is not modelled"} if is_on else {}
+        return {**super().without_effect, **changed}

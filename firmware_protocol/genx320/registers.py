@@ -20,9 +20,9 @@
     900C            crop: bit 0 on, 2 drop what is outside, 4 new origin; 9010 first column 8..0, row 24..16; 9014 last
     9028            bit 1 no output
     9100 + 8 i      16 masks of 32 pixels: column / 32 in bits 3..0, row 12..4, 31 on; 9104 + 8 i  the pixels
-    C000 - C0C4     anti-flicker filter, see `filters`; C0C4 bit 2 ready while 00B8 bit 0 is 1
+    C000 - C0C4     anti-flicker filter, see `selection`; C0C4 bit 2 ready while 00B8 bit 0 is 1
     D000 - D0C4     filter of trails: C0C4's bits in D0C4, bit 0 starts
-    E000 - E018     noise filter, see `filters`
+    E000 - E018     noise filter, see `selection`
     F008            mailbox of the processor: it takes a command at once, and sets the upper octet to 0
     F010            CAFEBABE, the processor has booted
 
@@ -44,21 +44,21 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
-import numpy as np
-import numpy.typing as npt
-
 from firmware_protocol.prophesee.biases import BiasModel
-from firmware_protocol.prophesee.usb import Form
+from firmware_protocol.prophesee.registers import ChipRegisters, Form, NoRegister, SensorSurroundings
 
 SIZE = (320, 320)
 WINDOWS, MASKS = 18, 16
 CHIP = 0xB060_2003
 
 _END = 0x1_0000
-_VALID, _MEASURE_DEAD_TIME, _ADC_DONE = 1 << 28, 3 << 30, 1 << 11
-_READY, _WINDOWS_DONE, _RATE_READY = 1 << 2, 1 << 17, 1 << 31
+_VALID = 1 << 28
+_MEASURE_DEAD_TIME = 3 << 30
+_ADC_DONE = 1 << 11
+_READY = 1 << 2
+_WINDOWS_DONE = 1 << 17
+_RATE_READY = 1 << 31
 _PADS, _TRIGGERS = 1 << 10 | 1 << 14, 1 << 10
-_BIAS_BITS = 0x7F
 _FORMS: tuple[Form, ...] = ("evt2", "evt3", "evt21", "evt21")
 
 
@@ -177,27 +177,9 @@ _POWER_ON: Mapping[int, int] = {
 }
 
 
-class NoRegister(LookupError):
-    """There is no register at an address."""
-
-
 @dataclass(frozen=True)
-class Surroundings:
-    """Readings of the sensor's own instruments.
-
-    Attributes
-    ----------
-    celsius
-        Temperature of the chip, -54 to 166.
-    lux
-        Light on the chip; the scene's light is not available here.
-    dead_time_us
-        Refractory period at the biases of a camera that was just opened.
-    """
-
-    celsius: float = 35.0
-    lux: float = 100.0
-    dead_time_us: float = 100.0
+class Surroundings(SensorSurroundings):
+    """Readings of the sensor's own instruments; the thermometer reads -54 to 166 degrees."""
 
     @property
     def adc(self) -> int:
@@ -216,14 +198,16 @@ class Surroundings:
         return min(round(50.0 * self.dead_time_us * factor), _VALID - 1)
 
 
-class Registers:
+class Registers(ChipRegisters):
     """The register file, from power-on."""
+
+    array_control = Address.ARRAY
+    bias_bits = 0x7F
 
     def __init__(self, surroundings: Surroundings = Surroundings(), biases: BiasModel | None = None) -> None:
         self._around = surroundings
         self._biases = biases or BiasModel()
-        self._words = np.zeros(_END // 4, np.uint32)
-        self.power_on()
+        super().__init__(_END // 4, BIASES)
 
     def power_on(self) -> None:
         """Set every register to its power-on value."""
@@ -232,10 +216,6 @@ class Registers:
             self._set(address, value)
         for address, value in BIASES.values():
             self._set(address, self[address] | value)
-
-    def read(self, address: int) -> int:
-        """Return a register's value; raises NoRegister."""
-        return self[address]
 
     def write(self, address: int, value: int) -> None:
         """Write a register, and apply its effect within the sensor; raises NoRegister."""
@@ -277,47 +257,15 @@ class Registers:
         elif address == Address.MAILBOX:
             self._set(address, value & 0x00FF_FFFF)
 
-    def __getitem__(self, address: int) -> int:
-        """Return a register's value; raises NoRegister."""
-        return int(self._words[self._place(address)])
-
-    def words(self, address: int, count: int) -> npt.NDArray[np.uint32]:
-        """Return (count,) registers from `address` on."""
-        place = self._place(address)
-        return self._words[place : place + count]
-
-    @property
-    def currents(self) -> dict[str, int]:
-        """Value of each bias, 0 to 127, by Prophesee's names."""
-        return {name: self[address] & _BIAS_BITS for name, (address, _) in BIASES.items()}
-
-    @property
-    def bias_steps(self) -> dict[str, int]:
-        """Steps of each bias away from its value at open, by Prophesee's names."""
-        return {name: value - BIASES[name][1] for name, value in self.currents.items()}
-
     @property
     def form(self) -> Form:
         """Form of the words that leave the sensor; the fourth value, 3, is not defined: EVT2.1 here."""
         return _FORMS[self[Address.FORMAT] & 3]
 
     @property
-    def time_runs(self) -> bool:
-        """True if the sensor's clock runs."""
-        return bool(self[Address.TIME] & 1)
-
-    @property
-    def running(self) -> bool:
-        """True if events leave the sensor."""
-        return self.time_runs and bool(self[Address.ARRAY] & 1 << 10) and not self[Address.OUTPUT] & 2
-
-    @property
     def has_trigger(self) -> bool:
         """True if the trigger input is on."""
         return self[Address.PADS] & _PADS == _PADS and bool(self[Address.EVENT_TYPES] & _TRIGGERS)
-
-    def _set(self, address: int, value: int) -> None:
-        self._words[self._place(address)] = value & 0xFFFF_FFFF
 
     @staticmethod
     def _place(address: int) -> int:

@@ -154,8 +154,10 @@ class Control:
     def take(self, datagrams: Sequence[Datagram], now_ns: int) -> list[Datagram]:
         """Return the answers to the datagrams received, in order."""
         answers = []
-        for place, (data, peer) in enumerate(datagrams):
-            if place + 1 < len(datagrams) and _again(data, peer, *datagrams[place + 1]):
+        followers: list[tuple[bytes, Peer | None]] = [*datagrams[1:], (b"", None)]
+        for (data, peer), (next_data, next_peer) in zip(datagrams, followers, strict=False):
+            # The next request is the same one of the same host, except for its id.
+            if peer == next_peer and data[:6] == next_data[:6] and data[8:] == next_data[8:]:
                 self.counts["requests answered with a later one"] += 1
                 continue
             reply = self._answer(data, peer, now_ns)
@@ -200,7 +202,7 @@ class Control:
     def _done(self, request: Request, peer: Peer, now_ns: int) -> bytes | None:
         """Execute a request and return its answer; None if it has none."""
         try:
-            if not request.whole:
+            if not request.is_complete:
                 raise Refused(Status.INVALID_HEADER)
             handler = self._handlers.get(request.command)
             if handler is None:
@@ -324,11 +326,6 @@ class _Allowance:
             return False
         self._left -= 1
         return True
-
-
-def _again(data: bytes, peer: Peer, next_data: bytes, next_peer: Peer) -> bool:
-    """Return true if the next request is the same one of the same host, except for its id."""
-    return peer == next_peer and data[:6] == next_data[:6] and data[8:] == next_data[8:]
 
 
 EDGE_EVENT = 0x9000

@@ -149,17 +149,13 @@ class Description:
     def __init__(self, model: Model, features: Sequence[Feature]) -> None:
         name = f"evstim_{model.name}"
         self.xml = _xml(model, features)
-        zipped = _zipped(name, self.xml)
+        file = io.BytesIO()
+        with zipfile.ZipFile(file, "w") as archive:
+            archive.writestr(zipfile.ZipInfo(f"{name}.xml", _MADE), self.xml, zipfile.ZIP_DEFLATED)
+        zipped = file.getvalue()
         self.address = _ADDRESS
         self.octets = zipped.ljust(-(-len(zipped) // 4) * 4, b"\0")
         self.location = f"Local:{name}.zip;{_ADDRESS:x};{len(zipped):x}"
-
-
-def _zipped(name: str, xml: bytes) -> bytes:
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr(zipfile.ZipInfo(f"{name}.xml", _MADE), xml, zipfile.ZIP_DEFLATED)
-    return file.getvalue()
 
 
 def _xml(model: Model, features: Sequence[Feature]) -> bytes:

@@ -24,8 +24,6 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
 GVCP_PORT = 3956
-EXTENDED_ID = 0x10
-ACTION_SCHEDULED = 0x80
 _KEY = 0x42
 _HEADER = struct.Struct(">BBHHH")
 _ANSWER = struct.Struct(">HHHH")
@@ -92,14 +90,14 @@ class Request:
     Attributes
     ----------
     command : a `Command`, or an unknown number.
-    whole : true if the payload is as long as the header states.
+    is_complete : true if the payload is as long as the header states.
     """
 
     command: int
     flags: int
     id: int
     payload: bytes
-    whole: bool = True
+    is_complete: bool = True
 
     @classmethod
     def of(cls, datagram: bytes) -> Request | None:
@@ -135,7 +133,7 @@ class Resend:
     @classmethod
     def of(cls, request: Request) -> Resend:
         """Return the content of a PACKETRESEND; raises Refused for another length or range."""
-        extended = bool(request.flags & EXTENDED_ID)
+        extended = bool(request.flags & Flag.EXTENDED)
         layout = _RESEND_EXTENDED if extended else _RESEND
         if len(request.payload) != layout.size:
             raise Refused(Status.INVALID_PARAMETER)
@@ -160,7 +158,7 @@ class Action:
     @classmethod
     def of(cls, request: Request) -> Action:
         """Return the content of an ACTION; raises Refused for another length."""
-        scheduled = bool(request.flags & ACTION_SCHEDULED)
+        scheduled = bool(request.flags & Flag.SCHEDULED)
         if len(request.payload) != _ACTION.size + 8 * scheduled:
             raise Refused(Status.INVALID_PARAMETER)
         device_key, group_key, group_mask = _ACTION.unpack_from(request.payload)

@@ -197,7 +197,7 @@ class BlockAssembly:
 
     def missing(self, now_ns: int, *, over: bool = False) -> list[Resend]:
         """Return the requests to send now; `over`: the stream has ended, so the last block's end is missing too."""
-        wanted = []
+        requests = []
         newest = max(self._open, default=0)
         for number, block in self._open.items():
             if not block.complete and now_ns >= block.request_ns and block.requests < _MOST_REQUESTS:
@@ -205,10 +205,10 @@ class BlockAssembly:
                 if holes:
                     block.request_ns = now_ns + _REQUEST_PERIOD_NS
                     block.requests += 1
-                wanted += [Resend(number, first, last) for first, last in holes]
-        wanted += self._whole_blocks(now_ns)
-        self.requested += sum(one.last - one.first + 1 for one in wanted)
-        return wanted
+                requests += [Resend(number, first, last) for first, last in holes]
+        requests += self._whole_blocks(now_ns)
+        self.requested += sum(resend.last - resend.first + 1 for resend in requests)
+        return requests
 
     def _whole_blocks(self, now_ns: int) -> list[Resend]:
         """Return requests for the leaders of blocks without any packet: the replies open these blocks."""

@@ -160,8 +160,8 @@ def standard_areas(identity: DeviceIdentity, description: str, *, has_ptp: bool 
 
 def _numbers(identity: DeviceIdentity, has_ptp: bool) -> dict[int, int]:
     all_capabilities = 0
-    for one in Capability:
-        all_capabilities |= one if has_ptp or one != Capability.PTP else 0
+    for capability in Capability:
+        all_capabilities |= capability if has_ptp or capability != Capability.PTP else 0
     return {
         Register.VERSION: _VERSION,
         Register.DEVICE_MODE: _MODE_BIG_ENDIAN_UTF8,
@@ -215,12 +215,12 @@ def no_value(value: int) -> int:
     return 0
 
 
-def between(least: int, most: int) -> Rule:
+def between(least: int, greatest: int) -> Rule:
     """Return the rule of a register that refuses numbers outside these, signed if `least` is negative."""
 
     def rule(value: int) -> int:
         number = value - (1 << 32) if least < 0 and value >> 31 else value
-        if not least <= number <= most:
+        if not least <= number <= greatest:
             raise Refused(Status.INVALID_PARAMETER)
         return value
 

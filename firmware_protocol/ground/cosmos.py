@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from firmware_protocol.ground.description import Packet, Placed, Rest
-from firmware_protocol.packets.ccsds import PRIMARY_HEADER
-from firmware_protocol.packets.pus import ERROR_CONTROL
+from firmware_protocol.ground.description import Packet, Placed, Tail
+from firmware_protocol.packets.ccsds import ERROR_CONTROL, PRIMARY_HEADER
 from firmware_protocol.wire_layout import Field
 
 _UNITS = {"us": "microseconds", "s": "seconds", "px": "pixels", "1/s": "per_second", "degC": "Celsius"}
@@ -29,15 +28,15 @@ class CosmosPorts:
 
 def cosmos_files(packets: Sequence[Packet], ports: CosmosPorts, target: str = "EVSTIM") -> Mapping[str, str]:
     """Return the text of each file of the plugin, by its path."""
-    commands = [one for one in packets if one.is_command]
-    telemetry = [one for one in packets if not one.is_command]
-    folder = f"targets/{target}"
+    commands = [packet for packet in packets if packet.is_command]
+    telemetry = [packet for packet in packets if not packet.is_command]
+    folder = f"targets/{target}/cmd_tlm"
     return {
         "plugin.txt": _plugin(ports, target),
         f"openc3-cosmos-{target.lower()}.gemspec": _gemspec(target),
-        f"{folder}/target.txt": "LANGUAGE python\nIGNORE_PARAMETER ERROR_CONTROL\n",
-        f"{folder}/cmd_tlm/tlm.txt": "\n".join(line for one in telemetry for line in _telemetry(one, target)) + "\n",
-        f"{folder}/cmd_tlm/cmd.txt": "\n".join(line for one in commands for line in _command(one, target)) + "\n",
+        f"targets/{target}/target.txt": "LANGUAGE python\nIGNORE_PARAMETER ERROR_CONTROL\n",
+        f"{folder}/tlm.txt": "\n".join(line for packet in telemetry for line in _telemetry(packet, target)) + "\n",
+        f"{folder}/cmd.txt": "\n".join(line for packet in commands for line in _command(packet, target)) + "\n",
     }
 
 
@@ -72,41 +71,41 @@ end
 def _telemetry(packet: Packet, target: str) -> Iterable[str]:
     yield f"TELEMETRY {target} {packet.name} BIG_ENDIAN {_quoted(packet.meaning)}"
     for placed in packet.fields:
-        one, identifies = placed.field, _identifies(placed)
+        field, identifies = placed.field, _identifies(placed)
         head = "APPEND_ID_ITEM" if identifies else "APPEND_ITEM"
         value = f" {placed.identifies}" if identifies else ""
-        yield f"  {head} {one.name.upper()} {one.bits} {_type(one)}{value} {_quoted(one.meaning)}"
-        yield from _details(one, "READ")
-    if packet.rest is not None:
-        yield _rest(packet.rest, 8 * packet.before_rest)
-    for one in ERROR_CONTROL.fields:
-        name = one.name.upper()
-        head = f"ITEM {name} -{one.bits}" if packet.rest else f"APPEND_ITEM {name}"
-        yield f"  {head} {one.bits} UINT {_quoted(one.meaning)}"
-        yield from _details(one, "READ")
+        yield f"  {head} {field.name.upper()} {field.bits} {_type(field)}{value} {_quoted(field.meaning)}"
+        yield from _details(field, "READ")
+    if packet.tail is not None:
+        yield _tail(packet.tail, 8 * packet.before_tail)
+    for field in ERROR_CONTROL.fields:
+        name = field.name.upper()
+        head = f"ITEM {name} -{field.bits}" if packet.tail else f"APPEND_ITEM {name}"
+        yield f"  {head} {field.bits} UINT {_quoted(field.meaning)}"
+        yield from _details(field, "READ")
     yield ""
 
 
-def _rest(rest: Rest, at: int) -> str:
-    kind = "STRING" if rest.kind == "text" else "BLOCK"
-    return f"  ITEM {rest.name.upper()} {at} -{ERROR_CONTROL.bits} {kind} {_quoted(rest.meaning)}"
+def _tail(tail: Tail, at: int) -> str:
+    kind = "STRING" if tail.kind == "text" else "BLOCK"
+    return f"  ITEM {tail.name.upper()} {at} -{ERROR_CONTROL.bits} {kind} {_quoted(tail.meaning)}"
 
 
 def _command(packet: Packet, target: str) -> Iterable[str]:
     yield f"COMMAND {target} {packet.name.upper()} BIG_ENDIAN {_quoted(packet.meaning)}"
     for placed in packet.fields:
-        one = placed.field
-        low, high = (value * one.scale if one.scale != 1 else value for value in one.range)
-        preset = packet.lengths[0] - PRIMARY_HEADER.octets - 1 if one.name == "length" else placed.preset
+        field = placed.field
+        low, high = (value * field.scale if field.scale != 1 else value for value in field.range)
+        preset = packet.lengths[0] - PRIMARY_HEADER.octets - 1 if field.name == "length" else placed.preset
         if placed.identifies is not None:
             low = high = preset
-        preset = max(preset, min(one.choices)) if one.choices and placed.identifies is None else preset
+        preset = max(preset, min(field.choices)) if field.choices and placed.identifies is None else preset
         head = "APPEND_ID_PARAMETER" if _identifies(placed) else "APPEND_PARAMETER"
         bounds = f"{low} {high} {max(preset, low)}"
-        yield f"  {head} {one.name.upper()} {one.bits} {_type(one)} {bounds} {_quoted(one.meaning)}"
-        yield from _details(one, "WRITE")
-    for one in ERROR_CONTROL.fields:
-        yield f"  APPEND_PARAMETER {one.name.upper()} {one.bits} UINT MIN MAX 0 {_quoted(one.meaning)}"
+        yield f"  {head} {field.name.upper()} {field.bits} {_type(field)} {bounds} {_quoted(field.meaning)}"
+        yield from _details(field, "WRITE")
+    for field in ERROR_CONTROL.fields:
+        yield f"  APPEND_PARAMETER {field.name.upper()} {field.bits} UINT MIN MAX 0 {_quoted(field.meaning)}"
     yield ""
 
 
@@ -114,20 +113,20 @@ def _identifies(placed: Placed) -> bool:
     return placed.field.name in ("type", "apid", "service", "subtype")
 
 
-def _details(one: Field, way: str) -> Iterable[str]:
+def _details(field: Field, direction: str) -> Iterable[str]:
     """Yield states, unit and conversion."""
-    for value, name in one.choices.items():
+    for value, name in field.choices.items():
         yield f"    STATE {name} {value}"
-    if one.unit:
-        yield f"    UNITS {_UNITS.get(one.unit, one.unit)} {one.unit}"
-    if one.scale != 1:
-        yield f"    POLY_{way}_CONVERSION 0 {one.scale if way == 'READ' else 1 / one.scale!r}"
-    if one.name in _HEX:
+    if field.unit:
+        yield f"    UNITS {_UNITS.get(field.unit, field.unit)} {field.unit}"
+    if field.scale != 1:
+        yield f"    POLY_{direction}_CONVERSION 0 {field.scale if direction == 'READ' else 1 / field.scale!r}"
+    if field.name in _HEX:
         yield "    FORMAT_STRING 0x%04X"
 
 
-def _type(one: Field) -> str:
-    return "INT" if one.signed else "UINT"
+def _type(field: Field) -> str:
+    return "INT" if field.signed else "UINT"
 
 
 def _quoted(text: str) -> str:

@@ -1,6 +1,6 @@
 """Content of every packet of the instrument, for the writers of definitions, from the code's own layouts.
 
-A packet is its primary header, its secondary header, its body (fields of fixed width), its rest (the part of varying
+A packet is its primary header, its secondary header, its body (fields of fixed width), its tail (the part of varying
 length), and the error control.
 """
 
@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from itertools import accumulate
 from typing import Literal
 
-from firmware_protocol.framing.deframer import DEFAULT_MAX_PAYLOAD
+from firmware_protocol.framing import DEFAULT_MAX_PAYLOAD
 from firmware_protocol.packets.addresses import DEFAULT_ADDRESSES, Addresses, MessageKind
-from firmware_protocol.packets.ccsds import PRIMARY_HEADER, PacketType
+from firmware_protocol.packets.ccsds import ERROR_CONTROL, PRIMARY_HEADER, TC_HEADER, TM_HEADER, Acknowledge, PacketType
 from firmware_protocol.packets.codec import MESSAGE_TYPES, SCIENCE, VERIFICATION_SERVICE
 from firmware_protocol.packets.housekeeping import HOUSEKEEPING_LAYOUT, TIME_LAYOUT
-from firmware_protocol.packets.pus import ERROR_CONTROL, TC_HEADER, TM_HEADER, Acknowledge
 from firmware_protocol.packets.telecommands import FAILURE_LAYOUT, LONGEST_TEXT, REQUEST_LAYOUT, TELECOMMANDS, Stage
 from firmware_protocol.telemetry.layout import EDGE_LAYOUT, HEADER_LAYOUT
 from firmware_protocol.wire_layout import Field, Layout
@@ -26,7 +25,7 @@ _NOTHING = Layout()
 
 
 @dataclass(frozen=True)
-class Rest:
+class Tail:
     """The part of a packet whose length varies, up to the error control.
 
     Attributes
@@ -45,7 +44,7 @@ class Rest:
     records: Layout | None = None
 
 
-_NO_REST = Rest("", "", 0)
+_NO_TAIL = Tail("", "", 0)
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ class Packet:
     service: int
     subtype: int
     body: Layout = _NOTHING
-    rest: Rest | None = None
+    tail: Tail | None = None
 
     @property
     def is_command(self) -> bool:
@@ -94,33 +93,33 @@ class Packet:
         return PRIMARY_HEADER + (TC_HEADER if self.is_command else TM_HEADER)
 
     @property
-    def before_rest(self) -> int:
+    def before_tail(self) -> int:
         """Octets before the part of varying length, or before the error control."""
         return self.header.octets + self.body.octets
 
     @property
     def lengths(self) -> tuple[int, int]:
         """Least and greatest number of octets."""
-        fixed, rest = self.before_rest + ERROR_CONTROL.octets, self.rest or _NO_REST
-        return fixed + rest.shortest, fixed + rest.longest
+        fixed, tail = self.before_tail + ERROR_CONTROL.octets, self.tail or _NO_TAIL
+        return fixed + tail.shortest, fixed + tail.longest
 
     @property
     def fields(self) -> tuple[Placed, ...]:
         """The fields of headers and body."""
         fields = (self.header + self.body).fields
-        places = accumulate((one.bits for one in fields), initial=0)
-        return tuple(Placed(one, at, self._identifying(one)) for one, at in zip(fields, places, strict=False))
+        places = accumulate((field.bits for field in fields), initial=0)
+        identifying = {"type": self.type, "apid": self.apid, "service": self.service, "subtype": self.subtype}
+        identifying |= {"secondary_header": 1, "sequence_flags": 3}
+        values = (identifying.get(field.name, field.fixed) for field in fields)
+        return tuple(
+            Placed(field, at, None if value is None else int(value))
+            for field, at, value in zip(fields, places, values, strict=False)
+        )
 
     @property
     def arguments(self) -> tuple[Placed, ...]:
         """The fields of the body."""
-        return tuple(one for one in self.fields if one.at >= self.header.bits)
-
-    def _identifying(self, one: Field) -> int | None:
-        identifying = {"type": self.type, "apid": self.apid, "service": self.service, "subtype": self.subtype}
-        identifying |= {"secondary_header": 1, "sequence_flags": 3}
-        value = identifying.get(one.name, one.fixed)
-        return None if value is None else int(value)
+        return tuple(placed for placed in self.fields if placed.at >= self.header.bits)
 
 
 def instrument_packets(
@@ -132,35 +131,35 @@ def instrument_packets(
 
 def _messages(addresses: Addresses, max_payload: int) -> Iterator[Packet]:
     block = max_payload - HEADER_LAYOUT.octets
-    parts: dict[MessageKind, tuple[str, Layout, Rest | None]] = {
+    parts: dict[MessageKind, tuple[str, Layout, Tail | None]] = {
         MessageKind.EVENTS: (
             "One block of events; the packet's time is that of the first one",
             HEADER_LAYOUT,
-            Rest("payload", "coded events: docs/packets.md", block),
+            Tail("payload", "coded events: docs/packets.md", block),
         ),
         MessageKind.EDGES: (
             "One block of edges of the external input; the packet's time is that of the first one",
             HEADER_LAYOUT,
-            Rest("edges", "records of edges", block, EDGE_LAYOUT.octets, "records", EDGE_LAYOUT),
+            Tail("edges", "records of edges", block, EDGE_LAYOUT.octets, "records", EDGE_LAYOUT),
         ),
         MessageKind.HOUSEKEEPING: ("State of the instrument", HOUSEKEEPING_LAYOUT, None),
         MessageKind.TIME: ("The instrument's time", TIME_LAYOUT, None),
         MessageKind.PONG: ("Answer to a ping", _NOTHING, None),
     }
-    for kind, (meaning, body, rest) in parts.items():
+    for kind, (meaning, body, tail) in parts.items():
         apid = addresses.science_apid if kind in SCIENCE else addresses.apid
-        yield Packet(kind.name, meaning, PacketType.TELEMETRY, apid, *MESSAGE_TYPES[kind], body, rest)
+        yield Packet(kind.name, meaning, PacketType.TELEMETRY, apid, *MESSAGE_TYPES[kind], body, tail)
 
 
 def _verifications(addresses: Addresses) -> Iterator[Packet]:
-    text = Rest("failure_text", "description of the failure", LONGEST_TEXT, kind="text")
-    reports: Sequence[tuple[str, str, int, Layout, Rest | None]] = (
+    text = Tail("failure_text", "description of the failure", LONGEST_TEXT, kind="text")
+    reports: Sequence[tuple[str, str, int, Layout, Tail | None]] = (
         ("ACCEPTED", "A telecommand was accepted", Stage.ACCEPTANCE, REQUEST_LAYOUT, None),
         ("NOT_ACCEPTED", "A telecommand was not accepted", Stage.ACCEPTANCE + 1, REQUEST_LAYOUT + FAILURE_LAYOUT, text),
         ("COMPLETED", "A telecommand was completed", Stage.COMPLETION, REQUEST_LAYOUT, None),
         ("NOT_COMPLETED", "A telecommand failed", Stage.COMPLETION + 1, REQUEST_LAYOUT + FAILURE_LAYOUT, text),
     )
-    for name, meaning, subtype, body, rest in reports:
+    for name, meaning, subtype, body, tail in reports:
         yield Packet(
             f"VERIFICATION_{name}",
             meaning,
@@ -169,7 +168,7 @@ def _verifications(addresses: Addresses) -> Iterator[Packet]:
             VERIFICATION_SERVICE,
             int(subtype),
             body,
-            rest,
+            tail,
         )
 
 

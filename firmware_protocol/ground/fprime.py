@@ -21,9 +21,13 @@ _CHANNELS_OF_A_PACKET = 256
 
 def fprime_text(packets: Sequence[Packet], deployment: str = "evstim", version: str = "") -> str:
     """Return the JSON text."""
-    telemetry = [one for one in packets if not one.is_command and _is_whole(one)]
-    commands = [one for one in packets if one.is_command]
-    types = {one["qualifiedName"]: one for packet in (*telemetry, *commands) for one in _types(packet, deployment)}
+    telemetry = [
+        packet
+        for packet in packets
+        if not packet.is_command and packet.body.fields and all(field.bits % 8 == 0 for field in packet.body.fields)
+    ]
+    commands = [packet for packet in packets if packet.is_command]
+    definitions = [type_ for packet in (*telemetry, *commands) for type_ in _types(packet, deployment)]
     metadata = {
         "deploymentName": deployment,
         "projectVersion": version,
@@ -33,12 +37,14 @@ def fprime_text(packets: Sequence[Packet], deployment: str = "evstim", version: 
     }
     dictionary = {
         "metadata": metadata,
-        "typeDefinitions": list(types.values()),
+        "typeDefinitions": list({type_["qualifiedName"]: type_ for type_ in definitions}.values()),
         "constants": [],
-        "commands": [_command(one, deployment) for one in commands],
+        "commands": [_command(packet, deployment) for packet in commands],
         "parameters": [],
         "events": [],
-        "telemetryChannels": [one for n, each in enumerate(telemetry, 1) for one in _channels(n, each, deployment)],
+        "telemetryChannels": [
+            channel for n, packet in enumerate(telemetry, 1) for channel in _channels(n, packet, deployment)
+        ],
         "records": [],
         "containers": [],
         "telemetryPacketSets": [_packet_set(telemetry, deployment)],
@@ -46,17 +52,13 @@ def fprime_text(packets: Sequence[Packet], deployment: str = "evstim", version: 
     return json.dumps(dictionary, indent=2) + "\n"
 
 
-def _is_whole(packet: Packet) -> bool:
-    return bool(packet.body.fields) and all(one.bits % 8 == 0 for one in packet.body.fields)
-
-
 def _types(packet: Packet, deployment: str) -> Iterable[_Json]:
-    for one in packet.body.fields:
-        name = f"{deployment}.{packet.name}_{one.name}"
-        if one.choices:
-            yield _enumeration(name, one)
-        elif one.bits not in _WIDTHS:
-            size = one.bits // 8
+    for field in packet.body.fields:
+        name = f"{deployment}.{packet.name}_{field.name}"
+        if field.choices:
+            yield _enumeration(name, field)
+        elif field.bits not in _WIDTHS:
+            size = field.bits // 8
             element = _integer("U8")
             yield {
                 "kind": "array",
@@ -64,19 +66,19 @@ def _types(packet: Packet, deployment: str) -> Iterable[_Json]:
                 "size": size,
                 "elementType": element,
                 "default": [0] * size,
-                "annotation": _annotation(one),
+                "annotation": _annotation(field),
             }
 
 
-def _enumeration(name: str, one: Field) -> _Json:
-    constants = [{"name": label, "value": value, "annotation": ""} for value, label in one.choices.items()]
+def _enumeration(name: str, field: Field) -> _Json:
+    constants = [{"name": label, "value": value, "annotation": ""} for value, label in field.choices.items()]
     return {
         "kind": "enum",
         "qualifiedName": name,
-        "representationType": _integer(f"U{one.bits}"),
+        "representationType": _integer(f"U{field.bits}"),
         "enumeratedConstants": constants,
         "default": f"{name}.{constants[0]['name']}",
-        "annotation": _annotation(one),
+        "annotation": _annotation(field),
     }
 
 
@@ -84,20 +86,20 @@ def _integer(name: str) -> _Json:
     return {"name": name, "kind": "integer", "size": int(name[1:]), "signed": name[0] == "I"}
 
 
-def _type(packet: Packet, one: Field, deployment: str) -> _Json:
-    if one.choices or one.bits not in _WIDTHS:
-        return {"name": f"{deployment}.{packet.name}_{one.name}", "kind": "qualifiedIdentifier"}
-    return _integer(f"{'I' if one.signed else 'U'}{one.bits}")
+def _type(packet: Packet, field: Field, deployment: str) -> _Json:
+    if field.choices or field.bits not in _WIDTHS:
+        return {"name": f"{deployment}.{packet.name}_{field.name}", "kind": "qualifiedIdentifier"}
+    return _integer(f"{'I' if field.signed else 'U'}{field.bits}")
 
 
 def _channels(number: int, packet: Packet, deployment: str) -> Iterable[_Json]:
-    for n, one in enumerate(packet.body.fields):
+    for n, field in enumerate(packet.body.fields):
         yield {
-            "name": f"{deployment}.{packet.name}.{one.name}",
-            "type": _type(packet, one, deployment),
+            "name": f"{deployment}.{packet.name}.{field.name}",
+            "type": _type(packet, field, deployment),
             "id": number * _CHANNELS_OF_A_PACKET + n,
             "telemetryUpdate": "always",
-            "annotation": _annotation(one),
+            "annotation": _annotation(field),
         }
 
 
@@ -107,7 +109,7 @@ def _packet_set(telemetry: Sequence[Packet], deployment: str) -> _Json:
             "name": packet.name,
             "id": number,
             "group": 0,
-            "members": [f"{deployment}.{packet.name}.{one.name}" for one in packet.body.fields],
+            "members": [f"{deployment}.{packet.name}.{field.name}" for field in packet.body.fields],
         }
         for number, packet in enumerate(telemetry, 1)
     ]
@@ -135,6 +137,6 @@ def _command(packet: Packet, deployment: str) -> _Json:
     }
 
 
-def _annotation(one: Field) -> str:
-    step = f", in steps of {one.scale!r}" if one.scale != 1 else ""
-    return one.meaning + (f", {one.unit}" if one.unit else "") + step
+def _annotation(field: Field) -> str:
+    step = f", in steps of {field.scale!r}" if field.scale != 1 else ""
+    return field.meaning + (f", {field.unit}" if field.unit else "") + step

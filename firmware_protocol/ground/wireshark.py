@@ -11,13 +11,14 @@ from importlib import resources
 from itertools import accumulate
 
 from firmware_protocol.can_frames.dbc import CanMessage, Signal
-from firmware_protocol.ground.description import Packet, Rest
-from firmware_protocol.packets.ccsds import PRIMARY_HEADER
-from firmware_protocol.packets.pus import ERROR_CONTROL, TC_HEADER, TM_HEADER
+from firmware_protocol.ground.description import Packet, Tail
+from firmware_protocol.packets.ccsds import ERROR_CONTROL, PRIMARY_HEADER, TC_HEADER, TM_HEADER
 from firmware_protocol.wire_layout import Field, Layout
 
 _HEX = frozenset({"apid", "error_control", "crc8", "request_packet_id", "request_sequence_control"})
-_TABLES, _FRAMES, _CAN = "--@PACKETS@\n", "--@FRAMES@\n", "--@CAN@\n"
+_TABLES = "--@PACKETS@\n"
+_FRAMES = "--@FRAMES@\n"
+_CAN = "--@CAN@\n"
 
 
 def wireshark_text(
@@ -38,24 +39,21 @@ def _frames(frames: Sequence[tuple[int, CanMessage]]) -> Iterable[str]:
         if message.comment == "ISO-TP":
             continue
         yield f"frames[{id_}] = {{name = {_quoted(message.name)},"
-        for one in message.signals:
-            label = one.name + (f", {one.unit}" if one.unit else "")
-            row = [_quoted(f"evstim_can.{message.name}.{one.name}"), _quoted(label), str(_lowest(one)), str(one.bits)]
-            more = _signal_more(one)
-            yield f"  signal({', '.join(row)}{f', {{{more}}}' if more else ''}),"
+        for signal in message.signals:
+            label = signal.name + (f", {signal.unit}" if signal.unit else "")
+            first_bit = signal.start // 8 * 8 if signal.big_endian else signal.start  # big-endian: of the first octet
+            path = f"evstim_can.{message.name}.{signal.name}"
+            row = [_quoted(path), _quoted(label), str(first_bit), str(signal.bits)]
+            options = _signal_options(signal)
+            yield f"  signal({', '.join(row)}{f', {{{options}}}' if options else ''}),"
         yield "}"
 
 
-def _lowest(one: Signal) -> int:
-    """Return the first bit for the program: of big-endian numbers, the lowest of their first octet."""
-    return one.start // 8 * 8 if one.big_endian else one.start
-
-
-def _signal_more(one: Signal) -> str:
-    choices = ", ".join(f"[{value}] = {_quoted(text)}" for value, text in one.values)
+def _signal_options(signal: Signal) -> str:
+    choices = ", ".join(f"[{value}] = {_quoted(text)}" for value, text in signal.values)
     options = {
-        "scale": one.factor if one.factor != "1" else "",
-        "big": "true" if one.big_endian else "",
+        "scale": signal.factor if signal.factor != "1" else "",
+        "big": "true" if signal.big_endian else "",
         "choices": f"{{{choices}}}" if choices else "",
     }
     return ", ".join(f"{name} = {value}" for name, value in options.items() if value)
@@ -72,46 +70,46 @@ def _tables(packets: Iterable[Packet], udp_ports: Sequence[int]) -> Iterable[str
 
 def _packet(packet: Packet) -> Iterable[str]:
     least, greatest = packet.lengths
-    fixed = packet.before_rest + ERROR_CONTROL.octets
+    fixed = packet.before_tail + ERROR_CONTROL.octets
     abbr = f"evstim.{packet.name.lower()}"
     yield f"packet({packet.type.value}, {packet.apid}, {packet.service}, {packet.subtype}, {{"
-    yield f"  name = {_quoted(packet.name)}, before_rest = {packet.before_rest},"
+    yield f"  name = {_quoted(packet.name)}, before_rest = {packet.before_tail},"
     yield f"  shortest = {least - fixed}, longest = {greatest - fixed},"
     yield "  fields = {"
     yield from _fields("evstim", TC_HEADER if packet.is_command else TM_HEADER, PRIMARY_HEADER.bits)
     yield from _fields(abbr, packet.body, packet.header.bits)
     yield "  },"
-    if packet.rest is not None:
-        yield from _rest(abbr, packet.rest)
+    if packet.tail is not None:
+        yield from _tail(abbr, packet.tail)
     yield "})"
 
 
-def _rest(abbr: str, rest: Rest) -> Iterable[str]:
-    name = f"{abbr}.{rest.name}"
-    yield f"  rest = {{kind = {_quoted(rest.kind)}, abbr = {_quoted(name)}, label = {_quoted(rest.meaning)},"
-    if rest.records is not None:
-        yield f"    octets = {rest.records.octets}, fields = {{"
-        yield from _fields(name, rest.records, 0)
+def _tail(abbr: str, tail: Tail) -> Iterable[str]:
+    name = f"{abbr}.{tail.name}"
+    yield f"  rest = {{kind = {_quoted(tail.kind)}, abbr = {_quoted(name)}, label = {_quoted(tail.meaning)},"
+    if tail.records is not None:
+        yield f"    octets = {tail.records.octets}, fields = {{"
+        yield from _fields(name, tail.records, 0)
         yield "    },"
     yield "  },"
 
 
 def _fields(prefix: str, layout: Layout, at: int) -> Iterable[str]:
-    places = accumulate((one.bits for one in layout.fields), initial=at)
-    for one, place in zip(layout.fields, places, strict=False):
-        label = one.name.replace("_", " ") + (f", {one.unit}" if one.unit else "")
-        row = [_quoted(f"{prefix}.{one.name}"), _quoted(label), str(place), str(one.bits), _quoted(one.meaning)]
-        more = _more(one)
-        yield f"    field({', '.join(row)}{f', {{{more}}}' if more else ''}),"
+    places = accumulate((field.bits for field in layout.fields), initial=at)
+    for field, place in zip(layout.fields, places, strict=False):
+        label = field.name.replace("_", " ") + (f", {field.unit}" if field.unit else "")
+        row = [_quoted(f"{prefix}.{field.name}"), _quoted(label), str(place), str(field.bits), _quoted(field.meaning)]
+        options = _field_options(field)
+        yield f"    field({', '.join(row)}{f', {{{options}}}' if options else ''}),"
 
 
-def _more(one: Field) -> str:
+def _field_options(field: Field) -> str:
     """Return the properties that only some fields have."""
-    choices = ", ".join(f"[{value}] = {_quoted(name)}" for value, name in one.choices.items())
+    choices = ", ".join(f"[{value}] = {_quoted(name)}" for value, name in field.choices.items())
     options = {
-        "scale": repr(one.scale) if one.scale != 1 else "",
-        "signed": "true" if one.signed else "",
-        "hex": "true" if one.name in _HEX else "",
+        "scale": repr(field.scale) if field.scale != 1 else "",
+        "signed": "true" if field.signed else "",
+        "hex": "true" if field.name in _HEX else "",
         "choices": f"{{{choices}}}" if choices else "",
     }
     return ", ".join(f"{name} = {value}" for name, value in options.items() if value)

@@ -14,9 +14,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree as Xml
 
-from firmware_protocol.ground.description import Packet, Placed, Rest
-from firmware_protocol.packets.ccsds import PRIMARY_HEADER
-from firmware_protocol.packets.pus import ERROR_CONTROL, TM_HEADER
+from firmware_protocol.ground.description import Packet, Tail
+from firmware_protocol.packets.ccsds import ERROR_CONTROL, PRIMARY_HEADER, TM_HEADER
 from firmware_protocol.wire_layout import Field, Layout
 
 NAMESPACE = "http://www.omg.org/spec/XTCE/20180204"
@@ -42,13 +41,13 @@ class _Sets:
     types: Xml.Element
     names: Xml.Element
 
-    def number(self, name: str, one: Field) -> None:
+    def number(self, name: str, field: Field) -> None:
         """Define a number."""
-        self._define(name, one.meaning, _number_type(self.types, f"{name}_type", one, self.word))
+        self._define(name, field.meaning, _number_type(self.types, f"{name}_type", field, self.word))
 
-    def rest(self, name: str, rest: Rest, before: int) -> None:
+    def tail(self, name: str, tail: Tail, before: int) -> None:
         """Define the part of varying length that begins at octet `before`."""
-        self._define(name, rest.meaning, _rest_type(self.types, f"{name}_type", rest, before))
+        self._define(name, tail.meaning, _tail_type(self.types, f"{name}_type", tail, before))
 
     def _define(self, name: str, meaning: str, type_name: str) -> None:
         ref = {f"{self.word.lower()}TypeRef": type_name}
@@ -59,8 +58,8 @@ def xtce_text(packets: Sequence[Packet], name: str = "evstim") -> str:
     """Return the XML document."""
     attributes = {"xmlns": NAMESPACE, "xmlns:xsi": _XSI, "xsi:schemaLocation": f"{NAMESPACE} {_SCHEMA}"}
     root = Xml.Element("SpaceSystem", name=name, attrib=attributes)
-    _telemetry(Xml.SubElement(root, "TelemetryMetaData"), [one for one in packets if not one.is_command])
-    _commands(Xml.SubElement(root, "CommandMetaData"), [one for one in packets if one.is_command])
+    _telemetry(Xml.SubElement(root, "TelemetryMetaData"), [packet for packet in packets if not packet.is_command])
+    _commands(Xml.SubElement(root, "CommandMetaData"), [packet for packet in packets if packet.is_command])
     Xml.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + Xml.tostring(root, encoding="unicode") + "\n"
 
@@ -71,8 +70,8 @@ def _telemetry(parent: Xml.Element, packets: Iterable[Packet]) -> None:
     _container(containers, sets, "CCSDSPacket", PRIMARY_HEADER)
     entries = _container(containers, sets, "Telemetry", TM_HEADER)
     _extend(entries, "CCSDSPacket", {"TYPE": "TELEMETRY", "SEC_HDR_FLG": "1"})
-    for one in ERROR_CONTROL.fields:
-        sets.number(one.name, one)
+    for field in ERROR_CONTROL.fields:
+        sets.number(field.name, field)
     for packet in packets:
         _packet(containers, sets, packet)
 
@@ -81,23 +80,23 @@ def _container(parent: Xml.Element, sets: _Sets, name: str, layout: Layout) -> X
     """Define an abstract container of header fields; return it."""
     container = Xml.SubElement(parent, "SequenceContainer", name=name, abstract="true")
     entries = Xml.SubElement(container, "EntryList")
-    for one in layout.fields:
-        called = _USUAL_NAMES.get(one.name, one.name)
-        sets.number(called, one)
+    for field in layout.fields:
+        called = _USUAL_NAMES.get(field.name, field.name)
+        sets.number(called, field)
         Xml.SubElement(entries, "ParameterRefEntry", parameterRef=called)
     return container
 
 
 def _packet(parent: Xml.Element, sets: _Sets, packet: Packet) -> None:
     container = Xml.SubElement(parent, "SequenceContainer", name=packet.name, shortDescription=packet.meaning)
-    names = [f"{packet.name}_{one.name}" for one in packet.body.fields]
-    for name, one in zip(names, packet.body.fields, strict=True):
-        sets.number(name, one)
-    if packet.rest is not None:
-        names.append(f"{packet.name}_{packet.rest.name}")
-        sets.rest(names[-1], packet.rest, packet.before_rest)
+    names = [f"{packet.name}_{field.name}" for field in packet.body.fields]
+    for name, field in zip(names, packet.body.fields, strict=True):
+        sets.number(name, field)
+    if packet.tail is not None:
+        names.append(f"{packet.name}_{packet.tail.name}")
+        sets.tail(names[-1], packet.tail, packet.before_tail)
     entries = Xml.SubElement(container, "EntryList")
-    for name in (*names, *(one.name for one in ERROR_CONTROL.fields)):
+    for name in (*names, *(field.name for field in ERROR_CONTROL.fields)):
         Xml.SubElement(entries, "ParameterRefEntry", parameterRef=name)
     identifying = {"PKT_APID": packet.apid, "service": packet.service, "subtype": packet.subtype}
     _extend(container, "Telemetry", {name: str(value) for name, value in identifying.items()})
@@ -110,48 +109,48 @@ def _extend(container: Xml.Element, base: str, values: dict[str, str]) -> None:
         Xml.SubElement(comparisons, "Comparison", parameterRef=name, value=value)
 
 
-def _number_type(parent: Xml.Element, name: str, one: Field, word: str) -> str:
+def _number_type(parent: Xml.Element, name: str, field: Field, word: str) -> str:
     """Define the type of a number; return its name."""
-    kind = "Enumerated" if one.choices else "Integer" if one.scale == 1 else "Float"
+    kind = "Enumerated" if field.choices else "Integer" if field.scale == 1 else "Float"
     type_ = Xml.SubElement(parent, f"{kind}{word}Type", name=name)
     if kind == "Integer":
-        type_.set("signed", str(one.signed).lower())
+        type_.set("signed", str(field.signed).lower())
     units = Xml.SubElement(type_, "UnitSet")
-    if one.unit:
-        Xml.SubElement(units, "Unit").text = one.unit
-    encoding = Xml.SubElement(type_, "IntegerDataEncoding", sizeInBits=str(one.bits))
-    encoding.set("encoding", "twosComplement" if one.signed else "unsigned")
+    if field.unit:
+        Xml.SubElement(units, "Unit").text = field.unit
+    encoding = Xml.SubElement(type_, "IntegerDataEncoding", sizeInBits=str(field.bits))
+    encoding.set("encoding", "twosComplement" if field.signed else "unsigned")
     if kind == "Float":
         type_.set("sizeInBits", "64")
         calibrator = Xml.SubElement(Xml.SubElement(encoding, "DefaultCalibrator"), "PolynomialCalibrator")
         Xml.SubElement(calibrator, "Term", coefficient="0", exponent="0")
-        Xml.SubElement(calibrator, "Term", coefficient=repr(one.scale), exponent="1")
-    for value, label in one.choices.items():
+        Xml.SubElement(calibrator, "Term", coefficient=repr(field.scale), exponent="1")
+    for value, label in field.choices.items():
         choices = type_.find("EnumerationList")
         choices = Xml.SubElement(type_, "EnumerationList") if choices is None else choices
         Xml.SubElement(choices, "Enumeration", value=str(value), label=label)
     if kind == "Integer" and word == "Argument":
-        low, high = one.range
+        low, high = field.range
         valid = Xml.SubElement(type_, "ValidRangeSet")
         Xml.SubElement(valid, "ValidRange", minInclusive=str(low), maxInclusive=str(high))
     return name
 
 
-def _rest_type(parent: Xml.Element, name: str, rest: Rest, before: int) -> str:
+def _tail_type(parent: Xml.Element, name: str, tail: Tail, before: int) -> str:
     """Define the type of the part between octet `before` and the error control; return its name."""
-    if rest.kind == "text":
+    if tail.kind == "text":
         type_ = Xml.SubElement(parent, "StringParameterType", name=name)
         Xml.SubElement(type_, "UnitSet")
         encoding = Xml.SubElement(type_, "StringDataEncoding", encoding="US-ASCII")
-        size = Xml.SubElement(encoding, "Variable", maxSizeInBits=str(8 * rest.longest))
+        size = Xml.SubElement(encoding, "Variable", maxSizeInBits=str(8 * tail.longest))
     else:
         type_ = Xml.SubElement(parent, "BinaryParameterType", name=name)
         Xml.SubElement(type_, "UnitSet")
         size = Xml.SubElement(Xml.SubElement(type_, "BinaryDataEncoding"), "SizeInBits")
     dynamic = Xml.SubElement(size, "DynamicValue")
     Xml.SubElement(dynamic, "ParameterInstanceRef", parameterRef="PKT_LEN")
-    others = before - PRIMARY_HEADER.octets + ERROR_CONTROL.octets
-    Xml.SubElement(dynamic, "LinearAdjustment", slope="8", intercept=str(8 * (1 - others)))
+    fixed_octets = before - PRIMARY_HEADER.octets + ERROR_CONTROL.octets
+    Xml.SubElement(dynamic, "LinearAdjustment", slope="8", intercept=str(8 * (1 - fixed_octets)))
     return name
 
 
@@ -160,7 +159,7 @@ def _commands(parent: Xml.Element, packets: Iterable[Packet]) -> None:
     commands = Xml.SubElement(parent, "MetaCommandSet")
     for packet in packets:
         command = Xml.SubElement(commands, "MetaCommand", name=packet.name, shortDescription=packet.meaning)
-        free = [one for one in packet.arguments if one.identifies is None]
+        free = [placed for placed in packet.arguments if placed.identifies is None]
         if free:
             sets = _Sets("Argument", types, Xml.SubElement(command, "ArgumentList"))
             for placed in free:
@@ -169,9 +168,12 @@ def _commands(parent: Xml.Element, packets: Iterable[Packet]) -> None:
         container = Xml.SubElement(command, "CommandContainer", name=f"{packet.name}_packet")
         entries = Xml.SubElement(container, "EntryList")
         for placed in packet.fields:
-            _command_entry(entries, placed, free)
-        for one in ERROR_CONTROL.fields:
-            _fixed(entries, one, 0)
+            if placed in free:
+                Xml.SubElement(entries, "ArgumentRefEntry", argumentRef=placed.field.name)
+            else:
+                _fixed(entries, placed.field, placed.preset)
+        for field in ERROR_CONTROL.fields:
+            _fixed(entries, field, 0)
 
 
 def _apart(sets: _Sets, packet: str) -> None:
@@ -181,14 +183,7 @@ def _apart(sets: _Sets, packet: str) -> None:
     sets.names[-1].set("argumentTypeRef", name)
 
 
-def _command_entry(entries: Xml.Element, placed: Placed, free: Sequence[Placed]) -> None:
-    if placed in free:
-        Xml.SubElement(entries, "ArgumentRefEntry", argumentRef=placed.field.name)
-    else:
-        _fixed(entries, placed.field, placed.preset)
-
-
-def _fixed(entries: Xml.Element, one: Field, value: int) -> None:
-    digits = (one.bits + 7) // 8 * 2
-    attributes = {"binaryValue": f"{value:0{digits}x}", "sizeInBits": str(one.bits)}
-    Xml.SubElement(entries, "FixedValueEntry", name=one.name, attrib=attributes)
+def _fixed(entries: Xml.Element, field: Field, value: int) -> None:
+    digits = (field.bits + 7) // 8 * 2
+    attributes = {"binaryValue": f"{value:0{digits}x}", "sizeInBits": str(field.bits)}
+    Xml.SubElement(entries, "FixedValueEntry", name=field.name, attrib=attributes)

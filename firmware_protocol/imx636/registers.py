@@ -41,19 +41,23 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.prophesee.biases import BiasModel
+from firmware_protocol.prophesee.registers import ChipRegisters, Form, NoRegister, SensorSurroundings
 
 SIZE = (1280, 720)
 PIXEL_MASKS = 64
 
-_LOW_END, _SYSTEM, _SYSTEM_END = 0x1_0000, 0x40_0000, 0x40_1000
+_LOW_END = 0x1_0000
+_SYSTEM = 0x40_0000
+_SYSTEM_END = 0x40_1000
 _FILTER_IS_READY = 1 << 2
-_READY, _VALID_LIGHT, _VALID_DEAD_TIME, _MEASURE_DEAD_TIME = 1 << 11, 1 << 29, 1 << 28, 3 << 30
+_READY = 1 << 11
+_VALID_LIGHT = 1 << 29
+_VALID_DEAD_TIME = 1 << 28
+_MEASURE_DEAD_TIME = 3 << 30
 
 
 class Address(IntEnum):
@@ -157,27 +161,9 @@ GEN41 = Chip(
 """The sensors of the boards that are emulated; names of the two that are no IMX636 follow the pattern of its name."""
 
 
-class NoRegister(LookupError):
-    """There is no register at an address."""
-
-
 @dataclass(frozen=True)
-class Surroundings:
-    """Readings of the sensor's own instruments.
-
-    Attributes
-    ----------
-    celsius
-        Temperature of the chip, -56 to 138.
-    lux
-        Light on the chip; the scene's light is not available here.
-    dead_time_us
-        Refractory period at the factory's biases.
-    """
-
-    celsius: float = 35.0
-    lux: float = 100.0
-    dead_time_us: float = 100.0
+class Surroundings(SensorSurroundings):
+    """Readings of the sensor's own instruments; the thermometer reads -56 to 138 degrees."""
 
     @property
     def adc(self) -> int:
@@ -199,8 +185,11 @@ def is_register(address: int) -> bool:
     return not address & 3 and (0 <= address < _LOW_END or _SYSTEM <= address < _SYSTEM_END)
 
 
-class Registers:
+class Registers(ChipRegisters):
     """The register file, from power-on."""
+
+    array_control = Address.ARRAY
+    bias_bits = 0xFF
 
     def __init__(
         self, surroundings: Surroundings = Surroundings(), biases: BiasModel | None = None, chip: Chip = IMX636
@@ -208,8 +197,7 @@ class Registers:
         self._around = surroundings
         self._biases = biases or BiasModel()
         self._chip = chip
-        self._words = np.zeros((_LOW_END + _SYSTEM_END - _SYSTEM) // 4, np.uint32)
-        self.power_on()
+        super().__init__((_LOW_END + _SYSTEM_END - _SYSTEM) // 4, chip.biases)
 
     def power_on(self) -> None:
         """Set every register to its power-on value."""
@@ -245,39 +233,10 @@ class Registers:
             self._write_window()
             self._set(address, value | 2)
 
-    def __getitem__(self, address: int) -> int:
-        """Return the value written last; raises NoRegister."""
-        return int(self._words[self._place(address)])
-
-    def words(self, address: int, count: int) -> npt.NDArray[np.uint32]:
-        """Return (count,) registers from `address` on."""
-        place = self._place(address)
-        return self._words[place : place + count]
-
     @property
-    def bias_steps(self) -> dict[str, int]:
-        """Steps of each bias away from the factory's value, by Prophesee's names."""
-        return {name: (self[address] & 0xFF) - factory for name, (address, factory) in self._chip.biases.items()}
-
-    @property
-    def currents(self) -> dict[str, int]:
-        """Current of each bias, 0 to 255, by Prophesee's names."""
-        return {name: self[address] & 0xFF for name, (address, _) in self._chip.biases.items()}
-
-    @property
-    def form(self) -> Literal["evt3", "evt21-legacy"]:
+    def form(self) -> Form:
         """Form of the words that leave the sensor."""
         return "evt21-legacy" if self[Address.FORMAT] & 2 else "evt3"
-
-    @property
-    def time_runs(self) -> bool:
-        """True if the sensor's clock runs."""
-        return bool(self[Address.TIME] & 1)
-
-    @property
-    def running(self) -> bool:
-        """True if events leave the sensor."""
-        return self.time_runs and bool(self[Address.ARRAY] & 1 << 10) and not self[Address.OUTPUT] & 2
 
     @property
     def has_trigger(self) -> bool:
@@ -292,9 +251,6 @@ class Registers:
             masked[start >> shift & 0x7FF : end >> shift & 0x7FF] = 0
             words = np.packbits(masked, bitorder="little").view("<u4")
             self.words(address, len(words))[:] = words
-
-    def _set(self, address: int, value: int) -> None:
-        self._words[self._place(address)] = value & 0xFFFF_FFFF
 
     @staticmethod
     def _place(address: int) -> int:

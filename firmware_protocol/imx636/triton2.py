@@ -54,8 +54,14 @@ from firmware_protocol.imx636.triton2_registers import (
     triton2_areas,
     triton2_rules,
 )
-from firmware_protocol.prophesee.camera import LONGEST_GAP_US, Outflow, OutflowLimits, PropheseeCamera
-from firmware_protocol.prophesee.selection import RateControl, Selected
+from firmware_protocol.prophesee.camera import (
+    LONGEST_GAP_US,
+    Outflow,
+    OutflowLimits,
+    PropheseeCamera,
+    RateControl,
+    Selected,
+)
 
 _MOST_EXTRA = 4096  # requested datagrams that wait
 _MOST_SCHEDULED = 256
@@ -380,11 +386,11 @@ class RangeSelection:
 
     def apply(self, events: Events, epoch_us: int) -> Selected:
         """Return the part that passes of events (n,) EVENT, sorted; the camera's clock was zero at `epoch_us`."""
-        wanted = events
+        selected = events
         if self._rows.on or self._columns.on:
             crossing = self._rows.mask[events["y"]] & self._columns.mask[events["x"]]
-            wanted = events[~crossing if self._inverted else crossing]
-        return self._rate.selected(events, wanted, epoch_us)
+            selected = events[~crossing if self._inverted else crossing]
+        return self._rate.selected(events, selected, epoch_us)
 
     def _invert(self, value: int) -> None:
         self._inverted = bool(value)

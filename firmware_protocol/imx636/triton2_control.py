@@ -113,12 +113,12 @@ class Triton2Control:
         return self._control.counts
 
     def check_room(self) -> None:
-        """See `Controlled.check_room`."""
+        """Refuse a request while too many orders wait for the camera."""
         if len(self.orders) >= _MOST_ORDERS:
             raise Refused(Status.BUSY)
 
     def wrote(self, address: int, value: int) -> None:
-        """See `Controlled.wrote`."""
+        """Follow a written register, and pass it on to the camera."""
         if address == ACQUISITION_START and value and not self._acquiring:
             self._acquiring = True
             self._starts += 1
@@ -133,21 +133,21 @@ class Triton2Control:
         self.orders.append(Write(address, value))
 
     def taken(self, peer: Peer) -> None:
-        """See `Controlled.taken`."""
+        """Pass the new owner on to the camera."""
         self.orders.append(Owner(peer))
 
     def released(self) -> None:
-        """See `Controlled.released`."""
+        """Stop the stream: its owner is gone."""
         self._acquiring = False
         self._memory.set(Evs.EVENT_NOTIFICATION, 0)
         self.orders.append(Owner(None))
 
     def resend(self, request: Resend) -> None:
-        """See `Controlled.resend`."""
+        """Pass the request for packets on to the camera."""
         self.orders.append(request)
 
     def act(self, action: Action) -> Status:
-        """See `Controlled.act`: an action is a pulse on the trigger input; one that is late is executed at once."""
+        """Order a pulse on the trigger input; one that is late is executed at once."""
         late = action.time_ns is not None and action.time_ns <= self._now_ns()
         self.orders.append(Pulse(None if late else action.time_ns))
         return Status.ACTION_LATE if late else Status.SUCCESS

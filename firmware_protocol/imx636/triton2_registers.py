@@ -232,8 +232,8 @@ def _acquisition() -> list[Feature]:
 
 def _biases() -> list[Feature]:
     return [
-        Feature(one.feature, "EventControl", "integer", one.address, _BIAS_TIPS[name], limits=(one.least, one.most))
-        for name, one in BIASES.items()
+        Feature(bias.feature, "EventControl", "integer", bias.address, _BIAS_TIPS[name], limits=(bias.least, bias.most))
+        for name, bias in BIASES.items()
     ]
 
 
@@ -296,15 +296,12 @@ def triton2_areas(settings: Triton2Settings) -> dict[int, bytes]:
     """Return the areas of a camera's memory at power-on."""
     has_ptp = settings.ptp
     description = Description(_MODEL, features(settings.size, has_ptp=has_ptp))
-    areas = standard_areas(_identity(settings), description.location, has_ptp=has_ptp) | _evs_areas(settings.size)
-    areas |= {Ptp.LATCH: bytes(_PTP_OCTETS)} if has_ptp else {}
-    return areas | {description.address: description.octets}
-
-
-def _identity(settings: Triton2Settings) -> DeviceIdentity:
-    return DeviceIdentity(
+    identity = DeviceIdentity(
         "Lucid Vision Labs", _MODEL.name, "1.46.0.0", settings.serial, settings.user_name, settings.address, 0x1C0FAF
     )
+    areas = standard_areas(identity, description.location, has_ptp=has_ptp) | _evs_areas(settings.size)
+    areas |= {Ptp.LATCH: bytes(_PTP_OCTETS)} if has_ptp else {}
+    return areas | {description.address: description.octets}
 
 
 def _evs_areas(size: tuple[int, int]) -> dict[int, bytes]:

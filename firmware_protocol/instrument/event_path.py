@@ -61,7 +61,7 @@ class EventPath:
 
     @property
     def waiting(self) -> Numbers:
-        """See `ItemEncoder.waiting`."""
+        """Numbers of items that wait."""
         return Numbers(self._queue.waiting)
 
     @property
@@ -130,11 +130,11 @@ class EventPath:
         if events is None:
             return None
         shift = np.uint64(self._time.offset_us % (1 << 64))
-        own = copy_events(events)
-        own["t"] += shift
+        own_events = copy_events(events)
+        own_events["t"] += shift
         dropped = min(self._queue.dropped_before, _MOST_REPORTED)
-        block, taken = self._encoder.encode(own, dropped)
-        seen = as_received(own[:taken], self.tick_us)
+        block, taken = self._encoder.encode(own_events, dropped)
+        seen = as_received(own_events[:taken], self.tick_us)
         seen["t"] -= shift
         return self._outgoing(block, seen, dropped)
 
@@ -144,7 +144,7 @@ class EventPath:
         return None if events is None else self._outgoing(b"", copy_events(events), self._queue.dropped_before)
 
     def clear(self) -> None:
-        """See `ItemEncoder.clear`."""
+        """Drop what waits."""
         self._queue.clear()
 
     def _in_block_order(self, events: Events) -> Events:
@@ -154,9 +154,9 @@ class EventPath:
         coarser, and may have begun before the stream did.
         """
         shift = np.uint64(self._time.offset_us % (1 << 64))
-        own = copy_events(events)
-        own["t"] += shift
-        ordered = as_received(own, self.tick_us)
+        own_events = copy_events(events)
+        own_events["t"] += shift
+        ordered = as_received(own_events, self.tick_us)
         ordered["t"] -= shift
         ordered["t"] = np.maximum(ordered["t"].astype(np.int64), self._last_us)
         return ordered
@@ -198,7 +198,7 @@ class EdgePath:
 
     @property
     def waiting(self) -> Numbers:
-        """See `ItemEncoder.waiting`."""
+        """Numbers of items that wait."""
         return Numbers(edges=len(self._waiting))
 
     @property
@@ -228,15 +228,15 @@ class EdgePath:
         in_reach = int(np.searchsorted(ordered["t"], ordered["t"][0] + np.uint64(LONGEST_US), side="right"))
         count = min(in_reach, room, self._encoder.max_edges)
         edges, self._waiting = ordered[:count], ordered[count:]
-        own = edges.copy()
-        own["t"] += np.uint64(self._time.offset_us % (1 << 64))
+        own_edges = edges.copy()
+        own_edges["t"] += np.uint64(self._time.offset_us % (1 << 64))
         reported = min(self._unreported, _MOST_REPORTED)
         self._unreported -= reported
-        block = self._encoder.encode_edges(own, reported)
+        block = self._encoder.encode_edges(own_edges, reported)
         message = Message(MessageKind.EDGES, block, self._time.of(int(edges["t"][0])))
         return Outgoing(edges=edges, epoch_us=self._time.epoch_us, message=message)
 
     def clear(self) -> None:
-        """See `ItemEncoder.clear`; the next block reports the edges that are missing."""
+        """Drop what waits; the next block reports the edges that are missing."""
         self._unreported += len(self._waiting)
         self._waiting = self._waiting[:0]

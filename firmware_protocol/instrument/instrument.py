@@ -9,6 +9,9 @@ A message is formed when the link requests it, as late as possible: a link with 
 blocks, a busy one takes full blocks. Answers are sent first, then edges, housekeeping, events.
 
 The camera's own time is stream time plus an offset that SetTime changes; all outgoing times are own times.
+
+Answers, the verification of telecommands as in PUS service 1 and what they request, wait for the line in a bounded
+queue of messages; the oldest are dropped first.
 """
 
 from __future__ import annotations
@@ -18,19 +21,27 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.event_device import EventDevice, HasClockInput, HostAdjusted
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import Numbers
 from firmware_protocol.events import Edges, Events
-from firmware_protocol.instrument.answers import Answers, Reporter, State
 from firmware_protocol.instrument.event_path import EdgePath, EventPath, Outgoing, block_settings
 from firmware_protocol.instrument.queue import OwnTime, Selection
 from firmware_protocol.instrument.settings import DavisBiases, InstrumentSettings, SensorBiases
 from firmware_protocol.packets.addresses import Message, MessageKind
-from firmware_protocol.packets.housekeeping import Housekeeping, LinkCounts, TimeReport
+from firmware_protocol.packets.ccsds import Acknowledge
+from firmware_protocol.packets.housekeeping import (
+    EdgeCounts,
+    EventCounts,
+    Housekeeping,
+    LinkCounts,
+    Mode,
+    TimeReport,
+)
 from firmware_protocol.packets.profile import ReceivedCommand
 from firmware_protocol.packets.telecommands import (
     CommandRefused,
+    Failure,
     FailureCode,
     Ping,
     RequestHousekeeping,
@@ -43,8 +54,99 @@ from firmware_protocol.packets.telecommands import (
     Start,
     Stop,
     Telecommand,
+    Verification,
 )
 from firmware_protocol.telemetry import BlockEncoder
+
+_MOST_ANSWERS = 256
+_MOST_HZ = 0xFFFF_FFFF
+
+
+class Answers:
+    """Queue of answers; if requests arrive faster than the line sends answers, the oldest answers are dropped.
+
+    Attributes
+    ----------
+    taken, refused, missing
+        Numbers of telecommands so far.
+    """
+
+    def __init__(self, time: OwnTime) -> None:
+        self._time = time
+        self._waiting: deque[Message] = deque(maxlen=_MOST_ANSWERS)
+        self.taken = self.refused = self.missing = 0
+
+    def put(self, kind: MessageKind, payload: bytes) -> None:
+        """Queue an answer, dated with the camera's time now."""
+        self._waiting.append(Message(kind, payload, self._time.own_us))
+
+    def accept(self, received: ReceivedCommand) -> None:
+        """Report that a telecommand is accepted."""
+        self._verify(received, Stage.ACCEPTANCE, Acknowledge.ACCEPTANCE)
+
+    def complete(self, received: ReceivedCommand) -> None:
+        """Report that a telecommand is executed."""
+        self.taken += 1
+        self._verify(received, Stage.COMPLETION, Acknowledge.COMPLETION)
+
+    def refuse(self, received: ReceivedCommand, stage: Stage, failure: Failure | None) -> None:
+        """Report that a telecommand has failed at a stage."""
+        self.refused += 1
+        self.put(MessageKind.VERIFICATION, Verification(stage, received.request, failure).encode())
+
+    def take(self) -> Message | None:
+        """Return the oldest answer; None if none waits."""
+        return self._waiting.popleft() if self._waiting else None
+
+    def clear(self) -> None:
+        """Drop all answers."""
+        self._waiting.clear()
+
+    def _verify(self, received: ReceivedCommand, stage: Stage, success: Acknowledge) -> None:
+        if received.acknowledge & success:
+            self.put(MessageKind.VERIFICATION, Verification(stage, received.request).encode())
+
+
+class Reporter:
+    """Times of housekeeping reports, one every `period_us` of stream time (0: only on request), and rates in them."""
+
+    def __init__(self, period_us: int) -> None:
+        self._period_us = period_us
+        self._next_us = 0
+        self._last_us = self._offered = self._sent = 0
+
+    def due(self, now_us: int) -> bool:
+        """Return true if the next report is due."""
+        return self._period_us > 0 and now_us >= self._next_us
+
+    def rates_hz(self, now_us: int, fates: Fates) -> tuple[int, int]:
+        """Return the events offered and sent a second since the last report; the report is made now."""
+        seconds = (now_us - self._last_us) * 1e-6
+        offered_hz, sent_hz = (
+            min(_MOST_HZ, round(count / seconds)) if seconds > 0 else 0
+            for count in (fates.offered - self._offered, fates.delivered - self._sent)
+        )
+        self._last_us = now_us
+        self._offered, self._sent = fates.offered, fates.delivered
+        if self._period_us:
+            self._next_us = (now_us // self._period_us + 1) * self._period_us
+        return offered_hz, sent_hz
+
+
+def _events(c: Fates) -> EventCounts:
+    return EventCounts(
+        offered=c.offered,
+        sent=c.delivered,
+        waiting=c.queued,
+        not_running=c.not_running,
+        not_selected=c.not_selected,
+        over_rate=c.dropped_rate,
+        too_late=c.dropped_late,
+        buffer_full=c.dropped_fifo,
+        flushed=c.flushed,
+        lost_on_link=c.lost_on_link,
+    )
+
 
 __all__ = ["Instrument", "Outgoing"]
 
@@ -53,7 +155,7 @@ _MOST_EXECUTED = 256  # between two calls of take_commands, a millisecond apart 
 _NO_LIMIT = 1 << 30
 
 
-class Instrument(EventDevice):
+class Instrument(EventDevice, HostAdjusted, HasClockInput):
     """The camera.
 
     Parameters
@@ -141,7 +243,7 @@ class Instrument(EventDevice):
         return self._path.waiting.plus(self._edges.waiting)
 
     def offer(self, events: Events) -> None:
-        """See `EventDevice.offer`."""
+        """Take events of the array, sorted; raises ValueError for others."""
         if not len(events):
             return
         if int(events["t"][0]) < self._time.now_us:
@@ -157,12 +259,12 @@ class Instrument(EventDevice):
             self._fates.not_running += len(events)
 
     def offer_edges(self, edges: Edges) -> None:
-        """See `EventDevice.offer_edges`."""
+        """Apply edges to the external input, while the camera runs."""
         seen = self.streaming and not (edges["t"].astype(np.int64) + self._time.offset_us < 0).any()
         (self._edges.put if seen else self._edges.ignore)(edges)
 
     def advance(self, now_us: int) -> None:
-        """See `EventDevice.advance`."""
+        """Set stream time, and drop the events that have waited too long."""
         self._time.reach(now_us)
         self._path.advance()
 
@@ -287,27 +389,30 @@ class Instrument(EventDevice):
                 raise ValueError(f"{request!r} has no effect here")
 
     def take_commands(self) -> tuple[str, ...]:
-        """See `EventDevice.take_commands`; of too many, the last."""
+        """Return the telecommands executed since the last call, as text; of too many, the last."""
         executed = tuple(self._executed)
         self._executed.clear()
         return executed
 
     def report(self) -> Housekeeping:
         """Return the housekeeping report; its rates are since the last one."""
-        did = self._answers
-        state = State(
-            now_us=self._time.now_us,
-            own_us=self.own_us,
-            streaming=self.streaming,
+        c, answers = self.counters, self._answers
+        selection = self._path.selection
+        offered_hz, sent_hz = self._reporter.rates_hz(self._time.now_us, c)
+        return Housekeeping(
+            t_us=self.own_us,
+            region=(selection.x, selection.y, selection.width, selection.height),
+            mode=Mode.STREAMING if self.streaming else Mode.STOPPED,
             time_status=self._time.status,
+            offered_hz=offered_hz,
+            sent_hz=sent_hz,
+            temperature_centi_c=round(100 * self.settings.temperature_c),
             tick_us=self._path.tick_us,
-            rate_limit=self._path.rate_limit,
-            selection=self._path.selection,
-            temperature_c=self.settings.temperature_c,
-            counters=self.counters,
-            link=LinkCounts(did.taken, did.refused, self.frames_refused, did.missing),
+            rate_limit_hz=self._path.rate_limit,
+            events=_events(c),
+            edges=EdgeCounts(c.edges.offered, c.edges.delivered, c.edges.ignored, c.edges.dropped_for_room),
+            link=LinkCounts(answers.taken, answers.refused, self.frames_refused, answers.missing),
         )
-        return self._reporter.report(state)
 
     def _drop_before_zero(self) -> None:
         """Drop everything that waits if a part of it would have a negative time."""

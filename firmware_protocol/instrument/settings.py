@@ -81,7 +81,6 @@ class InstrumentSettings:
             raise ValueError(f"queue_ms must be 1 to 60000, got {self.queue_ms}")
         if not (self.housekeeping_s == 0 or 0.01 <= self.housekeeping_s <= 86_400):
             raise ValueError(f"housekeeping_s must be 0 (none) or 0.01 to 86400, got {self.housekeeping_s}")
-
         if not -273 <= self.temperature_c <= 300:
             raise ValueError(f"temperature_c must be -273 to 300, got {self.temperature_c}")
 
@@ -96,7 +95,8 @@ class InstrumentSettings:
         return Selection(x, y, width, height, self.keep_every).within(size)
 
 
-_FIRST, _STEP, _MOST = 0x1000, 4, 255
+_FIRST, _STEP = 0x1000, 4  # of the addresses of IMX636 biases
+_MOST = 255
 _IMX_NUMBERS = {(address - _FIRST) // _STEP: name for name, (address, _) in IMX_BIASES.items()}
 
 
@@ -108,7 +108,7 @@ class DavisBiases:
     values
         Present values, by number.
     factors, without_effect
-        See `EventDevice.sensor_factors` and `EventDevice.without_effect`.
+        Factors of the pixels by the biases, and biases without an effect, each with the reason.
     """
 
     def __init__(self) -> None:
@@ -141,12 +141,12 @@ class Imx636Biases:
 
     @property
     def factors(self) -> Mapping[str, float]:
-        """See `DavisBiases`."""
+        """Factors of the pixels by the biases."""
         return self._model.factors(self._steps)
 
     @property
     def without_effect(self) -> Mapping[str, str]:
-        """See `DavisBiases`."""
+        """Biases without an effect on the pixels, each with the reason."""
         return self._model.without_effect(self._steps)
 
     @property

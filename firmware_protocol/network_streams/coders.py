@@ -371,10 +371,10 @@ class FaeryShortCoder(DatagramCoder):
         yield from _cut(records, _FAERY_EVENTS)
 
 
-def _cut(records: np.ndarray, most: int) -> Iterator[Datagram]:
+def _cut(records: np.ndarray, events_at_most: int) -> Iterator[Datagram]:
     data, size = memoryview(records.tobytes()), records.dtype.itemsize
-    for first in range(0, len(records), most):
-        end = min(first + most, len(records))
+    for first in range(0, len(records), events_at_most):
+        end = min(first + events_at_most, len(records))
         yield Datagram(bytes(data[first * size : end * size]), end)
 
 
@@ -407,7 +407,11 @@ class _DvCoder(ConnectionCoder):
     def __init__(self, facts: StreamFacts) -> None:
         super().__init__(facts)
         compression = _COMPRESSIONS[facts.compression]
-        self._greeting = _size_prefixed(_description(facts, *self.stream), compression)
+        xml = _description(facts, *self.stream)
+        # The header is its length, then a table "IOHE" whose third field is the XML.
+        head = _HEAD.pack(24, b"IOHE", 10, 24, 4, 12, 8, 10, compression, 16, -1, len(xml))
+        body = head + xml + bytes(4 - len(xml) % 4)
+        self._greeting = struct.pack("<I", len(body)) + body
         self._compress = bool(compression)
 
     @property
@@ -467,7 +471,8 @@ class DvTriggerCoder(_DvCoder):
         offsets = np.zeros(count + count % 2, "<u4")
         offsets[:count] = tables_at - _OFFSETS_AT - 4 * np.arange(count)
         tables = np.zeros(count, _TRIGGER)
-        tables["back"], tables["kind"], tables["t"] = tables_at - fields_at, kinds, t_us
+        tables["back"] = tables_at - fields_at
+        tables["kind"], tables["t"] = kinds, t_us
         body = offsets.tobytes() + _TRIGGER_FIELDS + tables.tobytes()
         size = _EVENTS.size + len(body)
         head = _EVENTS.pack(size - 4, 16, b"TRIG", 6, 8, 4, 6, 4, count)
@@ -489,10 +494,3 @@ def _description(facts: StreamFacts, kind: str, name: str) -> bytes:
         f'<attr key="sizeX" type="int">{width}</attr><attr key="sizeY" type="int">{height}</attr>'
         f'<attr key="source" type="string">{camera}</attr></node></node></node></dv>'
     ).encode()
-
-
-def _size_prefixed(xml: bytes, compression: int) -> bytes:
-    """Return the header: its length, then a table "IOHE" whose third field is a string."""
-    head = _HEAD.pack(24, b"IOHE", 10, 24, 4, 12, 8, 10, compression, 16, -1, len(xml))
-    body = head + xml + bytes(4 - len(xml) % 4)
-    return struct.pack("<I", len(body)) + body

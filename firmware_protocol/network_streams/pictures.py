@@ -120,7 +120,6 @@ class EventFrames:
             self._decayed += np.bincount(pixel, steps, minlength=len(self._decayed))
 
 
-_ON_PICTURES, _OFF_PICTURES, _FILTERED_PICTURES = (CHANNELS.index(name) for name in ("on", "off", "filtered"))
 _WHITE = 255
 
 
@@ -203,10 +202,10 @@ def chosen(image: Image, settings: PictureSettings) -> Image:
 
 def coloured(image: Image, settings: PictureSettings) -> npt.NDArray[np.uint8]:
     """Return (height, width, 3) of an image: colours of ON and OFF events, and between them background or light."""
-    on, off = image[_ON_PICTURES], image[_OFF_PICTURES]
+    on, off = image[_ON], image[_OFF]
     rgb = np.full((*on.shape, 3), settings.background, np.uint8)
     if settings.shows_light:
-        rgb[:] = _grey(image[_FILTERED_PICTURES], settings)[..., None]
+        rgb[:] = _grey(image[_FILTERED], settings)[..., None]
     below = rgb.copy() if settings.shows_light and settings.light_below_events else np.zeros_like(rgb)
     cases = ((on > off, settings.on_colour), (off > on, settings.off_colour),
              ((off == on) & (on > 0), settings.both_colour))  # fmt: skip

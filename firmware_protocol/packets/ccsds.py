@@ -1,4 +1,4 @@
-"""CCSDS space packets, and the CCSDS unsegmented time code (CUC) in them. Big-endian.
+"""CCSDS space packets, the CCSDS unsegmented time code (CUC) in them, and PUS-C packets. Big-endian.
 
 Space packet: six octets of primary header, then 1 to 65 536 octets of data:
 
@@ -13,28 +13,46 @@ Space packet: six octets of primary header, then 1 to 65 536 octets of data:
 
 Source: CCSDS 133.0-B-2, section 4.1; checked against the spacepackets library.
 
-CUC: whole seconds and binary fractions of a second since an epoch:
+CUC: whole seconds and binary fractions of a second since an epoch of the agency's own:
 
-    P-field, one octet, left out (implicit) if both sides have the same format
+    P-field, one octet, 0x2F, left out (implicit) if both sides have the same format
         bit 7      another octet follows: 0 here
-        bits 6..4  001 epoch 1958-01-01 TAI, 010 an epoch of the agency's own
-        bits 3..2  octets of seconds less one
-        bits 1..0  octets of fraction
+        bits 6..4  010 an epoch of the agency's own
+        bits 3..2  octets of seconds less one: 3
+        bits 1..0  octets of fraction: 3
     T-field
-        1..4 octets of seconds, 0..3 octets of fraction
+        4 octets of seconds, 3 octets of fraction
 
-4 + 3 octets: P-field 0x1F (TAI) or 0x2F (own epoch), a step of 2^-24 s = 59.6 ns. All arithmetic is on integers; a time
-is rounded to the nearest step, halves up, and back to the nearest unit, so three octets of fraction (not fewer)
-preserve whole microseconds exactly. Nanoseconds are preserved within 30 ns.
+A step is 2^-24 s = 59.6 ns. All arithmetic is on integers; a time is rounded to the nearest step, halves up, and back
+to the nearest microsecond, so whole microseconds are preserved exactly.
 
 Source: CCSDS 301.0-B-4, section 3.2.
+
+PUS-C packets: the secondary headers and the checksum that ECSS-E-ST-70-41C puts into space packets.
+
+    telemetry   u8  PUS version 2 (bits 7..4), status of the time reference (bits 3..0, 0 = not reported)
+                u8  service      u8  subtype
+                u16 count of messages of this type    u16 destination
+                7   time: CUC, 4 + 3 octets, own epoch, P-field implicit
+                ... source data
+                u16 packet error control: CRC-16-CCITT-FALSE of all octets before it
+    telecommand u8  PUS version 2 (bits 7..4), acknowledgements requested (bit 0 acceptance, 1 start, 2 progress,
+                    3 completion)
+                u8  service      u8  subtype
+                u16 source
+                ... application data
+                u16 packet error control
+
+Source: ECSS-E-ST-70-41C, clauses 7.4.3 and 7.4.4, as the spacepackets library and the Flight Software Framework
+(fsfw, tcpacket definitions) write them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, IntFlag
 
+from firmware_protocol.crc import crc16
 from firmware_protocol.packets.addresses import PacketError
 from firmware_protocol.wire_layout import Field, Layout, choices_of
 
@@ -149,78 +167,194 @@ def whole_packets(octets: bytes) -> list[bytes]:
 
 
 _US = 1_000_000
-
-
-class Epoch(IntEnum):
-    """Zero of a time."""
-
-    TAI_1958 = 1
-    OWN = 2
-
-
-def _check(what: str, value: int, lowest: int, highest: int) -> None:
-    if not lowest <= value <= highest:
-        raise ValueError(f"CUC {what}: {value} is not in {lowest}..{highest}")
+_P_FIELD = 0x2F
+_SECONDS_OCTETS, _FRACTION_OCTETS = 4, 3
+_FRACTION_BITS = 8 * _FRACTION_OCTETS
 
 
 @dataclass(frozen=True)
 class CucFormat:
-    """Format of a time.
+    """Format of a time; `p_field` is true if the P-field precedes it."""
 
-    Attributes
-    ----------
-    seconds_octets, fraction_octets
-        Numbers of octets, 1..4 and 0..3.
-    p_field
-        True if the P-field precedes the time.
-    """
-
-    epoch: Epoch = Epoch.OWN
-    seconds_octets: int = 4
-    fraction_octets: int = 3
     p_field: bool = False
-
-    def __post_init__(self) -> None:
-        _check("octets of seconds", self.seconds_octets, 1, 4)
-        _check("octets of fraction", self.fraction_octets, 0, 3)
-
-    @property
-    def p_field_octet(self) -> int:
-        """The P-field."""
-        return self.epoch << 4 | self.seconds_octets - 1 << 2 | self.fraction_octets
 
     @property
     def octets(self) -> int:
         """Length of an encoded time."""
-        return self.p_field + self.seconds_octets + self.fraction_octets
+        return self.p_field + _SECONDS_OCTETS + _FRACTION_OCTETS
 
     def layout(self, name: str, meaning: str) -> Layout:
         """Return the fields of an encoded time: `name`_seconds and `name`_fraction."""
-        p_field = Field(f"{name}_p_field", 8, "CUC: epoch and numbers of octets", fixed=self.p_field_octet)
-        seconds = Field(f"{name}_seconds", 8 * self.seconds_octets, f"{meaning}, whole seconds", "s")
-        bits = 8 * self.fraction_octets
-        fraction = Field(f"{name}_fraction", bits, f"{meaning}, fraction of a second", "s", scale=2.0**-bits)
-        return Layout(*(p_field,) * self.p_field, seconds, *(fraction,) * bool(bits))
+        p_field = Field(f"{name}_p_field", 8, "CUC: epoch and numbers of octets", fixed=_P_FIELD)
+        seconds = Field(f"{name}_seconds", 8 * _SECONDS_OCTETS, f"{meaning}, whole seconds", "s")
+        step_s = 2.0**-_FRACTION_BITS
+        fraction = Field(f"{name}_fraction", _FRACTION_BITS, f"{meaning}, fraction of a second", "s", scale=step_s)
+        return Layout(*(p_field,) * self.p_field, seconds, fraction)
 
     def encode_us(self, t_us: int) -> bytes:
         """Return the octets of a time in microseconds since the epoch. Raises ValueError if it does not fit."""
-        fraction_bits = 8 * self.fraction_octets
-        steps = ((t_us << fraction_bits) + _US // 2) // _US
-        if steps < 0 or steps >> fraction_bits >> 8 * self.seconds_octets:
-            raise ValueError(f"{t_us / _US} s does not fit {self.seconds_octets} octets of seconds")
-        t_field = steps.to_bytes(self.seconds_octets + self.fraction_octets, "big")
-        return bytes([self.p_field_octet]) + t_field if self.p_field else t_field
+        steps = ((t_us << _FRACTION_BITS) + _US // 2) // _US
+        if steps < 0 or steps >> _FRACTION_BITS >> 8 * _SECONDS_OCTETS:
+            raise ValueError(f"{t_us / _US} s does not fit {_SECONDS_OCTETS} octets of seconds")
+        t_field = steps.to_bytes(_SECONDS_OCTETS + _FRACTION_OCTETS, "big")
+        return bytes([_P_FIELD]) + t_field if self.p_field else t_field
 
     def parse_us(self, octets: bytes) -> int:
         """Read a time, in microseconds since the epoch. Raises PacketError for a wrong length or P-field."""
         if len(octets) != self.octets:
             raise PacketError("time length")
-        if self.p_field and octets[0] != self.p_field_octet:
+        if self.p_field and octets[0] != _P_FIELD:
             raise PacketError("time code")
-        fraction_bits = 8 * self.fraction_octets
         steps = int.from_bytes(octets[self.p_field :], "big")
-        return (steps * _US + (1 << fraction_bits >> 1)) >> fraction_bits
+        return (steps * _US + (1 << _FRACTION_BITS >> 1)) >> _FRACTION_BITS
 
 
 OWN_EPOCH_4_3 = CucFormat()
 """Seven octets, P-field 0x2F implicit: the time of the instrument's packets, since the start of the stream."""
+
+
+_VERSION = 2
+_TYPE = (Field("service", 8, "PUS service type"), Field("subtype", 8, "PUS message subtype"))
+_TM_HEAD = Layout(
+    Field("pus_version", 4, "PUS version", fixed=_VERSION),
+    Field("time_reference", 4, "status of the time reference; 0 is not reported"),
+    *_TYPE,
+    Field("type_count", 16, "number of the message under its service and subtype"),
+    Field("destination", 16, "destination of the report"),
+)
+TM_HEADER = _TM_HEAD + OWN_EPOCH_4_3.layout("time", "the camera's own time")
+"""Secondary header of telemetry."""
+TC_HEADER = Layout(
+    Field("pus_version", 4, "PUS version", fixed=_VERSION),
+    Field("acknowledge", 4, "successes to report: 1 acceptance, 2 start, 4 progress, 8 completion"),
+    *_TYPE,
+    Field("source", 16, "source of the telecommand"),
+)
+"""Secondary header of telecommands."""
+ERROR_CONTROL = Layout(Field("error_control", 16, "CRC-16-CCITT-FALSE of all octets before it"))
+"""Last field of each packet."""
+_CRC_BYTES = ERROR_CONTROL.octets
+TM_OVERHEAD = PRIMARY_HEADER.octets + TM_HEADER.octets + _CRC_BYTES
+"""Octets of a telemetry packet beside its source data."""
+TC_OVERHEAD = PRIMARY_HEADER.octets + TC_HEADER.octets + _CRC_BYTES
+"""Octets of a telecommand packet beside its application data."""
+
+
+class Acknowledge(IntFlag):
+    """Successes that the sender of a telecommand wants reported; failures are always reported."""
+
+    NONE = 0
+    ACCEPTANCE = 1
+    START = 2
+    PROGRESS = 4
+    COMPLETION = 8
+    ALL = 15
+
+
+def _sealed(type_: PacketType, apid: int, sequence_count: int, data: bytes) -> bytes:
+    """Return a whole packet with its error control."""
+    packet = bytes(SpacePacket(type_, apid, sequence_count, data + bytes(_CRC_BYTES)))[:-_CRC_BYTES]
+    return packet + crc16(packet).to_bytes(_CRC_BYTES, "big")
+
+
+def _unsealed(octets: bytes, type_: PacketType, header: Layout) -> SpacePacket:
+    """Check a whole packet; its data then end before the error control."""
+    packet = SpacePacket.parse(octets)
+    if len(packet.data) < header.octets + _CRC_BYTES:
+        raise PacketError("short")
+    if crc16(octets):
+        raise PacketError("crc")
+    if packet.type != type_:
+        raise PacketError("type")
+    if packet.sequence_flags != SequenceFlags.UNSEGMENTED:
+        raise PacketError("segmented")
+    if not packet.secondary_header:
+        raise PacketError("no secondary header")
+    if packet.data[0] >> 4 != _VERSION:
+        raise PacketError("pus version")
+    return packet
+
+
+@dataclass(frozen=True)
+class TmPacket:
+    """A telemetry report.
+
+    Attributes
+    ----------
+    sequence_count, type_count
+        Number of the packet under its APID, and of the report under its service and subtype.
+    t_us
+        Time of the report in microseconds since the start of the stream.
+    """
+
+    apid: int
+    sequence_count: int
+    service: int
+    subtype: int
+    t_us: int
+    data: bytes
+    type_count: int = 0
+    destination: int = 0
+    time_status: int = 0
+
+    def __bytes__(self) -> bytes:
+        header = _TM_HEAD.pack(
+            time_reference=self.time_status,
+            service=self.service,
+            subtype=self.subtype,
+            type_count=self.type_count,
+            destination=self.destination,
+        )
+        data = header + OWN_EPOCH_4_3.encode_us(self.t_us) + self.data
+        return _sealed(PacketType.TELEMETRY, self.apid, self.sequence_count, data)
+
+    @classmethod
+    def parse(cls, octets: bytes) -> TmPacket:
+        """Read one whole packet. Raises PacketError if it is not a valid telemetry report."""
+        packet = _unsealed(octets, PacketType.TELEMETRY, TM_HEADER)
+        header = _TM_HEAD.unpack(packet.data[: _TM_HEAD.octets])
+        return cls(
+            apid=packet.apid,
+            sequence_count=packet.sequence_count,
+            service=header["service"],
+            subtype=header["subtype"],
+            t_us=OWN_EPOCH_4_3.parse_us(packet.data[_TM_HEAD.octets : TM_HEADER.octets]),
+            data=packet.data[TM_HEADER.octets : -_CRC_BYTES],
+            type_count=header["type_count"],
+            destination=header["destination"],
+            time_status=header["time_reference"],
+        )
+
+
+@dataclass(frozen=True)
+class TcPacket:
+    """A telecommand request."""
+
+    apid: int
+    sequence_count: int
+    service: int
+    subtype: int
+    data: bytes
+    acknowledge: Acknowledge = Acknowledge.ALL
+    source: int = 0
+
+    def __bytes__(self) -> bytes:
+        header = TC_HEADER.pack(
+            acknowledge=self.acknowledge, service=self.service, subtype=self.subtype, source=self.source
+        )
+        return _sealed(PacketType.TELECOMMAND, self.apid, self.sequence_count, header + self.data)
+
+    @classmethod
+    def parse(cls, octets: bytes) -> TcPacket:
+        """Read one whole packet. Raises PacketError if it is not a valid telecommand."""
+        packet = _unsealed(octets, PacketType.TELECOMMAND, TC_HEADER)
+        header = TC_HEADER.unpack(packet.data[: TC_HEADER.octets])
+        return cls(
+            apid=packet.apid,
+            sequence_count=packet.sequence_count,
+            service=header["service"],
+            subtype=header["subtype"],
+            data=packet.data[TC_HEADER.octets : -_CRC_BYTES],
+            acknowledge=Acknowledge(header["acknowledge"]),
+            source=header["source"],
+        )

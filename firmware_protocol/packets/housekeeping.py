@@ -97,8 +97,8 @@ class LinkCounts:
     commands_missing: int = _count("telecommands missing in the count, modulo 65 536")
 
 
-def _counts(kind: type[Any], bits: int, prefix: str = "", what: str = "", unit: str = "") -> Layout:
-    meanings = ((f"{prefix}{one.name}", f"{what}{one.metadata['meaning']}") for one in fields(kind))
+def _counts(kind: type[Any], bits: int, prefix: str = "", subject: str = "", unit: str = "") -> Layout:
+    meanings = ((f"{prefix}{count.name}", f"{subject}{count.metadata['meaning']}") for count in fields(kind))
     return Layout(*(Field(name, bits, meaning, unit) for name, meaning in meanings))
 
 
@@ -203,9 +203,9 @@ class Housekeeping:
             temperature_centi_c=values["temperature"],
             tick_us=values["tick"],
             rate_limit_hz=values["rate_limit"],
-            events=EventCounts(*(values[one.name] for one in _EVENTS.fields)),
-            edges=EdgeCounts(*(values[one.name] for one in _EDGES.fields)),
-            link=LinkCounts(*(values[one.name] for one in _LINK.fields)),
+            events=EventCounts(*(values[count.name] for count in _EVENTS.fields)),
+            edges=EdgeCounts(*(values[count.name] for count in _EDGES.fields)),
+            link=LinkCounts(*(values[count.name] for count in _LINK.fields)),
         )
 
 

@@ -19,12 +19,26 @@ counts of the packets that it wrapped; each unwrapper holds those of the packets
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 
-from firmware_protocol.framing import cobs, datagram, fprime, kiss, slip
-from firmware_protocol.framing.deframer import DEFAULT_MAX_PAYLOAD, FrameCounters, StreamDeframer
+from firmware_protocol.framing import (
+    DEFAULT_MAX_PAYLOAD,
+    CobsDeframer,
+    FPrimeDeframer,
+    FrameCounters,
+    KissDeframer,
+    PacketDeframer,
+    SealedPacketDeframer,
+    SlipDeframer,
+    StreamDeframer,
+    cobs_frame,
+    fprime_frame,
+    kiss_frame,
+    sealed,
+    slip_frame,
+)
 from firmware_protocol.packets.addresses import (
     DEFAULT_ADDRESSES,
     Addresses,
@@ -33,10 +47,8 @@ from firmware_protocol.packets.addresses import (
     Received,
     SequenceFollower,
 )
-from firmware_protocol.packets.ccsds import SEQUENCE_MODULUS
-from firmware_protocol.packets.codec import PacketCodec, PusCodec, Request
-from firmware_protocol.packets.csp import HEADER_OCTETS, CspCodec
-from firmware_protocol.packets.pus import Acknowledge
+from firmware_protocol.packets.ccsds import SEQUENCE_MODULUS, Acknowledge
+from firmware_protocol.packets.codec import CSP_HEADER_OCTETS, CspCodec, PacketCodec, PusCodec, Request
 from firmware_protocol.packets.telecommands import CommandRefused, Failure, RequestId, Telecommand, parse_telecommand
 
 
@@ -52,18 +64,13 @@ class _Make:
 
 
 PROFILES: Mapping[str, _Make] = {
-    "ccsds-cobs": _Make(PusCodec, cobs.frame, cobs.Deframer),
-    "ccsds-slip": _Make(PusCodec, slip.frame, slip.Deframer),
-    "ccsds-kiss": _Make(PusCodec, kiss.frame, kiss.Deframer),
-    "csp-kiss": _Make(CspCodec, kiss.frame, kiss.Deframer, partial(kiss.Deframer, header_bytes=HEADER_OCTETS)),
-    "fprime": _Make(PusCodec, fprime.frame, fprime.Deframer),
-    "ccsds": _Make(PusCodec, datagram.frame, datagram.Deframer),
-    "csp": _Make(
-        CspCodec,
-        datagram.frame_sealed,
-        datagram.SealedDeframer,
-        partial(datagram.SealedDeframer, header_bytes=HEADER_OCTETS),
-    ),
+    "ccsds-cobs": _Make(PusCodec, cobs_frame, CobsDeframer),
+    "ccsds-slip": _Make(PusCodec, slip_frame, SlipDeframer),
+    "ccsds-kiss": _Make(PusCodec, kiss_frame, KissDeframer),
+    "csp-kiss": _Make(CspCodec, kiss_frame, KissDeframer, partial(KissDeframer, header_bytes=CSP_HEADER_OCTETS)),
+    "fprime": _Make(PusCodec, fprime_frame, FPrimeDeframer),
+    "ccsds": _Make(PusCodec, bytes, PacketDeframer),
+    "csp": _Make(CspCodec, sealed, SealedPacketDeframer, partial(SealedPacketDeframer, header_bytes=CSP_HEADER_OCTETS)),
 }
 
 
@@ -139,9 +146,7 @@ class Unwrapper(_Receiver):
 
     def push(self, data: bytes) -> list[Received]:
         """Process the next bytes; return the messages that they complete. Never raises; `counters` has the refused."""
-        return list(self._messages(data))
-
-    def _messages(self, data: bytes) -> Iterator[Received]:
+        messages = []
         for octets in self._deframer.push(data):
             try:
                 decoded = self._codec.decode(octets)
@@ -151,7 +156,8 @@ class Unwrapper(_Receiver):
             if decoded is None:
                 self.counters.idle += 1
                 continue
-            yield Received(decoded.message, self._follow(decoded.counter, decoded.number))
+            messages.append(Received(decoded.message, self._follow(decoded.counter, decoded.number)))
+        return messages
 
 
 class CommandUnwrapper(_Receiver):
@@ -163,16 +169,15 @@ class CommandUnwrapper(_Receiver):
         Never raises: damaged packets and those for other receivers are counted in `counters`; complete telecommands
         that are unknown or malformed are returned with the failure to report.
         """
-        return list(self._commands(data))
-
-    def _commands(self, data: bytes) -> Iterator[ReceivedCommand]:
+        commands = []
         for octets in self._deframer.push(data):
             try:
                 request = self._codec.decode_command(octets)
             except PacketError as error:
                 self.counters.refused[str(error)] += 1
                 continue
-            yield self._understood(request)
+            commands.append(self._understood(request))
+        return commands
 
     def _understood(self, request: Request) -> ReceivedCommand:
         missing = self._follow(request.id.packet_id, request.id.sequence_count)

@@ -147,12 +147,12 @@ class Verification:
         if not payload or payload[0] not in _SUBTYPES:
             raise PacketError("subtype")
         stage, failed = _SUBTYPES[payload[0]]
-        request, rest = RequestId.parse(payload[1:5]), payload[5:]
+        request, notice = RequestId.parse(payload[1:5]), payload[5:]
         if not failed:
-            if rest:
+            if notice:
                 raise PacketError("length")
             return cls(stage, request)
-        return cls(stage, request, _parse_failure(rest))
+        return cls(stage, request, _parse_failure(notice))
 
 
 _SUBTYPES = {stage + failed: (stage, bool(failed)) for stage in Stage for failed in (0, 1)}
@@ -194,12 +194,12 @@ class _FixedLayout(Telecommand):
     """A telecommand whose attributes are the fields of its layout."""
 
     def __post_init__(self) -> None:
-        for one in self.LAYOUT.fields:
-            one.check(getattr(self, one.name))
+        for field in self.LAYOUT.fields:
+            field.check(getattr(self, field.name))
 
     def encode(self) -> bytes:
         """Return the application data."""
-        return self.LAYOUT.pack(**{one.name: getattr(self, one.name) for one in self.LAYOUT.fields})
+        return self.LAYOUT.pack(**{field.name: getattr(self, field.name) for field in self.LAYOUT.fields})
 
     @classmethod
     def parse(cls, data: bytes) -> Self:
@@ -338,7 +338,7 @@ def parse_telecommand(service: int, subtype: int, data: bytes) -> Telecommand:
     """Read one telecommand. Raises CommandRefused, with the code and text of the failure, for anything else."""
     kind = TELECOMMANDS.get((service, subtype))
     if kind is None:
-        if any(known == service for known, _ in TELECOMMANDS):
+        if any(other_service == service for other_service, _ in TELECOMMANDS):
             raise CommandRefused(FailureCode.ILLEGAL_SUBTYPE, f"service {service} has no subtype {subtype}")
         raise CommandRefused(FailureCode.ILLEGAL_SERVICE, f"no service {service}")
     try:

@@ -66,10 +66,10 @@ class BiasSlopes:
     refr: float = 0.05
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            value = getattr(self, one.name)
+        for slope in fields(self):
+            value = getattr(self, slope.name)
             if not 0 <= value <= 1:
-                raise ValueError(f"{one.name} must be 0 to 1 a step, got {value}")
+                raise ValueError(f"{slope.name} must be 0 to 1 a step, got {value}")
 
 
 @dataclass(frozen=True)
@@ -105,6 +105,6 @@ class BiasModel:
 
     def without_effect(self, steps: Mapping[str, int]) -> dict[str, str]:
         """Return the biases that were changed without an effect here, each with the reason."""
-        acting = {one.name for one in fields(self.slopes)}
+        acting = {slope.name for slope in fields(self.slopes)}
         moved = sorted(name for name, offset in steps.items() if offset and name not in acting)
         return {name: _WITHOUT_EFFECT.get(name, "it is not modelled") for name in moved}

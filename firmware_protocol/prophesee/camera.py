@@ -12,6 +12,9 @@ A camera adds its protocol: the registers, which set the gate, the selection and
 Words are made when the host reads, so that items dropped while they wait leave no trace in the stream. Edges come
 before events of the same time; one that is older than the time already sent, or than the edge before it, gets that
 time. Decoders lose the time after 8.4 s without words, so words carry it during a silence.
+
+Event rate control, which several sensors have alike: the first events of each period of the sensor's clock leave it,
+the others do not. How a sensor spreads the losses over a period is not public.
 """
 
 from __future__ import annotations
@@ -24,14 +27,14 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
-from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.event_device import HostAdjusted, StartsSilent
 from firmware_protocol.device.fates import Fates
 from firmware_protocol.device.items import Items, Numbers
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges, empty_events, join_events, level_changes
 from firmware_protocol.evt.words import Coder
 from firmware_protocol.prophesee.biases import BiasModel
-from firmware_protocol.prophesee.selection import Selected
 
 LONGEST_GAP_US = 1_000_000  # between words, without time words of a silence in between
 _LONGEST_SILENCE_US = 3_600_000_000  # made up for at once
@@ -82,7 +85,7 @@ class Outflow(ABC, Generic[_Taken]):
 
     @property
     def waiting(self) -> Numbers:
-        """See `ItemEncoder.waiting`."""
+        """Numbers of events and edges in the queues."""
         return Numbers(self._queued, len(self._edges))
 
     @property
@@ -92,7 +95,7 @@ class Outflow(ABC, Generic[_Taken]):
 
     @abstractmethod
     def take(self, now_us: int, room: int) -> _Taken | None:
-        """See `ItemEncoder.take`."""
+        """Make the words that are due, as many as `room` permits, and remove their items."""
 
     def put(self, events: Events) -> int:
         """Queue as many of events (n,) EVENT, sorted, as fit; return their number; they are copied."""
@@ -110,7 +113,7 @@ class Outflow(ABC, Generic[_Taken]):
         return len(fitting)
 
     def clear(self) -> None:
-        """See `ItemEncoder.clear`."""
+        """Empty the queues."""
         self._waiting.clear()
         self._edges, self._queued = empty_edges(), 0
 
@@ -171,14 +174,14 @@ class Outflow(ABC, Generic[_Taken]):
     def _reach(self, events: Events, edges: Edges) -> None:
         """Remove edges that were made into words, and note the time of the last item in words."""
         self._edges = self._edges[len(edges) :]
-        last_us = max(int(each["t"][-1]) for each in (events, edges) if len(each))
+        last_us = max(int(records["t"][-1]) for records in (events, edges) if len(records))
         self._reported_us = max(self._reported_us, last_us)
 
 
 _Out = TypeVar("_Out", bound=Outflow[Items])
 
 
-class PropheseeCamera(EventDevice, Generic[_Out]):
+class PropheseeCamera(StartsSilent, HostAdjusted, Generic[_Out]):
     """A camera with a sensor of Prophesee's; `_outflow` is that of the present run of the sensor.
 
     Parameters
@@ -298,3 +301,57 @@ class PropheseeCamera(EventDevice, Generic[_Out]):
         width, height = self._size
         if int(events["x"].max()) >= width or int(events["y"].max()) >= height:
             raise ValueError(f"events outside the {width} x {height} array")
+
+
+Mask = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Selected:
+    """Events (n,) EVENT that pass, and the numbers of the others, by reason."""
+
+    events: Events
+    outside: int
+    beyond_rate: int
+
+
+class RateControl:
+    """Limit of the events in each period of the device's clock."""
+
+    def __init__(self, period_us: int) -> None:
+        self._period_us, self._most = period_us, 0
+        self._period, self._seen = -1, 0
+        self.on = False
+
+    def turn(self, on: int) -> None:
+        """Switch it on or off."""
+        self.on = bool(on)
+
+    def set_period_us(self, period_us: int) -> None:
+        """Set the length of a period."""
+        self._period_us = period_us
+
+    def set_most(self, events: int) -> None:
+        """Set the number of events that pass in a period."""
+        self._most = events
+
+    def selected(self, events: Events, candidates: Events, epoch_us: int) -> Selected:
+        """Return the part of `candidates` among `events` that passes, both sorted; the clock was 0 at `epoch_us`."""
+        passing = candidates[self._passing(candidates, epoch_us)] if self.on else candidates
+        return Selected(passing, len(events) - len(candidates), len(candidates) - len(passing))
+
+    def _passing(self, events: Events, epoch_us: int) -> Mask:
+        """Return a mask of the events (n,) EVENT, sorted, that pass, (n,) bool: the first ones of each period."""
+        if not len(events):
+            return np.zeros(0, np.bool_)
+        periods = (events["t"].astype(np.int64) - epoch_us) // self._period_us
+        ranks = np.arange(len(periods)) - np.searchsorted(periods, periods)
+        if periods[0] == self._period:
+            ranks[periods == self._period] += self._seen
+        self._period, self._seen = int(periods[-1]), int(ranks[-1]) + 1
+        return ranks < self._most
+
+
+def unpacked(words: npt.NDArray[np.uint32], pixels: int) -> Mask:
+    """Return a bit for each of `pixels` pixels, (pixels,) bool: bit k of word i is pixel 32 i + k."""
+    return np.unpackbits(words.astype("<u4").view(np.uint8), count=pixels, bitorder="little").astype(np.bool_)

@@ -125,8 +125,8 @@ class Board:
     def __init__(self, facts: BoardFacts, bus: RegisterBus) -> None:
         self._bus = bus
         self._has_short_frames = facts.short_frames
-        texts = ("".join(f"{text}\0" for text in each).encode("ascii") for each in ((facts.name,), facts.compatible))
-        name, compatible = texts
+        name = f"{facts.name}\0".encode("ascii")
+        compatible = "".join(f"{text}\0" for text in facts.compatible).encode("ascii")
         self._doing: dict[int, Callable[[bytes], bytes]] = {
             Property.SERIAL: lambda payload: _nothing(payload, struct.pack("<Q", facts.serial)),
             Property.RELEASE: lambda payload: _nothing(payload, struct.pack("<I", facts.release)),

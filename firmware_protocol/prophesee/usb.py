@@ -26,7 +26,7 @@ from abc import abstractmethod
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from typing import Protocol
 
 from firmware_protocol.device.items import Numbers
 from firmware_protocol.events import Events
@@ -34,8 +34,8 @@ from firmware_protocol.evt.evt2 import Evt2Encoder
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.evt.words import Coder
 from firmware_protocol.prophesee.biases import BiasModel
-from firmware_protocol.prophesee.camera import LONGEST_GAP_US, Outflow, OutflowLimits, PropheseeCamera
-from firmware_protocol.prophesee.selection import Selected
+from firmware_protocol.prophesee.camera import LONGEST_GAP_US, Outflow, OutflowLimits, PropheseeCamera, Selected
+from firmware_protocol.prophesee.registers import ChipRegisters, Form
 from firmware_protocol.prophesee.treuzell import Board, BoardFacts
 from firmware_protocol.usb.control import Recipient, StandardControl
 from firmware_protocol.usb.descriptors import (
@@ -58,9 +58,6 @@ from firmware_protocol.usb.device import (
     UsbCamera,
     UsbCameraSettings,
 )
-
-Form = Literal["evt3", "evt2", "evt21", "evt21-legacy"]
-"""Form of the words: see `evt.words` and `evt.evt2`."""
 
 _SILENCE_US = 4096  # a high part of the time
 _FEWEST_EVENTS = 16  # made into words together, also for a host that requests less
@@ -96,7 +93,7 @@ class UsbOutflow(Outflow[Transfer]):
 
     @property
     def waiting(self) -> Numbers:
-        """See `ItemEncoder.waiting`."""
+        """Numbers of events and edges in the queues."""
         waiting = super().waiting
         return waiting if self._cut is None else waiting.plus(self._cut.numbers)
 
@@ -104,16 +101,16 @@ class UsbOutflow(Outflow[Transfer]):
         """Remove up to `room` octets of words; None if there is nothing to send yet."""
         if room < self._word_bytes:
             return None
-        whole = self._cut or self._next(now_us, room)
-        if whole is None or len(whole.data) <= room:
+        transfer = self._cut or self._next(now_us, room)
+        if transfer is None or len(transfer.data) <= room:
             self._cut = None
-            return whole
+            return transfer
         end = room - room % self._word_bytes
-        self._cut = replace(whole, data=whole.data[end:])
-        return Transfer(epoch_us=whole.epoch_us, data=whole.data[:end])
+        self._cut = replace(transfer, data=transfer.data[end:])
+        return Transfer(epoch_us=transfer.epoch_us, data=transfer.data[:end])
 
     def clear(self) -> None:
-        """See `ItemEncoder.clear`."""
+        """Empty the queues, and drop the part of a transfer that has not left."""
         super().clear()
         self._cut = None
 
@@ -177,43 +174,6 @@ class ChipNames(Protocol):
     @property
     def compatible(self) -> tuple[str, ...]:
         """Names by which OpenEB finds the driver."""
-
-
-class ChipRegisters(Protocol):
-    """The registers of a sensor, and their effects."""
-
-    def power_on(self) -> None:
-        """Set every register to its power-on value."""
-
-    def read(self, address: int) -> int:
-        """Return a register's value; raises LookupError."""
-
-    def write(self, address: int, value: int) -> None:
-        """Write a register, and apply its effect within the sensor; raises LookupError."""
-
-    @property
-    def bias_steps(self) -> Mapping[str, int]:
-        """Steps of each bias away from the factory's value, by Prophesee's names."""
-
-    @property
-    def currents(self) -> dict[str, int]:
-        """Values of the biases, by Prophesee's names."""
-
-    @property
-    def form(self) -> Form:
-        """Form of the words that leave the sensor."""
-
-    @property
-    def time_runs(self) -> bool:
-        """True if the sensor's clock runs."""
-
-    @property
-    def running(self) -> bool:
-        """True if events leave the sensor."""
-
-    @property
-    def has_trigger(self) -> bool:
-        """True if the trigger input is on."""
 
 
 class ChipSelection(Protocol):
@@ -303,7 +263,7 @@ class TreuzellSettings(UsbCameraSettings):
 def _configuration(speed: Speed) -> Configuration:
     """Return the configuration; OpenEB requires these three endpoints in this order."""
     addresses = (ANSWER_ENDPOINT, REQUEST_ENDPOINT, DATA_ENDPOINT)
-    endpoints = tuple(Endpoint(each, TransferType.BULK, BULK_PACKET[speed], burst=15) for each in addresses)
+    endpoints = tuple(Endpoint(address, TransferType.BULK, BULK_PACKET[speed], burst=15) for address in addresses)
     return Configuration(speed, (Interface(endpoints, interface_class=_INTERFACE_CLASS),))
 
 
@@ -353,8 +313,8 @@ class TreuzellCamera(PropheseeCamera[UsbOutflow], UsbCamera):
         """Execute one control transfer; see `UsbDevice.control` and the module's description."""
         if setup.kind is RequestKind.STANDARD:
             return self._standard.control(setup, data)
-        wanted = (RequestKind.VENDOR, Recipient.DEVICE, True, _BOARD_KIND)
-        if (setup.kind, setup.recipient, setup.is_in, setup.request) != wanted:
+        board_request = (RequestKind.VENDOR, Recipient.DEVICE, True, _BOARD_KIND)
+        if (setup.kind, setup.recipient, setup.is_in, setup.request) != board_request:
             raise Stall
         return self._kind[: setup.length]
 

@@ -43,7 +43,8 @@ _HEADER = struct.Struct(">BBHBBHq4xQHHBb")
 _TIME = struct.Struct(">HII")
 _IDENTITY = struct.Struct(">QH")
 _ANNOUNCE = struct.Struct(">10xhxBBBHBQHB")
-_CONTROL = {0: 0, 1: 1, 8: 2, 9: 3, 11: 5}
+_CONTROL = 1  # of a Delay_Req, in the octet that receivers do not use
+NO_INTERVAL = 127
 
 
 class MessageType(IntEnum):
@@ -89,7 +90,7 @@ class Header:
     sequence: int
     flags: int = 0
     correction_ns: int = 0
-    log_interval: int = 127
+    log_interval: int = NO_INTERVAL
 
 
 @dataclass(frozen=True)
@@ -205,49 +206,7 @@ def _announce_of(header: Header, body: bytes) -> Announce | None:
 
 def delay_request(source: PortIdentity, sequence: int, domain: int) -> bytes:
     """Return a Delay_Req."""
-    return _message(Header(MessageType.DELAY_REQ, domain, source, sequence), bytes(_TIME.size))
-
-
-def sync(message: Sync) -> bytes:
-    """Return the octets of a Sync."""
-    return _message(message.header, _packed_time(message.time_ns))
-
-
-def follow_up(message: FollowUp) -> bytes:
-    """Return the octets of a Follow_Up."""
-    return _message(message.header, _packed_time(message.time_ns))
-
-
-def delay_response(message: DelayResponse) -> bytes:
-    """Return the octets of a Delay_Resp."""
-    return _message(message.header, _packed_time(message.time_ns) + _IDENTITY.pack(*message.requester))
-
-
-def announce(message: Announce) -> bytes:
-    """Return the octets of an Announce."""
-    body = _ANNOUNCE.pack(
-        message.utc_offset_s, *message.quality, message.grandmaster, message.steps_removed, message.time_source
-    )
-    return _message(message.header, body)
-
-
-def _packed_time(time_ns: int) -> bytes:
-    seconds, nanoseconds = divmod(time_ns, _NS_PER_S)
-    return _TIME.pack(seconds >> 32, seconds & 0xFFFFFFFF, nanoseconds)
-
-
-def _message(header: Header, body: bytes) -> bytes:
-    head = _HEADER.pack(
-        header.type,
-        _VERSION,
-        _HEADER.size + len(body),
-        header.domain,
-        0,
-        header.flags,
-        header.correction_ns << 16,
-        *header.source,
-        header.sequence,
-        _CONTROL[header.type],
-        header.log_interval,
-    )
-    return head + body
+    octets = _HEADER.size + _TIME.size
+    kind, interval = MessageType.DELAY_REQ, NO_INTERVAL
+    header = _HEADER.pack(kind, _VERSION, octets, domain, 0, 0, 0, *source, sequence, _CONTROL, interval)
+    return header + bytes(_TIME.size)

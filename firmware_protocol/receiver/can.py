@@ -90,7 +90,10 @@ class CanReceiver(Receiver):
         self._frames["error frame" if frame.error else self._name(frame)] += 1
         self._inbox.put_events(self._raw.push(frame))
         if frame.identifier in self._edge_ids and not frame.extended:
-            self._take_edge(frame)
+            try:
+                self._inbox.put_edges(unpack_mark(frame.data, self._near_us))
+            except ObjectError:
+                self._frames["edge frames malformed"] += 1
         self._open(self._from_isotp, self._isotp.push(frame, now_ns))
         if self._isotp.reply is not None:
             self._replies.append(self._isotp.reply)
@@ -143,12 +146,6 @@ class CanReceiver(Receiver):
         cut = sum(n for name, n in self._isotp.faults.items() if name != "without a beginning")
         cut += sum(n for name, n in self._cfp.faults.items() if name != "without a beginning")
         return raw.lost + raw.gaps + raw.repeated + raw.malformed + self._missing + self._messages.bad + cut
-
-    def _take_edge(self, frame: Frame) -> None:
-        try:
-            self._inbox.put_edges(unpack_mark(frame.data, self._near_us))
-        except ObjectError:
-            self._frames["edge frames malformed"] += 1
 
     @property
     def _near_us(self) -> int:

@@ -1,4 +1,4 @@
-"""Estimate of a camera's clock error from pairs of timestamps, a reference for clients; and a receiver of DAVIS words.
+"""Estimate of a camera's clock error from pairs of timestamps, a reference for clients.
 
     y_i = host receive stamp - device stamp = offset + drift * (t_i - t_0) + delay_i,     delay_i >= the least delay
 

@@ -1,10 +1,14 @@
-"""The computer's side of a serial line: bytes in, events, edges and reports out. No I/O and no clock.
+"""The computer's side of a serial line, or of a DAVIS346 on USB: bytes in, events, edges and reports out.
 
-Use::
+    receiver = SerialReceiver("ccsds-cobs")
+    receiver.push(port.read())
+    events = receiver.take_events()
 
-receiver = SerialReceiver("ccsds-cobs")
-receiver.push(port.read())
-events = receiver.take_events()
+    receiver = DavisReceiver()
+    receiver.push(bulk_in(0x82))
+    events = receiver.take_events()
+
+No I/O and no clock.
 
 `Inbox` stores received events, edges and reports, bounded, until the caller takes them. `MessageReader` reads an
 instrument's messages: events and edges go to the inbox, answers become reports.
@@ -14,9 +18,11 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Mapping
+from dataclasses import asdict
 
 import numpy as np
 
+from firmware_protocol.davis346.decoder import Decoder
 from firmware_protocol.events import Edges, Events, empty_edges, empty_events, join_events
 from firmware_protocol.packets.addresses import Message, MessageKind, PacketError
 from firmware_protocol.packets.housekeeping import Housekeeping
@@ -126,11 +132,11 @@ class Receiver:
         self._inbox = Inbox()
 
     def take_events(self) -> Events:
-        """See `Inbox.take_events`."""
+        """Return the events since the last call, (n,) EVENT in the camera's time."""
         return self._inbox.take_events()
 
     def take_edges(self) -> Edges:
-        """See `Inbox.take_edges`; a camera's own marks are among them."""
+        """Return the edges since the last call, (n,) EDGE in the camera's time; a camera's own marks are among them."""
         return self._inbox.take_edges()
 
     def take_reports(self) -> tuple[str, ...]:
@@ -157,7 +163,10 @@ class MessageReader:
         self._requests: dict[RequestId, str] = {}
         self.counts: Counter[str] = Counter()
         self.housekeeping: Housekeeping | None = None
-        _load_kernels()
+        # Load the decoder's compiled code before data arrive: it takes a good part of a second.
+        for mode in ("rows", "bitmap", "flat"):
+            block, _ = BlockEncoder((2, 2), BlockSettings(mode=mode)).encode(empty_events(2))
+            decode_block(block)
 
     def expect(self, request: RequestId, name: str) -> None:
         """Store the name of a telecommand for the verifications of `request`; the last 1024 are stored."""
@@ -207,13 +216,6 @@ class MessageReader:
         return f"{command}: {stage} failed: {verification.failure.text} (code {verification.failure.code.value})"
 
 
-def _load_kernels() -> None:
-    """Load the decoder's compiled code before data arrive: it takes a good part of a second."""
-    for mode in ("rows", "bitmap", "flat"):
-        block, _ = BlockEncoder((2, 2), BlockSettings(mode=mode)).encode(empty_events(2))
-        decode_block(block)
-
-
 class SerialReceiver(Receiver):
     """Decodes an instrument's bytes; wraps telecommands and follows their answers.
 
@@ -243,10 +245,10 @@ class SerialReceiver(Receiver):
 
     def push(self, data: bytes) -> None:
         """Process the next bytes, any number of them; never raises."""
-        received = self._unwrapper.push(data)
-        self._follow(bool(received))
-        for each in received:
-            self._messages.read(each.message)
+        messages = self._unwrapper.push(data)
+        self._follow(bool(messages))
+        for received in messages:
+            self._messages.read(received.message)
 
     @property
     def housekeeping(self) -> Housekeeping | None:
@@ -274,8 +276,8 @@ class SerialReceiver(Receiver):
             **self._messages.counts,
             **self._inbox.counts,
         }
-        more = {"telecommands": self._telecommands, "resynchronised": self._resynchronised}
-        return counts | {name: count for name, count in more.items() if count}
+        occasional = {"telecommands": self._telecommands, "resynchronised": self._resynchronised}
+        return counts | {name: count for name, count in occasional.items() if count}
 
     def _follow(self, good: bool) -> None:
         """Count losses and recoveries of the stream; damage before the first frame is no fault."""
@@ -288,3 +290,43 @@ class SerialReceiver(Receiver):
         elif good and self._lost:
             self._lost = False
             self._resynchronised += 1
+
+
+class DavisReceiver(Receiver):
+    """Decodes the word stream of endpoint 0x82; times are device time, which a timestamp reset sets to zero.
+
+    Parameters
+    ----------
+    size
+        (width, height) in user coordinates.
+    turned
+        True if the invert bit of the orientation register is set.
+    """
+
+    def __init__(self, size: tuple[int, int] = (346, 260), turned: bool = False) -> None:
+        super().__init__()
+        self._decoder = Decoder(size, turned)
+        self._bytes = self._events = self._edges = self._resets = 0
+
+    def push(self, data: bytes) -> None:
+        """Process the next bytes of the stream, any number of them; never raises."""
+        decoded = self._decoder.feed(data)
+        edges = decoded.edges
+        self._bytes += len(data)
+        self._events += len(decoded.events)
+        self._edges += len(edges)
+        self._resets += len(decoded.resets)
+        self._inbox.put_events(decoded.events)
+        self._inbox.put_edges(edges)
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """All counts by name; only those that are not zero."""
+        counts = {"bytes": self._bytes, "events": self._events, "edges": self._edges, "resets": self._resets}
+        counts |= asdict(self._decoder.faults) | self._inbox.counts
+        return {name: count for name, count in counts.items() if count}
+
+    @property
+    def faults(self) -> int:
+        """Number of words that never occur in a correct stream."""
+        return self._decoder.faults.total

@@ -132,7 +132,8 @@ def parse_aedat2_header(head: bytes) -> tuple[int, tuple[int, int] | None, int]:
     """
     if not head.startswith(b"#!AER-DAT2"):
         raise ValueError("it is no AEDAT 2.0 file: it does not begin with #!AER-DAT2.0")
-    start, size, unix_us = 0, None, 0
+    start = unix_us = 0
+    size: tuple[int, int] | None = None
     while head[start : start + 1] == b"#":
         end = head.find(b"\n", start)
         if end < 0:
@@ -179,19 +180,19 @@ class Aedat2Decoder:
     def decode(self, data: bytes) -> Part:
         """Return the content that the next bytes complete; they may end inside a record."""
         data = self._rest + data
-        whole = len(data) & ~7
-        self._rest = data[whole:]
-        records = np.frombuffer(data[:whole], _RECORD)
+        complete_bytes = len(data) & ~7
+        self._rest = data[complete_bytes:]
+        records = np.frombuffer(data[:complete_bytes], _RECORD)
         address, t = records["address"].astype(np.int64), self._times(records["t"].astype(np.int64))
         is_other, is_edge = address >> 31 != 0, (address >> 10) & 1 != 0
-        others = np.empty(int(np.count_nonzero(is_other)), WORD)
-        others["address"], others["t"] = address[is_other], t[is_other]
-        is_imu = (others["address"] >> 10) & 3 == 3
+        readings = np.empty(int(np.count_nonzero(is_other)), WORD)
+        readings["address"], readings["t"] = address[is_other], t[is_other]
+        is_imu = (readings["address"] >> 10) & 3 == 3
         return Part(
             self._events(address, t, ~is_other & ~is_edge),
             _edges(address, t, ~is_other & is_edge),
-            self._imu.decode(others[is_imu]),
-            self._frames.decode(others[~is_imu]),
+            self._imu.decode(readings[is_imu]),
+            self._frames.decode(readings[~is_imu]),
         )
 
     def _times(self, t: np.ndarray) -> np.ndarray:
@@ -203,8 +204,8 @@ class Aedat2Decoder:
         times: np.ndarray = np.maximum(t_us, 0)
         return times
 
-    def _events(self, address: np.ndarray, t: np.ndarray, which: np.ndarray) -> Events:
-        address, t = address[which], t[which]
+    def _events(self, address: np.ndarray, t: np.ndarray, selected: np.ndarray) -> Events:
+        address, t = address[selected], t[selected]
         x = self._size[0] - 1 - ((address >> 12) & 0x3FF)
         y = self._size[1] - 1 - ((address >> 22) & 0x1FF)
         inside = (x >= 0) & (y >= 0)
@@ -215,8 +216,8 @@ class Aedat2Decoder:
         return events
 
 
-def _edges(address: np.ndarray, t: np.ndarray, which: np.ndarray) -> Edges:
-    address, t = address[which], t[which]
+def _edges(address: np.ndarray, t: np.ndarray, selected: np.ndarray) -> Edges:
+    address, t = address[selected], t[selected]
     edges = np.zeros(len(t), EDGE)
     edges["t"] = t
     pin = address & 0x3FF
@@ -232,12 +233,11 @@ _EVENT = np.dtype([("data", "<u4"), ("t", "<i4")])
 _TIMES, _PLACE = ("start", "end", "exposure_start", "exposure_end"), ("columns", "rows", "left", "top")
 _FRAME = np.dtype([("data", "<u4"), *((name, "<i4") for name in (*_TIMES, *_PLACE))])
 _IMU_VALUES = (
-    *(f"{what}_{axis}" for what in ("accelerometer", "gyroscope") for axis in "xyz"), "temperature",
+    *(f"{unit}_{axis}" for unit in ("accelerometer", "gyroscope") for axis in "xyz"), "temperature",
 )  # fmt: skip
 _IMU = np.dtype([("data", "<u4"), ("t", "<i4"), *((name, "<f4") for name in _IMU_VALUES)])
 _SPECIAL, _POLARITY, _FRAMES, _IMU6 = range(4)
 _SCALE_BITS = 6  # the 10 bits of a pixel are the upper ones of 16, as in libcaer
-_LISTS = ("events", "edges", "imu")
 _MOST_PACKET = 1 << 28  # bytes
 _END = b"#!END-HEADER\r\n"
 
@@ -336,8 +336,10 @@ class Aedat31Decoder:
             parts.append((self._frames if head["kind"] == _FRAMES else self._part)(head, data[body_at:end]))
             start = end
         self._rest = data[start:]
-        events, edges, imu = (np.concatenate([getattr(one, name) for one in parts]) for name in _LISTS)
-        return Part(events, edges, imu, tuple(frame for one in parts for frame in one.frames))
+        events, edges, imu = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("events", "edges", "imu")
+        )
+        return Part(events, edges, imu, tuple(frame for part in parts for frame in part.frames))
 
     def _part(self, head: np.void, body: bytes) -> Part:
         """Return the records of a packet; those without a meaning here are counted."""
@@ -354,19 +356,19 @@ class Aedat31Decoder:
         return Part(imu=_imu(records, t)) if kind == _IMU6 else Part(edges=self._edges(records["data"], t))
 
     def _edges(self, data: np.ndarray, t: np.ndarray) -> Edges:
-        what = (data >> 1) & 0x7F
-        known = np.isin(what, [int(kind) for kind in EdgeKind])
-        edges = np.zeros(int(np.count_nonzero(known)), EDGE)
-        edges["t"], edges["kind"] = t[known], what[known]
-        self.others += len(what) - len(edges)
+        kinds = (data >> 1) & 0x7F
+        understood = np.isin(kinds, [int(kind) for kind in EdgeKind])
+        edges = np.zeros(int(np.count_nonzero(understood)), EDGE)
+        edges["t"], edges["kind"] = t[understood], kinds[understood]
+        self.others += len(kinds) - len(edges)
         return edges
 
     def _frames(self, head: np.void, body: bytes) -> Part:
         size, wraps_us = int(head["event_bytes"]), int(head["wraps"]) << 31
         frames = [_frame(body[at : at + size], wraps_us) for at in range(0, len(body), size)]
-        whole = tuple(frame for frame in frames if frame is not None)
-        self.others += len(frames) - len(whole)
-        return Part(frames=whole)
+        valid = tuple(frame for frame in frames if frame is not None)
+        self.others += len(frames) - len(valid)
+        return Part(frames=valid)
 
 
 def _body_bytes(head: np.void) -> int:
@@ -398,7 +400,8 @@ def _frame(body: bytes, wraps_us: int) -> Frame | None:
     if len(body) < _FRAME.itemsize:
         return None
     record = np.frombuffer(body, _FRAME, 1)[0]
-    rows, columns, channels = int(record["rows"]), int(record["columns"]), int(record["data"]) >> 1 & 7
+    rows, columns = int(record["rows"]), int(record["columns"])
+    channels = int(record["data"]) >> 1 & 7
     room = (len(body) - _FRAME.itemsize) // 2
     if not record["data"] & 1 or channels > 1 or min(rows, columns) < 1 or rows * columns > room:
         return None
@@ -413,7 +416,9 @@ WORD = np.dtype([("address", "<u4"), ("t", "<u8")], align=True)
 Words = npt.NDArray[np.void]
 """An array of WORD records, shape (n,)."""
 
-_OTHER, _SAMPLE_VALUE, _SIGNAL = 1 << 31, 3 << 10, 1 << 10
+_OTHER = 1 << 31
+_SAMPLE_VALUE = 3 << 10
+_SIGNAL = 1 << 10
 _VALUES = (
     *(f"accelerometer_{axis}" for axis in "xyz"), "temperature", *(f"gyroscope_{axis}" for axis in "xyz"),
 )  # fmt: skip
@@ -466,8 +471,8 @@ class ImuWords:
         code = (words["address"].astype(np.int64) >> 28) & 7
         starts = np.flatnonzero(code == 0)
         starts = starts[starts + 7 <= len(words)]
-        whole = (code[starts[:, None] + np.arange(7)] == np.arange(7)).all(1)
-        at = starts[whole][:, None] + np.arange(7)
+        complete = (code[starts[:, None] + np.arange(7)] == np.arange(7)).all(1)
+        at = starts[complete][:, None] + np.arange(7)
         self._rest = words[int(at[-1, -1]) + 1 if len(at) else 0 :][-6:]
         self.others += len(words) - len(self._rest) - at.size
         return _samples(words[at])
@@ -526,18 +531,20 @@ class FrameWords:
         """Return the frame of its words; None if these are no rectangle within the sensor."""
         address, signal = words["address"].astype(np.int64), _is_signal(words)
         x, y = (address >> 12) & 0x3FF, self._size[1] - 1 - ((address >> 22) & 0x1FF)
-        left, top, right, bottom = int(x.min()), int(y.min()), int(x.max()), int(y.max())
+        left, right = int(x.min()), int(x.max())
+        top, bottom = int(y.min()), int(y.max())
         shape = (bottom - top + 1, right - left + 1)
         if top < 0 or right >= self._size[0] or 2 * shape[0] * shape[1] != len(words):
             return None
         reset_dn, signal_dn = np.full(shape, -1, np.int64), np.full(shape, -1, np.int64)
-        for values, which in ((reset_dn, ~signal), (signal_dn, signal)):
-            values[y[which] - top, x[which] - left] = address[which] & 0x3FF
+        for values, selected in ((reset_dn, ~signal), (signal_dn, signal)):
+            values[y[selected] - top, x[selected] - left] = address[selected] & 0x3FF
         if min(int(reset_dn.min()), int(signal_dn.min())) < 0:  # a pixel was read twice, and another one not at all
             return None
         pixels = np.clip(reset_dn - signal_dn, 0, 1023)
         pixels[(reset_dn < _LEAST_RESET_DN) | (signal_dn == 0)] = 1023
-        begin_us, end_us = _exposure(words["t"][~signal], words["t"][signal])
+        reset_t, end_us = words["t"][~signal], int(words["t"][signal][0])
+        begin_us = int(reset_t[-1] if int(reset_t[-1]) <= end_us else reset_t[0])  # global shutter, rolling shutter
         return Frame(begin_us, begin_us, end_us, pixels.astype(np.uint16), (left, top))
 
 
@@ -551,10 +558,3 @@ def _end_of_frame(words: Words) -> int:
     open_reads = np.cumsum(np.where(_is_signal(words), -1, 1))
     ends = np.flatnonzero(open_reads == 0)
     return int(ends[0]) + 1 if len(ends) else 0
-
-
-def _exposure(reset_t: npt.NDArray[np.uint64], signal_t: npt.NDArray[np.uint64]) -> tuple[int, int]:
-    """Return begin and end of the exposure; both shutters end it with the first signal read."""
-    end_us = int(signal_t[0])
-    is_global = int(reset_t[-1]) <= end_us
-    return int(reset_t[-1] if is_global else reset_t[0]), end_us

@@ -16,8 +16,7 @@ The payload of a frame is a FlatBuffer "FRME" with its size before it. All littl
              i16 columns, rows, first column, first row   u32 to the pixels
     pixels   u32 number   bytes, row after row
 
-Numbers are at multiples of their size, counted from the first size on. Sources: docs.inivation.com, "AEDAT 4.0";
-flatbuffers.dev, "FlatBuffer Internals"; read by faery 0.7.1.
+Numbers are at multiples of their size, counted from the first size on. Sources: as above; read by faery 0.7.1.
 """
 
 from __future__ import annotations
@@ -91,16 +90,17 @@ _HEAD_BYTES = 8  # offset of the table and the name, before the vtable
 
 
 def aedat4_picture(
-    times_us: tuple[int, int, int, int, int], pixels: npt.NDArray[np.uint8], origin: tuple[int, int] = (0, 0)
+    t_us: int, begin_us: int, end_us: int, pixels: npt.NDArray[np.uint8], origin: tuple[int, int] = (0, 0)
 ) -> bytes:
     """Return the payload of a grey image, (rows, columns) uint8.
 
-    `times_us` are the image's own, those of the frame's start and end, and those of the exposure; `origin` is the first
-    column and row of the array that it shows.
+    `begin_us` and `end_us` are those of its exposure, which count as those of the frame; `origin` is the first column
+    and row of the array that it shows.
     """
     vtable = struct.pack(f"<{2 + len(_PLACES)}H", 2 * (2 + len(_PLACES)), _TABLE_BYTES, *_PLACES)
     at = _HEAD_BYTES + len(vtable)
     gap = -(at + 4) % 8
+    times_us = (t_us, begin_us, end_us, begin_us, end_us)
     table = struct.pack("<i4x5q4hI", at + gap - _HEAD_BYTES, *times_us, *pixels.shape[::-1], *origin, 4)
     head = struct.pack("<I4s", at + gap, b"FRME")
     body = head + vtable + bytes(gap) + table + struct.pack("<I", pixels.size) + pixels.tobytes()

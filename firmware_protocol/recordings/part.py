@@ -1,7 +1,9 @@
-"""A piece of a recording: events, edges, frames and samples of an inertial unit."""
+"""A piece of a recording: events, edges, frames and samples of an inertial unit; facts and summary of a whole one."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,7 +12,7 @@ import numpy.typing as npt
 
 from firmware_protocol.events import Edges, Events, empty_edges, empty_events
 
-_AXES = [f"{what}_{axis}" for what in ("accelerometer", "gyroscope", "magnetometer") for axis in "xyz"]
+_AXES = [f"{unit}_{axis}" for unit in ("accelerometer", "gyroscope", "magnetometer") for axis in "xyz"]
 IMU = np.dtype([("t", "<u8"), ("temperature", "<f4"), *((name, "<f4") for name in _AXES)])
 """A sample of an inertial unit: us, degrees Celsius, g, degrees per second, microtesla; the layout of faery."""
 
@@ -54,3 +56,81 @@ def ten_bits(frame: Frame) -> npt.NDArray[np.uint16]:
     pixels = frame.pixels if frame.pixels.ndim == 2 else frame.pixels.mean(axis=2).astype(frame.pixels.dtype)
     grey: npt.NDArray[np.uint16] = pixels.astype(np.uint16)
     return np.left_shift(grey, 2) if pixels.dtype == np.uint8 else np.minimum(grey, np.uint16(1023))
+
+
+def counts_of(part: Part) -> Counter[str]:
+    """Return the number of records of each stream of a part: "events", "edges", "imu", "frames".
+
+    Without empty streams.
+    """
+    counts = Counter(events=len(part.events), edges=len(part.edges), imu=len(part.imu), frames=len(part.frames))
+    return +counts
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Facts of a whole recording.
+
+    Attributes
+    ----------
+    size
+        (width, height) of the sensor, pixels; None: not known.
+    camera
+        Name of the camera.
+    unix_us
+        Unix time of t = 0, us; 0: not known.
+    streams
+        Its contents besides events: "edges", "imu", "frames".
+    imu_unit
+        Type of the inertial unit: 1 MPU-6050, 2 MPU-9250.
+    """
+
+    size: tuple[int, int] | None = None
+    camera: str = "evstim"
+    unix_us: int = 0
+    streams: frozenset[str] = frozenset({"edges"})
+    imu_unit: int = 2
+
+
+_NAMES = {"events": "events", "edges": "triggers", "imu": "IMU samples", "frames": "frames"}
+
+
+@dataclass(frozen=True)
+class RecordingSummary:
+    """Summary of a file that a run wrote.
+
+    Attributes
+    ----------
+    title
+        Its format, for people.
+    paths
+        The file, and those that began at restarts of the camera's clock.
+    written, left_out
+        Number of records of each stream in it, and of those that its format cannot hold: "events", "edges", "imu",
+        "frames". Both are empty until it is closed.
+    trouble
+        Reason for an incomplete file, for people; empty if it is complete.
+    closed
+        True if it was finished; False if the process of its link died.
+    """
+
+    title: str
+    paths: tuple[str, ...]
+    written: Mapping[str, int] = field(default_factory=dict)
+    left_out: Mapping[str, int] = field(default_factory=dict)
+    trouble: str = ""
+    closed: bool = False
+
+    @property
+    def lines(self) -> list[str]:
+        """Sentences for people."""
+        content = (named(self.written) or "nothing") if self.closed else "not closed, as its link died"
+        lines = [f"{', '.join(self.paths)}: {self.title}, {content}"]
+        if self.left_out:
+            lines.append(f"left out, as {self.title} cannot hold them: {named(self.left_out)}")
+        return lines
+
+
+def named(counts: Mapping[str, int]) -> str:
+    """Return "3 events, 2 triggers" of counts by stream."""
+    return ", ".join(f"{counts[name]} {text}" for name, text in _NAMES.items() if counts.get(name))

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from firmware_protocol.compiled import kernel
 from firmware_protocol.events import EVENT, EdgeKind, Edges, Events, empty_edges, empty_events
 from firmware_protocol.telemetry.layout import (
     EDGE_RECORD,
@@ -20,13 +21,13 @@ from firmware_protocol.telemetry.layout import (
     LONGEST_US,
     MAX_K,
     BlockError,
+    Form,
     Header,
     Mode,
     Polarity,
     entry,
-    kernel,
+    form_of,
 )
-from firmware_protocol.telemetry.ordering import Form, form_of
 
 _Bytes = npt.NDArray[np.uint8]
 _Int64s = npt.NDArray[np.int64]
@@ -214,7 +215,8 @@ def _read_rows(data: _Bytes, form: Form, facts: _Facts, state: _Int64s, out: _By
 
 @kernel
 def _read_bitmap(data: _Bytes, form: Form, facts: _Facts, state: _Int64s, out: _Bytes) -> int:
-    k, k_length, state[_ADDRESS] = _take(data, state, 8), _take(data, state, 8), _place(data, form, state)
+    k, k_length = _take(data, state, 8), _take(data, state, 8)
+    state[_ADDRESS] = _place(data, form, state)
     if k > MAX_K or k_length > MAX_K:
         return _PARAMETER
     if state[_ADDRESS] < 0:

@@ -14,8 +14,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from firmware_protocol.compiled import kernel
 from firmware_protocol.events import EdgeKind, Edges, Events, bytes_of
 from firmware_protocol.telemetry.layout import (
+    BACKWARDS,
     EDGE_RECORD,
     ESCAPE_ONES,
     HEADER_BYTES,
@@ -23,15 +25,21 @@ from firmware_protocol.telemetry.layout import (
     MAX_COUNT,
     MAX_K,
     MAX_SIDE,
+    OUTSIDE,
     TICKS_US,
+    Form,
     Header,
     Mode,
     Polarity,
+    Scratch,
     entry,
-    kernel,
+    form_of,
+    load,
+    new_scratch,
+    sort,
 )
-from firmware_protocol.telemetry.ordering import BACKWARDS, OUTSIDE, Form, Scratch, form_of, load, new_scratch, sort
 
+_Bytes = npt.NDArray[np.uint8]
 _Int64s = npt.NDArray[np.int64]
 
 # Enumerations as plain numbers, as compiled code holds them.
@@ -97,7 +105,10 @@ def _best_k(values: _Int64s, begin: int, end: int, least: int, escape: int) -> t
     """Return a Rice parameter, at least `least`, that suits `values`, and the bits that they take."""
     if begin >= end:
         return least, 0
-    mean = _sum(values, begin, end) // (end - begin)
+    total = np.int64(0)
+    for i in range(begin, end):
+        total += values[i]
+    mean = total // (end - begin)
     k = least
     while k < MAX_K and mean >> k > 1:
         k += 1
@@ -108,14 +119,6 @@ def _best_k(values: _Int64s, begin: int, end: int, least: int, escape: int) -> t
             break
         k, bits = k - 1, fewer
     return k, bits
-
-
-@kernel
-def _sum(values: _Int64s, begin: int, end: int) -> int:
-    total = np.int64(0)
-    for i in range(begin, end):
-        total += values[i]
-    return int(total)
 
 
 @kernel
@@ -134,15 +137,15 @@ def _bitmaps(count: int, form: Form, polarity: int, room: Scratch, forced: bool)
     An event that joins a span saves the MAX_K + 1 bits of its step at most, and its polarity; every other one costs a
     bit for a length. So a block with few neighbours needs no trial.
     """
-    near, touching = 0, 0
+    neighbours, touching = 0, 0
     for i in range(1, count):
         if room.ticks[i] == room.ticks[i - 1] and 1 <= room.steps[i] <= _JOINED_STEP:
-            near += 1
+            neighbours += 1
             touching += 1 if room.steps[i] == 1 else 0
-    if near * (MAX_K + 3) <= count and not forced:
+    if neighbours * (MAX_K + 3) <= count and not forced:
         return Plan(_BITMAP, polarity, 0, 0, 0, _NEVER)
     best = _bitmap(count, form, polarity, _JOINED_STEP, room)
-    if 2 * touching > near:
+    if 2 * touching > neighbours:
         plan = _bitmap(count, form, polarity, 1, room)
         best = plan if plan.bits < best.bits else best
     return best
@@ -202,11 +205,6 @@ def _span_bits(begin: int, end: int, length: int, polarity: int, keys: _Int64s) 
     return bits
 
 
-_Bytes = npt.NDArray[np.uint8]
-
-
-_FLAT_WRITING, _ROWS_WRITING, _EACH_WRITING = int(Mode.FLAT), int(Mode.ROWS), int(Polarity.EACH)
-
 _NEARLY = 15 / 16  # a block filled so far is full
 
 
@@ -236,24 +234,25 @@ def write_block(events: _Bytes, form: Form, limits: Limits, room: Scratch, out: 
     taken, mode, polarity, size
         Number of events, the header's fields, and the payload's bytes; `taken` negative: see OUTSIDE and BACKWARDS.
     """
-    most = load(events, form, limits.events, room)
-    if most < 0:
-        return most, 0, 0, 0
-    if limits.mode == _FLAT_WRITING:
-        most = flat_count(room.ticks, most, form)
-    count, plan = _fitted(most, form, limits, room)
+    loaded = load(events, form, limits.events, room)
+    if loaded < 0:
+        return loaded, 0, 0, 0
+    if limits.mode == _FLAT:
+        loaded = flat_count(room.ticks, loaded, form)
+    count, plan = _fitted(loaded, form, limits, room)
     return count, plan.mode, plan.polarity, _written(count, form, plan, room, out)
 
 
 @kernel
-def _fitted(most: int, form: Form, limits: Limits, room: Scratch) -> tuple[int, Plan]:
-    """Return the number of `most` events that about fill the block, and their coding.
+def _fitted(available: int, form: Form, limits: Limits, room: Scratch) -> tuple[int, Plan]:
+    """Return the number of `available` events that about fill the block, and their coding.
 
     One event always fits. Between a number that fits and one that does not: three interpolations, then bisection.
     """
     budget = 8 * (limits.size - HEADER_BYTES)
-    fits, too_many, trials = 0, most + 1, 0
-    count = _guess(room, most, budget, form)
+    fits, too_many = 0, available + 1
+    trials = 0
+    count = _guess(room, available, budget, form)
     while True:
         plan = planned(count, form, limits.mode, room)
         if plan.bits > budget:
@@ -263,20 +262,20 @@ def _fitted(most: int, form: Form, limits: Limits, room: Scratch) -> tuple[int, 
             if fits == too_many - 1 or plan.bits > _NEARLY * budget:
                 return count, plan
         trials += 1
-        wanted = int(count * 0.99 * budget / plan.bits) if trials <= 3 else (fits + too_many) // 2
-        count = min(max(wanted, fits + 1), too_many - 1)
+        trial = int(count * 0.99 * budget / plan.bits) if trials <= 3 else (fits + too_many) // 2
+        count = min(max(trial, fits + 1), too_many - 1)
 
 
 @kernel
-def _guess(room: Scratch, most: int, budget: int, form: Form) -> int:
+def _guess(room: Scratch, available: int, budget: int, form: Form) -> int:
     """Return the approximate number of events that fill `budget` bits, from the mean step between them."""
-    count = most
+    count = available
     for _ in range(4):
-        step = max(1.0, (room.given[count - 1] - room.given[0]) / (2.0 * count))
-        wanted = int((budget - 32) / (math.log2(step) + 2.55))
-        if wanted >= count:
+        step = max(1.0, (room.arrival[count - 1] - room.arrival[0]) / (2.0 * count))
+        estimate = int((budget - 32) / (math.log2(step) + 2.55))
+        if estimate >= count:
             return count
-        count = max(wanted, 1)
+        count = max(estimate, 1)
     return count
 
 
@@ -284,9 +283,9 @@ def _guess(room: Scratch, most: int, budget: int, form: Form) -> int:
 def _written(count: int, form: Form, plan: Plan, room: Scratch, out: _Bytes) -> int:
     """Write the payload; return the number of its bytes."""
     room.bits[0] = room.bits[1] = room.bits[2] = 0
-    if plan.mode == _FLAT_WRITING:
+    if plan.mode == _FLAT:
         _write_flat(count, form, room, out)
-    elif plan.mode == _ROWS_WRITING:
+    elif plan.mode == _ROWS:
         _write_rows(count, form, plan, room, out)
     else:
         _write_bitmap(count, form, plan, room, out)
@@ -301,7 +300,8 @@ def _written(count: int, form: Form, plan: Plan, room: Scratch, out: _Bytes) -> 
 @kernel
 def _put(bits: _Int64s, out: _Bytes, value: int, width: int) -> None:
     """Write the `width` low bits of `value`, at most 31; the rest of `value` must be 0."""
-    held, count, at = bits[0] << width | value, bits[1] + width, bits[2]
+    held, count = bits[0] << width | value, bits[1] + width
+    at = bits[2]
     if count >= 32:
         count -= 32
         word = held >> count
@@ -311,7 +311,9 @@ def _put(bits: _Int64s, out: _Bytes, value: int, width: int) -> None:
         out[at + 3] = word & 255
         held &= (1 << count) - 1
         at += 4
-    bits[0], bits[1], bits[2] = held, count, at
+    bits[0] = held
+    bits[1] = count
+    bits[2] = at
 
 
 @kernel
@@ -343,7 +345,7 @@ def _write_flat(count: int, form: Form, room: Scratch, out: _Bytes) -> None:
 
 @kernel
 def _write_rows(count: int, form: Form, plan: Plan, room: Scratch, out: _Bytes) -> None:
-    polarity_bits = 1 if plan.polarity == _EACH_WRITING else 0
+    polarity_bits = 1 if plan.polarity == _EACH else 0
     _put(room.bits, out, plan.k, 8)
     _put_place(0, form, room, out)
     _put(room.bits, out, room.keys[0] & polarity_bits, polarity_bits)
@@ -357,7 +359,8 @@ def _write_bitmap(count: int, form: Form, plan: Plan, room: Scratch, out: _Bytes
     spans = find_spans(count, form, plan.joined, room)
     _put(room.bits, out, plan.k << 8 | plan.k_length, 16)
     for span in range(spans):
-        begin, end, length = room.starts[span], room.starts[span + 1], room.lengths[span]
+        begin, end = room.starts[span], room.starts[span + 1]
+        length = room.lengths[span]
         if span == 0:
             _put_place(begin, form, room, out)
         else:
@@ -375,24 +378,24 @@ def _write_span(begin: int, end: int, polarity: int, room: Scratch, out: _Bytes)
     solid = end - begin == length
     if length >= 3:
         _put(bits, out, 1 if solid else 0, 1)
-    each = polarity == _EACH_WRITING
-    if each and length >= 2:
+    has_polarity = polarity == _EACH
+    if has_polarity and length >= 2:
         same = same_polarity(begin, end, keys)
         _put(bits, out, 2 | keys[begin] & 1 if same else 0, 2 if same else 1)
-        each = not same
+        has_polarity = not same
     for i in range(begin, end):
         if i > begin and not solid:
             zeros = room.steps[i] - 1
             _put(bits, out, 0, zeros)
             if i < end - 1:
                 _put(bits, out, 1, 1)
-        if each:
+        if has_polarity:
             _put(bits, out, keys[i] & 1, 1)
 
 
 _LEAST_BYTES = 32
 _MOST_BYTES = 65535
-_MODES = {"smallest": -1, "flat": int(Mode.FLAT), "rows": int(Mode.ROWS), "bitmap": int(Mode.BITMAP)}
+_MODES = {"smallest": -1, "flat": _FLAT, "rows": _ROWS, "bitmap": _BITMAP}
 _COMPLAINTS = {
     OUTSIDE: "an event lies outside the sensor of {size[0]} x {size[1]} pixels",
     BACKWARDS: "events go back in time: a block needs them sorted",

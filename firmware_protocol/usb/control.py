@@ -134,10 +134,10 @@ class StandardControl:
             raise Stall
 
     def _descriptor(self, value: int) -> bytes:
-        found = self._descriptors.find(value >> 8, value & 0xFF)
-        if found is None:
+        descriptor = self._descriptors.find(value >> 8, value & 0xFF)
+        if descriptor is None:
             raise Stall
-        return found
+        return descriptor
 
     def _set_configuration(self, value: int) -> None:
         if value not in (0, self._descriptors.configuration.value):

@@ -151,6 +151,14 @@ class UsbDevice(ABC):
         """Return true if the data of this OUT request are accepted; for transports that cannot refuse them later."""
         return True
 
+    def name_request(self, setup: SetupPacket, data: bytes) -> str:
+        """Return a vendor request in words, for a trace; empty if it has no name. `data` are those of its OUT stage."""
+        return ""
+
+    def name_answer(self, setup: SetupPacket, data: bytes) -> str:
+        """Return the answer to a request in words; empty if it has no name."""
+        return ""
+
     def flushes(self, endpoint: int) -> int:
         """Number of times that the stream of an IN endpoint has ended, which invalidates transfers read before."""
         return 0
@@ -184,7 +192,7 @@ class UsbCameraSettings(ABC):
     fifo_bytes
         Room for data that wait for the host.
     start_delay_us
-        Silence after the stream starts, stream time: the fault of drivers in `davis346.settings`.
+        Silence after the stream starts, stream time: the fault of drivers in `fx3.settings`.
     """
 
     serial: str = "00000346"

@@ -1,7 +1,7 @@
 """USB/IP: messages of version 1.1.1, parsers for both ends, and records of URBs in the format of usbmon.
 
 Source: Linux, Documentation/usb/usbip_protocol.rst and tools/usb/usbip/src/usbip_network.h. All integers are
-big-endian except the eight setup bytes, which stay as they are on a cable. docs/davis346_usb.md shows the layouts.
+big-endian except the eight setup bytes, which stay as they are on a cable. docs/cameras.md shows the layouts.
 
 The parsers turn the bytes of a connection into messages, however the bytes were divided on the way. `receive` takes
 bytes; `next_message` returns a message, and None when more bytes are needed. A parser holds at most one unfinished
@@ -48,7 +48,10 @@ from firmware_protocol.usb.device import Identity
 VERSION = 0x0111
 REQ_DEVLIST, REP_DEVLIST = 0x8005, 0x0005
 REQ_IMPORT, REP_IMPORT = 0x8003, 0x0003
-CMD_SUBMIT, CMD_UNLINK, RET_SUBMIT, RET_UNLINK = 1, 2, 3, 4
+CMD_SUBMIT = 1
+CMD_UNLINK = 2
+RET_SUBMIT = 3
+RET_UNLINK = 4
 
 OP_HEADER = struct.Struct(">HHI")
 COUNT = struct.Struct(">I")
@@ -302,13 +305,13 @@ class ServerParser:
     def _next_urb(self) -> Submit | Unlink | None:
         if len(self._buffer) < usbip.URB_HEADER_BYTES:
             return None
-        command, seqnum, devid, direction, endpoint, *rest = usbip.SUBMIT.unpack_from(self._buffer)
+        command, seqnum, devid, direction, endpoint, *parameters = usbip.SUBMIT.unpack_from(self._buffer)
         if command == usbip.CMD_UNLINK:
             del self._buffer[: usbip.URB_HEADER_BYTES]
-            return Unlink(seqnum, devid, rest[0])
+            return Unlink(seqnum, devid, parameters[0])
         if command != usbip.CMD_SUBMIT:
             raise UsbipError(f"unknown URB command 0x{command:08x}; known are 1 (submit) and 2 (unlink)")
-        flags, length, _, packets, interval, setup = rest
+        flags, length, _, packets, interval, setup = parameters
         self._check_submit(direction, endpoint, length, packets)
         end = usbip.URB_HEADER_BYTES + (0 if direction else length)
         if len(self._buffer) < end:
@@ -506,5 +509,5 @@ class UrbRecord:
             0 if data else ord("<" if self.is_in else ">"), seconds, us, self.status, self.length, len(data),
             self.setup if shown else bytes(8), 0, 0, 0x200 if self.is_in else 0, 0,
         )  # fmt: skip
-        whole = _RECORD.size + len(self.data)
-        return _PACKET.pack(seconds & 0xFFFFFFFF, us, _RECORD.size + len(data), whole) + header + data
+        length = _RECORD.size + len(self.data)
+        return _PACKET.pack(seconds & 0xFFFFFFFF, us, _RECORD.size + len(data), length) + header + data

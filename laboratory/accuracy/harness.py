@@ -21,7 +21,7 @@ from __future__ import annotations
 import dataclasses
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -182,15 +182,22 @@ def step_cost_us(method: Method, case: Case, step_s: float) -> float:
     array = method.make(dataclasses.replace(case.parameters, width=width, height=height), SEED)
     at = pixel_light(dataclasses.replace(case, start_ns=0)) if method.refines else None
     array.reset(LightFrame(0, light[0], rate[0]))
-    frames = [LightFrame(k * h_ns, light[k], rate[k], at) for k in range(steps + 1)]
-    taken = []
-    for k in range(1, steps + 1):
-        begun = time.perf_counter()
-        array.step(frames[k])
-        taken.append(time.perf_counter() - begun)
-        if k > _COST_WARM_UP and sum(taken) > _COST_BUDGET_S:
+    frames = [LightFrame(k * h_ns, light[k], rate[k], at) for k in range(1, steps + 1)]
+    return median_step_us(array.step, frames, _COST_WARM_UP, _COST_BUDGET_S)
+
+
+def median_step_us(
+    step: Callable[[LightFrame], object], frames: Sequence[LightFrame], warm_up: int, budget_s: float
+) -> float:
+    """Return the median time of a step, us, but for the first `warm_up`; no more are timed once all took `budget_s`."""
+    taken_s: list[float] = []
+    for frame in frames:
+        begun_s = time.perf_counter()
+        step(frame)
+        taken_s.append(time.perf_counter() - begun_s)
+        if len(taken_s) > warm_up and sum(taken_s) > budget_s:
             break
-    return statistics.median(taken[min(_COST_WARM_UP, len(taken) - 1) :]) * 1e6
+    return statistics.median(taken_s[min(warm_up, len(taken_s) - 1) :]) * 1e6
 
 
 def _tiled(row: npt.NDArray[np.float64], width: int, height: int) -> _Float32s:

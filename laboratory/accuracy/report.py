@@ -75,7 +75,7 @@ def draw_work_precision(points: Sequence[Point], descriptions: dict[str, str], a
     against : "frames_per_s", "us_per_frame" or "us_per_stream_ms".
     stem : path without suffix.
     """
-    figure, found = panels(len(descriptions), _COLUMNS, (4.0, 2.7), high=2)
+    figure, found = panels(len(descriptions), _COLUMNS, 4.0, 2.7, high=2)
     quantities: tuple[tuple[str, Callable[[Point], float], float], ...] = (
         ("95 % timestamp error, us", lambda p: _above(p.scores.t95_us, _FLOOR_US), _FLOOR_US),
         ("wrong events, share", lambda p: _above(p.scores.wrong_events, _FLOOR_SHARE), _FLOOR_SHARE),
@@ -125,7 +125,7 @@ def draw_rendering(rows: Sequence[Drawn], stem: Path) -> list[Path]:
     """Draw false and missed events of each rig's settings against the time of a light frame."""
     names = list(dict.fromkeys(row.rig for row in rows))
     settings = list(dict.fromkeys(row.setting for row in rows))
-    figure, found = panels(len(names), _COLUMNS, (4.0, 4.1))
+    figure, found = panels(len(names), _COLUMNS, 4.0, 4.1)
     for (axes,), name in zip(found, names, strict=True):
         for row in (row for row in rows if row.rig == name):
             k = settings.index(row.setting)
@@ -149,7 +149,7 @@ def _name_rendering(axes: Any, name: str) -> None:
 
 def draw_stability(cells: Sequence[Cell], sweeps: Sequence[Sweep], stem: Path) -> list[Path]:
     """Draw the share of right sequences and the timestamp error of every method along each axis of the map."""
-    figure, found = panels(len(sweeps), _COLUMNS, (4.0, 2.4), high=2)
+    figure, found = panels(len(sweeps), _COLUMNS, 4.0, 2.4, high=2)
     for k, ((upper, lower), sweep) in enumerate(zip(found, sweeps, strict=True)):
         own = [cell for cell in cells if cell.axis == sweep.axis]
         _strip(upper, own, sweep, lambda c: 100 * c.right)
@@ -370,7 +370,7 @@ def write_against_line(cells: Sequence[Difference], out: Path) -> list[Path]:
 def _draw(cells: Sequence[Difference], stem: Path) -> list[Path]:
     """Draw one map a scene and quantity: blue where hermite is better, red where it is worse."""
     names = list(dict.fromkeys(cell.scene for cell in cells))
-    figure, found = panels(len(names), _MAP_COLUMNS, (3.2, 2.6), high=2)
+    figure, found = panels(len(names), _MAP_COLUMNS, 3.2, 2.6, high=2)
     for k, (panel, name) in enumerate(zip(found, names, strict=True)):
         own = {(cell.blur_px, cell.speed_px): cell for cell in cells if cell.scene == name}
         for axes, (label, value, sign) in zip(panel, _PANELS, strict=True):

@@ -21,8 +21,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import statistics
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -41,6 +39,7 @@ from laboratory.accuracy.harness import (
     Case,
     Method,
     Swept,
+    median_step_us,
     pixel_light,
     score,
     step_cost_us,
@@ -323,14 +322,8 @@ def _cost_us(case: Case, parameters: SensorParameters, step_s: float) -> float:
         for f in (case.scene.value, case.scene.rate)
     )
     sensor.reset(LightFrame(0, light[0]))
-    taken = []
-    for k in range(1, _STEPS + 1):
-        begun = time.perf_counter()
-        sensor.expose(LightFrame(k * round(step_s * 1e9), light[k], rate[k]))
-        taken.append(time.perf_counter() - begun)
-        if sum(taken) > _BUDGET_S:
-            break
-    return statistics.median(taken[min(_WARM_UP, len(taken) - 1) :]) * 1e6
+    frames = [LightFrame(k * round(step_s * 1e9), light[k], rate[k]) for k in range(1, _STEPS + 1)]
+    return median_step_us(sensor.expose, frames, _WARM_UP, _BUDGET_S)
 
 
 def effect_rows(case: Case, step_s: float, effects: Sequence[Effect] = EFFECTS) -> Iterator[EffectRow]:

@@ -26,16 +26,16 @@ from laboratory.bench.streams import SIZE, BenchFailed, saturated_stream, stars
 from transports.link.deliveries import LatencySummary
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
-from transports.link.reception import InstrumentReception
 from transports.link.report import LinkReport
 from transports.link.rings import FREE_RUNNING, EventRing
+from transports.reception import InstrumentReception
 from transports.serial_line.endpoint import SerialFactory
 from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import listen_serial
 from transports.usb.cameras import CameraReception, receive
 from transports.usb.davis_host import DavisHost
 from transports.usb.usbip.client import UsbipHost
-from transports.usb.usbip.server import UsbipFactory
+from transports.usb.usbip.endpoint import UsbipFactory
 
 _SUSTAINED_S = 10.0
 _BLOCK = 1_000_000

@@ -18,11 +18,11 @@ from emulator.scene.checkerboard.checkerboard import Checkerboard
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.sensor.chip.readout import ArbiterReadOut
 from emulator.sensor.pixels.array import PixelArray
-from firmware_protocol.davis346.blocks import Block, Marks, blocks_of, no_marks
-from firmware_protocol.davis346.words import Special
 from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EVENT, Events, empty_events
 from firmware_protocol.frames import LineKind, line_record
+from firmware_protocol.fx3.blocks import Block, Marks, blocks_of, no_marks
+from firmware_protocol.fx3.words import Special
 from firmware_protocol.imu_samples import ImuSamples, no_samples
 
 

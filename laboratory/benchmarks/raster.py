@@ -1,26 +1,27 @@
-"""CPU time and errors of the CPU renderer on the shipped shapes.
+"""CPU time and errors of the CPU renderer: on the shipped shapes, and on terrain.
 
-    python -m laboratory.benchmarks.raster [--check] [scene ...]
-
-The surfaces are those of the rigs of the same names, with the craters, boulders, albedo and cells that these make at
-346 x 260 pixels. Prints the CPU milliseconds of a picture with its rate (smallest of many) at two sizes. With --check
-(needs embreex) light is compared with 16 x 16 rays a pixel and rates with differences of 64 x 64 rays in some pixels,
-in per cent of the mean of what the body lights.
+python -m laboratory.benchmarks.raster shapes [--check] [NAME ...]
+python -m laboratory.benchmarks.raster terrain [--check] [SECONDS ...]
 """
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import dataclass
 
 import numpy as np
+from cyclopts import App
 
+from emulator.geometry.camera import Pinhole
 from emulator.raster import Box, Renderer, Screen, View, join, prepare
 from emulator.rig.loading import load_rig
 from emulator.scene.bodies.lit_surface import lit_surface
 from emulator.scene.bodies.mesh import find_shape, load_mesh
 from emulator.scene.bodies.regolith import detailed
+from emulator.scene.terrain.raster_terrain import RasterTerrain, camera_motion
+from laboratory.accuracy.sampled_scenes import SampledTerrain
+
+app = App(name="raster")
 
 SIZES = ((346, 260), (1280, 720))
 
@@ -187,14 +188,14 @@ def report_errors(name: str, scene: Scene, size: tuple[int, int], t_s: float = 0
     )
     rows, columns = np.nonzero(grown)
     rng = np.random.default_rng(1)
-    some = rng.choice(len(rows), min(len(rows), 20000), replace=False)
-    truth = tracer.light(rows[some], columns[some], 16)
+    chosen = rng.choice(len(rows), min(len(rows), 20000), replace=False)
+    truth = tracer.light(rows[chosen], columns[chosen], 16)
     mean = truth[truth > 0].mean()
-    error = 100 * np.abs(light[rows[some], columns[some]] - truth) / mean
+    error = 100 * np.abs(light[rows[chosen], columns[chosen]] - truth) / mean
     print(f"{name:14} light  " + _figures(error))
     worst = np.argsort(-error)[:500]
-    finer = tracer.light(rows[some][worst], columns[some][worst], 64)
-    error = 100 * np.abs(light[rows[some][worst], columns[some][worst]] - finer) / mean
+    finer = tracer.light(rows[chosen][worst], columns[chosen][worst], 64)
+    error = 100 * np.abs(light[rows[chosen][worst], columns[chosen][worst]] - finer) / mean
     print(f"{name:14} 500 worst against 64 x 64  " + _figures(error))
     fastest = np.abs(rate).max() / mean
     dt = 0.1 / max(np.abs(scene.case.spin_rad_s) * screen.focal_px * 0.03, fastest)
@@ -206,8 +207,8 @@ def report_errors(name: str, scene: Scene, size: tuple[int, int], t_s: float = 0
     error = 100 * np.abs(rate - slope)[grown]
     print(f"{name:14} rate against its light's differences, % of rms  " + _figures(error / scale))
     edge = np.abs(rate) > 3 * np.median(np.abs(rate[grown]))
-    some = rng.choice(np.flatnonzero(edge), min(edge.sum(), 800), replace=False)
-    r, c = np.unravel_index(some, light.shape)
+    moving = rng.choice(np.flatnonzero(edge), min(edge.sum(), 800), replace=False)
+    r, c = np.unravel_index(moving, light.shape)
     after, prior = (Tracer(scene, screen, t_s + s * dt).light(r, c, 64) for s in (1, -1))
     slope = (after - prior) / (2 * dt)
     error = 100 * np.abs(rate[r, c] - slope) / np.sqrt((slope**2).mean())
@@ -220,19 +221,63 @@ def _figures(error: np.ndarray) -> str:
     )
 
 
-def main() -> None:
-    """Run."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenes", nargs="*", default=list(CASES))
-    parser.add_argument("--check", action="store_true")
-    arguments = parser.parse_args()
-    for name in arguments.scenes:
+@app.command
+def shapes(*names: str, check: bool = False) -> None:
+    """Print the CPU milliseconds of a picture of the shipped shapes with its rate (smallest of many) at two sizes.
+
+    The surfaces are those of the rigs of the same NAMES, with the craters, boulders, albedo and cells that these make
+    at 346 x 260 pixels. With --check (needs embreex) light is compared with 16 x 16 rays a pixel and rates with
+    differences of 64 x 64 rays in some pixels, in per cent of the mean of what the body lights.
+    """
+    for name in names or CASES:
         scene = Scene(name)
         for size in SIZES:
             report_time(name, scene, size)
-        if arguments.check:
+        if check:
             report_errors(name, scene, SIZES[0])
 
 
+FIELD_DEG = 60.0
+TIMES_S = (20, 45, 70)
+SAMPLES = 8
+
+
+@app.command
+def terrain(*times_s: int, check: bool = False) -> None:
+    """Print the time of shading a pixel of the rig malapert: one thread, the least of nine, without and with the rate.
+
+    With --check, errors of light in % of the mean light against 8 x 8 point samples of every facet of the map
+    (`SampledTerrain`), which takes seconds to a minute a light frame.
+    """
+    parameters = load_rig("malapert").scene
+    for size in SIZES:
+        pinhole = Pinhole.of_field(size, FIELD_DEG)
+        light = np.zeros(size[::-1], np.float32)
+        with RasterTerrain(parameters, pinhole) as scene:
+            for t_s in times_s or TIMES_S:
+                scene.light(t_s * 10**9, light)
+                error = errors(parameters, pinhole, t_s, light.copy()) if check else ""
+                alone, both = (shading_ns(scene, t_s, light, with_rate=with_rate) for with_rate in (False, True))
+                print(f"{size[0]} x {size[1]}, {t_s} s: {alone:.0f} ns a pixel, with rate {both:.0f} ns{error}")
+
+
+def shading_ns(scene: RasterTerrain, t_s: int, light: np.ndarray, *, with_rate: bool) -> float:
+    motion, rate = camera_motion(t_s * 10**9, scene.camera_path, scene.path_time), np.zeros_like(light)
+    spent_s = []
+    for _ in range(9):
+        start_s = time.process_time()
+        scene._shade(motion, light, rate, with_rate=with_rate)
+        spent_s.append(time.process_time() - start_s)
+    return min(spent_s) / light.size * 1e9
+
+
+def errors(parameters, pinhole, t_s: int, light: np.ndarray) -> str:
+    truth = np.zeros_like(light)
+    with SampledTerrain(parameters, pinhole, SAMPLES) as sampled:
+        sampled.light(t_s * 10**9, truth)
+    off = np.abs(light - truth) / truth.mean() * 100
+    return f"; error: median {np.median(off):.3f}, p99 {np.percentile(off, 99):.1f}, mean {off.mean():.3f} %"
+
+
 if __name__ == "__main__":
-    main()
+    app()

@@ -39,7 +39,7 @@ def draw(points: Sequence[Point], out: Path) -> dict[str, list[Path]]:
 
 
 def _chart(points: Sequence[Point], names: Sequence[str], stem: Path) -> list[Path]:
-    figure, found = panels(len(names), len(names), (5.4, 5.4), layout="none")  # a legend below must not shrink them
+    figure, found = panels(len(names), len(names), 5.4, 5.4, layout="none")  # a legend below must not shrink them
     figure.subplots_adjust(wspace=0.25)
     for (axes,), name in zip(found, names, strict=True):
         _panel(axes, CURVES[name], [point for point in points if point.curve == name])

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter, uniform_filter
 
 from emulator.light import LightFrame
-from emulator.sensor.aps.frames import FrameSource
+from emulator.sensor.frames import FrameSource
 from emulator.sensor.parameters import FrameParameters
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor

@@ -35,8 +35,9 @@ from emulator.light import LightFrame
 from emulator.sensor.chip.sources import Pending, new_pending, reserve
 from emulator.sensor.numerics.compiled import SOURCES, kernel, kernel_that_allocates
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, unpacked
+from emulator.sensor.pixels.event_time import levels_passed
 from emulator.sensor.pixels.method import Capabilities, DrawnPixels, time_of
-from emulator.sensor.pixels.state import draw, levels_passed
+from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.compiled import entry_of
 

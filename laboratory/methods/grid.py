@@ -30,8 +30,9 @@ from emulator.sensor.noise.law import bandwidth_hz, fixed_corner_hz, noise_scale
 from emulator.sensor.numerics.compiled import SOURCES, kernel, kernel_that_allocates
 from emulator.sensor.numerics.keyed import Purpose, high, low, normal, normal_from, root_of, stream, unit, word
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, unpacked
+from emulator.sensor.pixels.event_time import levels_passed
 from emulator.sensor.pixels.method import Capabilities, DrawnPixels, time_of
-from emulator.sensor.pixels.state import draw, levels_passed
+from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.compiled import entry_of
 

@@ -62,8 +62,9 @@ import numpy.typing as npt
 from emulator.light import LightFrame
 from emulator.sensor.numerics.keyed import Purpose, normal, uniform
 from emulator.sensor.pixels.crossings import Crossings
+from emulator.sensor.pixels.event_time import MOST_LOST
 from emulator.sensor.pixels.method import PixelMethod, time_of
-from emulator.sensor.pixels.state import MOST_LOST, draw
+from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
 
 MOST_EVENTS = 64

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 import platform
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -61,7 +62,7 @@ def draw(rows: Sequence[Row], stem: Path) -> list[Path]:
     if not judged:
         return []
     rigs, settings = (list(dict.fromkeys(row[name] for row in judged)) for name in ("rig", "setting"))
-    figure, found = panels(len(rigs), _COLUMNS, (4.0, 3.6))
+    figure, found = panels(len(rigs), _COLUMNS, 4.0, 3.6)
     for (axes,), rig in zip(found, rigs, strict=True):
         for row in (row for row in judged if row["rig"] == rig):
             _mark(axes, row, settings.index(row["setting"]))
@@ -123,6 +124,15 @@ def _errors(row: Row) -> tuple[str, str, str]:
 
 def _number(value: float | None) -> str:
     return "–" if value is None or not math.isfinite(value) else f"{value:.2f}"
+
+
+def copied_charts(files: Sequence[Path], page: Path) -> str | None:
+    """Copy the charts among the files to `pictures` beside a page; return the first one's path from there."""
+    charts = [file for file in files if file.suffix == ".png"]
+    for chart in charts:
+        (page.parent / "pictures").mkdir(exist_ok=True)
+        shutil.copy(chart, page.parent / "pictures" / chart.name)
+    return f"pictures/{charts[0].name}" if charts else None
 
 
 def put_section(page: Path, text: str, marks: tuple[str, str] = (BEGIN, END)) -> None:

@@ -183,9 +183,9 @@ def _rises(rows: list[Row], ours: dict[float, dict[float, float]], least: float)
             yield Datum(what, row["mean_us"] - start["mean_us"], here, "us", "difference", _RISE_BOUND_US)
 
 
-def _both(size: tuple[float, float]) -> tuple[Any, dict[float, Any]]:
+def _both(width_in: float, height_in: float) -> tuple[Any, dict[float, Any]]:
     """Return a figure and its two panels, by polarity."""
-    figure, axes = panels(2, 2, size)
+    figure, axes = panels(2, 2, width_in, height_in)
     for name, (one,) in zip(_POLARITIES.values(), axes, strict=True):
         one.set_title(f"{name} events")
         one.set_xlabel("irradiance, W/m2")
@@ -213,7 +213,7 @@ def _draw_lines(axes: dict[float, Any], rows: tuple[Row, ...], real: list[float]
 
 
 def _draw_medians(rows: tuple[Row, ...], data: tuple[Datum, ...], stem: Path) -> list[Path]:
-    figure, axes = _both((5.0, 4.2))
+    figure, axes = _both(5.0, 4.2)
     _draw_lines(axes, rows, [one.real for one in data], [one.ours for one in data])
     for one in axes.values():
         one.set_yscale("log")
@@ -223,7 +223,7 @@ def _draw_medians(rows: tuple[Row, ...], data: tuple[Datum, ...], stem: Path) ->
 
 
 def _draw_opposite(rows: tuple[Row, ...], ours: list[Statistics], stem: Path) -> list[Path]:
-    figure, axes = _both((5.0, 4.2))
+    figure, axes = _both(5.0, 4.2)
     real = [max(row["opposite"], 0.05) for row in rows]
     _draw_lines(axes, rows, real, [min(max(one.opposite, 0.05), 100) for one in ours])
     for one in axes.values():
@@ -234,7 +234,7 @@ def _draw_opposite(rows: tuple[Row, ...], ours: list[Statistics], stem: Path) ->
 
 
 def _draw_spread(rows: list[Row], ours: list[Statistics], stem: Path) -> list[Path]:
-    figure, axes = _both((5.0, 4.2))
+    figure, axes = _both(5.0, 4.2)
     values = {
         "slowest pixel": ("max_us", [one.most_us for one in ours]),
         "median": ("median_us", [one.median_us for one in ours]),
@@ -252,7 +252,7 @@ def _draw_spread(rows: list[Row], ours: list[Statistics], stem: Path) -> list[Pa
 
 
 def _draw_region(rows: tuple[Row, ...], ours: dict[float, dict[float, float]], stem: Path) -> list[Path]:
-    figure, [[one]] = panels(1, 1, (6.0, 4.2))
+    figure, [[one]] = panels(1, 1, 6.0, 4.2)
     sides = sorted(ours)
     for polarity, name in _POLARITIES.items():
         real = {row["side"]: row["mean_us"] for row in rows if row["polarity"] == polarity}

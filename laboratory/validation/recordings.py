@@ -344,7 +344,7 @@ def _cumulative(axes: Any, values: _Array, **style: Any) -> None:
 def _draw_street(real: Events, ours: Events, seen: StillLight, stem: Path) -> list[Path]:
     """Draw the distributions that are compared, but for the counts: nearly all pixels have none."""
     titles = [f"{name}{', us' if of is _phase_us or 'gaps' in name else ''}" for name, of in _SAMPLES.items()]
-    figure, every = panels(len(_SAMPLES), 3, (3.8, 3.0))
+    figure, every = panels(len(_SAMPLES), 3, 3.8, 3.0)
     for (axes,), of, title in zip(every, _SAMPLES.values(), titles, strict=True):
         _cumulative(axes, of(real, seen), color=INK, label="recording")
         _cumulative(axes, of(ours, seen), color=BLUE, label="ours")
@@ -355,7 +355,7 @@ def _draw_street(real: Events, ours: Events, seen: StillLight, stem: Path) -> li
 
 def _draw_quiet(halves: list[dict[str, _Array]], ours: dict[str, _Array], stem: Path) -> list[Path]:
     """Draw the distributions of the intervals by polarities, and the number of pixels over their events."""
-    figure, every = panels(len(_KINDS) + 1, 3, (3.8, 3.0))
+    figure, every = panels(len(_KINDS) + 1, 3, 3.8, 3.0)
     for (axes,), kind in zip(every, _KINDS, strict=False):
         real = np.concatenate([half[kind] for half in halves])
         _cumulative(axes, real.astype(np.float64) * 1e-6, color=INK, label="recording")

@@ -19,7 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import MachineLacks, SceneFrames
-from emulator.optics.lens import CHIPS, LensParameters
+from emulator.optics.lens import LensParameters
+from emulator.rig.kinds import CAMERA_MODELS
 from emulator.scene.stars.skies import DrawnField
 from emulator.scene.stars.stars import StarField
 from emulator.scene.stars.table import StarsParameters
@@ -61,7 +62,7 @@ class Observatory:
     step_ns : int
         Time from one light frame to the next.
     chip : str
-        Key of `CHIPS`; its pitch has an effect on diffraction only.
+        Name of a camera model; its chip's pitch has an effect on diffraction only.
     """
 
     sensor: SensorParameters
@@ -136,7 +137,7 @@ def _pictures(camera: Observatory, seed: int) -> tuple[Counts, Floats, Floats]:
     size = camera.sensor.width, camera.sensor.height
     counts = np.zeros((2, *size[::-1]), np.float32)
     first_us, last_ns = SETTLE_S * 1_000_000, (SETTLE_S + 2 * SLICE_S) * 1_000_000_000
-    with StarField(camera.scene, size, camera.lens, CHIPS[camera.chip]) as sky:
+    with StarField(camera.scene, size, camera.lens, CAMERA_MODELS[camera.chip].chip) as sky:
         frames, sensor = SceneFrames(sky, with_rate=True), Sensor(camera.sensor, seed)
         sensor.reset(frames.draw(0))
         for t_ns in range(camera.step_ns, last_ns + 1, camera.step_ns):

@@ -295,7 +295,7 @@ _REMARKS = (
 
 def _draw(measured: Limits, variants: dict[str, Limits], stem: Path) -> list[Path]:
     """Draw the distribution of matched stars, and the share found."""
-    figure, ((left,), (right,)) = panels(2, 2, (5.5, 4))
+    figure, ((left,), (right,)) = panels(2, 2, 5.5, 4)
     middles = _LADDER[:-1] + _BIN_MAG / 2
     left.plot(AMOS_G, AMOS_SHARE, "o-", color=INK, label="real camera")
     right.step(AMOS_G[:-1] + np.diff(AMOS_G) / 2, amos_found(), where="mid", color=INK)

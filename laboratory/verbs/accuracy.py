@@ -5,17 +5,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from emulator.cli.checks import failures
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
-from emulator.report.page import ChartsLacking, check_charts
+from emulator.cli.output import GOOD, WRONG_USE, Failure, Flag, Json, console, print_json, status
 from emulator.rig.loading import Rig, load_rig, shipped_rigs
 from laboratory.accuracy.harness import CASES, QUICK, methods
 from laboratory.accuracy.rendering import Stretch, fits, rendering_rows, rows_of
@@ -38,8 +36,8 @@ from laboratory.accuracy.sweeps import (
     settings,
     sweep,
 )
+from laboratory.verbs import check_drawing, collected, make_folder
 
-_Item = TypeVar("_Item")
 _EFFECTS_STEP_S = 1e-3
 _QUICK_STRETCH = Stretch(steps=4, samples=4, finer=4)
 
@@ -49,8 +47,8 @@ def accuracy(
     *,
     out: Path,
     rig: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    quick: Annotated[bool, Parameter(negative="")] = False,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    quick: Flag = False,
+    json: Json = False,
 ) -> int:
     """Compare the pixel model, and the rules of other simulators, with the truth; write charts, tables and a page.
 
@@ -66,16 +64,9 @@ def accuracy(
         For "rendering": only these rigs, shipped or files; give it once for each. All shipped ones take an hour.
     quick
         Fewer scenes and steps; takes seconds.
-    json
-        Print one JSON object as the last line on stdout.
     """
-    try:
-        check_charts()
-        out.mkdir(parents=True, exist_ok=True)
-    except ChartsLacking as error:
-        raise Failure(str(error), LACKING) from error
-    except OSError as error:
-        raise Failure(f"--out {out}: {error.strerror}", WRONG_USE) from error
+    check_drawing()
+    make_folder(out)
     ways: dict[str, Callable[[Path, bool], list[Path]]] = {
         "chart": _chart,
         "stability": _stability,
@@ -92,19 +83,19 @@ def accuracy(
 
 def _chart(out: Path, quick: bool) -> list[Path]:
     chosen, ways = QUICK if quick else CASES, methods()
-    points = _all(sweep(chosen, ways), settings(chosen, ways), "points")
+    points = collected(sweep(chosen, ways), settings(chosen, ways), "points")
     board = next(swept.case for swept in chosen if swept.case.name == "checkerboard")
     switched = QUICK_EFFECTS if quick else EFFECTS
-    effects = _all(effect_rows(board, _EFFECTS_STEP_S, switched), len(switched), "effects")
+    effects = collected(effect_rows(board, _EFFECTS_STEP_S, switched), len(switched), "effects")
     return _written(lambda: write_work_precision(points, effects, chosen, out))
 
 
 def _stability(out: Path, quick: bool) -> list[Path]:
     chosen, ways = QUICK_SWEEPS if quick else SWEEPS, methods()
-    found = _all(cells(chosen, ways), len(ways) * sum(len(axis.values) for axis in chosen), "cells")
+    found = collected(cells(chosen, ways), len(ways) * sum(len(axis.values) for axis in chosen), "cells")
     scenes = QUICK_SCENES if quick else tuple(SCENES)
     count = len(scenes) * len(BLURS_PX) * len(SPEEDS_PX)
-    against = _all(cells_against_line(scenes, ways), count, "against line")
+    against = collected(cells_against_line(scenes, ways), count, "against line")
     return _written(lambda: [*write_stability(found, chosen, out), *write_against_line(against, out)])
 
 
@@ -114,7 +105,7 @@ def _rendering(names: tuple[str, ...], out: Path, quick: bool) -> list[Path]:
         stretch = _QUICK_STRETCH if quick else None
         if quick:
             rigs = rigs[:1]
-        rows = _all(rendering_rows(rigs, stretch), rows_of(rigs, stretch), "settings")
+        rows = collected(rendering_rows(rigs, stretch), rows_of(rigs, stretch), "settings")
     return _written(lambda: write_rendering(rows, out))
 
 
@@ -124,13 +115,6 @@ def _rigs(names: tuple[str, ...]) -> list[Rig]:
     if names and unfit:
         raise Failure(f"--rig {unfit[0]}: its scene has no bodies and no terrain", WRONG_USE)
     return [rig for rig in rigs if fits(rig)]
-
-
-def _all(items: Iterable[_Item], count: int, what: str) -> list[_Item]:
-    """Collect items under a progress bar."""
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=status, transient=True) as progress:
-        return list(progress.track(items, total=count, description=what))
 
 
 def _written(write: Callable[[], list[Path]]) -> list[Path]:

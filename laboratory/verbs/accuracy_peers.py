@@ -19,8 +19,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
-from emulator.report.page import ChartsLacking, check_charts
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, console, print_json, status
 from laboratory.accuracy.peers.page import BEGIN, END, markdown, read_results, write_page
 from laboratory.accuracy.peers.running import BUNDLED, NEEDS_NO_PATH, OURS, Adapter, run_adapter
 from laboratory.accuracy.peers.scoring import Report, Summary, score_events, write_report
@@ -33,7 +32,8 @@ from laboratory.accuracy.peers.sequences import (
     timing_sequences,
 )
 from laboratory.accuracy.peers.sequences import export as export_sequences
-from laboratory.realtime.report import machine, put_section
+from laboratory.realtime.report import copied_charts, machine, put_section
+from laboratory.verbs import check_drawing
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def export(
     /,
     *,
     which: Annotated[Sequences, Parameter(name="*")] = _ALL,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Write the frames of closed-form scenes and the events of ideal pixels, for simulators of your own.
 
@@ -140,8 +140,6 @@ def export(
     ----------
     folder
         Folder to write into; created if missing. All sequences take 120 MB.
-    json
-        Print one JSON object as the last line on stdout.
     """
     opened = _exported(folder, which)
     if json:
@@ -158,7 +156,7 @@ def score(
     *,
     name: str = "simulator",
     out: Path | None = None,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Score events of the sequences of `evstim accuracy export`: one file for each, SEQUENCE.npz or SEQUENCE.csv.
 
@@ -172,8 +170,6 @@ def score(
         Name of the simulator.
     out
         Folder of results, as of `evstim accuracy peers`: put these among the others, and write its page anew.
-    json
-        Print one JSON object as the last line on stdout.
     """
     try:
         opened = open_folder(folder)
@@ -191,7 +187,7 @@ def peers(
     chosen: Annotated[Simulators, Parameter(name="*")] = _OURS,
     which: Annotated[Sequences, Parameter(name="*")] = _ALL,
     page: Path | None = None,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Run simulators of event cameras over closed-form scenes, and write a table of their errors and costs.
 
@@ -203,14 +199,9 @@ def peers(
         Folder to write into; created if missing.
     page
         Replace the section of measured values in this Markdown page, and put the chart into `pictures` beside it.
-    json
-        Print one JSON object as the last line on stdout.
     """
     adapters = chosen.adapters()
-    try:
-        check_charts()
-    except ChartsLacking as error:
-        raise Failure(str(error), LACKING) from error
+    check_drawing()
     if page is not None and not (page.is_file() and BEGIN in page.read_text()):
         raise Failure(f"--page: {page} has no line {BEGIN}", WRONG_USE)
     opened = _exported(out / "sequences", which)
@@ -274,11 +265,7 @@ def _with_page(reports: dict[str, Report], out: Path, page: Path | None) -> list
         files = write_page(every, out)
         if page is None:
             return files
-        charts = [file for file in files if file.suffix == ".png"]
-        for chart in charts:
-            (page.parent / "pictures").mkdir(exist_ok=True)
-            shutil.copy(chart, page.parent / "pictures" / chart.name)
-        put_section(page, markdown(every, f"pictures/{charts[0].name}" if charts else None), (BEGIN, END))
+        put_section(page, markdown(every, copied_charts(files, page)), (BEGIN, END))
     except (OSError, ValueError) as error:
         raise Failure(str(error), WRONG_USE) from error
     return [*files, page]

@@ -8,16 +8,16 @@ from typing import Annotated
 from cyclopts import App, Parameter
 
 from emulator.cli.checks import failures
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, console, print_json, status
-from emulator.tables.typed_table import unknown
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, console, print_json, status
 from laboratory.bench.measures import MEASURES, Measure
 from laboratory.bench.streams import BenchFailed
+from transports.registry import unknown
 
 
 def bench(
     *,
     only: Annotated[list[str] | None, Parameter(negative="")] = None,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Measure on this machine the speeds that the documentation quotes, each as the median of several runs.
 
@@ -25,8 +25,6 @@ def bench(
     ----------
     only
         Measure only this one, or those that match a pattern such as 'gpu_*'; may be given several times.
-    json
-        Print one JSON object as the last line on stdout.
     """
     results = []
     with failures():

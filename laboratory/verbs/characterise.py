@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
-
-from cyclopts import Parameter
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from emulator.cli.checks import failures
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
-from emulator.report.page import ChartsLacking, check_charts
+from emulator.cli.output import GOOD, WRONG_USE, Failure, Flag, Json, console, print_json, status
 from emulator.rig.loading import RigError, load_rig
 from emulator.sensor.presets import PRESETS, SensorParameters
 from laboratory.characterise.measurements import figures, measurements
-from laboratory.characterise.recordings import compare, write_comparison
+from laboratory.characterise.recordings import Compared, compare, write_comparison
 from laboratory.characterise.report import reading, write
-from laboratory.characterise.stimuli import Point
+from laboratory.verbs import check_drawing, collected, make_folder
 
 
 def characterise(
@@ -27,9 +23,9 @@ def characterise(
     recording: Path | None = None,
     still: float = 0.0,
     light: float | None = None,
-    fit: Annotated[bool, Parameter(negative="")] = False,
-    quick: Annotated[bool, Parameter(negative="")] = False,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    fit: Flag = False,
+    quick: Flag = False,
+    json: Json = False,
 ) -> int:
     """Measure a simulated sensor, compare it with published values of real ones; write charts, tables and a page.
 
@@ -52,22 +48,24 @@ def characterise(
         With a recording: also write fit.toml, the sensor parameters that match it best.
     quick
         Fewer points.
-    json
-        Print one JSON object as the last line on stdout.
     """
     with failures():
         parameters = _sensor(camera)
-    try:
-        if recording is None:
-            check_charts()
-        out.mkdir(parents=True, exist_ok=True)
-    except ChartsLacking as error:
-        raise Failure(str(error), LACKING) from error
-    except OSError as error:
-        raise Failure(f"--out {out}: {error.strerror}", WRONG_USE) from error
+    if recording is None:
+        check_drawing()
+    make_folder(out)
     if recording is not None:
-        return _beside(recording, (camera, parameters), out, (light, still, fit, json))
-    points = _measure(parameters, quick)
+        with failures(), status.status("measuring ..."):
+            try:
+                comparison = compare(recording, (camera, parameters), light, still, fitted=fit)
+            except ValueError as error:
+                raise Failure(str(error), WRONG_USE) from error
+        return _show(comparison, camera, recording, write_comparison(comparison, camera, out), json=json)
+    todo = measurements(parameters, quick)
+    points = [
+        point for measured in collected((measure() for measure in todo), len(todo), "measuring") for point in measured
+    ]
+    points += figures(points)
     with status.status("drawing ..."):
         files = write(points, camera, out)
     if json:
@@ -80,23 +78,14 @@ def characterise(
     return GOOD
 
 
-def _beside(
-    recording: Path, sensor: tuple[str, SensorParameters], out: Path, given: tuple[float | None, float, bool, bool]
-) -> int:
-    """Compare a sensor, name and parameters, with a recording; `given` are light, still, fit and json."""
-    light, still, fit, json = given
-    with failures(), status.status("measuring ..."):
-        try:
-            found = compare(recording, sensor, light, still, fitted=fit)
-        except ValueError as error:
-            raise Failure(str(error), WRONG_USE) from error
-    files = write_comparison(found, sensor[0], out)
+def _show(comparison: Compared, camera: str, recording: Path, files: Sequence[Path], *, json: bool) -> int:
+    """Print the comparison of a sensor with a recording."""
     if json:
-        print_json({"sensor": sensor[0], "recording": recording, "statistics": found.rows(), "files": files})
+        print_json({"sensor": camera, "recording": recording, "statistics": comparison.rows(), "files": files})
         return GOOD
-    for line in found.reading:
+    for line in comparison.reading:
         console.print(line)
-    for row in found.rows():
+    for row in comparison.rows():
         shown = "  ".join(f"{value:>14.4g}" for value in row.values() if isinstance(value, float))
         console.print(f"{row['statistic']!s:42}{shown}")
     for path in files:
@@ -111,12 +100,3 @@ def _sensor(camera: str) -> SensorParameters:
         return load_rig(camera).camera.sensor
     except RigError as error:
         raise RigError(f"{camera!r} is no preset ({', '.join(PRESETS)}) and no rig: {error}") from error
-
-
-def _measure(parameters: SensorParameters, quick: bool) -> list[Point]:
-    """Measure everything under a progress bar."""
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    todo = measurements(parameters, quick)
-    with Progress(*columns, console=status, transient=True) as progress:
-        points = [point for measure in progress.track(todo, description="measuring") for point in measure()]
-    return [*points, *figures(points)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -14,14 +13,14 @@ from cyclopts import Parameter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from emulator.cli.checks import failures, prepared
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, console, print_json, status
+from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, console, print_json, status
 from emulator.cli.signals import ignore_stop_signals
-from emulator.report.page import ChartsLacking, check_charts
 from emulator.rig.loading import shipped_rigs
 from emulator.run.kernels import parts_of
 from laboratory.realtime.measurements import QUICK, WHOLE, Measurements, Store, measurements_of
-from laboratory.realtime.report import BEGIN, line_of, machine, markdown, put_section, write_report
+from laboratory.realtime.report import BEGIN, copied_charts, line_of, machine, markdown, put_section, write_report
 from laboratory.realtime.variants import SIZES, distinct
+from laboratory.verbs import check_drawing, make_folder
 
 _SizeName = Literal["346x260", "1280x720"]
 
@@ -53,7 +52,7 @@ def realtime(
     out: Path,
     scope: Annotated[Scope, Parameter(name="*", negative="")] = _ALL,
     page: Path | None = None,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Measure the speed of whole runs, link and receiver included, beside their wrong events; write charts and tables.
 
@@ -68,8 +67,6 @@ def realtime(
         Folder to write into; created if missing.
     page
         Replace the section of measured values in this Markdown page, and put the chart into `pictures` beside it.
-    json
-        Print one JSON object as the last line on stdout.
     """
     with failures():
         measurements = _measurements(rigs, scope, out, page)
@@ -87,20 +84,18 @@ def _measurements(rigs: Sequence[str], scope: Scope, out: Path, page: Path | Non
     """Return what is to be measured, once the results can be written; raises Failure."""
     if scope.quick and page is not None:
         raise Failure("--page: quick values are not for the docs; leave out --quick", WRONG_USE)
+    check_drawing()
+    make_folder(out)
     try:
-        check_charts()
-        out.mkdir(parents=True, exist_ok=True)
         store = Store(out / "realtime.jsonl")
         if page is not None and BEGIN not in page.read_text():
             raise Failure(f"--page: {page} has no line {BEGIN}", WRONG_USE)
-    except ChartsLacking as error:
-        raise Failure(str(error), LACKING) from error
     except OSError as error:
         raise Failure(f"{error.filename}: {error.strerror}", WRONG_USE) from error
     names = rigs or list(distinct(shipped_rigs()))
     sizes = [size for size in SIZES if not scope.size or size.name in scope.size]
-    wanted = list(measurements_of(names, sizes, sweep=scope.sweep))
-    return Measurements(wanted, store, QUICK if scope.quick else WHOLE)
+    variants = list(measurements_of(names, sizes, sweep=scope.sweep))
+    return Measurements(variants, store, QUICK if scope.quick else WHOLE)
 
 
 def _measure(measurements: Measurements) -> bool:
@@ -141,11 +136,7 @@ def _written(rows: list[dict[str, Any]], about: dict[str, Any], out: Path, page:
     files = write_report(rows, about, out)
     if page is None:
         return files
-    charts = [file for file in files if file.suffix == ".png"]
-    for chart in charts:
-        (page.parent / "pictures").mkdir(exist_ok=True)
-        shutil.copy(chart, page.parent / "pictures" / chart.name)
-    put_section(page, markdown(rows, about, f"pictures/{charts[0].name}" if charts else None))
+    put_section(page, markdown(rows, about, copied_charts(files, page)))
     return [*files, page]
 
 

@@ -8,32 +8,34 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_protocol.davis346.registers import Access, Layout, SystemInfo, registers
+from firmware_protocol.davis346.registers import Layout, registers
 from firmware_protocol.events import EVENT
+from firmware_protocol.fx3.registers import Access, SystemInfo
 from firmware_protocol.usb import usbip
 from transports.link.deliveries import digest_of
 
 DOCS = Path(__file__).parents[2] / "docs"
-USB_PAGE = (DOCS / "davis346_usb.md").read_text(encoding="utf-8")
+USB_PAGE = (DOCS / "cameras.md").read_text(encoding="utf-8")
 CODES = {"u8": "B", "u16": "H", "u32": "I", "s32": "i", "u64": "Q"}
 
 
-def test_the_page_of_registers_is_what_its_script_makes():
-    script = runpy.run_path(str(DOCS / "make_register_page.py"))
-    assert script["page"]() == USB_PAGE
+def test_the_list_of_registers_is_what_its_script_makes():
+    script = runpy.run_path(str(DOCS / "make_registers.py"))
+    assert script["FILE"].read_text(encoding="utf-8") == script["text"]()
 
 
-def test_the_page_has_every_register_and_no_other():
-    told, module = set(), -1
-    for line in USB_PAGE.splitlines():
-        if line.startswith("### Module"):
-            module = int(line.split()[2].rstrip(":"))
-        elif module >= 0 and re.match(r"\| \d", line):
-            address, name, access, bits, default, acts, meaning = (cell.strip() for cell in line.strip("|").split("|"))
-            told.add((module, int(address), name, int(bits or 0), int(default)))
-            assert meaning
-            assert (access == "rw") == bool(bits)
-            assert acts in ("", "yes", "reported")
+def test_the_list_has_every_register_and_no_other():
+    _, _, heading, *lines = (DOCS / "davis346_registers.txt").read_text(encoding="utf-8").splitlines()
+    starts = [match.start() for match in re.finditer(r"\w+", heading)]
+    told = set()
+    for line in lines:
+        cells = [line[start:end].strip() for start, end in zip(starts, [*starts[1:], None], strict=True)]
+        number, name, access, bits, default, acts, meaning = cells
+        module, address = number.split(".")
+        told.add((int(module), int(address), name, int(bits or 0), int(default)))
+        assert meaning
+        assert (access == "rw") == bool(bits)
+        assert acts in ("", "yes", "reported")
     known = registers((346, 260), Layout.UPRIGHT, SystemInfo())
     wide = {r: r.bits if r.access is Access.READ_WRITE else 0 for r in known}
     assert told == {(r.module.value, r.address, r.name, bits, r.default) for r, bits in wide.items()}
@@ -82,7 +84,7 @@ def test_usbip_is_drawn_as_it_is_sent():
 
 
 def test_the_digest_is_what_the_page_says():
-    text = " ".join((DOCS / "serial.md").read_text(encoding="utf-8").split())
+    text = " ".join((DOCS / "instrument.md").read_text(encoding="utf-8").split())
     said = re.search(r"CRC-32 \(that of zlib\) .* as records of (\d+) octets, little-endian: (.*?);", text)
     kinds, names = zip(*re.findall(r"(u\d+) (\w+)", said[2]), strict=True)
     record = struct.Struct("<" + "".join(CODES[kind] for kind in kinds))

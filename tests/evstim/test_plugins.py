@@ -1,208 +1,129 @@
-"""A package outside the checkout adds a kind of link and a kind of scene, and a run uses both."""
+"""A package outside the checkout, `tests/outsider`, adds a scene, a camera, a link, a fault, a format and a verb."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
+from tests.installed import evstim, install
+
 pytestmark = pytest.mark.system
 
-ROOT = Path(__file__).parents[2]
-
-MODULE = '''
-"""A beacon: a link that writes how many events it was given into a file, and a scene that blinks."""
-
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import ClassVar
-
-from emulator.light import Scene
-from emulator.scene.kind import SceneKind
-from firmware_protocol.instrument.settings import InstrumentSettings
-from transports.link.endpoint import Endpoint, EndpointFactory
-from transports.link.kind import LinkKind, Listener, Unsuitable
-
-
-@dataclass(frozen=True)
-class BeaconLink:
-    """A file that counts.
-
-    Attributes
-    ----------
-    path
-        Where it is.
-    """
-
-    kind: ClassVar[str] = "beacon"
-    path: str = ""
-    name: str = "beacon"
-    instrument: InstrumentSettings = field(default_factory=InstrumentSettings)
-
-
-@dataclass(frozen=True)
-class BeaconFactory(EndpointFactory):
-    path: str
-
-    def build(self, device, deliveries):
-        return BeaconEndpoint(self.path, device, deliveries)
-
-
-class BeaconEndpoint(Endpoint):
-    def __init__(self, path, device, deliveries):
-        self._path, self._device, self._deliveries, self._events = path, device, deliveries, 0
-
-    async def start(self):
-        self._device.connected()
-
-    def pump(self):
-        while (message := self._device.next_message()) is not None:
-            self._device.sent(message)
-            self._deliveries.add(message.events, message.epoch_us, message.edges)
-            self._events += len(message.events)
-
-    async def close(self):
-        self._device.disconnected()
-        Path(self._path).write_text(str(self._events))
-
-    @property
-    def state(self):
-        return f"{self._events} events"
-
-
-def factory_of(link, wiring):
-    return BeaconFactory(link.path)
-
-
-def check(link, camera):
-    if camera.size[0] > 400:
-        raise Unsuitable("too large a camera for a beacon", "path")
-
-
-BEACON = LinkKind(
-    BeaconLink,
-    serves="instrument",
-    endpoint="beacon_package:factory_of",
-    check=check,
-    listener=Listener("beacon", "Read a beacon.", "beacon_package:listen"),
-)
-
-
-def listen() -> int:
-    """Read a beacon."""
-    return 0
-
-
-@dataclass(frozen=True)
-class BlinkParameters:
-    """All pixels blink.
-
-    Attributes
-    ----------
-    period_ms
-        How long bright and dark last together.
-    """
-
-    kind: ClassVar[str] = "blink"
-    period_ms: float = 20.0
-
-
-class Blink(Scene):
-    def __init__(self, parameters, size):
-        self._period_ns, self._size = round(parameters.period_ms * 1e6), size
-
-    @property
-    def size(self):
-        return self._size
-
-    @property
-    def motion_bound_px_s(self):
-        return 0.0
-
-    def light(self, t_ns, out):
-        out.fill(1.0 if t_ns % self._period_ns * 2 < self._period_ns else 0.2)
-
-    def close(self):
-        pass
-
-
-BLINK = SceneKind(BlinkParameters, "beacon_package:Blink")
-'''
+OUTSIDER = Path(__file__).parents[1] / "outsider"
 
 RIG = """
 title = "A blinking light, reported by a beacon."
 [scene]
 kind = "blink"
 period_ms = 10.0
+[camera]
+model = "{camera}"
 [run]
 seconds = 0.05
 pace = "free"
 [[links]]
 kind = "beacon"
 path = "{path}"
+[[faults]]
+kind = "muted"
+at_s = 0.02
+for_s = 0.01
 """
 
 
 @pytest.fixture
 def site(tmp_path):
-    folder = tmp_path / "site"
-    info = folder / "beacon_package-1.0.dist-info"
-    info.mkdir(parents=True)
-    (folder / "beacon_package.py").write_text(MODULE)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: beacon-package\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(
-        "[evstim.links]\nbeacon = beacon_package:BEACON\n[evstim.scenes]\nblink = beacon_package:BLINK\n"
-    )
-    return folder
+    return install(OUTSIDER, tmp_path / "site")
 
 
-def evstim(site, *arguments):
-    code = "from emulator.cli import main; main()"
-    environment = {**os.environ, "PYTHONPATH": f"{site}{os.pathsep}{ROOT}"}
-    return subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)],
-        cwd=site, env=environment, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
-
-
-def rig_file(tmp_path, text=RIG):
+def rig_file(tmp_path, camera="dot"):
     path = tmp_path / "beacon.toml"
-    path.write_text(text.format(path=tmp_path / "count.txt"))
+    path.write_text(RIG.format(path=tmp_path / "count.txt", camera=camera))
     return path
 
 
-def test_a_run_with_a_scene_and_a_link_of_a_package(site, tmp_path):
+def printed(done):
+    return " ".join((done.stderr + done.stdout).split())
+
+
+def test_a_run_with_all_that_a_package_adds(site, tmp_path):
     done = evstim(site, "run", rig_file(tmp_path), "--json")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout.splitlines()[-1])
-    assert told["balanced"] is True
-    (delivered,) = [link["delivered"] for link in told["events"]["links"].values()]
-    assert delivered > 0
-    assert int((tmp_path / "count.txt").read_text()) == delivered
+    result = json.loads(done.stdout.splitlines()[-1])
+    assert result["balanced"] is True
+    (link,) = result["events"]["links"].values()
+    (fault,) = result["links"]["beacon"]["faults"]
+    assert fault["kind"] == "muted"
+    assert fault["events_lost"] > 0
+    assert link["delivered"] == int((tmp_path / "count.txt").read_text()) > 0
 
 
-def test_schema_and_verbs_know_the_package(site):
+def test_a_recording_in_the_format_of_a_package(site, tmp_path):
+    path = tmp_path / "events.lines"
+    done = evstim(site, "record", rig_file(tmp_path), path, "--json")
+    assert done.returncode == 0, done.stderr
+    (recording,) = json.loads(done.stdout.splitlines()[-1])["links"]["file"]["recordings"]
+    written = recording["written"]["events"]
+    assert written > 1000
+    assert evstim(site, "count", path).stdout.split() == [str(written)]
+    path = path.rename(tmp_path / "of_unknown_origin")
+    done = evstim(site, "convert", path, tmp_path / "events.npz", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1])["events"] == written
+    assert ".lines" in printed(evstim(site, "convert", path, tmp_path / "events.unknown"))
+
+
+def test_all_that_a_package_adds_is_listed(site):
     schema = json.loads(evstim(site, "schema").stdout)
     assert schema["$defs"]["BeaconLink"]["properties"]["kind"] == {"const": "beacon"}
+    assert schema["$defs"]["Muted"]["properties"]["kind"] == {"const": "muted"}
     assert "period_ms" in schema["$defs"]["BlinkParameters"]["properties"]
+    assert "dot" in schema["$defs"]["Camera"]["properties"]["model"]["enum"]
     assert "Read a beacon." in evstim(site, "listen", "--help").stdout
+    assert "Count the events of a file of lines." in evstim(site, "--help").stdout
+    assert "did you mean 'muted'" in printed(evstim(site, "check", _with_fault(site, "mutd")))
 
 
-def test_a_check_of_the_package_is_told_by_line(site, tmp_path):
-    done = evstim(site, "check", rig_file(tmp_path, RIG + '[camera]\nmodel = "imx636"\n'))
+def _with_fault(folder, kind):
+    rig = rig_file(folder)
+    rig.write_text(rig.read_text().replace('"muted"', f'"{kind}"'))
+    return rig
+
+
+def test_a_check_of_the_package_is_reported_by_line(site, tmp_path):
+    done = evstim(site, "check", rig_file(tmp_path, "imx636"))
     assert done.returncode == 2
-    assert "line 11: links[0].path: too large a camera" in " ".join(done.stderr.split())
+    assert "line 13: links[0].path: too large a camera" in printed(done)
 
 
-def test_a_broken_package_stops_only_rigs_that_name_it(site, tmp_path):
-    (site / "beacon_package.py").write_text("raise RuntimeError('half installed')\n")
+@pytest.mark.parametrize("name", ["blink", "dot", "beacon", "muted", "lines", "count"])
+def test_a_broken_entry_point_is_reported_with_its_package_and_stops_nothing_else(name, tmp_path):
+    site = install(OUTSIDER, tmp_path / "site", **{name: "outsider:MISSING"})
+    rig = rig_file(tmp_path)
+    if name == "lines":
+        done = evstim(site, "convert", rig, tmp_path / "a.npz", "--to", "lines")
+    else:
+        done = evstim(site, *(["count", rig] if name == "count" else ["check", rig]))
+    assert done.returncode in (2, 3)
+    assert f"entry point '{name}' (outsider:MISSING) of package outsider in group evstim." in printed(done)
+    assert "AttributeError" in printed(done)
+    assert evstim(site, "check", "loopback").returncode == 0
+    assert evstim(site, "--help").returncode == 0
+
+
+def test_a_package_that_cannot_be_imported_stops_only_rigs_that_name_it(site, tmp_path):
+    (site / "outsider.py").write_text("raise RuntimeError('half installed')\n")
     done = evstim(site, "check", rig_file(tmp_path))
     assert done.returncode == 2
-    told = " ".join(done.stderr.split())
-    assert "of package beacon-package" in told
-    assert "half installed" in told
-    assert evstim(site, "check", "loopback").returncode == 0
-    assert evstim(site, "schema").returncode == 0
-    assert evstim(site, "listen", "--help").returncode == 0
+    assert "of package outsider" in printed(done)
+    assert "half installed" in printed(done)
+    for command in (["check", "loopback"], ["schema"], ["listen", "--help"], ["--help"]):
+        assert evstim(site, *command).returncode == 0
+
+
+def test_a_path_within_a_record_is_reported_with_its_package(site, tmp_path):
+    module = site / "outsider.py"
+    module.write_text(module.read_text().replace('"outsider:factory_of"', '"outsider:gone"'))
+    done = evstim(site, "run", rig_file(tmp_path))
+    assert done.returncode == 3
+    assert "package outsider in group evstim.links: outsider:gone cannot be imported" in printed(done)

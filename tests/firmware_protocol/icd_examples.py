@@ -1,4 +1,4 @@
-"""The messages that docs/packets.md and docs/can.md show octet by octet, made by the code that sends them."""
+"""The messages that docs/traces/messages.txt shows octet by octet, made by the code that sends them."""
 
 import numpy as np
 
@@ -75,7 +75,7 @@ def _examples():
         "nmt": bytes(NmtOrder(NmtCommand.START, 0x22)),
         "heartbeat": bytes([NodeState.OPERATIONAL]),
         "emcy": bytes(Emergency(EMCY_OVERRUN, 1000)),
-        "time": bytes(TimeOfDay.of_us(T_US)),
+        "time": bytes(TimeOfDay(*reversed(divmod(T_US // 1000, 86_400_000)))),
         "scet": scet(T_US),
         "follow_up": bytes(FollowUp(9, T_US * 1000)),
         "ISO-TP first frame": first,
@@ -87,4 +87,4 @@ def _examples():
 
 
 EXAMPLES = _examples()
-"""Name in docs/packets.md or docs/can.md: octets; a CFP frame with its 29-bit identifier in front."""
+"""Name in docs/traces/messages.txt or docs/packets.md: octets; a CFP frame with its 29-bit identifier in front."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import struct
 from dataclasses import dataclass
 
 from firmware_protocol.ptp.messages import (
@@ -14,15 +15,40 @@ from firmware_protocol.ptp.messages import (
     MessageType,
     PortIdentity,
     Sync,
-    announce,
-    delay_response,
-    follow_up,
-    sync,
 )
 from firmware_protocol.ptp.slave import Slave
 
 SLAVE = 0x1C0FAF_FFFE_123456
 S = 1_000_000_000
+CONTROL = {MessageType.SYNC: 0, MessageType.FOLLOW_UP: 2, MessageType.DELAY_RESP: 3, MessageType.ANNOUNCE: 5}
+
+
+def packed(header, body):
+    """Octets of a message of a master."""
+    head = (header.type, 2, 34 + len(body), header.domain, 0, header.flags, header.correction_ns << 16)
+    head += (*header.source, header.sequence, CONTROL[header.type], header.log_interval)
+    return struct.pack(">BBHBBHq4xQHHBb", *head) + body
+
+
+def packed_time(time_ns):
+    seconds, nanoseconds = divmod(time_ns, S)
+    return struct.pack(">HII", seconds >> 32, seconds & 0xFFFFFFFF, nanoseconds)
+
+
+def sync(message):
+    return packed(message.header, packed_time(message.time_ns))
+
+
+follow_up = sync
+
+
+def delay_response(message):
+    return packed(message.header, packed_time(message.time_ns) + struct.pack(">QH", *message.requester))
+
+
+def announce(message):
+    numbers = (message.utc_offset_s, *message.quality, message.grandmaster, message.steps_removed, message.time_source)
+    return packed(message.header, struct.pack(">10xhxBBBHBQHB", *numbers))
 
 
 @dataclass

@@ -15,8 +15,8 @@ from firmware_protocol.imx636.triton2 import Triton2
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.telecommands import SetBias
-from transports.usb.cameras import TreuzellHost
 from transports.usb.loopback import DirectHost
+from transports.usb.treuzell_host import TreuzellHost
 
 
 def edges_at(*times_us):

@@ -1,4 +1,4 @@
-"""The pages of packets and of CAN show what the code does: their tables, and their examples octet by octet."""
+"""The page of packets and the list of messages show what the code does: tables, and examples octet by octet."""
 
 import re
 from pathlib import Path
@@ -12,14 +12,14 @@ from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import TELECOMMANDS, Ping, SetBias, SetRegion, SetTick, SetTime
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGE, CAN_PAGE = ((DOCS / name).read_text(encoding="utf-8") for name in ("packets.md", "can.md"))
-LINE = re.compile(r"((?:[0-9a-f]{2} )*[0-9a-f]{2})(?:  |$)")
+PAGE, MESSAGES = ((DOCS / name).read_text(encoding="utf-8") for name in ("packets.md", "traces/messages.txt"))
+LINE = re.compile(r"((?:(?:[0-9a-f]{2})+ )*(?:[0-9a-f]{2})+)(?:  |$)")
 
 
 def example_of(name):
-    """Return the octets that the pages show below the name of an example, in a box of code."""
-    example = rf"^{re.escape(name)}\n((?:[0-9a-f]{{2}}(?: .*)?\n)+)(?:\n|```$)"
-    (text,) = re.findall(example, PAGE + CAN_PAGE, re.MULTILINE)
+    """Return the octets below the name of an example, in the list of messages or in a box of the page."""
+    example = rf"^{re.escape(name)}\n((?:(?:[0-9a-f]{{2}})+(?: .*)?\n)+)(?:\n|```$|\Z)"
+    (text,) = re.findall(example, f"{PAGE}\n{MESSAGES}", re.MULTILINE)
     return b"".join(bytes.fromhex(LINE.match(line)[1]) for line in text.splitlines())
 
 

@@ -22,7 +22,8 @@ from tests.guest.running_rig import RunningRig
 from tests.guest.turns import Turns, long_but, selected
 
 PAGE = Path(__file__).parents[2] / "docs" / "cameras.md"
-HEADINGS = {"dv2": "dv-processing 2", "dv1": "dv-processing 1.7 (libcaer)", "nd": "neuromorphic_drivers"}
+PARTS = {"dv2": ("dv-processing", 0, 2), "dv1": ("dv-processing", 1, 2), "nd": ("neuromorphic_drivers", 0)}
+"""Heading of the page, and the blocks below it that make a driver's program."""
 PORT = "3240"
 TIMEOUT_S = 300.0
 FORWARD = str(Path(__file__).parent / "clients" / "forward.py")
@@ -77,7 +78,8 @@ def ended(
     rig = RunningRig(tmp_path_factory.mktemp("docs"), text=text)
 
     def run(driver: Driver) -> Finished:
-        ((_, program),) = blocks(HEADINGS[driver.name])
+        heading, *numbers = PARTS[driver.name]
+        program = "\n".join(blocks(heading)[number][1] for number in numbers)
         with forwarded(guest, rig.port):
             shell(guest, attach)
             ended = guest.run([str(driver_pythons[driver.name]), "-u", "-c", program], TIMEOUT_S)

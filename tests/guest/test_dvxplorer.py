@@ -146,3 +146,21 @@ def test_a_micro_is_seen_as_it_was_delivered(guest: Guest, driver_pythons: dict[
     assert len(seen.imu) >= 100
     np.testing.assert_allclose(seen.imu, values[: len(seen.imu)], rtol=4e-7, atol=1e-9)
     assert rig.summary["balanced"], rig.summary
+
+
+@pytest.mark.long
+@pytest.mark.shows("dvxplorer_micro", "dv2", "settings")
+def test_settings_of_a_micro_are_changed_while_it_streams(
+    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path
+) -> None:
+    client = dataclasses.replace(DRIVERS[0], name="dvxplorer_dv2")
+    with RunningRig(tmp_path, text=MICRO) as rig, Attachment(guest, rig.port, model=DVXPLORER):
+        seen = Streaming(guest, client, driver_pythons["dv2"], EVENTS, timeout_s=TIMEOUT_S).wait()
+    assert {change["name"]: change["error"] for change in seen.about["changes"] if change["error"]} == {}
+    assert len(seen.about["changes"]) >= LEAST_CHANGES
+    assert len(seen.events) >= EVENTS
+    delivered = rig.delivered
+    events = by_column(delivered.events[delivered.resets[-1] :])
+    back = by_column(mirrored_back(seen.events, events))  # mirrored rows come in the opposite order
+    assert_same(back, events, offset_us=int(back["t"][0]) - int(events["t"][0]))
+    assert rig.summary["balanced"], rig.summary

@@ -305,3 +305,22 @@ def test_a_driver_sees_every_event_of_a_sibling(
     delivered = rig.delivered
     assert_same(seen.events, delivered.events[delivered.resets[-1] :], offset_us=0)
     assert rig.summary["balanced"], rig.summary
+
+
+@pytest.mark.long
+@pytest.mark.shows("{model}", "nd", "triggers", "settings")
+@pytest.mark.parametrize("model", [model for model, listed in LISTED.items() if listed[0] is ND_EVK4][1:])
+def test_triggers_and_settings_of_a_sibling(
+    guest: Guest, driver_pythons: dict[str, Path], tmp_path: Path, model: str
+) -> None:
+    looped(tmp_path)
+    count = max(SIBLINGS_EVENTS, FEWER_EVENTS)
+    with RunningRig(tmp_path, text=rig_of(model)) as rig, Attachment(guest, rig.port, model=LISTED[model][1]):
+        python = driver_pythons["nd"]
+        seen = Streaming(guest, ND_EVK4, python, count, "--settings", timeout_s=TIMEOUT_S).wait()
+    assert seen.about["changes"] == 17  # 13 biases, 3 masks, and back
+    assert len(seen.events) >= count
+    delivered = rig.delivered
+    assert_same(seen.events, delivered.events[delivered.resets[-1] :], offset_us=0)
+    assert_same_triggers(seen.triggers, delivered)
+    assert rig.summary["balanced"], rig.summary

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_protocol.events import EVENT
+from firmware_protocol.events import EDGE, EVENT, EdgeKind
 from tests.guest.attachment import EVK4, Attachment
 from tests.guest.comparison import assert_same
 from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
-from tests.guest.test_evk4 import RIG
+from tests.guest.test_evk4 import RIG, assert_same_triggers
 from tests.hostile.looped import Looped
 from transports.recording.evt_file import EvtReader
 from transports.recording.part import Facts
@@ -50,7 +50,7 @@ def looped(folder: Path, count: int = 1_000_000) -> None:
     looped.save(folder / "looped.npz")
 
 
-@pytest.mark.shows("genx320", "openeb", "opens", "events")
+@pytest.mark.shows("genx320", "openeb", "opens", "events", "triggers")
 @pytest.mark.parametrize("form", FORMS)
 def test_openeb_sees_every_event_that_its_settings_select(guest: Guest, tmp_path: Path, form: str) -> None:
     """Its own discovery, device, bias, window, masks, crop, filters, rate control, monitoring, stream and decoder."""
@@ -68,6 +68,8 @@ def test_openeb_sees_every_event_that_its_settings_select(guest: Guest, tmp_path
     assert len(seen) >= EVENTS
     sent = rig.delivered.events[rig.delivered.resets[-1] :]
     assert_same(seen, sent, offset_us=0)
+    triggers = np.array([(t, EdgeKind.RISING if on else EdgeKind.FALLING, 0, 0) for t, on in about["triggers"]], EDGE)
+    assert_same_triggers(triggers, rig.delivered)
     assert (seen["x"].min(), seen["y"].min()) == (0, 0)
     assert (seen["x"].max() + 1, seen["y"].max() + 1) == CROPPED
     assert not np.any((seen["x"] == MASKED[0]) & (seen["y"] == MASKED[1]))

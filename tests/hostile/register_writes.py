@@ -20,14 +20,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from emulator.light import LightFrame
-from emulator.sensor.aps.frames import FrameSource
-from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, Carried, ImuSource, ImuUnit
+from emulator.sensor.frames import FrameSource
+from emulator.sensor.imu import EARTH_IN_THE_PICTURE, Carried, ImuSource, ImuUnit
 from emulator.sensor.parameters import FrameParameters, ImuParameters
 from emulator.trajectory.pose import Fixed, Timescale
-from firmware_protocol.davis346 import Access, Davis346, Davis346Settings, Decoder, Layout, SystemInfo, registers
+from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout
+from firmware_protocol.davis346.decoder import Decoder
+from firmware_protocol.davis346.registers import registers
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import EDGE, EdgeKind
 from firmware_protocol.frames import LineKind
+from firmware_protocol.fx3.registers import Access, SystemInfo
 from firmware_protocol.usb.device import Stall
 from tests.firmware_protocol.davis_host import OUT, RUN, SENSORS, STOP, Host, steady
 from tests.firmware_protocol.davis_registers import kept

@@ -26,7 +26,7 @@ from firmware_protocol.imx636.triton2_control import Triton2Control
 from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, Triton2Settings
 from tests.hostile.gige_datagrams import answer_limit, hostile_datagram, valid_request
 from transports.gige.answering import ControlSetup
-from transports.gige.control_process import ControlProcess
+from transports.gige.endpoint import ControlProcess
 from transports.gige.host import GigeHost
 from transports.link.pacing import MonotonicClock
 from transports.link.rings import FREE_RUNNING, EventRing

@@ -11,7 +11,6 @@ import struct
 
 import pytest
 
-from emulator.rig.kinds import known_faults
 from emulator.rig.loading import parse_rig
 from emulator.run.control import FaultInjection, _answered
 from emulator.run.outcome import RunStatus
@@ -26,6 +25,7 @@ from firmware_protocol.usb.usbip import (
     Unlink,
     UsbipError,
 )
+from transports.faults.kinds import FAULTS
 
 COUNT = int(os.environ.get("EVSTIM_HOSTILE_INPUTS", "1000"))
 OUT_BYTES = 1024
@@ -116,7 +116,7 @@ def test_socketcand():
 
 class Session:
     def inject(self, fault):
-        assert fault.kind in known_faults()
+        assert fault.kind in FAULTS
 
 
 def test_control():
@@ -124,7 +124,7 @@ def test_control():
     now = RunStatus(1.5, 1.6, 10, 100, Lateness(), {})
     rng = random.Random(3)
     good = [b'{"request": "faults"}\n']
-    for kind, fault in known_faults().items():
+    for kind, fault in FAULTS.items():
         table = {name: rng.choice(VALUES) for name in fault.__dataclass_fields__ if rng.random() < 0.3}
         good.append(json.dumps({"request": "throw", "fault": {"kind": kind}}).encode() + b"\n")
         good.append(json.dumps({"request": "throw", "fault": {**table, "kind": kind}}).encode() + b"\n")

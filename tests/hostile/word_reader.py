@@ -1,4 +1,4 @@
-"""A reader of DAVIS346 words that shares nothing with the package: written from the words in docs/davis346_usb.md.
+"""A reader of DAVIS346 words that shares nothing with the package: written from the words in docs/cameras.md.
 
 It is strict where drivers are: times of timestamps and wraps must increase, a row comes before the first column, and
 blocks (samples, frames) have no holes. What comes before the first timestamp reset is passed over.

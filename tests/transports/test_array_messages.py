@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from transports.array_messages import decoded, encoded
+from transports.guarded_reader import decoded, encoded
 
 ROWS = {"a": np.arange(6.0).reshape(2, 3), "b/c": np.array([True]), "e": np.zeros((0, 4), np.uint16), "text": ["x", 1]}
 

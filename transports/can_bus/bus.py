@@ -32,11 +32,11 @@ class BusDown(OSError):
 
 @dataclass(frozen=True)
 class TimedFrame:
-    """Frame with its time on the bus (CLOCK_MONOTONIC, ns); `own` marks an urgent frame of ours that was sent."""
+    """Frame with its time on the bus (CLOCK_MONOTONIC, ns); `is_ours` marks an urgent frame of ours that was sent."""
 
     frame: Frame
     t_ns: int
-    own: bool = False
+    is_ours: bool = False
 
 
 class CanBus(ABC):
@@ -176,7 +176,7 @@ class PythonCanBus(CanBus):
         return f"{self._parameters.interface}:{self._channel}"
 
     async def open(self) -> None:
-        """See `CanBus.open`; runs in a thread, because some interfaces wait for their adapter."""
+        """Open the bus; runs in a thread, because some interfaces wait for their adapter."""
         await self.close()
         try:
             self._bus = await asyncio.get_running_loop().run_in_executor(None, self._open)
@@ -190,7 +190,8 @@ class PythonCanBus(CanBus):
 
     def _open(self) -> can.BusABC:
         p = self._parameters
-        if p.interface == "socketcan" and not _is_up(self._channel):
+        flags = Path("/sys/class/net", self._channel, "flags")
+        if p.interface == "socketcan" and flags.exists() and not int(flags.read_text(), 16) & _IFF_UP:
             raise OSError(errno.ENETDOWN, "Network is down")
         settings: dict[str, Any] = {"bitrate": p.bitrate}
         if p.interface == "socketcand":
@@ -206,7 +207,7 @@ class PythonCanBus(CanBus):
         return can.Bus(channel=self._channel, interface=p.interface, ignore_config=True, **(settings | p.options))
 
     def send(self, frame: Frame, *, urgent: bool = False) -> bool:
-        """See `CanBus.send`.
+        """Pass a frame to the bus; return False if there is no room now.
 
         The driver decides if an urgent frame overtakes others. Its time stamp is that of this call.
         """
@@ -222,11 +223,11 @@ class PythonCanBus(CanBus):
                 return False
             raise self._lost(error) from error
         if urgent:
-            self._unread.append(TimedFrame(frame, time.monotonic_ns(), own=True))
+            self._unread.append(TimedFrame(frame, time.monotonic_ns(), is_ours=True))
         return True
 
     def take(self) -> list[TimedFrame]:
-        """See `CanBus.take`; frames received before the bus was lost are returned before BusDown is raised."""
+        """Return the frames since the last call; BusDown is raised after those received before the bus was lost."""
         if not self._unread:
             self._living()
         self._notified = False  # first: the next frame may arrive while the others are taken
@@ -236,7 +237,7 @@ class PythonCanBus(CanBus):
         return frames
 
     def serve(self, attend: Callable[[], None]) -> None:
-        """See `CanBus.serve`."""
+        """Receive the function to call when another node has sent a frame."""
         self._attend = attend
 
     async def wait(self, timeout_s: float) -> None:
@@ -247,7 +248,7 @@ class PythonCanBus(CanBus):
         self._notified = False
 
     async def close(self) -> None:
-        """See `CanBus.close`."""
+        """Close the bus."""
         self._closing.set()
         bus, self._bus = self._bus, None
         reader, self._reader = self._reader, None
@@ -316,12 +317,17 @@ class PythonCanBus(CanBus):
             )
             return
         age_s = time.time() - message.timestamp
-        known = 0 <= age_s <= _OLDEST_STAMP_S
-        self._unread.append(TimedFrame(frame, time.monotonic_ns() - (round(age_s * 1e9) if known else 0)))
+        is_plausible = 0 <= age_s <= _OLDEST_STAMP_S
+        self._unread.append(TimedFrame(frame, time.monotonic_ns() - (round(age_s * 1e9) if is_plausible else 0)))
 
     def _advice(self, error: Exception) -> str:
+        """Return the message of an error with the remedy."""
+        p = self._parameters
+        code = getattr(error, "error_code", None) or getattr(error, "errno", None)
+        kind = "" if self._channel.startswith("vcan") else f" type can bitrate {p.bitrate}"
+        cure = _CURES.get(code, "").format(p=p, channel=self._channel, kind=kind) or _cure_by_text(p, str(error))
         message = str(error).partition("Traceback")[0].rstrip()  # python-can's socketcand appends a traceback
-        return f"CAN bus {self.address}: {message}; {_cure(self._parameters, self._channel, error)}"
+        return f"CAN bus {self.address}: {message}; {cure}"
 
 
 def _has_ended(connection: socket.socket) -> bool:
@@ -332,19 +338,6 @@ def _has_ended(connection: socket.socket) -> bool:
         return False
     except OSError:
         return True
-
-
-def _is_up(channel: str) -> bool:
-    """Return True if a network interface is up, or if its state cannot be read."""
-    flags = Path("/sys/class/net", channel, "flags")
-    return not flags.exists() or bool(int(flags.read_text(), 16) & _IFF_UP)
-
-
-def _cure(p: CanLink, channel: str, error: Exception) -> str:
-    """Return the remedy for a bus that cannot be opened."""
-    code = getattr(error, "error_code", None) or getattr(error, "errno", None)
-    kind = "" if channel.startswith("vcan") else f" type can bitrate {p.bitrate}"
-    return _CURES.get(code, "").format(p=p, channel=channel, kind=kind) or _cure_by_text(p, str(error))
 
 
 _NO_CAN = 'this kernel has no CAN: sudo modprobe can_raw; or use interface = "served", which needs nothing'

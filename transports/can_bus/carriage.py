@@ -110,7 +110,7 @@ class FrameSource(ABC):
         return None
 
 
-class RawEvents(FrameSource):
+class _RawEvents(FrameSource):
     """Events in frames that stand alone.
 
     Attributes
@@ -130,7 +130,6 @@ class RawEvents(FrameSource):
 
     @property
     def load(self) -> Load:
-        """See `FrameSource.load`."""
         return self._load
 
     @property
@@ -139,7 +138,6 @@ class RawEvents(FrameSource):
         return bool(self._frames)
 
     def next_frame(self, now_ns: int) -> Frame | None:
-        """See `FrameSource.next_frame`."""
         if not self._frames and self._outgoing is None:
             self._pack()
         if not self._frames:
@@ -152,7 +150,6 @@ class RawEvents(FrameSource):
         return packed.frame
 
     def left(self) -> Outgoing | None:
-        """See `FrameSource.left`."""
         self._taken += self._given
         if self._frames:
             return None
@@ -160,7 +157,6 @@ class RawEvents(FrameSource):
         return self._finished()
 
     def cut(self) -> Outgoing | None:
-        """See `FrameSource.cut`."""
         outgoing, taken = self._outgoing, self._taken
         if outgoing is None or self.tracker is not None:
             return None
@@ -169,7 +165,6 @@ class RawEvents(FrameSource):
         return replace(outgoing, events=outgoing.events[:taken])
 
     def drop(self) -> None:
-        """See `FrameSource.drop`."""
         self._frames.clear()
         self._given = self._taken = 0
         self.sender.forget()
@@ -183,23 +178,23 @@ class RawEvents(FrameSource):
         if outgoing is None:
             self._frames += self.sender.epoch(self._instrument.own_us, self._instrument.counters.dropped_for_room)
             return
-        own = copy_events(outgoing.events)
+        own_events = copy_events(outgoing.events)
         self._epoch_us = outgoing.epoch_us
         epoch = np.uint64(outgoing.epoch_us % (1 << 64))
-        own["t"] -= epoch
-        self._frames += self.sender.pack(own, self._instrument.counters.dropped_for_room)
-        own["t"] = own["t"] // np.uint64(self._tick_us) * np.uint64(self._tick_us) + epoch
-        self._outgoing = replace(outgoing, events=own)
+        own_events["t"] -= epoch
+        self._frames += self.sender.pack(own_events, self._instrument.counters.dropped_for_room)
+        own_events["t"] = own_events["t"] // np.uint64(self._tick_us) * np.uint64(self._tick_us) + epoch
+        self._outgoing = replace(outgoing, events=own_events)
 
 
-class RawEdges(FrameSource):
+class _RawEdges(FrameSource):
     """Edges of the external input, one frame each.
 
     Edges are sent between two groups of event frames: one sender makes the clock and epoch frames of both, and they
     must leave in the order in which it made them.
     """
 
-    def __init__(self, instrument: Instrument, deliveries: Deliveries, events: RawEvents, identifier: int) -> None:
+    def __init__(self, instrument: Instrument, deliveries: Deliveries, events: _RawEvents, identifier: int) -> None:
         super().__init__(instrument, deliveries)
         self._events = events
         self._identifier = identifier
@@ -207,7 +202,6 @@ class RawEdges(FrameSource):
         self._load = Load.nothing()
 
     def next_frame(self, now_ns: int) -> Frame | None:
-        """See `FrameSource.next_frame`."""
         if self._outgoing is None:
             self._outgoing = None if self._events.halfway else self._instrument.next_edges()
             if self._outgoing is None:
@@ -221,29 +215,26 @@ class RawEdges(FrameSource):
 
     @property
     def load(self) -> Load:
-        """See `FrameSource.load`."""
         return Load.nothing() if self._outgoing is None else self._load
 
     def _pack(self, outgoing: Outgoing) -> None:
-        own = outgoing.edges.copy()
-        own["t"] -= np.uint64(outgoing.epoch_us % (1 << 64))
-        for at, data in enumerate(pack_marks(own)):
-            before = self._events.sender.time_frames(int(own["t"][at]))
+        own_edges = outgoing.edges.copy()
+        own_edges["t"] -= np.uint64(outgoing.epoch_us % (1 << 64))
+        for at, data in enumerate(pack_marks(own_edges)):
+            before = self._events.sender.time_frames(int(own_edges["t"][at]))
             self._frames += [(packed.frame, empty_edges()) for packed in before]
             self._frames.append((Frame(self._identifier, data), outgoing.edges[at : at + 1]))
 
     def left(self) -> Outgoing | None:
-        """See `FrameSource.left`."""
         return None if self._frames else self._finished()
 
     def drop(self) -> None:
-        """See `FrameSource.drop`."""
         self._frames.clear()
         self._events.sender.forget()
         super().drop()
 
 
-class IsoTpTransport(FrameSource):
+class _IsoTpTransport(FrameSource):
     """Messages by ISO-TP, with telecommands in the other direction; `with_all` includes events and edges."""
 
     label = "ISO-TP"
@@ -261,7 +252,6 @@ class IsoTpTransport(FrameSource):
         self.faults = self._receiver.faults
 
     def next_frame(self, now_ns: int) -> Frame | None:
-        """See `FrameSource.next_frame`."""
         if self._outgoing is None:
             self._outgoing = self._instrument.next_message(events=self._with_all, edges=self._with_all)
             if self._outgoing is None:
@@ -275,22 +265,18 @@ class IsoTpTransport(FrameSource):
             return None
 
     def left(self) -> Outgoing | None:
-        """See `FrameSource.left`."""
         return None if self._sender.busy else self._finished()
 
     def drop(self) -> None:
-        """See `FrameSource.drop`."""
         self._sender.abort()
         super().drop()
 
     def reader(self) -> Callable[[Frame], list[Received]]:
-        """See `FrameSource.reader`."""
         peer = replace(self._settings, send=self._settings.receive, receive=self._settings.send)
         receiver, unwrapper = IsoTpReceiver(peer), Profile("ccsds").unwrapper()
         return lambda frame: unwrapper.push(receiver.push(frame, 0) or b"")
 
     def receive(self, frame: Frame, now_ns: int) -> Frame | None:
-        """See `FrameSource.receive`."""
         if not self._settings.is_ours(frame):
             return None
         if frame.data and frame.data[0] >> 4 == 3:
@@ -309,7 +295,7 @@ class IsoTpTransport(FrameSource):
             self.drop()
 
 
-class CfpTransport(FrameSource):
+class _CfpTransport(FrameSource):
     """Messages in CSP packets, fragmented by CFP 2, with telecommands in the other direction."""
 
     label = "CFP"
@@ -325,7 +311,6 @@ class CfpTransport(FrameSource):
         self.faults = self._receiver.faults
 
     def next_frame(self, now_ns: int) -> Frame | None:
-        """See `FrameSource.next_frame`."""
         if self._outgoing is None:
             self._outgoing = self._instrument.next_message()
             if self._outgoing is None:
@@ -336,22 +321,18 @@ class CfpTransport(FrameSource):
         return self._frames.popleft() if self._frames else None
 
     def left(self) -> Outgoing | None:
-        """See `FrameSource.left`."""
         return None if self._frames else self._finished()
 
     def drop(self) -> None:
-        """See `FrameSource.drop`."""
         self._frames.clear()
         super().drop()
 
     def reader(self) -> Callable[[Frame], list[Received]]:
-        """See `FrameSource.reader`."""
         addresses = Addresses(csp_node=self._address, csp_peer=self._peer)
         receiver, unwrapper = CfpReceiver(self._peer), Profile("csp", addresses).unwrapper()
         return lambda frame: unwrapper.push(receiver.push(frame, 0) or b"")
 
     def receive(self, frame: Frame, now_ns: int) -> Frame | None:
-        """See `FrameSource.receive`."""
         packet = self._receiver.push(frame, now_ns)
         if packet is not None:
             _obey(self._instrument, self._commands, packet)
@@ -361,13 +342,13 @@ class CfpTransport(FrameSource):
 def sources(instrument: Instrument, deliveries: Deliveries, parameters: CanLink) -> list[FrameSource]:
     """Return the frame sources of a link, the most urgent first."""
     if parameters.carriage == "cfp":
-        return [CfpTransport(instrument, deliveries, parameters)]
+        return [_CfpTransport(instrument, deliveries, parameters)]
     if parameters.carriage == "isotp":
-        return [IsoTpTransport(instrument, deliveries, parameters.isotp, with_all=True)]
-    events = RawEvents(instrument, deliveries, RawSender(parameters.raw(instrument.tick_us)))
+        return [_IsoTpTransport(instrument, deliveries, parameters.isotp, with_all=True)]
+    events = _RawEvents(instrument, deliveries, RawSender(parameters.raw(instrument.tick_us)))
     return [
-        RawEdges(instrument, deliveries, events, parameters.identifiers.edges),
-        IsoTpTransport(instrument, deliveries, parameters.isotp, with_all=False),
+        _RawEdges(instrument, deliveries, events, parameters.identifiers.edges),
+        _IsoTpTransport(instrument, deliveries, parameters.isotp, with_all=False),
         events,
     ]
 

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 
-from firmware_protocol.can_frames.bus_time import BusShare
-from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.frame import BusShare, Frame
 from firmware_protocol.can_frames.raw_events import pack_marks
 from firmware_protocol.events import Edges
 from firmware_protocol.instrument.instrument import Instrument, Outgoing
@@ -33,6 +32,7 @@ from transports.link.endpoint import (
     REST_NS,
     Endpoint,
     EndpointFactory,
+    EndpointReport,
     LineUse,
     Reopening,
 )
@@ -84,14 +84,14 @@ class _Slot:
 class CanEndpoint(Endpoint):
     """Endpoint of an instrument on a CAN bus."""
 
-    _faulty: BusFaults
+    faulty: BusFaults
 
     def __init__(
         self, buses: list[CanBus], faults: BusFaults, node: Node, carried: list[FrameSource], clock: Clock
     ) -> None:
         p = node.parameters
         self._slots = [_slot(FaultyBus(bus, index, faults), clock) for index, bus in enumerate(buses)]
-        self._faulty = faults
+        self.faulty = faults
         self._instrument = node.instrument
         self._node = node
         self._sources = carried
@@ -135,13 +135,13 @@ class CanEndpoint(Endpoint):
         self._settle()
 
     def serve(self, attend: Callable[[], None]) -> None:
-        """See `Endpoint.serve`."""
+        """Receive the function to call before a request is processed."""
         for slot in self._slots:
             slot.bus.serve(attend)
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`; without a listener and a second bus nothing has to happen in time.
+        """Longest time until the next `pump`; without a listener and a second bus nothing has to happen in time.
 
         Listeners see the SYNCs of this node at most half a millisecond late.
         """
@@ -152,8 +152,8 @@ class CanEndpoint(Endpoint):
         return HOSTED_NS if self._listeners_present or len(self._slots) > 1 else REST_NS
 
     def advance_faults(self, stream_us: int) -> None:
-        """See `Endpoint.advance_faults`."""
-        over, held = self._faulty.advance(stream_us)
+        """Begin and end the faults of the rig that are due."""
+        over, held = self.faulty.advance(stream_us)
         if not over:
             return
         slot = self._slots[self._active]
@@ -165,7 +165,7 @@ class CanEndpoint(Endpoint):
             tracker.damaged()
 
     def mark(self, edges: Edges) -> int:
-        """See `Endpoint.mark`."""
+        """Send the camera's own marks; return the number sent."""
         slot = self._slots[self._active]
         if not (slot.up and slot.bus.has_listeners):
             return 0
@@ -185,7 +185,7 @@ class CanEndpoint(Endpoint):
             await slot.bus.close()
         for tracker in self._trackers():
             tracker.close()
-        self._faulty.close()
+        self.faulty.close()
 
     @property
     def state(self) -> str:
@@ -197,27 +197,19 @@ class CanEndpoint(Endpoint):
         state = self._node.state.name.lower() if slot.bus.has_listeners else "no listener yet"
         return f"on {slot.bus.address}{name}, {state}"
 
-    @property
-    def address(self) -> str:
-        """Address of the active bus."""
-        return self._slots[self._active].bus.address
-
-    @property
-    def use(self) -> LineUse:
-        """Load of the bus, as far as this node saw it."""
-        return self._use.line(self._closed_ns or self._clock.now_ns())
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Further counts by name."""
-        total = self._counts + self._node.counts
+    def report(self) -> EndpointReport:
+        """Return the active bus, its load as far as this node saw it, and counts."""
+        counts = self._counts + self._node.counts
         for source in self._sources:
-            total += Counter({f"{source.label} {name}": n for name, n in source.faults.items()})
+            counts += Counter({f"{source.label} {name}": n for name, n in source.faults.items()})
         if self._node.selector is not None:
-            total["bus changes"] = self._node.selector.turns
-        missed = sum(slot.bus.missed for slot in self._slots)
-        total["frames missed by slow listeners"] += missed
-        return dict(sum((Counter(slot.bus.counts) for slot in self._slots), total))
+            counts["bus changes"] = self._node.selector.turns
+        counts["frames missed by slow listeners"] += sum(slot.bus.missed for slot in self._slots)
+        return EndpointReport(
+            self._slots[self._active].bus.address,
+            use=self._use.line(self._closed_ns or self._clock.now_ns()),
+            counts=dict(sum((Counter(slot.bus.counts) for slot in self._slots), counts)),
+        )
 
     def _listen(self, index: int, slot: _Slot) -> None:
         if not slot.up:
@@ -225,7 +217,7 @@ class CanEndpoint(Endpoint):
             return
         try:
             for received in slot.bus.take():
-                if received.own:
+                if received.is_ours:
                     self._node.has_left(received.frame, received.t_ns)
                 else:
                     self._receive(index, received.frame, received.t_ns)
@@ -281,7 +273,7 @@ class CanEndpoint(Endpoint):
     def _next(self, now_ns: int) -> tuple[FrameSource, QueuedFrame] | None:
         for source in self._sources:
             if source.between:
-                self._faulty.look_at(source)
+                self.faulty.look_at(source)
             frame, tracker = source.next_frame(now_ns), source.tracker
             if frame is not None:
                 message = None if tracker is None else tracker.message(source.load)

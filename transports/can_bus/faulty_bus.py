@@ -15,12 +15,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from firmware_protocol.can_frames.bus_time import BitRates
-from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.frame import BitRates, Frame
 from transports.can_bus.bus import BusDown, CanBus, TimedFrame
 from transports.can_bus.carriage import FrameSource
-from transports.faults.bus import CAN_FAULTS, Babbler, BusStage, QueuedFrame
+from transports.faults.bus import Babbler, BusStage, QueuedFrame
 from transports.faults.items import ItemStage, pass_through
+from transports.faults.kinds import CAN_BUS
 from transports.faults.script import FaultPlan, Faulty
 from transports.faults.tracker import Callbacks, FrameTracker, MessageTracker
 from transports.link.deliveries import Deliveries
@@ -31,10 +31,10 @@ _AHEAD_NS = 1_000_000  # frames of a babbling node are queued this long before t
 class BusFaults(Faulty[ItemStage[QueuedFrame]]):
     """Faults of one link, for all its buses."""
 
-    carrier = "a CAN bus"
+    carrier = CAN_BUS
 
     def __init__(self, plan: FaultPlan, rates: BitRates, deliveries: Deliveries) -> None:
-        super().__init__(plan, CAN_FAULTS, rates)
+        super().__init__(plan, rates)
         self._posted = 0
         self._callbacks = Callbacks(
             lambda load: deliveries.add(load.events, load.epoch_us, load.edges),
@@ -104,7 +104,7 @@ class FaultyBus(CanBus):
         self._is_off = False  # off by a fault, while the bus itself is open
 
     async def open(self) -> None:
-        """See `CanBus.open`; raises BusDown while a fault keeps the controller off."""
+        """Open the bus; raises BusDown while a fault keeps the controller off."""
         self._check_off()
         if self._is_off:
             self._is_off = False
@@ -113,7 +113,7 @@ class FaultyBus(CanBus):
         await self._bus.open()
 
     def send(self, frame: Frame, *, urgent: bool = False) -> bool:
-        """See `CanBus.send`."""
+        """Pass a frame to the bus; return False if there is no room now."""
         return self.post(QueuedFrame(frame, urgent))
 
     def post(self, queued: QueuedFrame) -> bool:
@@ -153,7 +153,7 @@ class FaultyBus(CanBus):
                 message.gone()
 
     def take(self) -> list[TimedFrame]:
-        """See `CanBus.take`."""
+        """Return the frames since the last call."""
         self._check_off()
         self._flush()
         received = self._bus.take()
@@ -167,37 +167,37 @@ class FaultyBus(CanBus):
                 self._bus.flood(babbler.frame, t_ns)
 
     async def close(self) -> None:
-        """See `CanBus.close`."""
+        """Close the bus."""
         self.drop()
         await self._bus.close()
 
     @property
     def address(self) -> str:
-        """See `CanBus.address`."""
+        """Address at which other nodes find the bus."""
         return self._bus.address
 
     @property
     def waiting(self) -> int:
-        """See `CanBus.waiting`."""
+        """Number of our ordinary frames that have not begun."""
         return self._bus.waiting + len(self._rest)
 
     @property
     def is_busy(self) -> bool:
-        """See `CanBus.is_busy`."""
+        """True while frames are on the bus or wait for it."""
         return self._bus.is_busy or bool(self._rest)
 
     def serve(self, attend: Callable[[], None]) -> None:
-        """See `CanBus.serve`."""
+        """Receive the function to call when another node has sent a frame."""
         self._bus.serve(attend)
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """See `CanBus.counts`."""
+        """Counts of clients of the bus by name."""
         return self._bus.counts
 
     @property
     def has_listeners(self) -> bool:
-        """See `CanBus.has_listeners`."""
+        """False when no other node is on the bus, or a fault has cut it."""
         return self._bus.has_listeners and not self._faults.is_dead(self._index)
 
     def _check_off(self) -> None:

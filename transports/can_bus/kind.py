@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
-from firmware_protocol.can_frames.bus_time import BitRates
 from firmware_protocol.can_frames.canopen import SelectorSettings
 from firmware_protocol.can_frames.dbc import Identifiers
+from firmware_protocol.can_frames.frame import BitRates
 from firmware_protocol.can_frames.raw_events import RAW_LIMIT_PX
 from firmware_protocol.can_frames.raw_stream import RawSettings
 from firmware_protocol.can_frames.transport import IsoTpSettings
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.receiver.can import CanReceiverSettings
-from transports.faults.bus import CAN_FAULTS, ErrorFrames
-from transports.faults.kinds import Fault
-from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable, check_region
+from transports.faults.kinds import CAN_BUS
+from transports.link.kind import CameraFacts, InstrumentLink, LinkKind, Listener, Unsuitable, check_region
 from transports.needs import Need, network_interface
 from transports.network import check_allow, check_port
 
@@ -24,7 +23,7 @@ Option = str | int | float | bool
 
 
 @dataclass(frozen=True)
-class CanLink:
+class CanLink(InstrumentLink):
     """One CAN bus, or two redundant ones, and the camera's behaviour on it.
 
     Attributes
@@ -178,22 +177,31 @@ class CanLink:
         ids = self.identifiers
         return RawSettings(ids.events, ids.epoch, tick_us, round(self.epoch_ms * 1000), self.fd, clock=ids.clock)
 
+    @classmethod
+    def complete(cls, table: dict[str, Any]) -> dict[str, Any]:
+        """Derive identifiers from the node number where the rig does not give them."""
+        node, identifiers = table.get("node", cls.node), table.get("identifiers", {})
+        if not isinstance(node, int) or not 1 <= node <= 127 or not isinstance(identifiers, dict):
+            return table  # refused where its type is checked
+        return {**table, "identifiers": {**Identifiers.of_node(node).by_name, **identifiers}}
+
+    def impossible_faults(self) -> Collection[str]:
+        """Leave out error frames where the bus is not evstim's own."""
+        return () if self.interface in _OWN_BUSES else ("error_frames",)
+
+    def listens_on(self) -> tuple[str, int] | None:
+        """Return the address of a served bus, unless any free port is suitable."""
+        return (self.host, self.port) if self.interface == "served" and self.port else None
+
+    def needs(self) -> tuple[Need, ...]:
+        """Return the network interfaces of socketcan."""
+        if self.interface != "socketcan":
+            return ()
+        return tuple(network_interface(name) for name in (self.channel, self.channel_b) if name)
+
 
 _OWN_BUSES = ("served", "virtual")
 """Interfaces that transmit a given error frame; with the others the controller makes its own."""
-
-
-def _faults_of(parameters: CanLink) -> Mapping[str, type[Fault]]:
-    own = parameters.interface in _OWN_BUSES
-    return {kind: fault for kind, fault in CAN_FAULTS.items() if own or fault is not ErrorFrames}
-
-
-def _with_identifiers(table: dict[str, Any]) -> dict[str, Any]:
-    """Derive identifiers from the node number where the rig does not give them."""
-    node, own = table.get("node", CanLink.node), table.get("identifiers", {})
-    if not isinstance(node, int) or not 1 <= node <= 127 or not isinstance(own, dict):
-        return table  # refused where its type is checked
-    return {**table, "identifiers": {**Identifiers.of_node(node).by_name, **own}}
 
 
 def _check(parameters: CanLink, camera: CameraFacts) -> None:
@@ -207,27 +215,12 @@ def _check(parameters: CanLink, camera: CameraFacts) -> None:
         )
 
 
-def _listens_on(parameters: CanLink) -> tuple[str, int] | None:
-    served = parameters.interface == "served" and parameters.port
-    return (parameters.host, parameters.port) if served else None
-
-
-def _needs(parameters: CanLink) -> tuple[Need, ...]:
-    if parameters.interface != "socketcan":
-        return ()
-    return tuple(network_interface(name) for name in (parameters.channel, parameters.channel_b) if name)
-
-
 CAN = LinkKind(
     CanLink,
     serves="instrument",
     endpoint="transports.can_bus.endpoint:factory_of",
     has_sync=True,
-    faults=CAN_FAULTS,
-    faults_of=_faults_of,
+    carrier=CAN_BUS,
     listener=Listener("can", "Read a camera on a CAN bus.", "emulator.cli.listen.can:can"),
-    complete=_with_identifiers,
     check=_check,
-    listens_on=_listens_on,
-    needs=_needs,
 )

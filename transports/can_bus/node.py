@@ -34,7 +34,7 @@ from transports.can_bus.bus import BusDown, PythonCanBus
 from transports.can_bus.kind import CanLink
 from transports.link.deliveries import Deliveries
 from transports.link.pacing import Clock
-from transports.link.reception import Arrivals, CountedReception
+from transports.reception import Arrivals, CountedReception
 from transports.recording.record import Recorder
 
 TriggerCallback = Callable[[int, int], None]
@@ -181,22 +181,23 @@ class Node:
             return []
         c = self._instrument.counters
         dropped = c.dropped_fifo + c.dropped_late + c.dropped_rate + c.lost_on_link
-        more, self._dropped_reported = dropped > self._dropped_reported, dropped
-        if more or self._emergency:
-            self._emergency = more
+        goes_on = dropped > self._dropped_reported
+        self._dropped_reported = dropped
+        if goes_on or self._emergency:
+            self._emergency = goes_on
             self.counts["EMCY"] += 1
-            return [Frame(self._ids.emcy, bytes(Emergency(EMCY_OVERRUN if more else EMCY_NO_ERROR, dropped)))]
+            return [Frame(self._ids.emcy, bytes(Emergency(EMCY_OVERRUN if goes_on else EMCY_NO_ERROR, dropped)))]
         return []
 
-    def _is_due(self, what: str, period_ms: int, now_ns: int) -> bool:
+    def _is_due(self, name: str, period_ms: int, now_ns: int) -> bool:
         """Return True if a periodic frame is due. Due times are absolute, so a late call delays no later frame."""
         if period_ms == 0:
             return False
-        due_ns = self._next_ns.setdefault(what, now_ns)
+        due_ns = self._next_ns.setdefault(name, now_ns)
         if now_ns < due_ns:
             return False
         period_ns = period_ms * _MS
-        self._next_ns[what] = due_ns + period_ns * (1 + (now_ns - due_ns) // period_ns)
+        self._next_ns[name] = due_ns + period_ns * (1 + (now_ns - due_ns) // period_ns)
         return True
 
 
@@ -253,8 +254,12 @@ class _Listener:
 
     def finish(self, *, gone: bool) -> CanReception:
         """Return the complete reception."""
-        more = {"faults": self._receiver.faults, "counts": self._receiver.counts, "jitter_us": self._arrivals.jitter()}
-        return self._arrivals.reception(CanReception, gone=gone, ended=self._ended, **more)
+        values = {
+            "faults": self._receiver.faults,
+            "counts": self._receiver.counts,
+            "jitter_us": self._arrivals.jitter(),
+        }
+        return self._arrivals.reception(CanReception, gone=gone, ended=self._ended, **values)
 
 
 async def listen_can(

@@ -22,7 +22,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from firmware_protocol.can_frames.frame import Frame
-from firmware_protocol.can_frames.socketcand import GREETING, Carried, SocketcandSession, Wire, frame_line
+from firmware_protocol.can_frames.socketcand import GREETING, SocketcandSession, Wire, frame_line
 from transports.can_bus.bus import BusDown, CanBus, TimedFrame
 from transports.can_bus.kind import CanLink
 from transports.connections import Admission, Listener, Places, Seat
@@ -194,11 +194,11 @@ class ServedBus(CanBus):
 
     @property
     def is_busy(self) -> bool:
-        """See `CanBus.is_busy`."""
+        """True while frames are on the bus or wait for it."""
         return self._wire.busy or self.waiting > 0
 
     def serve(self, attend: Callable[[], None]) -> None:
-        """See `CanBus.serve`."""
+        """Receive the function to call when another node has sent a frame."""
         self._attend = attend
 
     @property
@@ -225,8 +225,8 @@ class ServedBus(CanBus):
             ) from error
 
     def send(self, frame: Frame, *, urgent: bool = False) -> bool:
-        """See `CanBus.send`."""
-        node = _mailbox(frame) if urgent else _ORDINARY
+        """Pass a frame to the bus; return False if there is no room now."""
+        node = -1 - frame.identifier if urgent else _ORDINARY  # a transmit buffer for each urgent identifier
         if self._wire.waiting(node) >= _MOST_WAITING:
             return False
         now_ns = self._clock.now_ns()
@@ -235,18 +235,18 @@ class ServedBus(CanBus):
         return True
 
     def flood(self, frame: Frame, t_ns: int) -> None:
-        """See `CanBus.flood`."""
+        """Put a frame of a foreign node on the bus at `t_ns`."""
         self._wire.offer(_STRANGER, frame, t_ns)
 
     def take(self) -> list[TimedFrame]:
-        """See `CanBus.take`."""
+        """Return the frames since the last call."""
         self._carry(self._clock.now_ns())
         received = list(self._unread)
         self._unread.clear()
         return received
 
     def discard(self) -> None:
-        """See `CanBus.discard`; a frame that has begun is not interrupted."""
+        """Discard our ordinary frames that have not begun; a frame that has begun is not interrupted."""
         self._wire.forget(_ORDINARY)
 
     async def close(self) -> None:
@@ -308,19 +308,12 @@ class ServedBus(CanBus):
         """Advance the wire, and send its frames to all clients."""
         for carried in self._wire.advance(now_ns):
             if carried.node != _ORDINARY:
-                self._unread.append(TimedFrame(carried.frame, carried.end_ns, own=carried.node < _ORDINARY))
+                self._unread.append(TimedFrame(carried.frame, carried.end_ns, is_ours=carried.node < _ORDINARY))
             if carried.node in self._members:
                 self._members[carried.node].client.resume(self._wire.waiting(carried.node))
-            if self._members:
-                self._distribute(carried)
-
-    def _distribute(self, carried: Carried) -> None:
-        line = frame_line(carried.frame, (carried.end_ns + self._wall_offset_ns) // 1000)
-        for member in self._members.values():
-            if member.client.node != carried.node and member.listens(carried.end_ns):
-                self.missed += not member.client.send_line(line)
-
-
-def _mailbox(frame: Frame) -> int:
-    """Return the node of the wire that stands for the transmit buffer of an urgent frame."""
-    return -1 - frame.identifier
+            if not self._members:
+                continue
+            line = frame_line(carried.frame, (carried.end_ns + self._wall_offset_ns) // 1000)
+            for member in self._members.values():
+                if member.client.node != carried.node and member.listens(carried.end_ns):
+                    self.missed += not member.client.send_line(line)

@@ -5,16 +5,14 @@ See `kinds` for the attributes that all faults have.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 
-from firmware_protocol.can_frames.bus_time import BitRates, frame_bits
-from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.frame import BitRates, Frame, frame_bits
 from transports.faults.items import Delay, HitStage, ItemStage, Repetition
-from transports.faults.kinds import Fault, HitFault, LastingFault, Stage
+from transports.faults.kinds import CAN_BUS, HitFault, LastingFault, Stage
 
 _PROTOCOL_ERROR = 0x88  # CAN_ERR_PROT | CAN_ERR_BUSERROR of linux/can/error.h
 _BUSES = {"A": 0, "B": 1}
@@ -64,6 +62,7 @@ class LostFrames(HitFault):
     """Frames that no node receives: a bus repeats damaged frames, but a gateway or a full receiver loses frames."""
 
     kind: ClassVar[str] = "lost_frames"
+    carriers = (CAN_BUS,)
     effect: ClassVar[type[Stage]] = _Lost
 
 
@@ -76,6 +75,7 @@ class RepeatedFrames(HitFault):
     """Frames that arrive twice, as when the last bit of a good frame is disturbed and the sender repeats it."""
 
     kind: ClassVar[str] = "repeated_frames"
+    carriers = (CAN_BUS,)
     effect: ClassVar[type[Stage]] = _Repeated
 
 
@@ -100,6 +100,7 @@ class ReorderedFrames(HitFault):
     """
 
     kind: ClassVar[str] = "reordered_frames"
+    carriers = (CAN_BUS,)
     behind: int = 1
 
     def __post_init__(self) -> None:
@@ -132,6 +133,7 @@ class ChangedFrames(HitFault):
     """One inverted bit in a frame's data. The CRC of a real bus would detect it; the memory of a gateway does not."""
 
     kind: ClassVar[str] = "changed_frames"
+    carriers = (CAN_BUS,)
     effect: ClassVar[type[Stage]] = _Changed
 
 
@@ -146,6 +148,7 @@ class ErrorFrames(HitFault):
     """Frames that are destroyed on the bus: an error frame, then the frame again. Only time is lost."""
 
     kind: ClassVar[str] = "error_frames"
+    carriers = (CAN_BUS,)
     effect: ClassVar[type[Stage]] = _Destroyed
 
 
@@ -194,6 +197,7 @@ class BusOff(_OfBus):
     """The camera's controller has counted too many errors and left the bus; it returns at the end of the fault."""
 
     kind: ClassVar[str] = "bus_off"
+    carriers = (CAN_BUS,)
     effect: ClassVar[type[Stage]] = _Off
 
 
@@ -202,6 +206,7 @@ class DeadBus(_OfBus):
     """The bus is cut at the camera: it receives no frames, and no node receives its frames."""
 
     kind: ClassVar[str] = "dead_bus"
+    carriers = (CAN_BUS,)
     effect: ClassVar[type[Stage]] = _Dead
 
 
@@ -238,6 +243,7 @@ class BabblingIdiot(_OfBus):
     """
 
     kind: ClassVar[str] = "babbling_idiot"
+    carriers = (CAN_BUS,)
     effect: ClassVar[type[Stage]] = Babbler
     identifier: int = 0
     load: float = 1.0
@@ -248,11 +254,3 @@ class BabblingIdiot(_OfBus):
             raise ValueError(f"identifier must be 0 to 2047, got {self.identifier}")
         if not 0 < self.load <= 1:
             raise ValueError(f"load must be above 0 and at most 1, got {self.load}")
-
-
-_FAULTS: tuple[type[Fault], ...] = (
-    *(LostFrames, RepeatedFrames, ReorderedFrames, ChangedFrames, ErrorFrames),
-    *(BusOff, DeadBus, BabblingIdiot),
-)
-CAN_FAULTS: Mapping[str, type[Fault]] = {each.kind: each for each in _FAULTS}
-"""Faults of a CAN bus, by kind."""

@@ -3,13 +3,14 @@
     endpoint.send --> stage --> stage --> [datagrams for which the kernel had no room] --> socket
 
 While no fault is active a datagram is sent directly. Each message has one fate: it has arrived when one intact copy of
-it was sent, and is lost when no copy is left that could arrive.
+it was sent, and is lost when no copy is left that could arrive. Bit flips are not detected by the checksum of UDP, as
+in a gateway.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -18,8 +19,8 @@ import numpy as np
 from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.profile import Profile
 from transports.faults.items import Delay, ItemStage, Loss, Repetition, pass_through
-from transports.faults.kinds import Fault, HitFault, Stage
-from transports.faults.line import BitFlips, ByteStage
+from transports.faults.kinds import DATAGRAMS, GIGE_STREAM, Fault, HitFault, Stage
+from transports.faults.line import ByteStage
 from transports.faults.script import FaultPlan, Faulty
 
 
@@ -28,6 +29,7 @@ class LostDatagrams(HitFault):
     """Datagrams that never arrive, as when a queue on the path is full."""
 
     kind: ClassVar[str] = "lost_datagrams"
+    carriers = (DATAGRAMS, GIGE_STREAM)
     effect: ClassVar[type[Stage]] = Loss
 
 
@@ -36,6 +38,7 @@ class RepeatedDatagrams(HitFault):
     """Datagrams that arrive twice."""
 
     kind: ClassVar[str] = "repeated_datagrams"
+    carriers = (DATAGRAMS, GIGE_STREAM)
     effect: ClassVar[type[Stage]] = Repetition
 
 
@@ -50,6 +53,7 @@ class LateDatagrams(HitFault):
     """
 
     kind: ClassVar[str] = "late_datagrams"
+    carriers = (DATAGRAMS, GIGE_STREAM)
     overtaken_by: int = 1
 
     def __post_init__(self) -> None:
@@ -60,11 +64,6 @@ class LateDatagrams(HitFault):
     def stage(self, random: np.random.Generator, carrier: None) -> Stage:
         """See `Fault.stage`."""
         return Delay(self, random, self.overtaken_by)
-
-
-_FAULTS: tuple[type[Fault], ...] = (LostDatagrams, RepeatedDatagrams, LateDatagrams, BitFlips)
-DATAGRAM_FAULTS: Mapping[str, type[Fault]] = {each.kind: each for each in _FAULTS}
-"""Faults of packets in datagrams, by kind. Bit flips are not detected by the checksum of UDP, as in a gateway."""
 
 
 _Send = Callable[[bytes], bool]
@@ -108,10 +107,10 @@ class FaultyDatagrams(Faulty[ItemStage[_Copy]]):
         Number of datagrams that a receiver accepts although they were not sent in this form, or were repeated.
     """
 
-    carrier = "packets in datagrams"
+    carrier = DATAGRAMS
 
     def __init__(self, plan: FaultPlan, arrived: Callable[[Outgoing], None]) -> None:
-        super().__init__(plan, DATAGRAM_FAULTS)
+        super().__init__(plan)
         self._arrived = arrived
         self._waiting: deque[_Copy] = deque()
         self._number = 0

@@ -8,7 +8,7 @@ sent them.
 
     GET_DESCRIPTOR device     bytes 12, 13: bcdDevice; its low byte is the firmware version
     GET_DESCRIPTOR string 3   the serial number: length, type 3, UTF-16
-    0xBF IN, 4 bytes          a register of a DAVIS346, big-endian; see `davis346.fx3`
+    0xBF IN, 4 bytes          a register of a DAVIS346, big-endian; see `fx3.camera`
 
 `WordPath` passes the words through the stages, and compares the result with the original until they agree again.
 
@@ -27,13 +27,15 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.davis346.decoder import Decoded, Decoder
-from firmware_protocol.davis346.fx3 import REGISTER
-from firmware_protocol.davis346.registers import Module
-from firmware_protocol.davis346.settings import PRODUCT_ID, VENDOR_ID
-from firmware_protocol.davis346.words import MAX_ADDRESS, Special, Words, is_column
+from firmware_protocol.davis346.decoder import Decoder
+from firmware_protocol.davis346.device import PRODUCT_ID
 from firmware_protocol.device.items import Reading
 from firmware_protocol.events import Edges, Events
+from firmware_protocol.fx3.camera import REGISTER
+from firmware_protocol.fx3.decoded import Decoded
+from firmware_protocol.fx3.registers import Module
+from firmware_protocol.fx3.settings import VENDOR_ID
+from firmware_protocol.fx3.words import MAX_ADDRESS, Special, Words, is_column
 from firmware_protocol.usb.control import Feature, Recipient, StandardRequest
 from firmware_protocol.usb.device import (
     Identity,
@@ -44,9 +46,9 @@ from firmware_protocol.usb.device import (
     UsbCamera,
     UsbDevice,
 )
-from transports.faults.kinds import Fault, Stage
+from transports.faults.kinds import USB_LINK, Fault, Stage
 from transports.faults.script import FaultPlan, Faulty
-from transports.faults.usb import USB_FAULTS, ControlStage, RegisterFlip, UsbStage, UsbUnplugged, WrongVersion
+from transports.faults.usb import ControlStage, RegisterFlip, UsbStage, UsbUnplugged, WrongVersion
 from transports.faults.words import SentWords, WordStage, inserted
 
 _ANY_SIZE = (MAX_ADDRESS + 1, MAX_ADDRESS + 1)  # faults change no address
@@ -257,12 +259,12 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
         Called with the events, epoch, edges and readings that have reached the host with a transfer.
     """
 
-    carrier = "a USB link"
+    carrier = USB_LINK
 
     def __init__(self, device: UsbDevice, plan: FaultPlan, report: Report = _no_report) -> None:
         self._device = device
         self._report = report
-        super().__init__(plan, USB_FAULTS, self._dropped)
+        super().__init__(plan, self._dropped)
         self._seen: set[int] = set()
         self._halted: set[int] = set()
         self._words = WordPath(device.identity)
@@ -278,7 +280,7 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
         return any(stage.gone for stage in self._endpoint_stages)
 
     @property
-    def silent(self) -> bool:
+    def withholds(self) -> bool:  # type: ignore[override]  # read only
         """True while its data endpoint is silent."""
         return any(stage.silent and stage.endpoint == self._data_endpoint for stage in self._endpoint_stages)
 
@@ -349,6 +351,14 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
     def accepts(self, setup: SetupPacket) -> bool:
         """See `UsbDevice.accepts`."""
         return self._device.accepts(setup)
+
+    def name_request(self, setup: SetupPacket, data: bytes) -> str:
+        """See `UsbDevice.name_request`."""
+        return self._device.name_request(setup, data)
+
+    def name_answer(self, setup: SetupPacket, data: bytes) -> str:
+        """See `UsbDevice.name_answer`."""
+        return self._device.name_answer(setup, data)
 
     def flushes(self, endpoint: int) -> int:
         """See `UsbDevice.flushes`."""

@@ -19,7 +19,8 @@ from collections.abc import Callable, Iterable
 from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.addresses import Message, Received
 from firmware_protocol.packets.profile import Profile, Unwrapper
-from transports.faults.line import SERIAL_FAULTS, ByteStage
+from transports.faults.kinds import SERIAL_LINE
+from transports.faults.line import ByteStage
 from transports.faults.script import FaultPlan, Faulty
 
 _IN_STEP = 2  # consecutive messages: the beginning of the first one may have been damaged before
@@ -99,10 +100,10 @@ class FaultyLine(Faulty[ByteStage]):
         Called with each message that an intact receiver gets.
     """
 
-    carrier = "a serial line"
+    carrier = SERIAL_LINE
 
     def __init__(self, plan: FaultPlan, profile: str, bytes_per_s: float, arrived: Callable[[Outgoing], None]) -> None:
-        super().__init__(plan, SERIAL_FAULTS, bytes_per_s)
+        super().__init__(plan, bytes_per_s)
         self._profile = profile
         self._arrived = arrived
         self._reference: ReferenceReceiver | None = None

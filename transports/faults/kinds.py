@@ -1,8 +1,8 @@
 """Base classes of faults, which a rig writes as tables with a `kind`.
 
-A fault is one frozen dataclass: its attributes are the keys of the table, and `effect` is the class of its effect on
-its carrier, a `Stage`. A fault whose effect needs other parameters overrides `stage`. The modules `line`, `bus`,
-`datagrams`, `words` and `usb` contain the faults of each carrier, `transports.gige.packet_faults` those of GigE Vision.
+A fault is one frozen dataclass: its attributes are the keys of the table, `carriers` are those that can have it, and
+`effect` is the class of its effect on one, a `Stage`. A fault whose effect needs other parameters overrides `stage`.
+`FAULTS` contains all of them by kind.
 
 A fault begins at `at_s` of stream time and lasts `for_s`. Faults of single bits, bytes or frames hit each one with
 probability `rate` and end after `count` hits.
@@ -14,9 +14,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, ClassVar
 
 import numpy as np
+
+from transports.registry import Registry
+
+SERIAL_LINE = "a serial line"
+CAN_BUS = "a CAN bus"
+DATAGRAMS = "packets in datagrams"
+GIGE_STREAM = "a GigE Vision stream"
+USB_LINK = "a USB link"
 
 _LONGEST_S = 3.2e7  # a year, the longest run
 
@@ -59,6 +68,14 @@ class Fault:
 
     Attributes
     ----------
+    kind
+        Its name in rigs.
+    carriers
+        Carriers that can have it, such as SERIAL_LINE; a link has one, `LinkKind.carrier`.
+    effect
+        Class of its effect.
+    disconnects
+        True: the host loses the camera, and must open it again.
     link
         Name of the link; "" if only one link can have this fault.
     at_s
@@ -68,8 +85,9 @@ class Fault:
     """
 
     kind: ClassVar[str] = ""
+    carriers: ClassVar[tuple[str, ...]] = ()
     effect: ClassVar[type[Stage]] = Stage
-    disconnects: ClassVar[bool] = False  # True: the host loses the camera, and must open it again
+    disconnects: ClassVar[bool] = False
     link: str = ""
     at_s: float = 0.0
     for_s: float = 0.0
@@ -168,3 +186,54 @@ class Places:
         if not self._gaps:
             self._gaps = self._random.geometric(self._rate, _GAPS_AT_ONCE).tolist()
         return self._gaps.pop()
+
+
+FAULTS: Registry[type[Fault]] = Registry(
+    "evstim.faults",
+    type[Fault],
+    {
+        "usb_silence": "transports.faults.usb:UsbSilence",
+        "usb_stall": "transports.faults.usb:UsbStall",
+        "short_transfers": "transports.faults.usb:ShortTransfers",
+        "empty_transfers": "transports.faults.usb:EmptyTransfers",
+        "odd_bytes": "transports.faults.words:OddBytes",
+        "fifo_overflow": "transports.faults.usb:FifoOverflow",
+        "control_stall": "transports.faults.usb:ControlStall",
+        "slow_control": "transports.faults.usb:SlowControl",
+        "usb_unplugged": "transports.faults.usb:UsbUnplugged",
+        "wrong_version": "transports.faults.usb:WrongVersion",
+        "register_flip": "transports.faults.usb:RegisterFlip",
+        "stale_data": "transports.faults.words:StaleData",
+        "time_back": "transports.faults.words:TimeBack",
+        "time_ahead": "transports.faults.words:TimeAhead",
+        "time_frozen": "transports.faults.words:TimeFrozen",
+        "missed_wraps": "transports.faults.words:MissedWraps",
+        "repeated_events": "transports.faults.words:RepeatedEvents",
+        "bit_flips": "transports.faults.line:BitFlips",
+        "inserted_bytes": "transports.faults.line:InsertedBytes",
+        "lost_bytes": "transports.faults.line:LostBytes",
+        "burst": "transports.faults.line:Burst",
+        "overrun": "transports.faults.line:Overrun",
+        "stuck_line": "transports.faults.line:StuckLine",
+        "wrong_baud": "transports.faults.line:WrongBaud",
+        "stall": "transports.faults.line:Stall",
+        "unplugged": "transports.faults.line:Unplugged",
+        "lost_datagrams": "transports.faults.datagrams:LostDatagrams",
+        "repeated_datagrams": "transports.faults.datagrams:RepeatedDatagrams",
+        "late_datagrams": "transports.faults.datagrams:LateDatagrams",
+        "refused_resends": "transports.gige.packet_faults:RefusedResends",
+        "lost_heartbeat": "transports.gige.packet_faults:LostHeartbeat",
+        "link_down": "transports.gige.packet_faults:LinkDown",
+        "ip_change": "transports.gige.packet_faults:IpChange",
+        "lost_frames": "transports.faults.bus:LostFrames",
+        "repeated_frames": "transports.faults.bus:RepeatedFrames",
+        "reordered_frames": "transports.faults.bus:ReorderedFrames",
+        "changed_frames": "transports.faults.bus:ChangedFrames",
+        "error_frames": "transports.faults.bus:ErrorFrames",
+        "bus_off": "transports.faults.bus:BusOff",
+        "dead_bus": "transports.faults.bus:DeadBus",
+        "babbling_idiot": "transports.faults.bus:BabblingIdiot",
+    },
+    name_of=attrgetter("kind"),
+)
+"""Types of faults by the kind that rigs write."""

@@ -6,14 +6,13 @@ See `kinds` for the attributes that all faults have. The same bytes in any divis
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import itemgetter, mul
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
-from transports.faults.kinds import Fault, HitFault, LastingFault, Places, Stage
+from transports.faults.kinds import DATAGRAMS, SERIAL_LINE, Fault, HitFault, LastingFault, Places, Stage
 
 _NOISE_BYTES = 256
 _WEIGHTS = tuple(1 << n for n in range(8))
@@ -73,6 +72,7 @@ class BitFlips(HitFault):
     """Single inverted bits: noise on the line. `rate` is the bit error rate."""
 
     kind: ClassVar[str] = "bit_flips"
+    carriers = (SERIAL_LINE, DATAGRAMS)
     effect: ClassVar[type[Stage]] = _Flips
 
 
@@ -98,6 +98,7 @@ class InsertedBytes(HitFault):
     """Random bytes that the camera did not send, inserted before the bytes that are hit."""
 
     kind: ClassVar[str] = "inserted_bytes"
+    carriers = (SERIAL_LINE,)
     effect: ClassVar[type[Stage]] = _Insertions
 
 
@@ -147,6 +148,7 @@ class LostBytes(HitFault):
     """Single bytes that never arrive."""
 
     kind: ClassVar[str] = "lost_bytes"
+    carriers = (SERIAL_LINE,)
 
     def stage(self, random: np.random.Generator, carrier: float) -> Stage:
         """Return its effect on a line of `carrier` bytes a second."""
@@ -166,6 +168,7 @@ class Overrun(HitFault):
     """
 
     kind: ClassVar[str] = "overrun"
+    carriers = (SERIAL_LINE,)
     late_us: float = 1000.0
     fifo_bytes: int = 16
 
@@ -203,6 +206,7 @@ class Burst(HitFault):
     """
 
     kind: ClassVar[str] = "burst"
+    carriers = (SERIAL_LINE,)
     length: int = 32
 
     def __post_init__(self) -> None:
@@ -237,6 +241,7 @@ class StuckLine(LastingFault):
     """
 
     kind: ClassVar[str] = "stuck_line"
+    carriers = (SERIAL_LINE,)
     effect: ClassVar[type[Stage]] = _Stuck
     level: Literal["low", "high"] = "low"
 
@@ -254,6 +259,7 @@ class Stall(LastingFault):
     """The receiver stops the sender (XOFF, RTS, a full buffer): no byte leaves, and the camera's queue fills."""
 
     kind: ClassVar[str] = "stall"
+    carriers = (SERIAL_LINE,)
     effect: ClassVar[type[Stage]] = _Hold
 
 
@@ -270,6 +276,7 @@ class Unplugged(LastingFault):
     """The port disappears and returns, like an adapter that is unplugged; it is found again within half a second."""
 
     kind: ClassVar[str] = "unplugged"
+    carriers = (SERIAL_LINE,)
     disconnects: ClassVar[bool] = True
     effect: ClassVar[type[Stage]] = _Absence
 
@@ -321,6 +328,7 @@ class WrongBaud(LastingFault):
     """
 
     kind: ClassVar[str] = "wrong_baud"
+    carriers = (SERIAL_LINE,)
     effect: ClassVar[type[Stage]] = _Resampled
     ratio: float = 2.0
 
@@ -328,11 +336,3 @@ class WrongBaud(LastingFault):
         super().__post_init__()
         if not 0.1 <= self.ratio <= 10:
             raise ValueError(f"ratio must be 0.1 to 10, got {self.ratio}")
-
-
-_FAULTS: tuple[type[Fault], ...] = (
-    *(BitFlips, InsertedBytes, LostBytes, Burst, Overrun),
-    *(StuckLine, WrongBaud, Stall, Unplugged),
-)
-SERIAL_FAULTS: Mapping[str, type[Fault]] = {each.kind: each for each in _FAULTS}
-"""Faults of a serial line, by kind."""

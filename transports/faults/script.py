@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar, cast
@@ -207,27 +207,27 @@ class Faulty(Generic[S]):
 
     Parameters
     ----------
-    kinds
-        Faults that it can have, by kind.
     of_carrier
         Property of the carrier for the effects, see `Stage`.
 
     Attributes
     ----------
     carrier
-        Name of the carrier in errors.
+        Name of the carrier, see `Fault.carriers`.
+    withholds
+        True while a fault withholds data from the host, and the camera's buffer is not emptied.
     """
 
     carrier: ClassVar[str]
+    withholds: bool = False
 
-    def __init__(self, plan: FaultPlan, kinds: Mapping[str, type[Fault]], of_carrier: Any = None) -> None:
-        self._kinds = tuple(kinds.values())
+    def __init__(self, plan: FaultPlan, of_carrier: Any = None) -> None:
         self._of_carrier = of_carrier
         self._faults: Faults[S] = Faults(plan, self._effect)
 
     def _effect(self, fault: Fault, random: np.random.Generator) -> S:
         """Return the effect of a fault; raises ValueError for a fault of another carrier."""
-        if not isinstance(fault, self._kinds):
+        if self.carrier not in fault.carriers:
             raise ValueError(f"{fault.kind!r} is no fault of {self.carrier}")
         return cast(S, fault.stage(random, self._of_carrier))
 

@@ -5,29 +5,21 @@
     host <-- read: changed words --------------------+
 
 A fault acts on the device's endpoints, on its control requests, on its presence, or on the words of its data; the last
-ones are in `words`. See `kinds` for the attributes that all faults have.
+ones are in `words`. Wrong versions, register flips and all faults of words but odd bytes hit nothing on other cameras
+than a DAVIS346. See `kinds` for the attributes that all faults have.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from firmware_protocol.usb.device import NotReady, SetupPacket, Stall
-from transports.faults.kinds import Fault, HitFault, LastingFault, Places, Stage
-from transports.faults.words import (
-    MissedWraps,
-    OddBytes,
-    RepeatedEvents,
-    StaleData,
-    TimeAhead,
-    TimeBack,
-    TimeFrozen,
-)
+from transports.faults.kinds import USB_LINK, Fault, HitFault, LastingFault, Places, Stage
 
 _SAME = -1
 _UNICODE_MOST = 126  # characters of a string descriptor
@@ -81,6 +73,7 @@ class UsbSilence(LastingFault):
     """
 
     kind: ClassVar[str] = "usb_silence"
+    carriers = (USB_LINK,)
     endpoint: int = 2
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
@@ -101,6 +94,7 @@ class UsbStall(Fault):
     """
 
     kind: ClassVar[str] = "usb_stall"
+    carriers = (USB_LINK,)
     endpoint: int = 2
     count: int = 1
 
@@ -127,6 +121,7 @@ class ShortTransfers(LastingFault):
     """
 
     kind: ClassVar[str] = "short_transfers"
+    carriers = (USB_LINK,)
     endpoint: int = 2
     most_bytes: int = 34
 
@@ -153,6 +148,7 @@ class EmptyTransfers(HitFault):
     """
 
     kind: ClassVar[str] = "empty_transfers"
+    carriers = (USB_LINK,)
     endpoint: int = 2
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
@@ -171,6 +167,7 @@ class FifoOverflow(LastingFault):
     """
 
     kind: ClassVar[str] = "fifo_overflow"
+    carriers = (USB_LINK,)
     for_s: float = 10.0
     events: int = 1
 
@@ -195,6 +192,7 @@ class UsbUnplugged(LastingFault):
     """
 
     kind: ClassVar[str] = "usb_unplugged"
+    carriers = (USB_LINK,)
     disconnects: ClassVar[bool] = True
     serial: str = ""
 
@@ -223,6 +221,7 @@ class WrongVersion(Fault):
     """
 
     kind: ClassVar[str] = "wrong_version"
+    carriers = (USB_LINK,)
     firmware: int = _SAME
     logic_version: int = _SAME
     logic_patch: int = _SAME
@@ -254,6 +253,7 @@ class RegisterFlip(Fault):
     """
 
     kind: ClassVar[str] = "register_flip"
+    carriers = (USB_LINK,)
     module: int = 1
     parameter: int = 3
     bit: int = 0
@@ -298,6 +298,7 @@ class ControlStall(Fault):
     """
 
     kind: ClassVar[str] = "control_stall"
+    carriers = (USB_LINK,)
     effect: ClassVar[type[Stage]] = _Refusal
     request: int = -1
     count: int = 1
@@ -337,6 +338,7 @@ class SlowControl(LastingFault):
     """
 
     kind: ClassVar[str] = "slow_control"
+    carriers = (USB_LINK,)
     effect: ClassVar[type[Stage]] = _Slowness
     for_s: float = 5.0
     delay_ms: float = 200.0
@@ -345,18 +347,3 @@ class SlowControl(LastingFault):
         super().__post_init__()
         if not 0 < self.delay_ms <= 1e6:
             raise ValueError(f"delay_ms must be above 0 and at most 1e6, got {self.delay_ms}")
-
-
-_DAVIS_FAULTS: tuple[type[Fault], ...] = (
-    *(WrongVersion, RegisterFlip, StaleData),
-    *(TimeBack, TimeAhead, TimeFrozen, MissedWraps, RepeatedEvents),
-)
-DAVIS_FAULTS: Mapping[str, type[Fault]] = {each.kind: each for each in _DAVIS_FAULTS}
-"""Faults of a DAVIS346, by kind; on other USB cameras they hit nothing."""
-
-_FAULTS: tuple[type[Fault], ...] = (
-    *(UsbSilence, UsbStall, ShortTransfers, EmptyTransfers, OddBytes, FifoOverflow),
-    *(ControlStall, SlowControl, UsbUnplugged),
-)
-USB_FAULTS: Mapping[str, type[Fault]] = {**{each.kind: each for each in _FAULTS}, **DAVIS_FAULTS}
-"""Faults of a camera on USB/IP, by kind."""

@@ -1,6 +1,6 @@
 """Faults of the words of a DAVIS346: their tables in a rig, and their effects on each transfer. Sans-I/O.
 
-See `kinds` for the attributes that all faults have. The word layout is drawn in `davis346.words`.
+See `kinds` for the attributes that all faults have. The word layout is drawn in `fx3.words` and `davis346.words`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.davis346.words import Special, Words, is_column
-from transports.faults.kinds import Fault, HitFault, LastingFault, Places, Stage
+from firmware_protocol.fx3.words import Special, Words, is_column
+from transports.faults.kinds import USB_LINK, Fault, HitFault, LastingFault, Places, Stage
 
 INSERTED = -1
 """Origin of a word that the camera did not send."""
@@ -124,6 +124,7 @@ class OddBytes(HitFault):
     """
 
     kind: ClassVar[str] = "odd_bytes"
+    carriers = (USB_LINK,)
     effect: ClassVar[type[Stage]] = _OddEnds
     change: Literal["missing", "extra"] = "missing"
 
@@ -150,6 +151,7 @@ class RepeatedEvents(HitFault):
     """Events that arrive twice, one after the other. `rate` is the probability of each event."""
 
     kind: ClassVar[str] = "repeated_events"
+    carriers = (USB_LINK,)
     effect: ClassVar[type[Stage]] = _Repetition
 
 
@@ -176,6 +178,7 @@ class MissedWraps(HitFault):
     """
 
     kind: ClassVar[str] = "missed_wraps"
+    carriers = (USB_LINK,)
     effect: ClassVar[type[Stage]] = _MissedWraps
 
 
@@ -212,6 +215,7 @@ class TimeAhead(Fault):
     """
 
     kind: ClassVar[str] = "time_ahead"
+    carriers = (USB_LINK,)
     effect: ClassVar[type[Stage]] = _Ahead
     wraps: int = 1
 
@@ -247,6 +251,7 @@ class TimeBack(LastingFault):
     """
 
     kind: ClassVar[str] = "time_back"
+    carriers = (USB_LINK,)
     effect: ClassVar[type[Stage]] = _Back
     by_us: int = 1000
 
@@ -281,6 +286,7 @@ class TimeFrozen(LastingFault):
     """No timestamps and no wraps for a time: all events have the last time; then all wraps arrive at once."""
 
     kind: ClassVar[str] = "time_frozen"
+    carriers = (USB_LINK,)
     effect: ClassVar[type[Stage]] = _Frozen
 
 
@@ -323,6 +329,7 @@ class StaleData(Fault):
     """
 
     kind: ClassVar[str] = "stale_data"
+    carriers = (USB_LINK,)
     effect: ClassVar[type[Stage]] = _Stale
     events: int = 100
 

@@ -9,7 +9,7 @@ neuromorphic_drivers waits 25 ms for an answer. So this process imports little, 
 cycles), and runs with a higher priority than its link and other processes, if that is permitted. An order is sent to
 the link before its request is answered. The process ends with the link, because its ends of the pipes close then.
 
-`transports.gige.control_process` is the interface of the link to it.
+`ControlProcess` (`transports.gige.endpoint`) is the interface of the link to it.
 """
 
 from __future__ import annotations
@@ -29,8 +29,7 @@ from multiprocessing.connection import Connection
 from firmware_protocol.gige.control import DeviceTime
 from firmware_protocol.imx636.triton2_control import PtpClock, Triton2Control, ptp_identity
 from firmware_protocol.imx636.triton2_registers import Triton2Settings
-from firmware_protocol.ptp.clock import Timebase
-from firmware_protocol.ptp.slave import Slave
+from firmware_protocol.ptp.slave import Slave, Timebase
 from transports.gige.ptp_port import PtpPort, ptp_slave
 from transports.gige.sockets import ControlSockets
 from transports.priority import MOST_NICE, run_before_others
@@ -119,11 +118,11 @@ def write_timebase(memory: mmap.mmap, timebase: Timebase | None) -> None:
 
 def read_timebase(memory: mmap.mmap, before: Timebase | None) -> Timebase | None:
     """Return what `write_timebase` wrote; `before`, which was read last, if it is being written now."""
-    writes, there, *numbers = _TIMEBASE.unpack_from(memory, _TIMEBASE_AT)
+    writes, has_master, *numbers = _TIMEBASE.unpack_from(memory, _TIMEBASE_AT)
     (writes_after,) = struct.unpack_from("=q", memory, _TIMEBASE_AT)
     if writes % 2 or writes != writes_after:
         return before
-    return Timebase(*numbers) if there else None
+    return Timebase(*numbers) if has_master else None
 
 
 class _Answering:

@@ -12,30 +12,178 @@ UDP has no back-pressure: a block counts as delivered when the kernel has taken 
                                        not ---------------> destroyed by the fault
 
 A host gets blocks in order: later blocks wait for the fate of a block with missing packets.
+
+`ControlProcess` is the interface to the process that answers hosts:
+
+    the link -- ControlSetup, Stop --------> transports.gige.answering
+             -- device's clock ------------>      (shared memory)
+             <- master's time --------------
+             <- Listening, orders, counts --
 """
 
 from __future__ import annotations
 
+import fcntl
 import ipaddress
 import logging
+import mmap
+import os
+import struct
+import subprocess
+import sys
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
 
+from firmware_protocol.gige.control import DeviceTime, Order
 from firmware_protocol.gige.gvsp import HEADER_OCTETS
 from firmware_protocol.imx636.triton2 import Outgoing, Triton2
-from transports.faults.kinds import Fault
+from firmware_protocol.ptp.slave import Timebase
 from transports.faults.script import FaultPlan
-from transports.gige.answering import ControlSetup, Move, Mute, Release
-from transports.gige.control_process import ControlProcess
+from transports.gige.answering import (
+    TIME_CELLS,
+    ControlSetup,
+    Failed,
+    Listening,
+    Move,
+    Mute,
+    Release,
+    Stop,
+    read_timebase,
+)
 from transports.gige.kind import GigeLink
 from transports.gige.packet_faults import FaultyPackets, Packet
 from transports.gige.sockets import StreamSocket
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory
+from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory, EndpointReport, LinkBroken
 from transports.link.kind import Wiring
 from transports.network import AllowList, ByteBudget
+
+_START_S = 120.0  # enough for a very busy machine
+_END_S = 10.0
+_AT_A_TIME = 1024
+_PIPE_OCTETS = 1 << 20  # holds the orders while a link is not running
+_MAIN = "from transports.gige.answering import main; main()"
+_TIME = struct.Struct("=q")
+
+
+class ControlProcess:
+    """Control channel of a camera in a separate process.
+
+    Raises OSError, with the remedy, when it cannot be started or an address cannot be used.
+
+    Attributes
+    ----------
+    counts
+        Requests by their result.
+    port
+        Port of the control channel.
+    """
+
+    def __init__(self, setup: ControlSetup) -> None:
+        memory = os.memfd_create("evstim-gige-time")
+        os.ftruncate(memory, 8 * TIME_CELLS)
+        self._time = mmap.mmap(memory, 8 * TIME_CELLS)
+        child_in, outgoing = os.pipe()
+        incoming, child_out = os.pipe()
+        with suppress(OSError):  # beyond this user's limit of pipe memory: a shorter pipe suffices
+            fcntl.fcntl(incoming, fcntl.F_SETPIPE_SZ, _PIPE_OCTETS)
+        self._outgoing, self._incoming = Connection(outgoing, readable=False), Connection(incoming, writable=False)
+        self._process = _started(child_in, child_out, memory)
+        for descriptor in (child_in, child_out, memory):
+            os.close(descriptor)
+        self.counts: Counter[str] = Counter()
+        self._timebase: Timebase | None = None
+        self._outgoing.send(setup)
+        self.port = self._listening()
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    @property
+    def orders(self) -> int:
+        """Descriptor that is readable when orders wait."""
+        return self._incoming.fileno()
+
+    def take(self) -> Iterator[Order]:
+        """Yield the orders of hosts; raises LinkBroken when the process has died, or cannot use its new address."""
+        for _ in range(_AT_A_TIME):
+            try:
+                if not self._incoming.poll():
+                    return
+                message = self._incoming.recv()
+            except (EOFError, ConnectionError) as error:
+                how = f"exit code {self._process.wait(_END_S)}"
+                raise LinkBroken(f"the process that answers GigE Vision hosts has died ({how})") from error
+            if isinstance(message, Failed):
+                raise LinkBroken(message.reason)
+            if isinstance(message, Counter):
+                self.counts = message
+            else:
+                yield message
+
+    def write_time(self, time: DeviceTime) -> None:
+        """Write the device's clock: see `read_time`."""
+        _TIME.pack_into(self._time, 8, time.ns)
+        _TIME.pack_into(self._time, 0, time.starts)
+
+    @property
+    def timebase(self) -> Timebase | None:
+        """Relation of a master's time to CLOCK_MONOTONIC; None if the camera follows none."""
+        self._timebase = read_timebase(self._time, self._timebase)
+        return self._timebase
+
+    def order(self, order: Mute | Release | Move) -> None:
+        """Begin or end a fault of the control channel; a dead process is reported by `take`."""
+        with suppress(ConnectionError):
+            self._outgoing.send(order)
+
+    def close(self) -> None:
+        """End the process; its last counts are read, waiting orders are not."""
+        try:
+            self._outgoing.send(Stop())
+            while True:
+                message = self._incoming.recv()
+                self.counts = message if isinstance(message, Counter) else self.counts
+        except (EOFError, ConnectionError):
+            self._end()
+
+    def _listening(self) -> int:
+        """Return the port; raises OSError when there is none."""
+        try:
+            message = self._incoming.recv() if self._incoming.poll(_START_S) else None
+        except EOFError:
+            message = None
+        if isinstance(message, Listening):
+            return message.port
+        self._end()
+        if isinstance(message, Failed):
+            raise OSError(message.errno, message.reason)
+        raise OSError("the process that answers GigE Vision hosts does not start; its output is above")
+
+    def _end(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        self._outgoing.close()
+        self._incoming.close()
+        self._time.close()
+
+
+def _started(*descriptors: int) -> subprocess.Popen[bytes]:
+    """Start the process in a separate session: Linux divides processors by session (autogroup)."""
+    return subprocess.Popen(
+        [sys.executable, "-c", _MAIN, *map(str, descriptors)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        pass_fds=descriptors,
+        start_new_session=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)},
+    )
+
 
 _PATIENCE_NS = 200_000_000  # Aravis discards an incomplete block 100 ms after its last packet
 
@@ -108,10 +256,7 @@ def factory_of(link: GigeLink, wiring: Wiring) -> GigeFactory:
 
 @dataclass(frozen=True)
 class _Route:
-    """Route of packets: destination, None if no host may receive them.
-
-    Permission to fragment; pause between packets.
-    """
+    """Route of packets: destination (None: no host may receive them), permission to fragment, pause between packets."""
 
     to: tuple[str, int] | None = None
     may_fragment: bool = False
@@ -121,7 +266,7 @@ class _Route:
 class GigeEndpoint(Endpoint):
     """Endpoint of one camera for all its hosts; one of them receives the stream."""
 
-    _faulty: FaultyPackets
+    faulty: FaultyPackets
 
     def __init__(self, factory: GigeFactory, camera: Triton2, deliveries: Deliveries) -> None:
         self._link = link = factory.link
@@ -133,13 +278,13 @@ class GigeEndpoint(Endpoint):
         self._allow = AllowList(link.allow)
         self._stream = StreamSocket(link.host, segmented=link.segmentation)
         self._budget = ByteBudget(link.mbit_s, self._clock.now_ns(), _BURST_NS)
-        self._faulty = FaultyPackets(factory.faults)
+        self.faulty = FaultyPackets(factory.faults)
         self._fates = BlockFates(self._arrived, self._destroyed)
         self._going: tuple[Outgoing, Iterator[Packet]] | None = None
         self._ready: deque[Packet] = deque()
         self._whole = True
-        self._way = _Route()
-        self._message_way: tuple[str, int] | None = None
+        self._route = _Route()
+        self._message_address: tuple[str, int] | None = None
         self._next_ns = 0
         self._patience_ns = link.block_us * 1000
         self._moved = 0, self._clock.now_ns()
@@ -157,15 +302,16 @@ class GigeEndpoint(Endpoint):
             raise
 
     def listen(self) -> None:
-        """See `Endpoint.listen`; raises LinkBroken when the process that answers hosts has died."""
+        """Process the orders of hosts; raises LinkBroken when the process that answers hosts has died."""
         assert self._control is not None
         self._follow_master(self._control)
         orders = list(self._control.take())
         for order in orders:
             self._camera.obey(order)
         if orders:
-            self._way = self._chosen_way()
-            self._message_way = self._permitted(self._camera.message_destination)
+            to = self._permitted(self._camera.destination)
+            self._route = _Route(to, self._camera.may_fragment, self._camera.packet_delay_ns)
+            self._message_address = self._permitted(self._camera.message_destination)
 
     def pump(self) -> None:
         """Send the waiting packets as far as the rate permits."""
@@ -181,24 +327,19 @@ class GigeEndpoint(Endpoint):
 
     @property
     def inputs(self) -> Sequence[int]:
-        """See `Endpoint.inputs`."""
+        """Descriptors that are readable when a request has arrived."""
         return () if self._control is None else (self._control.orders,)
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`; a host that has control reads the clock that `pump` writes."""
+        """Longest time until the next `pump`; a host that has control reads the clock that `pump` writes."""
         if self._going is not None or self._ready or self._camera.waits_extra or self._camera.waiting_items:
             return BUSY_NS
         return REST_NS if self._camera.owner is None else HOSTED_NS
 
     def advance_faults(self, stream_us: int) -> None:
-        """See `Endpoint.advance_faults`."""
-        self._ready += self._faulty.advance(stream_us)
-        self._follow_faults()
-
-    def inject(self, fault: Fault) -> None:
-        """See `Endpoint.inject`."""
-        super().inject(fault)
+        """Begin and end the faults of the rig that are due."""
+        self._ready += self.faulty.advance(stream_us)
         self._follow_faults()
 
     async def close(self) -> None:
@@ -207,7 +348,7 @@ class GigeEndpoint(Endpoint):
             self._camera.lost(self._going[0])
             self._going = None
         self._fates.settle(self._clock.now_ns(), final=True)
-        self._faulty.close()
+        self.faulty.close()
         self._camera.disconnected()
         if self._control is not None:
             self._control.close()
@@ -218,25 +359,21 @@ class GigeEndpoint(Endpoint):
         """Host that has control, and the state of the stream."""
         owner = self._camera.owner
         if owner is None:
-            return f"waiting on {self.address}"
+            return f"waiting on {self._address}"
         does = "streaming to" if self._camera.streaming else "controlled by"
         return f"{does} {owner[0]}:{owner[1]}"
 
+    def report(self) -> EndpointReport:
+        """Return the address, evstim's own receiver while no host has control, and counts of packets and requests."""
+        counts = self.sent + self._camera.messages.counts
+        if self._control is not None:
+            counts += self._control.counts
+        attach = f"evstim listen gige {self._address}" if self._camera.owner is None else ""
+        return EndpointReport(self._address, attach, counts=counts)
+
     @property
-    def address(self) -> str:
-        """Address at which hosts find the camera."""
+    def _address(self) -> str:
         return f"{self._host}:{self._link.port if self._control is None else self._control.port}"
-
-    @property
-    def attach_command(self) -> str:
-        """Receiver of evstim, while no host has control."""
-        return f"evstim listen gige {self.address}" if self._camera.owner is None else ""
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Counts of packets and requests, and of errors in either."""
-        sent = self.sent + self._camera.messages.counts
-        return sent if self._control is None else sent + self._control.counts
 
     def _follow_master(self, control: ControlProcess) -> None:
         """Give the camera the difference of its master's time and its own, if the run has the pace of real time."""
@@ -249,12 +386,12 @@ class GigeEndpoint(Endpoint):
     def _follow_faults(self) -> None:
         """Apply faults to the control channel and to the camera's address."""
         assert self._control is not None
-        if (address := self._faulty.new_address()) is not None:
+        if (address := self.faulty.new_address()) is not None:
             self._move(self._control, address)
-        if self._faulty.link_is_down != self._is_down:
-            self._is_down = self._faulty.link_is_down
+        if self.faulty.link_is_down != self._is_down:
+            self._is_down = self.faulty.link_is_down
             self._control.order(Mute(self._is_down))
-        if self._faulty.takes_control():
+        if self.faulty.takes_control():
             self._control.order(Release())
 
     def _move(self, control: ControlProcess, address: str) -> None:
@@ -284,7 +421,7 @@ class GigeEndpoint(Endpoint):
 
     def _send_messages(self) -> None:
         """Send the messages that the host has requested, and read its answers."""
-        messages, to = self._camera.messages, self._message_way
+        messages, to = self._camera.messages, self._message_address
         if to is None:
             return
         for data, peer in self._stream.take():
@@ -293,18 +430,18 @@ class GigeEndpoint(Endpoint):
         now_ns, settings = self._clock.now_ns(), self._camera.message_settings
         while not self._is_down and (message := messages.next(now_ns, settings)) is not None:
             with suppress(BlockingIOError):  # it is lost, like a datagram lost on the network
-                self._stream.send(message, to, may_fragment=self._way.may_fragment)
+                self._stream.send(message, to, may_fragment=self._route.may_fragment)
 
     def _send_block(self) -> bool:
         """Send a block in few calls; return False when there is none, or packets must be sent one by one."""
-        way, busy = self._way, self._going is not None or self._ready
-        if busy or way.to is None or way.pause_ns or self._faulty.active or self._camera.waits_extra:
+        route, busy = self._route, self._going is not None or self._ready
+        if busy or route.to is None or route.pause_ns or self.faulty.active or self._camera.waits_extra:
             return False
         outgoing = self._camera.next_block(at_once=self._time_stands)
         if outgoing is None:
             return False
         block = outgoing.block
-        taken = self._stream.send_block(block, way.to, may_fragment=way.may_fragment)
+        taken = self._stream.send_block(block, route.to, may_fragment=route.may_fragment)
         self.sent["packets"] += taken
         self._going, self._whole = (outgoing, _packets(outgoing, taken)), True
         if taken < block.packets:  # the others are sent one by one, which reports the reason
@@ -317,13 +454,13 @@ class GigeEndpoint(Endpoint):
     def _prepare(self) -> bool:
         """Prepare a packet; return False when there is none, or none may be sent yet."""
         while not self._ready:
-            if self._way.pause_ns and self._clock.now_ns() < self._next_ns:
+            if self._route.pause_ns and self._clock.now_ns() < self._next_ns:
                 return False
             packet = self._next_packet()
             if packet is None:
                 return False
-            self._ready += self._faulty.change(packet)
-            for gone in self._faulty.gone():
+            self._ready += self.faulty.change(packet)
+            for gone in self.faulty.gone():
                 self._fates.missed(gone.block, gone.number)
         return True
 
@@ -345,9 +482,9 @@ class GigeEndpoint(Endpoint):
 
     def _send(self) -> bool:
         """Send the prepared packet; return False when the kernel has no room now."""
-        packet, way = self._ready[0], self._way
+        packet, route = self._ready[0], self._route
         try:
-            left = way.to is not None and self._stream.send(packet.data, way.to, may_fragment=way.may_fragment)
+            left = route.to is not None and self._stream.send(packet.data, route.to, may_fragment=route.may_fragment)
         except BlockingIOError:
             return False
         self._ready.popleft()
@@ -362,12 +499,7 @@ class GigeEndpoint(Endpoint):
             self._fates.came(packet.block, packet.number)
         if left:
             self._budget.left -= len(packet.data) + _IP_UDP_OCTETS
-            self._next_ns = self._clock.now_ns() + self._way.pause_ns if self._way.pause_ns else 0
-
-    def _chosen_way(self) -> _Route:
-        """Return the route of packets that the camera's host has selected."""
-        to = self._permitted(self._camera.destination)
-        return _Route(to, self._camera.may_fragment, self._camera.packet_delay_ns)
+            self._next_ns = self._clock.now_ns() + self._route.pause_ns if self._route.pause_ns else 0
 
     def _permitted(self, destination: tuple[int, int] | None) -> tuple[str, int] | None:
         """Return an address and port in the form of sockets; None if no data may be sent there."""
@@ -390,7 +522,7 @@ class GigeEndpoint(Endpoint):
         self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
 
     def _destroyed(self, outgoing: Outgoing) -> None:
-        self._faulty.attribute(len(outgoing.events), len(outgoing.edges))
+        self.faulty.attribute(len(outgoing.events), len(outgoing.edges))
 
 
 def _packets(outgoing: Outgoing, first: int = 0) -> Iterator[Packet]:

@@ -20,9 +20,9 @@ from firmware_protocol.gige.gvcp import GVCP_PORT, Command, Flag, Resend, Status
 from firmware_protocol.gige.gvsp import BlockAssembly
 from firmware_protocol.gige.registers import DISCOVERY_OCTETS, DO_NOT_FRAGMENT, Privilege, Register
 from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, ACQUISITION_STOP
-from transports.link import reception
+from transports import reception
 from transports.link.pacing import Clock
-from transports.link.reception import Arrivals, Reception
+from transports.reception import Arrivals, Reception
 from transports.recording.record import Recorder
 
 _TIMEOUT_S = 0.5
@@ -172,8 +172,8 @@ class GigeHost:
 
     def _maintain(self) -> None:
         """Request missing packets, and keep control."""
-        for wanted in self.assembly.missing(self._now_ns(), over=self._stopped):
-            self._control.send(_resend(self._next_number(), wanted))
+        for resend in self.assembly.missing(self._now_ns(), over=self._stopped):
+            self._control.send(_resend(self._next_number(), resend))
         if self._now_ns() - self._alive_ns > _KEEP_ALIVE_NS:
             if not self.read_register(Register.PRIVILEGE) & Privilege.CONTROL:
                 raise CameraGone("control was taken away: another host has the camera, or it was restarted")
@@ -213,8 +213,8 @@ class GigeHost:
         return f"{host}:{port}"
 
 
-def _resend(number: int, wanted: Resend) -> bytes:
-    payload = struct.pack(">IIIQ", 0, wanted.first, wanted.last, wanted.block)
+def _resend(number: int, packets: Resend) -> bytes:
+    payload = struct.pack(">IIIQ", 0, packets.first, packets.last, packets.block)
     return request(Command.PACKETRESEND, number, payload, Flag.EXTENDED)
 
 

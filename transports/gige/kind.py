@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from firmware_protocol.gige.gvcp import GVCP_PORT
-from transports.gige.packet_faults import PACKET_FAULTS
-from transports.link.kind import CameraFacts, LinkKind, Listener, Unsuitable
+from transports.faults.kinds import GIGE_STREAM
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Unsuitable
 from transports.network import check_allow
 
 
 @dataclass(frozen=True)
-class GigeLink:
+class GigeLink(LinkParameters):
     """The camera as a GigE Vision device on a network: drivers find it and read it over UDP.
 
     Attributes
@@ -71,6 +71,14 @@ class GigeLink:
             raise ValueError(f"ptp_domain must be 0 to 127, got {self.ptp_domain}")
         check_allow(self.host, self.allow)
 
+    def listens_on(self) -> tuple[str, int] | None:
+        """Return the address, unless any free port is suitable."""
+        return (self.host, self.port) if self.port else None
+
+    def sends_evt(self) -> bool:
+        """Return true: its blocks contain EVT3 words."""
+        return True
+
 
 def _check(link: GigeLink, camera: CameraFacts) -> None:
     """Raise Unsuitable for a camera without a GigE Vision device."""
@@ -83,9 +91,7 @@ GIGE = LinkKind(
     GigeLink,
     serves="gige",
     endpoint="transports.gige.endpoint:factory_of",
-    faults=PACKET_FAULTS,
+    carrier=GIGE_STREAM,
     listener=Listener("gige", "Read a GigE Vision event camera.", "emulator.cli.listen.cameras:gige"),
     check=_check,
-    has_evt=lambda link: True,
-    listens_on=lambda link: (link.host, link.port) if link.port else None,
 )

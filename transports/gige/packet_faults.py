@@ -1,22 +1,21 @@
 """Faults of a GigE Vision camera: their tables in a rig, and their effects.
 
-They act on the packets of its stream, between the camera and the network, and on its control channel. See
-`transports.faults.kinds` for the attributes that all faults have.
+They act on the packets of its stream, between the camera and the network, and on its control channel; those of
+`transports.faults.datagrams` can hit its packets too. See `transports.faults.kinds` for the attributes that all faults
+have.
 """
 
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from firmware_protocol.gige.gvsp import removed
-from transports.faults.datagrams import LateDatagrams, LostDatagrams, RepeatedDatagrams
 from transports.faults.items import HitStage, ItemStage, Loss, pass_through
-from transports.faults.kinds import Fault, HitFault, LastingFault, Stage
+from transports.faults.kinds import GIGE_STREAM, Fault, HitFault, LastingFault, Stage
 from transports.faults.script import FaultPlan, Faulty
 
 
@@ -34,7 +33,6 @@ class _Refusal(HitStage[Packet]):
     """Refusal of single packets that a host requested again: they are reported as no longer stored."""
 
     def change(self, item: Packet) -> list[Packet]:
-        """See `ItemStage.change`."""
         return [Packet(removed(item.block, item.number))] if item.again and self.is_hit() else [item]
 
 
@@ -43,6 +41,7 @@ class RefusedResends(HitFault):
     """Packets that a host requests again and that the camera no longer holds, like one with a small memory."""
 
     kind: ClassVar[str] = "refused_resends"
+    carriers = (GIGE_STREAM,)
     effect: ClassVar[type[Stage]] = _Refusal
 
 
@@ -53,7 +52,8 @@ class _Taking(ItemStage[Packet]):
 
     def take(self) -> None:
         """Record that control has been taken away."""
-        self.hits, self.taken, self.over = 1, True, True
+        self.hits = 1
+        self.taken = self.over = True
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,7 @@ class LostHeartbeat(Fault):
     """The camera takes control away from its host, as when the host's heartbeat did not arrive in time."""
 
     kind: ClassVar[str] = "lost_heartbeat"
+    carriers = (GIGE_STREAM,)
     disconnects: ClassVar[bool] = True
     effect: ClassVar[type[Stage]] = _Taking
 
@@ -69,7 +70,6 @@ class _Down(ItemStage[Packet]):
     """Fault that stops all packets."""
 
     def change(self, item: Packet) -> list[Packet]:
-        """See `ItemStage.change`."""
         self.hits = 1
         self.touched += 1
         return []
@@ -80,6 +80,7 @@ class LinkDown(LastingFault):
     """The cable is unplugged and plugged in again: no data pass in either direction in between."""
 
     kind: ClassVar[str] = "link_down"
+    carriers = (GIGE_STREAM,)
     disconnects: ClassVar[bool] = True
     effect: ClassVar[type[Stage]] = _Down
 
@@ -110,6 +111,7 @@ class IpChange(LastingFault):
     """
 
     kind: ClassVar[str] = "ip_change"
+    carriers = (GIGE_STREAM,)
     disconnects: ClassVar[bool] = True
     effect: ClassVar[type[Stage]] = _Moving
     for_s: float = 0.5
@@ -125,21 +127,13 @@ class IpChange(LastingFault):
             raise ValueError(f"address must be an IPv4 address that the camera has afterwards, got {self.address!r}")
 
 
-_FAULTS: tuple[type[Fault], ...] = (
-    *(LostDatagrams, RepeatedDatagrams, LateDatagrams),
-    *(RefusedResends, LostHeartbeat, LinkDown, IpChange),
-)
-PACKET_FAULTS: Mapping[str, type[Fault]] = {one.kind: one for one in _FAULTS}
-"""Faults of a camera, by kind."""
-
-
 class FaultyPackets(Faulty[ItemStage[Packet]]):
     """Faults of one stream."""
 
-    carrier = "packets in datagrams"
+    carrier = GIGE_STREAM
 
     def __init__(self, plan: FaultPlan) -> None:
-        super().__init__(plan, PACKET_FAULTS)
+        super().__init__(plan)
         self._gone: list[Packet] = []
         self._address: str | None = None
 

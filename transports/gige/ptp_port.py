@@ -28,11 +28,9 @@ from transports.network import AllowList
 
 _LONGEST = 1500
 _AT_A_TIME = 64
-_SO_TIMESTAMPING, _IP_MULTICAST_ALL, _ERROR_QUEUE = (
-    37,
-    49,
-    0x2000,
-)  # Linux: asm-generic/socket.h, linux/in.h, MSG_ERRQUEUE
+_SO_TIMESTAMPING = 37  # Linux: asm-generic/socket.h
+_IP_MULTICAST_ALL = 49  # Linux: linux/in.h
+_ERROR_QUEUE = 0x2000  # Linux: MSG_ERRQUEUE
 _TX_SOFTWARE, _RX_SOFTWARE, _SOFTWARE, _STAMP_ONLY = 1 << 1, 1 << 3, 1 << 4, 1 << 11  # Linux: linux/net_tstamp.h
 _STAMPS = struct.Struct("@ll")
 _CONTROL_OCTETS = 512
@@ -68,15 +66,15 @@ class PtpSockets:
     @property
     def descriptors(self) -> list[int]:
         """File descriptors, for an event loop."""
-        return [one.fileno() for one, _ in self._sockets]
+        return [sock.fileno() for sock, _ in self._sockets]
 
     def take(self) -> Iterator[tuple[bytes, int]]:
         """Yield the received datagrams and their times by CLOCK_MONOTONIC, ns; event messages first."""
         ahead_ns = realtime_ahead_ns()
-        for one, is_event in self._sockets:
+        for sock, is_event in self._sockets:
             for _ in range(_AT_A_TIME):
                 try:
-                    data, control, _, peer = one.recvmsg(_LONGEST, _CONTROL_OCTETS)
+                    data, control, _, peer = sock.recvmsg(_LONGEST, _CONTROL_OCTETS)
                 except OSError:  # no more of them, or an error from a peer's socket
                     break
                 stamp_ns = _stamp_ns(control)
@@ -104,25 +102,25 @@ class PtpSockets:
 
     def close(self) -> None:
         """Close the sockets."""
-        for one, _ in self._sockets:
-            one.close()
+        for sock, _ in self._sockets:
+            sock.close()
         self._sockets.clear()
 
     def _opened(self, address: str, host: str, port: int) -> socket.socket:
-        made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._sockets.append((made, port == EVENT_PORT))
-        made.setblocking(False)
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        made.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
-        made.bind((address, port))
-        made.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(host))
+        sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._sockets.append((sock, port == EVENT_PORT))
+        sock.setblocking(False)
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
+        sock.bind((address, port))
+        sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(host))
         if address == GROUP:
             joined = socket.inet_aton(GROUP) + socket.inet_aton(host)
-            made.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, joined)
+            sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, joined)
         if port == EVENT_PORT:
             flags = _TX_SOFTWARE | _RX_SOFTWARE | _SOFTWARE | _STAMP_ONLY
-            made.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPING, flags)
-        return made
+            sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPING, flags)
+        return sock
 
 
 class PtpPort:
@@ -208,7 +206,9 @@ def realtime_ahead_ns() -> int:
     """Return CLOCK_REALTIME less CLOCK_MONOTONIC, ns: the best of three readings, each between two of the other."""
     best = (1 << 62, 0)
     for _ in range(3):
-        before_ns, real_ns, after_ns = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        before_ns = time.monotonic_ns()
+        real_ns = time.time_ns()
+        after_ns = time.monotonic_ns()
         best = min(best, (after_ns - before_ns, real_ns - (before_ns + after_ns) // 2))
     return best[1]
 

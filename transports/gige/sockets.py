@@ -15,8 +15,11 @@ _LONGEST = 2048
 _AT_A_TIME = 64
 _SEND_BUFFER = 1 << 21
 _BROADCAST = "255.255.255.255"
-_IP_MTU_DISCOVER, _PMTUDISC_DONT, _PMTUDISC_DO = 10, 0, 2  # Linux: linux/in.h
-_UDP_SEGMENT, _MOST_SEGMENTS, _LONGEST_RUN = 103, 64, 65_507  # Linux: linux/udp.h
+# Linux: linux/in.h and linux/udp.h
+_IP_MTU_DISCOVER = 10
+_PMTUDISC_DONT, _PMTUDISC_DO = 0, 2
+_UDP_SEGMENT = 103
+_MOST_SEGMENTS, _LONGEST_RUN = 64, 65_507
 
 
 class ControlSockets:
@@ -57,15 +60,15 @@ class ControlSockets:
     @property
     def descriptors(self) -> list[int]:
         """File descriptors, for an event loop."""
-        return [one.fileno() for one in self._sockets]
+        return [sock.fileno() for sock in self._sockets]
 
     def take(self) -> list[Datagram]:
         """Return the received requests; their number is limited, so that a flood does not delay the answers."""
         taken: list[Datagram] = []
-        for one in self._sockets:
+        for sock in self._sockets:
             for _ in range(_AT_A_TIME):
                 try:
-                    data, peer = one.recvfrom(_LONGEST)
+                    data, peer = sock.recvfrom(_LONGEST)
                 except OSError:  # no more requests, or an error from a peer's socket
                     break
                 if self._allow.permits(peer[0]):
@@ -83,8 +86,8 @@ class ControlSockets:
 
     def close(self) -> None:
         """Close the sockets."""
-        for one in self._sockets:
-            one.close()
+        for sock in self._sockets:
+            sock.close()
         self._sockets.clear()
 
 
@@ -110,7 +113,7 @@ class StreamSocket:
         self._refuse_cuts(True)
         return int(self._socket.getsockname()[1])
 
-    def send(self, data: bytes, to: tuple[str, int], *, may_fragment: bool) -> bool:
+    def send(self, data: bytes, to: Peer, *, may_fragment: bool) -> bool:
         """Pass a packet to the kernel; return False if it cannot be sent.
 
         Raises BlockingIOError when there is no room.
@@ -135,7 +138,7 @@ class StreamSocket:
                 taken.append(self._socket.recvfrom(_LONGEST))
         return taken
 
-    def send_block(self, block: Block, to: tuple[str, int], *, may_fragment: bool) -> int:
+    def send_block(self, block: Block, to: Peer, *, may_fragment: bool) -> int:
         """Pass the packets of a block to the kernel.
 
         Return the number of packets taken before the first refused one.
@@ -144,8 +147,9 @@ class StreamSocket:
         if may_fragment == self._whole:
             self._refuse_cuts(not may_fragment)
         taken, cut = 0, struct.pack("=H", block.room + HEADER_OCTETS)
+        singles = ((block.packet(number), 1) for number in range(block.packets))
         try:
-            for data, count in _runs(block) if self._segmented else _singles(block):
+            for data, count in _runs(block) if self._segmented else singles:
                 if count == 1:
                     self._socket.sendto(data, to)
                 else:
@@ -160,15 +164,10 @@ class StreamSocket:
         if self._socket is not None:
             self._socket.close()
 
-    def _refuse_cuts(self, whole: bool) -> None:
+    def _refuse_cuts(self, refuse: bool) -> None:
         assert self._socket is not None
-        self._whole = whole
-        self._socket.setsockopt(socket.IPPROTO_IP, _IP_MTU_DISCOVER, _PMTUDISC_DO if whole else _PMTUDISC_DONT)
-
-
-def _singles(block: Block) -> Iterator[tuple[bytes, int]]:
-    """Yield the packets of a block, each with the count 1."""
-    return ((block.packet(number), 1) for number in range(block.packets))
+        self._whole = refuse
+        self._socket.setsockopt(socket.IPPROTO_IP, _IP_MTU_DISCOVER, _PMTUDISC_DO if refuse else _PMTUDISC_DONT)
 
 
 def _runs(block: Block) -> Iterator[tuple[bytes, int]]:
@@ -176,23 +175,23 @@ def _runs(block: Block) -> Iterator[tuple[bytes, int]]:
 
     Packets with payload are joined to the longest runs that the kernel takes.
     """
-    most = min(_MOST_SEGMENTS, _LONGEST_RUN // (block.room + HEADER_OCTETS))
+    longest_run = min(_MOST_SEGMENTS, _LONGEST_RUN // (block.room + HEADER_OCTETS))
     last = block.packets - 1
     yield block.packet(0), 1
-    for first in range(1, last, most):
-        count = min(most, last - first)
+    for first in range(1, last, longest_run):
+        count = min(longest_run, last - first)
         yield b"".join(block.packet(number) for number in range(first, first + count)), count
     yield block.packet(last), 1
 
 
 def _bound(host: str, port: int, *, shared: bool) -> socket.socket:
-    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        made.setblocking(False)
+        sock.setblocking(False)
         if shared:
-            made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        made.bind((host, port))
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind((host, port))
     except OSError:
-        made.close()
+        sock.close()
         raise
-    return made
+    return sock

@@ -18,7 +18,7 @@ import time
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -29,13 +29,9 @@ from firmware_protocol.device.plain_device import own_time
 from firmware_protocol.events import Edges, Events, copy_events, empty_edges
 from firmware_protocol.frames import FrameAssembler, WholeFrame
 from firmware_protocol.imu_samples import ImuSamples, no_samples, physical
+from firmware_protocol.recordings.part import IMU, Facts, Frame, Part, RecordingSummary, counts_of
 from transports.link.pacing import Clock
 from transports.link.rings import FREE_RUNNING, EventRing, SharedMemory
-from transports.recording.part import IMU, Frame, Part, RecordingSummary, counts_of
-
-if TYPE_CHECKING:
-    from transports.recording.live import AnyRecorder, ForwardingRecorder
-
 
 _BIN_US = 10
 _EVEN_BINS = 20_000
@@ -90,7 +86,9 @@ class LatencyHistogram:
             return
         latency_us = np.repeat(self._now_us, [len(times) for times in self._pending])
         latency_us -= np.concatenate(self._pending)
-        self._now_us, self._pending, self._pending_count = [], [], 0
+        self._now_us = []
+        self._pending = []
+        self._pending_count = 0
         self._max_us = max(self._max_us or 0.0, float(latency_us.max()))
         counts = np.bincount(_bins(latency_us))
         self._counts[: len(counts)] += counts
@@ -100,13 +98,10 @@ class LatencyHistogram:
         self._count()
         if self._max_us is None:
             return LatencySummary()
-        p50, p99, p999 = map(self._quantile_us, (0.5, 0.99, 0.999))
-        return LatencySummary(p50, p99, self._max_us, p999)
-
-    def _quantile_us(self, share: float) -> float:
         cumulative = np.cumsum(self._counts)
-        index = int(np.searchsorted(cumulative, share * cumulative[-1]))
-        return min(_upper_edge_us(index), self._max_us or 0.0)
+        bins = np.searchsorted(cumulative, np.array([0.5, 0.99, 0.999]) * cumulative[-1]).tolist()
+        p50, p99, p999 = (min(_upper_edge_us(index), self._max_us) for index in bins)
+        return LatencySummary(p50, p99, self._max_us, p999)
 
 
 def _bins(latency_us: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.int64]:
@@ -154,7 +149,8 @@ class DeliveredParts:
 
         `epoch_us` is negative if the clock was zero before the run.
         """
-        imu = recorded_imu(_imu_of(readings), self._imu_unit)
+        samples = (reading.record for reading in readings if reading.kind is ReadingKind.IMU)
+        imu = recorded_imu(np.concatenate([no_samples(), *samples]), self._imu_unit)
         events, edges = copy_events(events), edges.copy()
         for records in (events, edges, imu):
             if len(records):
@@ -177,10 +173,6 @@ def recorded_imu(samples: ImuSamples, unit: int) -> npt.NDArray[np.void]:
     return out
 
 
-def _imu_of(readings: Sequence[Reading]) -> ImuSamples:
-    return np.concatenate([no_samples(), *(one.record for one in readings if one.kind is ReadingKind.IMU)])
-
-
 def _frame(frame: WholeFrame, epoch_us: int) -> Frame:
     """Return a frame for a recording: its time is the start of its exposure, as in drivers, and at least zero.
 
@@ -188,6 +180,41 @@ def _frame(frame: WholeFrame, epoch_us: int) -> Frame:
     """
     begin_us, end_us = (max(0, t_us - epoch_us) for t_us in (frame.exposure_start_us, frame.exposure_end_us))
     return Frame(begin_us, begin_us, end_us, frame.pixels, (frame.first_column, frame.first_row))
+
+
+class DeliveryRecorder(Protocol):
+    """Recorder of what a link delivers."""
+
+    @property
+    def trouble(self) -> str:
+        """Reason for an incomplete record, for people; empty if it is complete."""
+        ...
+
+    @property
+    def summary(self) -> RecordingSummary | None:
+        """Summary of the closed file; None if there is none."""
+        ...
+
+    def append(self, part: Part, *, restarted: bool = False, unix_us: int | None = None) -> None:
+        """Add a part in device time; `unix_us`: Unix time of its zero, None in a run without pacing."""
+
+    def reach(self, t_us: int) -> None:
+        """Note that no event earlier than `t_us`, in device time, will come."""
+
+    def close(self) -> None:
+        """Finish the record."""
+
+
+class RecorderFactory(Protocol):
+    """Factory of a recorder inside the link's process; passed to that process by pickling."""
+
+    def open(self, facts: Facts) -> DeliveryRecorder:
+        """Return the recorder, with facts of the camera for its file; raises OSError where it cannot be opened."""
+        ...
+
+    def restarted(self, number: int) -> Self:
+        """Return the factory for the `number`-th restart of the link, which must not overwrite the earlier file."""
+        ...
 
 
 class Deliveries:
@@ -210,7 +237,7 @@ class Deliveries:
         self,
         ring: EventRing,
         clock: Clock,
-        recorder: AnyRecorder | ForwardingRecorder | None = None,
+        recorder: DeliveryRecorder | None = None,
         device_clock: DeviceClock | None = None,
         imu_unit: int = 2,
     ) -> None:

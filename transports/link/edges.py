@@ -70,7 +70,10 @@ class EdgeTiming:
     def edge(self, t_us: int, seq: int) -> Edges:
         """Return one EDGE, shape (1,)."""
         edge = empty_edges(1)
-        edge["t"], edge["kind"], edge["channel"], edge["seq"] = t_us, self.kind, self.channel, seq & 0xFFFF
+        edge["t"] = t_us
+        edge["kind"] = self.kind
+        edge["channel"] = self.channel
+        edge["seq"] = seq & 0xFFFF
         return edge
 
 
@@ -82,7 +85,7 @@ class EdgeRing(SharedRing):
 
     @property
     def next_us(self) -> int | None:
-        """See `EdgeSource.next_us`."""
+        """Time of the first edge in the ring; None if none waits."""
         return self.time_of(0)
 
 

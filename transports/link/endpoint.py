@@ -8,17 +8,15 @@ from __future__ import annotations
 import asyncio
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Coroutine, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from firmware_protocol.events import Edges
-from transports.faults.kinds import Fault
-from transports.faults.script import FaultRecord, Faulty
+from firmware_protocol.recordings.part import RecordingSummary
+from transports.faults.script import Faulty
 from transports.link.deliveries import Deliveries
 from transports.link.pacing import Clock
-from transports.link.rings import FOREVER_US
-from transports.recording.part import RecordingSummary
 
 BUSY_NS = 500_000
 """Time from one tick of a link to the next while data move or a fault is active."""
@@ -55,13 +53,44 @@ class LinkBroken(Exception):
     """Error: a link does not fulfil its guarantees; the run cannot continue."""
 
 
+@dataclass(frozen=True)
+class EndpointReport:
+    """Contribution of an endpoint to the report of its link.
+
+    Attributes
+    ----------
+    address
+        Address at which a host finds the camera; None if there is no address.
+    attach_command
+        Command that attaches a host to the camera that waits for one; empty if none waits, or none is known.
+    use
+        Load of the line; None if it has no limited capacity.
+    counts
+        Further counts by name, for the summary.
+    trouble
+        Reason for an incomplete output file, for people; empty if it is complete or there is none.
+    recording
+        Summary of the closed output file; None if there is none.
+    """
+
+    address: str | None = None
+    attach_command: str = ""
+    use: LineUse | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
+    trouble: str = ""
+    recording: RecordingSummary | None = None
+
+
 class Endpoint(ABC):
     """Host side of a camera's connector: the transport that reads the camera's bytes.
 
-    A subclass sets `_faulty`, the path of its data through the faults of the link, if this kind of link has any.
+    Attributes
+    ----------
+    faulty
+        Path of its data through the faults of the link; None: this kind of link has no faults.
     """
 
-    _faulty: Faulty[Any] | None = None
+    faulty: Faulty[Any] | None = None
 
     @abstractmethod
     async def start(self) -> None:
@@ -95,46 +124,16 @@ class Endpoint(ABC):
         """
         return BUSY_NS
 
-    @property
-    def is_watched(self) -> bool:
-        """True if a host notices when data leave: events then leave at their own time, not some milliseconds later."""
-        return True
-
-    @property
-    def next_fault_us(self) -> int:
-        """Stream time at which a fault of the rig begins; the past while one is active."""
-        return FOREVER_US if self._faulty is None else self._faulty.next_us
-
     def mark(self, edges: Edges) -> int:
         """Send the camera's own marks, (n > 0,) EDGE in the time its receivers see; return the number sent.
 
-        USB sends none: those of a DAVIS346 leave by a separate connector.
+        USB sends none: those of a camera on USB leave by a separate connector.
         """
         return 0
 
     def advance_faults(self, stream_us: int) -> None:
         """Begin and end the faults of the rig that are due at this stream time."""
         return
-
-    def inject(self, fault: Fault) -> None:
-        """Begin a fault now; raises ValueError for a fault that this kind of link cannot have."""
-        if self._faulty is None:
-            raise ValueError(f"{fault.kind!r} is no fault of this kind of link")
-        self._faulty.inject(fault)
-
-    def end_fault(self, number: int) -> bool:
-        """Let an active fault end now; return False where no fault with this number is active."""
-        return self._faulty is not None and self._faulty.end(number)
-
-    @property
-    def withholds(self) -> bool:
-        """True while a fault holds data back from the host: stream time must not wait for the host then."""
-        return False
-
-    @property
-    def faults(self) -> tuple[FaultRecord, ...]:
-        """Record of each fault."""
-        return () if self._faulty is None else self._faulty.records
 
     @abstractmethod
     async def close(self) -> None:
@@ -145,35 +144,9 @@ class Endpoint(ABC):
     def state(self) -> str:
         """Short state for the live table."""
 
-    @property
-    def address(self) -> str | None:
-        """Address at which a host finds the camera; None if there is no address."""
-        return None
-
-    @property
-    def attach_command(self) -> str:
-        """Command that attaches a host to the camera that waits for one; empty if none waits, or none is known."""
-        return ""
-
-    @property
-    def use(self) -> LineUse | None:
-        """Load of the line; None if it has no limited capacity."""
-        return None
-
-    @property
-    def trouble(self) -> str:
-        """Reason for an incomplete output file, for people; empty if it is complete or there is none."""
-        return ""
-
-    @property
-    def recording(self) -> RecordingSummary | None:
-        """Summary of the closed output file; None if there is none."""
-        return None
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Further counts by name, for the summary."""
-        return {}
+    def report(self) -> EndpointReport:
+        """Return what a report of the link contains beside the state."""
+        return EndpointReport()
 
 
 class EndpointFactory(ABC, Generic[_Served]):
@@ -223,9 +196,9 @@ class Reopening(Generic[T]):
         self._running: asyncio.Task[T] | None = None
         self.why = ""
 
-    def lost(self, why: str = "") -> None:
+    def lost(self, reason: str = "") -> None:
         """Record that it was lost just now."""
-        self.why = why
+        self.why = reason
         self._next_ns = self._clock.now_ns() + self._period_ns
 
     def poll(self) -> T | None:

@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from firmware_protocol.device.clock import ClockSettings, DeviceClock
-from firmware_protocol.device.event_device import EventDevice, ReadingKind
+from firmware_protocol.device.event_device import EventDevice, HasClockInput, StartsSilent, TakesReadings
+from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import EdgeKind, Edges, Events, copy_events, empty_edges
 from transports.link.edges import EdgeRing, EdgeSource
 from transports.link.rings import FOREVER_US, EventRing, ReadingRing
@@ -53,7 +54,7 @@ class ReadingFeed:
     """Feed of readings of every kind; rings contain stream time, the device receives clock time."""
 
     def __init__(self, device: EventDevice, rings: Sequence[ReadingRing], clock: DeviceClock | None) -> None:
-        self._device = device
+        self._device = device if isinstance(device, TakesReadings) else None
         self._rings = rings
         self._clock = clock
         self._version: int | None = None
@@ -69,14 +70,13 @@ class ReadingFeed:
                 continue
             if self._clock is not None:
                 records["t"] = self._clock.shown_us(records["t"])
-            used = self._device.offer_readings(ring.kind, records)
+            used = self._device is not None and self._device.offer_readings(ring.kind, records)
             (self._taken if used else self._ignored)[ring.kind] += len(records)
 
     def _write_settings(self) -> None:
-        version = self._device.settings_version
-        if version is not None and version == self._version:
+        if self._device is None or self._device.settings_version == self._version:
             return
-        self._version = version
+        self._version = self._device.settings_version
         for ring in self._rings:
             ring.write_settings(self._device.reading_settings(ring.kind))
 
@@ -87,6 +87,8 @@ class ReadingFeed:
 
     def until_us(self, until_us: int) -> int:
         """Return the stream time, at most `until_us`, up to which readings find room in the device."""
+        if self._device is None:
+            return until_us
         for ring in self._rings:
             first_without_us = ring.time_of(self._device.room_readings(ring.kind))
             if first_without_us is not None:
@@ -265,7 +267,7 @@ class Feed:
             if not self._stretch(self._restarts_us[0], limit):
                 return self._fed - before
             del self._restarts_us[0]
-            if self._device.restart_clock():
+            if isinstance(self._device, HasClockInput) and self._device.restart_clock():
                 self._last_mark = 0
         self._stretch(until_us, limit)
         self._synchronise()
@@ -274,7 +276,8 @@ class Feed:
     def happen(self, kind: EdgeKind | None) -> None:
         """Apply an edge to the input now, at the device's current time; None: reset the clock to zero."""
         if kind is None:
-            self._device.restart_clock()
+            if isinstance(self._device, HasClockInput):
+                self._device.restart_clock()
             return
         edge = empty_edges(1)
         edge["t"], edge["kind"] = self._device.now_us, kind
@@ -283,16 +286,16 @@ class Feed:
 
     def _synchronise(self) -> None:
         """Send resets to a slave, or apply those of a master that this device's time has reached."""
-        if self._sync_in is None and not self._sync_out:
+        if not isinstance(self._device, HasClockInput) or (self._sync_in is None and not self._sync_out):
             return
         if self._sync_in is not None:
             for edge in self._sync_in.take(self._device.now_us):
                 self._device.follow_reset(int(edge["t"]))
         for at_us in self._device.take_resets() if self._sync_out else ():
-            told = empty_edges(1)
-            told["t"] = at_us
+            reset = empty_edges(1)
+            reset["t"] = at_us
             for ring in self._sync_out:
-                ring.push(told)
+                ring.push(reset)
 
     def _stretch(self, until_us: int, limit: int) -> bool:
         """Feed one stretch; return False when there were more events than `limit`."""
@@ -325,9 +328,9 @@ class Feed:
     def _own_time(self, events: Events) -> Events:
         if self.clock is None:
             return events
-        own = copy_events(events)
-        own["t"] = self.clock.shown_us(events["t"])
-        return own
+        shown = copy_events(events)
+        shown["t"] = self.clock.shown_us(events["t"])
+        return shown
 
     def _shown_us(self, stream_us: int) -> int:
         return stream_us if self.clock is None else int(self.clock.shown_us(stream_us)[0])
@@ -342,7 +345,7 @@ class Feed:
         horizon_us = self._device.horizon_us
         if self.clock is None or horizon_us > self._shown_us(self.reached_us) + 3_600_000_000:
             return horizon_us
-        silent = self._device.now_us < self._device.silent_until_us
+        silent = isinstance(self._device, StartsSilent) and self._device.now_us < self._device.silent_until_us
         return int(self.clock.stream_us(np.array([horizon_us]), self.reached_us)[0]) + (2 if silent else -2)
 
     def own_marks(self) -> Edges:
@@ -354,7 +357,9 @@ class Feed:
         numbers = np.arange(first, last + 1)
         self._marks += len(numbers)
         marks = empty_edges(len(numbers))
-        marks["t"], marks["kind"], marks["seq"] = numbers * self._period_us, EdgeKind.PULSE, numbers & 0xFFFF
+        marks["t"] = numbers * self._period_us
+        marks["kind"] = EdgeKind.PULSE
+        marks["seq"] = numbers & 0xFFFF
         return marks
 
     def edge_report(self, *, final: bool = False) -> EdgeReport:

@@ -7,38 +7,58 @@ group "evstim.links". `emulator.rig.kinds` lists the built-in ones; docs/extend.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
 
-from transports.faults.kinds import Fault
+from transports.faults.kinds import FAULTS, Fault
 from transports.faults.script import FaultPlan
 from transports.link.edges import EdgeSink
 from transports.needs import Need
 
-if TYPE_CHECKING:
-    from firmware_protocol.instrument.settings import InstrumentSettings
 
+class LinkParameters:
+    """Base of the [[links]] tables of a rig: frozen dataclasses with the name of their kind and their own name.
 
-class LinkParameters(Protocol):
-    """A [[links]] table of a rig: a frozen dataclass with the name of its kind and its own name."""
+    A table overrides what depends on its parameters.
+    """
 
     kind: ClassVar[str]
+    name: str
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
-    @property
-    def name(self) -> str:
-        """Name of the link in this rig."""
+    @classmethod
+    def complete(cls, table: dict[str, Any]) -> dict[str, Any]:
+        """Return a rig's table with derived values, before its types are checked."""
+        return table
+
+    def impossible_faults(self) -> Collection[str]:
+        """Return the kinds of faults of its carrier that this link cannot have."""
+        return ()
+
+    def listens_on(self) -> tuple[str, int] | None:
+        """Return the (host, port) that no other link may use; None if there is none, or any free one is suitable."""
+        return None
+
+    def needs(self) -> tuple[Need, ...]:
+        """Return the requirements on the machine, beyond evstim and its base dependencies."""
+        return ()
+
+    def sends_evt(self) -> bool:
+        """Return true if it sends EVT3 or EVT2 words: a run compiles their kernels before it begins."""
+        return False
+
+
+class _Instrument(Protocol):
+    def selection(self, size: tuple[int, int], /) -> object:
+        """Return the region of a sensor of `size`; raises ValueError if it extends beyond."""
         ...
 
 
-class InstrumentLink(LinkParameters, Protocol):
-    """A [[links]] table of a link that serves an instrument."""
+class InstrumentLink(LinkParameters):
+    """Base of the tables of links that serve an instrument: `instrument` is its `InstrumentSettings`."""
 
-    @property
-    def instrument(self) -> InstrumentSettings:
-        """Selection and rates of the camera's messages."""
-        ...
+    instrument: _Instrument
 
 
 P = TypeVar("P", bound=LinkParameters)
@@ -137,30 +157,15 @@ class LinkKind(Generic[P]):
         imported when a link is set up.
     has_sync
         True if its bus has a SYNC, which can trigger the camera.
-    faults
-        Types of all faults that it can have, by kind.
-    faults_of
-        Function that returns the faults that a link of given parameters can have; None: all.
+    carrier
+        Carrier of its data, which decides its faults, see `Fault.carriers`; "": it has none.
     listener
         Receiver of the link at the computer's side.
-    complete
-        Function that completes a rig's table before its types are checked.
     check
         Function that raises Unsuitable for parameters that do not fit the camera.
-    listens_on
-        Function that returns the (host, port) that no other link may use; None if there is none, or if any free port is
-        suitable.
     usb_model
-        With "usb": the camera model in whose words it carries a camera that has no USB device of its size; None: it
-        carries none of these.
-    start_delay
-        With "usb": True if the camera waits `camera.start_delay_ms` after its host's start command.
-    has_evt
-        Function that returns True if a link of given parameters sends EVT3 or EVT2 words: a run compiles their kernels
-        before it begins.
-    needs
-        Function that returns the requirements of a link of given parameters on the machine, beyond evstim and its base
-        dependencies.
+        With "usb": the camera model in whose words it carries a camera that has no USB device of its size, and that
+        then does not wait after its start; None: it carries none of these.
     has_readings
         With "plain": True if it accepts frames and samples of the inertial unit.
     """
@@ -169,23 +174,17 @@ class LinkKind(Generic[P]):
     serves: Literal["usb", "gige", "instrument", "plain"]
     endpoint: str
     has_sync: bool = False
-    faults: Mapping[str, type[Fault]] = field(default_factory=dict)
-    faults_of: Callable[[P], Mapping[str, type[Fault]]] | None = None
+    carrier: str = ""
     listener: Listener | None = None
-    complete: Callable[[dict[str, Any]], dict[str, Any]] = lambda table: table
     check: Callable[[P, CameraFacts], None] = lambda parameters, camera: None
-    listens_on: Callable[[P], tuple[str, int] | None] = lambda parameters: None
     usb_model: str | None = None
-    start_delay: bool = True
-    has_evt: Callable[[P], bool] = lambda parameters: False
-    needs: Callable[[P], tuple[Need, ...]] = lambda parameters: ()
     has_readings: bool = False
 
     def __post_init__(self) -> None:
         needed = {"name"} | ({"instrument"} if self.serves == "instrument" else set())
         if not isinstance(getattr(self.parameters, "kind", None), str):
             raise ValueError("the parameters of a link need a class attribute `kind`")
-        if missing := needed - {one.name for one in dataclasses.fields(self.parameters)}:
+        if missing := needed - {parameter.name for parameter in dataclasses.fields(self.parameters)}:
             raise ValueError(f"the parameters of a link that serves {self.serves!r} need {', '.join(sorted(missing))}")
 
     @property
@@ -193,9 +192,15 @@ class LinkKind(Generic[P]):
         """Name of the kind, the value of `kind` in rigs."""
         return self.parameters.kind
 
-    def possible_faults(self, parameters: P) -> Mapping[str, type[Fault]]:
-        """Return the faults that a link of these parameters can have, by kind."""
-        return self.faults if self.faults_of is None else self.faults_of(parameters)
+
+def possible_faults(kind: LinkKind[P], parameters: P) -> Mapping[str, type[Fault]]:
+    """Return the faults that a link of these parameters can have, by kind."""
+    impossible = parameters.impossible_faults()
+    return {
+        name: fault
+        for name, fault in FAULTS.usable().items()
+        if kind.carrier in fault.carriers and name not in impossible
+    }
 
 
 def check_region(parameters: InstrumentLink, camera: CameraFacts) -> None:

@@ -18,24 +18,19 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from multiprocessing.connection import Connection
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
-from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.event_device import EventDevice, HostAdjusted, StartsSilent
 from firmware_protocol.events import EdgeKind
+from firmware_protocol.recordings.part import Facts
 from transports.faults.kinds import Fault
 from transports.faults.script import FaultRecord
-from transports.link.deliveries import Deliveries, DeliveryTally
+from transports.link.deliveries import Deliveries, DeliveryTally, RecorderFactory
 from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointFactory
 from transports.link.feed import ClockReport, ClockTruth, Feed, Timing
 from transports.link.pacing import Clock
 from transports.link.report import CameraSettings, ChangeWatch, LinkReport, Occurrence
 from transports.link.rings import FOREVER_US, FREE_RUNNING, EventRing, ReadingRing
-from transports.recording.part import Facts
-
-if TYPE_CHECKING:
-    from transports.recording.live import AnyRecorder, ForwardingRecorder
 
 _TAKE_LIMIT = 1 << 17  # events a tick: bounds the memory and the time of one tick
 _MANY_EVENTS = 1024  # a tick that fed so many, of a run without pacing, is followed by the next one at once
@@ -59,8 +54,8 @@ class LinkSetup(Generic[_Device]):
         pickled.
     timing
         Triggers, and the device's own clock.
-    record, facts
-        File for the delivered data, and the camera properties that it contains.
+    recorder, facts
+        Recorder of the delivered data, and the camera's properties for its file; None: nothing is recorded.
     fifo_priority
         Above 0, the process runs under SCHED_FIFO, so that other processes cannot delay it.
     restart
@@ -69,16 +64,13 @@ class LinkSetup(Generic[_Device]):
         Number of delivered events; the count remains after the process has ended.
     readings
         Rings of the readings of the device, one for each kind.
-    deliveries
-        Writing end of a pipe for what was delivered, beside the file; None: no process reads it. One start of the link
-        uses it up, so the link is not started again.
     """
 
     name: str
     ring: EventRing
     device: Callable[[], _Device]
     endpoint: EndpointFactory[_Device]
-    record: Path | None = None
+    recorder: RecorderFactory | None = None
     facts: Facts = _NO_FACTS
     tick_us: int = 500
     timing: Timing = field(default_factory=Timing)
@@ -86,7 +78,6 @@ class LinkSetup(Generic[_Device]):
     restart: bool = False
     tally: DeliveryTally = field(default_factory=DeliveryTally)
     readings: tuple[ReadingRing, ...] = ()
-    deliveries: Connection | None = None
 
 
 class Link:
@@ -106,7 +97,7 @@ class Link:
         self._clock = clock
         self._period_ns = setup.tick_us * 1000
         self._device: EventDevice = setup.device()
-        recorder = _recorder(setup)
+        recorder = None if setup.recorder is None else setup.recorder.open(setup.facts)
         self._feed = Feed(self._device, setup.ring, setup.timing, setup.readings)
         self._watch = ChangeWatch(self._device)
         self._holdback_us = setup.timing.holdback_us
@@ -148,14 +139,14 @@ class Link:
         if len(marks):
             self._feed.marks_sent += self.endpoint.mark(marks)
         self.endpoint.pump()
-        self._tally.delivered = self._delivered
+        self._tally.delivered = self._device.delivered - sum(fault.events_lost for fault in self._faults)
         if self._deliveries.recording is not None and not self._device.waiting_items:
             self._deliveries.reach(self._device.now_us, self._device.epoch_us)
 
     def _feed_due(self, origin_ns: int, now_us: int) -> int:
         """Feed the due data; return the number of events."""
         if origin_ns == FREE_RUNNING:
-            bounded = self._device.streaming and not self.endpoint.withholds
+            bounded = self._device.streaming and not self._withholds
             room = self._device.room_events if bounded else _TAKE_LIMIT
             return self._feed.feed(self._free_until_us(now_us), min(room, _TAKE_LIMIT))
         due_us = (self._clock.now_ns() - origin_ns) // 1000 - self._holdback_us
@@ -169,7 +160,7 @@ class Link:
     @property
     def is_at_rest(self) -> bool:
         """True while no host notices if data leave some milliseconds late."""
-        return self._device.at_rest or not self.endpoint.is_watched
+        return self._device.at_rest
 
     @property
     def soonest_ns(self) -> int:
@@ -187,7 +178,7 @@ class Link:
     @property
     def next_ns(self) -> int:
         """Time at which the next tick is due if neither a request nor a publication comes before."""
-        if self._watch.is_behind or self.endpoint.next_fault_us <= self._feed.reached_us:
+        if self._watch.is_behind or self._next_fault_us <= self._feed.reached_us:
             return self.soonest_ns
         if not self.is_paced and self._lags:
             waited_for = self._watch.acts and self._ring.now_us > self._seen_us
@@ -226,10 +217,27 @@ class Link:
         origin_ns = self._ring.origin_ns
         if origin_ns is None or origin_ns == FREE_RUNNING:
             return self.ticked_ns + REST_NS
-        due_us = min(self.endpoint.next_fault_us, self._feed.restart_us)
+        due_us = min(self._next_fault_us, self._feed.restart_us)
         if not self.is_at_rest:
             due_us = min(due_us, self._feed.due_us + _GATHER_US)
         return origin_ns + (due_us + self._holdback_us) * 1000
+
+    @property
+    def _faults(self) -> tuple[FaultRecord, ...]:
+        faulty = self.endpoint.faulty
+        return () if faulty is None else faulty.records
+
+    @property
+    def _next_fault_us(self) -> int:
+        """Stream time at which a fault of the rig begins; the past while one is active."""
+        faulty = self.endpoint.faulty
+        return FOREVER_US if faulty is None else faulty.next_us
+
+    @property
+    def _withholds(self) -> bool:
+        """True while a fault withholds data from the host: stream time must not wait for the host then."""
+        faulty = self.endpoint.faulty
+        return faulty is not None and faulty.withholds
 
     @property
     def changes(self) -> deque[CameraSettings | Occurrence]:
@@ -242,42 +250,40 @@ class Link:
 
     def inject(self, fault: Fault, by: str = "") -> None:
         """Begin a fault, on behalf of `by`."""
-        self.endpoint.inject(fault)
-        faults = self.endpoint.faults
-        number = faults[-1].number if faults else 0
-        self._watch.add(Occurrence(self._feed.reached_us, by, f"fault {fault.kind}", number))
+        faulty = self.endpoint.faulty
+        if faulty is None:
+            raise ValueError(f"{fault.kind!r} is no fault of this kind of link")
+        faulty.inject(fault)
+        self._watch.add(Occurrence(self._feed.reached_us, by, f"fault {fault.kind}", faulty.records[-1].number))
 
     def end_fault(self, number: int, by: str = "") -> None:
         """End a fault on behalf of `by`; one that is over already is left as it is."""
-        if self.endpoint.end_fault(number):
-            kind = next(one.kind for one in self.endpoint.faults if one.number == number)
+        faulty = self.endpoint.faulty
+        if faulty is not None and faulty.end(number):
+            kind = next(record.kind for record in faulty.records if record.number == number)
             self._watch.add(Occurrence(self._feed.reached_us, by, f"end of fault {kind}", number))
 
     def happen(self, kind: EdgeKind | None, by: str = "") -> None:
         """Apply an edge to the input now, or reset the clock, on behalf of `by`."""
         self._feed.happen(kind)
-        what = "reset" if kind is None else kind.name.lower()
-        self._watch.add(Occurrence(self._feed.reached_us, by, f"trigger {what}"))
+        event = "reset" if kind is None else kind.name.lower()
+        self._watch.add(Occurrence(self._feed.reached_us, by, f"trigger {event}"))
 
     def _free_until_us(self, now_us: int) -> int:
         """Return the stream time that a run without pacing may reach now.
 
         A silence that the host needs lasts in the host's time too.
         """
-        if self.endpoint.withholds:  # the FIFO is not emptied: it overflows, as in real time
+        if self._withholds:  # the FIFO is not emptied: it overflows, as in real time
             return min(now_us, self._feed.reached_us + _WITHHELD_STEP_US)
         until_us = self._feed.readings.until_us(min(now_us, self._feed.horizon_us))
-        silent_until_us = self._device.silent_until_us
-        if silent_until_us <= self._device.now_us:
+        if not isinstance(self._device, StartsSilent) or self._device.silent_until_us <= self._device.now_us:
             return until_us
+        silent_until_us = self._device.silent_until_us
         if self._silence[0] != silent_until_us:
             self._silence = silent_until_us, self._feed.reached_us, self._clock.now_ns()
         _, begun_us, begun_ns = self._silence
         return min(until_us, begun_us + (self._clock.now_ns() - begun_ns) // 1000)
-
-    @property
-    def _delivered(self) -> int:
-        return self._device.delivered - sum(fault.events_lost for fault in self.endpoint.faults)
 
     @property
     def idle(self) -> bool:
@@ -290,12 +296,16 @@ class Link:
         """Return the report of the link; the final report counts the data left in the ring as dropped."""
         counters = self._device.counters
         left = self._ring.waiting if final else 0
-        faults = self.endpoint.faults
+        faults = self._faults
+        endpoint = self.endpoint.report()
+        adjusted = self._device if isinstance(self._device, HostAdjusted) else None
         destroyed = sum(fault.events_lost for fault in faults)
+        of_truth = "" if self._truth is None else self._truth.trouble
+        troubles = (self._deliveries.trouble, of_truth, endpoint.trouble, *(fault.log_trouble for fault in faults))
         return LinkReport(
             state="closed" if final else self.endpoint.state,
-            address=None if final else self.endpoint.address,
-            attach_command="" if final else self.endpoint.attach_command,
+            address=None if final else endpoint.address,
+            attach_command="" if final else endpoint.attach_command,
             delivered=counters.delivered - destroyed,
             dropped=counters.lost_on_link + self._ring.refused + left + destroyed,
             camera=counters,
@@ -303,22 +313,17 @@ class Link:
             digest=self._deliveries.digest,
             final=final,
             error=error,
-            use=self.endpoint.use,
-            counts=self.endpoint.counts,
+            use=endpoint.use,
+            counts=endpoint.counts,
             edges=self._feed.edge_report(final=final),
             clock=self._clock_report(final=final),
             faults=faults,
-            file_troubles=self._file_troubles(faults),
-            sensor_factors=self._device.sensor_factors,
-            without_effect=self._device.without_effect,
+            file_troubles=tuple(dict.fromkeys(filter(None, troubles))),
+            sensor_factors={} if adjusted is None else adjusted.sensor_factors,
+            without_effect={} if adjusted is None else adjusted.without_effect,
             readings=self._feed.readings.reports(final=final),
-            recordings=tuple(one for one in (self._deliveries.recording, self.endpoint.recording) if one is not None),
+            recordings=tuple(file for file in (self._deliveries.recording, endpoint.recording) if file is not None),
         )
-
-    def _file_troubles(self, faults: tuple[FaultRecord, ...]) -> tuple[str, ...]:
-        truth = "" if self._truth is None else self._truth.trouble
-        told = (self._deliveries.trouble, truth, self.endpoint.trouble, *(fault.log_trouble for fault in faults))
-        return tuple(dict.fromkeys(trouble for trouble in told if trouble))
 
     def _clock_report(self, *, final: bool) -> ClockReport | None:
         if final:  # the host has disconnected, so the device's time is not valid
@@ -337,12 +342,3 @@ class Link:
         self._deliveries.close()
         if self._truth is not None:
             self._truth.close()
-
-
-def _recorder(setup: LinkSetup[Any]) -> AnyRecorder | ForwardingRecorder | None:
-    if setup.record is None and setup.deliveries is None:
-        return None
-    from transports.recording.live import ForwardingRecorder, open_recorder
-
-    own = None if setup.record is None else open_recorder(setup.record, setup.facts)
-    return own if setup.deliveries is None else ForwardingRecorder(setup.deliveries, own)

@@ -19,13 +19,13 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.event_device import EventDevice, HostAdjusted
 from firmware_protocol.device.fates import Fates
+from firmware_protocol.recordings.part import RecordingSummary
 from transports.faults.script import FaultRecord
 from transports.link.deliveries import LatencySummary
 from transports.link.endpoint import LineUse
 from transports.link.feed import ClockReport, EdgeReport, ReadingReport
-from transports.recording.part import RecordingSummary
 
 _MOST_WAITING = 1000  # changes that a busy session has not read
 _FOREVER_US = 1 << 62
@@ -42,7 +42,7 @@ class CameraSettings:
     by
         Origin: "register" or "telecommand"; or "restart", when the camera has its power-on settings again.
     sensor_factors, without_effect
-        See `EventDevice`.
+        See `HostAdjusted`.
     """
 
     t_us: int
@@ -83,8 +83,8 @@ class ChangeWatch:
     """
 
     def __init__(self, device: EventDevice) -> None:
-        self._device = device
-        self._acts = type(device).sensor_factors is not EventDevice.sensor_factors
+        self._device = device if isinstance(device, HostAdjusted) else None
+        self._by = "" if self._device is None else self._device.set_by
         self._factors: dict[str, float] = {}
         self._without_effect: dict[str, str] = {}
         self._not_listed = 0
@@ -94,28 +94,25 @@ class ChangeWatch:
     @property
     def is_behind(self) -> bool:
         """True if the device has counted a change since the last `look`."""
-        return self._device.settings_version != self._version
+        return self._device is not None and self._device.settings_version != self._version
 
     @property
     def acts(self) -> bool:
         """True if hosts of this kind of device can change the sensor."""
-        return self._acts
+        return self._device is not None
 
     def look(self, t_us: int) -> None:
         """Record the changes since the last call, at stream time `t_us` of the camera."""
-        version = self._device.settings_version
-        if version is None or version != self._version:
-            self._version = version
-            self._compare(t_us)
-
-    def _compare(self, t_us: int) -> None:
-        by = self._device.set_by
-        for command in self._device.take_commands():
-            self.add(Occurrence(t_us, by, command))
-        factors, without_effect = dict(self._device.sensor_factors), dict(self._device.without_effect)
+        device = self._device
+        if device is None or device.settings_version == self._version:
+            return
+        self._version = device.settings_version
+        for command in device.take_commands():
+            self.add(Occurrence(t_us, self._by, command))
+        factors, without_effect = dict(device.sensor_factors), dict(device.without_effect)
         if (factors, without_effect) != (self._factors, self._without_effect):
             self._factors, self._without_effect = factors, without_effect
-            self.add(CameraSettings(t_us, by, factors, without_effect))
+            self.add(CameraSettings(t_us, self._by, factors, without_effect))
 
     def add(self, change: CameraSettings | Occurrence) -> None:
         """Record a change; if 1000 wait, occurrences are only counted, and settings replace the last ones.
@@ -123,29 +120,23 @@ class ChangeWatch:
         So the sensor follows the settings whatever else a host sends.
         """
         if len(self.waiting) < _MOST_WAITING:
-            self._add_count(change.t_us)
+            if self._not_listed:
+                self.waiting.append(Occurrence(change.t_us, self._by, f"{self._not_listed} more, not listed"))
+                self._not_listed = 0
             self.waiting.append(change)
         elif isinstance(change, Occurrence):
             self._not_listed += 1
         else:
-            self._replace_settings(change)
-
-    def _add_count(self, t_us: int) -> None:
-        if self._not_listed:
-            self.waiting.append(Occurrence(t_us, self._device.set_by, f"{self._not_listed} more, not listed"))
-            self._not_listed = 0
-
-    def _replace_settings(self, settings: CameraSettings) -> None:
-        if isinstance(self.waiting[-1], CameraSettings):
-            self.waiting.pop()
-        self.waiting.append(settings)
+            if isinstance(self.waiting[-1], CameraSettings):
+                self.waiting.pop()
+            self.waiting.append(change)
 
     def settled_us(self, reached_us: int) -> int:
         """Return the stream time before which no further change of the sensor can come, for a camera at `reached_us`.
 
         Without limit if no action of the hosts can change the sensor.
         """
-        return reached_us if self._acts else _FOREVER_US
+        return reached_us if self.acts else _FOREVER_US
 
 
 @dataclass(frozen=True)
@@ -174,9 +165,9 @@ class LinkReport:
     file_troubles
         Reasons for incomplete files of the link (record, truth, fault log), a sentence each.
     sensor_factors
-        Factors on parameters of the sensor from the host's biases; see `EventDevice.sensor_factors`.
+        Factors on parameters of the sensor from the host's biases; see `HostAdjusted.sensor_factors`.
     without_effect
-        Settings of the host that change nothing in the sensor, and why; see `EventDevice.without_effect`.
+        Settings of the host that change nothing in the sensor, and why; see `HostAdjusted.without_effect`.
     readings
         Counts of frames and samples before the camera took them, by kind.
     recordings

@@ -42,7 +42,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.device.event_device import ReadingKind, Readings
+from firmware_protocol.device.items import ReadingKind, Readings
 from firmware_protocol.events import EVENT, Events
 from firmware_protocol.frames import LineKind
 
@@ -151,14 +151,14 @@ class SharedRing:
     def take(self, until_us: int, limit: int | None = None) -> npt.NDArray[Any]:
         """Take at most `limit` records with t <= `until_us`; returns a copy, shape (n,)."""
         taken = int(self._head[_TAKEN])
-        there = self.written - taken
-        n = self._due(taken, there if limit is None else min(there, max(limit, 0)), until_us)
+        waiting = self.written - taken
+        n = self._due(taken, waiting if limit is None else min(waiting, max(limit, 0)), until_us)
         if not n:
             return np.empty(0, self._record)
         start = taken % self.capacity
         first = self._body[start : start + n]  # up to the end of the memory
-        rest = n - len(first)
-        records = np.concatenate((first, self._body[:rest])) if rest else first.copy()
+        wrapped = n - len(first)
+        records = np.concatenate((first, self._body[:wrapped])) if wrapped else first.copy()
         self._head[_TAKEN] = taken + n
         return records.view(self._record)
 
@@ -168,17 +168,17 @@ class SharedRing:
             return None
         return int(self._times[(int(self._head[_TAKEN]) + index) % self.capacity])
 
-    def _due(self, taken: int, there: int, until_us: int) -> int:
-        """Return how many of the next `there` records have t <= `until_us`."""
+    def _due(self, taken: int, waiting: int, until_us: int) -> int:
+        """Return how many of the next `waiting` records have t <= `until_us`."""
         times, capacity = self._times, self.capacity
         start = taken % capacity
-        if there < 1 or times[start] > until_us:
+        if waiting < 1 or times[start] > until_us:
             return 0
-        if times[(taken + there - 1) % capacity] <= until_us:
-            return there
-        first = min(there, capacity - start)  # records before the end of the memory
-        if first < there and times[capacity - 1] <= until_us:
-            return first + bisect.bisect_right(times, until_us, 0, there - first)
+        if times[(taken + waiting - 1) % capacity] <= until_us:
+            return waiting
+        first = min(waiting, capacity - start)  # records before the end of the memory
+        if first < waiting and times[capacity - 1] <= until_us:
+            return first + bisect.bisect_right(times, until_us, 0, waiting - first)
         return bisect.bisect_right(times, until_us, start, start + first) - start
 
 
@@ -232,7 +232,7 @@ class EventRing(SharedRing):
         self.cells[_CLOSED] = 1
 
     def push(self, events: Events) -> int:
-        """See `SharedRing.push`."""
+        """Write events, (n,) EVENT, as many as there is room for; return their number."""
         if not len(events):
             return 0
         self._first_us = min(self._first_us, int(events["t"][0]))
@@ -306,7 +306,7 @@ class ReadingRing(SharedRing):
         return max(len(records), starts[-1] + self._longest if starts else 0) <= self.room
 
     def push(self, records: Readings) -> int:
-        """See `SharedRing.push`; a frame is written whole or refused whole."""
+        """Write readings, and return their number; a frame is written whole or refused whole."""
         return sum(self._push_part(part) for part in np.split(records, self._starts(records)) if len(part))
 
     def _push_part(self, part: Readings) -> int:
@@ -324,7 +324,7 @@ class ReadingRing(SharedRing):
 
     @property
     def settings(self) -> tuple[int, ...]:
-        """Newest settings that the link process wrote, as `EventDevice.reading_settings` returns them; empty before."""
+        """Newest settings that the link process wrote, see `TakesReadings.reading_settings`; empty before."""
         cells = self.cells
         for _ in range(100):
             version = int(cells[_VERSION])

@@ -19,13 +19,13 @@ from firmware_protocol.network_streams.coders import (
     SpifCoder,
 )
 from firmware_protocol.network_streams.pictures import DisplayCoder, EventImageCoder
-from transports.link.kind import CameraFacts, LinkKind, Unsuitable
-from transports.needs import package
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Unsuitable
+from transports.needs import Need, package
 from transports.network import check_allow, check_destination, check_port
 
 
 @dataclass(frozen=True)
-class TcpLink:
+class TcpLink(LinkParameters):
     """A server that sends events to all its clients: the DV viewer, `dv_processing.io.NetworkReader`, clients of cAER.
 
     Attributes
@@ -83,9 +83,17 @@ class TcpLink:
             raise ValueError(f'pictures is of the formats "event_image" and "display"; {self.format} shows none')
         check_allow(self.host, self.allow)
 
+    def listens_on(self) -> tuple[str, int] | None:
+        """Return the address, unless any free port is suitable."""
+        return (self.host, self.port) if self.port else None
+
+    def needs(self) -> tuple[Need, ...]:
+        """Return the package that compresses."""
+        return (package("lz4"),) if self.compression == "lz4" else ()
+
 
 @dataclass(frozen=True)
-class UdpLink:
+class UdpLink(LinkParameters):
     """Datagrams of events to one address: jAER, cAER, AEStream, faery.
 
     Attributes
@@ -133,14 +141,6 @@ DATAGRAM_CODERS: Mapping[str, type[DatagramCoder]] = {
 }
 
 
-def _check_tcp(link: TcpLink, camera: CameraFacts) -> None:
-    _check_size(link.format, CONNECTION_CODERS[link.format].limit_px, camera)
-
-
-def _check_udp(link: UdpLink, camera: CameraFacts) -> None:
-    _check_size(link.format, DATAGRAM_CODERS[link.format].limit_px, camera)
-
-
 def _check_size(form: str, limit_px: tuple[int, int], camera: CameraFacts) -> None:
     if camera.size[0] > limit_px[0] or camera.size[1] > limit_px[1]:
         raise Unsuitable(
@@ -152,9 +152,12 @@ TCP = LinkKind(
     TcpLink,
     serves="plain",
     endpoint="transports.network_streams.tcp:factory_of",
-    check=_check_tcp,
-    listens_on=lambda link: (link.host, link.port) if link.port else None,
-    needs=lambda link: (package("lz4"),) if link.compression == "lz4" else (),
+    check=lambda link, camera: _check_size(link.format, CONNECTION_CODERS[link.format].limit_px, camera),
 )
 
-UDP = LinkKind(UdpLink, serves="plain", endpoint="transports.network_streams.udp:factory_of", check=_check_udp)
+UDP = LinkKind(
+    UdpLink,
+    serves="plain",
+    endpoint="transports.network_streams.udp:factory_of",
+    check=lambda link, camera: _check_size(link.format, DATAGRAM_CODERS[link.format].limit_px, camera),
+)

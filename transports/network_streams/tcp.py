@@ -26,7 +26,7 @@ from firmware_protocol.events import empty_edges, empty_events
 from firmware_protocol.network_streams.coders import ConnectionCoder, DvTriggerCoder, StreamFacts
 from transports.connections import Admission, Listener, Seat
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
+from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory, EndpointReport
 from transports.link.kind import Wiring
 from transports.link.pacing import Clock
 from transports.needs import install_command
@@ -265,7 +265,10 @@ class ClientGroup:
         clock: Clock,
         changed: Callable[[bool], None],
     ) -> None:
-        self._host, self._coder, self._batches, self._clock = link.host, coder, batches, clock
+        self._host = link.host
+        self._coder = coder
+        self._batches = batches
+        self._clock = clock
         self._changed = changed
         self._terms = ClientTerms(coder.greeting, round(link.buffer_mib * (1 << 20)))
         self._admission = Admission(AllowList(link.allow))
@@ -277,7 +280,6 @@ class ClientGroup:
         self.attend: Callable[[], None] = lambda: None
 
     def __len__(self) -> int:
-        """Return the number of clients."""
         return len(self._clients)
 
     def open(self, port: int) -> None:
@@ -300,9 +302,8 @@ class ClientGroup:
     @property
     def counts(self) -> Mapping[str, int]:
         """Counts of clients so far, and of the events that single clients missed."""
-        missed = sum(client.missed for client in self._clients)
-        missed_by_slow = Counter({"events that single clients missed": missed})
-        return +(self._counts + missed_by_slow + self._admission.counts)
+        missed = Counter({"events that single clients missed": sum(client.missed for client in self._clients)})
+        return +(self._counts + missed + self._admission.counts)
 
     def has_room(self, *, paced: bool) -> bool:
         """Return True if any client has room for a batch, or, in a run without pacing, all clients that read."""
@@ -394,7 +395,9 @@ class TcpEndpoint(Endpoint):
     """Server of one stream on one port, and of the camera's triggers on another if the rig has one."""
 
     def __init__(self, factory: TcpFactory, device: PlainDevice, deliveries: Deliveries) -> None:
-        self._link, self._device, self._deliveries = factory.link, device, deliveries
+        self._link = factory.link
+        self._device = device
+        self._deliveries = deliveries
         self._coder = factory.coder()
         self._triggers = None if factory.triggers is None else factory.triggers()
         self._batches = ClientBatches(device, deliveries)
@@ -417,9 +420,8 @@ class TcpEndpoint(Endpoint):
 
     def pump(self) -> None:
         """Send the camera's data to the clients."""
-        overdue = self._batches.overdue
-        for clients in self._groups:
-            if overdue is not None:
+        if (overdue := self._batches.overdue) is not None:
+            for clients in self._groups:
                 clients.give_up(overdue)
         while self._has_room and (taken := self._device.take(_MOST_EVENTS)) is not None:
             self._send(taken)
@@ -428,13 +430,13 @@ class TcpEndpoint(Endpoint):
             self._clients.spread(nothing, self._coder.advance(self._device.now_us - self._epoch_us))
 
     def serve(self, attend: Callable[[], None]) -> None:
-        """See `Endpoint.serve`."""
+        """Receive the function to call before a request is processed."""
         for clients in self._groups:
             clients.attend = attend
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`."""
+        """Longest time until the next `pump`."""
         return BUSY_NS if self._device.waiting else REST_NS
 
     async def close(self) -> None:
@@ -448,19 +450,14 @@ class TcpEndpoint(Endpoint):
         """Number of clients, or the address at which they may connect."""
         count = len(self._clients)
         if not count:
-            return f"waiting for a client on {self.address}"
-        return f"{count} client{'s' if count > 1 else ''} on {self.address}"
+            return f"waiting for a client on {self._clients.address}"
+        return f"{count} client{'s' if count > 1 else ''} on {self._clients.address}"
 
-    @property
-    def address(self) -> str | None:
-        """Host and port that it listens on."""
-        return self._clients.address
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Counts of clients so far, and of the events that single clients missed."""
+    def report(self) -> EndpointReport:
+        """Return the address, and counts of clients so far and of the events that single clients missed."""
         triggers = {} if self._trigger_clients is None else self._trigger_clients.counts
-        return Counter(self._clients.counts) + Counter({f"triggers: {name}": n for name, n in triggers.items()})
+        counts = Counter(self._clients.counts) + Counter({f"triggers: {name}": n for name, n in triggers.items()})
+        return EndpointReport(self._clients.address, counts=counts)
 
     @property
     def _groups(self) -> list[ClientGroup]:

@@ -6,7 +6,7 @@ delivered when the kernel has taken its datagram.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import chain
@@ -15,7 +15,7 @@ from firmware_protocol.device.items import Items
 from firmware_protocol.device.plain_device import PlainDevice, own_time
 from firmware_protocol.network_streams.coders import Datagram, DatagramCoder, StreamFacts
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointFactory
+from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointFactory, EndpointReport
 from transports.link.kind import Wiring
 from transports.network import ByteBudget, DatagramOutlet
 from transports.network_streams.kind import DATAGRAM_CODERS, UdpLink
@@ -69,7 +69,7 @@ class UdpEndpoint(Endpoint):
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`."""
+        """Longest time until the next `pump`."""
         return BUSY_NS if self._next is not None or self._device.waiting else HOSTED_NS
 
     async def close(self) -> None:
@@ -81,17 +81,11 @@ class UdpEndpoint(Endpoint):
     @property
     def state(self) -> str:
         """Number of datagrams, and their destination."""
-        return f"{self._outlet.counts['datagrams']} datagrams to {self.address}"
+        return f"{self._outlet.counts['datagrams']} datagrams to {self._outlet.address}"
 
-    @property
-    def address(self) -> str:
-        """Host and port of the receiver."""
-        return self._outlet.address
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Numbers of datagrams sent, refused by the receiver's machine because no program listens, and not sendable."""
-        return +self._outlet.counts
+    def report(self) -> EndpointReport:
+        """Return the receiver's address, and counts of datagrams: sent, refused by the receiver, failed."""
+        return EndpointReport(self._outlet.address, counts=+self._outlet.counts)
 
     def _prepare(self) -> bool:
         """Prepare a datagram; return False when there is nothing to send."""
@@ -136,7 +130,8 @@ class _OpenItems:
         self._reported = self._reached = 0
 
     def begin(self, taken: Items) -> None:
-        self._taken, self._reported, self._reached = taken, 0, 0
+        self._taken = taken
+        self._reported = self._reached = 0
 
     def reached(self, end: int, *, left: bool) -> None:
         """Record that the datagrams with events up to `end` have left, or that the last of them could not be sent."""

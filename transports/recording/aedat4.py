@@ -92,7 +92,7 @@ class _Frames:
         pixels = frame.pixels if frame.pixels.dtype == np.uint8 else (frame.pixels >> 2).astype(np.uint8)
         pixels = pixels if pixels.ndim == 2 else pixels.mean(axis=2).astype(np.uint8)
         t, begin, end = (t + start_us for t in (frame.t_us, frame.exposure_begin_us, frame.exposure_end_us))
-        payload = aedat4_picture((t, begin, end, begin, end), np.ascontiguousarray(pixels), frame.origin)
+        payload = aedat4_picture(t, begin, end, np.ascontiguousarray(pixels), frame.origin)
         packet = struct.pack("<ii", _NUMBERS["frames"], len(payload)) + payload
         self._path.write_bytes(self._head + packet)
         with aedat.Decoder(self._path) as packets:

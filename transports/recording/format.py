@@ -1,17 +1,17 @@
 """Formats of recordings by name, detection of a file's format, and error texts for people.
 
-A format names its modules by path, so that nothing is imported before a file of its kind is opened.
+A format names its modules by path, so that nothing is imported before a file of its kind is opened. Installed packages
+add formats as entry points of the group "evstim.formats"; a built-in one comes first where two have the same signature
+or the same suffix.
 
-The format of an existing file is detected by its first bytes; CSV, which has no such signature, by its suffix too.
+The format of an existing file is detected by its first bytes; CSV and formats without such a signature by the suffix.
 """
 
 from __future__ import annotations
 
 import errno
-import importlib
 import os
 import re
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ from typing import Any
 
 from transports.needs import install_command
 from transports.recording.part import Facts, LibraryMissing, Reader, RecordingError, Writer
+from transports.registry import PluginError, Registry, UnknownName, imported
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,8 @@ class Format:
         Ends of the names of its files, the usual one first.
     writer, reader
         "module:Class" of its writer (path, facts) and its reader (path).
+    signature
+        First bytes of all its files; empty: its files are recognised by their suffix.
     holds
         Streams that are written with it: "events", "edges", "imu", "frames".
     ordered
@@ -60,6 +63,7 @@ class Format:
     suffixes: tuple[str, ...]
     writer: str
     reader: str
+    signature: bytes = b""
     holds: tuple[str, ...] = ("events",)
     ordered: tuple[str, ...] = ()
     readers: str = ""
@@ -87,95 +91,221 @@ class Format:
         reader: Reader = self.imported(self.reader)(path, size)
         return reader
 
-    def imported(self, where: str) -> Any:
-        """Return the class that `writer` or `reader` names; raises LibraryMissing."""
-        module, _, name = where.partition(":")
+    def imported(self, path: str) -> Any:
+        """Return the class at the path of `writer` or `reader`; raises LibraryMissing."""
         try:
-            return getattr(importlib.import_module(module), name)
-        except ImportError as error:
+            return imported(path)
+        except (ImportError, AttributeError) as error:
+            if not self.needs:
+                raise RecordingError(f"{self.title} cannot be used: {path}: {error}") from error
             raise LibraryMissing(f"{self.title} needs {self.needs}: {install_command('files')}") from error
 
 
-_HERE = "transports.recording"
 _ALL = ("events", "edges", "imu", "frames")
 _PICTURED = ("events", "imu", "frames")
 _WORDS = ("events", "edges")  # share one order of time where both are words
 _FORMATS = (
     Format(
-        "aedat4", "AEDAT 4.0", (".aedat4",), f"{_HERE}.aedat4:Aedat4Writer", f"{_HERE}.aedat4:Aedat4Reader", _ALL, (),
-        "DV, dv-processing, aedat, faery, jAER", "faery", (1 << 15, 1 << 15),
+        "aedat4",
+        "AEDAT 4.0",
+        (".aedat4",),
+        "transports.recording.aedat4:Aedat4Writer",
+        "transports.recording.aedat4:Aedat4Reader",
+        signature=b"#!AER-DAT4.0",
+        holds=_ALL,
+        readers="DV, dv-processing, aedat, faery, jAER",
+        needs="faery",
+        size_px=(1 << 15, 1 << 15),
     ),
     Format(
-        "aedat2", "AEDAT 2.0", (".aedat2", ".aedat"), f"{_HERE}.legacy_aedat:Aedat2Writer",
-        f"{_HERE}.legacy_aedat:Aedat2Reader", _ALL, _ALL, "jAER, tonic, dv", "", (1 << 10, 1 << 9),
+        "aedat2",
+        "AEDAT 2.0",
+        (".aedat2", ".aedat"),
+        "transports.recording.legacy_aedat:Aedat2Writer",
+        "transports.recording.legacy_aedat:Aedat2Reader",
+        signature=b"#!AER-DAT2",
+        holds=_ALL,
+        ordered=_ALL,
+        readers="jAER, tonic, dv",
+        size_px=(1 << 10, 1 << 9),
     ),
     Format(
-        "aedat31", "AEDAT 3.1", (".aedat31", ".aedat3"), f"{_HERE}.legacy_aedat:Aedat31Writer",
-        f"{_HERE}.legacy_aedat:Aedat31Reader", _ALL, (), "cAER, dv", "", (1 << 15, 1 << 15),
+        "aedat31",
+        "AEDAT 3.1",
+        (".aedat31", ".aedat3"),
+        "transports.recording.legacy_aedat:Aedat31Writer",
+        "transports.recording.legacy_aedat:Aedat31Reader",
+        signature=b"#!AER-DAT3.1",
+        holds=_ALL,
+        readers="cAER, dv",
+        size_px=(1 << 15, 1 << 15),
     ),
     Format(
-        "evt3", "EVT3", (".raw",), f"{_HERE}.evt_file:Evt3Writer", f"{_HERE}.evt_file:EvtReader", _WORDS, _WORDS,
-        "Metavision, OpenEB, faery, evlib, evt3", "", (1 << 11, 1 << 11), is_evt=True,
-    ),
-    Format(
-        "evt2", "EVT2", (".evt2.raw", ".evt2"), f"{_HERE}.evt_file:Evt2Writer", f"{_HERE}.evt_file:EvtReader",
-        _WORDS, _WORDS, "Metavision, OpenEB, faery, evlib, expelliarmus", "", (1 << 11, 1 << 11), 1 << 34,
+        "evt3",
+        "EVT3",
+        (".raw",),
+        "transports.recording.evt_file:Evt3Writer",
+        "transports.recording.evt_file:EvtReader",
+        holds=_WORDS,
+        ordered=_WORDS,
+        readers="Metavision, OpenEB, faery, evlib, evt3",
+        size_px=(1 << 11, 1 << 11),
         is_evt=True,
     ),
     Format(
-        "evt21", "EVT2.1", (".evt21.raw", ".evt21"), f"{_HERE}.evt_file:Evt21Writer", f"{_HERE}.evt_file:EvtReader",
-        _WORDS, _WORDS, "Metavision, OpenEB, evlib", "", (1 << 11, 1 << 11), 1 << 34, is_evt=True,
-    ),
-    Format(
-        "evt21-legacy", "EVT2.1 as of an IMX636", (".evt21-legacy.raw",), f"{_HERE}.evt_file:Evt21LegacyWriter",
-        f"{_HERE}.evt_file:EvtReader", _WORDS, _WORDS, "Metavision, OpenEB", "", (1 << 11, 1 << 11), 1 << 34,
+        "evt2",
+        "EVT2",
+        (".evt2.raw", ".evt2"),
+        "transports.recording.evt_file:Evt2Writer",
+        "transports.recording.evt_file:EvtReader",
+        holds=_WORDS,
+        ordered=_WORDS,
+        readers="Metavision, OpenEB, faery, evlib, expelliarmus",
+        size_px=(1 << 11, 1 << 11),
+        until_us=1 << 34,
         is_evt=True,
     ),
     Format(
-        "dat", "DAT", (".dat",), f"{_HERE}.faery_files:DatWriter", f"{_HERE}.faery_files:DatReader", ("events",), (),
-        "Metavision, OpenEB, faery, expelliarmus", "faery", (1 << 14, 1 << 14), 1 << 32,
+        "evt21",
+        "EVT2.1",
+        (".evt21.raw", ".evt21"),
+        "transports.recording.evt_file:Evt21Writer",
+        "transports.recording.evt_file:EvtReader",
+        holds=_WORDS,
+        ordered=_WORDS,
+        readers="Metavision, OpenEB, evlib",
+        size_px=(1 << 11, 1 << 11),
+        until_us=1 << 34,
+        is_evt=True,
     ),
     Format(
-        "es", "Event Stream", (".es",), f"{_HERE}.faery_files:EsWriter", f"{_HERE}.faery_files:EsReader", ("events",),
-        (), "faery, event_stream, Sepia", "faery", until_us=1 << 37,
+        "evt21-legacy",
+        "EVT2.1 as of an IMX636",
+        (".evt21-legacy.raw",),
+        "transports.recording.evt_file:Evt21LegacyWriter",
+        "transports.recording.evt_file:EvtReader",
+        holds=_WORDS,
+        ordered=_WORDS,
+        readers="Metavision, OpenEB",
+        size_px=(1 << 11, 1 << 11),
+        until_us=1 << 34,
+        is_evt=True,
     ),
     Format(
-        "csv", "CSV", (".csv",), f"{_HERE}.faery_files:CsvWriter", f"{_HERE}.faery_files:CsvReader", ("events",), (),
-        "faery, pandas, any table", "faery",
+        "dat",
+        "DAT",
+        (".dat",),
+        "transports.recording.faery_files:DatWriter",
+        "transports.recording.faery_files:DatReader",
+        readers="Metavision, OpenEB, faery, expelliarmus",
+        needs="faery",
+        size_px=(1 << 14, 1 << 14),
+        until_us=1 << 32,
     ),
     Format(
-        "dsec", "HDF5 as DSEC has it", (".h5", ".hdf5"), f"{_HERE}.dsec:DsecWriter", f"{_HERE}.dsec:DsecReader",
-        ("events",), (), "h5py, evlib, the DSEC tools", "h5py", until_us=1 << 32, piece_us=1_000_000,
+        "es",
+        "Event Stream",
+        (".es",),
+        "transports.recording.faery_files:EsWriter",
+        "transports.recording.faery_files:EsReader",
+        signature=b"Event Stream",
+        readers="faery, event_stream, Sepia",
+        needs="faery",
+        until_us=1 << 37,
     ),
     Format(
-        "ros1", "ROS 1 bag", (".bag",), f"{_HERE}.rosbag:Ros1Writer", f"{_HERE}.rosbag:BagReader", _ALL, _WORDS,
-        "event_camera_msgs (evt3)", "rosbags", (1 << 11, 1 << 11), live=False, is_evt=True,
+        "csv",
+        "CSV",
+        (".csv",),
+        "transports.recording.faery_files:CsvWriter",
+        "transports.recording.faery_files:CsvReader",
+        readers="faery, pandas, any table",
+        needs="faery",
     ),
     Format(
-        "ros1-dvs", "ROS 1 bag of dvs_msgs", (".dvs.bag",), f"{_HERE}.rosbag:Ros1DvsWriter",
-        f"{_HERE}.rosbag:BagReader", _PICTURED, (), "dvs_msgs: rpg_dvs_ros, rpg_esim", "rosbags", live=False,
+        "dsec",
+        "HDF5 as DSEC has it",
+        (".h5", ".hdf5"),
+        "transports.recording.dsec:DsecWriter",
+        "transports.recording.dsec:DsecReader",
+        signature=b"\x89HDF\r\n\x1a\n",
+        readers="h5py, evlib, the DSEC tools",
+        needs="h5py",
+        until_us=1 << 32,
+        piece_us=1000000,
     ),
     Format(
-        "ros2", "ROS 2 bag", (".ros2",), f"{_HERE}.rosbag:Ros2Writer", f"{_HERE}.rosbag:BagReader", _ALL, _WORDS,
-        "event_camera_msgs (evt3)", "rosbags", (1 << 11, 1 << 11), is_folder=True, live=False, is_evt=True,
+        "ros1",
+        "ROS 1 bag",
+        (".bag",),
+        "transports.recording.rosbag:Ros1Writer",
+        "transports.recording.rosbag:BagReader",
+        signature=b"#ROSBAG V2.0",
+        holds=_ALL,
+        ordered=_WORDS,
+        readers="event_camera_msgs (evt3)",
+        needs="rosbags",
+        size_px=(1 << 11, 1 << 11),
+        live=False,
+        is_evt=True,
     ),
     Format(
-        "ros2-dvs", "ROS 2 bag of dvs_msgs", (".dvs.ros2",), f"{_HERE}.rosbag:Ros2DvsWriter",
-        f"{_HERE}.rosbag:BagReader", _PICTURED, (), "dvs_msgs", "rosbags", is_folder=True, live=False,
-    ),
-    Format(
-        "npz", "NumPy", (".npz",), f"{_HERE}.record:NpzWriter", f"{_HERE}.record:NpzReader", _ALL, (), "numpy, evstim",
+        "ros1-dvs",
+        "ROS 1 bag of dvs_msgs",
+        (".dvs.bag",),
+        "transports.recording.rosbag:Ros1DvsWriter",
+        "transports.recording.rosbag:BagReader",
+        holds=_PICTURED,
+        readers="dvs_msgs: rpg_dvs_ros, rpg_esim",
+        needs="rosbags",
         live=False,
     ),
-)  # fmt: skip
-FORMATS: Mapping[str, Format] = {one.name: one for one in _FORMATS}
-"""All formats by name."""
+    Format(
+        "ros2",
+        "ROS 2 bag",
+        (".ros2",),
+        "transports.recording.rosbag:Ros2Writer",
+        "transports.recording.rosbag:BagReader",
+        holds=_ALL,
+        ordered=_WORDS,
+        readers="event_camera_msgs (evt3)",
+        needs="rosbags",
+        size_px=(1 << 11, 1 << 11),
+        is_folder=True,
+        live=False,
+        is_evt=True,
+    ),
+    Format(
+        "ros2-dvs",
+        "ROS 2 bag of dvs_msgs",
+        (".dvs.ros2",),
+        "transports.recording.rosbag:Ros2DvsWriter",
+        "transports.recording.rosbag:BagReader",
+        holds=_PICTURED,
+        readers="dvs_msgs",
+        needs="rosbags",
+        is_folder=True,
+        live=False,
+    ),
+    Format(
+        "npz",
+        "NumPy",
+        (".npz",),
+        "transports.recording.record:NpzWriter",
+        "transports.recording.record:NpzReader",
+        signature=b"PK\x03\x04",
+        holds=_ALL,
+        readers="numpy, evstim",
+        live=False,
+    ),
+)
+FORMATS: Registry[Format] = Registry("evstim.formats", Format, {form.name: form for form in _FORMATS})
+"""Formats by name."""
 
 
 def with_addition(path: Path, text: str) -> Path:
     """Return the path with `text` before its suffix, so that its format stays: a.dvs.bag -> a-TEXT.dvs.bag."""
-    known = sorted((s for one in _FORMATS for s in one.suffixes), key=len, reverse=True)
-    suffix = next((s for s in known if path.name.endswith(s)), path.suffix)
+    suffix = next((suffix for suffix, _ in _by_suffix() if path.name.endswith(suffix)), path.suffix)
     stem = path.name[: len(path.name) - len(suffix)] if suffix else path.name
     return path.with_name(f"{stem}-{text}{suffix}")
 
@@ -183,26 +313,23 @@ def with_addition(path: Path, text: str) -> Path:
 def format_to_write(path: Path, name: str = "") -> Format:
     """Return the format of that name, or the one of the file's suffix; raises RecordingError."""
     if name:
-        if name not in FORMATS:
-            raise RecordingError(f"there is no format {name!r}; there are {', '.join(FORMATS)}")
-        return FORMATS[name]
-    by_length = sorted(((s, one) for one in _FORMATS for s in one.suffixes), key=lambda pair: -len(pair[0]))
-    for suffix, one in by_length:
+        try:
+            return FORMATS[name]
+        except (UnknownName, PluginError) as error:
+            raise RecordingError(f"format {error}") from error
+    for suffix, form in _by_suffix():
         if path.name.endswith(suffix) and path.name != suffix:
-            return one
-    ends = ", ".join(suffix for one in _FORMATS for suffix in one.suffixes)
+            return form
+    ends = ", ".join(suffix for form in FORMATS.usable().values() for suffix in form.suffixes)
     raise RecordingError(f"{path.name!r} has none of the suffixes that are written: {ends}; or give the format")
 
 
-_STARTS = (
-    (b"#!AER-DAT4.0", "aedat4"),
-    (b"#!AER-DAT2", "aedat2"),
-    (b"#!AER-DAT3.1", "aedat31"),
-    (b"Event Stream", "es"),
-    (b"\x89HDF\r\n\x1a\n", "dsec"),
-    (b"#ROSBAG V2.0", "ros1"),
-    (b"PK\x03\x04", "npz"),
-)
+def _by_suffix() -> list[tuple[str, Format]]:
+    """Return each suffix with its format, the longest first."""
+    pairs = [(suffix, form) for form in FORMATS.usable().values() for suffix in form.suffixes]
+    return sorted(pairs, key=lambda pair: -len(pair[0]))
+
+
 _HEAD_BYTES = 4096
 
 
@@ -218,9 +345,9 @@ def format_to_read(path: Path) -> Format:
         head = file.read(_HEAD_BYTES)
     if not head:
         raise RecordingError("it is empty")
-    for start, name in _STARTS:
-        if head.startswith(start):
-            return FORMATS[name]
+    for form in FORMATS.usable().values():
+        if form.signature and head.startswith(form.signature):
+            return form
     return _of_text(head, path)
 
 
@@ -251,7 +378,11 @@ def _of_text(head: bytes, path: Path) -> Format:
     is_line = first[:2] in (b"t,", b"x,") or (first.count(b",") >= 3 and first[:1].isdigit())
     if is_line or path.suffix == ".csv":
         return FORMATS["csv"]
-    names = ", ".join(dict.fromkeys(one.title for one in FORMATS.values()))
+    plugins = [form for form in FORMATS.usable().values() if form.name not in FORMATS.built_in_names]
+    for form in plugins:
+        if not form.signature and path.name.endswith(form.suffixes):
+            return form
+    names = ", ".join(dict.fromkeys(form.title for form in FORMATS.usable().values()))
     raise RecordingError(f"it is none of the recordings that are read: {names}")
 
 

@@ -3,23 +3,19 @@
 In a run without pacing `append` waits for room; in a paced run, events that find no room are omitted from the file and
 counted. `open_recorder` returns a recorder for a file of any format: `.npz` in the calling process, all others in a
 separate process, whose main function is `main`. Its messages are those of `part`.
-
-`ForwardingRecorder` copies what a link delivers to the session's process, for a Python program that reads it during the
-run.
 """
 
 from __future__ import annotations
 
 import os
-import threading
 from collections import Counter
 from collections.abc import Mapping
-from multiprocessing.connection import Connection
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from firmware_protocol.events import EVENT
-from transports.recording.format import FORMATS, Format, format_to_write
+from transports.recording.format import FORMATS, Format, format_to_write, with_addition
 from transports.recording.part import (
     Facts,
     Part,
@@ -29,7 +25,6 @@ from transports.recording.part import (
     RecordingSummary,
     Restart,
     counts_of,
-    encoded_end,
     encoded_part,
     encoded_reached,
     encoded_restart,
@@ -37,7 +32,7 @@ from transports.recording.part import (
     named,
 )
 from transports.recording.record import Recorder
-from transports.recording.writer_process import PipeQueue, WriterProcess, serve_writer
+from transports.recording.writer_process import WriterProcess, serve_writer
 from transports.recording.writing import RecordingFile
 
 _CAPACITY_BYTES = 1 << 27
@@ -165,65 +160,16 @@ def open_recorder(path: Path, facts: Facts) -> AnyRecorder:
     return Recorder(path, facts.size) if form.name == "npz" else LiveRecorder(path, form, facts)
 
 
-_FORWARDED_BYTES = 1 << 26
+@dataclass(frozen=True)
+class FileRecorder:
+    """Factory of the recorder of a link's file, in the link's process; see `transports.link.deliveries`."""
 
+    path: Path
 
-class ForwardingRecorder:
-    """Sender of parts through a pipe, and to the recorder of the link's own file where there is one.
+    def open(self, facts: Facts) -> AnyRecorder:
+        """Return the recorder; raises OSError where the file cannot be opened."""
+        return open_recorder(self.path, facts)
 
-    In a run that is not paced `append` waits for room in the queue; in one that is, a part that finds none is left out,
-    and counted in the message that ends the stream.
-
-    Parameters
-    ----------
-    connection : writing end of the pipe; closed at the end.
-    recorder : of the link's file; None: there is no file.
-    """
-
-    def __init__(self, connection: Connection, recorder: AnyRecorder | None) -> None:
-        self._connection = connection
-        self._recorder = recorder
-        self._messages = PipeQueue(_FORWARDED_BYTES)
-        self._restarted = False
-        self._missing: Counter[str] = Counter()
-        self._thread = threading.Thread(target=self._send_all, name="deliveries", daemon=True)
-        self._thread.start()
-
-    def append(self, part: Part, *, restarted: bool = False, unix_us: int | None = None) -> None:
-        """Add a part in device time; see `LiveRecorder.append`."""
-        if self._recorder is not None:
-            self._recorder.append(part, restarted=restarted, unix_us=unix_us)
-        self._restarted |= restarted
-        start = encoded_restart(unix_us or 0) if self._restarted else []
-        if self._messages.put([*start, *encoded_part(part)], wait=unix_us is None):
-            self._restarted = False
-        else:
-            self._missing.update(counts_of(part))
-
-    def reach(self, t_us: int) -> None:
-        """Take note that no event earlier than `t_us` will come, for the file."""
-        if self._recorder is not None:
-            self._recorder.reach(t_us)
-
-    @property
-    def trouble(self) -> str:
-        """Reason for an incomplete file, for people; empty if it is complete or if there is none."""
-        return "" if self._recorder is None else self._recorder.trouble
-
-    @property
-    def summary(self) -> RecordingSummary | None:
-        """Contents of the file, once it is closed; None where there is none."""
-        return None if self._recorder is None else self._recorder.summary
-
-    def close(self) -> None:
-        """Send what waits and the end of the stream, and close the file."""
-        self._messages.put(encoded_end(missing=self._missing), wait=True)
-        self._messages.end()
-        if self._recorder is not None:
-            self._recorder.close()
-        self._thread.join(_CLOSE_S)
-
-    def _send_all(self) -> None:
-        self._messages.send_all(self._connection.fileno())
-        self._messages.stop()
-        self._connection.close()
+    def restarted(self, number: int) -> FileRecorder:
+        """Return the factory for a file beside the earlier one."""
+        return FileRecorder(with_addition(self.path, f"restart{number}"))

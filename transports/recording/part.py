@@ -1,4 +1,4 @@
-"""Interfaces of recordings, facts and summary of a whole one, and messages for its parts on a pipe to another process.
+"""Interfaces of recordings, and messages for their parts on a pipe to another process.
 
 A message is a letter, a length, and bytes.
 
@@ -11,15 +11,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import struct
-from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from typing import Any, Protocol
 
 import numpy as np
 
 from firmware_protocol.events import EDGE, EVENT, Events
-from firmware_protocol.recordings.part import IMU, Frame, Part
+from firmware_protocol.recordings.part import IMU, Facts, Frame, Part, RecordingSummary, counts_of, named
 
 __all__ = [
     "IMU",
@@ -52,40 +50,6 @@ class RecordingError(Exception):
 
 class LibraryMissing(RecordingError, ImportError):
     """Error: the optional package that reads or writes this format is not installed."""
-
-
-def counts_of(part: Part) -> Counter[str]:
-    """Return the number of records of each stream of a part: "events", "edges", "imu", "frames".
-
-    Without empty streams.
-    """
-    counts = Counter(events=len(part.events), edges=len(part.edges), imu=len(part.imu), frames=len(part.frames))
-    return +counts
-
-
-@dataclass(frozen=True)
-class Facts:
-    """Facts of a whole recording.
-
-    Attributes
-    ----------
-    size
-        (width, height) of the sensor, pixels; None: not known.
-    camera
-        Name of the camera.
-    unix_us
-        Unix time of t = 0, us; 0: not known.
-    streams
-        Its contents besides events: "edges", "imu", "frames".
-    imu_unit
-        Type of the inertial unit: 1 MPU-6050, 2 MPU-9250.
-    """
-
-    size: tuple[int, int] | None = None
-    camera: str = "evstim"
-    unix_us: int = 0
-    streams: frozenset[str] = frozenset({"edges"})
-    imu_unit: int = 2
 
 
 class Writer(Protocol):
@@ -230,50 +194,6 @@ def _frame(data: bytes) -> Frame:
     head, _, pixels = data.partition(b"\n")
     t_us, begin_us, end_us, dtype, shape, (column, row) = json.loads(head)
     return Frame(t_us, begin_us, end_us, np.frombuffer(pixels, dtype).reshape(shape), (column, row))
-
-
-_NAMES = {"events": "events", "edges": "triggers", "imu": "IMU samples", "frames": "frames"}
-
-
-@dataclass(frozen=True)
-class RecordingSummary:
-    """Summary of a file that a run wrote.
-
-    Attributes
-    ----------
-    title
-        Its format, for people.
-    paths
-        The file, and those that began at restarts of the camera's clock.
-    written, left_out
-        Number of records of each stream in it, and of those that its format cannot hold: "events", "edges", "imu",
-        "frames". Both are empty until it is closed.
-    trouble
-        Reason for an incomplete file, for people; empty if it is complete.
-    closed
-        True if it was finished; False if the process of its link died.
-    """
-
-    title: str
-    paths: tuple[str, ...]
-    written: Mapping[str, int] = field(default_factory=dict)
-    left_out: Mapping[str, int] = field(default_factory=dict)
-    trouble: str = ""
-    closed: bool = False
-
-    @property
-    def lines(self) -> list[str]:
-        """Sentences for people."""
-        content = (named(self.written) or "nothing") if self.closed else "not closed, as its link died"
-        lines = [f"{', '.join(self.paths)}: {self.title}, {content}"]
-        if self.left_out:
-            lines.append(f"left out, as {self.title} cannot hold them: {named(self.left_out)}")
-        return lines
-
-
-def named(counts: Mapping[str, int]) -> str:
-    """Return "3 events, 2 triggers" of counts by stream."""
-    return ", ".join(f"{counts[name]} {text}" for name, text in _NAMES.items() if counts.get(name))
 
 
 def wrong_event(events: Events, before_us: int, size: tuple[int, int]) -> tuple[int, str] | None:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import threading
@@ -219,7 +220,7 @@ def serve_writer(
     try:
         file = opened()
     except BaseException as error:  # noqa: BLE001 a panic of Rust is no Exception
-        _report(error=reason(error), errno=getattr(error, "errno", None) or 0)
+        _report(error=reason(error), errno=getattr(error, "errno", None) or _errno_in(str(error)))
         return
     _report(opened=True)
     trouble = ""
@@ -230,6 +231,12 @@ def serve_writer(
         with suppress(BaseException):  # the first reason is reported
             file.close()
     _report(trouble=trouble, **report(file))
+
+
+def _errno_in(text: str) -> int:
+    """Return the number of the operating system's error that a library names in its own error, 0 without."""
+    match = re.search(r"errno = (\d+)|os error (\d+)", text)
+    return int(match[1] or match[2]) if match else 0
 
 
 def _report(**values: Any) -> None:

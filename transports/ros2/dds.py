@@ -21,7 +21,7 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
-from firmware_protocol.ros2.messages import EVENT_PACKET, IMAGE, MessageType
+from firmware_protocol.ros2 import EVENT_PACKET, IMAGE, MessageType
 from transports.ros2.kind import DdsNetwork
 
 
@@ -165,7 +165,11 @@ class TopicReader:
     def take(self) -> list[Message]:
         """Return the received messages, at most 16."""
         taken = self._reader.take(N=_MOST_AT_ONCE)
-        return [Message(one.data, one.sample_info.source_timestamp) for one in taken if one.sample_info.valid_data]
+        return [
+            Message(sample.data, sample.sample_info.source_timestamp)
+            for sample in taken
+            if sample.sample_info.valid_data
+        ]
 
     def close(self) -> None:
         """Leave the topic."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -26,9 +26,9 @@ from firmware_protocol.events import Edges, Events
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.network_streams.pictures import Image as EventImage
 from firmware_protocol.network_streams.pictures import chosen, coloured, frames_for
-from firmware_protocol.ros2.messages import EVENT_PACKET, IMAGE, Header, Image, event_packet, image_message, mono_events
+from firmware_protocol.ros2 import EVENT_PACKET, IMAGE, Header, Image, event_packet, image_message, mono_events
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory
+from transports.link.endpoint import BUSY_NS, REST_NS, Endpoint, EndpointFactory, EndpointReport
 from transports.link.kind import Wiring
 from transports.needs import install_command
 from transports.ros2.kind import Ros2Link
@@ -164,7 +164,9 @@ class Window:
         if self._under_way < self._size and not self._stalled:
             return True
         if acknowledged():
-            self._under_way, self._since_ns, self._stalled = 0, None, False
+            self._under_way = 0
+            self._since_ns = None
+            self._stalled = False
             return True
         if self._since_ns is None:
             self._since_ns = now_ns
@@ -198,7 +200,9 @@ class Ros2Endpoint(Endpoint):
     """Topics of one camera."""
 
     def __init__(self, factory: Ros2Factory, device: PlainDevice, deliveries: Deliveries) -> None:
-        self._link, self._device, self._deliveries = factory.link, device, deliveries
+        self._link = factory.link
+        self._device = device
+        self._deliveries = deliveries
         self._packets = PacketCoder(factory.link, factory.size)
         self._pictures = PictureCoder(factory.link, factory.size) if factory.link.image_topic else None
         self._gathering = MessageBuffer(_MOST_EVENTS, round(factory.link.message_ms * 1e6))
@@ -240,7 +244,7 @@ class Ros2Endpoint(Endpoint):
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`."""
+        """Longest time until the next `pump`."""
         return BUSY_NS if self._gathering.holds or self._device.waiting else REST_NS
 
     async def close(self) -> None:
@@ -261,19 +265,17 @@ class Ros2Endpoint(Endpoint):
     def state(self) -> str:
         """Number of readers, or the topics that wait for readers."""
         if not self._readers:
-            return f"waiting for a reader of {self.address}"
-        return f"{self._readers} reader{'s' if self._readers > 1 else ''} of {self.address}"
+            return f"waiting for a reader of {self._address}"
+        return f"{self._readers} reader{'s' if self._readers > 1 else ''} of {self._address}"
+
+    def report(self) -> EndpointReport:
+        """Return the names of the topics and their domain, and counts of published messages."""
+        return EndpointReport(self._address, counts=+self._counts)
 
     @property
-    def address(self) -> str:
-        """Names of the topics, and their domain."""
+    def _address(self) -> str:
         topics = [self._link.topic, *([self._link.image_topic] if self._link.image_topic else [])]
         return f"{' and '.join(topics)} in domain {self._link.domain}"
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Counts of published messages."""
-        return +self._counts
 
     @property
     def _writers(self) -> list[TopicWriter]:

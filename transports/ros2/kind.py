@@ -16,7 +16,7 @@ from xml.sax.saxutils import quoteattr
 
 from firmware_protocol.evt.words import LIMIT_PX
 from firmware_protocol.network_streams.coders import PictureSettings
-from transports.link.kind import CameraFacts, LinkKind, Unsuitable
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Unsuitable
 from transports.needs import Need, package
 from transports.network import is_loopback
 
@@ -53,10 +53,10 @@ class DdsNetwork:
             raise ValueError(f"domain must be 0 to {_MOST_DOMAIN}, as ROS_DOMAIN_ID, got {self.domain}")
         elsewhere = [peer for peer in self.peers if not is_loopback(peer)]
         if not self.interfaces and (elsewhere or self.multicast):
-            what = f"peers name {elsewhere[0]}" if elsewhere else "multicast is true"
+            conflict = f"peers name {elsewhere[0]}" if elsewhere else "multicast is true"
             raise ValueError(
-                f'interfaces is empty, which keeps all on this machine, but {what}: name the network interface, for '
-                'example interfaces = ["eth0"]'
+                f'interfaces is empty, which keeps all on this machine, but {conflict}: name the network interface, '
+                'for example interfaces = ["eth0"]'
             )  # fmt: skip
 
     @property
@@ -94,7 +94,7 @@ def _interface(name: str) -> str:
 
 
 @dataclass(frozen=True)
-class Ros2Link:
+class Ros2Link(LinkParameters):
     """Topics of ROS 2, without ROS (`pip install '.[ros2]'`): packets of events, and pictures of them.
 
     Attributes
@@ -170,6 +170,14 @@ class Ros2Link:
         """Network of the topics."""
         return DdsNetwork(self.domain, self.interfaces, self.peers, self.multicast)
 
+    def sends_evt(self) -> bool:
+        """Return true for messages of EVT3 words."""
+        return self.encoding == "evt3"
+
+    def needs(self) -> tuple[Need, ...]:
+        """Return the package with the DDS protocol."""
+        return (package("cyclonedds"),)
+
 
 _MONO_LIMIT_PX = 1 << 15
 
@@ -181,19 +189,9 @@ def _check(link: Ros2Link, camera: CameraFacts) -> None:
                          "encoding")  # fmt: skip
 
 
-def _has_evt(link: Ros2Link) -> bool:
-    return link.encoding == "evt3"
-
-
-def _needs(_: Ros2Link) -> tuple[Need, ...]:
-    return (package("cyclonedds"),)
-
-
 ROS2 = LinkKind(
     Ros2Link,
     serves="plain",
     endpoint="transports.ros2.endpoint:factory_of",
     check=_check,
-    has_evt=_has_evt,
-    needs=_needs,
 )

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -43,6 +43,7 @@ from transports.link.endpoint import (
     REST_NS,
     Endpoint,
     EndpointFactory,
+    EndpointReport,
     LineUse,
     Reopening,
 )
@@ -270,7 +271,7 @@ def factory_of(line: SerialLink, wiring: Wiring) -> SerialFactory:
 class SerialEndpoint(Endpoint):
     """Endpoint of one instrument on one port."""
 
-    _faulty: FaultyLine
+    faulty: FaultyLine
 
     def __init__(self, factory: SerialFactory, instrument: Instrument, deliveries: Deliveries) -> None:
         self._line = factory.line
@@ -281,7 +282,7 @@ class SerialEndpoint(Endpoint):
         self._commands = self._profile.command_unwrapper()
         self._baud = BaudClock(self._line.baud, self._line.bits)
         self._out: Transmitter[Outgoing] = Transmitter(self._baud, self._next_frame, self._left, _AHEAD_NS)
-        self._faulty = FaultyLine(factory.faults, self._line.profile, self._baud.bytes_per_s, self._arrived)
+        self.faulty = FaultyLine(factory.faults, self._line.profile, self._baud.bytes_per_s, self._arrived)
         self._counts: Counter[str] = Counter()
         self._port: Port | None = None
         self._has_reader = False
@@ -297,19 +298,20 @@ class SerialEndpoint(Endpoint):
     def pump(self) -> None:
         """Process received bytes, and send the due bytes."""
         port = self._port
-        if self._faulty.gone or self._pulled_ns is not None:
+        if self.faulty.gone or self._pulled_ns is not None:
             self._pull_out()
             return
         if port is None:
-            self._reopen()
+            self._port = self._reopening.poll()
+            self._counts["reconnections"] += self._port is not None
             return
         try:
             self._set_reader(port.has_reader)
             self._receive(port.read())
             if self._has_reader:
                 self._out.pump(self._write, self._clock.now_ns())
-                self._faulty.flush(port.write)
-                self._faulty.settle()
+                self.faulty.flush(port.write)
+                self.faulty.settle()
         except OSError:
             self._vanished()
 
@@ -319,28 +321,28 @@ class SerialEndpoint(Endpoint):
         if self._has_reader and self._port is not None:
             await _emptied(self._port)
         self._set_reader(False)
-        self._faulty.close()
+        self.faulty.close()
         port, self._port = self._port, None
         if port is not None:
             await asyncio.to_thread(port.close)
 
     @property
     def inputs(self) -> Sequence[int]:
-        """See `Endpoint.inputs`."""
-        if self._port is None or self._faulty.gone or not self._has_reader or self._port.descriptor is None:
+        """Descriptors that are readable when a request has arrived."""
+        if self._port is None or self.faulty.gone or not self._has_reader or self._port.descriptor is None:
             return ()
         return (self._port.descriptor,)
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`; a port without a descriptor is looked at every time."""
+        """Longest time until the next `pump`; a port without a descriptor is looked at every time."""
         if self._pulled_ns is not None or self._out.is_busy or (self._has_reader and self._instrument.waiting_items):
             return BUSY_NS
         return REST_NS if self._port is None or self._port.descriptor is not None else HOSTED_NS
 
     def advance_faults(self, stream_us: int) -> None:
-        """See `Endpoint.advance_faults`."""
-        self._faulty.advance(stream_us, self._out.begun)
+        """Begin and end the faults of the rig that are due."""
+        self.faulty.advance(stream_us, self._out.begun)
 
     @property
     def state(self) -> str:
@@ -351,41 +353,31 @@ class SerialEndpoint(Endpoint):
             return f"waiting for a reader of {self._port.address}"
         return f"{self._line.baud} baud on {self._port.address}"
 
-    @property
-    def address(self) -> str | None:
-        """Path or URL of the port; for a pty, that of the reader's side."""
-        return None if self._port is None else self._port.address
-
-    @property
-    def attach_command(self) -> str:
-        """Receiver of evstim, while no program reads the port."""
-        if self._port is None or self._has_reader:
-            return ""
-        line = {name: getattr(self._line, name) for name in ("profile", "baud", "parity", "stop_bits")}
-        other = {name.replace("_", "-"): value for name, value in line.items() if value != getattr(SerialLink, name)}
-        options = (f" --{key} {value}" for key, value in other.items())
-        return f"evstim listen serial {self._port.address}{''.join(options)}"
-
-    @property
-    def use(self) -> LineUse:
-        """Load of the line."""
-        return LineUse(self._baud.carried, self._baud.share(self._clock.now_ns()), self._baud.busiest_share)
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Counts of telecommands, back-pressure and reconnections."""
-        unwrapped = self._commands.counters
-        return {
-            "telecommands": unwrapped.packets,
+    def report(self) -> EndpointReport:
+        """Return the port, evstim's own receiver while no program reads it, the load of the line, and counts."""
+        counts = {
+            "telecommands": self._commands.counters.packets,
             "damaged_frames": self._instrument.frames_refused,
             "held_back": self._out.held,
             "reconnections": self._counts["reconnections"],
-            "false_messages": self._faulty.false,
+            "false_messages": self.faulty.false,
         }
+        use = LineUse(self._baud.carried, self._baud.share(self._clock.now_ns()), self._baud.busiest_share)
+        if self._port is None:
+            return EndpointReport(use=use, counts=counts)
+        attach = "" if self._has_reader else f"evstim listen serial {self._port.address}{self._other_options}"
+        return EndpointReport(self._port.address, attach, use, counts)
+
+    @property
+    def _other_options(self) -> str:
+        """Options of the receiver for a line that differs from the default."""
+        line = {name: getattr(self._line, name) for name in ("profile", "baud", "parity", "stop_bits")}
+        other = {name.replace("_", "-"): value for name, value in line.items() if value != getattr(SerialLink, name)}
+        return "".join(f" --{key} {value}" for key, value in other.items())
 
     def _write(self, data: bytes) -> int:
         """Pass bytes to the port through the line's faults; the only output."""
-        return 0 if self._port is None else self._faulty.write(data, self._port.write)
+        return 0 if self._port is None else self.faulty.write(data, self._port.write)
 
     def _receive(self, data: bytes) -> None:
         """Process bytes of the other side; the only input."""
@@ -402,7 +394,7 @@ class SerialEndpoint(Endpoint):
 
     def _left(self, outgoing: Outgoing) -> None:
         self._instrument.sent(outgoing)
-        self._faulty.left(outgoing)
+        self.faulty.left(outgoing)
 
     def _arrived(self, outgoing: Outgoing) -> None:
         self._deliveries.add(outgoing.events, outgoing.epoch_us, outgoing.edges)
@@ -416,7 +408,7 @@ class SerialEndpoint(Endpoint):
             self._baud.restart(self._clock.now_ns())
             self._instrument.connected()
         else:
-            self._faulty.drop()
+            self.faulty.drop()
             for outgoing in self._out.drop():
                 self._instrument.lost(outgoing)
             self._instrument.disconnected()
@@ -439,12 +431,6 @@ class SerialEndpoint(Endpoint):
         if port is not None:
             asyncio.get_running_loop().run_in_executor(None, port.close)
         self._reopening.lost()
-
-    def _reopen(self) -> None:
-        """Try to open the port again, every half second, in a thread."""
-        self._port = self._reopening.poll()
-        if self._port is not None:
-            self._counts["reconnections"] += 1
 
 
 async def _emptied(port: Port) -> None:

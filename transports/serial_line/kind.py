@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 from firmware_protocol.instrument.settings import InstrumentSettings
-from transports.faults.line import SERIAL_FAULTS
-from transports.link.kind import LinkKind, Listener, check_region
+from transports.faults.kinds import SERIAL_LINE
+from transports.link.kind import InstrumentLink, LinkKind, Listener, check_region
 
 _PARITY_BITS = {"none": 0, "even": 1, "odd": 1, "mark": 1, "space": 1}
 
 
 @dataclass(frozen=True)
-class SerialLink:
+class SerialLink(InstrumentLink):
     """Event telemetry on a serial line: UART, RS-422, RS-485, or a pty for a program on this machine.
 
     Attributes
@@ -75,7 +75,7 @@ SERIAL = LinkKind(
     SerialLink,
     serves="instrument",
     endpoint="transports.serial_line.endpoint:factory_of",
-    faults=SERIAL_FAULTS,
+    carrier=SERIAL_LINE,
     listener=Listener("serial", "Read a camera on a serial line.", "emulator.cli.listen.packets:serial"),
     check=check_region,
 )

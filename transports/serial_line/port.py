@@ -42,7 +42,7 @@ from serial.rs485 import RS485Settings
 
 from firmware_protocol.packets.telecommands import Telecommand
 from transports.link.pacing import Clock
-from transports.link.reception import InstrumentReception, Receiving, receive
+from transports.reception import InstrumentReception, Receiving, receive
 from transports.recording.record import Recorder
 from transports.serial_line.kind import SerialLink
 
@@ -132,11 +132,11 @@ class DescriptorPort(Port):
         return str(self._serial.port)
 
     def write(self, data: bytes) -> int:
-        """See `Port.write`."""
+        """Accept as many bytes as there is room for."""
         return self._side.write(data)
 
     def read(self) -> bytes:
-        """See `Port.read`."""
+        """Return the received bytes."""
         events = self._side.events()
         if not events:
             return b""
@@ -147,7 +147,7 @@ class DescriptorPort(Port):
 
     @property
     def descriptor(self) -> int:
-        """See `Port.descriptor`."""
+        """Descriptor that is readable when bytes have arrived."""
         return self._side.fd
 
     @property
@@ -184,7 +184,7 @@ class ThreadedPort(Port):
         return str(self._serial.port)
 
     def write(self, data: bytes) -> int:
-        """See `Port.write`; a failure of earlier bytes is raised here."""
+        """Accept as many bytes as there is room for; a failure of earlier bytes is raised here."""
         if self._error is not None:
             raise self._error
         piece = data[: max(0, _THREAD_BYTES - self._waiting)]
@@ -194,7 +194,7 @@ class ThreadedPort(Port):
         return len(piece)
 
     def read(self) -> bytes:
-        """See `Port.read`."""
+        """Return the received bytes."""
         data: bytes = self._serial.read(_READ_BYTES)
         return data
 
@@ -271,8 +271,8 @@ def _claimed(path: Path) -> socket.socket:
     return claim
 
 
-def _refusal(path: Path, why: str) -> str:
-    return f"symlink = {str(path)!r}: {why}; give a path that is free, in a folder that exists"
+def _refusal(path: Path, reason: str) -> str:
+    return f"symlink = {str(path)!r}: {reason}; give a path that is free, in a folder that exists"
 
 
 class PtyPort(Port):
@@ -312,15 +312,15 @@ class PtyPort(Port):
 
     @property
     def descriptor(self) -> int:
-        """See `Port.descriptor`."""
+        """Descriptor that is readable when bytes have arrived."""
         return self._side.fd
 
     def write(self, data: bytes) -> int:
-        """See `Port.write`."""
+        """Accept as many bytes as there is room for."""
         return self._side.write(data)
 
     def read(self) -> bytes:
-        """See `Port.read`; b"" also while there is no reader, when the kernel returns EIO."""
+        """Return the received bytes; b"" also while there is no reader, when the kernel returns EIO."""
         return self._side.read() if self._had_reader else b""
 
     def close(self) -> None:
@@ -395,7 +395,9 @@ def _open(line: SerialLink) -> serial.SerialBase:
     """Open and set up by pyserial; raises OSError, ValueError or termios.error."""
     opened = serial.serial_for_url(line.port, do_not_open=True)
     opened.baudrate = line.baud
-    opened.bytesize, opened.parity, opened.stopbits = line.data_bits, line.parity[0].upper(), _STOP_BITS[line.stop_bits]
+    opened.bytesize = line.data_bits
+    opened.parity = line.parity[0].upper()
+    opened.stopbits = _STOP_BITS[line.stop_bits]
     opened.rtscts = line.flow == "rts_cts"
     opened.timeout = 0
     opened.write_timeout = None
@@ -438,16 +440,9 @@ def listen_serial(
     def turn() -> None:
         nonlocal unsent
         unsent = unsent[port.write(unsent) :] if unsent else b""
-        listening.take(_all_there(port))
+        listening.take(b"".join(iter(port.read, b"")))
         clock.sleep_until(clock.now_ns() + _LOOK_PERIOD_NS)
 
     with closing(port):
         gone = receive(lambda: listening.now, goes_on, turn, lost=OSError)
     return listening.finish(gone=gone)
-
-
-def _all_there(port: Port) -> bytes:
-    parts = []
-    while data := port.read():
-        parts.append(data)
-    return b"".join(parts)

@@ -12,7 +12,7 @@ datagram. The receiver detects missing packets by their sequence counts.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 
@@ -23,11 +23,11 @@ from firmware_protocol.packets.telecommands import Telecommand
 from transports.faults.datagrams import FaultyDatagrams
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointFactory
+from transports.link.endpoint import BUSY_NS, HOSTED_NS, Endpoint, EndpointFactory, EndpointReport
 from transports.link.kind import Wiring
 from transports.link.pacing import Clock
-from transports.link.reception import InstrumentReception, Receiving, receive
 from transports.network import ByteBudget, DatagramInlet, DatagramOutlet
+from transports.reception import InstrumentReception, Receiving, receive
 from transports.recording.record import Recorder
 from transports.udp_packets.kind import UdpPacketsLink
 
@@ -54,7 +54,7 @@ def factory_of(link: UdpPacketsLink, wiring: Wiring) -> UdpPacketFactory:
 class UdpPacketEndpoint(Endpoint):
     """Endpoint of one instrument for one receiver."""
 
-    _faulty: FaultyDatagrams
+    faulty: FaultyDatagrams
 
     def __init__(self, factory: UdpPacketFactory, instrument: Instrument, deliveries: Deliveries) -> None:
         link = factory.link
@@ -66,7 +66,7 @@ class UdpPacketEndpoint(Endpoint):
         self._outlet = DatagramOutlet(link.host, link.port)
         self._inlet = DatagramInlet(link.command_host, link.command_port, link.allow)
         self._budget = ByteBudget(link.mbit_s, self._clock.now_ns())
-        self._faulty = FaultyDatagrams(factory.faults, self._arrived)
+        self.faulty = FaultyDatagrams(factory.faults, self._arrived)
         self._next: tuple[bytes, Outgoing] | None = None
 
     async def start(self) -> None:
@@ -84,29 +84,29 @@ class UdpPacketEndpoint(Endpoint):
         self._budget.renew(self._clock.now_ns())
         while self._budget.left > 0 and self._prepare() and self._send():
             pass
-        self._faulty.flush(self._outlet.send)
+        self.faulty.flush(self._outlet.send)
 
     @property
     def inputs(self) -> Sequence[int]:
-        """See `Endpoint.inputs`."""
+        """Descriptors that are readable when a request has arrived."""
         return self._inlet.descriptors
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`."""
+        """Longest time until the next `pump`."""
         return BUSY_NS if self._next is not None or self._instrument.waiting_items else HOSTED_NS
 
     def advance_faults(self, stream_us: int) -> None:
-        """See `Endpoint.advance_faults`."""
-        self._faulty.advance(stream_us)
+        """Begin and end the faults of the rig that are due."""
+        self.faulty.advance(stream_us)
 
     async def close(self) -> None:
         """Close the sockets; messages that have not left are lost."""
         if self._next is not None:
             self._instrument.lost(self._next[1])
             self._next = None
-        self._faulty.release(self._outlet.send)
-        self._faulty.close()
+        self.faulty.release(self._outlet.send)
+        self.faulty.close()
         self._instrument.disconnected()
         self._inlet.close()
         self._outlet.close()
@@ -117,21 +117,15 @@ class UdpPacketEndpoint(Endpoint):
         sent = self._outlet.counts["datagrams"]
         return f"{sent} datagrams to {self._outlet.address}, telecommands at {self._inlet.address}"
 
-    @property
-    def address(self) -> str:
-        """Address for telecommands."""
-        return self._inlet.address
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Counts of telecommands and datagrams, and of errors in either."""
-        more = {
+    def report(self) -> EndpointReport:
+        """Return the address for telecommands, and counts of telecommands and datagrams, and of errors in either."""
+        counts = {
             "telecommands": self._commands.counters.packets,
             "damaged_frames": self._instrument.frames_refused,
             "telecommands of senders not allowed": self._inlet.refused,
-            "false_messages": self._faulty.false,
+            "false_messages": self.faulty.false,
         }
-        return +(self._outlet.counts + Counter(more))
+        return EndpointReport(self._inlet.address, counts=+(self._outlet.counts + Counter(counts)))
 
     def _receive(self) -> None:
         """Process the datagrams of the other side; the only input."""
@@ -153,7 +147,7 @@ class UdpPacketEndpoint(Endpoint):
         """Send the prepared datagram through the faults; return False when the kernel accepts none now."""
         assert self._next is not None
         data, outgoing = self._next
-        left = self._faulty.send(data, outgoing, self._outlet.send)
+        left = self.faulty.send(data, outgoing, self._outlet.send)
         if left is None:
             return False
         self._next = None

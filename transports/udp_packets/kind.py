@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from firmware_protocol.instrument.settings import InstrumentSettings
-from transports.faults.datagrams import DATAGRAM_FAULTS
-from transports.link.kind import LinkKind, Listener, check_region
+from transports.faults.kinds import DATAGRAMS
+from transports.link.kind import InstrumentLink, LinkKind, Listener, check_region
 from transports.network import check_allow, check_destination, check_port
 
 
 @dataclass(frozen=True)
-class UdpPacketsLink:
+class UdpPacketsLink(InstrumentLink):
     """Event telemetry as space packets in UDP datagrams, and telecommands back: COSMOS, Yamcs, cFS.
 
     Attributes
@@ -60,7 +60,7 @@ UDP_PACKETS = LinkKind(
     UdpPacketsLink,
     serves="instrument",
     endpoint="transports.udp_packets.endpoint:factory_of",
-    faults=DATAGRAM_FAULTS,
+    carrier=DATAGRAMS,
     listener=Listener("udp", "Read a camera whose packets come in UDP datagrams.", "emulator.cli.listen.packets:udp"),
     check=check_region,
 )

@@ -1,239 +1,58 @@
-"""Event cameras that can be read on USB: the driver of each device.
+"""Event cameras that can be read on USB: the driver of each device, imported when one is opened.
+
+A package outside evstim provides the driver of its camera as an entry point of the group "evstim.usb_drivers", under
+the numbers of vendor and product, such as "152a:841a".
 
 `receive` counts, digests and records the events of a camera until it is stopped or unplugged.
-
-`TreuzellHost` is the driver of Prophesee's boards on any `UsbHost`: an EVK4, its siblings, and the board with a
-GenX320; those of a DAVIS346 and a DVXplorer are in `davis_host`, `dvxplorer_host` and `micro_host`. The order of its
-registers is that of OpenEB's and neuromorphic_drivers' start and stop. The long initialisation between the two, which
-powers the chip, is omitted: the emulated camera needs none.
 """
 
 from __future__ import annotations
 
 import contextlib
-import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from importlib import import_module
+from importlib.metadata import entry_points
 from typing import Any
 
-from firmware_protocol.davis346.decoder import WordFaults
 from firmware_protocol.events import Events, empty_events
-from firmware_protocol.evt.evt2 import Evt2Decoder
-from firmware_protocol.evt.evt3 import Evt3Decoder
-from firmware_protocol.genx320 import device as genx320
-from firmware_protocol.genx320 import registers as genx320_registers
-from firmware_protocol.imx636.boards import BOARDS
-from firmware_protocol.imx636.registers import GEN41, IMX636, SIZE, Address
-from firmware_protocol.prophesee.treuzell import FAILED, MOST_ANSWER_BYTES, UNKNOWN, Frame, Property
-from firmware_protocol.prophesee.usb import ANSWER_ENDPOINT, DATA_ENDPOINT, REQUEST_ENDPOINT
-from transports.link import reception
+from transports import reception
 from transports.link.pacing import Clock
-from transports.link.reception import Arrivals, Reception
+from transports.reception import Arrivals, Reception
 from transports.recording.record import Recorder
-from transports.usb.davis_host import DAVIS_PRODUCT, DAVIS_VENDOR, DavisHost
-from transports.usb.dvxplorer_host import DVXPLORER_PRODUCT, DvxplorerHost
-from transports.usb.host import (
-    CameraHost,
-    DeviceAbsent,
-    PeerBroken,
-    PeerGone,
-    StreamSettings,
-    UnsuitableDevice,
-    UsbHost,
-)
-from transports.usb.micro_host import CX3, MicroHost
+from transports.usb.host import CameraHost, DeviceAbsent, PeerGone, StreamSettings, UnsuitableDevice, UsbHost
 from transports.usb.pyusb_host import PyusbHost
 
-EVK4_IDS = frozenset(board.usb_id for board in (*BOARDS.values(), genx320.BOARD))
-"""(vendor, product) of an EVK4, of its siblings, and of the board with a GenX320."""
-
-_OLDEST_RELEASE = 0x03_0800
-_DEVICE = bytes(4)
-_EVT3 = ((Address.FORMAT, 0x0007_0001), (Address.OCTETS, 0x0001_E085))
-_START = (*_EVT3, (Address.OUTPUT, 0), (Address.TIME, 0x645), (Address.ARRAY, 0xF000_5442))
-_STOP = ((Address.ARRAY, 0xF000_5042), (Address.OUTPUT, 2), (Address.TIME, 0x644))
-_GENX = genx320_registers.Address
-_GENX_START = ((_GENX.FORMAT, 2), (_GENX.OUTPUT, 0), (_GENX.TIME, 0x195), (_GENX.ARRAY, 0xC02))
-_GENX_STOP = ((_GENX.ARRAY, 0x802), (_GENX.OUTPUT, 2), (_GENX.TIME, 0x194))
-
-_Writes = tuple[tuple[int, int], ...]
-
-
-@dataclass(frozen=True)
-class _Sensor:
-    """The registers that the driver of a sensor writes; `trigger_off`, `trigger_on` are one register each."""
-
-    name: str
-    start: _Writes = _START
-    stop: _Writes = _STOP
-    trigger_off: tuple[int, int] = (Address.TRIGGER, 0xC1FF)
-    trigger_on: tuple[int, int] = (Address.TRIGGER, 0xC5FF)
-    decoder: Callable[[], Evt3Decoder | Evt2Decoder] = Evt3Decoder
-    size: tuple[int, int] = SIZE
-
-
-_CHIPS: Mapping[int, _Sensor] = {
-    IMX636.number: _Sensor("an IMX636 or IMX646"),
-    GEN41.number: _Sensor("a Gen4.1"),
-    genx320_registers.CHIP: _Sensor(
-        "a GenX320",
-        _GENX_START,
-        _GENX_STOP,
-        (_GENX.EVENT_TYPES, 0xC1FF),
-        (_GENX.EVENT_TYPES, 0xC5FF),
-        partial(Evt2Decoder, "evt21"),
-        genx320_registers.SIZE,
-    ),
+DRIVERS: Mapping[tuple[int, int], str] = {
+    (0x152A, 0x841A): "transports.usb.davis_host:DavisHost",
+    (0x152A, 0x8419): "transports.usb.dvxplorer_host:driver_of_model",
+    (0x04B4, 0x00F5): "transports.usb.treuzell_host:TreuzellHost",
+    (0x1409, 0x8E00): "transports.usb.treuzell_host:TreuzellHost",
+    (0x31F7, 0x0003): "transports.usb.treuzell_host:TreuzellHost",
+    (0x31F7, 0x0004): "transports.usb.treuzell_host:TreuzellHost",
 }
-"""Sensors by the number in their register 0014."""
-
-
-@dataclass(frozen=True)
-class TreuzellInfo:
-    """Identity that a board reports. `size` is (width, height)."""
-
-    serial: str
-    release: int
-    name: str
-    compatible: tuple[str, ...]
-    size: tuple[int, int] = SIZE
-
-
-class TreuzellHost(CameraHost[TreuzellInfo]):
-    """Driver of one EVK4, or of a board like it, whose name `model` then is.
-
-    It reads EVT3; of a GenX320 EVT2.1.
-
-    Parameters
-    ----------
-    host
-        The device; it is closed with the driver, and when it cannot be used.
-
-    Raises
-    ------
-    UnsuitableDevice
-        None of these boards, or one that OpenEB refuses.
-    UsbHostError
-        Any error of the host.
-    """
-
-    model = "EVK4"
-
-    def __init__(self, host: UsbHost) -> None:
-        self._sensor = _CHIPS[IMX636.number]
-        super().__init__(host)
-        self._decoder = self._sensor.decoder()
-
-    @property
-    def faults(self) -> WordFaults:
-        """Always none: any bits are a valid word."""
-        return WordFaults()
-
-    def start(self, settings: StreamSettings | None = None) -> None:
-        """Start the stream of events; the camera's time begins at zero, so no reset is needed."""
-        settings = settings or StreamSettings()
-        self.stop()
-        self._decoder, self._edges = self._sensor.decoder(), []
-        self.write_register(*(self._sensor.trigger_on if settings.edges else self._sensor.trigger_off))
-        self._host.clear_halt(DATA_ENDPOINT & 15)
-        self._reader = self._host.stream(DATA_ENDPOINT & 15, settings.transfer_bytes, settings.transfers)
-        for address, value in self._sensor.start:
-            self.write_register(address, value)
-
-    def _end_stream(self) -> None:
-        for address, value in self._sensor.stop:
-            self.write_register(address, value)
-
-    def read_register(self, address: int) -> int:
-        """Return one 32-bit register of the sensor."""
-        answer = self.request(Property.READ_REGISTERS, struct.pack("<III", 0, address, 1))
-        if len(answer) != 12 or answer[:8] != struct.pack("<II", 0, address):
-            raise PeerBroken(f"register 0x{address:X} was answered with {answer.hex()}")
-        return int.from_bytes(answer[8:], "little")
-
-    def write_register(self, address: int, value: int) -> None:
-        """Set one 32-bit register of the sensor."""
-        self.request(Property.WRITE_REGISTERS, struct.pack("<III", 0, address, value))
-
-    def request(self, what: Property, payload: bytes = b"") -> bytes:
-        """Send a request and return the payload of its answer; raises PeerBroken for one that failed."""
-        self._host.bulk_out(REQUEST_ENDPOINT, bytes(Frame(what, payload)))
-        data = self._host.bulk_in(ANSWER_ENDPOINT & 15, MOST_ANSWER_BYTES)
-        try:
-            answer = Frame.parse(data)
-        except ValueError as error:
-            raise PeerBroken(f"{what.name} has an invalid answer: {error}") from error
-        if answer.property != what:
-            known = answer.property == what | FAILED and answer.property != UNKNOWN
-            raise PeerBroken(f"{what.name} {'failed' if known else 'is not known to the camera'}")
-        return answer.payload
-
-    def _identify(self) -> TreuzellInfo:
-        identity = self._host.identity
-        usb_id = identity.vendor_id, identity.product_id
-        if usb_id not in EVK4_IDS:
-            raise UnsuitableDevice(f"{usb_id[0]:04x}:{usb_id[1]:04x} is not an EVK4 (04b4:00f5), nor a board like it")
-        release = int.from_bytes(self.request(Property.RELEASE), "little")
-        if release < _OLDEST_RELEASE:
-            raise UnsuitableDevice(f"the camera has release {release:06x}; at least 030800 is needed: update it")
-        chip = self.read_register(Address.CHIP)
-        if chip not in _CHIPS:
-            known = " or ".join(f"{sensor.name} ({number:08x})" for number, sensor in _CHIPS.items())
-            raise UnsuitableDevice(f"the camera has chip {chip:08x}, not {known}")
-        self._sensor = _CHIPS[chip]
-        serial = int.from_bytes(self.request(Property.SERIAL), "little")
-        name, compatible = self._texts(Property.NAME), self._texts(Property.COMPATIBLE)
-        self.model = _model(usb_id, compatible)
-        return TreuzellInfo(f"{serial:08X}", release, name[0], compatible, self._sensor.size)
-
-    def _texts(self, what: Property) -> tuple[str, ...]:
-        texts = self.request(what, _DEVICE)[4:].decode("ascii", "replace")
-        return tuple(texts.split("\0")[:-1]) or ("",)
-
-    def _decode(self, data: bytes) -> Events:
-        events, edges = self._decoder.decode(data)
-        self._edges.append(edges)
-        return events
-
-
-def _dvxplorer(host: UsbHost) -> CameraHost[Any]:
-    """Return the driver of a DVXplorer: both models have one product number."""
-    return MicroHost(host) if host.identity.bcd_device >> 8 == CX3 else DvxplorerHost(host)
-
-
-CAMERAS: Mapping[tuple[int, int], Callable[[UsbHost], CameraHost[Any]]] = {
-    (DAVIS_VENDOR, DAVIS_PRODUCT): DavisHost,
-    (DAVIS_VENDOR, DVXPLORER_PRODUCT): _dvxplorer,
-    **dict.fromkeys(sorted(EVK4_IDS), TreuzellHost),
-}
-"""Drivers by (vendor, product)."""
-
-
-def _model(usb_id: tuple[int, int], compatible: tuple[str, ...]) -> str:
-    """Return the names of the boards that these facts fit."""
-    if compatible == genx320.CHIP_NAMES.compatible:
-        return genx320.BOARD.title
-    boards = [board for board in BOARDS.values() if board.usb_id == usb_id]
-    fitting = [board for board in boards if board.chip.compatible == compatible] or boards
-    return " or ".join(board.title for board in fitting)
+"""Import path, "module:name", of the function or class that makes the driver of a `UsbHost`, by (vendor, product)."""
 
 
 def driver_of(host: UsbHost) -> CameraHost[Any]:
     """Return the driver of a device; if there is none, close the device and raise UnsuitableDevice."""
-    identity = host.identity
-    driver = CAMERAS.get((identity.vendor_id, identity.product_id))
-    if driver is None:
+    usb_id = host.identity.vendor_id, host.identity.product_id
+    name = "{:04x}:{:04x}".format(*usb_id)
+    installed = () if usb_id in DRIVERS else entry_points(group="evstim.usb_drivers", name=name)
+    path = next((point.value for point in installed), DRIVERS.get(usb_id))
+    if path is None:
         host.close()
-        known = " or ".join(f"{vendor:04x}:{product:04x}" for vendor, product in CAMERAS)
-        raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is not a known camera ({known})")
-    return driver(host)
+        cameras = " or ".join(f"{vendor:04x}:{product:04x}" for vendor, product in DRIVERS)
+        raise UnsuitableDevice(f"{name} is not a known camera ({cameras})")
+    module, _, name = path.partition(":")
+    driver: CameraHost[Any] = getattr(import_module(module), name)(host)
+    return driver
 
 
 def first_on_the_bus() -> UsbHost:
     """Return this machine's first known camera; raises the errors of `PyusbHost.find`."""
-    *others, last = CAMERAS
-    for vendor, product in others:
+    *earlier, last = DRIVERS
+    for vendor, product in earlier:
         with contextlib.suppress(DeviceAbsent):
             return PyusbHost.find(vendor, product)
     return PyusbHost.find(*last)

@@ -1,18 +1,28 @@
-"""Driver of a DVXplorer (FX3) on any `UsbHost`; the order of its requests is that of `davis_host`.
+"""Drivers of a DVXplorer (FX3) and of a DVXplorer Micro (CX3) on any `UsbHost`; none was ever run on a real camera.
 
-Biases and chip are set to the values that dv-processing 2.0.4 writes. It was never run on a real camera.
+The order of a DVXplorer's requests is that of `fx3_host`; biases and chip are set to the values that dv-processing
+2.0.4 writes.
+
+The order of a Micro's is that of dv-processing 2.0.4 (firmware 10) and of libcaer 3.3.15 (firmware 9). Registers keep
+their power-on values. A Micro has no reset of its time and no external input; an inertial sample, which comes without a
+time, gets that of the last word.
 """
 
 from __future__ import annotations
 
-from firmware_protocol.davis346.registers import Access, Module
+import numpy as np
+
 from firmware_protocol.dvxplorer.decoder import GroupDecoder
 from firmware_protocol.dvxplorer.device import PRODUCT_ID
-from firmware_protocol.dvxplorer.registers import Chip, registers
-from transports.usb.davis_host import Entry, Fx3Host, WordDecoder
-from transports.usb.host import StreamSettings
-
-DVXPLORER_PRODUCT = PRODUCT_ID
+from firmware_protocol.dvxplorer.frame_stream import SAMPLE_BYTES, sample_of
+from firmware_protocol.dvxplorer.frame_words import FrameDecoder
+from firmware_protocol.dvxplorer.registers import SIZE, Chip, registers
+from firmware_protocol.fx3.registers import Access, Module
+from firmware_protocol.fx3.settings import VENDOR_ID
+from firmware_protocol.imu_samples import ImuSamples, no_samples
+from firmware_protocol.usb.device import SetupPacket
+from transports.usb.fx3_host import Entry, Fx3Host, Fx3Info, WordDecoder
+from transports.usb.host import BulkReader, StreamSettings, UnsuitableDevice, UsbHost
 
 _OFF, _STREAM = 0, 2
 _STOP: tuple[Entry, ...] = (
@@ -40,7 +50,7 @@ class DvxplorerHost(Fx3Host):
 
     model = "DVXplorer"
     family = "DVXplorer"
-    product = DVXPLORER_PRODUCT
+    product = PRODUCT_ID
     firmware = 9
     patch = 4
     stop_writes = _STOP
@@ -51,7 +61,114 @@ class DvxplorerHost(Fx3Host):
 
     def _configure(self, settings: StreamSettings) -> None:
         self.write_register(Module.MULTIPLEXER, 3, 1)  # the chip is out of reset before its registers are written
-        for one in registers():
-            if one.module is Module.BIAS and one.access is Access.READ_WRITE and one.address != Chip.MODE:
-                self.write_register(one.module, one.address, one.default)
+        for register in registers():
+            is_of_chip = register.module is Module.BIAS and register.address != Chip.MODE
+            if is_of_chip and register.access is Access.READ_WRITE:
+                self.write_register(register.module, register.address, register.default)
         self.write_register(Module.USB, 1, settings.early_packet_us * self.info.usb_clock_mhz)
+
+
+CX3 = 4
+"""High byte of bcdDevice of a Micro."""
+
+_REGISTER = 0xBF
+_LOG_LEVEL = 0xB1
+_NEW_FIRMWARE = 10
+_OLDEST_FIRMWARE = 8
+_STREAM_ENDPOINT = 2
+_SAMPLE_ENDPOINT = 1
+_SAMPLE_TRANSFERS = 8
+_OF_FIRMWARE_9: tuple[tuple[Entry, ...], tuple[Entry, ...]] = (
+    ((Module.BIAS, Chip.MODE, _STREAM),),
+    ((Module.BIAS, Chip.MODE, 0),),
+)
+_OF_FIRMWARE_10: tuple[tuple[Entry, ...], tuple[Entry, ...]] = (
+    ((Module.DVS, 3, 1),),
+    ((Module.DVS, 3, 0), *((Module.IMU, address, 0) for address in (2, 3, 4))),
+)
+_ENABLE_IMU: tuple[Entry, ...] = tuple((Module.IMU, address, 1) for address in (2, 3, 4))
+
+
+class MicroHost(Fx3Host):
+    """Driver of one DVXplorer Micro; see `Fx3Host`."""
+
+    model = "DVXplorer Micro"
+    family = "DVXplorer"
+    product = PRODUCT_ID
+    firmware = _OLDEST_FIRMWARE
+    _samples: BulkReader | None = None
+
+    def _identify(self) -> Fx3Info:
+        identity = self._host.identity
+        if (identity.vendor_id, identity.product_id, identity.bcd_device >> 8) != (VENDOR_ID, self.product, CX3):
+            raise UnsuitableDevice(f"{identity.vendor_id:04x}:{identity.product_id:04x} is not a DVXplorer Micro")
+        firmware = identity.bcd_device & 0xFF
+        if firmware < self.firmware:
+            raise UnsuitableDevice(f"the camera has firmware version {firmware}; at least {self.firmware} is needed")
+        self._register_bytes = 8 if firmware >= _NEW_FIRMWARE else 4
+        self.start_writes, self.stop_writes = _OF_FIRMWARE_10 if firmware >= _NEW_FIRMWARE else _OF_FIRMWARE_9
+        serial = self._serial()
+        size = self.read_register(Module.DVS, 0), self.read_register(Module.DVS, 1)
+        if size != SIZE:
+            raise UnsuitableDevice(f"the camera has {size[0]} x {size[1]} pixels, a DVXplorer {SIZE[0]} x {SIZE[1]}")
+        return Fx3Info(
+            serial, firmware, 0, 0, chip_id=0, usb_clock_mhz=0, size=size, turned=False, timestamp_master=True
+        )
+
+    def read_register(self, module: int, address: int) -> int:
+        """Return one register. Raises UnsuitableDevice when the reply is too short."""
+        data = self._host.control_in(SetupPacket(0xC0, _REGISTER, module, address, self._register_bytes))
+        if len(data) != self._register_bytes:
+            raise UnsuitableDevice(f"register {module}.{address} came with {len(data)} bytes of {self._register_bytes}")
+        return int.from_bytes(data, "big")
+
+    def write_register(self, module: int, address: int, value: int) -> None:
+        """Set one register."""
+        setup = SetupPacket(0x40, _REGISTER, module, address, self._register_bytes)
+        self._host.control_out(setup, value.to_bytes(self._register_bytes, "big"))
+
+    def start(self, settings: StreamSettings | None = None) -> None:
+        """Start the stream of events; the camera's time begins at zero, so no reset is needed."""
+        settings = settings or StreamSettings()
+        self.stop()
+        self._tolerated(_LOG_LEVEL, value=4)
+        self._flush()
+        self._decoder = self._new_decoder()
+        self._imu = []
+        has_imu = settings.imu and self.info.firmware >= _NEW_FIRMWARE and self.read_register(Module.IMU, 0) != 0
+        if has_imu:
+            self._samples = self._host.stream(_SAMPLE_ENDPOINT, SAMPLE_BYTES, _SAMPLE_TRANSFERS)
+        self._reader = self._host.stream(_STREAM_ENDPOINT, settings.transfer_bytes, settings.transfers)
+        self._write_each(self.start_writes)
+        if has_imu:
+            self._write_each(_ENABLE_IMU)
+
+    def take_imu(self) -> ImuSamples:
+        """Return the samples since the last call, (n,) IMU_SAMPLE, each with the time of the last word."""
+        while self._samples is not None and (data := self._samples.read(0.0)) is not None:
+            self._take_sample(data)
+        samples, self._imu = self._imu, []
+        return np.concatenate([no_samples(), *samples])
+
+    def _take_sample(self, data: bytes) -> None:
+        assert isinstance(self._decoder, FrameDecoder)
+        sample = sample_of(data, self._decoder.time_us)
+        if sample is not None:
+            self._imu.append(sample)
+
+    def _end_stream(self) -> None:
+        super()._end_stream()
+        samples, self._samples = self._samples, None
+        for data in samples.close() if samples is not None else ():
+            self._take_sample(data)
+
+    def _new_decoder(self) -> WordDecoder:
+        return FrameDecoder(SIZE)
+
+    def _configure(self, settings: StreamSettings) -> None:
+        """Keep the power-on values."""
+
+
+def driver_of_model(host: UsbHost) -> Fx3Host:
+    """Return the driver of a DVXplorer or of a Micro: both have one product number."""
+    return MicroHost(host) if host.identity.bcd_device >> 8 == CX3 else DvxplorerHost(host)

@@ -25,7 +25,7 @@ from firmware_protocol.imu_samples import ImuSamples, no_samples
 from firmware_protocol.usb.device import Identity, SetupPacket
 
 if TYPE_CHECKING:
-    from firmware_protocol.davis346.decoder import FrameRead, WordFaults  # it loads numba
+    from firmware_protocol.fx3.decoded import FrameRead, WordFaults
 
 
 class UsbHostError(Exception):
@@ -209,8 +209,8 @@ class CameraHost(ABC, Generic[_Info]):
         """Stop the camera and the stream; return the events that were still in transit."""
         self._end_stream()
         reader, self._reader = self._reader, None
-        rest = [self._decode(data) for data in reader.close()] if reader else []
-        return np.concatenate([empty_events(), *rest])
+        remaining = [self._decode(data) for data in reader.close()] if reader else []
+        return np.concatenate([empty_events(), *remaining])
 
     def close(self) -> None:
         """Stop the camera, if it is still there, and close it."""

@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass
 from typing import ClassVar
 
-from transports.faults.usb import USB_FAULTS
+from transports.faults.kinds import USB_LINK
 from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Unsuitable
-from transports.needs import UDC, VHCI
+from transports.needs import UDC, VHCI, Need
 from transports.network import check_allow
 
 
@@ -30,7 +30,7 @@ def _check_model(link: LinkParameters, camera: CameraFacts) -> None:
 
 
 @dataclass(frozen=True)
-class UsbipLink:
+class UsbipLink(LinkParameters):
     """The camera as a USB device over USB/IP: `usbip attach -r HOST -b BUSID` on a Linux machine.
 
     Attributes
@@ -59,18 +59,22 @@ class UsbipLink:
             raise ValueError(f"busid must be a bus and a port such as '1-1', got {self.busid!r}")
         check_allow(self.host, self.allow)
 
+    def listens_on(self) -> tuple[str, int] | None:
+        """Return the address, unless any free port is suitable."""
+        return (self.host, self.port) if self.port else None
+
+    def needs(self) -> tuple[Need, ...]:
+        """Return the kernel module that attaches it."""
+        return (VHCI,)
+
 
 USBIP = LinkKind(
     UsbipLink,
     serves="usb",
-    endpoint="transports.usb.usbip.server:factory_of",
-    faults=USB_FAULTS,
-    listener=Listener(
-        "usb", "Read a DAVIS346, a DVXplorer, an EVK4 or a GenX320 on USB.", "emulator.cli.listen.cameras:listen"
-    ),
+    endpoint="transports.usb.usbip.endpoint:factory_of",
+    carrier=USB_LINK,
+    listener=Listener("usb", "Read an event camera on USB.", "emulator.cli.listen.cameras:listen"),
     check=_check_model,
-    listens_on=lambda link: (link.host, link.port) if link.port else None,
-    needs=lambda link: (VHCI,),
 )
 
 
@@ -81,7 +85,7 @@ def check_name(name: str) -> None:
 
 
 @dataclass(frozen=True)
-class UsbGadgetLink:
+class UsbGadgetLink(LinkParameters):
     """The camera on a real USB cable, on a machine with a USB device port, such as a Raspberry Pi (docs/hosts.md).
 
     Attributes
@@ -102,19 +106,22 @@ class UsbGadgetLink:
     def __post_init__(self) -> None:
         check_name(self.gadget)
 
+    def needs(self) -> tuple[Need, ...]:
+        """Return the USB device port."""
+        return (UDC,)
+
 
 USB_GADGET = LinkKind(
     UsbGadgetLink,
     serves="usb",
     endpoint="transports.usb.functionfs.endpoint:factory_of",
-    faults=USB_FAULTS,
+    carrier=USB_LINK,
     check=_check_model,
-    needs=lambda link: (UDC,),
 )
 
 
 @dataclass(frozen=True)
-class LoopbackLink:
+class LoopbackLink(LinkParameters):
     """A host inside the link's own process that starts the camera, decodes every byte and compares; without USB.
 
     Attributes
@@ -133,5 +140,4 @@ LOOPBACK = LinkKind(
     serves="usb",
     endpoint="transports.usb.loopback:factory_of",
     usb_model="davis346",
-    start_delay=False,
 )

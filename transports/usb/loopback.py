@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from firmware_protocol.davis346.decoder import FrameRead
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import Edges, Events
 from firmware_protocol.frames import FrameAssembler
+from firmware_protocol.fx3.decoded import FrameRead
 from firmware_protocol.imu_samples import ImuSamples, no_samples
 from firmware_protocol.usb.device import Identity, NotReady, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
 from transports.faults.faulty_device import FaultyDevice
@@ -156,7 +156,7 @@ class LoopbackEndpoint(Endpoint):
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`."""
+        """Longest possible: nothing but new data has an effect."""
         return REST_NS
 
     def pump(self) -> None:
@@ -177,10 +177,10 @@ class LoopbackEndpoint(Endpoint):
     def _compare_frames(self, received: list[FrameRead], transfer: Transfer) -> None:
         sent = self._assembler.add(transfer.readings)
         same = [
-            one.start_us == other.start_us - transfer.epoch_us
-            and np.array_equal(one.reset, other.reset)
-            and np.array_equal(one.signal, other.signal)
-            for one, other in zip(received, sent, strict=False)
+            frame.start_us == other.start_us - transfer.epoch_us
+            and np.array_equal(frame.reset, other.reset)
+            and np.array_equal(frame.signal, other.signal)
+            for frame, other in zip(received, sent, strict=False)
         ]
         if len(received) != len(sent) or not all(same):
             raise LinkBroken(f"loopback: {len(sent)} frames were sent and {len(received)} others received")
@@ -201,11 +201,11 @@ class LoopbackEndpoint(Endpoint):
 
 
 def _compare(received: Events, edges: Edges, imu: ImuSamples, transfer: Transfer) -> None:
-    records = (one.record for one in transfer.readings if one.kind is ReadingKind.IMU)
+    records = (reading.record for reading in transfer.readings if reading.kind is ReadingKind.IMU)
     sent_imu = np.concatenate([no_samples(), *records])
     pairs = (("events", received, transfer.events), ("edges", edges, transfer.edges), ("samples", imu, sent_imu))
-    for what, got, expected in pairs:
+    for kind, got, expected in pairs:
         sent = expected.copy()
         sent["t"] -= np.uint64(transfer.epoch_us)
         if not np.array_equal(got, sent):
-            raise LinkBroken(f"loopback: {len(sent)} {what} were sent and {len(got)} others received")
+            raise LinkBroken(f"loopback: {len(sent)} {kind} were sent and {len(got)} others received")

@@ -180,14 +180,14 @@ class PyusbReader:
     def close(self) -> list[bytes]:
         """Stop reading; return the transfers that had arrived unread."""
         self._stop.set()
-        rest: list[bytes | usb.core.USBError] = []
+        remaining: list[bytes | usb.core.USBError] = []
         while self._thread.is_alive() or not self._arrived.empty():
             # The thread may be waiting for room in the queue.
             try:
-                rest.append(self._arrived.get(timeout=_POLL_S))
+                remaining.append(self._arrived.get(timeout=_POLL_S))
             except queue.Empty:
                 continue
-        return [item for item in rest if isinstance(item, bytes)]
+        return [item for item in remaining if isinstance(item, bytes)]
 
     def _run(self) -> None:
         while not self._stop.is_set():
@@ -201,7 +201,7 @@ class PyusbReader:
             self._arrived.put(bytes(data))
 
 
-def _raise(error: usb.core.USBError, what: str) -> NoReturn:
+def _raise(error: usb.core.USBError, attempt: str) -> NoReturn:
     """Raise the project's own error for an error of libusb."""
     match error.errno:
         case errno.EACCES:
@@ -209,9 +209,9 @@ def _raise(error: usb.core.USBError, what: str) -> NoReturn:
         case errno.EBUSY:
             raise DeviceBusy("another program has the camera open; close it first") from error
         case errno.ENODEV | errno.EIO:
-            raise PeerGone(f"{what}: the camera went away") from error
+            raise PeerGone(f"{attempt}: the camera went away") from error
         case errno.EPIPE:
-            raise StallError(f"{what}: the device refused (STALL)") from error
+            raise StallError(f"{attempt}: the device refused (STALL)") from error
         case errno.ETIMEDOUT:
-            raise TransferTimeout(f"{what}: no answer in time") from error
-    raise UsbHostError(f"{what}: {error}") from error
+            raise TransferTimeout(f"{attempt}: no answer in time") from error
+    raise UsbHostError(f"{attempt}: {error}") from error

@@ -7,13 +7,14 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from emulator.cli.listen.reception import Limits, Source, lacking, listen_to
-from emulator.cli.output import WRONG_USE, Failure, status
+from emulator.cli.checks import parsed_address
+from emulator.cli.listen import Limits, Source, lacking, listen_to
+from emulator.cli.output import WRONG_USE, Failure, Json, status
 from emulator.rig.kinds import LINKS
+from firmware_protocol.gige.gvcp import GVCP_PORT
 from firmware_protocol.gige.gvsp import LEAST_PACKET, MOST_PACKET
 from transports.gige.host import GigeHost, GigeHostError, GigeReception
 from transports.gige.host import receive as receive_gige
-from transports.link.kind import Listener
 from transports.link.pacing import MonotonicClock
 from transports.usb.cameras import CameraReception, driver_of, first_on_the_bus, receive
 from transports.usb.host import UsbHost, UsbHostError
@@ -28,7 +29,7 @@ def listen(
     usbip: str | None = None,
     busid: str = "1-1",
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Read a DAVIS346, a DVXplorer, an EVK4 or a GenX320, real or emulated, and count its data. Ctrl-C ends it.
 
@@ -40,29 +41,23 @@ def listen(
         Bus id of the camera on that server.
     limits
         Limits of the reception, and the file for the received events.
-    json
-        Print one JSON object as the last line on stdout.
     """
     limits.check()
-    with lacking(UsbHostError), closing(driver_of(_usb_host(usbip, busid))) as camera:
+    with lacking(UsbHostError):
+        if usbip is None:
+            host: UsbHost = first_on_the_bus()
+        else:
+            host = UsbipHost.attach(*parsed_address("--usbip", usbip), busid, timeout_s=5.0)
+    with lacking(UsbHostError), closing(driver_of(host)) as camera:
         status.print(f"{camera.model} serial {camera.info.serial}, {camera.info.size[0]}x{camera.info.size[1]} pixels")
+
+        def summary(reception: CameraReception) -> list[str]:
+            return [f", {reception.faults} malformed words{', the camera was unplugged' if reception.gone else ''}"]
+
         source = Source(
-            lambda goes_on, recorder: receive(camera, goes_on, MonotonicClock(), recorder), _usb_summary, _USB_GONE
+            lambda goes_on, recorder: receive(camera, goes_on, MonotonicClock(), recorder), summary, _USB_GONE
         )
         return listen_to(source, limits, json=json)
-
-
-def _usb_summary(reception: CameraReception) -> list[str]:
-    return [f", {reception.faults} malformed words{', the camera was unplugged' if reception.gone else ''}"]
-
-
-def _usb_host(usbip: str | None, busid: str) -> UsbHost:
-    if usbip is None:
-        return first_on_the_bus()
-    host, _, port = usbip.rpartition(":")
-    if not host or not port.isdigit():
-        raise Failure(f"--usbip must be HOST:PORT such as 127.0.0.1:3240, got {usbip!r}", WRONG_USE)
-    return UsbipHost.attach(host, int(port), busid, timeout_s=5.0)
 
 
 _GIGE_GONE = "the camera went away before the reception was to end: its run ended or died, or another host took control"
@@ -74,7 +69,7 @@ def gige(
     *,
     packet_size: int = 1400,
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Read a GigE Vision event camera, and count the losses. Ctrl-C ends it.
 
@@ -86,41 +81,26 @@ def gige(
         Octets of a packet with the headers of IP and UDP: 576 to 9000, even; no more than the network's MTU.
     limits
         Limits of the reception, and the file for the received events.
-    json
-        Print one JSON object as the last line on stdout.
     """
     limits.check()
     if not LEAST_PACKET <= packet_size <= MOST_PACKET or packet_size % 2:
         raise Failure(f"--packet-size must be even, {LEAST_PACKET} to {MOST_PACKET}, got {packet_size}", WRONG_USE)
-    host, port = _address(at)
+    host, port = parsed_address("AT", at if ":" in at else f"{at}:{GVCP_PORT}")
     clock = MonotonicClock()
     with lacking(GigeHostError), closing(GigeHost(host, port, now_ns=clock.now_ns)) as camera:
         about = camera.identity
         status.print(f"{about.manufacturer} {about.model} serial {about.serial}")
-        source = Source(
-            lambda goes_on, to: receive_gige(camera, packet_size, goes_on, clock, to), _gige_summary, _GIGE_GONE
-        )
+
+        def summary(reception: GigeReception) -> list[str]:
+            return [f", {reception.blocks_lost} blocks lost, {reception.packets_requested} packets requested again"]
+
+        source = Source(lambda goes_on, to: receive_gige(camera, packet_size, goes_on, clock, to), summary, _GIGE_GONE)
         return listen_to(source, limits, json=json)
 
 
-def _gige_summary(reception: GigeReception) -> list[str]:
-    return [f", {reception.blocks_lost} blocks lost, {reception.packets_requested} packets requested again"]
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.partition(":")
-    if not host or (port and (not port.isdecimal() or not 1 <= int(port) <= 65535)):
-        raise Failure(f"{text!r} is not ADDRESS or ADDRESS:PORT, such as 127.0.0.1:3956", WRONG_USE)
-    return host, int(port or 3956)
-
-
-def _listeners() -> dict[str, Listener]:
-    """Return the listeners of all kinds of links by verb; where two have the same verb, that of the first."""
-    listeners = [kind.listener for kind in LINKS.usable().values() if kind.listener is not None]
-    return {one.verb: one for one in reversed(listeners)}
-
+_LISTENERS = [kind.listener for kind in LINKS.usable().values() if kind.listener is not None]
 
 verbs = App(name="listen")
 verbs.default(listen)
-for _verb, _listener in _listeners().items():
+for _verb, _listener in {listener.verb: listener for listener in reversed(_LISTENERS)}.items():  # the first of a verb
     verbs.command(_listener.path, name=_verb, help=_listener.help)

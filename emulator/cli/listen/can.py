@@ -11,8 +11,8 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from emulator.cli.checks import failures, prepared
-from emulator.cli.listen.reception import Limits, Source, lacking, listen_to
-from emulator.cli.output import GOOD, WRONG_USE, Failure, console, status
+from emulator.cli.listen import Limits, Source, lacking, listen_to
+from emulator.cli.output import GOOD, WRONG_USE, Failure, Json, console, status
 from emulator.cli.run_summary import quantile_text
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.kernels import DECODER
@@ -35,7 +35,7 @@ def can(
     interface: str | None = None,
     channel: str | None = None,
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Join the CAN bus of a rig, decode the telemetry of its camera, and count the losses. Ctrl-C ends it.
 
@@ -51,8 +51,6 @@ def can(
         Channel of that interface. Default: the rig's.
     limits
         Limits of the reception, and the file for the received events.
-    json
-        Print one JSON object as the last line on stdout.
     """
     limits.check()
     with failures():
@@ -111,7 +109,7 @@ def dbc(
 
 
 def _link(rig: Rig, name: str | None) -> CanLink:
-    links = [one for one in rig.links if isinstance(one, CanLink) and name in (None, one.name)]
+    links = [rig_link for rig_link in rig.links if isinstance(rig_link, CanLink) and name in (None, rig_link.name)]
     if not links:
         raise Failure(f"{rig.name} has no CAN link{f' {name!r}' if name else ''}", WRONG_USE)
     return links[0]

@@ -10,9 +10,9 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.checks import prepared
-from emulator.cli.listen.reception import Limits, Source, lacking, listen_to
-from emulator.cli.output import WRONG_USE, Failure, status
+from emulator.cli.checks import parsed_address, prepared
+from emulator.cli.listen import Limits, Source, lacking, listen_to
+from emulator.cli.output import WRONG_USE, Failure, Flag, Json, status
 from emulator.cli.run_summary import quantile_text
 from emulator.run.kernels import DECODER
 from firmware_protocol.packets.telecommands import (
@@ -27,8 +27,8 @@ from firmware_protocol.packets.telecommands import (
     Telecommand,
 )
 from transports.link.pacing import MonotonicClock
-from transports.link.reception import InstrumentReception
 from transports.network import check_allow
+from transports.reception import InstrumentReception
 from transports.recording.record import Recorder
 from transports.serial_line.kind import SerialLink
 from transports.serial_line.port import listen_serial
@@ -81,18 +81,18 @@ class TelecommandOptions:
         Request a housekeeping report now.
     """
 
-    set_time: Annotated[bool, Parameter(negative="")] = False
+    set_time: Flag = False
     tick: int | None = None
     region: Annotated[tuple[int, int, int, int] | None, Parameter(negative="")] = None
     rate_limit: int | None = None
-    start: Annotated[bool, Parameter(negative="")] = False
-    stop: Annotated[bool, Parameter(negative="")] = False
-    ping: Annotated[bool, Parameter(negative="")] = False
-    housekeeping: Annotated[bool, Parameter(negative="")] = False
+    start: Flag = False
+    stop: Flag = False
+    ping: Flag = False
+    housekeeping: Flag = False
 
     def telecommands(self) -> list[Telecommand]:
         """Return the telecommands; raises ValueError for a value out of range."""
-        wanted: list[tuple[bool, Callable[[], Telecommand]]] = [
+        requests: list[tuple[bool, Callable[[], Telecommand]]] = [
             (self.set_time, lambda: SetTime(time.time_ns() // 1000)),
             (self.tick is not None, lambda: SetTick(self.tick or 0)),
             (self.region is not None, lambda: SetRegion(*(self.region or ()))),
@@ -102,12 +102,14 @@ class TelecommandOptions:
             (self.ping, Ping),
             (self.housekeeping, RequestHousekeeping),
         ]
-        return [make() for is_wanted, make in wanted if is_wanted]
+        return [make() for is_wanted, make in requests if is_wanted]
 
 
 _GONE = "the line went away before the reception was to end: it was unplugged, or the camera's run ended or died"
 _GoesOn = Callable[[InstrumentReception], bool]
-_NO_LIMITS, _LINE, _NO_TELECOMMANDS = Limits(), Line(), TelecommandOptions()
+_NO_LIMITS = Limits()
+_LINE = Line()
+_NO_TELECOMMANDS = TelecommandOptions()
 
 
 def serial(
@@ -117,7 +119,7 @@ def serial(
     line: Annotated[Line, Parameter(name="*")] = _LINE,
     orders: Annotated[TelecommandOptions, Parameter(name="*")] = _NO_TELECOMMANDS,
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Read a camera on a serial line, decode its telemetry, and count the losses. Ctrl-C ends it.
 
@@ -131,8 +133,6 @@ def serial(
         Telecommands to send.
     limits
         Limits of the reception, and the file for the received events.
-    json
-        Print one JSON object as the last line on stdout.
     """
     limits.check()
     try:
@@ -159,7 +159,7 @@ def udp(
     allow: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     orders: Annotated[TelecommandOptions, Parameter(name="*")] = _NO_TELECOMMANDS,
     limits: Annotated[Limits, Parameter(name="*")] = _NO_LIMITS,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Json = False,
 ) -> int:
     """Read a camera whose packets come in UDP datagrams, and count the losses. Ctrl-C ends it.
 
@@ -175,12 +175,10 @@ def udp(
         Telecommands to send.
     limits
         Limits of the reception, and the file for the received events.
-    json
-        Print one JSON object as the last line on stdout.
     """
     limits.check()
-    host, port = _address(at)
-    ports = Ports(host, port, *_address(camera), allow)
+    host, port = parsed_address("AT", at)
+    ports = Ports(host, port, *parsed_address("--camera", camera), allow)
     try:
         check_allow(host, allow, "HOST")
         telecommands = orders.telecommands()
@@ -193,13 +191,6 @@ def udp(
 
     prepared([DECODER])
     return listen_to(Source(receive, _summary), limits, json=json)
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
-        raise Failure(f"{text!r} is not HOST:PORT, such as 127.0.0.1:10015", WRONG_USE)
-    return host.strip("[]"), int(port)
 
 
 def _with_answers(goes_on: _GoesOn) -> _GoesOn:

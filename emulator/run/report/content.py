@@ -84,7 +84,7 @@ class ReportContent:
 
 def verdict_words(rules: Sequence[Judgement]) -> str:
     """Return the verdict in a sentence: how many rules were kept, and which were broken."""
-    broken = [one.rule for one in rules if not one.good]
+    broken = [rule.rule for rule in rules if not rule.good]
     if not broken:
         return f"All {len(rules)} rules were kept."
     return f"{len(broken)} of {len(rules)} rules broken: {', '.join(broken)}."
@@ -115,25 +115,21 @@ _CAUSES: Mapping[str, tuple[str, Literal["held", "cut", "gone"]]] = {
 def fates(result: RunResult) -> list[Fate]:
     """Return the fates of all events, those of the sensor first; fates of a link without an event are left out."""
     ledger = result.ledger
-    found = [
+    listed = [
         Fate("", "read out", ledger.read_out, "fine"),
         Fate("", "lost in the pixel", ledger.lost_in_pixel, "gone"),
         Fate("", "lost at the read-out", ledger.lost_at_readout, "lost"),
     ]
     for link in (*ledger.links, *(ledger.second.links if ledger.second else ())):
-        found.append(Fate(link.name, "delivered", link.delivered, "fine"))
-        dropped = [Fate(link.name, "dropped by the link", link.dropped, "lost"), *_in_camera(result, link.name)]
-        named = sum(one.events for one in dropped[1:])
+        listed.append(Fate(link.name, "delivered", link.delivered, "fine"))
+        dropped = [Fate(link.name, "dropped by the link", link.dropped, "lost")]
+        report = result.links.get(link.name)
+        if report is not None and (camera := report.camera) is not None:
+            dropped += [Fate(link.name, text, getattr(camera, cause), kind) for cause, (text, kind) in _CAUSES.items()]
+        named = sum(fate.events for fate in dropped[1:])
         dropped.append(Fate(link.name, "camera: other causes", max(link.dropped_in_device - named, 0), "gone"))
-        found += [one for one in dropped if one.events]
-    return found
-
-
-def _in_camera(result: RunResult, name: str) -> Iterator[Fate]:
-    report = result.links.get(name)
-    camera = None if report is None else report.camera
-    for cause, (text, kind) in _CAUSES.items() if camera is not None else ():
-        yield Fate(name, text, getattr(camera, cause), kind)
+        listed += [fate for fate in dropped if fate.events]
+    return listed
 
 
 @dataclass(frozen=True)
@@ -156,12 +152,12 @@ def happenings(result: RunResult) -> list[Happening]:
 
 def _faults(result: RunResult) -> list[Happening]:
     records = [(record, name) for name, link in result.links.items() for record in link.faults]
-    records.sort(key=lambda one: one[0].began_us)
-    found = []
+    records.sort(key=lambda row: row[0].began_us)
+    faults = []
     for k, (record, name) in enumerate(records[:_MOST_HAPPENINGS]):
         until_s = result.sim_seconds if record.ended_us is None else record.ended_us / 1e6
-        found.append(Happening(f"F{k + 1}", "fault", record.began_us / 1e6, until_s, name, record.kind, "fault"))
-    return found
+        faults.append(Happening(f"F{k + 1}", "fault", record.began_us / 1e6, until_s, name, record.kind, "fault"))
+    return faults
 
 
 def _changes(result: RunResult) -> Iterator[Happening]:
@@ -196,7 +192,7 @@ def environment() -> dict[str, Any]:
         "cores": os.cpu_count(),
         "memory_gib": _memory_gib(),
         "python": platform.python_version(),
-        "packages": {name: found for name in _PACKAGES if (found := _version(name))},
+        "packages": {name: package_version for name in _PACKAGES if (package_version := _version(name))},
     }
 
 
@@ -224,26 +220,26 @@ def _memory_gib() -> float | None:
 
 def numbers(of: ReportContent) -> dict[str, Any]:
     """Return the object of report.json, of plain types."""
-    there, machine = of.circumstances, environment()
-    found = {
+    circumstances, machine = of.circumstances, environment()
+    values = {
         "schema": SCHEMA,
         "verdict": of.verdict,
         "words": verdict_words(of.rules),
         **of.summary,
-        "rules": [one.as_json() for one in of.rules],
+        "rules": [rule.as_json() for rule in of.rules],
         "title": of.rig.title,
-        "test": there.test,
+        "test": circumstances.test,
         "rig_file": rig_file(of.rig),
-        "began": _date(there.began),
-        "ended": _date(there.ended),
+        "began": _date(circumstances.began),
+        "ended": _date(circumstances.ended),
         "settings": {"seed": of.rig.run.seed, "pace": of.rig.run.pace, "step_us": of.rig.run.step_us},
-        "modelled": None if there.modelled is None else there.modelled.as_json(),
+        "modelled": None if circumstances.modelled is None else circumstances.modelled.as_json(),
         "timeline": _timeline(of),
         "pixels": pixel_counts(of.seen),
         "environment": machine,
         "run": {"evstim": of.version, "machine": machine["system"], "python": machine["python"]},
     }
-    plain: dict[str, Any] = msgspec.to_builtins(found, str_keys=True)
+    plain: dict[str, Any] = msgspec.to_builtins(values, str_keys=True)
     return plain
 
 
@@ -260,7 +256,7 @@ def _timeline(of: ReportContent) -> dict[str, Any]:
         "status_bin_us": counts.bin_us,
         "late_steps": counts.column(Observation.LATE).tolist(),
         "edges": counts.column(Observation.EDGES).tolist(),
-        "happenings": [asdict(one) for one in happenings(of.result)],
+        "happenings": [asdict(happening) for happening in happenings(of.result)],
     }
 
 

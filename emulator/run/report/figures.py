@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from emulator.report.charts import Axis, Chart, Lane, Mark, Quantiles, Share, number_text, quantile_chart, share_bar
-from emulator.report.maps import ColourScale, count_map, scene_picture
+from emulator.report.pictures import ColourScale, count_map, scene_picture
 from emulator.rig.tables import Trigger
 from emulator.run.report.content import Fate, Happening, ReportContent
 from emulator.run.report.observation import INTERVAL_EDGES_US, BinnedCounts, Observation
@@ -26,16 +26,16 @@ def timeline(of: ReportContent, marked: Sequence[Happening]) -> str:
     """
     rates, seconds = of.seen.rates, of.result.sim_seconds
     bin_s = rates.bin_us * 1e-6
-    whole = max(1, int(seconds / bin_s + 1e-9))
-    on, off = rates.on[:whole] / bin_s, (rates.events - rates.on)[:whole] / bin_s
+    bins = max(1, int(seconds / bin_s + 1e-9))
+    on, off = rates.on[:bins] / bin_s, (rates.events - rates.on)[:bins] / bin_s
     lanes = list(_lanes(of, marked))
     if not len(on) and not lanes:
         return ""
-    most = max(float(on.max(initial=0)), float(off.max(initial=0)))
-    scale, unit = _unit(most)
+    highest_hz = max(float(on.max(initial=0)), float(off.max(initial=0)))
+    scale, unit = _unit(highest_hz)
     end_s = max(seconds, len(on) * bin_s, 1e-3)
-    y = Axis(unit, 0.0, most / scale * 1.08 or 1.0)
-    text = f"Event rate over {seconds:.4g} s of stream time, at most {most:.4g} events/s of a polarity"
+    y = Axis(unit, 0.0, highest_hz / scale * 1.08 or 1.0)
+    text = f"Event rate over {seconds:.4g} s of stream time, at most {highest_hz:.4g} events/s of a polarity"
     text += "".join(f"; {len(lane.marks)} marks in the lane {lane.name}" for lane in lanes)
     edges = np.arange(len(on) + 1) * bin_s
     chart = Chart(Axis("stream time, s", 0.0, end_s), y, text, lanes=lanes)
@@ -54,10 +54,12 @@ def _lanes(of: ReportContent, marked: Sequence[Happening]) -> Iterator[Lane]:
     edges = int(counts.column(Observation.EDGES).sum())
     late = int(counts.column(Observation.LATE).sum())
     for kind, name in _LANES.items():
-        marks = [Mark(one.t_s, one.until_s, one.label) for one in marked if one.lane == kind]
+        marks = [
+            Mark(happening.t_s, happening.until_s, happening.label) for happening in marked if happening.lane == kind
+        ]
         if kind == "trigger" and edges:
-            given = _given(of.rig.trigger, of.result.sim_seconds) or _marks(counts, Observation.EDGES)
-            yield Lane(f"{name}; edges taken: {edges}", _KINDS[kind], [*given, *marks])
+            edge_marks = _given(of.rig.trigger, of.result.sim_seconds) or _marks(counts, Observation.EDGES)
+            yield Lane(f"{name}; edges taken: {edges}", _KINDS[kind], [*edge_marks, *marks])
         elif marks:
             yield Lane(f"{name}: {len(marks)}", _KINDS[kind], marks)
     if late:
@@ -74,7 +76,7 @@ def _given(trigger: Trigger | None, seconds: float) -> list[Mark]:
     """Return a mark for each edge at a time that the rig gives; none for edges of a bus, which are only counted."""
     if trigger is None:
         return []
-    trains = [(one.at_ms, one.every_ms, one.count) for one in trigger.edges]
+    trains = [(train.at_ms, train.every_ms, train.count) for train in trigger.edges]
     if trigger.period_ms:
         trains.append((trigger.period_ms, trigger.period_ms, 0))
     times_ms = [time for train in trains for time in _times_ms(*train, 1e3 * seconds)]
@@ -99,12 +101,12 @@ def letters(fates: Sequence[Fate]) -> list[str]:
 def fate_bars(fates: Sequence[Fate]) -> list[tuple[str, str]]:
     """Return (caption, bar) for the sensor and for each link, with the letters of `letters`."""
     keys, bars = letters(fates), []
-    for link in dict.fromkeys(one.link for one in fates):
-        mine = [(key, one) for key, one in zip(keys, fates, strict=True) if one.link == link]
-        total = sum(one.events for _, one in mine)
+    for link in dict.fromkeys(fate.link for fate in fates):
+        link_fates = [(key, fate) for key, fate in zip(keys, fates, strict=True) if fate.link == link]
+        total = sum(fate.events for _, fate in link_fates)
         name = f"link {link}" if link else "sensor"
-        described = ", ".join(f"{key} {one.fate} {one.events}" for key, one in mine)
-        bar = share_bar([Share(key, one.events, one.kind) for key, one in mine], f"{name}: {described}")
+        described = ", ".join(f"{key} {fate.fate} {fate.events}" for key, fate in link_fates)
+        bar = share_bar([Share(key, fate.events, fate.kind) for key, fate in link_fates], f"{name}: {described}")
         caption = f"{name}: {number_text(total)} events {'received' if link else 'raised'}"
         bars.append((caption, bar))
     return bars
@@ -124,8 +126,8 @@ def latency_chart(of: ReportContent) -> str:
 
 
 def _values(latency: LatencySummary) -> list[tuple[str, float]]:
-    found = {"p50": latency.p50, "p99": latency.p99, "p99.9": latency.p999, "max": latency.max}
-    return [(name, value) for name, value in found.items() if value is not None]
+    quantiles = {"p50": latency.p50, "p99": latency.p99, "p99.9": latency.p999, "max": latency.max}
+    return [(name, value) for name, value in quantiles.items() if value is not None]
 
 
 def interval_chart(seen: Observation) -> str:
@@ -136,8 +138,10 @@ def interval_chart(seen: Observation) -> str:
     first, last = used[0] // 10 * 10, min(-(-(used[-1] + 1) // 10) * 10, len(seen.intervals))
     edges, counts = INTERVAL_EDGES_US[first : last + 1], seen.intervals[first:last]
     x = Axis("time between two events of a pixel, us", float(edges[0]), float(edges[-1]), log=True)
-    most = float(INTERVAL_EDGES_US[int(np.argmax(seen.intervals))])
-    text = f"Histogram of {int(counts.sum())} intervals between events of a pixel, most of them near {most:.3g} us"
+    commonest_us = float(INTERVAL_EDGES_US[int(np.argmax(seen.intervals))])
+    text = (
+        f"Histogram of {int(counts.sum())} intervals between events of a pixel, most of them near {commonest_us:.3g} us"
+    )
     y = Axis("intervals", 0.0, float(counts.max()) * 1.08)
     return Chart(x, y, text, height=130).steps(edges, counts, "ink").svg()
 
@@ -152,5 +156,5 @@ def pixel_maps(seen: Observation) -> str:
 def strip(seen: Observation) -> str:
     """Return a strip of pictures of the run; "" without any."""
     taken = seen.pictures.chosen(_PICTURES)
-    pictures = (scene_picture(one.light, one.polarity, f"{one.t_us * 1e-6:.3f} s") for one in taken)
+    pictures = (scene_picture(picture.light, picture.polarity, f"{picture.t_us * 1e-6:.3f} s") for picture in taken)
     return f'<div class="strip">{"".join(pictures)}</div>' if taken else ""

@@ -128,16 +128,16 @@ def _effects(plan: Plan, *, probed: bool) -> Iterator[Effect]:
 
 def _effect(decision: Decision, plan: Plan, *, probed: bool) -> Effect:
     if not decision.choice:
-        state, why = ("modelled", "no choice") if decision.kept else ("left out", "not in the chosen grade")
+        state, reason = ("modelled", "no choice") if decision.kept else ("left out", "not in the chosen grade")
     elif plan.pinned:
-        state, why = "modelled", "the rig has no tolerance"
+        state, reason = "modelled", "the rig has no tolerance"
     elif decision.kept:
-        state, why = "modelled", "beyond the tolerance without it"
+        state, reason = "modelled", "beyond the tolerance without it"
     else:
-        state, why = "left out", "below the tolerance"
+        state, reason = "left out", "below the tolerance"
     costs = (_finite(decision.cost_us), _finite(decision.cost_share)) if probed else (None, None)
     return Effect(
-        decision.effect, "modelled" if state == "modelled" else "left out", f"{why}: {decision.bound}", *costs
+        decision.effect, "modelled" if state == "modelled" else "left out", f"{reason}: {decision.bound}", *costs
     )
 
 
@@ -156,7 +156,9 @@ def _parts(rig: Rig) -> Iterator[Part]:
     yield Part("light", f"scene of kind {rig.scene.kind!r}")
     yield Part("lens", _LENSES[SCENES[rig.scene.kind].lens])
     yield Part("light between two frames", _METHODS.get(run.method, f"by the rule of another simulator: {run.method}"))
-    yield Part("read-out", _switched("", _has_readout(rig), "events leave their pixels without delay"))
+    readout = camera.sensor.readout
+    has_delay = bool(readout.event_ns or readout.row_ns or readout.scan_us)
+    yield Part("read-out", _switched("", has_delay, "events leave their pixels without delay"))
     yield Part("camera", f"device model {camera.model!r}, {camera.size[0]} x {camera.size[1]} pixels")
     yield Part("frames of active pixels", _switched("", camera.frames is not None, "no [camera.frames] table"))
     yield Part("inertial unit", _switched("", camera.imu is not None, "no [camera.imu] table"))
@@ -167,11 +169,6 @@ def _parts(rig: Rig) -> Iterator[Part]:
     yield Part("second camera", second)
     links = ", ".join(f"{link.name} ({link.kind})" for link in rig.links)
     yield Part("links", f"modelled: {links}" if links else "not modelled: the rig has none")
-
-
-def _has_readout(rig: Rig) -> bool:
-    readout = rig.camera.sensor.readout
-    return bool(readout.event_ns or readout.row_ns or readout.scan_us)
 
 
 def _switched(how: str, on: bool, why_not: str) -> str:

@@ -49,8 +49,11 @@ class BinnedCounts:
 
     def reach(self, t_us: int) -> None:
         """Make the bins long enough for this time."""
-        while t_us // self.bin_us >= _MOST_BINS:
-            self._halve()
+        while t_us // self.bin_us >= _MOST_BINS:  # each two bins become one
+            self._counts[:, : _MOST_BINS // 2] = self._counts.reshape(len(self._counts), -1, 2).sum(axis=2)
+            self._counts[:, _MOST_BINS // 2 :] = 0
+            self._used = (self._used + 1) // 2
+            self.bin_us *= 2
 
     def add_bins(self, column: int, first: int, counts: Counts) -> None:
         """Add counts (n,) to the bins from `first` on."""
@@ -66,12 +69,6 @@ class BinnedCounts:
         """Return the counts of a column in each bin, (n,)."""
         counts: Counts = self._counts[column, : self._used]
         return counts
-
-    def _halve(self) -> None:
-        self._counts[:, : _MOST_BINS // 2] = self._counts.reshape(len(self._counts), -1, 2).sum(axis=2)
-        self._counts[:, _MOST_BINS // 2 :] = 0
-        self._used = (self._used + 1) // 2
-        self.bin_us *= 2
 
 
 class RateSeries(BinnedCounts):
@@ -216,8 +213,8 @@ class Observation:
         before[first] = self._last_us[pixel[first]]
         last = np.concatenate([first[1:], [True]])
         self._last_us[pixel[last]] = t_us[last]
-        known = before >= 0
-        self.intervals += np.histogram(np.maximum(t_us - before, 1)[known], INTERVAL_EDGES_US)[0]
+        is_interval = before >= 0
+        self.intervals += np.histogram(np.maximum(t_us - before, 1)[is_interval], INTERVAL_EDGES_US)[0]
 
 
 def _count(counts: Counts, pixels: Counts) -> None:

@@ -38,19 +38,21 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
+import sys
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.camera import Given
 from emulator.sensor.origins import Origin
-from transports.array_messages import encoded
-from transports.guarded_reader import ForeignFileError, Limits, read_guarded
-from transports.recording.writer_process import WriterProcess
+from transports.guarded_reader import ForeignFileError, Limits, decoded, encoded, read_guarded
+from transports.recording.writer_process import WriterProcess, serve_writer
 
 if TYPE_CHECKING:
     import h5py
@@ -159,14 +161,14 @@ class TruthRecorder:
         self.path, self._waits = path, waits
         self.missing_pictures = self.missing_events = 0
         order = {"path": str(path), **dataclasses.asdict(about)}
-        self._writer = WriterProcess("emulator.run.truth.writer_process:main", order, _CAPACITY_BYTES)
+        self._writer = WriterProcess(f"{__name__}:write_file", order, _CAPACITY_BYTES)
         self._closed = False
 
     @property
     def trouble(self) -> str:
         """Reason why the file is not complete, for people; "" where it is."""
-        if why := self._writer.report.get("trouble"):
-            return f"truth stopped: {why} ({self.path})"
+        if reason := self._writer.report.get("trouble"):
+            return f"truth stopped: {reason} ({self.path})"
         if self.missing_pictures or self.missing_events:
             lost = f"{self.missing_pictures} pictures and {self.missing_events} events"
             return f"truth lacks {lost}: they came faster than they could be written ({self.path})"
@@ -186,6 +188,48 @@ class TruthRecorder:
         facts = {"missing_pictures": self.missing_pictures, "missing_events": self.missing_events}
         attributes = {**facts, "complete": not any(facts.values())}
         self._writer.close(_CLOSE_S, [b"".join(encoded({"attributes": attributes}))])
+
+
+_FLUSH_S = 0.5
+
+
+def write_file(order: Mapping[str, Any]) -> NoReturn:
+    """Write the messages on stdin to the file of an order, in a process of its own.
+
+    HDF5 has no journal; in its mode for one writer and many readers (SWMR) a file stays readable up to the last flush
+    if this process is killed.
+    """
+    path = Path(order["path"])
+    about = About(tuple(order["size"]), order["names"], order["gives"], order["facts"])
+    serve_writer(lambda: create(path, about), lambda file: _write(file, path), lambda file: {})
+    os._exit(0)  # without the library's clean-up, which would try to write failed data once more
+
+
+def _write(file: h5py.File, path: Path) -> None:
+    """Write all messages, then the attributes of the last one."""
+    import h5py
+
+    attributes = _write_rows(file)
+    file.close()
+    with h5py.File(path, "r+") as closed:  # attributes cannot change while others may read
+        closed.attrs.update(attributes)
+
+
+def _write_rows(file: h5py.File) -> Mapping[str, Any]:
+    """Add all rows; return the attributes of the last message, {} where the run was killed before it."""
+    flushed_s = time.monotonic()
+    while (rows := decoded(sys.stdin.buffer.read)) is not None:
+        if "attributes" in rows:
+            return rows["attributes"]  # type: ignore[no-any-return]
+        for name, values in rows.items():
+            data = file[name]
+            before = len(data)
+            data.resize(before + len(values), axis=0)
+            data[before:] = values
+        if time.monotonic() - flushed_s > _FLUSH_S:
+            file.flush()
+            flushed_s = time.monotonic()
+    return {}
 
 
 _MAGIC = b"\x89HDF\r\n\x1a\n"

@@ -46,38 +46,35 @@ _CLEAN = ("threshold_on", "threshold_off")  # parameters that may change while t
 
 def ideal_of(parameters: SensorParameters) -> SensorParameters:
     """Return the ideal sensor of the same size, thresholds and dark current: no mismatch, noise, leak or delay."""
-    here = at_temperature(parameters)
+    chip = at_temperature(parameters)
     return dataclasses.replace(
         PRESETS["ideal"],
-        width=here.width,
-        height=here.height,
-        threshold_on=here.threshold_on,
-        threshold_off=here.threshold_off,
-        dark_current_relative=here.dark_current_relative,
+        width=chip.width,
+        height=chip.height,
+        threshold_on=chip.threshold_on,
+        threshold_off=chip.threshold_off,
+        dark_current_relative=chip.dark_current_relative,
     )
 
 
-class TruthSource:
-    """Source of the events of `sensor`, an `EventSource`; their truth goes to `recorder`.
+class TruthSensor(TracedSensor):
+    """A sensor of a run whose events have their truth; `record_truth` comes before the first light frame."""
 
-    Parameters
-    ----------
-    clean : the ideal sensor.
-    geometry : of the scene; None where it has none.
-    every : depth, flow, labels and light are written of every n-th light frame; None: of `PICTURES_HZ` a second.
-    """
-
-    def __init__(
-        self,
-        sensor: TracedSensor,
-        clean: Sensor,
-        geometry: SceneGeometry | None,
-        recorder: TruthRecorder,
-        every: int | None = None,
+    def record_truth(
+        self, recorder: TruthRecorder, clean: Sensor, geometry: SceneGeometry | None, every: int | None = None
     ) -> None:
-        self._sensor, self._clean, self._geometry = sensor, clean, geometry
-        self._recorder, self._every = recorder, every
-        self.parameters = sensor.parameters
+        """Send the truth to `recorder`.
+
+        Parameters
+        ----------
+        clean : the ideal sensor.
+        geometry : of the scene; None where it has none.
+        every : depth, flow, labels and light are written of every n-th light frame; None: of `PICTURES_HZ` a second.
+        """
+        self._recorder = recorder
+        self._clean = clean
+        self._geometry = geometry
+        self._every = every
         self._seen = Seen.of(self.parameters.width, self.parameters.height)
         self._labels = np.zeros_like(self._seen.labels)
         self._gives = frozenset() if geometry is None else geometry.gives
@@ -86,77 +83,34 @@ class TruthSource:
         self._events = _Queue("events")
         self._clean_events = _Queue("clean_events")
 
-    @property
-    def raised(self) -> int:
-        """Count of `sensor`."""
-        return self._sensor.raised
-
-    @property
-    def lost_in_pixel(self) -> int:
-        """Count of `sensor`."""
-        return self._sensor.lost_in_pixel
-
-    @property
-    def lost_at_readout(self) -> int:
-        """Count of `sensor`."""
-        return self._sensor.lost_at_readout
-
-    @property
-    def read_out(self) -> int:
-        """Count of `sensor`."""
-        return self._sensor.read_out
-
-    @property
-    def undersampled_share(self) -> float | None:
-        """Share of `sensor`."""
-        return self._sensor.undersampled_share
-
-    @property
-    def longest_step_ns(self) -> int:
-        """Longest step of `sensor`."""
-        return self._sensor.longest_step_ns
-
-    @property
-    def adjustable(self) -> dict[str, float]:
-        """Parameters of `sensor` that can change."""
-        return self._sensor.adjustable
-
     def adjust(self, name: str, value: float) -> None:
         """Set a parameter of the sensor, and a threshold of the clean one too."""
-        self._sensor.adjust(name, value)
+        super().adjust(name, value)
         if name in _CLEAN:
             self._clean.adjust(name, value)
-
-    def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
-        """Return the thresholds of a pixel of the sensor; see `Sensor`."""
-        return self._sensor.thresholds_of(x, y)
 
     def with_kicks(self, kicks: KickParameters) -> None:
         """Return None: the truth of disturbed events is not traced."""
 
-    def warm_up(self) -> None:
-        """Compile the kernels."""
-        self._sensor.warm_up()
-
     def reset(self, frame: LightFrame) -> None:
         """Start at the time of `frame`."""
-        self._sensor.reset(frame)
+        super().reset(frame)
         self._clean.reset(frame)
         self._count, self._number = 0, -1
         self._record(frame)
 
     def expose(self, frame: LightFrame) -> Events:
         """Move to the time of `frame` and return the sensor's events; see `Sensor.expose`."""
-        events = self._sensor.expose(frame)
-        self._events.add(events, self._sensor.origins)
+        events = super().expose(frame)
+        self._events.add(events, self.origins)
         self._clean_events.add(self._clean.expose(frame))
         self._record(frame)
         return events
 
     def finish(self) -> Events:
         """Return the events that have not left yet; events that wait for a later frame have the last frame's labels."""
-        events = self._sensor.finish()
-        self._events.add(events, self._sensor.origins)
+        events = super().finish()
+        self._events.add(events, self.origins)
         self._clean_events.add(self._clean.finish())
         self._recorder.put(self._event_rows(math.inf, self._labels))
         return events
@@ -275,7 +229,7 @@ class TruthFile:
 
     Parameters
     ----------
-    every : see `TruthSource`.
+    every : see `TruthSensor.record_truth`.
 
     Attributes
     ----------
@@ -284,18 +238,20 @@ class TruthFile:
 
     def __init__(self, rig: Rig, path: Path, every: int | None = None) -> None:
         check_truth(rig, path, every)
-        self._rig, self._path, self._every = rig, path, every
+        self._rig = rig
+        self._path = path
+        self._every = every
         self._recorder: TruthRecorder | None = None
         self.trouble = ""
 
-    def source(self, sensor: EventSource, scene: Scene) -> TruthSource:
-        """Return the sensor, one of `TracedSensor`, with truth beside it; raises OSError where the file cannot be."""
-        if not isinstance(sensor, TracedSensor):
+    def begin(self, sensor: EventSource, scene: Scene) -> None:
+        """Record the truth of a `TruthSensor` of the run; raises OSError where the file cannot be."""
+        if not isinstance(sensor, TruthSensor):
             raise TypeError("truth needs a sensor that traces its events")
         run, geometry = self._rig.run, scene.geometry()
         self._recorder = TruthRecorder(self._path, _about(self._rig, geometry), waits=run.pace != "realtime")
         clean = Sensor(ideal_of(sensor.parameters), run.seed, partial(own_pixels, threads=run.threads))
-        return TruthSource(sensor, clean, geometry, self._recorder, self._every)
+        sensor.record_truth(self._recorder, clean, geometry, self._every)
 
     def close(self) -> None:
         """Finish the file; a second call does nothing."""

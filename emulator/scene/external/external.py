@@ -30,8 +30,8 @@ from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.pose import Timescale, Trajectory, TrajectoryError
 from firmware_protocol.compiled import entry_of
-from firmware_protocol.renderer.messages import Camera, Hello, Levels, MessageError, Response
-from transports.renderer.server import Drawn, RendererConnection, RendererEnded, RendererError, RendererServer
+from firmware_protocol.renderer import Camera, Hello, Levels, MessageError, Response
+from transports.renderer import Drawn, RendererConnection, RendererEnded, RendererError, RendererServer
 
 _LOG = logging.getLogger(__name__)
 _SRGB_KNEE = 0.04045
@@ -39,6 +39,7 @@ _MOST = 1e9
 _MOST_RATE = 3e38
 _KEPT = 6
 _LEAST_NS = 1000  # between two images: the shortest period of requested ones
+_STOP_S = 1.0  # for the images of the present light frame, when a run is stopped
 _MOST_A_FRAME = 4096  # images: a signal ends the run between two light frames
 
 _entry = entry_of(__name__, _nrt=False)
@@ -118,6 +119,10 @@ class ImageQueue:
         """Return those of the present images that are around `t_ns`, or the nearest one twice."""
         later = next((k for k, image in enumerate(self._images) if image.t_ns >= t_ns), len(self._images) - 1)
         return self._images[max(later - 1, 0)], self._images[later]
+
+    def stop(self) -> None:
+        """Limit the wait for further images."""
+        self._connection.limit_wait(_STOP_S)
 
     def close(self, reason: str = "") -> None:
         """End the connection; a second call does nothing."""
@@ -245,6 +250,10 @@ class External(Scene):
     def counts(self) -> Mapping[str, int]:
         """Images received."""
         return {"images": self._images.taken}
+
+    def stop(self) -> None:
+        """Limit the wait for images of the present light frame."""
+        self._images.stop()
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at `t_ns`; raises SceneError."""

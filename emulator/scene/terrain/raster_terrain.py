@@ -60,7 +60,7 @@ class TerrainGeometry(SceneGeometry):
         """Write depth, flow and labels at `t_ns`."""
         world = self._world
         nearest, facets = self._facets_at(t_ns)
-        nearest_along(nearest, facets, np.ones(len(facets), np.uint16), self._rays, (out.labels, self._inverse_depth))
+        nearest_along(nearest, facets, np.ones(len(facets), np.uint16), self._rays, out.labels, self._inverse_depth)
         (camera,), between_s = instants(t_ns, [world.camera], world.time)
         motions = np.array([motion_of(camera, body, between_s) for body in (None, (STILL, STILL, STILL))])
         write_depth_and_flow(self._inverse_depth, motions, world.pinhole, self._rays, out)
@@ -289,7 +289,7 @@ class RasterTerrain(Scene):
 
         def refine(band: int, thread: int) -> None:
             rows, room = _rows(band, height), (self._tiles[thread], *self._lines[thread])
-            whole, both = self._owners.whole, (light, rate)
+            whole, both = self._owners.coverage, (light, rate)
             shade_doubtful(rows, sight, whole, self._posts, limits, self._sun, room, smooth, both)
 
         def follow(band: int, thread: int) -> None:

@@ -33,7 +33,7 @@ from emulator.scene.video.frames import linear_light
 from emulator.scene.video.video import Around, JoinedFrames, resampled
 from emulator.tables.typed_table import check_bounds
 from emulator.trajectory.live import SceneClock
-from firmware_protocol.ros2.messages import IMAGE, CdrError, ImageError, levels_of, parse_image
+from firmware_protocol.ros2 import IMAGE, CdrError, ImageError, levels_of, parse_image
 from transports.needs import Need, install_command, package
 from transports.ros2.kind import DdsNetwork, check_topic
 

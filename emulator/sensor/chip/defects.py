@@ -110,7 +110,9 @@ class Leaks:
     """
 
     def __init__(self, pixels: PixelMethod, seed: int, share: float, defects: Defects) -> None:
-        self._pixels, self._share, self._defects = pixels, share, defects
+        self._pixels = pixels
+        self._share = share
+        self._defects = defects
         self._usual_hz = pixels.leak_hz()
         self._streams = streams(root_of(seed, Purpose.LEAK_JITTER), self._usual_hz.size) if share else None
         self.next_ns = NEVER_NS
@@ -140,20 +142,17 @@ def at_temperature(p: SensorParameters) -> SensorParameters:
     ValueError
         A leak, of hot pixels where there are any, or the dark current would be outside its bounds.
     """
-    t = p.temperature
-    hot_hz = p.defects.hot_hz * (t.leak_factor if _may_have_hot_pixels(p) else 1)
+    t, d = p.temperature, p.defects
+    may_be_hot = d.hot_share or d.hot_pixels or p.radiation.dose_krad or p.radiation.dose_krad_per_day
+    hot_hz = d.hot_hz * (t.leak_factor if may_be_hot else 1)
     try:
         return dataclasses.replace(
             p,
             leak_hz=p.leak_hz * t.leak_factor,
-            defects=dataclasses.replace(p.defects, hot_hz=hot_hz),
+            defects=dataclasses.replace(d, hot_hz=hot_hz),
             dark_current_relative=p.dark_current_relative * t.dark_factor,
             corner_min_hz=min(p.corner_min_hz * t.dark_factor, p.corner_max_hz),
             temperature=dataclasses.replace(t, celsius=REFERENCE_CELSIUS),
         )
     except ValueError as error:
         raise ValueError(f"temperature.celsius = {t.celsius:g}: {error}") from error
-
-
-def _may_have_hot_pixels(p: SensorParameters) -> bool:
-    return bool(p.defects.hot_share or p.defects.hot_pixels or p.radiation.dose_krad or p.radiation.dose_krad_per_day)

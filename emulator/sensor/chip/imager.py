@@ -74,8 +74,8 @@ def _shine(light: _Float32s, gain: _Float32s, dark: _Float32s, out: _Float32s) -
 @vector_kernel
 def _power(exponent: np.float32) -> np.float32:
     """Return e^exponent, within 6e-7 of it."""
-    less: np.float32 = _ONE - decay(abs(exponent))
-    return less if exponent < _ZERO else _ONE / less
+    below_one: np.float32 = _ONE - decay(abs(exponent))  # e^-|exponent|
+    return below_one if exponent < _ZERO else _ONE / below_one
 
 
 @vector_kernel

@@ -143,11 +143,11 @@ def _next_row(rows: _Words, last: int, height: int) -> int:
     """Return the first row with requests after `last`, round-robin; at least one row has requests."""
     first = last + 1 if last + 1 < height else 0
     word = first >> 6
-    here = rows[word] & (~np.uint64(0) << np.uint64(first & 63))
-    while here == 0:
+    bits = rows[word] & (~np.uint64(0) << np.uint64(first & 63))
+    while bits == 0:
         word = word + 1 if word + 1 < rows.size else 0
-        here = rows[word]
-    return int(word * 64 + np.int64(lowest_bit(here)))
+        bits = rows[word]
+    return int(word * 64 + np.int64(lowest_bit(bits)))
 
 
 @lane
@@ -209,13 +209,13 @@ def _send(maps: _Maps, a: _Arbiter, event_ps: int, until_ns: int, out: Events, n
 
 @kernel
 def _serve_lone(
-    arrivals: Arrivals, until_ns: int, timing: _Timing, at: tuple[int, int], a: _Arbiter, out: Events
+    arrivals: Arrivals, k: int, until_ns: int, timing: _Timing, a: _Arbiter, out: Events, n: int
 ) -> tuple[int, int, _Arbiter]:
-    """Serve crossings as long as each is latched before the next one comes; for an idle arbiter without requests.
+    """Serve crossings from k on while each is latched before the next one comes, into `out` from n on.
 
-    They need no bit maps. `at`: number of events in `out`, and of crossings served; returned changed.
+    For an idle arbiter without requests: they need no bit maps. Returns the new n and k, and the arbiter.
     """
-    (n, k), free_ns, row = at, a.free_ns, a.row
+    free_ns, row = a.free_ns, a.row
     send_ns = (timing.event_ps + 999) // 1000
     while k < arrivals.t_ns.size:
         latch_ns = max(free_ns, arrivals.t_ns[k]) + timing.row_ns
@@ -226,7 +226,9 @@ def _serve_lone(
         row = int(np.int64(pixel // np.uint64(timing.width)))
         free_ns = latch_ns + send_ns
         event = out[n]
-        event.t, event.x, event.y = free_ns // 1000, np.int64(pixel) - row * timing.width, row
+        event.t = free_ns // 1000
+        event.x = np.int64(pixel) - row * timing.width
+        event.y = row
         event.on = arrivals.on[k]
         n, k = n + 1, k + 1
     return n, k, _Arbiter(_IDLE, free_ns, row, 0, 0, 0, 0)
@@ -245,7 +247,7 @@ def _run(
                 break
         if a.phase == _IDLE:
             if queue.waiting == 0 and maps.busy_until_ns.size == 0:
-                n, k, a = _serve_lone(arrivals, until_ns, timing, (n, k), a, out)
+                n, k, a = _serve_lone(arrivals, k, until_ns, timing, a, out, n)
             if queue.waiting == 0 and k == arrivals.t_ns.size:
                 break
             first_ns = queue.ready_ns if queue.waiting else arrivals.t_ns[k]
@@ -461,8 +463,10 @@ def _delay(
     pending = reserve(pending, n, t_ns.size)
     for k in range(t_ns.size):
         pixel = pixels[k]
-        more = d.deviation * normal_from(word(stream(d.root, pixel), d.events[pixel])) if d.deviation > 0 else 0.0
-        late_ns = int(math.exp((d.on if on[k] else d.off) + more))
+        log_delay = d.on if on[k] else d.off
+        if d.deviation > 0:
+            log_delay += d.deviation * normal_from(word(stream(d.root, pixel), d.events[pixel]))
+        late_ns = int(math.exp(log_delay))
         if d.late_share > 0:
             bits = word(stream(d.late_root, pixel), d.events[pixel])
             if unit(high(bits)) < d.late_share:
@@ -473,8 +477,8 @@ def _delay(
         pending.t_ns[n], pending.key[n] = leaves_ns, np.uint64(pixel) << np.uint64(1) | np.uint64(on[k])
         n += 1
     keys = np.empty(n + 1, np.uint64)
-    found, remaining = release(window, pending, n, keys)
-    return pending, remaining, keys[:found]
+    released, remaining = release(window, pending, n, keys)
+    return pending, remaining, keys[:released]
 
 
 class Jitter:
@@ -533,15 +537,15 @@ class Jitter:
         while t_ns - self._t_ns > LONGEST_NS:
             end_ns = self._t_ns + LONGEST_NS
             n = int(np.searchsorted(crossings.t_ns, end_ns))
-            parts.append(self._advance(crossings, (k, n), end_ns))
+            parts.append(self._advance(crossings, slice(k, n), end_ns))
             k = n
-        parts.append(self._advance(crossings, (k, len(crossings)), t_ns))
+        parts.append(self._advance(crossings, slice(k, len(crossings)), t_ns))
         return joined(parts)
 
-    def _advance(self, crossings: Crossings, span: tuple[int, int], t_ns: int) -> Crossings:
+    def _advance(self, crossings: Crossings, span: slice, t_ns: int) -> Crossings:
         """Delay some of the crossings; return the events that leave until `t_ns`, at most LONGEST_NS from now."""
-        window, some = Window(0, self._t_ns, t_ns, self._pixel_bits), slice(*span)
-        arrays = crossings.t_ns[some], crossings.pixel[some], crossings.on[some]
+        window = Window(0, self._t_ns, t_ns, self._pixel_bits)
+        arrays = crossings.t_ns[span], crossings.pixel[span], crossings.on[span]
         pending, self.waiting, keys = _delay(arrays, window, self._delays, self._pending, self.waiting)
         self._pending, self._t_ns = Pending(*pending), t_ns
         return unpacked(keys, window.t0_ns, self._pixel_bits)

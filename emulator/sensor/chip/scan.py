@@ -62,11 +62,11 @@ class _Scan(NamedTuple):
 def _idle(scan: _Scan, until_ns: int, timing: _Timing) -> _Scan:
     """Return the scan after whole idle scans, as many as end safely before `until_ns`."""
     scan_ps = timing.column_ps * timing.width
-    whole = (until_ns - scan.t_ns) // (scan_ps // 1000 + 1) - 1
-    if whole <= 0:
+    scans = (until_ns - scan.t_ns) // (scan_ps // 1000 + 1) - 1
+    if scans <= 0:
         return scan
-    ps = scan.ps + whole * (scan_ps % 1000)
-    t_ns = scan.t_ns + whole * (scan_ps // 1000) + ps // 1000
+    ps = scan.ps + scans * (scan_ps % 1000)
+    t_ns = scan.t_ns + scans * (scan_ps // 1000) + ps // 1000
     return _Scan(scan.column, t_ns, ps % 1000, scan.waiting, scan.lost, scan.busy)
 
 
@@ -81,7 +81,9 @@ def _look(scan: _Scan, maps: _Maps, timing: _Timing, out: Events, n: int) -> tup
         for row in range(timing.height):
             if requests[column, row] != _FREE:
                 event = out[n]
-                event.t, event.x, event.y = t_ns // 1000, column, row
+                event.t = t_ns // 1000
+                event.x = column
+                event.y = row
                 event.on = requests[column, row] == _ON
                 requests[column, row] = _FREE
                 if busy_until_ns.size > 0:
@@ -94,7 +96,8 @@ def _look(scan: _Scan, maps: _Maps, timing: _Timing, out: Events, n: int) -> tup
 def _admit(arrivals: Arrivals, k: int, until_ns: int, maps: _Maps, scan: _Scan) -> tuple[int, _Scan]:
     """Turn crossings from k on, up to and including `until_ns`, into requests; return the next k and the scan."""
     requests, counts, busy_until_ns = maps
-    width, waiting, lost, busy = np.uint32(counts.size), scan.waiting, scan.lost, scan.busy
+    _, _, _, waiting, lost, busy = scan
+    width = np.uint32(counts.size)
     while k < arrivals.t_ns.size and arrivals.t_ns[k] <= until_ns:
         x, y = arrivals.pixel[k] % width, arrivals.pixel[k] // width
         if busy_until_ns.size > 0 and arrivals.t_ns[k] < busy_until_ns[arrivals.pixel[k]]:
@@ -143,7 +146,8 @@ class ScanReadOut(ReadOut):
     def __init__(self, parameters: SensorParameters) -> None:
         super().__init__()
         log_compilation(_run, "the scan")
-        times, width, height = parameters.readout, parameters.width, parameters.height
+        times = parameters.readout
+        width, height = parameters.width, parameters.height
         event_ps, refractory_ns = max(1, round(times.event_ns * 1000)), round(parameters.refractory_us * 1000)
         self._timing = _Timing(width, height, 1, event_ps, refractory_ns)
         self.set_scan_us(times.scan_us)

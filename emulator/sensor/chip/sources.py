@@ -60,11 +60,11 @@ def new_pending() -> Pending:
 
 
 @kernel_that_allocates
-def reserve(pending: Pending, n: int, more: int) -> Pending:
-    """Return `pending`, a longer copy where there is no space for `more` behind its first n events."""
-    if n + more <= pending.t_ns.size:
+def reserve(pending: Pending, n: int, added: int) -> Pending:
+    """Return `pending`, a longer copy where there is no space for `added` events behind its first n."""
+    if n + added <= pending.t_ns.size:
         return pending
-    t_ns, key = np.empty(2 * (n + more), np.int64), np.empty(2 * (n + more), np.uint64)
+    t_ns, key = np.empty(2 * (n + added), np.int64), np.empty(2 * (n + added), np.uint64)
     t_ns[:n], key[:n] = pending.t_ns[:n], pending.key[:n]
     return Pending(t_ns, key)
 
@@ -73,14 +73,14 @@ def reserve(pending: Pending, n: int, more: int) -> Pending:
 def release(window: Window, pending: Pending, n: int, keys: npt.NDArray[np.uint64]) -> tuple[int, int]:
     """Pack the events of the window into `keys`, (n + 1,), and compact those after it; return both numbers."""
     shift = np.uint64(window.pixel_bits + 1)
-    found = remaining = 0
+    released = remaining = 0
     for k in range(n):
         t_ns, key = pending.t_ns[k], pending.key[k]
         pending.t_ns[remaining], pending.key[remaining] = t_ns, key
         remaining += t_ns >= window.t1_ns
-        keys[found] = np.uint64(t_ns - window.t0_ns) << shift | key
-        found += (t_ns < window.t1_ns) & (t_ns >= window.t0_ns)
-    return found, remaining
+        keys[released] = np.uint64(t_ns - window.t0_ns) << shift | key
+        released += (t_ns < window.t1_ns) & (t_ns >= window.t0_ns)
+    return released, remaining
 
 
 class SlottedEvents(ABC):
@@ -92,7 +92,7 @@ class SlottedEvents(ABC):
 
     def reset(self, t_ns: int) -> None:
         """Start at `t_ns`; events that began before are left out."""
-        self._pending, self._known = new_pending(), 0
+        self._pending, self._waiting = new_pending(), 0
         self._slot, self._t_ns = t_ns // SLOT_NS, t_ns
 
     def add_to(self, crossings: Crossings, light: npt.NDArray[np.float32], t_ns: int) -> Crossings:
@@ -108,13 +108,15 @@ class SlottedEvents(ABC):
 
     def _events_until(self, light: npt.NDArray[np.float32], t_ns: int) -> Crossings:
         window = Window(self._slot, self._t_ns, t_ns, self._pixel_bits)
-        pending, self._known, keys = self._advance(window, light, self._pending, self._known)
-        self._pending, self._slot, self._t_ns = Pending(*pending), -(-t_ns // SLOT_NS), t_ns
+        pending, self._waiting, keys = self._advance(window, light, self._pending, self._waiting)
+        self._pending = Pending(*pending)
+        self._slot = -(-t_ns // SLOT_NS)
+        self._t_ns = t_ns
         return unpacked(keys, window.t0_ns, self._pixel_bits)
 
     @abstractmethod
     def _advance(
-        self, window: Window, light: npt.NDArray[np.float32], pending: Pending, known: int
+        self, window: Window, light: npt.NDArray[np.float32], pending: Pending, n: int
     ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
         """Draw the slots that begin before the window's end; return the pending and the packed events."""
 
@@ -167,7 +169,9 @@ def primaries_hz(p: SensorParameters, seed: int) -> tuple[_Floats, _Floats, _Flo
 @kernel_that_allocates
 def _draw_background(slot: int, c: _Constants, rates: _Rates, pending: Pending, n: int) -> tuple[Pending, int]:
     """Add the events that begin in a slot to `pending` from n on."""
-    base, t, k, below = stream(c.root, slot), 0.0, 0, rates.below
+    base = stream(c.root, slot)
+    below = rates.below
+    t, k = 0.0, 0
     while True:
         gap, choice = word(base, 2 * k), word(base, 2 * k + 1)
         t -= c.mean_gap * math.log(unit(high(gap)))
@@ -180,11 +184,11 @@ def _draw_background(slot: int, c: _Constants, rates: _Rates, pending: Pending, 
         follows = unit(low(choice)) < rates.pair[pixel] * (c.on_pair_factor if on else 1.0)
         follower, chances = 0, stream(base, _FOLLOWERS + np.uint64(k))
         while follows and follower < _MOST_FOLLOWERS:
-            drawn = word(chances, follower)
+            bits = word(chances, follower)
             wait_ns = rates.wait_ns[pixel] * (c.on_wait_factor if key & _ONE else 1.0)
-            t_ns, key = t_ns + 1 + int(-wait_ns * math.log(unit(high(drawn)))), key ^ _ONE
+            t_ns, key = t_ns + 1 + int(-wait_ns * math.log(unit(high(bits)))), key ^ _ONE
             pending, n = _add(pending, n, t_ns, key)
-            follower, follows = follower + 1, unit(low(drawn)) < c.again_share
+            follower, follows = follower + 1, unit(low(bits)) < c.again_share
         k += 1
 
 
@@ -204,8 +208,8 @@ def _advance(
     for slot in range(window.slot, -(-window.t1_ns // SLOT_NS)):
         pending, n = _draw_background(slot, c, rates, pending, n)
     keys = np.empty(n + 1, np.uint64)
-    found, remaining = release(window, pending, n, keys)
-    return pending, remaining, keys[:found]
+    released, remaining = release(window, pending, n, keys)
+    return pending, remaining, keys[:released]
 
 
 class BackgroundEvents(SlottedEvents):
@@ -246,11 +250,9 @@ class BackgroundEvents(SlottedEvents):
         self._events_until(np.empty(0, np.float32), t_ns)
 
     def _advance(
-        self, window: Window, light: npt.NDArray[np.float32], pending: Pending, known: int
+        self, window: Window, light: npt.NDArray[np.float32], pending: Pending, n: int
     ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
-        result: tuple[Pending, int, npt.NDArray[np.uint64]] = _advance(
-            window, self._constants, self._rates, pending, known
-        )
+        result: tuple[Pending, int, npt.NDArray[np.uint64]] = _advance(window, self._constants, self._rates, pending, n)
         return result
 
 
@@ -349,7 +351,8 @@ def _draw_particles(
     slot: int, chip: _Chip, pixel: npt.NDArray[np.int64], dead: npt.NDArray[np.bool_], pending: Pending, n: int
 ) -> tuple[Pending, int]:
     """Add the particles of a slot to `pending` from n on."""
-    slot_base, t, k = stream(chip.root, slot), 0.0, 0
+    slot_base = stream(chip.root, slot)
+    t, k = 0.0, 0
     while True:
         base = stream(slot_base, k)
         t -= chip.mean_gap * math.log(unit(high(word(base, 0))))
@@ -378,8 +381,8 @@ def _advance_particles(
     for slot in range(window.slot, -(-window.t1_ns // SLOT_NS)):
         pending, n = _draw_particles(slot, chip, pixel, dead, pending, n)
     keys = np.empty(n + 1, np.uint64)
-    found, remaining = release(window, pending, n, keys)
-    return pending, remaining, keys[:found]
+    released, remaining = release(window, pending, n, keys)
+    return pending, remaining, keys[:released]
 
 
 class Particles(SlottedEvents):
@@ -411,9 +414,9 @@ class Particles(SlottedEvents):
         )
 
     def _advance(
-        self, window: Window, light: npt.NDArray[np.float32], pending: Pending, known: int
+        self, window: Window, light: npt.NDArray[np.float32], pending: Pending, n: int
     ) -> tuple[Pending, int, npt.NDArray[np.uint64]]:
         result: tuple[Pending, int, npt.NDArray[np.uint64]] = _advance_particles(
-            window, self._chip, self._dead, pending, known
+            window, self._chip, self._dead, pending, n
         )
         return result

@@ -4,11 +4,11 @@ A pixel has one candidate ahead, at a random time of a rate that is at least tha
 come, the rates in the light and at the level of that time decide on an event. Only pixels with a candidate soon are
 looked at, by lists of pixels:
 
-    near     those whose candidate may come before the next horizon, a multiple of 2^26 ns
+    soon     those whose candidate may come before the next horizon, a multiple of 2^26 ns
     window   those whose candidate may come before the window's end, a multiple of 2^22 ns; a step searches these
     moved    those with crossings of the pixels' own: their levels are read at the next windows until they rest
 
-A pixel is in `near` or in `window` once at most. State of the pixels, one row for each, so that a pixel's values come
+A pixel is in `soon` or in `window` once at most. State of the pixels, one row for each, so that a pixel's values come
 with one access to memory:
 
     times    (pixels, 3) int64: NEXT candidate; READ, time of the level that was read; CROSSED, the last crossing
@@ -105,7 +105,7 @@ class PixelNoise(NamedTuple):
 class Lists(NamedTuple):
     """Lists of pixels, (pixels,) each, and the numbers in them."""
 
-    near: _Pixels
+    soon: _Pixels
     window: _Pixels
     moved: _Pixels
     counts: _Int64s
@@ -127,26 +127,51 @@ class Packed(NamedTuple):
     pixel_bits: int
 
 
+class ReadPixels(NamedTuple):
+    """Pixels with their levels and drifts as they were read just now; without these, levels stay as they are."""
+
+    pixels: _Pixels
+    level: _Float32s
+    drift: _Float32s
+
+
+class Thresholds(NamedTuple):
+    """Thresholds of a pixel, ln units; infinite for a dead one."""
+
+    on: float
+    off: float
+
+
+class Figures(NamedTuple):
+    """The noise of a pixel in a light: deviation, ln units, 0 where the light is not finite; and 1 / tau, 1/s."""
+
+    sigma: float
+    per_s: float
+
+
 @kernel
-def _figures(light: float, scale: float, c: Constants) -> tuple[float, float]:
-    """Return sigma, ln units, and 1 / tau, 1/s, at a light; sigma is 0 where the light is not finite."""
+def _thresholds(pixel: int, s: PixelNoise) -> Thresholds:
+    """Return the thresholds of a pixel."""
+    return Thresholds(np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1]))
+
+
+@kernel
+def _figures(light: float, scale: float, c: Constants) -> Figures:
+    """Return the noise of a pixel at a light."""
     if not abs(light) <= _LARGEST:
-        return 0.0, 1.0
+        return Figures(0.0, 1.0)
     hz = min(max(c.hz_at_reference * (max(light, 0.0) + c.dark), c.hz_min), c.hz_max)
     passed = c.corner_hz / (c.corner_hz + hz)
-    return c.rms * scale * math.sqrt(passed), 2 * math.pi * hz * passed
+    return Figures(c.rms * scale * math.sqrt(passed), 2 * math.pi * hz * passed)
 
 
 @kernel
-def _rates(
-    level: float, limits: tuple[float, float], noise: tuple[float, float], table: _Float32s
-) -> tuple[float, float]:
+def _rates(level: float, limits: Thresholds, noise: Figures, table: _Float32s) -> tuple[float, float]:
     """Return the ON and the OFF rate, Hz, for a reference at `level` above the signal."""
-    (on, off), (sigma, per_s) = limits, noise
-    if sigma <= 0:
+    if noise.sigma <= 0:
         return 0.0, 0.0
-    up, down = rates_between((on + level) / sigma, (off - level) / sigma, table)
-    return up * per_s, down * per_s
+    up, down = rates_between((limits.on + level) / noise.sigma, (limits.off - level) / noise.sigma, table)
+    return up * noise.per_s, down * noise.per_s
 
 
 @kernel
@@ -169,36 +194,36 @@ def _seen(t_ns: int, pixel: int, s: PixelNoise) -> float:
 
 
 @kernel
-def _set_again(level: float, noise: tuple[float, float], c: Constants, bits: np.uint64) -> float:
+def _set_again(level: float, noise: Figures, c: Constants, bits: np.uint64) -> float:
     """Return the level to which the refractory period's end sets a reference, from a comparator at `level`."""
-    decay = math.exp(-noise[1] * c.refractory_ns * 1e-9)
-    return float(level * decay + noise[0] * math.sqrt(1 - decay * decay) * normal_from(bits))
+    decay = math.exp(-noise.per_s * c.refractory_ns * 1e-9)
+    return float(level * decay + noise.sigma * math.sqrt(1 - decay * decay) * normal_from(bits))
 
 
 @kernel
 def _run(pixel: int, until_ns: int, w: Setting, s: PixelNoise, out: Packed, n: int) -> int:
     """Run a pixel's candidates before a time; return the number of events in `out`, which may be full."""
-    c, table, keys = w.constants, w.table, out.keys
+    c, keys = w.constants, out.keys
     if s.times[pixel, NEXT] >= until_ns:
         return n
     base, noise = stream(c.root, pixel), _figures(w.light[pixel], s.limits[pixel, _SCALE], c)
-    limits = np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])
+    limits = _thresholds(pixel, s)
     t_ns = s.times[pixel, NEXT]
     while t_ns < until_ns and n < keys.size:
         bits, seen = word(base, _TWO * t_ns), _seen(t_ns, pixel, s)
         level = s.levels[pixel, OFFSET] - seen
-        on_hz, off_hz = _rates(level, limits, noise, table)
+        on_hz, off_hz = _rates(level, limits, noise, w.table)
         chance = unit(high(bits)) * s.levels[pixel, RATE]
         if chance < on_hz + off_hz:
             on = chance < on_hz
             keys[n] = np.uint64(t_ns - out.t0_ns) << np.uint64(out.pixel_bits + 1)
             keys[n] |= np.uint64(pixel) << _ONE | np.uint64(on)
             n += 1
-            level = _set_again(level + limits[0] if on else level - limits[1], noise, c, word(base, _TWO * t_ns + 1))
+            level = _set_again(level + limits.on if on else level - limits.off, noise, c, word(base, _TWO * t_ns + 1))
             s.levels[pixel, OFFSET] = level + seen
-            on_hz, off_hz = _rates(level, limits, noise, table)
+            on_hz, off_hz = _rates(level, limits, noise, w.table)
             t_ns += c.refractory_ns
-        hz = _candidates_hz(on_hz + off_hz) if noise[0] > 0 else _UNREADABLE_HZ
+        hz = _candidates_hz(on_hz + off_hz) if noise.sigma > 0 else _UNREADABLE_HZ
         s.levels[pixel, RATE] = hz
         t_ns += _wait_ns(low(bits), hz)
     s.times[pixel, NEXT] = t_ns
@@ -214,18 +239,18 @@ def draw_first(t_ns: int, history_ns: int, w: Setting, s: PixelNoise) -> None:
     many events of the noisiest pixels after it would change nothing. It must not end with some number of events: levels
     just after an event are not those of a random time.
     """
-    light, c, table = w.light, w.constants, w.table
+    light, c = w.light, w.constants
     for pixel in range(light.size):
         if s.limits[pixel, 0] > _LARGEST:
             s.times[pixel, NEXT] = NEVER_NS
             continue
-        limits = np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])
+        limits = _thresholds(pixel, s)
         leak = max(abs(np.float64(s.levels[pixel, DRIFT])), _LEAST_DRIFT)
         noise = _figures(light[pixel], s.limits[pixel, _SCALE], c)
-        rarest_hz = max(sum(_rates((limits[1] - limits[0]) / 2, limits, noise, table)), _LEAST_RATE_HZ)
-        start_ns = t_ns - int(min(np.float64(history_ns), 0.5e9 * limits[0] / leak, _SETTLED * 1e9 / rarest_hz))
+        rarest_hz = max(sum(_rates((limits.off - limits.on) / 2, limits, noise, w.table)), _LEAST_RATE_HZ)
+        start_ns = t_ns - int(min(np.float64(history_ns), 0.5e9 * limits.on / leak, _SETTLED * 1e9 / rarest_hz))
         level = s.levels[pixel, OFFSET] - _seen(start_ns, pixel, s)
-        on_hz, off_hz = _rates(level, limits, noise, table)
+        on_hz, off_hz = _rates(level, limits, noise, w.table)
         hz = _candidates_hz(on_hz + off_hz) if abs(light[pixel]) <= _LARGEST else _UNREADABLE_HZ
         s.levels[pixel, RATE] = hz
         s.times[pixel, NEXT] = start_ns + _wait_ns(low(word(stream(c.root_of_looks, pixel), start_ns)), hz)
@@ -256,7 +281,8 @@ def _crossed(pixel: int, on: bool, t_ns: int, w: Setting, s: PixelNoise) -> bool
     """Move a pixel's reference by its own crossing; return whether it fires, which noise may have done before."""
     c = w.constants
     offset, step = s.levels[pixel, OFFSET], s.limits[pixel, 0] if on else -s.limits[pixel, 1]
-    s.levels[pixel, SEEN], s.times[pixel, READ], s.times[pixel, CROSSED] = 0, t_ns, t_ns
+    s.levels[pixel, SEEN] = 0
+    s.times[pixel, READ] = s.times[pixel, CROSSED] = t_ns
     early = offset * step > step * step / 2
     s.crossed[pixel] += np.uint32(1)
     s.place[pixel] &= ~_LOOKED
@@ -289,22 +315,22 @@ def _run_and_look(pixel: int, times_ns: tuple[int, int], w: Setting, s: PixelNoi
 
 
 @cached_entry
-def cross(
-    crossings: _Events, opened_ns: int, w: Setting, s: PixelNoise, lists: Lists,
-    out: tuple[Packed, npt.NDArray[np.bool_]],
+def cross(  # noqa: PLR0913, PLR0917
+    crossings: _Events, opened_ns: int, w: Setting, s: PixelNoise, lists: Lists, out: Packed,
+    fires: npt.NDArray[np.bool_],
 ) -> bool:  # fmt: skip
     """Apply the pixels' own crossings from the DONE one on, each after its pixel's earlier candidates.
 
     `opened_ns` is the end of the last window that was opened: a pixel that crosses again after the next one's start is
-    looked at there first, as it would be in short steps. Writes which of the crossings fire. Returns False where the
-    events are too many for `out`: call again with more room.
+    looked at there first, as it would be in short steps. Writes which of them fire. Returns False where the events are
+    too many for `out`: call again with more room.
     """
-    (t_ns, pixels, on), counts, (packed, fires) = crossings, lists.counts, out
+    (t_ns, pixels, on), counts = crossings, lists.counts
     n = counts[Count.FOUND]
     for k in range(counts[Count.DONE], t_ns.size):
         pixel = np.int64(pixels[k])
         _request(np.int64(pixels[min(k + _AHEAD, t_ns.size - 1)]), w, s)
-        n = _run_and_look(pixel, (opened_ns, t_ns[k]), w, s, packed, n)
+        n = _run_and_look(pixel, (opened_ns, t_ns[k]), w, s, out, n)
         if s.times[pixel, NEXT] < t_ns[k]:
             counts[Count.FOUND], counts[Count.DONE] = n, k
             return False
@@ -320,14 +346,14 @@ def cross(
 @kernel
 def _draw_again(pixel: int, window_ns: int, w: Setting, s: PixelNoise) -> None:
     """Draw a pixel's candidate again at a window's start, if their rate has changed."""
-    limits, c = (np.float64(s.limits[pixel, 0]), np.float64(s.limits[pixel, 1])), w.constants
+    limits, c = _thresholds(pixel, s), w.constants
     level, scale = s.levels[pixel, OFFSET] - _seen(window_ns, pixel, s), s.limits[pixel, _SCALE]
-    if min(limits[0] + level, limits[1] - level) > _FAR * c.rms * scale:
+    if min(limits.on + level, limits.off - level) > _FAR * c.rms * scale:
         hz = _LEAST_HZ  # most pixels in motion: neither their light nor the table is needed
     else:
         on_hz, off_hz = _rates(level, limits, _figures(w.light[pixel], scale, c), w.table)
         hz = _candidates_hz(on_hz + off_hz)
-    if hz != s.levels[pixel, RATE] and limits[0] <= _LARGEST:
+    if hz != s.levels[pixel, RATE] and limits.on <= _LARGEST:
         s.levels[pixel, RATE] = hz
         bits = word(stream(c.root_of_looks, pixel), _TWO * window_ns)
         s.times[pixel, NEXT] = window_ns + _wait_ns(low(bits), hz)
@@ -339,20 +365,20 @@ def _read(pixel: int, t_ns: int, level: float, drift: float, s: PixelNoise) -> f
     if level != level:
         return 0.0
     moved = level - _seen(t_ns, pixel, s)
-    s.levels[pixel, SEEN], s.levels[pixel, DRIFT], s.times[pixel, READ] = level, drift, t_ns
+    s.levels[pixel, SEEN], s.levels[pixel, DRIFT] = level, drift
+    s.times[pixel, READ] = t_ns
     return float(moved)
 
 
 @cached_entry
-def look_again(
-    times_ns: tuple[int, int], read: tuple[_Float32s, _Float32s], w: Setting, s: PixelNoise, lists: Lists
-) -> None:
+def look_again(times_ns: tuple[int, int], read: ReadPixels, w: Setting, s: PixelNoise, lists: Lists) -> None:
     """Draw the candidates of `moved` pixels again at the first of two times, a window's start.
 
-    `read` are their levels and drifts at the second time. Those that have come to rest leave the list; those that cross
+    `read` has their levels and drifts at the second time. Those that have come to rest leave the list; those that cross
     later in the step are left for a later window.
     """
-    (window_ns, t_ns), counts, remaining = times_ns, lists.counts, NONE
+    window_ns, t_ns = times_ns
+    counts, remaining = lists.counts, NONE
     for k in range(counts[Count.MOVED]):
         pixel = lists.moved[k]
         _request(lists.moved[min(k + _AHEAD, counts[Count.MOVED] - 1)], w, s)
@@ -361,7 +387,7 @@ def look_again(
             remaining += 1
             _put_near(pixel, window_ns, s, lists)  # looked at before its crossing, its candidate may be in this window
             continue
-        moved = _read(pixel, t_ns, read[0][k], read[1][k], s)
+        moved = _read(pixel, t_ns, read.level[k], read.drift[k], s)
         _draw_again(pixel, window_ns, w, s)
         if abs(moved) > _RESTING * s.limits[pixel, 0]:
             lists.moved[remaining] = pixel
@@ -374,10 +400,10 @@ def look_again(
 
 @kernel
 def _put_near(pixel: int, t_ns: int, s: PixelNoise, lists: Lists) -> None:
-    """Add a pixel to `near` if its candidate comes before the horizon after a time, and it is in no list."""
+    """Add a pixel to `soon` if its candidate comes before the horizon after a time, and it is in no list."""
     if s.times[pixel, NEXT] < (t_ns // HORIZON_NS + 1) * HORIZON_NS and not s.place[pixel] & (_NEAR | _WINDOW):
         s.place[pixel] |= _NEAR
-        lists.near[lists.counts[Count.NEAR]] = pixel
+        lists.soon[lists.counts[Count.NEAR]] = pixel
         lists.counts[Count.NEAR] += 1
 
 
@@ -391,17 +417,18 @@ def open_horizon(t_ns: int, s: PixelNoise, lists: Lists) -> None:
 
 @cached_entry
 def open_window(window_ns: int, s: PixelNoise, lists: Lists) -> None:
-    """Take the pixels whose candidates come before the end of the window at a time from `near` to `window`."""
-    counts, remaining, end_ns = lists.counts, NONE, window_ns + WINDOW_NS
+    """Take the pixels whose candidates come before the end of the window at a time from `soon` to `window`."""
+    counts, remaining = lists.counts, NONE
+    end_ns = window_ns + WINDOW_NS
     horizon_ns = (window_ns // HORIZON_NS + 1) * HORIZON_NS
     for k in range(counts[Count.NEAR]):
-        pixel = lists.near[k]
+        pixel = lists.soon[k]
         if s.times[pixel, NEXT] < end_ns:
             s.place[pixel] = s.place[pixel] & ~_NEAR | _WINDOW
             lists.window[counts[Count.WINDOW]] = pixel
             counts[Count.WINDOW] += 1
         elif s.times[pixel, NEXT] < horizon_ns:
-            lists.near[remaining] = pixel
+            lists.soon[remaining] = pixel
             remaining += 1
         else:
             s.place[pixel] &= ~_NEAR
@@ -414,7 +441,8 @@ def due(until_ns: int, end_ns: int, s: PixelNoise, lists: Lists, out: _Pixels) -
 
     Pixels whose candidates come after the window's end leave its list.
     """
-    counts, remaining, n = lists.counts, NONE, NONE
+    counts = lists.counts
+    remaining = n = NONE
     for k in range(counts[Count.WINDOW]):
         pixel = lists.window[k]
         t_ns = s.times[pixel, NEXT]
@@ -431,22 +459,18 @@ def due(until_ns: int, end_ns: int, s: PixelNoise, lists: Lists, out: _Pixels) -
 
 
 @cached_entry
-def fire(
-    those: tuple[_Pixels, _Float32s, _Float32s], times_ns: tuple[int, int], w: Setting, s: PixelNoise, lists: Lists,
-    out: Packed,
-) -> bool:  # fmt: skip
+def fire(pixels: ReadPixels, times_ns: tuple[int, int], w: Setting, s: PixelNoise, lists: Lists, out: Packed) -> bool:
     """Run the candidates of the pixels that are due, from the DONE one on, before the first of two times.
 
-    `those` are the pixels, and their levels and drifts at the second time; with none, levels stay as they are. Returns
-    False where `out` is full: call again with more room.
+    Levels and drifts are those at the second time. Returns False where `out` is full: call again with more room.
     """
-    counts, (until_ns, t_ns), (pixels, level, drift) = lists.counts, times_ns, those
+    counts, (until_ns, t_ns) = lists.counts, times_ns
     n = counts[Count.FOUND]
-    for k in range(counts[Count.DONE], pixels.size):
-        pixel = pixels[k]
-        _request(pixels[min(k + _AHEAD, pixels.size - 1)], w, s)
-        if level.size:
-            _read(pixel, t_ns, level[k], drift[k], s)
+    for k in range(counts[Count.DONE], pixels.pixels.size):
+        pixel = pixels.pixels[k]
+        _request(pixels.pixels[min(k + _AHEAD, pixels.pixels.size - 1)], w, s)
+        if pixels.level.size:
+            _read(pixel, t_ns, pixels.level[k], pixels.drift[k], s)
         n = _run(pixel, until_ns, w, s, out, n)
         if s.times[pixel, NEXT] < until_ns:
             counts[Count.FOUND], counts[Count.DONE] = n, k

@@ -146,9 +146,9 @@ def statistics(on: float, off: float, refractory: float) -> Statistics:
         np.diff(ndtr((edges - (level * decay)[:, None]) / deviation), axis=1) for level in (c + on, c - off)
     )
     chain = p_on[:, None] * after_on + (1 - p_on)[:, None] * after_off
-    equations, one = chain.T - np.eye(c.size), np.zeros(c.size)
-    equations[-1], one[-1] = 1, 1
-    density = np.linalg.solve(equations, one)
+    equations, right = chain.T - np.eye(c.size), np.zeros(c.size)
+    equations[-1], right[-1] = 1, 1
+    density = np.linalg.solve(equations, right)
     mean = float(density @ wait) + refractory
     opposite = float(density @ (p_on * (after_on @ (1 - p_on)) + (1 - p_on) * (after_off @ p_on)))
     rate, share = 2 * np.pi / mean, float(density @ p_on)
@@ -222,7 +222,7 @@ def _interpolated(
     if depth == len(places):
         return np.asarray(table[at])
     k, share = places[depth]
-    low, high = (_interpolated(table, places, depth + 1, (*at, k + more)) for more in (0, 1))
+    low, high = (_interpolated(table, places, depth + 1, (*at, k + side)) for side in (0, 1))
     return low + (high - low) * share[..., None]
 
 
@@ -235,8 +235,8 @@ def noise_events(a: npt.ArrayLike, difference: npt.ArrayLike, refractory_over_ta
     difference : ON less OFF threshold, over their mean.
     refractory_over_tau : refractory period, tau.
     """
-    given = (np.asarray(one, np.float64) for one in (a, difference, refractory_over_tau))
-    mean, apart, refractory = np.broadcast_arrays(*given)
+    arguments = (np.asarray(argument, np.float64) for argument in (a, difference, refractory_over_tau))
+    mean, apart, refractory = np.broadcast_arrays(*arguments)
     mean, higher_on = np.maximum(mean, LEAST_A), apart >= 0
     apart = np.minimum(abs(apart), DIFFERENCE[-1])
     refractory = np.clip(refractory, REFRACTORY[0], REFRACTORY[-1])
@@ -267,12 +267,12 @@ def of_array(p: SensorParameters, thresholds: npt.ArrayLike, f_hz: npt.ArrayLike
     spread = p.mismatch * math.hypot(p.threshold_on, p.threshold_off)
     differences = (p.threshold_on - p.threshold_off + spread * node) / mean
     a, tau_s = np.asarray(thresholds) / rms(p, f_hz), 1 / (2 * np.pi * bandwidth)
-    each = noise_events(a[..., None], differences, (p.refractory_us * 1e-6 / tau_s)[..., None])
+    at_nodes = noise_events(a[..., None], differences, (p.refractory_us * 1e-6 / tau_s)[..., None])
     weight = weight / weight.sum()
-    on, off = (each.on * weight).sum(-1), (each.off * weight).sum(-1)
-    events = (each.on + each.off) * weight / np.maximum(on + off, _LEAST_RATE)[..., None]
+    on, off = (at_nodes.on * weight).sum(-1), (at_nodes.off * weight).sum(-1)
+    events = (at_nodes.on + at_nodes.off) * weight / np.maximum(on + off, _LEAST_RATE)[..., None]
     return NoiseStatistics(
-        on * bandwidth, off * bandwidth, (each.opposite * events).sum(-1), (each.gap * events).sum(-1) * tau_s
+        on * bandwidth, off * bandwidth, (at_nodes.opposite * events).sum(-1), (at_nodes.gap * events).sum(-1) * tau_s
     )
 
 
@@ -283,8 +283,8 @@ def beyond_the_law(p: SensorParameters, f_hz: npt.ArrayLike) -> str:
     least_a = mean / float(rms(p, f).max())
     if least_a < LEAST_A:
         return f"thresholds of {least_a:.2g} rms of the noise, and the law of noise events begins at {LEAST_A:g}"
-    found = of_array(p, np.asarray(mean), f)
-    under_way = (found.on + found.off) * np.maximum(2 * found.opposite - 1, 0) * found.gap
+    law = of_array(p, np.asarray(mean), f)
+    under_way = (law.on + law.off) * np.maximum(2 * law.opposite - 1, 0) * law.gap
     if under_way.max() > MOST_UNDER_WAY:
         return "bursts of noise events overlap: rates hold, intervals and the order of polarities do not"
     return ""

@@ -42,13 +42,13 @@ def passage_rates(above: npt.ArrayLike, below: npt.ArrayLike) -> tuple[_Floats, 
 
     The voltage starts in the middle between the thresholds, which is the level where these are equal.
     """
-    up, down = (np.atleast_1d(np.asarray(one, np.float64)) for one in (above, below))
+    up, down = (np.atleast_1d(np.asarray(distance, np.float64)) for distance in (above, below))
     half, level = np.maximum((up + down) / 2, _LEAST_HALF), (up - down) / 2
     on, off = np.empty(half.shape), np.empty(half.shape)
-    for one in np.unique(half):
-        here = half == one
-        p_on, wait = exits(level[here], float(one), float(one))
-        on[here], off[here] = p_on / wait, exits(-level[here], float(one), float(one))[0] / wait
+    for threshold in map(float, np.unique(half)):
+        same = half == threshold
+        p_on, wait = exits(level[same], threshold, threshold)
+        on[same], off[same] = p_on / wait, exits(-level[same], threshold, threshold)[0] / wait
     return on, off
 
 
@@ -67,6 +67,7 @@ def passage_table() -> _Float32s:
 
 
 _LAST = NODES - 1.001
+_ONE = np.uint64(1)
 
 
 @kernel
@@ -81,11 +82,10 @@ def rates_between(above: float, below: float, table: _Float32s) -> tuple[float, 
     x, y = _node(above), _node(below)
     i, j = np.uint64(np.int64(x)), np.uint64(np.int64(y))
     s, t = x - np.float64(i), y - np.float64(j)
-    one = np.uint64(1)
-    on = (table[0, i, j] * (1 - t) + table[0, i, j + one] * t) * (1 - s)
-    on += (table[0, i + one, j] * (1 - t) + table[0, i + one, j + one] * t) * s
-    off = (table[1, i, j] * (1 - t) + table[1, i, j + one] * t) * (1 - s)
-    off += (table[1, i + one, j] * (1 - t) + table[1, i + one, j + one] * t) * s
+    on = (table[0, i, j] * (1 - t) + table[0, i, j + _ONE] * t) * (1 - s)
+    on += (table[0, i + _ONE, j] * (1 - t) + table[0, i + _ONE, j + _ONE] * t) * s
+    off = (table[1, i, j] * (1 - t) + table[1, i, j + _ONE] * t) * (1 - s)
+    off += (table[1, i + _ONE, j] * (1 - t) + table[1, i + _ONE, j + _ONE] * t) * s
     return np.exp(on), np.exp(off)
 
 

@@ -38,6 +38,7 @@ from emulator.sensor.noise.draws import (
     Lists,
     Packed,
     PixelNoise,
+    ReadPixels,
     Setting,
     cross,
     draw_first,
@@ -124,8 +125,8 @@ class NoiseEvents:
             np.zeros(pixels, np.uint32),
             np.zeros(pixels, np.uint8),
         )
-        near, window, moved, self._due = (np.zeros(pixels, np.int64) for _ in range(4))
-        self._lists = Lists(near, window, moved, np.zeros(len(Count), np.int64))
+        soon, window, moved, self._due = (np.zeros(pixels, np.int64) for _ in range(4))
+        self._lists = Lists(soon, window, moved, np.zeros(len(Count), np.int64))
         self._keys = np.empty(_KEYS, np.uint64)
         self._model(parameters, thresholds)
         self.reset(0)
@@ -151,9 +152,9 @@ class NoiseEvents:
         self._lists.counts[:] = 0
         if self._reader is not None:
             level, drift = self._reader.moving(np.arange(self._state.place.size))
-            known = np.isfinite(level)
-            self._state.levels[known, 1], self._state.levels[known, 2] = level[known], drift[known]
-            self._state.times[known, 1] = self._t_ns
+            readable = np.isfinite(level)
+            self._state.levels[readable, 1], self._state.levels[readable, 2] = level[readable], drift[readable]
+            self._state.times[readable, 1] = self._t_ns
 
     def follow(self, parameters: SensorParameters, thresholds: _Floats) -> None:
         """Apply changed parameters from the present time on; `thresholds` as in the constructor."""
@@ -206,7 +207,7 @@ class NoiseEvents:
         fires = np.empty(len(crossings), np.bool_)
         arrays, setting = (crossings.t_ns, crossings.pixel, crossings.on), self._setting(light)
         while not cross(
-            arrays, self._window_end_ns, setting, self._state, self._lists, (self._packed(self._t_ns), fires)
+            arrays, self._window_end_ns, setting, self._state, self._lists, self._packed(self._t_ns), fires
         ):
             self._more_keys()
         if fires.all():
@@ -229,12 +230,12 @@ class NoiseEvents:
             end_ns = min(t_ns, self._window_end_ns)
             self._run(light, end_ns, t_ns, t0_ns)
             self._t_ns = end_ns
-        found, self._lists.counts[Count.FOUND] = int(self._lists.counts[Count.FOUND]), 0
-        if not found:
+        raised, self._lists.counts[Count.FOUND] = int(self._lists.counts[Count.FOUND]), 0
+        if not raised:
             return crossings
-        keys = self._keys[:found]
+        keys = self._keys[:raised]
         keys.sort()
-        n = found + len(crossings)
+        n = raised + len(crossings)
         out = np.empty(n, np.int64), np.empty(n, np.uint32), np.empty(n, np.bool_)
         insert(keys, t0_ns, self._pixel_bits, (crossings.t_ns, crossings.pixel, crossings.on), out)
         return Crossings(*out, crossings.lost_in_pixel)
@@ -244,8 +245,9 @@ class NoiseEvents:
         window_ns, lists = self._t_ns, self._lists
         self._window_end_ns = window_ns + WINDOW_NS
         if lists.counts[Count.MOVED]:
-            read = self._levels_of(lists.moved[: lists.counts[Count.MOVED]])
-            look_again((window_ns, t_ns), read, self._setting(light), self._state, lists)
+            pixels = lists.moved[: lists.counts[Count.MOVED]]
+            moved = ReadPixels(pixels, *self._levels_of(pixels))
+            look_again((window_ns, t_ns), moved, self._setting(light), self._state, lists)
         if window_ns % HORIZON_NS == 0:
             open_horizon(window_ns, self._state, lists)
         open_window(window_ns, self._state, lists)
@@ -270,8 +272,8 @@ class NoiseEvents:
             return
         pixels = self._due[:n]
         read = self._levels_of(pixels) if self._reader is not None else _NOTHING_READ
-        those, setting = (pixels, *read), self._setting(light)
-        while not fire(those, (end_ns, t_ns), setting, self._state, self._lists, self._packed(t0_ns)):
+        due_pixels, setting = ReadPixels(pixels, *read), self._setting(light)
+        while not fire(due_pixels, (end_ns, t_ns), setting, self._state, self._lists, self._packed(t0_ns)):
             self._more_keys()
 
     def _more_keys(self) -> None:

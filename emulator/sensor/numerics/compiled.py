@@ -67,7 +67,7 @@ This is for the large parts of an entry: they can be compiled at the same time, 
 """
 
 
-def log_compilation(function: Callable[..., Any], what: str) -> None:
+def log_compilation(function: Callable[..., Any], name: str) -> None:
     """Log, at debug level, that `function` is about to be compiled or loaded; runs report it when it takes long."""
     if not getattr(function, "signatures", True):
-        _LOG.debug("compiling %s: takes some seconds once, and is cached on disk for the next run", what)
+        _LOG.debug("compiling %s: takes some seconds once, and is cached on disk for the next run", name)

@@ -106,10 +106,10 @@ def _fetch_of(typing_context: Any, values: Any, index: Any) -> _Pair:
         data = context.make_array(signature.args[0])(context, builder, args[0]).data
         i32, pointer = ir.IntType(32), ir.IntType(8).as_pointer()
         function = ir.FunctionType(ir.VoidType(), [pointer, i32, i32, i32])
-        known = builder.module.globals.get(_PREFETCH)
-        prefetch = ir.Function(builder.module, function, _PREFETCH) if known is None else known
-        here = builder.bitcast(builder.gep(data, [args[1]]), pointer)
-        builder.call(prefetch, [here, *(ir.Constant(i32, value) for value in _INTO_SECOND_CACHE)])
+        declared = builder.module.globals.get(_PREFETCH)
+        prefetch = ir.Function(builder.module, function, _PREFETCH) if declared is None else declared
+        address = builder.bitcast(builder.gep(data, [args[1]]), pointer)
+        builder.call(prefetch, [address, *(ir.Constant(i32, value) for value in _INTO_SECOND_CACHE)])
         return context.get_dummy_value()
 
     return types.none(values, int64), code
@@ -180,9 +180,9 @@ def log_of_one_more(x: np.float32) -> np.float32:
 
     The rounding of 1 + x is known exactly and added again; above 1/2 it is below the resolution of the logarithm.
     """
-    more = _ONE + x
-    rounded = x - (more - _ONE)
-    result: np.float32 = natural_log(more) + (rounded if abs(x) < _HALF else _NOTHING)
+    total = _ONE + x
+    rounded = x - (total - _ONE)
+    result: np.float32 = natural_log(total) + (rounded if abs(x) < _HALF else _NOTHING)
     return result
 
 

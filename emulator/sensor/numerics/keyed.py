@@ -13,6 +13,8 @@ Compiled loops draw the same numbers one by one:
     root = keyed.root_of(seed, purpose)      once, in Python
     base = stream(root, pixel)               of a pixel; or of a slot of time, a particle
     word(base, index)                        equals keyed.words(seed, purpose, pixel, index)
+
+Fast because a draw is two multiplications and some shifts, without a state; `normals` makes vectors of them.
 """
 
 from __future__ import annotations
@@ -156,19 +158,15 @@ def normal_from(bits: np.uint64) -> float:
 
 
 @vector_kernel
-def _cosine(turns: np.float32) -> np.float32:
-    """Return cos(2 pi turns) for turns in [0, 1), within 2e-6."""
-    half = turns - _HALF
-    z = half * half
-    return -(((((_C5 * z + _C4) * z + _C3) * z + _C2) * z + _C1) * z + _ONE_32)
-
-
-@vector_kernel
 def _fill(streams: npt.NDArray[np.uint64], index: int, out: npt.NDArray[np.float32]) -> None:
     for k in range(out.size):
+        # Box-Muller: 24 bits for the radius, 24 for the angle; the angle as turns from 1/2, where the cosine is even.
         bits = word(streams[k], index)
         radius = np.sqrt(_MINUS_TWO * natural_log((np.float32(bits >> _S40) + _HALF) * _UNIT_24))
-        out[k] = radius * _cosine(np.float32((bits >> _S16) & _MASK) * _UNIT_24)
+        half = np.float32((bits >> _S16) & _MASK) * _UNIT_24 - _HALF
+        z = half * half
+        cosine = -(((((_C5 * z + _C4) * z + _C3) * z + _C2) * z + _C1) * z + _ONE_32)  # of 2 pi turns, within 2e-6
+        out[k] = radius * cosine
 
 
 @cached_entry

@@ -1,7 +1,11 @@
 """Pixels of a sensor: from light to threshold crossings with exact times.
 
-In the order of a step: `array` takes the light frame; `workers` share the blocks of pixels between threads; `step` does
-one block: `quiet_pass` finds the pixels that cannot fire, `candidates` solves those on smooth light, `march` all
-others, in substeps; `refinement` solves undersampled ones again. `state` is the memory of the pixels, `curve` the
-course of light within a step, `crossings` the result.
+In the order of a step: `array` takes the light frame; `step` shares the blocks of pixels between threads, and in each
+block `quiet_pass` finds the pixels that cannot fire, `candidates` solves those on smooth light, `march` all others, in
+substeps; `refinement` solves undersampled ones again.
+
+A pixel's light, filter and thresholds are in `state`; `curve` and `receptor` are the laws of its light and of its
+filter within a step. An event gets its time in `event_time`. A bias acts through the parameters of the sensor:
+`array.PixelArray.adjust` changes thresholds and leaks of the pixels, and `_constants` makes the other parameters the
+constants of each step.
 """

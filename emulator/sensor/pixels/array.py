@@ -3,6 +3,9 @@
 The whole memory of a pixel is in one `PixelState`; all other values follow from the parameters and the seed. Absolute
 time is used as whole nanoseconds only: leak is counted from an epoch that moves every 2^33 ns (8.6 s), so a step 30
 days into a stream equals the same step at its start.
+
+A change of a bias reaches the pixels here, in `PixelArray.adjust`: thresholds and leak in the state of each pixel,
+corner frequencies and refractory period through `StepConstants`, which `_constants` makes for each step.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from emulator.light import LightFrame, PixelLight, Region
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.numerics.keyed import Purpose, root_of, streams
-from emulator.sensor.pixels.crossings import Crossings
+from emulator.sensor.pixels.crossings import Crossings, EventBuffers, Keys
 from emulator.sensor.pixels.curve import UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, touch, wake
 from emulator.sensor.pixels.method import Capabilities, PixelMethod, time_of
@@ -31,10 +34,11 @@ from emulator.sensor.pixels.state import (
     NEAR_BLOCKS,
     PARTS,
     Field,
-    Keys,
+    FlatLight,
     Levels,
     Pixels,
     PixelState,
+    ResetError,
     StepConstants,
     draw,
     field_index,
@@ -43,8 +47,7 @@ from emulator.sensor.pixels.state import (
     put_field,
     take_field,
 )
-from emulator.sensor.pixels.step import Share, Tally, advance, compile_parts, replace_light
-from emulator.sensor.pixels.workers import EventBuffers, Workers
+from emulator.sensor.pixels.step import Share, Tally, Workers, advance, compile_parts, replace_light
 from emulator.sensor.presets import SensorParameters
 
 __all__ = ["PixelArray", "PixelState"]
@@ -107,8 +110,8 @@ class PixelArray(PixelMethod):
         self._workers = Workers(self.state.fields.shape[0], threads)
         self._delays = max(parameters.comparator.on_us, parameters.comparator.off_us) > 0
         self._touched_units = np.zeros(self.state.fields.shape[0] * (1 + PARTS), np.uint8)
-        self._known = self.state.fields
-        self._replacing: tuple[_Float32s, _Float32s] | None = None
+        self._moved_fields = self.state.fields
+        self._replacing: FlatLight | None = None
         self._refinement: Refinement | None = None
 
     def _dark_state(self) -> PixelState:
@@ -116,10 +119,10 @@ class PixelArray(PixelMethod):
         blocks = -(-self._pixels // BLOCK)
         fields, p = aligned_zeros((blocks, FIELDS, BLOCK)), self.parameters
         fields[:, Field.ON] = fields[:, Field.OFF] = np.inf
-        drawn = draw(p, self.seed)
-        put_field(fields, Field.ON, drawn.on)
-        put_field(fields, Field.OFF, drawn.off)
-        put_field(fields, Field.LEAK, drawn.leak_hz * take_field(fields, Field.ON, self._pixels))
+        pixels = draw(p, self.seed)
+        put_field(fields, Field.ON, pixels.on)
+        put_field(fields, Field.OFF, pixels.off)
+        put_field(fields, Field.LEAK, pixels.leak_hz * take_field(fields, Field.ON, self._pixels))
         return PixelState(fields, np.zeros((1 + (p.reset.noise > 0)) * blocks * BLOCK, np.int64), 0, 0, False)
 
     def _clear_counters(self) -> None:
@@ -158,43 +161,43 @@ class PixelArray(PixelMethod):
         elif name == "leak_hz" and before.leak_hz:
             self._scale_leak(after.leak_hz / before.leak_hz)
         elif name == "leak_hz":
-            drawn = draw(after, self.seed)
-            self.set_leak(drawn.leak / drawn.on)
+            pixels = draw(after, self.seed)
+            self.set_leak(pixels.leak / pixels.on)
         self.parameters, self._light_constants = after, light_constants(after)
         self._refractory_ns = _refractory_ns(after)
         self._refinement = None
         self.wake()
 
-    def _scale_threshold(self, which: Field, ratio: float) -> None:
+    def _scale_threshold(self, field: Field, ratio: float) -> None:
         """Multiply a threshold of all pixels that are not dead."""
-        values = self.state.fields[:, which]
+        values = self.state.fields[:, field]
         values *= np.where(values < DEAD_THRESHOLD, np.float32(ratio), np.float32(1))
 
     def _scale_leak(self, ratio: float) -> None:
         """Multiply the leak of all pixels; the reference moves, so that the comparators' levels stay."""
         state = self.state
         leak, since_epoch_s = state.fields[:, Field.LEAK], np.float32((state.t_ns - state.epoch_ns) * 1e-9)
-        more = leak * np.float32(ratio) - leak
-        state.fields[:, Field.REFERENCE] += more * since_epoch_s
-        leak += more
+        change = leak * np.float32(ratio) - leak
+        state.fields[:, Field.REFERENCE] += change * since_epoch_s
+        leak += change
 
     def live_thresholds(self) -> npt.NDArray[np.float64]:
-        """See `PixelMethod`."""
-        on, off = (self.field(which).reshape(-1).astype(np.float64) for which in (Field.ON, Field.OFF))
+        """Return each pixel's ON and OFF threshold, (2, pixels), as they are now; infinite for dead pixels."""
+        on, off = (self.field(field).reshape(-1).astype(np.float64) for field in (Field.ON, Field.OFF))
         return np.where(on < DEAD_THRESHOLD, np.stack([on, off]), np.inf)
 
     def thresholds_of(self, pixel: int) -> tuple[float, float]:
-        """See `PixelMethod`."""
-        flat, one = self.state.fields.reshape(-1), np.array([pixel])
-        on, off = (float(flat[field_index(one, which)][0]) for which in (Field.ON, Field.OFF))
+        """Return the ON and OFF threshold of one pixel as they are now; infinite for a dead one."""
+        flat, pixels = self.state.fields.reshape(-1), np.array([pixel])
+        on, off = (float(flat[field_index(pixels, field)][0]) for field in (Field.ON, Field.OFF))
         return (on, off) if on < DEAD_THRESHOLD else (math.inf, math.inf)
 
     def levels(self) -> Levels:
-        """See `PixelMethod`."""
+        """Return the access to the comparators' levels."""
         return Levels(self)
 
     def kill(self, pixel: npt.NDArray[np.int64]) -> None:
-        """See `PixelMethod`.
+        """Make pixels, (n,), dead.
 
         A dead pixel leaks in units of its threshold, so the parasitic leak still fires it.
         """
@@ -204,12 +207,12 @@ class PixelArray(PixelMethod):
         self.wake()
 
     def leak_hz(self) -> npt.NDArray[np.float64]:
-        """See `PixelMethod`."""
-        leak, on = (take_field(self.state.fields, which, self._pixels) for which in (Field.LEAK, Field.ON))
+        """Return the leak rate of all pixels, (pixels,), without the parasitic leak."""
+        leak, on = (take_field(self.state.fields, field, self._pixels) for field in (Field.LEAK, Field.ON))
         return np.asarray(leak / on.astype(np.float64))
 
     def set_leak(self, leak_hz: npt.NDArray[np.float64]) -> None:
-        """See `PixelMethod`; the reference moves, so that the comparators' levels stay."""
+        """Set the leak rate of all pixels, (pixels,); the reference moves, so that the comparators' levels stay."""
         state, pixel = self.state, np.arange(self._pixels)
         flat = state.fields.reshape(-1)
         leak = (leak_hz * flat[field_index(pixel, Field.ON)]).astype(np.float32)
@@ -218,20 +221,19 @@ class PixelArray(PixelMethod):
         flat[field_index(pixel, Field.LEAK)] = leak
         self.wake()
 
-    def compile_part(self, which: str) -> None:
+    def compile_part(self, part: str) -> None:
         """Compile "blocks" or "candidates", large parts of the step that `step` then finds on disk."""
         pixels = Pixels(self.state.fields.reshape(-1), self.state.refractory_until_ns)
-        touched = self._touched(None)
-        share = Share(0, 1, self._workers.idle, touched)
-        compile_parts(which, pixels, self._workers.buffers(), share, self._constants(0, 1_000_000))
+        share = Share(0, 1, self._workers.idle, self._touched(None))
+        compile_parts(part, pixels, self._workers.buffers(), share, self._constants(0, 1_000_000))
 
     def wake(self) -> None:
         """Compute all blocks in the next step; for callers that change the state of pixels."""
         wake(self._workers.idle)
 
-    def field(self, which: Field) -> _Float32s:
+    def field(self, field: Field) -> _Float32s:
         """Return a copy of one field of the state, (height, width) float32."""
-        return take_field(self.state.fields, which, self._pixels).reshape(self.parameters.height, self.parameters.width)
+        return take_field(self.state.fields, field, self._pixels).reshape(self.parameters.height, self.parameters.width)
 
     def reset(self, frame: LightFrame) -> None:
         """Start at the time of `frame` with the filter at rest on its light, and counters at zero."""
@@ -247,17 +249,17 @@ class PixelArray(PixelMethod):
         current = np.maximum(flat, 0) + np.float32(p.dark_current_relative)
         current[~np.isfinite(flat)] = np.nan
         log_light = np.log(current)
-        _, at_reference, least, most = self._light_constants
+        light = self._light_constants
         with np.errstate(over="ignore"):
-            filter_rate = np.clip(at_reference * current, least, most)
+            filter_rate = np.clip(light.rate_at_reference * current, light.rate_min, light.rate_max)
         phase = leak_phase(p, self.seed)
-        on, leak = (take_field(state.fields, which, self._pixels) for which in (Field.ON, Field.LEAK))
+        on, leak = (take_field(state.fields, field, self._pixels) for field in (Field.ON, Field.LEAK))
         since_epoch = (state.t_ns - state.epoch_ns) * 1e-9
         state.fields[:, Field.LEAKED] = 0
         self._move_parasitic(-since_epoch, log_light)
         state.slopes_known = frame.rate is not None
-        for which in (Field.LOG_LIGHT, Field.FILTERED, Field.SECOND):
-            put_field(state.fields, which, log_light)
+        for field in (Field.LOG_LIGHT, Field.FILTERED, Field.SECOND):
+            put_field(state.fields, field, log_light)
         put_field(state.fields, Field.RATE, filter_rate)
         put_field(
             state.fields,
@@ -290,11 +292,11 @@ class PixelArray(PixelMethod):
         if t_ns - state.t_ns > _EPOCH_NS:
             n, slope = self._whole_epochs(flat, t_ns), _NO_RATE
         if t_ns > state.t_ns:
-            n = self._advance((flat, slope), t_ns, n, frame.at, frame.changed)
+            n = self._advance(FlatLight(flat, slope), t_ns, n, frame.at, frame.changed)
         else:
-            self._replacing = flat.copy(), slope.copy()
-        found = self._buffers
-        return Crossings(found.t_ns[:n], found.pixel[:n], found.on[:n], self.lost_in_pixel - lost_before)
+            self._replacing = FlatLight(flat.copy(), slope.copy())
+        events = self._buffers
+        return Crossings(events.t_ns[:n], events.pixel[:n], events.on[:n], self.lost_in_pixel - lost_before)
 
     def _whole_epochs(self, flat: _Float32s, t_ns: int) -> int:
         """Advance by whole epochs, on a straight line in log light, until at most one is left; return the number."""
@@ -303,7 +305,8 @@ class PixelArray(PixelMethod):
         before, t0_ns = take_field(state.fields, Field.LOG_LIGHT, self._pixels), state.t_ns
         while t_ns - state.t_ns > _EPOCH_NS:
             share = (state.t_ns + _EPOCH_NS - t0_ns) / (t_ns - t0_ns)
-            n = self._advance((self._between(before, flat, share), _NO_RATE), state.t_ns + _EPOCH_NS, n)
+            light = FlatLight(self._between(before, flat, share), _NO_RATE)
+            n = self._advance(light, state.t_ns + _EPOCH_NS, n)
         return n
 
     def _between(self, log_before: _Float32s, light: _Float32s, share: float) -> _Float32s:
@@ -314,42 +317,41 @@ class PixelArray(PixelMethod):
 
     def _advance(
         self,
-        frame: tuple[_Float32s, _Float32s],
+        frame: FlatLight,
         t_ns: int,
         n: int,
         at: PixelLight | None = None,
         changed: Region | None = None,
     ) -> int:
         """Advance by at most an epoch, add the crossings after the first n, and return the new number."""
-        state, buffers, slope = self.state, self._buffers, frame[1]
+        state, buffers = self.state, self._buffers
+        with_slopes = bool(frame.rate.size)
         self._replace_light()
         self._move_epoch()
-        if state.fields is not self._known:
-            self._known = state.fields
+        if state.fields is not self._moved_fields:
+            self._moved_fields = state.fields
             self.wake()
-        if slope.size and not state.slopes_known:
+        if with_slopes and not state.slopes_known:
             state.fields[:, Field.SLOPE] = np.nan
             self.wake()
-        state.slopes_known = bool(slope.size)
-        t0_ns, with_slopes = state.t_ns, bool(slope.size)
-        refines = with_slopes and at is not None and t_ns - t0_ns >= SHORTEST_NS
-        pixels, c = (
-            Pixels(state.fields.reshape(-1), state.refractory_until_ns),
-            self._constants(t0_ns, t_ns, not with_slopes),
-        )
+        state.slopes_known = with_slopes
+        t0_ns = state.t_ns
+        pixels = Pixels(state.fields.reshape(-1), state.refractory_until_ns)
+        c = self._constants(t0_ns, t_ns, not with_slopes)
         touched = self._touched(changed)
-        if not refines or at is None:
-            lists, tally = self._workers.step(frame, pixels, touched, c)
-        else:
+        if with_slopes and at is not None and t_ns - t0_ns >= SHORTEST_NS:
             share = Share(0, 1, self._workers.idle, touched)
-            buffers.keys, found, tally = self._made_refinement().step(frame, pixels, share, buffers.keys, c, at)
-            lists = [buffers.keys[:found]]
+            refinement = self._refinement or self._make_refinement()
+            buffers.keys, n_keys, tally = refinement.step(frame, pixels, share, buffers.keys, c, at)
+            lists = [buffers.keys[:n_keys]]
             lists[0].sort()
+        else:
+            lists, tally = self._workers.step(frame, pixels, touched, c)
         self._count(tally)
         state.t_ns = t_ns
         if self._delays:
             lists = self._switched(lists, t0_ns)
-        return buffers.add(lists, (t0_ns, self._pixel_bits), n)
+        return buffers.add(lists, t0_ns, self._pixel_bits, n)
 
     def _switched(self, lists: list[Keys], t0_ns: int) -> list[Keys]:
         """Return the events whose comparator has switched by now, in one list; the others wait for a later step.
@@ -367,11 +369,12 @@ class PixelArray(PixelMethod):
         """Change the light at once to that of a pending frame at the time of the last one."""
         if self._replacing is None:
             return
-        (flat, slope), self._replacing, state = self._replacing, None, self.state
-        c = self._constants(state.t_ns, state.t_ns + 1, chord=not slope.size)
+        frame, self._replacing = self._replacing, None
+        state = self.state
+        c = self._constants(state.t_ns, state.t_ns + 1, chord=not frame.rate.size)
         pixels = Pixels(state.fields.reshape(-1), state.refractory_until_ns)
-        self.quiet_nan += replace_light((flat, slope), pixels, self._workers.buffers().scratch, c)
-        state.slopes_known = bool(slope.size)
+        self.quiet_nan += replace_light(frame, pixels, self._workers.buffers().scratch, c)
+        state.slopes_known = bool(frame.rate.size)
         self.wake()
 
     def _touched(self, changed: Region | None) -> Touched:
@@ -403,16 +406,15 @@ class PixelArray(PixelMethod):
             )
             put_field(fields, Field.LEAKED, leaked)
 
-    def _made_refinement(self) -> Refinement:
-        """Return the refinement, which is made when first needed."""
-        if self._refinement is None:
-            dark, at_reference, least, most = self._light_constants
-            resting = np.zeros(FIELDS, np.float32)
-            resting[[Field.LOG_LIGHT, Field.FILTERED, Field.REFERENCE, Field.SECOND]] = np.log(dark)
-            resting[Field.RATE] = np.clip(at_reference * dark, least, most)
-            resting[[Field.ON, Field.OFF]] = np.inf
-            table = self._workers.buffers().table
-            self._refinement = Refinement(self.state.fields.shape[0], resting, table, self._constants)
+    def _make_refinement(self) -> Refinement:
+        """Make the refinement of undersampled steps, which few arrays need."""
+        light = self._light_constants
+        resting = np.zeros(FIELDS, np.float32)
+        resting[[Field.LOG_LIGHT, Field.FILTERED, Field.REFERENCE, Field.SECOND]] = np.log(light.dark)
+        resting[Field.RATE] = np.clip(light.rate_at_reference * light.dark, light.rate_min, light.rate_max)
+        resting[[Field.ON, Field.OFF]] = np.inf
+        table = self._workers.buffers().table
+        self._refinement = Refinement(self.state.fields.shape[0], resting, table, self._constants)
         return self._refinement
 
     def _count(self, tally: Tally) -> None:
@@ -423,13 +425,10 @@ class PixelArray(PixelMethod):
         self.refined += tally.refined
 
     def _constants(self, t0_ns: int, t1_ns: int, chord: bool = False) -> StepConstants:
-        p, (dark, at_reference, least, most) = self.parameters, self._light_constants
+        p = self.parameters
         since_ns, h_ns = t0_ns - self.state.epoch_ns, t1_ns - t0_ns
         return StepConstants(
-            dark,
-            at_reference,
-            least,
-            most,
+            *self._light_constants,
             parasitic=np.float32(p.parasitic_hz_at_reference),
             second=np.float32(2 * math.pi * p.source_follower_hz * h_ns * 1e-9),
             h=np.float32(h_ns * 1e-9),
@@ -444,9 +443,8 @@ class PixelArray(PixelMethod):
             unseen_share=UNSEEN_SHARE,
             refine=False,
             large=p.photoreceptor == "large_signal",
-            far=self.state.fields.shape[0] > NEAR_BLOCKS,
-            reset_offset=np.float32(p.reset.offset),
-            reset_noise=np.float32(p.reset.noise),
+            exceeds_caches=self.state.fields.shape[0] > NEAR_BLOCKS,
+            reset=ResetError(np.float32(p.reset.offset), np.float32(p.reset.noise)),
             on_delay=p.comparator.on_us * 1e-6,
             off_delay=p.comparator.off_us * 1e-6,
             contrast_per_e=float(p.comparator.contrast_per_e),

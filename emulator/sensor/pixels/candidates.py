@@ -7,6 +7,9 @@ exponential in the filter's response that this cubic misses is at most |B| E(S),
 Steps on smooth light are solved here where this error is below 1 % of a threshold and the cubic is monotone: its end
 values decide whether the pixel fires, and `newton` finds the crossing for all candidates of the table at once. Pixels
 that fire again in the same step stay in the table. All others are solved in substeps (`march`).
+
+Fast because every stage is one loop over the columns of the table, without a branch, in 16 lanes at once; stages that
+few sensors have, and what few pixels need, are loops of their own. `solve` lists the stages in order.
 """
 
 from __future__ import annotations
@@ -16,30 +19,38 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+import emulator.sensor.pixels.substeps as substep
 from emulator.sensor.numerics.compiled import NONE, cached_entry, inlined, kernel, lane, vector_kernel
 from emulator.sensor.numerics.elementary import aligned_zeros, exponential, use_widest_vectors
-from emulator.sensor.pixels.comparator import delay_s
-from emulator.sensor.pixels.curve import Course, is_smooth, missed_by_cubic, photocurrent, transient
-from emulator.sensor.pixels.march import SETTLED, Bracket, Cubic, bisect, newton, solve_substeps, value
-from emulator.sensor.pixels.march_table import CAPACITY, Start, SubstepTable, enter, new_substep_table
+from emulator.sensor.pixels.crossings import Keys, pack, reserve
+from emulator.sensor.pixels.curve import Course, Filtered, is_smooth, missed_by_cubic, photocurrent, transient
+from emulator.sensor.pixels.event_time import (
+    MOST_EVENTS,
+    SETTLED,
+    Bracket,
+    Cubic,
+    bisect,
+    delay_s,
+    levels_passed,
+    newton,
+    pass_over,
+    value,
+)
+from emulator.sensor.pixels.idle import pixel_at
+from emulator.sensor.pixels.march import solve_substeps
 from emulator.sensor.pixels.receptor import MOST_BEHIND, response
 from emulator.sensor.pixels.state import (
     BEFORE_ROWS,
     BLOCK,
-    MOST_EVENTS,
     Field,
-    Keys,
     Pixels,
     StepConstants,
     count_reset,
-    levels_passed,
-    pack,
-    reserve,
     reset_offset,
     slot,
     whole_vectors,
 )
-from emulator.sensor.pixels.subset import pixel_at
+from emulator.sensor.pixels.substeps import CAPACITY, SubstepTable, new_substep_table
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
@@ -88,34 +99,37 @@ def new_table() -> Table:
 
 
 @inlined
-def _at(row: int, k: np.uint64) -> np.uint64:
+def entry_at(row: int, k: np.uint64) -> np.uint64:
     """Return the index of entry k of a row; unsigned, which avoids the test for negative indices."""
     return np.uint64(row) + k
 
 
 @kernel
 def select(
-    found: _Int64s, s: _Float32s, before: _Float32s, at: tuple[_Int64s, _Int64s], c: StepConstants
+    flagged: _Int64s, s: _Float32s, before: _Float32s, firsts: _Int64s, refractory_until_ns: _Int64s, c: StepConstants
 ) -> tuple[int, int]:
-    """Select the candidates of a block that are to be solved, in place; `at`: its parts, ends of refractory periods.
+    """Select the candidates of a block, whose parts begin at `firsts`, that are to be solved, in place.
 
     Three kinds are left out: smooth ones whose refractory period covers the step, pixels whose light is unreadable, and
     pixels whose light was unreadable at the last step, where the filter starts again. Returns the numbers of selected
     and of unreadable pixels.
     """
     selected = unreadable = NONE
-    firsts, refractory_until_ns = at
-    for pixel in found:
-        i = np.uint64(pixel)
-        u1, v0, reference = s[_at(_U, i)], before[_at(_V0, i)], s[_at(_REF, i)]
+    for place in flagged:
+        i = np.uint64(place)
+        u1 = s[entry_at(_U, i)]
+        v0 = before[entry_at(_V0, i)]
+        reference = s[entry_at(_REF, i)]
         if v0 != v0 or u1 != u1:
-            s[_at(_V, i)] = s[_at(_W, i)] = u1
+            s[entry_at(_V, i)] = s[entry_at(_W, i)] = u1
         unreadable += u1 != u1
-        found[selected] = pixel
-        if reference != reference and refractory_until_ns[pixel_at(firsts, pixel)] - c.t0_ns > c.h_ns:
-            d, a0, a1 = u1 - before[_at(_U0, i)], before[_at(_A0, i)], before[_at(_A1, i)]
-            in_one_piece = not c.large or before[_at(_U0, i)] - v0 < MOST_BEHIND
-            if in_one_piece and is_smooth(d, a0, a1, min(s[_at(_ON, i)], s[_at(_OFF, i)]), c.unseen_share):
+        flagged[selected] = place  # written always, counted where it stays: no branch
+        if reference != reference and refractory_until_ns[pixel_at(firsts, place)] - c.t0_ns > c.h_ns:
+            d = u1 - before[entry_at(_U0, i)]
+            threshold = min(s[entry_at(_ON, i)], s[entry_at(_OFF, i)])
+            in_one_piece = not c.large or before[entry_at(_U0, i)] - v0 < MOST_BEHIND
+            a0, a1 = before[entry_at(_A0, i)], before[entry_at(_A1, i)]
+            if in_one_piece and is_smooth(d, a0, a1, threshold, c.unseen_share):
                 continue
         selected += (u1 == u1) & (v0 == v0)
     return selected, unreadable
@@ -123,18 +137,25 @@ def select(
 
 @kernel
 def gather(selected: _Int64s, s: _Float32s, before: _Float32s, firsts: _Int64s, table: Table, n: int) -> None:
-    """Add candidates of the block of parts that begin at `firsts` to the table, from column n on."""
+    """Add candidates of the block of parts that begin at `firsts` to the table, from column n on.
+
+    This happens while their block is in the first cache. The table then holds all that the solution needs, row after
+    row, so that the loops over it become vectors.
+    """
     rows = table.rows
     for j in range(selected.size):
         i, k = np.uint64(selected[j]), np.uint64(n + j)
         table.pixels[k] = pixel_at(firsts, selected[j])
-        rows[_at(_C_U0, k)], rows[_at(_C_U1, k)] = before[_at(_U0, i)], s[_at(_U, i)]
-        rows[_at(_C_V0, k)], rows[_at(_C_V1, k)] = before[_at(_V0, i)], s[_at(_V, i)]
-        rows[_at(_C_L0, k)], rows[_at(_C_L1, k)] = before[_at(_L0, i)], s[_at(_L, i)]
-        rows[_at(_C_A0, k)], rows[_at(_C_A1, k)] = before[_at(_A0, i)], before[_at(_A1, i)]
-        rows[_at(_C_S, k)], rows[_at(_C_LEAK, k)] = before[_at(_S, i)], s[_at(_LEAK, i)]
-        rows[_at(_C_ON, k)], rows[_at(_C_OFF, k)] = s[_at(_ON, i)], s[_at(_OFF, i)]
-        rows[_at(_C_REF, k)] = s[_at(_REF, i)]
+        # light, filter, rate and slopes at both ends of the step
+        rows[entry_at(_C_U0, k)], rows[entry_at(_C_U1, k)] = before[entry_at(_U0, i)], s[entry_at(_U, i)]
+        rows[entry_at(_C_V0, k)], rows[entry_at(_C_V1, k)] = before[entry_at(_V0, i)], s[entry_at(_V, i)]
+        rows[entry_at(_C_L0, k)], rows[entry_at(_C_L1, k)] = before[entry_at(_L0, i)], s[entry_at(_L, i)]
+        rows[entry_at(_C_A0, k)], rows[entry_at(_C_A1, k)] = before[entry_at(_A0, i)], before[entry_at(_A1, i)]
+        rows[entry_at(_C_S, k)] = before[entry_at(_S, i)]
+        # the comparator
+        rows[entry_at(_C_LEAK, k)] = s[entry_at(_LEAK, i)]
+        rows[entry_at(_C_ON, k)], rows[entry_at(_C_OFF, k)] = s[entry_at(_ON, i)], s[entry_at(_OFF, i)]
+        rows[entry_at(_C_REF, k)] = s[entry_at(_REF, i)]
 
 
 @kernel
@@ -144,9 +165,9 @@ def gather_rare(selected: _Int64s, s: _Float32s, before: _Float32s, n: int, tabl
     for j in range(selected.size):
         i, k = np.uint64(selected[j]), np.uint64(n + j)
         if c.second > _ZERO:
-            rows[_at(_C_W0, k)], rows[_at(_C_W1, k)] = before[_at(_W0, i)], s[_at(_W, i)]
+            rows[entry_at(_C_W0, k)], rows[entry_at(_C_W1, k)] = before[entry_at(_W0, i)], s[entry_at(_W, i)]
         if c.parasitic > _ZERO:
-            rows[_at(_C_P0, k)], rows[_at(_C_P1, k)] = before[_at(_P0, i)], s[_at(_P, i)]
+            rows[entry_at(_C_P0, k)], rows[entry_at(_C_P1, k)] = before[entry_at(_P0, i)], s[entry_at(_P, i)]
 
 
 @kernel
@@ -176,11 +197,11 @@ def _find_starts(pixels: Pixels, table: Table, n: int, c: StepConstants) -> None
 @kernel
 def _find_offsets(pixels: Pixels, table: Table, n: int, c: StepConstants) -> None:
     """Write the offsets of each candidate's reference after its last reset and after its next one; see `state`."""
-    rows, errors = table.rows, (c.reset_offset, c.reset_noise)
+    rows = table.rows
     for j in range(n):
-        thresholds = rows[_C_ON + j], rows[_C_OFF + j]
-        rows[_C_RESET + j] = reset_offset(pixels, table.pixels[j], _LAST, thresholds, errors)
-        rows[_C_NEXT_RESET + j] = reset_offset(pixels, table.pixels[j], _NEXT, thresholds, errors)
+        pixel, on, off = table.pixels[j], rows[_C_ON + j], rows[_C_OFF + j]
+        rows[_C_RESET + j] = reset_offset(pixels, pixel, _LAST, on, off, c.reset)
+        rows[_C_NEXT_RESET + j] = reset_offset(pixels, pixel, _NEXT, on, off, c.reset)
 
 
 @vector_kernel
@@ -188,42 +209,62 @@ def _make_curves(table: _Float32s, n: int, c: StepConstants) -> None:
     """Write each candidate's cubic, without leak, and whether the pixel needs substeps instead."""
     use_widest_vectors()
     for j in range(n):
-        u0, v0, u1, v1 = table[_C_U0 + j], table[_C_V0 + j], table[_C_U1 + j], table[_C_V1 + j]
-        r0, r1, a0, a1 = c.h * table[_C_L0 + j], c.h * table[_C_L1 + j], table[_C_A0 + j], table[_C_A1 + j]
-        s, threshold = table[_C_S + j], min(table[_C_ON + j], table[_C_OFF + j])
+        u0, u1 = table[_C_U0 + j], table[_C_U1 + j]
+        v0, v1 = table[_C_V0 + j], table[_C_V1 + j]
+        a0, a1 = table[_C_A0 + j], table[_C_A1 + j]
+        s = table[_C_S + j]
+        threshold = min(table[_C_ON + j], table[_C_OFF + j])
+        r0 = c.h * table[_C_L0 + j]  # rates of the filter, per step
+        r1 = c.h * table[_C_L1 + j]
         smooth = is_smooth(u1 - u0, a0, a1, threshold, c.unseen_share)
+        # The slopes of the filter's output are its rate times its lag. Where the exponential is rounding noise, the lag
+        # without it is more accurate than the difference of two large numbers.
         t = transient(u0 - v0, Course(s, u1 - u0, s * a0 / r0, s * a1 / r1))
-        m0, m1 = r0 * (t.lag0 if t.faint else u0 - v0), r1 * (t.lag1 if t.faint else u1 - v1)
+        m0 = r0 * (t.lag0 if t.faint else u0 - v0)
+        m1 = r1 * (t.lag1 if t.faint else u1 - v1)
+        # A cubic is good where it misses little of the exponential.
         fits = (_ZERO if t.faint else missed_by_cubic(t.b, s)) <= _SHARE * threshold
-        table[_C_D0 + j], table[_C_D1 + j], table[_C_C1 + j], table[_C_C2 + j] = v0, v1, m0, m1
+        table[_C_D0 + j] = v0
+        table[_C_D1 + j] = v1
+        table[_C_C1 + j] = m0
+        table[_C_C2 + j] = m1
         table[_C_KIND + j] = _NOTHING if smooth & fits else _NEEDS_SUBSTEPS
 
 
 @vector_kernel
 def _make_curves_of_receptor(table: _Float32s, n: int, c: StepConstants) -> None:
-    """Do for the large-signal law what `_make_curves` does."""
+    """Write the cubics of `_make_curves` for the large-signal law."""
     use_widest_vectors()
     for j in range(n):
-        u0, v0, u1, v1 = table[_C_U0 + j], table[_C_V0 + j], table[_C_U1 + j], table[_C_V1 + j]
-        r0, r1, a0, a1 = c.h * table[_C_L0 + j], c.h * table[_C_L1 + j], table[_C_A0 + j], table[_C_A1 + j]
-        s, threshold = table[_C_S + j], min(table[_C_ON + j], table[_C_OFF + j])
-        r = response((u0 - v0, u1 - v1), (r0, r1), v1 - v0, Course(s, u1 - u0, s * a0 / r0, s * a1 / r1))
-        most = _SHARE * threshold if c.second == _ZERO else min(_SHARE * threshold, _MISSED)
+        u0, u1 = table[_C_U0 + j], table[_C_U1 + j]
+        v0, v1 = table[_C_V0 + j], table[_C_V1 + j]
+        a0, a1 = table[_C_A0 + j], table[_C_A1 + j]
+        s = table[_C_S + j]
+        threshold = min(table[_C_ON + j], table[_C_OFF + j])
+        r0 = c.h * table[_C_L0 + j]
+        r1 = c.h * table[_C_L1 + j]
+        r = response(Filtered(u0 - v0, u1 - v1, v1 - v0, r0, r1), Course(s, u1 - u0, s * a0 / r0, s * a1 / r1))
+        allowed = _SHARE * threshold if c.second == _ZERO else min(_SHARE * threshold, _MISSED)
         smooth = is_smooth(u1 - u0, a0, a1, threshold, c.unseen_share) & (u0 - v0 < MOST_BEHIND)
-        table[_C_D0 + j], table[_C_D1 + j], table[_C_C1 + j], table[_C_C2 + j] = v0, v1, r.m0, r.m1
-        table[_C_KIND + j] = _NOTHING if smooth & (r.missed <= most) else _NEEDS_SUBSTEPS
+        table[_C_D0 + j] = v0
+        table[_C_D1 + j] = v1
+        table[_C_C1 + j] = r.m0
+        table[_C_C2 + j] = r.m1
+        table[_C_KIND + j] = _NOTHING if smooth & (r.missed <= allowed) else _NEEDS_SUBSTEPS
 
 
 @vector_kernel
 def _make_curves_of_second_pole(table: _Float32s, n: int, c: StepConstants) -> None:
-    """Replace each candidate's cubic by that of the second pole's output."""
+    """Replace each candidate's cubic by that of the second pole's output: it follows the cubic as the filter light."""
     use_widest_vectors()
     for j in range(n):
-        v0, v1, w0, w1 = table[_C_V0 + j], table[_C_V1 + j], table[_C_W0 + j], table[_C_W1 + j]
+        v0, v1 = table[_C_V0 + j], table[_C_V1 + j]
+        w0, w1 = table[_C_W0 + j], table[_C_W1 + j]
         t = transient(v0 - w0, Course(c.second, v1 - v0, table[_C_C1 + j], table[_C_C2 + j]))
-        most = _SHARE * min(table[_C_ON + j], table[_C_OFF + j])
-        fits = (_ZERO if t.faint else missed_by_cubic(t.b, c.second)) <= most
-        table[_C_D0 + j], table[_C_D1 + j] = w0, w1
+        allowed = _SHARE * min(table[_C_ON + j], table[_C_OFF + j])
+        fits = (_ZERO if t.faint else missed_by_cubic(t.b, c.second)) <= allowed
+        table[_C_D0 + j] = w0
+        table[_C_D1 + j] = w1
         table[_C_C1 + j] = c.second * (t.lag0 if t.faint else v0 - w0)
         table[_C_C2 + j] = c.second * (t.lag1 if t.faint else v1 - w1)
         table[_C_KIND + j] = table[_C_KIND + j] if fits else _NEEDS_SUBSTEPS
@@ -246,23 +287,38 @@ def _sort_by_kind(table: _Float32s, n: int, c: StepConstants) -> None:
     """Finish each candidate's curve, relative to `base` and with leak, and write its kind."""
     use_widest_vectors()
     for j in range(n):
-        leak, on, off, start = table[_C_LEAK + j], table[_C_ON + j], table[_C_OFF + j], table[_C_START + j]
-        reference, w0 = table[_C_REF + j], table[_C_D0 + j]
+        leak = table[_C_LEAK + j]
+        on = table[_C_ON + j]
+        off = table[_C_OFF + j]
+        start = table[_C_START + j]
+        reference = table[_C_REF + j]
+        w0 = table[_C_D0 + j]
+        # Relative to the reference, or to the start of the step where there is none: small numbers are exact.
         refractory = reference != reference
         base = w0 + leak * c.since_epoch_0 if refractory else reference
         d0 = (w0 - base) + leak * c.since_epoch_0
         d1 = (table[_C_D1 + j] - base) + leak * c.since_epoch_1
-        rise, m0, m1 = d1 - d0, table[_C_C1 + j] + c.h * leak, table[_C_C2 + j] + c.h * leak
-        c2, c3 = _THREE * rise - _TWO * m0 - m1, m0 + m1 - _TWO * rise
+        # The cubic through both values and slopes. It is monotone if the Bernstein coefficients of its slope, m0, m1
+        # and the middle one, have one sign.
+        rise = d1 - d0
+        m0 = table[_C_C1 + j] + c.h * leak
+        m1 = table[_C_C2 + j] + c.h * leak
+        c2 = _THREE * rise - _TWO * m0 - m1
+        c3 = m0 + m1 - _TWO * rise
         middle = m0 + c2
         monotone = (min(min(m0, m1), middle) >= _ZERO) | (max(max(m0, m1), middle) <= _ZERO)
+        # The pixel compares from `start` on with the level a: then a monotone curve fires if its end does.
         at_start = ((c3 * start + c2) * start + m0) * start + d0
         a = at_start + table[_C_RESET + j] if refractory else _ZERO
         inside = (at_start - a < on) & (at_start - a > -off)
         fires = (d1 - a >= on) | (d1 - a <= -off)
-        table[_C_BASE + j], table[_C_A + j] = base, a
-        table[_C_D0 + j], table[_C_D1 + j] = d0, d1
-        table[_C_C1 + j], table[_C_C2 + j], table[_C_C3 + j] = m0, c2, c3
+        table[_C_BASE + j] = base
+        table[_C_A + j] = a
+        table[_C_D0 + j] = d0
+        table[_C_D1 + j] = d1
+        table[_C_C1 + j] = m0
+        table[_C_C2 + j] = c2
+        table[_C_C3 + j] = c3
         idle = _RE_ARMS if refractory else _NOTHING
         kind = _FIRES if fires else idle
         table[_C_KIND + j] = kind if monotone & inside & (table[_C_KIND + j] != _NEEDS_SUBSTEPS) else _NEEDS_SUBSTEPS
@@ -325,13 +381,16 @@ def _follow(table: _Float32s, n: int, c: StepConstants) -> None:
     """Write for each candidate that fires at z its next reference, when it is re-armed, and whether it fires again."""
     use_widest_vectors()
     for j in range(n):
-        a, d1, on, off = table[_C_A + j], table[_C_D1 + j], table[_C_ON + j], table[_C_OFF + j]
+        a, d1 = table[_C_A + j], table[_C_D1 + j]
+        on, off = table[_C_ON + j], table[_C_OFF + j]
         re_armed = table[_C_Z + j] + (table[_C_LATE + j] + c.refractory)
-        level = a + (on if d1 > a else -off)
-        there = value(_cubic(table, j), re_armed)
-        following = (there if c.refractory > _ZERO else level) + table[_C_NEXT_RESET + j]
+        # Without a refractory period the level that was crossed is the next reference; else the curve at its end is.
+        crossed = a + (on if d1 > a else -off)
+        at_end = value(_cubic(table, j), re_armed)
+        following = (at_end if c.refractory > _ZERO else crossed) + table[_C_NEXT_RESET + j]
         fires = ((d1 - following >= on) | (d1 - following <= -off)) & (re_armed <= _ONE)
-        table[_C_NEXT_A + j], table[_C_NEXT_START + j] = following, re_armed
+        table[_C_NEXT_A + j] = following
+        table[_C_NEXT_START + j] = re_armed
         table[_C_NEXT_REF + j] = table[_C_BASE + j] + following if re_armed <= _ONE else _NAN
         table[_C_AGAIN + j] = _ONE if fires & (table[_C_KIND + j] == _FIRES) else _ZERO
 
@@ -341,7 +400,9 @@ def _move_column(table: Table, j: int, k: int) -> None:
     """Move the entries for the next crossing from column j to column k."""
     rows = table.rows
     table.pixels[k] = table.pixels[j]
-    rows[_C_A + k], rows[_C_START + k], rows[_C_KIND + k] = rows[_C_NEXT_A + j], rows[_C_NEXT_START + j], _FIRES
+    rows[_C_A + k] = rows[_C_NEXT_A + j]
+    rows[_C_START + k] = rows[_C_NEXT_START + j]
+    rows[_C_KIND + k] = _FIRES
     for row in (_C_ON, _C_OFF, _C_BASE, _C_D0, _C_D1, _C_C1, _C_C2, _C_C3, _C_NEXT_RESET):
         rows[row + k] = rows[row + j]
 
@@ -353,19 +414,22 @@ def _fire(pixels: Pixels, table: Table, n: int, keys: Keys, n_keys: int, c: Step
     for j in range(n):
         if rows[_C_KIND + j] != _FIRES:
             continue
-        pixel, reference = table.pixels[j], rows[_C_NEXT_REF + j]
+        # The event: its time in the step is the crossing's, and the delay of the comparator.
+        pixel = table.pixels[j]
         dt_ns = min(int(rows[_C_Z + j] * c.h_ns), c.h_ns) + int(rows[_C_LATE + j] * c.h_ns)
         keys[n_keys] = pack(dt_ns, pixel, rows[_C_D1 + j] > rows[_C_A + j], c.pixel_bits)
         n_keys += 1
+        # The reset. The reference is NaN in the refractory period, if that lasts longer than the step.
+        reference = rows[_C_NEXT_REF + j]
         pixels.fields[slot(pixel) + _REF] = reference
         if reference != reference:
             pixels.refractory_until_ns[pixel] = c.t0_ns + dt_ns + c.refractory_ns
-        count_reset(pixels, pixel, c.reset_noise)
+        count_reset(pixels, pixel, c.reset.noise)
         if rows[_C_AGAIN + j] != _ZERO:
-            _move_column(table, j, again)
-            if c.reset_noise > _ZERO:
-                thresholds, errors = (rows[_C_ON + j], rows[_C_OFF + j]), (c.reset_offset, c.reset_noise)
-                rows[_C_NEXT_RESET + again] = reset_offset(pixels, pixel, _NEXT, thresholds, errors)
+            _move_column(table, j, again)  # to the front: `again` is never behind j
+            if c.reset.noise > _ZERO:
+                on, off = rows[_C_ON + j], rows[_C_OFF + j]
+                rows[_C_NEXT_RESET + again] = reset_offset(pixels, pixel, _NEXT, on, off, c.reset)
             again += 1
     return n_keys, again
 
@@ -375,24 +439,50 @@ def _pass_over(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
     """Move the references of candidates that fire too often to their last crossings; return the count of lost ones."""
     rows, lost = table.rows, NONE
     for j in range(n):
-        a, d1, at = rows[_C_A + j], rows[_C_D1 + j], slot(table.pixels[j])
-        more, rest = levels_passed(a, d1, rows[_C_ON + j] if d1 > a else rows[_C_OFF + j])
+        pixel = table.pixels[j]
+        at = slot(pixel)
         compared = pixels.fields[at + (_W if c.second > _ZERO else _V)] + pixels.fields[at + _LEAK] * c.since_epoch_1
-        pixels.fields[at + _REF] = compared - np.float32(rest)
-        lost += more
+        on, off = rows[_C_ON + j], rows[_C_OFF + j]
+        rising = rows[_C_D1 + j] > rows[_C_A + j]
+        if c.refractory_ns == 0:
+            crossings, climbed = levels_passed(rows[_C_A + j], rows[_C_D1 + j], on if rising else off)
+            pixels.fields[at + _REF] = compared - np.float32(climbed)
+            lost += crossings
+            continue
+        offset = reset_offset(pixels, pixel, _LAST, on, off, c.reset)
+        threshold = np.float64(on + offset if rising else off - offset)
+        passed = pass_over(_cubic(rows, j), np.float64(rows[_C_START + j]), 1.0, threshold, rising, 1.0, c)
+        if passed.waiting > 0:
+            pixels.fields[at + _REF] = _NAN
+            pixels.refractory_until_ns[pixel] = c.t0_ns + int((1.0 + passed.waiting) * c.h_ns)
+        else:
+            climbed = passed.climbed if rising else -passed.climbed
+            pixels.fields[at + _REF] = compared - np.float32(climbed) + offset
+        lost += passed.crossings
     return int(lost)
 
 
 @kernel
-def _start(rows: _Float32s, j: int, c: StepConstants) -> Start:
-    """Return column j of the table as the start of substeps."""
-    return Start(
-        u0=rows[_C_U0 + j], u1=rows[_C_U1 + j], a0=rows[_C_A0 + j], a1=rows[_C_A1 + j], v=rows[_C_V0 + j],
-        w=rows[_C_W0 + j] if c.second > _ZERO else rows[_C_V0 + j],
-        leaked=rows[_C_P0 + j] if c.parasitic > _ZERO else _ZERO,
-        reference=rows[_C_REF + j], re_armed=rows[_C_START + j],
-        on=rows[_C_ON + j], off=rows[_C_OFF + j], leak=rows[_C_LEAK + j], reset=rows[_C_RESET + j],
-    )  # fmt: skip
+def _enter(table: Table, j: int, k: int, c: StepConstants) -> None:
+    """Write candidate j into column k of the table of substeps, at the start of the step."""
+    rows, to = table.rows, table.substep_table.rows
+    table.substep_table.pixels[k] = table.pixels[j]
+    # light: value, change and slopes per step
+    to[substep.U + k] = rows[_C_U0 + j]
+    to[substep.D + k] = rows[_C_U1 + j] - rows[_C_U0 + j]
+    to[substep.A0 + k] = rows[_C_A0 + j]
+    to[substep.A1 + k] = rows[_C_A1 + j]
+    # filters and leak
+    to[substep.V + k] = rows[_C_V0 + j]
+    to[substep.W + k] = rows[_C_W0 + j] if c.second > _ZERO else rows[_C_V0 + j]
+    to[substep.P + k] = rows[_C_P0 + j] if c.parasitic > _ZERO else _ZERO
+    to[substep.LEAK + k] = rows[_C_LEAK + j]
+    # comparator: the reference is NaN in the refractory period, until `re_armed`
+    to[substep.BASE + k] = rows[_C_REF + j]
+    to[substep.RE_ARMED + k] = rows[_C_START + j]
+    to[substep.ON + k] = rows[_C_ON + j]
+    to[substep.OFF + k] = rows[_C_OFF + j]
+    to[substep.RESET + k] = rows[_C_RESET + j]
 
 
 @kernel
@@ -405,7 +495,7 @@ def _dispatch(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
     for j in range(n):
         kind = rows[_C_KIND + j]
         if kind == _NEEDS_SUBSTEPS:
-            enter(table.substep_table, in_substeps, table.pixels[j], _start(rows, j, c))
+            _enter(table, j, in_substeps, c)
             in_substeps += 1
         elif kind == _RE_ARMS:
             pixels.fields[slot(table.pixels[j]) + _REF] = rows[_C_BASE + j] + rows[_C_A + j]
@@ -436,7 +526,7 @@ def solve(
     if c.parasitic > _ZERO:
         _complete_parasitic(table.rows, whole_vectors(n), c)
     _find_starts(pixels, table, n, c)
-    if (c.reset_offset != _ZERO) | (c.reset_noise > _ZERO):
+    if (c.reset.offset != _ZERO) | (c.reset.noise > _ZERO):
         _find_offsets(pixels, table, n, c)
     if c.large:
         _make_curves_of_receptor(table.rows, whole_vectors(n), c)
@@ -453,7 +543,7 @@ def solve(
     keys, n_keys, lost, undersampled = solve_substeps(pixels, table.substep_table, in_substeps, keys, n_keys, c)
     event = 0
     while n > 0:
-        if (event >= MOST_EVENTS) & (c.refractory_ns == 0):
+        if event == MOST_EVENTS:
             lost += _pass_over(pixels, table, n, c)
             break
         _cross(table.rows, whole_vectors(n))
@@ -462,10 +552,6 @@ def solve(
             _find_delays(table, n, c)
         _follow(table.rows, whole_vectors(n), c)
         keys = reserve(keys, n_keys + n)
-        counted, n = _fire(pixels, table, n, keys, n_keys, c)
-        if event < MOST_EVENTS:
-            n_keys = counted
-        else:
-            lost += counted - n_keys
+        n_keys, n = _fire(pixels, table, n, keys, n_keys, c)
         event += 1
     return keys, n_keys, lost, undersampled

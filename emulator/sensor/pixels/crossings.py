@@ -1,17 +1,101 @@
-"""Threshold crossings: lists made from packed keys, concatenated, or merged by time."""
+"""Threshold crossings: packed for sorting, unpacked to lists, concatenated, or merged by time.
+
+The crossings of one step are packed in one number each: fast, because numpy sorts 64-bit numbers with vectors, and
+their order is that of time and pixel.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.compiled import cached_entry
-from emulator.sensor.pixels.step import unpack
+from emulator.sensor.numerics.compiled import NONE, cached_entry, inlined, kernel, kernel_that_allocates
 
-_Arrays = tuple[npt.NDArray[np.int64], npt.NDArray[np.uint32], npt.NDArray[np.bool_]]
+Keys = npt.NDArray[np.uint64]
+"""Packed events."""
+
+Fields = tuple[npt.NDArray[np.int64], npt.NDArray[np.uint32], npt.NDArray[np.bool_]]
+"""Times, ns, pixels and polarities of events."""
+
+
+@kernel
+def pack(dt_ns: int, pixel: int, on: int, pixel_bits: int) -> np.uint64:
+    """Pack an event so that sorting the numbers sorts by (time, pixel): [dt_ns | pixel | on]."""
+    return (np.uint64(dt_ns) << np.uint64(pixel_bits + 1)) | (np.uint64(pixel) << np.uint64(1)) | np.uint64(on)
+
+
+@kernel_that_allocates
+def reserve(keys: Keys, needed: int) -> Keys:
+    """Return `keys`, or a longer copy if it holds fewer than `needed`."""
+    if needed <= keys.size:
+        return keys
+    longer = np.empty(max(2 * keys.size, needed), np.uint64)
+    for k in range(keys.size):  # a slice would take seconds to compile
+        longer[k] = keys[k]
+    return longer
+
+
+@inlined
+def _split(key: np.uint64, t0_ns: int, pixel_bits: int, out: Fields, k: int) -> None:
+    """Write entry k of the fields of an event, the inverse of `pack`."""
+    out[0][k] = t0_ns + np.int64(key >> np.uint64(pixel_bits + 1))
+    out[1][k] = np.uint32((key >> np.uint64(1)) & np.uint64((1 << pixel_bits) - 1))
+    out[2][k] = (key & np.uint64(1)) != 0
+
+
+@cached_entry
+def unpack(keys: Keys, t0_ns: int, pixel_bits: int, out: Fields) -> None:
+    """Split sorted keys [dt_ns | pixel | on] into arrays of one field each, at least as long."""
+    for k in range(keys.size):
+        _split(keys[k], t0_ns, pixel_bits, out, k)
+
+
+@cached_entry
+def unpack_both(a: Keys, b: Keys, t0_ns: int, pixel_bits: int, out: Fields) -> None:
+    """Split two lists of sorted keys as `unpack` does, into arrays of one sorted list."""
+    i = j = NONE
+    for k in range(a.size + b.size):
+        takes_a = j == b.size or (i < a.size and a[i] <= b[j])
+        _split(a[i] if takes_a else b[j], t0_ns, pixel_bits, out, k)
+        i += takes_a
+        j += not takes_a
+
+
+@dataclass(slots=True)
+class EventBuffers:
+    """Packed events, and times, pixels and polarities of unpacked ones."""
+
+    keys: Keys = field(default_factory=lambda: np.empty(4096, np.uint64))
+    t_ns: npt.NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    pixel: npt.NDArray[np.uint32] = field(default_factory=lambda: np.empty(0, np.uint32))
+    on: npt.NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, np.bool_))
+
+    def add(self, lists: list[Keys], t0_ns: int, pixel_bits: int, n: int) -> int:
+        """Add the events of one or two sorted lists, packed with times from `t0_ns` on, to the first n.
+
+        Returns the new number.
+        """
+        total = n + sum(keys.size for keys in lists)
+        if total == n:
+            return n
+        self._reserve(total)
+        out = self.t_ns[n:], self.pixel[n:], self.on[n:]
+        if len(lists) == 1:
+            unpack(lists[0], t0_ns, pixel_bits, out)
+        else:
+            unpack_both(lists[0], lists[1], t0_ns, pixel_bits, out)
+        return total
+
+    def _reserve(self, n: int) -> None:
+        """Provide space for n events; the present ones stay."""
+        if n > self.t_ns.size:
+            added = max(n, 2 * self.t_ns.size) - self.t_ns.size
+            self.t_ns = np.concatenate([self.t_ns, np.empty(added, np.int64)])
+            self.pixel = np.concatenate([self.pixel, np.empty(added, np.uint32)])
+            self.on = np.concatenate([self.on, np.empty(added, np.bool_)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +127,7 @@ NO_CROSSINGS = Crossings(np.empty(0, np.int64), np.empty(0, np.uint32), np.empty
 """The crossings of a step in which no pixel fires."""
 
 
-def unpacked(keys: npt.NDArray[np.uint64], t0_ns: int, pixel_bits: int) -> Crossings:
+def unpacked(keys: Keys, t0_ns: int, pixel_bits: int) -> Crossings:
     """Sort `keys`, (n,) uint64 packed as [time since t0 | pixel | on], in place, and return them as crossings."""
     if not keys.size:
         return NO_CROSSINGS
@@ -62,17 +146,24 @@ def joined(parts: Sequence[Crossings]) -> Crossings:
     return Crossings(t_ns, pixel, on, sum(part.lost_in_pixel for part in parts))
 
 
+@kernel
+def _copy_event(source: Fields, i: int, out: Fields, k: int) -> None:
+    """Copy event i of one list to place k of another."""
+    out[0][k] = source[0][i]
+    out[1][k] = source[1][i]
+    out[2][k] = source[2][i]
+
+
 @cached_entry
-def _merge(a: _Arrays, b: _Arrays, out: _Arrays) -> None:
+def _merge(a: Fields, b: Fields, out: Fields) -> None:
     i = j = 0
     n_a, n_b = a[0].size, b[0].size
     for k in range(n_a + n_b):
-        first = j == n_b or (i < n_a and (a[0][i] < b[0][j] or (a[0][i] == b[0][j] and a[1][i] <= b[1][j])))
-        if first:
-            out[0][k], out[1][k], out[2][k] = a[0][i], a[1][i], a[2][i]
+        if j == n_b or (i < n_a and (a[0][i] < b[0][j] or (a[0][i] == b[0][j] and a[1][i] <= b[1][j]))):
+            _copy_event(a, i, out, k)
             i += 1
         else:
-            out[0][k], out[1][k], out[2][k] = b[0][j], b[1][j], b[2][j]
+            _copy_event(b, j, out, k)
             j += 1
 
 

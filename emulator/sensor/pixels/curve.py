@@ -36,6 +36,9 @@ All formulas below are of fourth order in the length of the interval.
 A second pole of fixed rate follows v: dw/dt = lambda2 (v - w). Up to S = 1, v is the cubic in time through its values
 and slopes. On longer intervals no cubic fits B e^-s, and the first slope alone may shift it by many times B; there the
 cubic is used for the steady part of v only, and B e^-s has a closed form, which is accurate where both rates are equal.
+
+Fast because the answer over an interval is a closed form: no steps of time, few divisions, and choices of values in the
+place of branches, so that callers compute 16 pixels at once.
 """
 
 from __future__ import annotations
@@ -80,7 +83,9 @@ def is_smooth(d: Real, a0: Real, a1: Real, threshold: Real, unseen_share: Real) 
     "neither undersampled, limited nor bent", and takes fewer operations.
     """
     steepest, gap = max(abs(a0), abs(a1)), abs(a0 - a1)
-    missed = abs(_TWO * d - (a0 + a1))
+    missed = abs(_TWO * d - (a0 + a1))  # twice the error of the trapezium rule
+    # Small enough for the low-pass rules; nothing unseen between the frames, nor a turn higher than gap / 8; neither a
+    # bend nor slopes to be limited, as each is one more division. All comparisons are false for NaN.
     one_piece = max(_TWO * abs(d), steepest) <= _TWO * LARGEST_CHANGE
     seen = max(missed, _QUARTER * gap) <= _TWO * (unseen_share * threshold)
     unbent = missed <= max(_TWO * WORTH_BENDING * threshold, _THIRD * gap)
@@ -94,6 +99,7 @@ def completed(d: Real, a0: Real, a1: Real) -> tuple[Real, Real]:
 
     NaN and values that no light has mean unknown.
     """
+    # A parabola's mean slope is its change: the other slope is 2 d less the known one.
     known0, known1 = abs(a0) <= _ABSURD, abs(a1) <= _ABSURD
     first = a0 if known0 else (_TWO * d - a1 if known1 else d)
     last = a1 if known1 else (_TWO * d - a0 if known0 else d)
@@ -103,6 +109,7 @@ def completed(d: Real, a0: Real, a1: Real) -> tuple[Real, Real]:
 @lane
 def is_undersampled(d: Real, a0: Real, a1: Real, unseen: Real) -> Real:
     """Return whether the light may have changed by more than `unseen`, ln units, unseen by the frames."""
+    # A parabola with slopes of two signs rises above its ends by |a0 - a1| / 8 at most.
     turns = (a0 * a1 < _ZERO) & (_EIGHTH * abs(a0 - a1) > unseen)
     return turns | (abs(d - _HALF * (a0 + a1)) > unseen)
 
@@ -124,6 +131,8 @@ def bend_width(d: Real, a0: Real, a1: Real, threshold: Real) -> Real:
     """Return the width of the bend, as a share of the step; 1 where the step has none. The slopes must be capped."""
     away, gap = abs(d - _HALF * (a0 + a1)), abs(a1 - a0)
     opposed = a0 * a1 < _ZERO
+    # The cubic swings where a slope is against the change, or the slopes are too steep to be monotone. A turn with two
+    # steep sides is a true peak, which the cubic has.
     swings = (min(a0 * d, a1 * d) < _ZERO) | opposed | (a0 * a0 + a1 * a1 > _SLOPES * _SLOPES * d * d)
     no_peak = (min(abs(a0), abs(a1)) <= _ONE_SIDED * max(abs(a0), abs(a1))) | (not opposed)
     possible = (_SIX * away > gap) & (_TWO * away < gap)
@@ -134,6 +143,7 @@ def bend_width(d: Real, a0: Real, a1: Real, threshold: Real) -> Real:
 @lane
 def limit(d: Real, a0: Real, a1: Real) -> Real:
     """Return the factor that limits both slopes."""
+    # Within the circle of radius 3 d a cubic is monotone (Fritsch and Carlson).
     together = np.sqrt(a0 * a0 + a1 * a1)
     turns = min(min(a0 * d, a1 * d), a0 * a1) < _ZERO
     fits = turns | (together <= _SLOPES * abs(d) + _IMMATERIAL)
@@ -187,13 +197,12 @@ def photocurrent(u: Real) -> Real:
 
 
 @lane
-def warped_time(h: Real, rates: tuple[Real, Real], a0: Real, a1: Real, c: StepConstants) -> Real:
-    """Return the integral of the rate over h seconds, while the log light changes with slopes a0, a1 (per h).
+def warped_time(h: Real, l0: Real, l1: Real, a0: Real, a1: Real, c: StepConstants) -> Real:
+    """Return the integral of the rate, l0 to l1, over h seconds, while log light changes with slopes a0, a1 (per h).
 
     This is the trapezium rule with end correction, for a rate proportional to the light except at its bounds; the mean
     rate is at least the lower one of both ends.
     """
-    l0, l1 = rates
     bend0 = l0 * a0 if (l0 > c.rate_min) & (l0 < c.rate_max) else _ZERO
     bend1 = l1 * a1 if (l1 > c.rate_min) & (l1 < c.rate_max) else _ZERO
     return h * max(_HALF * (l0 + l1) + _TWELFTH * (bend0 - bend1), min(l0, l1))
@@ -205,6 +214,8 @@ def rise_of_filter(q: Real, behind: Real, u: Course) -> Real:
 
     With the integrals I0 = q / s, I1 = (1 - I0) / s, I2 = (1 - 2 I1) / s, k is (1/2 - I1) / s.
     """
+    # v follows u, so v1 - v0 = q behind + the integral of u's slope times 1 - e^-(s - x): the moments of that weight,
+    # 1 - I0 and 1/2 - I1, times the coefficients of the cubic. The series replaces differences of nearly equal numbers.
     s, d, w0, w1 = u
     inverse, short = _ONE / s, s < _SERIES_UP_TO
     series = ((_K3 * s + _K2) * s + _K1) * s + _K0
@@ -218,6 +229,8 @@ def rise_of_filter(q: Real, behind: Real, u: Course) -> Real:
 @lane
 def transient(behind: Real, u: Course) -> Transient:
     """Return the exponential part of the answer of a filter that starts at `behind` = u0 - v0."""
+    # The steady answer to a cubic lags by its first derivative, less the second, plus the third; what the start has
+    # beyond that lag decays as b e^-s.
     inverse = _ONE / max(u.s, _SHORTEST)
     third = _SIX * (u.w0 + u.w1 - _TWO * u.d)  # derivatives of u by s / S
     second = _TWO * (_THREE * u.d - _TWO * u.w0 - u.w1)
@@ -254,6 +267,7 @@ def rise_behind_second_pole(q: Real, behind: Real, second: Real, u: Course, v: F
 
     `second` is the pole's rate times the length of the interval.
     """
+    # Up to S = 1 the cubic through v's own values and slopes; beyond, that of its steady part, and b e^-s apart.
     t = transient(v.behind0, u)
     slow = u.s < _ONE
     b = _ZERO if slow else t.b

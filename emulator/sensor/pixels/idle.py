@@ -14,6 +14,14 @@ The last light is one number where all pixels have the same light, as in a black
 at the speed of the memory. Otherwise it is a copy.
 
 `Touched` is the changed region of a frame, as the blocks and parts of blocks that lie in it.
+
+A pack holds active parts of several blocks, moved together as one block. Where few parts of a block are active, as
+where a star passes, only these are copied to one scratch block (gather), moved by the kernels that move a whole one,
+and copied back (scatter). Of a sky of stars at 1280x720, 1.3 % of the pixels change in a step, which lie in 53 % of the
+blocks and in 10 % of the parts.
+
+Fast because light is compared bit for bit, two pixels in a word, in loops without an early end; and because a block
+outside the changed region costs three comparisons.
 """
 
 from __future__ import annotations
@@ -25,7 +33,18 @@ import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import cached_entry, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import exponential, exponential_less_one
-from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, EPOCH_BITS, PART, PARTS, Field, StepConstants
+from emulator.sensor.pixels.state import (
+    BEFORE_ROWS,
+    BLOCK,
+    EPOCH_BITS,
+    FIELDS,
+    PART,
+    PARTS,
+    Field,
+    FlatLight,
+    StepConstants,
+    slot,
+)
 
 _BLOCK, _PART = np.int64(BLOCK), np.int64(PART)  # as literals, they would be compiled for one by one
 _Bytes = npt.NDArray[np.uint8]
@@ -141,26 +160,10 @@ def part_at(idle: Idle, first: int) -> int:
 @kernel
 def _is_zero(words: _Words) -> bool:
     """Return whether a block's values are all 0 or -0."""
-    found = _NONE
+    bits = _NONE  # of all words: a loop without an early end becomes vectors
     for k in range(_WORDS):
-        found |= words[k]
-    return bool((found & _SIGNLESS) == _NONE)
-
-
-@kernel
-def _is_level(words: _Words, level: np.uint64) -> bool:
-    found = _NONE
-    for k in range(_WORDS):
-        found |= words[k] ^ level
-    return bool(found == _NONE)
-
-
-@kernel
-def _is_equal(words: _Words, others: _Words) -> bool:
-    found = _NONE
-    for k in range(_WORDS):
-        found |= words[k] ^ others[k]
-    return bool(found == _NONE)
+        bits |= words[k]
+    return bool((bits & _SIGNLESS) == _NONE)
 
 
 @kernel
@@ -176,59 +179,66 @@ def is_same(light: _Float32s, rate: _Float32s, idle: Idle, first: int, c: StepCo
     block = first // BLOCK
     if not c.chord and not _is_zero(rate.view(np.uint64)):
         return False
+    words, differing = light.view(np.uint64), _NONE
     level = idle.level[block : block + 1]
     if level[0] == level[0]:
-        word = np.uint64(level.view(np.uint32)[0])
-        return bool(_is_level(light.view(np.uint64), word | (word << np.uint64(32))))
-    return bool(_is_equal(light.view(np.uint64), idle.seen[first : first + BLOCK].view(np.uint64)))
+        value = np.uint64(level.view(np.uint32)[0])
+        pair = value | (value << np.uint64(32))
+        for k in range(_WORDS):
+            differing |= words[k] ^ pair
+    else:
+        seen = idle.seen[first : first + BLOCK].view(np.uint64)
+        for k in range(_WORDS):
+            differing |= words[k] ^ seen[k]
+    return bool(differing == _NONE)
 
 
 @kernel
-def part_is_same(frame: tuple[_Float32s, _Float32s], idle: Idle, first: int, c: StepConstants) -> bool:
+def part_is_same(frame: FlatLight, idle: Idle, first: int, c: StepConstants) -> bool:
     """Return whether the light of an idle part, which begins at pixel `first` of the frame, has not changed."""
-    end = min(first + PART, frame[0].size)
-    light, seen = frame[0][first:end].view(np.uint32), idle.seen[first:end].view(np.uint32)
-    found = np.uint32(0)
+    end = min(first + PART, frame.light.size)
+    light, seen = frame.light[first:end].view(np.uint32), idle.seen[first:end].view(np.uint32)
+    differing = np.uint32(0)
     for i in range(light.size):
-        found |= light[i] ^ seen[i]
+        differing |= light[i] ^ seen[i]
     if not c.chord:
-        rate = frame[1][first:end].view(np.uint32)
+        rate = frame.rate[first:end].view(np.uint32)
         for i in range(rate.size):
-            found |= rate[i] & _SIGNLESS_HALF
-    return bool(found == np.uint32(0))
+            differing |= rate[i] & _SIGNLESS_HALF
+    return bool(differing == np.uint32(0))
 
 
 @kernel
-def _moved(s: _Words, before: _Words, begin: int, end: int, behind: tuple[bool, bool]) -> bool:
-    """Return whether light, slopes or filters of a block moved, in the words from `begin` to `end`.
-
-    `behind`: whether there are a second pole and parasitic leak.
-    """
-    found = _NONE
+def _moved(s: _Words, before: _Words, begin: int, end: int, c: StepConstants) -> bool:
+    """Return whether light, slopes or filters of a block moved, in the words from `begin` to `end`."""
+    differing = _NONE
     for k in range(begin, end):
         light = (s[_U // 2 + k] ^ before[_U0 // 2 + k]) | (s[_L // 2 + k] ^ before[_L0 // 2 + k])
         slopes = (s[_G // 2 + k] | before[_G0 // 2 + k]) & _SIGNLESS
-        found |= light | slopes | (s[_V // 2 + k] ^ before[_V0 // 2 + k])
-    if behind[0]:
+        differing |= light | slopes | (s[_V // 2 + k] ^ before[_V0 // 2 + k])
+    if c.second > _ZERO:
         for k in range(begin, end):
-            found |= s[_W // 2 + k] ^ before[_W0 // 2 + k]
-    if behind[1]:
+            differing |= s[_W // 2 + k] ^ before[_W0 // 2 + k]
+    if c.parasitic > _ZERO:
         for k in range(begin, end):
-            found |= s[_P // 2 + k] ^ before[_P0 // 2 + k]
-    return bool(found != _NONE)
+            differing |= s[_P // 2 + k] ^ before[_P0 // 2 + k]
+    return bool(differing != _NONE)
 
 
 @vector_kernel
 def _find_rest(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
     """Write to a scratch row when each pixel's leak may fire, s since the epoch; below 0 where its filter may move."""
     for i in range(BLOCK):
-        u, v, on = s[_U + i], s[_V + i], s[_ON + i]
+        u, v = s[_U + i], s[_V + i]
+        on = s[_ON + i]
         by_light = c.parasitic * on * exponential(u) if c.parasitic > _ZERO else _ZERO
         leak = s[_LEAK + i] + by_light
         compared = (s[_W + i] if c.second > _ZERO else v) + (s[_P + i] if c.parasitic > _ZERO else _ZERO)
         pulled = -exponential_less_one(v - u) if c.large else u - v
+        # The filter rests where its motion is lost in rounding, even in a step 1.1 times as long.
         rests = v + _MORE * (before[_Q + i] * pulled) == v
         room = (on - _MARGIN - by_light * c.h) - (compared - s[_REF + i])  # the quiet test allows 1.5 times that leak
+        # The leak fires when it has filled the room between the comparator and its threshold.
         wait = room / leak if leak > _ZERO else (_LARGE if leak == _ZERO else -_LARGE)
         before[_WAIT + i] = wait if rests else -_LARGE
 
@@ -248,20 +258,21 @@ def _least(wait: _Float32s) -> np.float32:
 @kernel
 def _all_same(light: _Float32s) -> bool:
     """Return whether a part has one light, bit for bit."""
-    words, found = light.view(np.uint64), _NONE
+    words, differing = light.view(np.uint64), _NONE
     for k in range(_PART_WORDS):
-        found |= words[k] ^ words[0]
-    return bool((found == _NONE) & ((words[0] >> np.uint64(32)) == (words[0] & np.uint64(0xFFFFFFFF))))
+        differing |= words[k] ^ words[0]
+    return bool((differing == _NONE) & ((words[0] >> np.uint64(32)) == (words[0] & np.uint64(0xFFFFFFFF))))
 
 
 @kernel
-def _stands_still(s: _Float32s, before: _Float32s, flags: _Words, j: int, behind: tuple[bool, bool]) -> bool:
+def _stands_still(s: _Float32s, before: _Float32s, flags: _Words, j: int, c: StepConstants) -> bool:
     """Return whether nothing moved in part j of a block, and none of its pixels is a candidate."""
     candidates = _NONE
     for k in range(PART // 8):
         candidates |= flags[j * (PART // 8) + k]
-    words, old, first = s.view(np.uint64), before.view(np.uint64), j * _PART_WORDS
-    return bool((candidates == _NONE) and not _moved(words, old, first, first + _PART_WORDS, behind))
+    first = j * _PART_WORDS
+    moved = _moved(s.view(np.uint64), before.view(np.uint64), first, first + _PART_WORDS, c)
+    return bool((candidates == _NONE) and not moved)
 
 
 @kernel
@@ -293,30 +304,110 @@ def _sum_up(idle: Idle, first: int) -> None:
 
 
 @kernel
-def mark(
-    light: _Float32s, moved: tuple[_Float32s, _Float32s, _Words], firsts: _Int64s, idle: Idle, c: StepConstants
+def mark(  # noqa: PLR0913, PLR0917
+    light: _Float32s, s: _Float32s, before: _Float32s, flags: _Words, firsts: _Int64s, idle: Idle, c: StepConstants
 ) -> None:
     """Note which parts of a block or pack, moved over a step just now, are idle from now on.
 
-    `moved` are its state, the scratch rows, and the flags of candidates, eight in a word; `firsts` the first pixels of
-    its parts.
+    `s` is its state, `before` the scratch rows, `flags` those of its candidates, eight in a word; `firsts` are the
+    first pixels of its parts.
     """
-    (s, before, flags), n = moved, firsts.size
-    behind, known = (c.second > _ZERO, c.parasitic > _ZERO), False
+    n = firsts.size
+    has_idle_part = False
     blocks = idle.until_ns.size // (1 + PARTS)
     for j in range(n):
-        first, begin, end = firsts[j], j * PART, (j + 1) * PART - 1
+        begin, end = j * PART, (j + 1) * PART - 1
+        first = firsts[j]
         idle.until_ns[blocks + first // PART] = idle.until_ns[first // BLOCK] = _NOT_IDLE
         if (s[_U + begin] != before[_U0 + begin]) | (s[_U + end] != before[_U0 + end]):
             continue  # the usual case where light changes, without a look at the other pixels
-        if _stands_still(s, before, flags, j, behind):
-            if not known:
-                _find_rest(s, before, c)
-            known = True
+        if _stands_still(s, before, flags, j, c):
+            if not has_idle_part:
+                _find_rest(s, before, c)  # of all parts at once, when the first is found
+            has_idle_part = True
             wait = before[_WAIT + begin : _WAIT + begin + PART]
             _mark_part(light[begin : begin + PART], wait, idle, first, c)
-    if known:
+    if has_idle_part:
         for j in range(n):
             _sum_up(idle, firsts[j] // BLOCK * BLOCK)
     elif n == PARTS and firsts[n - 1] - firsts[0] == BLOCK - PART:
         idle.until_ns[firsts[0] // BLOCK] = NO_PART
+
+
+MOST_PACKED = PARTS // 2
+"""Active parts of a block up to which it is packed; with more it is moved in place, which saves the copies."""
+
+_MOVED = tuple(int(f) * BLOCK for f in (Field.LOG_LIGHT, Field.FILTERED, Field.RATE, Field.SLOPE, Field.SECOND))
+_LEAKED = int(Field.LEAKED) * BLOCK
+
+
+@kernel
+def pixel_at(firsts: _Int64s, i: int) -> int:
+    """Return the pixel at place i of a block or pack, `firsts` being the first pixels of its parts."""
+    pixel: int = firsts[np.uint64(i) // np.uint64(PART)] + i % PART
+    return pixel
+
+
+@kernel
+def list_all(first: int, firsts: _Int64s) -> int:
+    """List the parts of the block that begins at pixel `first`; return their number."""
+    for j in range(PARTS):
+        firsts[j] = first + j * PART
+    return PARTS
+
+
+@kernel
+def list_active(frame: FlatLight, first: int, idle: Idle, touched: Touched, firsts: _Int64s, c: StepConstants) -> int:
+    """List the parts of the block that begins at pixel `first` that cannot be skipped; return their number."""
+    if idle.until_ns[first // BLOCK] == NO_PART:
+        return int(list_all(first, firsts))
+    n = 0
+    for j in range(PARTS):
+        part = first + j * PART
+        rests = may_rest(idle, part_at(idle, part), c)
+        if rests and (not part_is_touched(part, touched) or part_is_same(frame, idle, part, c)):
+            continue
+        firsts[n] = part
+        n += 1
+    return n
+
+
+@kernel
+def _copy_values(values: _Float32s, first: int, out: _Float32s) -> None:
+    """Copy a part's values of a frame, with zeros beyond its end."""
+    n = min(PART, max(values.size - first, 0))
+    for i in range(n):
+        out[i] = values[first + i]
+    for i in range(n, PART):
+        out[i] = _ZERO
+
+
+@vector_kernel
+def _copy(source: _Float32s, target: _Float32s) -> None:
+    for i in range(PART):
+        target[i] = source[i]
+
+
+@kernel
+def gather_parts(
+    frame: FlatLight, fields: _Float32s, firsts: _Int64s, s: _Float32s, pack: FlatLight, chord: bool
+) -> None:
+    """Copy the state of parts to the front of a scratch block `s`, and their light to `pack`; no rate if `chord`."""
+    for j in range(firsts.size):
+        to, at = j * PART, slot(firsts[j])
+        _copy_values(frame.light, firsts[j], pack.light[to : to + PART])
+        if not chord:
+            _copy_values(frame.rate, firsts[j], pack.rate[to : to + PART])
+        for row in range(0, FIELDS * BLOCK, BLOCK):
+            _copy(fields[at + row : at + row + PART], s[to + row : to + row + PART])
+
+
+@kernel
+def scatter_parts(s: _Float32s, fields: _Float32s, firsts: _Int64s, parasitic: bool) -> None:
+    """Copy the state that a step may have changed from a scratch block back to its parts."""
+    for j in range(firsts.size):
+        begin, at = j * PART, slot(firsts[j])
+        for row in _MOVED:
+            _copy(s[begin + row : begin + row + PART], fields[at + row : at + row + PART])
+        if parasitic:
+            _copy(s[begin + _LEAKED : begin + _LEAKED + PART], fields[at + _LEAKED : at + _LEAKED + PART])

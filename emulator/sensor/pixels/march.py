@@ -1,115 +1,53 @@
 """Stepping of pixels through a step, substep by substep and event by event, for a whole table of pixels at once.
 
-The turning points of a cubic are known in closed form. Between them the comparator curve g is monotone, so its values
-at the ends decide whether a level is met, and no crossing is missed. A round takes every column over one substep (see
-`substeps`), and within it from event to event: Newton iterations for all columns together, bisection for the few that
-do not settle.
+A round takes every column over one substep (`substeps`), and within it from event to event. The comparator's curve g
+over a substep is a cubic, whose turning points are known in closed form. Between them it is monotone, so its values at
+the ends decide whether a level is met, and no crossing is missed; `event_time` finds where.
 
-The roots of a monotone cubic inside a bracket come from a fixed number of Newton iterations, and bisection.
-`candidates` uses this too, for one cubic a step; here there is one cubic a substep. A loop over the columns of a table
-calls `newton` for every column, because a fixed number of iterations becomes vectors; columns whose last correction
-exceeds `SETTLED` are listed and bisected afterwards, so that they cost the others nothing.
+Fast because each loop does one thing for all columns: those over numbers only become vectors, and the few columns that
+bisect, fire or end are handled one by one in loops of their own. Finished columns are filled from behind, so that later
+rounds are short.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
-import emulator.sensor.pixels.march_table as row
-from emulator.sensor.numerics.compiled import NONE, Real, kernel, kernel_that_allocates, lane, vector_kernel
-from emulator.sensor.pixels.comparator import delay_s
+import emulator.sensor.pixels.substeps as row
+from emulator.sensor.numerics.compiled import NONE, kernel, kernel_that_allocates, lane, vector_kernel
+from emulator.sensor.pixels.crossings import Keys, pack, reserve
 from emulator.sensor.pixels.curve import photocurrent
-from emulator.sensor.pixels.march_table import SubstepTable
+from emulator.sensor.pixels.event_time import (
+    MOST_EVENTS,
+    SETTLED,
+    Bracket,
+    Cubic,
+    bisect,
+    delay_s,
+    levels_passed,
+    newton,
+    pass_over,
+    value,
+)
 from emulator.sensor.pixels.state import (
     BLOCK,
-    MOST_EVENTS,
     Field,
-    Keys,
     Pixels,
     StepConstants,
     count_reset,
-    levels_passed,
-    pack,
-    reserve,
     reset_offset,
     slot,
     whole_vectors,
 )
-from emulator.sensor.pixels.substeps import begin, begin_substep
-
-SETTLED = np.float32(3e-5)
-"""Largest last Newton correction of a root that is accepted; the error is of the order of its square."""
-
-_NEWTON_TURNS = 4
-_BISECTIONS = 25
-_ZERO, _ONE, _TWO, _THREE, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 0.5))
-
-
-class Cubic(NamedTuple):
-    """The polynomial d0 + c1 x + c2 x^2 + c3 x^3."""
-
-    d0: Real
-    c1: Real
-    c2: Real
-    c3: Real
-
-
-class Bracket(NamedTuple):
-    """An interval in which a monotone cubic meets `level`, and whether it rises there."""
-
-    low: Real
-    high: Real
-    level: Real
-    rising: Real
-
-
-@lane
-def value(g: Cubic, x: Real) -> Real:
-    """Return the cubic at x."""
-    return ((g.c3 * x + g.c2) * x + g.c1) * x + g.d0
-
-
-@lane
-def newton(g: Cubic, at: Bracket, x: Real) -> tuple[Real, Real]:
-    """Return the root found from the first guess x, and the size of the last correction.
-
-    The bracket shrinks with each iteration; a correction that leaves it is replaced by its middle.
-    """
-    low, high, step = at.low, at.high, _ONE
-    sign = _ONE if at.rising else -_ONE
-    for _ in range(_NEWTON_TURNS):
-        beyond = sign * (value(g, x) - at.level)
-        slope = sign * ((_THREE * g.c3 * x + _TWO * g.c2) * x + g.c1)
-        low = low if beyond > _ZERO else x
-        high = x if beyond > _ZERO else high
-        corrected = x - beyond / slope
-        better = corrected if (corrected >= low) & (corrected <= high) else _HALF * (low + high)
-        step = better - x
-        x = better
-    return x, abs(step)
-
-
-@kernel
-def bisect(g: Cubic, at: Bracket) -> Real:
-    """Return the root found by bisection."""
-    low, high = at.low, at.high
-    for _ in range(_BISECTIONS):
-        x = _HALF * (low + high)
-        if (value(g, x) > at.level) == at.rising:
-            high = x
-        else:
-            low = x
-    return high
-
+from emulator.sensor.pixels.substeps import SubstepTable, begin, begin_substep
 
 _Float32s = npt.NDArray[np.float32]
 
 _U, _V, _, _, _REF, _, _, _, _W, _P = (int(f) * BLOCK for f in Field)
 
 _NAN = np.float32(np.nan)
+_ZERO, _ONE, _TWO, _THREE = (np.float32(x) for x in (0, 1, 2, 3))
 _BEHIND = np.float32(2)  # the substep, which ends at 1
 _LAST = np.int64(0)
 
@@ -131,27 +69,38 @@ def _bracket(rows: _Float32s, j: int) -> Bracket:
 def _find_firing_part(rows: _Float32s, n: int) -> None:
     """Find for each column the next monotone part of its curve on which it fires; read a new level where re-armed."""
     for j in range(n):
-        on, off, level, x = rows[row.ON + j], rows[row.OFF + j], rows[row.LEVEL + j], rows[row.X + j]
+        on = rows[row.ON + j]
+        off = rows[row.OFF + j]
+        level = rows[row.LEVEL + j]
+        x = rows[row.X + j]
         g = _cubic(rows, j)
+        # A pixel in its refractory period has no level (NaN). Where that ends in this substep, the level is read there.
         wait = rows[row.RE_ARMED + j] - rows[row.Z + j]
         opens = wait / rows[row.SPAN + j] if wait > _ZERO else _ZERO
         refractory = level != level
         x = max(x, opens) if refractory else x
         armed = x <= _ONE
         level = value(g, x) + rows[row.RESET + j] if refractory & armed else level
-        turn, turn2 = max(rows[row.TURN + j], x), max(rows[row.TURN2 + j], x)
-        g0, g1 = value(g, x) - level, value(g, turn) - level
-        g2, g3 = value(g, turn2) - level, value(g, _ONE) - level
-        at_once, by1 = (g0 >= on) | (g0 <= -off), (g1 >= on) | (g1 <= -off)
-        by2, by3 = (g2 >= on) | (g2 <= -off), (g3 >= on) | (g3 <= -off)
+        # The curve is monotone between x, its turns and the end. The pixel fires on the first of these three parts at
+        # whose end a threshold is met; at x itself if it is met there already.
+        turn = max(rows[row.TURN + j], x)
+        turn2 = max(rows[row.TURN2 + j], x)
+        g0 = value(g, x) - level
+        g1 = value(g, turn) - level
+        g2 = value(g, turn2) - level
+        g3 = value(g, _ONE) - level
+        at_once = (g0 >= on) | (g0 <= -off)
+        by1 = (g1 >= on) | (g1 <= -off)
+        by2 = (g2 >= on) | (g2 <= -off)
+        by3 = (g3 >= on) | (g3 <= -off)
         end = x if at_once else (turn if by1 else (turn2 if by2 else _ONE))
-        there = g0 if at_once else (g1 if by1 else (g2 if by2 else g3))
+        change = g0 if at_once else (g1 if by1 else (g2 if by2 else g3))
         rows[row.LEVEL + j] = level
         rows[row.X + j] = x if armed else rows[row.X + j]
         rows[row.FIRES + j] = _ONE if armed & (at_once | by1 | by2 | by3) else _ZERO
         rows[row.LOW + j] = x if at_once | by1 else (turn if by2 else turn2)
         rows[row.HIGH + j] = end
-        rows[row.TO + j] = level + (on if there > _ZERO else -off)
+        rows[row.TO + j] = level + (on if change > _ZERO else -off)
 
 
 @vector_kernel
@@ -160,6 +109,7 @@ def _cross(rows: _Float32s, n: int) -> None:
     for j in range(n):
         g, at = _cubic(rows, j), _bracket(rows, j)
         at_low, at_high = value(g, at.low), value(g, at.high)
+        # The secant is a first guess so near that four iterations settle almost all columns.
         secant = at.low + (at.high - at.low) * (at.level - at_low) / (at_high - at_low)
         guess = secant if (secant >= at.low) & (secant <= at.high) else at.high
         rows[row.HIT + j], rows[row.MISS + j] = newton(g, at, guess)
@@ -183,11 +133,13 @@ def _pass_over(rows: _Float32s, j: int) -> int:
 
     Where float32 is too coarse for a threshold, the level becomes that of the substep's end.
     """
-    level, high, to = rows[row.LEVEL + j], rows[row.HIGH + j], rows[row.TO + j]
+    level = rows[row.LEVEL + j]
+    high = rows[row.HIGH + j]
+    to = rows[row.TO + j]
     end = value(_cubic(rows, j), high)
     threshold = rows[row.ON + j] if to >= level else rows[row.OFF + j]
-    passed, rest = levels_passed(level, end, threshold)
-    last = end - np.float32(rest)
+    passed, beyond = levels_passed(level, end, threshold)
+    last = end - np.float32(beyond)
     rows[row.X + j], rows[row.LEVEL + j] = high, last if abs(end - last) < threshold else end
     if passed == 0 and to != level:
         rows[row.LEVEL + j], passed = to, 1
@@ -196,6 +148,30 @@ def _pass_over(rows: _Float32s, j: int) -> int:
         passed, _ = levels_passed(level, end, threshold)
         rows[row.X + j], rows[row.LEVEL + j] = _BEHIND, end
     return int(passed)
+
+
+@kernel
+def _pass_over_waiting(pixels: Pixels, table: SubstepTable, j: int, c: StepConstants) -> int:
+    """Move a column with a refractory period past all crossings of its monotone part; return how many they are.
+
+    It begins with the present crossing: the reference is read a dead time behind it, with the offset of the last reset.
+    """
+    rows, pixel = table.rows, table.pixels[j]
+    high, span = np.float64(rows[row.HIGH + j]), np.float64(rows[row.SPAN + j])
+    rising = rows[row.TO + j] > rows[row.LEVEL + j]
+    offset = rows[row.RESET + j]
+    threshold = np.float64(rows[row.ON + j] + offset if rising else rows[row.OFF + j] - offset)
+    re_armed = rows[row.HIT + j] + (np.float64(_late(rows, j, c)) + c.refractory) / span
+    passed = pass_over(_cubic(rows, j), re_armed, high, threshold, rising, span, c)
+    rows[row.X + j] = rows[row.HIGH + j]
+    if passed.waiting > 0:
+        re_armed = rows[row.Z + j] + (high + passed.waiting) * span
+        rows[row.LEVEL + j], rows[row.RE_ARMED + j] = _NAN, np.float32(re_armed)
+        pixels.refractory_until_ns[pixel] = c.t0_ns + int(re_armed * c.h_ns)
+    else:
+        climbed = np.float32(passed.climbed if rising else -passed.climbed)
+        rows[row.LEVEL + j] = value(_cubic(rows, j), rows[row.HIGH + j]) - climbed + offset
+    return int(passed.crossings) + 1
 
 
 @kernel
@@ -219,23 +195,25 @@ def _fire(
         if rows[row.FIRES + j] == _ZERO:
             continue
         fired += 1
-        pixel, to = table.pixels[j], rows[row.TO + j]
+        if rows[row.COUNT + j] >= MOST_EVENTS:
+            lost += _pass_over(rows, j) if c.refractory_ns == 0 else _pass_over_waiting(pixels, table, j, c)
+            continue
+        # The event: its time in the step is the crossing's, and the delay of the comparator.
+        pixel = table.pixels[j]
+        level = rows[row.TO + j]
         z = rows[row.Z + j] + rows[row.HIT + j] * rows[row.SPAN + j]
         late = _late(rows, j, c)
         dt_ns = min(int(z * c.h_ns), c.h_ns) + int(late * c.h_ns)
-        if rows[row.COUNT + j] < MOST_EVENTS:
-            keys[n_keys] = pack(dt_ns, pixel, to > rows[row.LEVEL + j], c.pixel_bits)
-            n_keys += 1
-        elif c.refractory_ns == 0:
-            lost += _pass_over(rows, j)
-            continue
-        else:
-            lost += 1
+        keys[n_keys] = pack(dt_ns, pixel, level > rows[row.LEVEL + j], c.pixel_bits)
+        n_keys += 1
         rows[row.COUNT + j] += _ONE
-        count_reset(pixels, pixel, c.reset_noise)
-        thresholds, errors = (rows[row.ON + j], rows[row.OFF + j]), (c.reset_offset, c.reset_noise)
-        offset = reset_offset(pixels, pixel, _LAST, thresholds, errors)
-        rows[row.X + j], rows[row.LEVEL + j], rows[row.RESET + j] = rows[row.HIT + j], to + offset, offset
+        # The reset: without a refractory period the level that was crossed is the new reference; else it is read when
+        # the period ends.
+        count_reset(pixels, pixel, c.reset.noise)
+        offset = reset_offset(pixels, pixel, _LAST, rows[row.ON + j], rows[row.OFF + j], c.reset)
+        rows[row.X + j] = rows[row.HIT + j]
+        rows[row.LEVEL + j] = level + offset
+        rows[row.RESET + j] = offset
         if c.refractory > _ZERO:
             rows[row.LEVEL + j], rows[row.RE_ARMED + j] = _NAN, z + (late + c.refractory)
             pixels.refractory_until_ns[pixel] = c.t0_ns + dt_ns + c.refractory_ns
@@ -246,28 +224,30 @@ def _fire(
 def _last_reference(rows: _Float32s, j: int, c: StepConstants) -> np.float32:
     """Return the reference of a column that fired too often: near its comparator, however large its leak has become."""
     on, off = rows[row.ON + j], rows[row.OFF + j]
-    rest = min(max(value(_cubic(rows, j), _ONE) - rows[row.LEVEL + j], -off), on)
-    reference: np.float32 = rows[row.W1 + j] + rows[row.LEAK + j] * c.since_epoch_1 - rest
+    change = min(max(value(_cubic(rows, j), _ONE) - rows[row.LEVEL + j], -off), on)
+    reference: np.float32 = rows[row.W1 + j] + rows[row.LEAK + j] * c.since_epoch_1 - change
     return reference
 
 
 @kernel
 def _store(pixels: Pixels, table: SubstepTable, j: int, c: StepConstants) -> None:
     """Write the state of a column that has reached the end of the step."""
-    rows, here = table.rows, slot(table.pixels[j])
+    rows = table.rows
+    at = slot(table.pixels[j])
     level, leaked = rows[row.LEVEL + j], _ZERO
-    pixels.fields[here + _V] = rows[row.V1 + j]
+    pixels.fields[at + _V] = rows[row.V1 + j]
     if c.second > _ZERO:
-        pixels.fields[here + _W] = rows[row.W1 + j]
+        pixels.fields[at + _W] = rows[row.W1 + j]
     if c.parasitic > _ZERO:
+        # A level other than 0 is that of an event in this step, which the sum of the leak counts from.
         leaked = rows[row.P1 + j]
-        leaks = c.parasitic * rows[row.ON + j] * photocurrent(pixels.fields[here + _U])
-        pixels.fields[here + _P] = (leaked if level == _ZERO else _ZERO) - leaks * c.since_epoch_1
-    if (rows[row.COUNT + j] >= MOST_EVENTS) & (c.refractory_ns == 0):
-        pixels.fields[here + _REF] = _last_reference(rows, j, c)
+        leaks = c.parasitic * rows[row.ON + j] * photocurrent(pixels.fields[at + _U])
+        pixels.fields[at + _P] = (leaked if level == _ZERO else _ZERO) - leaks * c.since_epoch_1
+    if (rows[row.COUNT + j] >= MOST_EVENTS) & (level == level):
+        pixels.fields[at + _REF] = _last_reference(rows, j, c)
         return
     moved = level - leaked if level != _ZERO else _ZERO
-    pixels.fields[here + _REF] = rows[row.BASE + j] + moved
+    pixels.fields[at + _REF] = rows[row.BASE + j] + moved  # NaN in the refractory period
 
 
 @kernel
@@ -278,7 +258,9 @@ def _end_substep(pixels: Pixels, table: SubstepTable, n: int, c: StepConstants) 
         if rows[row.Z1 + j] >= _ONE:
             _store(pixels, table, j, c)
             continue
-        rows[row.V + j], rows[row.W + j], rows[row.P + j] = rows[row.V1 + j], rows[row.W1 + j], rows[row.P1 + j]
+        rows[row.V + j] = rows[row.V1 + j]
+        rows[row.W + j] = rows[row.W1 + j]
+        rows[row.P + j] = rows[row.P1 + j]
         rows[row.Z + j] = rows[row.Z1 + j]
         if remaining < j:
             table.pixels[remaining] = table.pixels[j]
@@ -311,7 +293,7 @@ def solve_substeps(
             _find_firing_part(table.rows, whole_vectors(n))
             _cross(table.rows, whole_vectors(n))
             _bisect_unsettled(table, n)
-            n_keys, fired, more = _fire(pixels, table, n, keys, n_keys, c)
-            lost += more
+            n_keys, fired, passed = _fire(pixels, table, n, keys, n_keys, c)
+            lost += passed
         n = _end_substep(pixels, table, n, c)
     return keys, n_keys, lost, undersampled

@@ -209,15 +209,15 @@ class DrawnPixels(PixelMethod):
     _phase: _Floats
 
     def kill(self, pixel: _Int64s) -> None:
-        """See `PixelMethod`."""
+        """Set thresholds that no light reaches, and no leak, for pixels, (n,)."""
         m = self._model
         m.on[pixel] = m.off[pixel] = DEAD_THRESHOLD
         m.leak[pixel] = m.parasitic[pixel] = self._phase[pixel] = 0
 
     def leak_hz(self) -> _Floats:
-        """See `PixelMethod`."""
+        """Return the leak rate of all pixels, (pixels,), without the parasitic leak."""
         return np.asarray(self._model.leak / self._model.on)
 
     def set_leak(self, leak_hz: _Floats) -> None:
-        """See `PixelMethod`."""
+        """Set the leak rate of all pixels, (pixels,)."""
         self._model.leak[:] = leak_hz * self._model.on

@@ -34,7 +34,7 @@ These measures make it fast, as measured:
   as it takes itself. The loops of the usual case then work part by part, and request with each part a share of the next
   block (`fetch`): 1.5 instead of 2.5 ns a pixel at 1280 x 720. All requests at once, before a block, gain nothing, and
   in the caches the parts cost 20 %; so there are two loops around each body.
-- The list of candidates is made without a branch, `found[k] = i; k += flag`, and only where a word of flags has any.
+- The list of candidates is made without a branch, `flagged[k] = i; k += flag`, and only where a word of flags has any.
 - Candidates are collected while their block is in the first cache, and solved in batches (`candidates`).
 """
 
@@ -105,11 +105,13 @@ def _light_at(i: int, light: _Float32s, rate: _Float32s, s: _Float32s, before: _
     e, r = light[i], rate[i]
     lit = e > _ZERO
     current = (e if lit else _ZERO) + c.dark
-    before[_U0 + i], before[_L0 + i], before[_G0 + i] = s[_U + i], s[_L + i], s[_G + i]
+    before[_U0 + i] = s[_U + i]
+    before[_L0 + i] = s[_L + i]
+    before[_G0 + i] = s[_G + i]
     rate_after = min(max(c.rate_at_reference * current, c.rate_min), c.rate_max)
     s[_U + i] = natural_log(current) if abs(e) <= _BRIGHTEST else _NAN
     s[_L + i] = rate_after
-    s[_G + i] = (r if lit else _ZERO * r) / (current * rate_after)
+    s[_G + i] = (r if lit else _ZERO * r) / (current * rate_after)  # d ln i / ds; 0 * r keeps an unknown rate unknown
 
 
 @vector_kernel
@@ -138,13 +140,19 @@ def _take_light_alone(light: _Float32s, s: _Float32s, before: _Float32s, c: Step
     """Write a block's new log light as `_take_light` does, without a rate: the slopes are those of a straight line."""
     use_widest_vectors()
     for i in range(BLOCK):
-        e, u0, l0 = light[i], s[_U + i], s[_L + i]
+        e = light[i]
+        u0 = s[_U + i]
+        l0 = s[_L + i]
         current = (e if e > _ZERO else _ZERO) + c.dark
         u1 = natural_log(current) if abs(e) <= _BRIGHTEST else _NAN
         l1 = min(max(c.rate_at_reference * current, c.rate_min), c.rate_max)
-        slope = (u1 - u0) / (c.h * l0 * l1)
-        before[_U0 + i], before[_L0 + i], before[_G0 + i] = u0, l0, slope * l1
-        s[_U + i], s[_L + i], s[_G + i] = u1, l1, slope * l0
+        slope = (u1 - u0) / (c.h * l0 * l1)  # one division for both ends
+        before[_U0 + i] = u0
+        before[_L0 + i] = l0
+        before[_G0 + i] = slope * l1
+        s[_U + i] = u1
+        s[_L + i] = l1
+        s[_G + i] = slope * l0
 
 
 @lane
@@ -152,7 +160,7 @@ def _warp_at(i: int, s: _Float32s, before: _Float32s, c: StepConstants) -> None:
     """Write a pixel's S, q = 1 - e^-S, and the slopes of u per step."""
     l0, l1 = before[_L0 + i], s[_L + i]
     a0, a1 = c.h * l0 * before[_G0 + i], c.h * l1 * s[_G + i]
-    warped = warped_time(c.h, (l0, l1), a0, a1, c)
+    warped = warped_time(c.h, l0, l1, a0, a1, c)
     before[_A0 + i], before[_A1 + i] = a0, a1
     before[_S + i], before[_Q + i] = warped, decay(warped)
 
@@ -176,25 +184,48 @@ def _warp_far(s: _Float32s, before: _Float32s, c: StepConstants, ahead: Ahead) -
             _warp_at(i, s, before, c)
 
 
+@lane
+def _course_at(i: int, s: _Float32s, before: _Float32s) -> Course:
+    """Return the course of a pixel's light over the step; the slopes are stored by warped time."""
+    warped = before[_S + i]
+    return Course(warped, s[_U + i] - before[_U0 + i], warped * before[_G0 + i], warped * s[_G + i])
+
+
 @vector_kernel
 def _filter(s: _Float32s, before: _Float32s) -> None:
     """Write a block's new filtered values to the state, the old ones to the scratch rows."""
     use_widest_vectors()
     for i in range(BLOCK):
-        u0, u1, v0 = before[_U0 + i], s[_U + i], s[_V + i]
-        warped, g0, g1 = before[_S + i], before[_G0 + i], s[_G + i]
+        v0 = s[_V + i]
         before[_V0 + i] = v0
-        s[_V + i] = v0 + rise_of_filter(before[_Q + i], u0 - v0, Course(warped, u1 - u0, warped * g0, warped * g1))
+        s[_V + i] = v0 + rise_of_filter(before[_Q + i], before[_U0 + i] - v0, _course_at(i, s, before))
 
 
 @lane
 def _filter_bounds(q: Real, behind: Real, d: Real, a0: Real, a1: Real) -> tuple[Real, Real]:
     """Return bounds of the filtered value's rise and fall (<= 0), from the light's Bernstein coefficients."""
+    # A cubic lies within its Bernstein coefficients 0, a0 / 3, d - a1 / 3 and d. The filter goes q of the way to the
+    # highest (lowest) of them at most; `share` has a margin for the error of S.
     first, last = _THIRD * a0, d - _THIRD * a1
     end = max(d, _ZERO)
     top, bottom = max(end, max(first, last)), min(min(d, _ZERO), min(first, last))
     share = min(q * (_WIDER + _BULGE * (top - end)), _ONE)
     return share * max(behind + top, _ZERO), share * min(behind + bottom, _ZERO)
+
+
+@lane
+def _is_quiet(i: int, s: _Float32s, before: _Float32s, above: Real, rise: Real, fall: Real, c: StepConstants) -> Real:
+    """Return whether a pixel cannot fire, and its step is smooth.
+
+    `above` is the filtered value over the reference at the start, `rise` and `fall` bound its change. The leak raises
+    the highest value until the step's end, and the lowest one by what it was at the start.
+    """
+    on, off, leak = s[_ON + i], s[_OFF + i], s[_LEAK + i]
+    high = above + (rise + leak * c.since_epoch_1)
+    low = above + (fall + leak * c.since_epoch_0)
+    quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
+    d = s[_U + i] - before[_U0 + i]
+    return quiet & is_smooth(d, before[_A0 + i], before[_A1 + i], min(on, off), c.unseen_share)
 
 
 @lane
@@ -204,16 +235,13 @@ def _filter_and_test_at(i: int, s: _Float32s, before: _Float32s, may_fire: _Byte
     This is the usual case in one loop. NaN in any input gives 1, so pixels in their refractory period, whose reference
     is NaN, and pixels with unreadable light become candidates and are handled there.
     """
-    u0, u1, v0, q = before[_U0 + i], s[_U + i], s[_V + i], before[_Q + i]
-    warped, g0, g1 = before[_S + i], before[_G0 + i], s[_G + i]
-    d, behind, a0, a1 = u1 - u0, u0 - v0, before[_A0 + i], before[_A1 + i]
+    v0, q = s[_V + i], before[_Q + i]
+    course = _course_at(i, s, before)
+    behind = before[_U0 + i] - v0
     before[_V0 + i] = v0
-    s[_V + i] = v0 + rise_of_filter(q, behind, Course(warped, d, warped * g0, warped * g1))
-    on, off, leak, above = s[_ON + i], s[_OFF + i], s[_LEAK + i], v0 - s[_REF + i]
-    rise, fall = _filter_bounds(q, behind, d, a0, a1)
-    high, low = above + (rise + leak * c.since_epoch_1), above + (fall + leak * c.since_epoch_0)
-    quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
-    may_fire[i] = 0 if quiet & is_smooth(d, a0, a1, min(on, off), c.unseen_share) else 1
+    s[_V + i] = v0 + rise_of_filter(q, behind, course)
+    rise, fall = _filter_bounds(q, behind, course.d, before[_A0 + i], before[_A1 + i])
+    may_fire[i] = 0 if _is_quiet(i, s, before, v0 - s[_REF + i], rise, fall, c) else 1
 
 
 @vector_kernel
@@ -238,18 +266,19 @@ def _filter_and_test_far(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: S
 
 @lane
 def _receive_and_test_at(i: int, s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -> None:
-    """Do for a pixel with the large-signal law what `_filter_and_test_at` does."""
-    u0, u1, v0, q = before[_U0 + i], s[_U + i], s[_V + i], before[_Q + i]
-    warped, g0, g1 = before[_S + i], before[_G0 + i], s[_G + i]
-    d, behind, a0, a1 = u1 - u0, u0 - v0, before[_A0 + i], before[_A1 + i]
+    """Move a pixel with the large-signal law, and write its flag as `_filter_and_test_at` does.
+
+    A pixel far behind its light loses accuracy in one piece, and is solved in substeps.
+    """
+    v0, q = s[_V + i], before[_Q + i]
+    course = _course_at(i, s, before)
+    behind = before[_U0 + i] - v0
     excess = excess_of(behind)
     before[_V0 + i] = v0
-    s[_V + i] = v0 + rise_of_receptor(q, excess, Course(warped, d, warped * g0, warped * g1))
-    on, off, leak, above = s[_ON + i], s[_OFF + i], s[_LEAK + i], v0 - s[_REF + i]
-    rise, fall = bounds_of_receptor(q, behind, excess, d, a0, a1)
-    high, low = above + (rise + leak * c.since_epoch_1), above + (fall + leak * c.since_epoch_0)
-    quiet = (high < on - _MARGIN) & (low > _MARGIN - off) & (behind < MOST_BEHIND)
-    may_fire[i] = 0 if quiet & is_smooth(d, a0, a1, min(on, off), c.unseen_share) else 1
+    s[_V + i] = v0 + rise_of_receptor(q, excess, course)
+    rise, fall = bounds_of_receptor(q, behind, excess, course.d, before[_A0 + i], before[_A1 + i])
+    quiet = _is_quiet(i, s, before, v0 - s[_REF + i], rise, fall, c)
+    may_fire[i] = 0 if quiet & (behind < MOST_BEHIND) else 1
 
 
 @vector_kernel
@@ -274,33 +303,17 @@ def _receive_and_test_far(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: 
 
 @vector_kernel
 def _receive(s: _Float32s, before: _Float32s) -> None:
-    """Do for the large-signal law what `_filter` and `_bound` do; a pixel far behind its light has no upper bound."""
+    """Write the outputs of the large-signal law and their bounds; a pixel far behind its light has no upper bound."""
     use_widest_vectors()
     for i in range(BLOCK):
-        u0, v0, q, warped = before[_U0 + i], s[_V + i], before[_Q + i], before[_S + i]
-        d, behind = s[_U + i] - u0, u0 - v0
+        v0, q = s[_V + i], before[_Q + i]
+        course = _course_at(i, s, before)
+        behind = before[_U0 + i] - v0
         excess = excess_of(behind)
         before[_V0 + i] = v0
-        course = Course(warped, d, warped * before[_G0 + i], warped * s[_G + i])
         s[_V + i] = v0 + rise_of_receptor(q, excess, course)
-        rise, fall = bounds_of_receptor(q, behind, excess, d, before[_A0 + i], before[_A1 + i])
+        rise, fall = bounds_of_receptor(q, behind, excess, course.d, before[_A0 + i], before[_A1 + i])
         before[_HIGH + i], before[_LOW + i] = (v0 + rise if behind < MOST_BEHIND else _ENDLESS), v0 + fall
-
-
-@vector_kernel
-def _add_second_pole_of_receptor(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
-    """Do for the large-signal law what `_add_second_pole` does; a pixel without a closed form has no upper bound."""
-    use_widest_vectors()
-    q = decay(c.second)
-    for i in range(BLOCK):
-        u0, u1, v0, w0, warped = before[_U0 + i], s[_U + i], before[_V0 + i], s[_W + i], before[_S + i]
-        light = Course(warped, u1 - u0, warped * before[_G0 + i], warped * s[_G + i])
-        filtered = Filtered(u0 - v0, u1 - s[_V + i], s[_V + i] - v0, c.h * before[_L0 + i], c.h * s[_L + i])
-        rise, inaccurate = rise_behind_second_pole_of_receptor(v0 - w0, c.second, light, filtered)
-        high = w0 + q * max(before[_HIGH + i] - w0, _ZERO)
-        before[_W0 + i], s[_W + i] = w0, w0 + rise
-        before[_HIGH + i] = high if inaccurate == _ZERO else _ENDLESS
-        before[_LOW + i] = w0 + q * min(before[_LOW + i] - w0, _ZERO)
 
 
 @vector_kernel
@@ -308,9 +321,16 @@ def _bound(s: _Float32s, before: _Float32s) -> None:
     """Write bounds of a block's filtered values during the step, for the stages behind the filter."""
     use_widest_vectors()
     for i in range(BLOCK):
-        u0, v0, a0, a1 = before[_U0 + i], before[_V0 + i], before[_A0 + i], before[_A1 + i]
-        rise, fall = _filter_bounds(before[_Q + i], u0 - v0, s[_U + i] - u0, a0, a1)
+        u0, v0 = before[_U0 + i], before[_V0 + i]
+        rise, fall = _filter_bounds(before[_Q + i], u0 - v0, s[_U + i] - u0, before[_A0 + i], before[_A1 + i])
         before[_HIGH + i], before[_LOW + i] = v0 + rise, v0 + fall
+
+
+@lane
+def _filtered_at(i: int, s: _Float32s, before: _Float32s, c: StepConstants) -> Filtered:
+    """Return the filter's course over the step, which the second pole follows."""
+    v0, v1 = before[_V0 + i], s[_V + i]
+    return Filtered(before[_U0 + i] - v0, s[_U + i] - v1, v1 - v0, c.h * before[_L0 + i], c.h * s[_L + i])
 
 
 @vector_kernel
@@ -319,12 +339,27 @@ def _add_second_pole(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
     use_widest_vectors()
     q = decay(c.second)
     for i in range(BLOCK):
-        u0, u1, v0, w0, warped = before[_U0 + i], s[_U + i], before[_V0 + i], s[_W + i], before[_S + i]
-        light = Course(warped, u1 - u0, warped * before[_G0 + i], warped * s[_G + i])
-        filtered = Filtered(u0 - v0, u1 - s[_V + i], s[_V + i] - v0, c.h * before[_L0 + i], c.h * s[_L + i])
+        v0, w0 = before[_V0 + i], s[_W + i]
+        filtered = _filtered_at(i, s, before, c)
         before[_W0 + i] = w0
-        s[_W + i] = w0 + rise_behind_second_pole(q, v0 - w0, c.second, light, filtered)
+        s[_W + i] = w0 + rise_behind_second_pole(q, v0 - w0, c.second, _course_at(i, s, before), filtered)
+        # A low-pass stays between where it is and q of the way to the bounds of what it follows.
         before[_HIGH + i] = w0 + q * max(before[_HIGH + i] - w0, _ZERO)
+        before[_LOW + i] = w0 + q * min(before[_LOW + i] - w0, _ZERO)
+
+
+@vector_kernel
+def _add_second_pole_of_receptor(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Write the second pole behind the large-signal law; a pixel without a closed form has no upper bound."""
+    use_widest_vectors()
+    q = decay(c.second)
+    for i in range(BLOCK):
+        v0, w0 = before[_V0 + i], s[_W + i]
+        filtered = _filtered_at(i, s, before, c)
+        rise, inaccurate = rise_behind_second_pole_of_receptor(v0 - w0, c.second, _course_at(i, s, before), filtered)
+        high = w0 + q * max(before[_HIGH + i] - w0, _ZERO)
+        before[_W0 + i], s[_W + i] = w0, w0 + rise
+        before[_HIGH + i] = high if inaccurate == _ZERO else _ENDLESS
         before[_LOW + i] = w0 + q * min(before[_LOW + i] - w0, _ZERO)
 
 
@@ -338,12 +373,15 @@ def _add_parasitic(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
     for i in range(BLOCK):
         u0, u1 = before[_U0 + i], s[_U + i]
         i0, i1 = photocurrent(u0), photocurrent(u1)
-        a0, a1, stored = before[_A0 + i], before[_A1 + i], s[_P + i]
-        share = max(_HALF * (i0 + i1) + _TWELFTH * (i0 * a0 - i1 * a1), min(i0, i1))
+        stored = s[_P + i]
+        # The mean light of the step: the trapezium rule with end correction, at least the lower one of both ends.
+        mean = max(_HALF * (i0 + i1) + _TWELFTH * (i0 * before[_A0 + i] - i1 * before[_A1 + i]), min(i0, i1))
         leaks = c.parasitic * s[_ON + i]
-        p0, p1 = stored + leaks * i0 * c.since_epoch_0, leaks * c.h * share
-        moved = stored + leaks * (c.h * (share - i1) - c.since_epoch_0 * (i1 - i0))
-        before[_P0 + i], s[_P + i] = stored, moved if (u0 == u0) & (u1 == u1) else p0 - leaks * i1 * c.since_epoch_1
+        p0 = stored + leaks * i0 * c.since_epoch_0
+        p1 = leaks * c.h * mean
+        moved = stored + leaks * (c.h * (mean - i1) - c.since_epoch_0 * (i1 - i0))
+        before[_P0 + i] = stored
+        s[_P + i] = moved if (u0 == u0) & (u1 == u1) else p0 - leaks * i1 * c.since_epoch_1
         before[_HIGH + i], before[_LOW + i] = before[_HIGH + i] + _MORE * p1 + p0, before[_LOW + i] + p0
 
 
@@ -352,28 +390,29 @@ def _test(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -
     """Write 1 to `may_fire` where a pixel's bounds meet a threshold or its step is not smooth, else 0."""
     use_widest_vectors()
     for i in range(BLOCK):
-        on, off, leak, reference = s[_ON + i], s[_OFF + i], s[_LEAK + i], s[_REF + i]
+        on, off = s[_ON + i], s[_OFF + i]
+        leak, reference = s[_LEAK + i], s[_REF + i]
         high = (before[_HIGH + i] - reference) + leak * c.since_epoch_1
         low = (before[_LOW + i] - reference) + leak * c.since_epoch_0
         quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
-        d, a0, a1 = s[_U + i] - before[_U0 + i], before[_A0 + i], before[_A1 + i]
-        smooth = is_smooth(d, a0, a1, min(on, off), c.unseen_share)
+        d = s[_U + i] - before[_U0 + i]
+        smooth = is_smooth(d, before[_A0 + i], before[_A1 + i], min(on, off), c.unseen_share)
         may_fire[i] = 0 if quiet & smooth else 1
 
 
 @kernel
-def list_flags(eights: npt.NDArray[np.uint64], found: _Int64s) -> int:
-    """Write the indices of a block's pixels that may fire into `found`; return their number.
+def list_flags(eights: npt.NDArray[np.uint64], flagged: _Int64s) -> int:
+    """Write the indices of a block's pixels that may fire into `flagged`; return their number.
 
     `eights` is `may_fire` seen as words, eight flags in each.
     """
     k = 0
-    for word in range(BLOCK // 64):
+    for word in range(BLOCK // 64):  # of the bits of 64 pixels: most words are 0, and cost nothing more
         bits = np.uint64(0)
         for eight in range(8):  # each byte is 0 or 1; the product collects them in the top byte
             bits |= ((eights[8 * word + eight] * _COLLECT) >> np.uint64(56)) << np.uint64(8 * eight)
         while bits != 0:
-            found[k] = 64 * word + np.int64(lowest_bit(bits))
+            flagged[k] = 64 * word + np.int64(lowest_bit(bits))
             k += 1
             bits &= bits - np.uint64(1)
     return k
@@ -429,20 +468,20 @@ def move_quietly(
 
 
 @vector_kernel
-def _restart_filters(s: _Float32s, before: _Float32s) -> None:
-    """Restart the filters of a block where its light is not readable, or was not."""
+def _keep_state(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Keep a block's filters and parasitic leak when its light has jumped.
+
+    Filters start again where the light is not readable, or was not. The sums of the leak are stored without the leak by
+    the present light, which has changed.
+    """
     for i in range(BLOCK):
         u0, u1 = before[_U0 + i], s[_U + i]
         readable = (u0 == u0) & (u1 == u1)
         s[_V + i], s[_W + i] = s[_V + i] if readable else u1, s[_W + i] if readable else u1
-
-
-@vector_kernel
-def _move_leaked(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
-    """Preserve a block's parasitic leak so far: the sums are stored without the leak by the present light."""
-    for i in range(BLOCK):
-        more = photocurrent(s[_U + i]) - photocurrent(before[_U0 + i])
-        s[_P + i] -= c.parasitic * s[_ON + i] * more * c.since_epoch_0
+    if c.parasitic > _ZERO:
+        for i in range(BLOCK):
+            brighter = photocurrent(s[_U + i]) - photocurrent(before[_U0 + i])
+            s[_P + i] -= c.parasitic * s[_ON + i] * brighter * c.since_epoch_0
 
 
 @kernel
@@ -452,9 +491,7 @@ def replace_light_of_block(light: _Float32s, rate: _Float32s, s: _Float32s, befo
         _take_light_alone(light, s, before, c)
     else:
         _take_light(light, rate, s, before, c)
-    _restart_filters(s, before)
-    if c.parasitic > _ZERO:
-        _move_leaked(s, before, c)
+    _keep_state(s, before, c)
     unreadable = 0
     for i in range(BLOCK):
         unreadable += s[_U + i] != s[_U + i]

@@ -86,7 +86,9 @@ def bounds_of_receptor(q: Real, behind: Real, excess: Real, d: Real, a0: Real, a
     With U the highest log light and y = U - V0 the rise is -ln(1 - q (1 - e^-y)) at most, which is below q y. The fall
     is below q (P - 1) for the highest P, and below the distance to the lowest light.
     """
-    first, last, end = _THIRD * a0, d - _THIRD * a1, max(d, _ZERO)
+    first = _THIRD * a0  # the inner Bernstein coefficients of the light's change; the outer ones are 0 and d
+    last = d - _THIRD * a1
+    end = max(d, _ZERO)
     top, bottom = max(end, max(first, last)), min(min(d, _ZERO), min(first, last))
     share = min(q * (_WIDER + _BULGE * (top - end)), _ONE)
     highest = (_ONE + excess) * (_ONE - _CHORD * bottom) - _ONE
@@ -125,17 +127,17 @@ class Response(NamedTuple):
 
 
 @lane
-def response(behind: tuple[Real, Real], rates: tuple[Real, Real], rise: Real, u: Course) -> Response:
-    """Return the response over an interval from its ends: distances below the light, rates times the length, rise."""
-    excess0, excess1 = excess_of(behind[0]), excess_of(behind[1])
+def response(v: Filtered, u: Course) -> Response:
+    """Return the response over an interval from the output's distances below the light at both ends, and its rise."""
+    excess0, excess1 = excess_of(v.behind0), excess_of(v.behind1)
     p = _reciprocal(excess0, u)
     t = transient(excess0, p)
     to_end = (_ONE + excess1) / (_ONE + excess0 + p.d)  # w at the start over that at the end
     b = _ZERO if t.faint else t.b
     lag0, lag1 = -t.lag0, -t.lag1 * to_end
-    m0 = rates[0] * (lag0 if t.faint else -excess0)
-    m1 = rates[1] * (lag1 if t.faint else -excess1)
-    steepest = max(max(abs(m0), abs(m1)), abs(rise))
+    m0 = v.r0 * (lag0 if t.faint else -excess0)
+    m1 = v.r1 * (lag1 if t.faint else -excess1)
+    steepest = max(max(abs(m0), abs(m1)), abs(v.rise))
     square = steepest * steepest
     return Response(m0, m1, b, lag0, lag1, missed_by_cubic(b, u.s) + _A_64TH * square * square)
 
@@ -147,7 +149,7 @@ def rise_behind_second_pole_of_receptor(behind: Real, second: Real, u: Course, v
     `second` is the pole's rate times the length of the interval. A faint exponential is the same in V and in w; a
     strong one on a long interval has no closed form, and its pixel must be solved in substeps.
     """
-    r = response((v.behind0, v.behind1), (v.r0, v.r1), v.rise, u)
+    r = response(v, u)
     cubic = r.missed <= _MISSED
     b = _ZERO if cubic else -r.b
     m0, m1 = (r.m0 if cubic else v.r0 * r.lag0), (r.m1 if cubic else v.r1 * r.lag1)

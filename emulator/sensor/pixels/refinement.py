@@ -5,7 +5,8 @@
          ... m' ...            a half that is still undersampled is divided again, up to three times
 
 All pixels of a subset form an array of their own. The arithmetic of a pixel is that of the whole array, and does not
-depend on which other pixels are refined. A refinement costs the scene the light of one pixel, and no further frame.
+depend on which other pixels are refined. A refinement costs the scene the light of one pixel, and no further frame:
+that is what makes it fast, as few pixels are undersampled at a time.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import PixelLight
+from emulator.sensor.numerics.compiled import cached_entry
 from emulator.sensor.pixels.candidates import Table
+from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, new_idle, wake
-from emulator.sensor.pixels.state import BLOCK, FIELDS, Pixels, StepConstants
-from emulator.sensor.pixels.step import Buffers, Share, Tally, advance, new_scratch
-from emulator.sensor.pixels.subset import Subset, new_subset, renumbered, scatter
+from emulator.sensor.pixels.state import BLOCK, FIELDS, Field, FlatLight, Pixels, StepConstants, slot
+from emulator.sensor.pixels.step import Buffers, Share, Subset, Tally, advance, new_scratch, new_subset
 
 LEVELS = 3
 """Most refinements of a step."""
@@ -30,12 +32,44 @@ LEVELS = 3
 SHORTEST_NS = 2_000
 """Shortest step that is refined: a camera's timestamps are whole microseconds."""
 
-_Keys = npt.NDArray[np.uint64]
-_Indices = npt.NDArray[np.int64]
-_Frame = tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
+_Int64s = npt.NDArray[np.int64]
 
 
+_ONE = np.uint64(1)
 _EVERYWHERE = Touched(0, 1, 0, 1, 1 << 40, np.empty(0, np.uint8))
+
+
+_V, _REF, _W, _P = (int(f) * BLOCK for f in (Field.FILTERED, Field.REFERENCE, Field.SECOND, Field.LEAKED))
+
+
+@cached_entry
+def _scatter(subset: Pixels, above: Pixels, listed: _Int64s) -> None:
+    """Write the state of the subset, at the end of the step, back to its pixels of `above`.
+
+    The light of these pixels is up to date there.
+    """
+    for k in range(listed.size):
+        at, to = slot(k), slot(listed[k])
+        for row in (_V, _REF, _W, _P):
+            above.fields[to + row] = subset.fields[at + row]
+        above.refractory_until_ns[listed[k]] = subset.refractory_until_ns[k]
+    if subset.refractory_until_ns.size > subset.fields.size // FIELDS:  # positions in the streams of reset noise follow
+        begin, to = subset.refractory_until_ns.size // 2, above.refractory_until_ns.size // 2
+        for k in range(listed.size):
+            above.refractory_until_ns[to + listed[k]] = subset.refractory_until_ns[begin + k]
+
+
+@cached_entry
+def _renumbered(keys: Keys, origin: _Int64s, later_ns: int, pixel_bits: int) -> Keys:
+    """Return packed events with the pixel numbers `origin`, and times counted from `later_ns` earlier."""
+    out = np.empty(keys.size, np.uint64)
+    shift = np.uint64(pixel_bits + 1)
+    mask = np.uint64((1 << pixel_bits) - 1)
+    for k in range(keys.size):
+        pixel = np.uint64(origin[(keys[k] >> _ONE) & mask])
+        dt = (keys[k] >> shift) + np.uint64(later_ns)
+        out[k] = (dt << shift) | (pixel << _ONE) | (keys[k] & _ONE)
+    return out
 
 
 class _Interval(NamedTuple):
@@ -43,8 +77,8 @@ class _Interval(NamedTuple):
 
     t0_ns: int
     t1_ns: int
-    end: _Frame
-    origin: _Indices
+    end: FlatLight
+    origin: _Int64s
 
 
 class Refinement:
@@ -75,48 +109,50 @@ class Refinement:
         self._share = Share(0, 1, new_idle(blocks), _EVERYWHERE)
         self._constants = constants
         self._keys = np.empty(4096, np.uint64)
-        self._found: list[_Keys] = []
+        self._lists: list[Keys] = []
         self._tallies: list[Tally] = []
 
     def step(
-        self, frame: _Frame, pixels: Pixels, share: Share, keys: _Keys, c: StepConstants, at: PixelLight
-    ) -> tuple[_Keys, int, Tally]:
+        self, frame: FlatLight, pixels: Pixels, share: Share, keys: Keys, c: StepConstants, at: PixelLight
+    ) -> tuple[Keys, int, Tally]:
         """Move the array as `advance` does, and refine; `at` gives the light of single pixels in between.
 
         `share` is the whole.
         """
         c = c._replace(refine=True, unseen_share=REFINED_UNSEEN_SHARE)
-        keys, found, tally = advance(frame, pixels, self._buffers[0], keys, share, c)
+        keys, n_keys, tally = advance(frame, pixels, self._buffers[0], keys, share, c)
         if not tally.refined:
-            return keys, found, tally
-        self._found, self._tallies = [keys[:found]], [tally]
-        self._whole, self._at = c, at
-        self._refine(pixels, tally.refined, _Interval(c.t0_ns, c.t0_ns + c.h_ns, frame, np.arange(frame[0].size)), 0)
-        together = np.concatenate(self._found)
+            return keys, n_keys, tally
+        self._lists, self._tallies = [keys[:n_keys]], [tally]
+        self._step, self._at = c, at
+        interval = _Interval(c.t0_ns, c.t0_ns + c.h_ns, frame, np.arange(frame.light.size))
+        self._refine(pixels, tally.refined, interval, 0)
+        together = np.concatenate(self._lists)
         return together, together.size, Tally(*(sum(column) for column in zip(*self._tallies, strict=True)))
 
-    def _refine(self, above: Pixels, n: int, whole: _Interval, level: int) -> None:
+    def _refine(self, above: Pixels, n: int, interval: _Interval, level: int) -> None:
         """Solve in halves the n pixels that the array `above` has collected in an interval, and scatter them back."""
-        subset, middle_ns = self._subsets[level], (whole.t0_ns + whole.t1_ns) // 2
+        subset, middle_ns = self._subsets[level], (interval.t0_ns + interval.t1_ns) // 2
         listed = subset.pixels[:n]
-        origin, here = whole.origin[listed], self._array(subset, above, n)
-        last = whole.end[0][listed], whole.end[1][listed]
-        self._advance(here, _Interval(whole.t0_ns, middle_ns, self._at(middle_ns, origin), origin), level)
-        self._advance(here, _Interval(middle_ns, whole.t1_ns, last, origin), level)
-        scatter(here, above, listed)
+        origin, pixels = interval.origin[listed], self._array(subset, above, n)
+        middle = FlatLight(*self._at(middle_ns, origin))
+        end = FlatLight(interval.end.light[listed], interval.end.rate[listed])
+        self._advance(pixels, _Interval(interval.t0_ns, middle_ns, middle, origin), level)
+        self._advance(pixels, _Interval(middle_ns, interval.t1_ns, end, origin), level)
+        _scatter(pixels, above, listed)
 
-    def _advance(self, here: Pixels, half: _Interval, level: int) -> None:
+    def _advance(self, pixels: Pixels, half: _Interval, level: int) -> None:
         """Move an array over a half; pixels that are still undersampled are refined again."""
         again = level + 1 < LEVELS and half.t1_ns - half.t0_ns >= SHORTEST_NS
         c = self._constants(half.t0_ns, half.t1_ns)._replace(refine=again, unseen_share=REFINED_UNSEEN_SHARE)
         wake(self._share.idle)  # these are other pixels each time
         buffers = self._buffers[level + 1]
-        self._keys, found, tally = advance(half.end, here, buffers, self._keys, self._share, c)
-        whole = self._whole
-        self._found.append(renumbered(self._keys[:found], half.origin, half.t0_ns - whole.t0_ns, whole.pixel_bits))
+        self._keys, n_keys, tally = advance(half.end, pixels, buffers, self._keys, self._share, c)
+        later_ns = half.t0_ns - self._step.t0_ns
+        self._lists.append(_renumbered(self._keys[:n_keys], half.origin, later_ns, self._step.pixel_bits))
         self._tallies.append(tally)
         if tally.refined:
-            self._refine(here, tally.refined, half, level + 1)
+            self._refine(pixels, tally.refined, half, level + 1)
 
     def _array(self, subset: Subset, above: Pixels, n: int) -> Pixels:
         """Return the n pixels of a subset as an array; the other pixels of its last block are at rest."""

@@ -10,15 +10,14 @@ reference moves by the change of leak times that time, and the comparator's leve
 
 level = signal + leak - reference, ln units: an ON event where it reaches the ON threshold
 
-The events of one step are packed in one number each, so that sorting the numbers sorts the events; lost ones are
-counted. A pixel without a refractory period may cross any number of thresholds in a step, as under light with parasitic
-leak. Beyond MOST_EVENTS they are not found one by one: on a monotone curve their number is its change over the
-threshold.
-
 The reference after a reset differs from the signal by an offset, with noise from one reset to the next. It is part of
 the stored reference, so every test of a step, the quiet one included, holds for it. The noise of a pixel's reset number
 k is number k of its stream: the sum of which a number is made is stored, and each reset adds to it, so no index of the
-pixel in the array is needed. Beyond MOST_EVENTS resets have no offset.
+pixel in the array is needed. Beyond the most events of a step (`event_time`) resets have no offset, or with a
+refractory period that of the last reset before.
+
+Fast because a block's fields follow each other in one flat array (`Field`): its rows lie at distances known when
+compiled, and a block with its scratch stays in the nearest caches.
 """
 
 from __future__ import annotations
@@ -31,8 +30,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.compiled import cached_entry, kernel, kernel_that_allocates
+from emulator.sensor.numerics.compiled import cached_entry, kernel
 from emulator.sensor.numerics.keyed import Purpose, normal, normal_from, uniform, word
+from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.device.clock import GOLDEN
 
@@ -54,9 +54,6 @@ EPOCH_BITS = 33
 
 _NO_LOW_PASS_RATE = 1e12  # rad/s: a lag of a picosecond
 _HIGHEST_HZ = _NO_LOW_PASS_RATE / (2 * math.pi)
-
-
-Keys = npt.NDArray[np.uint64]
 
 
 class Field(IntEnum):
@@ -124,6 +121,20 @@ class Pixels(NamedTuple):
     refractory_until_ns: npt.NDArray[np.int64]
 
 
+class FlatLight(NamedTuple):
+    """The light at the end of a step, (pixels,) float32."""
+
+    light: npt.NDArray[np.float32]
+    rate: npt.NDArray[np.float32]  # its time derivative, per second; empty if log light is a straight line (`chord`)
+
+
+class ResetError(NamedTuple):
+    """The distance of a reference from the signal after a reset, ln units: its mean, and its standard deviation."""
+
+    offset: np.float32
+    noise: np.float32
+
+
 class StepConstants(NamedTuple):
     """The constants of a step, the same for all pixels."""
 
@@ -145,9 +156,10 @@ class StepConstants(NamedTuple):
     unseen_share: np.float32  # share of a threshold that may stay unseen; more makes a step undersampled
     refine: bool  # undersampled pixels are collected for refinement
     large: bool  # whether the photoreceptor follows the large-signal law (see `receptor`)
-    far: bool  # the state is larger than the caches: a block is requested from memory while the one before is moved
-    reset_offset: np.float32 = np.float32(0)  # of references after a reset, ln units
-    reset_noise: np.float32 = np.float32(0)  # its standard deviation
+    exceeds_caches: (
+        bool  # the state is larger than the caches: a block is requested from memory while the one before is moved
+    )
+    reset: ResetError = ResetError(np.float32(0), np.float32(0))
     on_delay: float = 0.0  # times of the comparators, s; see `comparator`
     off_delay: float = 0.0
     contrast_per_e: float = 1.0
@@ -170,57 +182,61 @@ def whole_vectors(n: int) -> int:
 
 
 _MOST_OFFSET = np.float32(0.9)  # of a pixel's thresholds
-_AT_ONCE = np.float32(0)
+_ZERO = np.float32(0)
 
 
 @kernel
 def reset_offset(
-    pixels: Pixels,
-    pixel: int,
-    ahead: int,
-    thresholds: tuple[np.float32, np.float32],
-    errors: tuple[np.float32, np.float32],
+    pixels: Pixels, pixel: int, ahead: int, on: np.float32, off: np.float32, error: ResetError
 ) -> np.float32:
     """Return the offset of a pixel's reference, ln units, after its last reset (`ahead` 0) or its next one (1).
 
-    `errors`: its mean, and its deviation from one reset to the next.
+    `on` and `off` are the pixel's thresholds: a reference stays within them, so that no reset fires the pixel again.
     """
-    offset, noise = errors
-    if noise > _AT_ONCE:
+    offset = error.offset
+    if error.noise > _ZERO:
         place = pixels.refractory_until_ns.size // 2 + pixel
         bits = word(np.uint64(pixels.refractory_until_ns[place]) - GOLDEN, ahead)
-        offset += noise * np.float32(normal_from(bits))
-    return np.float32(min(max(offset, -_MOST_OFFSET * thresholds[0]), _MOST_OFFSET * thresholds[1]))
+        offset += error.noise * np.float32(normal_from(bits))
+    return np.float32(min(max(offset, -_MOST_OFFSET * on), _MOST_OFFSET * off))
 
 
 @kernel
 def count_reset(pixels: Pixels, pixel: int, noise: np.float32) -> None:
     """Count a reset of a pixel: its next offset has the next number of its stream."""
-    if noise > _AT_ONCE:
+    if noise > _ZERO:
         place = pixels.refractory_until_ns.size // 2 + pixel
         pixels.refractory_until_ns[place] = np.int64(np.uint64(pixels.refractory_until_ns[place]) + GOLDEN)
 
 
-def take_field(fields: npt.NDArray[np.float32], which: Field, pixels: int) -> npt.NDArray[np.float32]:
+def take_field(fields: npt.NDArray[np.float32], field: Field, pixels: int) -> npt.NDArray[np.float32]:
     """Return a copy of one field in pixel order, (pixels,) float32."""
-    return np.asarray(fields[:, which].reshape(-1)[:pixels].copy())
+    return np.asarray(fields[:, field].reshape(-1)[:pixels].copy())
 
 
-def put_field(fields: npt.NDArray[np.float32], which: Field, values: npt.NDArray[np.floating]) -> None:
+def put_field(fields: npt.NDArray[np.float32], field: Field, values: npt.NDArray[np.floating]) -> None:
     """Set one field from values in pixel order, (pixels,)."""
-    row = fields[:, which].reshape(-1)
+    row = fields[:, field].reshape(-1)
     row[: values.size] = values
-    fields[:, which] = row.reshape(-1, BLOCK)
+    fields[:, field] = row.reshape(-1, BLOCK)
 
 
-def light_constants(p: SensorParameters) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return the dark current, relative, the filter's rate at light 1, and the bounds of that rate, rad/s."""
-    at_reference, least, most = (
-        (_NO_LOW_PASS_RATE,) * 3
-        if math.isinf(p.corner_hz_at_reference)
-        else (2 * math.pi * hz for hz in (p.corner_hz_at_reference, p.corner_min_hz, min(p.corner_max_hz, _HIGHEST_HZ)))
-    )
-    return np.float32(p.dark_current_relative), np.float32(at_reference), np.float32(least), np.float32(most)
+class LightConstants(NamedTuple):
+    """From light to the rate of the filter: dark current, relative; rate at light 1, and its bounds, rad/s."""
+
+    dark: np.float32
+    rate_at_reference: np.float32
+    rate_min: np.float32
+    rate_max: np.float32
+
+
+def light_constants(p: SensorParameters) -> LightConstants:
+    """Return the constants of a sensor's light."""
+    dark = np.float32(p.dark_current_relative)
+    if math.isinf(p.corner_hz_at_reference):
+        return LightConstants(dark, *(np.float32(_NO_LOW_PASS_RATE) for _ in range(3)))
+    corners_hz = p.corner_hz_at_reference, p.corner_min_hz, min(p.corner_max_hz, _HIGHEST_HZ)
+    return LightConstants(dark, *(np.float32(2 * math.pi * hz) for hz in corners_hz))
 
 
 _LEAST_THRESHOLD = 0.1  # of the nominal one, however far the mismatch would go
@@ -280,9 +296,9 @@ DEAD_THRESHOLD = 1e6
 _Int64s = npt.NDArray[np.int64]
 
 
-def field_index(pixel: _Int64s, which: Field) -> _Int64s:
+def field_index(pixel: _Int64s, field: Field) -> _Int64s:
     """Return the indices of a field of some pixels in the flat state."""
-    return np.asarray((pixel // BLOCK) * (FIELDS * BLOCK) + int(which) * BLOCK + pixel % BLOCK)
+    return np.asarray((pixel // BLOCK) * (FIELDS * BLOCK) + int(field) * BLOCK + pixel % BLOCK)
 
 
 _Float32s = npt.NDArray[np.float32]
@@ -292,10 +308,10 @@ _NOW = np.int64(0)
 
 
 @cached_entry
-def _levels(pixels: Pixels, which: _Int64s, since_epoch_s: float, parasitic: float, second: bool) -> _Float32s:
-    out = np.empty(which.size, np.float32)
-    for k in range(which.size):
-        at = slot(which[k])
+def _levels(pixels: Pixels, selected: _Int64s, since_epoch_s: float, parasitic: float, second: bool) -> _Float32s:
+    out = np.empty(selected.size, np.float32)
+    for k in range(selected.size):
+        at = slot(selected[k])
         compared = pixels.fields[at + (_W if second else _V)] + pixels.fields[at + _LEAK] * since_epoch_s
         if parasitic > 0:
             light = np.exp(pixels.fields[at + _U])
@@ -305,10 +321,10 @@ def _levels(pixels: Pixels, which: _Int64s, since_epoch_s: float, parasitic: flo
 
 
 @cached_entry
-def _drifts(pixels: Pixels, which: _Int64s, parasitic: float) -> _Float32s:
-    out = np.empty(which.size, np.float32)
-    for k in range(which.size):
-        at = slot(which[k])
+def _drifts(pixels: Pixels, selected: _Int64s, parasitic: float) -> _Float32s:
+    out = np.empty(selected.size, np.float32)
+    for k in range(selected.size):
+        at = slot(selected[k])
         out[k] = pixels.fields[at + _LEAK]
         if parasitic > 0:
             out[k] += parasitic * pixels.fields[at + _ON] * np.exp(pixels.fields[at + _U])
@@ -316,20 +332,21 @@ def _drifts(pixels: Pixels, which: _Int64s, parasitic: float) -> _Float32s:
 
 
 @cached_entry
-def _thresholds(pixels: Pixels, which: _Int64s, row: int) -> _Float32s:
-    out = np.empty(which.size, np.float32)
-    for k in range(which.size):
-        out[k] = pixels.fields[slot(which[k]) + row]
+def _thresholds(pixels: Pixels, selected: _Int64s, row: int) -> _Float32s:
+    out = np.empty(selected.size, np.float32)
+    for k in range(selected.size):
+        out[k] = pixels.fields[slot(selected[k]) + row]
     return out
 
 
 @cached_entry
-def _fire(pixels: Pixels, which: _Int64s, errors: tuple[np.float32, np.float32]) -> None:
-    for k in range(which.size):
-        at = slot(which[k])
-        on, off = pixels.fields[at + _ON], pixels.fields[at + _OFF]
-        count_reset(pixels, which[k], errors[1])
-        pixels.fields[at + _REF] += on + reset_offset(pixels, which[k], _NOW, (on, off), errors)
+def _fire(pixels: Pixels, selected: _Int64s, error: ResetError) -> None:
+    for k in range(selected.size):
+        at = slot(selected[k])
+        on = pixels.fields[at + _ON]
+        off = pixels.fields[at + _OFF]
+        count_reset(pixels, selected[k], error.noise)
+        pixels.fields[at + _REF] += on + reset_offset(pixels, selected[k], _NOW, on, off, error)
 
 
 class _Array(Protocol):
@@ -367,51 +384,12 @@ class Levels:
 
     def thresholds(self, pixel: _Int64s) -> tuple[_Float32s, _Float32s]:
         """Return the ON and OFF thresholds of pixels (n,)."""
-        on, off = (_thresholds(self._pixels, pixel, int(which) * BLOCK) for which in (Field.ON, Field.OFF))
+        on, off = (_thresholds(self._pixels, pixel, int(field) * BLOCK) for field in (Field.ON, Field.OFF))
         return on, off
 
     def fire(self, pixel: _Int64s) -> None:
         """Move the references of pixels (n,), each named once, by an ON event."""
         if len(pixel):
             reset = self._array.parameters.reset
-            _fire(self._pixels, pixel, (np.float32(reset.offset), np.float32(reset.noise)))
+            _fire(self._pixels, pixel, ResetError(np.float32(reset.offset), np.float32(reset.noise)))
             self._array.wake()
-
-
-MOST_EVENTS = 64
-"""Most events of a pixel in a step; further crossings are counted as lost in the pixel."""
-
-MOST_LOST = 1 << 32
-"""Most lost crossings of a pixel that are counted for a monotone part of its curve; a count that no int64 holds."""
-
-
-@kernel
-def levels_passed(level: float, end: float, threshold: float) -> tuple[int, float]:
-    """Return the number of thresholds between a level and the end of a monotone curve, and the remaining change.
-
-    The rest is below a threshold; 0 where the numbers are too large to have one.
-    """
-    way, step = np.float64(end) - np.float64(level), np.float64(threshold)
-    passed = np.floor(abs(way) / step)
-    rest = abs(way) - passed * step
-    if not (rest >= 0) & (rest < step):
-        rest = 0.0
-    count = MOST_LOST if passed >= MOST_LOST else int(passed)
-    return count, rest if way > 0 else -rest
-
-
-@kernel
-def pack(dt_ns: int, pixel: int, on: int, pixel_bits: int) -> np.uint64:
-    """Pack an event so that sorting the numbers sorts by (time, pixel): [dt_ns | pixel | on]."""
-    return (np.uint64(dt_ns) << np.uint64(pixel_bits + 1)) | (np.uint64(pixel) << np.uint64(1)) | np.uint64(on)
-
-
-@kernel_that_allocates
-def reserve(keys: Keys, needed: int) -> Keys:
-    """Return `keys`, or a longer copy if it holds fewer than `needed`."""
-    if needed <= keys.size:
-        return keys
-    longer = np.empty(max(2 * keys.size, needed), np.uint64)
-    for k in range(keys.size):  # a slice would take seconds to compile
-        longer[k] = keys[k]
-    return longer

@@ -1,22 +1,52 @@
-"""A step of all pixels, or of a thread's share of them: block by block, then the candidates in batches.
+"""A step of all pixels, in threads that each move a share of them: block by block, then the candidates in batches.
 
-A block that is idle costs a comparison of its light, or none outside the changed region (`idle`). Of a block with few
-active parts only these are moved, together with those of others (`subset`). The arithmetic of a pixel does not depend
-on the blocks that are moved with it, their order and their thread, so the events are the same to the last bit.
+    Workers.step -> advance, one in each thread
+        _fill               blocks, until the table of candidates is full
+            _is_skipped     an idle block costs a comparison of its light, or none outside the changed region (`idle`)
+            _move_block     a block with many active parts, in place
+            _move_pack      the active parts of blocks with few, together as one block
+        solve               all crossings of the candidates (`candidates`)
+
+The arithmetic of a pixel does not depend on the blocks that are moved with it, their order and their thread, so the
+events are the same to the last bit. The number of threads follows from the work of the last step: counts, no clock.
+
+Fast because pixels that cannot fire cost one pass of vector code (`quiet_pass`), those in still light nothing, and
+because the table of candidates is large enough for long loops and small enough for the caches.
+
+The undersampled pixels of a step are copied to a `Subset` instead of being solved, where `refinement` can solve them
+again with more light.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.numerics.compiled import NONE, cached_entry, cached_kernel, inlined, kernel
+from emulator.sensor.numerics.compiled import NONE, cached_entry, cached_kernel, kernel
 from emulator.sensor.numerics.elementary import aligned_zeros
-from emulator.sensor.pixels.candidates import BATCH, Table, gather, gather_rare, select, solve
-from emulator.sensor.pixels.idle import Idle, Touched, block_is_touched, is_same, mark, may_rest
+from emulator.sensor.pixels.candidates import BATCH, Table, entry_at, gather, gather_rare, new_table, select, solve
+from emulator.sensor.pixels.crossings import Keys
+from emulator.sensor.pixels.curve import completed, is_undersampled
+from emulator.sensor.pixels.idle import (
+    MOST_PACKED,
+    Idle,
+    Touched,
+    block_is_touched,
+    gather_parts,
+    is_same,
+    list_active,
+    list_all,
+    mark,
+    may_rest,
+    new_idle,
+    pixel_at,
+    scatter_parts,
+)
 from emulator.sensor.pixels.quiet_pass import (
     Ahead,
     list_flags,
@@ -24,28 +54,26 @@ from emulator.sensor.pixels.quiet_pass import (
     move_quietly_from_memory,
     replace_light_of_block,
 )
-from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, FIELDS, PART, PARTS, Pixels, StepConstants
-from emulator.sensor.pixels.subset import (
-    MOST_PACKED,
-    Subset,
-    gather_parts,
-    gather_undersampled,
-    list_active,
-    list_all,
-    scatter_parts,
+from emulator.sensor.pixels.state import (
+    BEFORE_ROWS,
+    BLOCK,
+    FIELDS,
+    PART,
+    PARTS,
+    Field,
+    FlatLight,
+    Pixels,
+    StepConstants,
+    slot,
 )
+from emulator.threads import available_threads
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 _Bytes = npt.NDArray[np.uint8]
-_Keys = npt.NDArray[np.uint64]
-_Uint32s = npt.NDArray[np.uint32]
-_Bools = npt.NDArray[np.bool_]
-_Frame = tuple[_Float32s, _Float32s]
 
-Fields = tuple[_Int64s, _Uint32s, _Bools]
-"""Times, ns, pixels and polarities of events."""
-
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P = (int(f) * BLOCK for f in Field)
+_U0, _V0, _L0, _G0, _A0, _A1, _, _, _W0, _P0, _, _ = BEFORE_ROWS
 _ZERO, _NO_FLAGS = np.float32(0), np.uint64(0)
 
 RUN = 8 * BLOCK
@@ -53,7 +81,7 @@ RUN = 8 * BLOCK
 
 _RUN_BLOCKS = RUN // BLOCK
 _END = -1
-_PACK = len(BEFORE_ROWS) * BLOCK  # the places in `before` and `found` of what lies behind
+_PACK = len(BEFORE_ROWS) * BLOCK  # the places in `before` and `indices` of what lies behind
 _FIRSTS, _PACKED = BLOCK, BLOCK + PARTS
 
 
@@ -87,14 +115,70 @@ class Scratch(NamedTuple):
     """Buffers for one block: BEFORE_ROWS, light and rate of the last block or of a pack, flags and their indices.
 
     They are few arrays, because each costs time in every call. `before` has the state of a pack behind those rows,
-    `found` the first pixels of the parts of a block and then those of the parts of a pack behind the indices.
+    `indices` the first pixels of the parts of a block and then those of the parts of a pack behind the
+    indices of flagged pixels.
     """
 
     before: _Float32s
     light: _Float32s
     rate: _Float32s
     may_fire: _Bytes
-    found: _Int64s
+    indices: _Int64s
+
+
+class Subset(NamedTuple):
+    """States of some pixels of an array, laid out as `Pixels.fields`, and the numbers of these pixels."""
+
+    fields: _Float32s
+    pixels: _Int64s
+
+
+def new_subset(blocks: int) -> Subset:
+    """Return a subset with room for `blocks` blocks; the system provides its memory where it is written."""
+    return Subset(np.zeros(blocks * FIELDS * BLOCK, np.float32), np.zeros(blocks * BLOCK, np.int64))
+
+
+@kernel
+def _gather_undersampled(  # noqa: PLR0913, PLR0917
+    flagged: _Int64s, s: _Float32s, before: _Float32s, firsts: _Int64s, subset: Subset, n: int, c: StepConstants
+) -> tuple[int, int]:
+    """Move the undersampled pixels of a block's candidates to the subset, behind its first n.
+
+    Parameters
+    ----------
+    flagged : (any,) int64
+        Indices of the candidates in the block; those that remain move to the front.
+    firsts : (parts,) int64
+        First pixels of the block's parts.
+
+    Returns
+    -------
+    The number of candidates that remain, and of pixels in the subset. Pixels with unreadable light always remain.
+    """
+    remaining = 0
+    for place in flagged:
+        i = np.uint64(place)
+        flagged[remaining] = place
+        u0, v0 = before[entry_at(_U0, i)], before[entry_at(_V0, i)]
+        d = s[entry_at(_U, i)] - u0
+        unseen = c.unseen_share * min(s[entry_at(_ON, i)], s[entry_at(_OFF, i)])
+        a0, a1 = completed(d, before[entry_at(_A0, i)], before[entry_at(_A1, i)])
+        if not (is_undersampled(d, a0, a1, unseen) & (v0 == v0)):
+            remaining += 1
+            continue
+        # The state before the step, because the quiet pass has moved the pixel already.
+        subset.pixels[n] = pixel_at(firsts, place)
+        to = slot(n)
+        n += 1
+        subset.fields[to + _U] = u0
+        subset.fields[to + _V] = v0
+        subset.fields[to + _L] = before[entry_at(_L0, i)]
+        subset.fields[to + _G] = before[entry_at(_G0, i)]
+        for row in (_REF, _ON, _OFF, _LEAK):
+            subset.fields[to + row] = s[entry_at(row, i)]
+        subset.fields[to + _W] = before[entry_at(_W0, i)] if c.second > _ZERO else s[entry_at(_W, i)]
+        subset.fields[to + _P] = before[entry_at(_P0, i)] if c.parasitic > _ZERO else s[entry_at(_P, i)]
+    return remaining, n
 
 
 class Buffers(NamedTuple):
@@ -132,45 +216,41 @@ def _padded(values: _Float32s, buffer: _Float32s) -> _Float32s:
 
 
 @kernel
-def _of_block(frame: _Frame, first: int, scratch: Scratch, c: StepConstants) -> _Frame:
-    """Return light and rate of the block that begins at pixel `first`."""
-    here, rate_here = frame[0][first : first + BLOCK], frame[1][first : first + BLOCK]
-    if here.size < BLOCK:
-        here = _padded(here, scratch.light)
-    if rate_here.size < BLOCK and not c.chord:
-        rate_here = _padded(rate_here, scratch.rate)
-    return here, rate_here
+def _of_block(frame: FlatLight, first: int, scratch: Scratch, c: StepConstants) -> FlatLight:
+    """Return light and rate of the block that begins at pixel `first`: views, and copies of a last block's."""
+    light = frame.light[first : first + BLOCK]
+    rate = frame.rate[first : first + BLOCK]
+    if light.size < BLOCK:
+        light = _padded(light, scratch.light)
+    if rate.size < BLOCK and not c.chord:
+        rate = _padded(rate, scratch.rate)
+    return FlatLight(light, rate)
 
 
 @kernel
-def _list_and_mark(
-    here: tuple[_Float32s, _Float32s, _Float32s],
-    buffers: Buffers,
-    firsts: _Int64s,
-    tables: tuple[Idle, _Int64s],
-    at: _Progress,
+def _list_and_mark(  # noqa: PLR0913, PLR0917
+    s: _Float32s, light: _Float32s, firsts: _Int64s, pixels: Pixels, buffers: Buffers, idle: Idle, at: _Progress,
     c: StepConstants,
-) -> _Progress:
+) -> _Progress:  # fmt: skip
     """Note which parts of a moved block or pack rest from now on, and add its pixels that may fire to the table.
 
-    `here` are its state, light and rate, `firsts` the first pixels of its parts, `tables` those of the array: idle
-    blocks, ends of refractory periods.
+    `s` is its state, `firsts` the first pixels of its parts.
     """
-    (s, light, _), (idle, refractory_until_ns) = here, tables
-    scratch, refined, n = buffers.scratch, at.refined, firsts.size
+    scratch, n = buffers.scratch, firsts.size
     flags = scratch.may_fire.view(np.uint64)
     for k in range(n * (PART // 8), PARTS * (PART // 8)):
-        flags[k] = _NO_FLAGS
-    listed = list_flags(flags, scratch.found)
-    mark(light, (s, scratch.before, flags), firsts, idle, c)
+        flags[k] = _NO_FLAGS  # of the empty places of a pack
+    listed = list_flags(flags, scratch.indices)
+    mark(light, s, scratch.before, flags, firsts, idle, c)
     selected = unreadable = NONE
+    refined = at.refined
     if listed > 0 and c.refine:
-        listed, refined = gather_undersampled(
-            scratch.found[:listed], s, scratch.before, buffers.subset, (firsts, refined), c
-        )
+        flagged = scratch.indices[:listed]
+        listed, refined = _gather_undersampled(flagged, s, scratch.before, firsts, buffers.subset, refined, c)
     if listed > 0:
-        selected, unreadable = select(scratch.found[:listed], s, scratch.before, (firsts, refractory_until_ns), c)
-        chosen = scratch.found[:selected]
+        flagged = scratch.indices[:listed]
+        selected, unreadable = select(flagged, s, scratch.before, firsts, pixels.refractory_until_ns, c)
+        chosen = scratch.indices[:selected]
         gather(chosen, s, scratch.before, firsts, buffers.table, at.n)
         if (c.second > _ZERO) | (c.parasitic > _ZERO):
             gather_rare(chosen, s, scratch.before, at.n, buffers.table, c)
@@ -180,53 +260,51 @@ def _list_and_mark(
 
 @kernel
 def _move_pack(
-    frame: _Frame, pixels: Pixels, buffers: Buffers, idle: Idle, at: _Progress, c: StepConstants
+    frame: FlatLight, pixels: Pixels, buffers: Buffers, idle: Idle, at: _Progress, c: StepConstants
 ) -> _Progress:
     """Move the parts that are in the pack, and empty it."""
     scratch = buffers.scratch
-    s, light, rate = scratch.before[_PACK:], scratch.light, scratch.rate
-    firsts = scratch.found[_PACKED : _PACKED + at.packed]
-    gather_parts(frame, pixels.fields, firsts, (s, (light, rate)), c.chord)
-    move_quietly(light, rate, s, scratch.before, scratch.may_fire, c)
-    at = _list_and_mark((s, light, rate), buffers, firsts, (idle, pixels.refractory_until_ns), at, c)
+    s = scratch.before[_PACK:]
+    firsts = scratch.indices[_PACKED : _PACKED + at.packed]
+    gather_parts(frame, pixels.fields, firsts, s, FlatLight(scratch.light, scratch.rate), c.chord)
+    move_quietly(scratch.light, scratch.rate, s, scratch.before, scratch.may_fire, c)
+    at = _list_and_mark(s, scratch.light, firsts, pixels, buffers, idle, at, c)
     scatter_parts(s, pixels.fields, firsts, c.parasitic > _ZERO)
     return _Progress(at.block, NONE, at.n, at.candidates, at.unreadable, at.refined, at.moved)
 
 
 @kernel
-def _move_block(
-    frame: _Frame, pixels: Pixels, buffers: Buffers, idle: Idle, at: tuple[int, int, _Progress], c: StepConstants
-) -> _Progress:
-    """Move the block that begins at pixel `at[0]` in place; the one that begins at `at[1]` is moved next."""
-    first, following, progress = at
+def _move_block(  # noqa: PLR0913, PLR0917
+    frame: FlatLight, pixels: Pixels, buffers: Buffers, idle: Idle, first: int, following: int, at: _Progress,
+    c: StepConstants,
+) -> _Progress:  # fmt: skip
+    """Move the block that begins at pixel `first` in place; the one that begins at `following` is moved next."""
     scratch = buffers.scratch
-    firsts = scratch.found[_FIRSTS:_PACKED]
+    firsts = scratch.indices[_FIRSTS:_PACKED]
     list_all(first, firsts)
     s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
-    light, rate = _of_block(frame, first, scratch, c)
+    block = _of_block(frame, first, scratch, c)
     usual = (c.second == _ZERO) & (c.parasitic == _ZERO) & (not c.chord)
-    if c.far & usual & (following + BLOCK <= frame[0].size):
-        end = following + BLOCK
-        ahead = Ahead(
-            pixels.fields[following * FIELDS : end * FIELDS], frame[0][following:end], frame[1][following:end]
-        )
-        move_quietly_from_memory(light, rate, s, scratch.before, scratch.may_fire, c, ahead)
+    end = following + BLOCK
+    if c.exceeds_caches & usual & (end <= frame.light.size):
+        state = pixels.fields[following * FIELDS : end * FIELDS]
+        ahead = Ahead(state, frame.light[following:end], frame.rate[following:end])
+        move_quietly_from_memory(block.light, block.rate, s, scratch.before, scratch.may_fire, c, ahead)
     else:
-        move_quietly(light, rate, s, scratch.before, scratch.may_fire, c)
-    tables = idle, pixels.refractory_until_ns
-    moved: _Progress = _list_and_mark((s, light, rate), buffers, firsts, tables, progress, c)
+        move_quietly(block.light, block.rate, s, scratch.before, scratch.may_fire, c)
+    moved: _Progress = _list_and_mark(s, block.light, firsts, pixels, buffers, idle, at, c)
     return moved
 
 
 @kernel
-def _is_skipped(frame: _Frame, scratch: Scratch, share: Share, first: int, c: StepConstants) -> bool:
+def _is_skipped(frame: FlatLight, scratch: Scratch, share: Share, first: int, c: StepConstants) -> bool:
     """Return whether a whole block is idle and its light has not changed."""
     if not may_rest(share.idle, first // BLOCK, c):
         return False
     if not block_is_touched(first, share.touched):
         return True
-    light, rate = _of_block(frame, first, scratch, c)
-    return bool(is_same(light, rate, share.idle, first, c))
+    block = _of_block(frame, first, scratch, c)
+    return bool(is_same(block.light, block.rate, share.idle, first, c))
 
 
 @kernel
@@ -249,57 +327,60 @@ def _past_resting(block: int, size: int, share: Share, c: StepConstants) -> int:
 
 
 @cached_kernel
-def _fill(frame: _Frame, pixels: Pixels, buffers: Buffers, share: Share, at: _Progress, c: StepConstants) -> _Progress:
+def _fill(
+    frame: FlatLight, pixels: Pixels, buffers: Buffers, share: Share, at: _Progress, c: StepConstants
+) -> _Progress:
     """Move blocks from where the last call ended until the table is full, or all are moved.
 
     This loop is a function of its own because calls from a function that counts references cost 0.5 us each.
     """
-    scratch, idle, block, packed = buffers.scratch, share.idle, at.block, at.packed
+    scratch, idle = buffers.scratch, share.idle
+    block, packed = at.block, at.packed
     while at.n <= BATCH:
-        block = _past_resting(block, frame[0].size, share, c)
+        block = _past_resting(block, frame.light.size, share, c)
         first = _first_of(block, share)
-        if first >= frame[0].size:
+        if first >= frame.light.size:
             at = _Progress(_END, packed, at.n, at.candidates, at.unreadable, at.refined, at.moved)
             return _move_pack(frame, pixels, buffers, idle, at, c) if packed > 0 else at
         if _is_skipped(frame, scratch, share, first, c):
             block += 1
             continue
-        active = list_active(frame, first, idle, share.touched, scratch.found[_FIRSTS:_PACKED], c)
+        active = list_active(frame, first, idle, share.touched, scratch.indices[_FIRSTS:_PACKED], c)
         if active > MOST_PACKED:
-            at = _move_block(frame, pixels, buffers, idle, (first, _first_of(block + 1, share), at), c)
+            at = _move_block(frame, pixels, buffers, idle, first, _first_of(block + 1, share), at, c)
         elif packed + active > PARTS:
             at = _Progress(block, packed, at.n, at.candidates, at.unreadable, at.refined, at.moved)
             at, packed = _move_pack(frame, pixels, buffers, idle, at, c), NONE
             continue  # now there is room for this block's parts
         else:
             for j in range(active):
-                scratch.found[_PACKED + packed + j] = scratch.found[_FIRSTS + j]
+                scratch.indices[_PACKED + packed + j] = scratch.indices[_FIRSTS + j]
             packed += active
         block += 1
     return _Progress(block, packed, at.n, at.candidates, at.unreadable, at.refined, at.moved)
 
 
-def compile_parts(which: str, pixels: Pixels, buffers: Buffers, share: Share, c: StepConstants) -> None:
+def compile_parts(part: str, pixels: Pixels, buffers: Buffers, share: Share, c: StepConstants) -> None:
     """Compile "blocks" or "candidates", the two large parts of `advance`, which finds them on disk afterwards."""
-    light, keys, n = np.zeros(BLOCK, np.float32), np.empty(1, np.uint64), 0
+    light, keys = np.zeros(BLOCK, np.float32), np.empty(1, np.uint64)
     arguments = {
-        "blocks": ((light, light), pixels, buffers, share, _Progress(n, n, n, n, n, n, n), c),
-        "candidates": (pixels, buffers.table, n, keys, n, c),
+        "blocks": (FlatLight(light, light), pixels, buffers, share, _Progress(0, 0, 0, 0, 0, 0, 0), c),
+        "candidates": (pixels, buffers.table, 0, keys, 0, c),
     }
     kernel_of = {"blocks": _fill, "candidates": solve}
-    kernel_of[which].compile(tuple(map(numba.typeof, arguments[which])))
+    kernel_of[part].compile(tuple(map(numba.typeof, arguments[part])))
 
 
 @cached_entry
 def advance(
-    frame: _Frame, pixels: Pixels, buffers: Buffers, keys: _Keys, share: Share, c: StepConstants
-) -> tuple[_Keys, int, Tally]:
+    frame: FlatLight, pixels: Pixels, buffers: Buffers, keys: Keys, share: Share, c: StepConstants
+) -> tuple[Keys, int, Tally]:
     """Move a share of the pixels over one step. Of pixels collected for refinement only the light moves.
 
     Parameters
     ----------
-    frame : tuple
-        Light at the end of the step, (pixels,) float32, and its time derivative, per second; empty if `c.chord`.
+    frame : FlatLight
+        Light at the end of the step.
     pixels : Pixels
         The state, changed in place.
     buffers : Buffers
@@ -320,24 +401,25 @@ def advance(
     at = _Progress(NONE, NONE, NONE, NONE, NONE, NONE, NONE)
     while at.block != _END:
         at = _fill(frame, pixels, buffers, share, at, c)
-        keys, n_keys, more, more_undersampled = solve(pixels, buffers.table, at.n, keys, n_keys, c)
-        lost, undersampled = lost + more, undersampled + more_undersampled
+        keys, n_keys, lost_now, undersampled_now = solve(pixels, buffers.table, at.n, keys, n_keys, c)
+        lost += lost_now
+        undersampled += undersampled_now
         at = _Progress(at.block, at.packed, NONE, at.candidates, at.unreadable, at.refined, at.moved)
     return keys, n_keys, Tally(lost, undersampled, at.candidates, at.unreadable, at.refined, at.moved * PART)
 
 
 @kernel
-def _replace_light(frame: _Frame, pixels: Pixels, scratch: Scratch, c: StepConstants) -> int:
+def _replace_light(frame: FlatLight, pixels: Pixels, scratch: Scratch, c: StepConstants) -> int:
     unreadable = NONE
-    for first in range(0, frame[0].size, BLOCK):
-        light, rate = _of_block(frame, first, scratch, c)
+    for first in range(0, frame.light.size, BLOCK):
+        block = _of_block(frame, first, scratch, c)
         s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
-        unreadable += replace_light_of_block(light, rate, s, scratch.before, c)
+        unreadable += replace_light_of_block(block.light, block.rate, s, scratch.before, c)
     return int(unreadable)
 
 
 @cached_entry
-def replace_light(frame: _Frame, pixels: Pixels, scratch: Scratch, c: StepConstants) -> int:
+def replace_light(frame: FlatLight, pixels: Pixels, scratch: Scratch, c: StepConstants) -> int:
     """Let the light jump to that of `frame` at the start of a step; see `advance`. Filters and references stay.
 
     Returns
@@ -347,27 +429,85 @@ def replace_light(frame: _Frame, pixels: Pixels, scratch: Scratch, c: StepConsta
     return int(_replace_light(frame, pixels, scratch, c))
 
 
-@inlined
-def _split(key: np.uint64, t0_ns: int, pixel_bits: int, out: Fields, k: int) -> None:
-    out[0][k] = t0_ns + np.int64(key >> np.uint64(pixel_bits + 1))
-    out[1][k] = np.uint32((key >> np.uint64(1)) & np.uint64((1 << pixel_bits) - 1))
-    out[2][k] = (key & np.uint64(1)) != 0
+_WORTH_A_THREAD = 100_000
+"""Quiet pixels that take as long as waking a thread pays for, about 100 us."""
+
+_CANDIDATE = 12
+"""Cost of a candidate, in quiet pixels."""
 
 
-@cached_entry
-def unpack(keys: _Keys, t0_ns: int, pixel_bits: int, out: Fields) -> None:
-    """Split sorted keys [dt_ns | pixel | on] into arrays of one field each, at least as long."""
-    for k in range(keys.size):
-        _split(keys[k], t0_ns, pixel_bits, out, k)
+class Workers:
+    """The threads of one array.
+
+    Parameters
+    ----------
+    blocks : int
+        Blocks of the array.
+    threads : int
+        Always that many; 0: as the work of the last step suggests, at most those available.
+
+    Attributes
+    ----------
+    idle : Idle
+        The blocks that a step can skip.
+    """
+
+    def __init__(self, blocks: int, threads: int = 0) -> None:
+        self.idle = new_idle(blocks)
+        self._fixed, self._most = threads, threads or available_threads()
+        self._buffers: list[Buffers] = []
+        self._keys: list[Keys] = []
+        self._pool: ThreadPoolExecutor | None = None
+        self._last = 0
+        self._reserve(1)
+
+    def buffers(self) -> Buffers:
+        """Return those of the first thread."""
+        return self._buffers[0]
+
+    def step(self, frame: FlatLight, pixels: Pixels, touched: Touched, c: StepConstants) -> tuple[list[Keys], Tally]:
+        """Move the array as `advance` does; return the keys in one or two sorted lists, and the counts."""
+        n = self._wanted(frame.light.size)
+        self._reserve(n)
+
+        def move(number: int) -> tuple[Keys, Tally]:
+            share = Share(number, n, self.idle, touched)
+            keys, n_keys, tally = advance(frame, pixels, self._buffers[number], self._keys[number], share, c)
+            self._keys[number] = keys
+            keys[:n_keys].sort()
+            return keys[:n_keys], tally
+
+        lists, tally = _merged(self._each(move, n))
+        self._last = tally.moved + _CANDIDATE * tally.candidates
+        return lists, tally
+
+    def _wanted(self, pixels: int) -> int:
+        runs = -(-pixels // RUN)
+        if self._fixed:
+            return min(self._fixed, runs)
+        return max(1, min(self._most, runs, self._last // _WORTH_A_THREAD))
+
+    def _reserve(self, threads: int) -> None:
+        while len(self._buffers) < threads:
+            self._buffers.append(Buffers(new_table(), new_subset(0), new_scratch()))
+            self._keys.append(np.empty(4096, np.uint64))
+
+    def _each(self, move: Callable[[int], tuple[Keys, Tally]], n: int) -> list[tuple[Keys, Tally]]:
+        """Return the results of all shares; the first is this thread's."""
+        if n == 1:
+            return [move(0)]
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(max(self._most, n) - 1, thread_name_prefix="pixels")
+        futures = [self._pool.submit(move, number) for number in range(1, n)]
+        return [move(0), *(future.result() for future in futures)]
 
 
-@cached_entry
-def unpack_both(keys: tuple[_Keys, _Keys], t0_ns: int, pixel_bits: int, out: Fields) -> None:
-    """Split two lists of sorted keys as `unpack` does, into arrays of one sorted list."""
-    a, b = keys
-    i = j = NONE
-    for k in range(a.size + b.size):
-        first = j == b.size or (i < a.size and a[i] <= b[j])
-        _split(a[i] if first else b[j], t0_ns, pixel_bits, out, k)
-        i += first
-        j += not first
+def _merged(shares: list[tuple[Keys, Tally]]) -> tuple[list[Keys], Tally]:
+    """Return the events of all shares in at most two sorted lists, and their counts."""
+    lists = [keys for keys, _ in shares]
+    if len(lists) > 2:
+        half = len(lists) // 2
+        lists = [np.concatenate(part) for part in (lists[:half], lists[half:])]
+        for part in lists:
+            part.sort(kind="stable")  # merges the sorted parts
+    return lists, Tally(*(sum(column) for column in zip(*(tally for _, tally in shares), strict=True)))

@@ -9,6 +9,11 @@ periods that end inside the step, and exponentials. Over a substep
               threshold. The rest of B decays by e^-S in the next substep, so a few substeps do for any light and rate
 
 `march.solve_substeps` finds the events on these curves.
+
+The table has one column a pixel, one row a quantity. A row is named by its first index in the flat array, so
+`rows[Z + j]` is quantity Z of column j. The first `STEP_ROWS` rows hold for the whole step and move with a column; the
+others are rewritten for each substep. Fast because every loop runs over all columns without a branch, and its rows lie
+at distances known when compiled.
 """
 
 from __future__ import annotations
@@ -18,12 +23,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-import emulator.sensor.pixels.march_table as row
 from emulator.sensor.numerics.compiled import Real, kernel, lane, vector_kernel
-from emulator.sensor.numerics.elementary import decay, exponential
+from emulator.sensor.numerics.elementary import aligned_zeros, decay, exponential
 from emulator.sensor.pixels.curve import (
     LARGEST_CHANGE,
     Course,
+    Filtered,
     bend_width,
     capped,
     completed,
@@ -41,9 +46,43 @@ from emulator.sensor.pixels.receptor import (
     rise_of_receptor,
     weight_of_exponential,
 )
-from emulator.sensor.pixels.state import StepConstants
+from emulator.sensor.pixels.state import BLOCK, StepConstants
 
 _Float32s = npt.NDArray[np.float32]
+_Int64s = npt.NDArray[np.int64]
+
+CAPACITY = 2 * BLOCK + 16
+"""Columns; a little more than a power of two, so that a column's entries do not all fall into one set of the cache."""
+
+STEP_ROWS = 19
+# Light: value at the start, change, both slopes, its form and where that changes, width of a substep. State: filter,
+# second pole, parasitic leak. Position z; base and level of the comparator, when it is re-armed; thresholds, leak,
+# number of events, offset of the reference after the last reset.
+(
+    U, D, A0, A1, FORM, KNOT, WIDTH, V, W, P, Z, BASE, LEVEL, RE_ARMED, ON, OFF, LEAK, COUNT, RESET,
+) = (k * CAPACITY for k in range(STEP_ROWS))  # fmt: skip
+# The curve of a substep g = d0 + c1 x + c2 x^2 + c3 x^3 with x in [0, 1], its turns, its width and end; the position x,
+# whether it fires and where, bounds and level of that crossing, the last Newton correction; light at both ends.
+(
+    D0, C1, C2, C3, TURN, TURN2, SPAN, V1, W1, P1, Z1,
+    X, FIRES, HIT, LOW, HIGH, TO, MISS, UNDERSAMPLED, U0, U1, SLOPE0, SLOPE1, D1, M1,
+) = (k * CAPACITY for k in range(STEP_ROWS, STEP_ROWS + 25))  # fmt: skip
+_ROWS = STEP_ROWS + 25
+
+
+class SubstepTable(NamedTuple):
+    """The table: float32 rows, pixels of the columns, and a list of columns whose root has not settled."""
+
+    rows: _Float32s
+    pixels: _Int64s
+    unsettled: _Int64s
+
+
+def new_substep_table() -> SubstepTable:
+    """Return an empty table."""
+    rows = aligned_zeros(_ROWS * CAPACITY)
+    return SubstepTable(rows, np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.int64))
+
 
 _NAN = np.float32(np.nan)
 _THIRD, _TWELFTH = np.float32(1 / 3), np.float32(1 / 12)
@@ -63,8 +102,10 @@ def begin(rows: _Float32s, n: int, c: StepConstants) -> None:
     Levels are relative to `base`: the stored reference or, in a refractory period, the comparator's value at the start.
     """
     for j in range(n):
-        d, threshold = rows[row.D + j], min(rows[row.ON + j], rows[row.OFF + j])
-        a0, a1 = completed(d, rows[row.A0 + j], rows[row.A1 + j])
+        d = rows[D + j]
+        threshold = min(rows[ON + j], rows[OFF + j])
+        a0, a1 = completed(d, rows[A0 + j], rows[A1 + j])
+        # One of three forms: a jump at mid-step, a line with a bend, or the cubic, its slopes limited where need be.
         undersampled = is_undersampled(d, a0, a1, c.unseen_share * threshold)
         jump = undersampled & is_jump(d, a0, a1)
         cap = capped(a0, a1)
@@ -73,18 +114,20 @@ def begin(rows: _Float32s, n: int, c: StepConstants) -> None:
         factor = _ZERO if jump else (cap if bent else limit(d, a0, a1))
         a0, a1 = factor * a0, factor * a1
         late = abs(d - a0) < abs(d - a1)
+        # Substeps in which the light changes by LARGEST_CHANGE at most.
         steepest = max(abs(a0), abs(a1))
         steepness = max(abs(d), steepest if bent else _HALF * steepest)
-        rows[row.UNDERSAMPLED + j] = _ONE if undersampled else _ZERO
-        rows[row.FORM + j] = _JUMP if jump else ((_LATE if late else _EARLY) if bent else _CUBIC)
-        rows[row.KNOT + j] = _HALF if jump else (_ONE - width if bent & late else width)
-        rows[row.A0 + j], rows[row.A1 + j] = a0, a1
-        rows[row.WIDTH + j] = _HALF if jump else _ONE / max(np.ceil(steepness / LARGEST_CHANGE), _ONE)
-        reference, w = rows[row.BASE + j], rows[row.W + j]
+        rows[UNDERSAMPLED + j] = _ONE if undersampled else _ZERO
+        rows[FORM + j] = _JUMP if jump else ((_LATE if late else _EARLY) if bent else _CUBIC)
+        rows[KNOT + j] = _HALF if jump else (_ONE - width if bent & late else width)
+        rows[A0 + j], rows[A1 + j] = a0, a1
+        rows[WIDTH + j] = _HALF if jump else _ONE / max(np.ceil(steepness / LARGEST_CHANGE), _ONE)
+        # The state at the start of the step.
+        reference, w = rows[BASE + j], rows[W + j]
         refractory = reference != reference
-        rows[row.BASE + j] = w + (rows[row.LEAK + j] * c.since_epoch_0 + rows[row.P + j]) if refractory else reference
-        rows[row.LEVEL + j] = _NAN if refractory else _ZERO
-        rows[row.Z + j] = rows[row.COUNT + j] = _ZERO
+        rows[BASE + j] = w + (rows[LEAK + j] * c.since_epoch_0 + rows[P + j]) if refractory else reference
+        rows[LEVEL + j] = _NAN if refractory else _ZERO
+        rows[Z + j] = rows[COUNT + j] = _ZERO
 
 
 class _Light(NamedTuple):
@@ -143,167 +186,201 @@ def _substep(light: _Light, z: Real, width: Real, c: StepConstants) -> _Substep:
     l0 = min(max(c.rate_at_reference * exponential(u0), c.rate_min), c.rate_max)
     l1 = min(max(c.rate_at_reference * exponential(u1), c.rate_min), c.rate_max)
     a0, a1 = width * slope0, width * slope1
-    s = warped_time(c.h * width, (l0, l1), a0, a1, c)
+    s = warped_time(c.h * width, l0, l1, a0, a1, c)
     course = Course(s, u1 - u0, s * slope0 / (c.h * l0), s * slope1 / (c.h * l1))
     return _Substep(u0, u1, c.h * l0, c.h * l1, a0, a1, course)
 
 
 @lane
-def _share_within(b: Real, s: Real, most: Real) -> Real:
-    """Return the share of an interval of length s on which a cubic misses less than `most` of b e^-s.
+def _share_within(b: Real, s: Real, allowed: Real) -> Real:
+    """Return the share of an interval of length s on which a cubic misses less than `allowed` of b e^-s.
 
     The bound E is min(s^4 / 384, 0.16 s + 0.2); its inverse is the larger of the two inverses.
     """
-    allowed = most / max(abs(b), _LEAST_WEIGHT)
-    longest = max(np.sqrt(np.sqrt(_E4 * allowed)), (allowed - _E0) * _E1)
+    relative = allowed / max(abs(b), _LEAST_WEIGHT)
+    longest = max(np.sqrt(np.sqrt(_E4 * relative)), (relative - _E0) * _E1)
     return min(longest / s, _ONE)
 
 
 @lane
-def _most(rows: _Float32s, j: int) -> Real:
+def _allowed(rows: _Float32s, j: int) -> Real:
     """Return the error that a cubic may have on column j's curve."""
-    return max(_SHARE * min(rows[row.ON + j], rows[row.OFF + j]), _LEAST_MISS)
+    return max(_SHARE * min(rows[ON + j], rows[OFF + j]), _LEAST_MISS)
 
 
 @lane
 def _light_of(rows: _Float32s, j: int) -> _Light:
-    form, knot = rows[row.FORM + j], rows[row.KNOT + j]
-    return _Light(rows[row.U + j], rows[row.D + j], rows[row.A0 + j], rows[row.A1 + j], form, knot)
+    form, knot = rows[FORM + j], rows[KNOT + j]
+    return _Light(rows[U + j], rows[D + j], rows[A0 + j], rows[A1 + j], form, knot)
+
+
+@lane
+def _widest(rows: _Float32s, j: int) -> tuple[Real, Real, Real]:
+    """Return the widest next substep that the light of column j allows, where it may end, and 1 if it ends there.
+
+    A substep ends at the knot of the light, where its form changes, and at the end of the step.
+    """
+    z, wide, knot = rows[Z + j], rows[WIDTH + j], rows[KNOT + j]
+    stop = knot if z < knot else _ONE
+    last = stop - z < _NEARLY * wide
+    return (stop - z if last else wide), stop, (_ONE if last else _ZERO)
+
+
+@lane
+def _set_width(rows: _Float32s, j: int, width: Real, share: Real, stop: Real, last: Real) -> None:
+    """Write the next substep of column j: `share` of `width`. It ends at `stop` itself, not a rounding error off."""
+    rows[SPAN + j] = share * width
+    rows[X + j] = _ZERO
+    rows[Z1 + j] = stop if (last == _ONE) & (share == _ONE) else rows[Z + j] + share * width
 
 
 @vector_kernel
 def _choose_width(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Choose the width of each column's next substep: limited by the light, then by the exponential."""
     for j in range(n):
-        z, wide = rows[row.Z + j], rows[row.WIDTH + j]
-        knot = rows[row.KNOT + j]
-        stop = knot if z < knot else _ONE
-        last = stop - z < _NEARLY * wide
-        whole = stop - z if last else wide
-        q = _substep(_light_of(rows, j), z, whole, c)
-        share = _share_within(_transient(q, rows[row.V + j]), q.course.s, _most(rows, j))
-        rows[row.SPAN + j], rows[row.X + j] = share * whole, _ZERO
-        rows[row.Z1 + j] = stop if last & (share == _ONE) else z + share * whole
+        width, stop, last = _widest(rows, j)
+        q = _substep(_light_of(rows, j), rows[Z + j], width, c)
+        t = transient(q.u0 - rows[V + j], q.course)
+        share = _share_within(_ZERO if t.faint else t.b, q.course.s, _allowed(rows, j))
+        _set_width(rows, j, width, share, stop, last)
 
 
 @vector_kernel
 def _choose_width_of_receptor(rows: _Float32s, n: int, c: StepConstants) -> None:
-    """Do for the large-signal law what `_choose_width` does."""
+    """Choose the widths of `_choose_width` for the large-signal law."""
     for j in range(n):
-        z, wide, v0 = rows[row.Z + j], rows[row.WIDTH + j], rows[row.V + j]
-        knot = rows[row.KNOT + j]
-        stop = knot if z < knot else _ONE
-        last = stop - z < _NEARLY * wide
-        whole = stop - z if last else wide
-        q = _substep(_light_of(rows, j), z, whole, c)
-        excess = excess_of(q.u0 - v0)
-        bent = fourth_derivative(weight_of_exponential(excess, q.course), excess)
-        share = _share_within(bent, q.course.s, _most(rows, j))
-        rows[row.SPAN + j], rows[row.X + j] = share * whole, _ZERO
-        rows[row.Z1 + j] = stop if last & (share == _ONE) else z + share * whole
-
-
-@vector_kernel
-def _follow_light_of_receptor(rows: _Float32s, n: int, c: StepConstants) -> None:
-    """Do for the large-signal law what `_follow_light` does."""
-    for j in range(n):
-        v0, width = rows[row.V + j], rows[row.SPAN + j]
-        q = _substep(_light_of(rows, j), rows[row.Z + j], width, c)
-        v1 = v0 + rise_of_receptor(decay(q.course.s), excess_of(q.u0 - v0), q.course)
-        r = response((q.u0 - v0, q.u1 - v1), (width * q.r0, width * q.r1), v1 - v0, q.course)
-        rows[row.U0 + j], rows[row.U1 + j], rows[row.SLOPE0 + j], rows[row.SLOPE1 + j] = q.u0, q.u1, q.a0, q.a1
-        rows[row.D0 + j], rows[row.D1 + j], rows[row.V1 + j], rows[row.W1 + j] = v0, v1, v1, v1
-        rows[row.C1 + j], rows[row.M1 + j] = r.m0, r.m1
+        width, stop, last = _widest(rows, j)
+        q = _substep(_light_of(rows, j), rows[Z + j], width, c)
+        excess = excess_of(q.u0 - rows[V + j])
+        bending = fourth_derivative(weight_of_exponential(excess, q.course), excess)
+        share = _share_within(bending, q.course.s, _allowed(rows, j))
+        _set_width(rows, j, width, share, stop, last)
 
 
 @vector_kernel
 def _shorten_for_second_pole(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Shorten each column's substep to what the exponential behind the second pole allows."""
     for j in range(n):
-        span = rows[row.SPAN + j]
-        behind = rows[row.V + j] - rows[row.W + j]
+        span = rows[SPAN + j]
+        behind = rows[V + j] - rows[W + j]
         s = c.second * span
-        t = transient(behind, Course(s, rows[row.D1 + j] - rows[row.D0 + j], rows[row.C1 + j], rows[row.M1 + j]))
-        share = _share_within(_ZERO if t.faint else t.b, s, _most(rows, j))
-        rows[row.SPAN + j] = share * span
-        rows[row.Z1 + j] = rows[row.Z1 + j] if share == _ONE else rows[row.Z + j] + share * span
+        t = transient(behind, Course(s, rows[D1 + j] - rows[D0 + j], rows[C1 + j], rows[M1 + j]))
+        share = _share_within(_ZERO if t.faint else t.b, s, _allowed(rows, j))
+        rows[SPAN + j] = share * span
+        rows[Z1 + j] = rows[Z1 + j] if share == _ONE else rows[Z + j] + share * span
 
 
 @lane
-def _transient(q: _Substep, v0: Real) -> Real:
-    """Return the weight of the exponential in the filter's answer over a substep; 0 if it is rounding noise."""
-    t = transient(q.u0 - v0, q.course)
-    return _ZERO if t.faint else t.b
+def _set_light(rows: _Float32s, j: int, q: _Substep) -> None:
+    """Write the light at both ends of column j's substep, and its slopes."""
+    rows[U0 + j] = q.u0
+    rows[U1 + j] = q.u1
+    rows[SLOPE0 + j] = q.a0
+    rows[SLOPE1 + j] = q.a1
+
+
+@lane
+def _set_ends(rows: _Float32s, j: int, v0: Real, v1: Real, m0: Real, m1: Real) -> None:
+    """Write the filter's output at both ends of column j's substep, and its slopes: what a cubic goes through."""
+    rows[D0 + j] = v0
+    rows[D1 + j] = v1
+    rows[C1 + j] = m0
+    rows[M1 + j] = m1
 
 
 @vector_kernel
 def _follow_light(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Solve the filter over each column's substep, and write values and slopes at both ends."""
     for j in range(n):
-        v0, width = rows[row.V + j], rows[row.SPAN + j]
-        q = _substep(_light_of(rows, j), rows[row.Z + j], width, c)
+        v0, width = rows[V + j], rows[SPAN + j]
+        q = _substep(_light_of(rows, j), rows[Z + j], width, c)
         behind = q.u0 - v0
         v1 = v0 + rise_of_filter(decay(q.course.s), behind, q.course)
+        # The slope is the rate times the lag; without a faint exponential, which is rounding noise.
         t = transient(behind, q.course)
-        rows[row.U0 + j], rows[row.U1 + j], rows[row.SLOPE0 + j], rows[row.SLOPE1 + j] = q.u0, q.u1, q.a0, q.a1
-        rows[row.D0 + j], rows[row.D1 + j], rows[row.V1 + j], rows[row.W1 + j] = v0, v1, v1, v1
-        rows[row.C1 + j] = width * q.r0 * (t.lag0 if t.faint else behind)
-        rows[row.M1 + j] = width * q.r1 * (t.lag1 if t.faint else q.u1 - v1)
+        m0 = width * q.r0 * (t.lag0 if t.faint else behind)
+        m1 = width * q.r1 * (t.lag1 if t.faint else q.u1 - v1)
+        _set_light(rows, j, q)
+        _set_ends(rows, j, v0, v1, m0, m1)
+        rows[V1 + j] = rows[W1 + j] = v1
+
+
+@vector_kernel
+def _follow_light_of_receptor(rows: _Float32s, n: int, c: StepConstants) -> None:
+    """Solve the large-signal law over each column's substep, and write values and slopes at both ends."""
+    for j in range(n):
+        v0, width = rows[V + j], rows[SPAN + j]
+        q = _substep(_light_of(rows, j), rows[Z + j], width, c)
+        v1 = v0 + rise_of_receptor(decay(q.course.s), excess_of(q.u0 - v0), q.course)
+        r = response(Filtered(q.u0 - v0, q.u1 - v1, v1 - v0, width * q.r0, width * q.r1), q.course)
+        _set_light(rows, j, q)
+        _set_ends(rows, j, v0, v1, r.m0, r.m1)
+        rows[V1 + j] = rows[W1 + j] = v1
 
 
 @vector_kernel
 def _follow_filter(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Solve the second pole over each column's substep; its values and slopes replace those of the filter."""
     for j in range(n):
-        w0, s = rows[row.W + j], c.second * rows[row.SPAN + j]
-        v0, v1 = rows[row.D0 + j], rows[row.D1 + j]
-        course = Course(s, v1 - v0, rows[row.C1 + j], rows[row.M1 + j])
+        w0, s = rows[W + j], c.second * rows[SPAN + j]
+        v0, v1 = rows[D0 + j], rows[D1 + j]
+        course = Course(s, v1 - v0, rows[C1 + j], rows[M1 + j])
         w1 = w0 + rise_of_filter(decay(s), v0 - w0, course)
         t = transient(v0 - w0, course)
-        rows[row.D0 + j], rows[row.D1 + j], rows[row.W1 + j] = w0, w1, w1
-        rows[row.C1 + j] = s * (t.lag0 if t.faint else v0 - w0)
-        rows[row.M1 + j] = s * (t.lag1 if t.faint else v1 - w1)
+        m0 = s * (t.lag0 if t.faint else v0 - w0)
+        m1 = s * (t.lag1 if t.faint else v1 - w1)
+        _set_ends(rows, j, w0, w1, m0, m1)
+        rows[W1 + j] = w1
 
 
 @vector_kernel
 def _make_cubic(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Turn each column's values and slopes into the cubic relative to `base`, and add the junction's leak."""
     for j in range(n):
-        d0, d1, leaked = rows[row.D0 + j], rows[row.D1 + j], rows[row.LEAK + j] * (c.h * rows[row.SPAN + j])
-        rise, m0, m1 = d1 - d0 + leaked, rows[row.C1 + j] + leaked, rows[row.M1 + j] + leaked
-        since = c.since_epoch_0 + c.h * rows[row.Z + j]
-        rows[row.D0 + j], rows[row.C1 + j] = (d0 - rows[row.BASE + j]) + rows[row.LEAK + j] * since, m0
-        rows[row.C2 + j], rows[row.C3 + j] = _THREE * rise - _TWO * m0 - m1, m0 + m1 - _TWO * rise
+        d0, d1 = rows[D0 + j], rows[D1 + j]
+        leaked = rows[LEAK + j] * (c.h * rows[SPAN + j])
+        rise = d1 - d0 + leaked
+        m0 = rows[C1 + j] + leaked
+        m1 = rows[M1 + j] + leaked
+        since = c.since_epoch_0 + c.h * rows[Z + j]
+        rows[D0 + j] = (d0 - rows[BASE + j]) + rows[LEAK + j] * since
+        rows[C1 + j] = m0
+        rows[C2 + j] = _THREE * rise - _TWO * m0 - m1
+        rows[C3 + j] = m0 + m1 - _TWO * rise
 
 
 @vector_kernel
 def _add_parasitic(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Add the parasitic leak, the integral of i as a cubic, to each column's curve."""
     for j in range(n):
-        width, on = rows[row.SPAN + j], rows[row.ON + j]
-        i0, i1 = exponential(rows[row.U0 + j]), exponential(rows[row.U1 + j])
+        width, on = rows[SPAN + j], rows[ON + j]
+        i0, i1 = exponential(rows[U0 + j]), exponential(rows[U1 + j])
         leaks = c.parasitic * on * c.h * width
         m0, m1 = leaks * i0, leaks * i1
-        rise = _HALF * (m0 + m1) + _TWELFTH * (m0 * rows[row.SLOPE0 + j] - m1 * rows[row.SLOPE1 + j])
-        rows[row.P1 + j] = rows[row.P + j] + rise
-        rows[row.D0 + j] += rows[row.P + j]
-        rows[row.C1 + j] += m0
-        rows[row.C2 + j] += _THREE * rise - _TWO * m0 - m1
-        rows[row.C3 + j] += m0 + m1 - _TWO * rise
+        rise = _HALF * (m0 + m1) + _TWELFTH * (m0 * rows[SLOPE0 + j] - m1 * rows[SLOPE1 + j])
+        rows[P1 + j] = rows[P + j] + rise
+        rows[D0 + j] += rows[P + j]
+        rows[C1 + j] += m0
+        rows[C2 + j] += _THREE * rise - _TWO * m0 - m1
+        rows[C3 + j] += m0 + m1 - _TWO * rise
 
 
 @vector_kernel
 def _find_turns(rows: _Float32s, n: int) -> None:
     """Write the turning points of each column's cubic within (0, 1), in ascending order; 1 where there is none."""
     for j in range(n):
-        a, half, first = _THREE * rows[row.C3 + j], rows[row.C2 + j], rows[row.C1 + j]
+        # Zeros of the slope 3 c3 x^2 + 2 c2 x + c1. The larger root first, without cancellation; the other one from
+        # the product of both.
+        a = _THREE * rows[C3 + j]
+        half = rows[C2 + j]
+        first = rows[C1 + j]
         square = half * half - a * first
         root = np.sqrt(max(square, _ZERO))
-        far = -(half + (root if half > _ZERO else -root))
-        one, other = far / a, first / far
-        one = one if (one > _ZERO) & (one < _ONE) & (square > _ZERO) else _ONE
-        other = other if (other > _ZERO) & (other < _ONE) & (square > _ZERO) else _ONE
-        rows[row.TURN + j], rows[row.TURN2 + j] = min(one, other), max(one, other)
+        sum_of_both = -(half + (root if half > _ZERO else -root))
+        larger, smaller = sum_of_both / a, first / sum_of_both
+        larger = larger if (larger > _ZERO) & (larger < _ONE) & (square > _ZERO) else _ONE
+        smaller = smaller if (smaller > _ZERO) & (smaller < _ONE) & (square > _ZERO) else _ONE
+        rows[TURN + j], rows[TURN2 + j] = min(larger, smaller), max(larger, smaller)
 
 
 @kernel

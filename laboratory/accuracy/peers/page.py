@@ -193,7 +193,7 @@ def _draw(reports: Sequence[Report], stem: Path) -> list[Path]:
     """
     if not any(report.frame_us(_busy(one)) for report in reports for one in report.summaries()):
         return []
-    figure, found = panels(2, 2, (5.2, 4.4))
+    figure, found = panels(2, 2, 5.2, 4.4)
     for (axes,), label in zip(found, ("median time error, us", "false + missed events, %"), strict=True):
         for k, report in enumerate(reports):
             _line(axes, report, k, label)

@@ -9,9 +9,9 @@ from SALib.analyze import pawn as salib_pawn
 from scipy.stats import ks_2samp
 
 from emulator.campaign import report as module
+from emulator.campaign.loading import proportion
 from emulator.campaign.report import pawn, quantiles, sensitivity, slices_of, worst_runs, write_report
 from emulator.campaign.sampling import OneOf, Uniform, unit_points
-from emulator.campaign.success import proportion
 from emulator.report.page import ChartsLacking
 
 

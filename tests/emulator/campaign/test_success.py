@@ -2,7 +2,7 @@
 
 import pytest
 
-from emulator.campaign.success import margin, parse_rule, succeeds
+from emulator.campaign.loading import margin, parse_rule, succeeds
 
 ROW = {"outcome": "ok", "verdict": True, "program.exit": 0, "result.error": 0.04, "result.mode": "fine", "n": 10}
 

@@ -14,12 +14,12 @@ import pytest
 import trimesh
 
 from emulator.cli import doctor
-from emulator.cli.app import _COMMANDS, _main
+from emulator.cli.app import _main
 from emulator.cli.doctor import _sentence
 from emulator.cli.output import Failure
+from emulator.cli.verbs import VERBS
 from emulator.rig.loading import load_rig
-from emulator.run.expected_speed import ExpectedSpeed, StepCost
-from emulator.run.keeping_up import RealTimeSpeed
+from emulator.run.expected_speed import ExpectedSpeed, RealTimeSpeed, StepCost
 from emulator.scene.bodies.mesh import load_mesh
 from firmware_protocol.events import EVENT
 from transports.link.deliveries import digest_of
@@ -59,10 +59,9 @@ def rig(tmp_path):
 
 
 def test_every_command_loads_and_has_help(capsys):
-    names = [name for commands in _COMMANDS.values() for name, *_ in commands]
     assert _main(["--help"]) == 0
     shown = capsys.readouterr().out
-    for name in names:
+    for name in VERBS:
         assert f"\n  {name}: " in shown
         assert _main([name, "--help"]) == 0
         assert f"evstim {name}" in capsys.readouterr().out
@@ -73,7 +72,7 @@ def test_without_arguments_five_tasks_are_shown_and_each_is_a_command(capsys):
     shown = capsys.readouterr().out
     tasks = [line.split() for line in shown.splitlines() if line.startswith("  evstim ")]
     assert len(tasks) == 5
-    assert {task[1] for task in tasks} <= {name for commands in _COMMANDS.values() for name, *_ in commands}
+    assert {task[1] for task in tasks} <= set(VERBS)
     assert "evstim --help" in shown
 
 

@@ -48,7 +48,7 @@ class Camera:
 
     async def _run(self):
         await self._link.endpoint.start()
-        self.path = self._link.endpoint.address
+        self.path = self._link.endpoint.report().address
         self._ready.set()
         while self._link.report().counts.get("telecommands", 0) < self._telecommands and not self._ends:
             self._link.tick()

@@ -58,7 +58,7 @@ def test_wrong_use(falling, dynamics, tmp_path):
     run = dynamics(tmp_path / "none.fmu")
     assert (run.code, "no such file" in _told(run)) == (2, True)
     run = dynamics(falling(2), "--to", "10364")
-    assert (run.code, "give HOST:PORT" in _told(run)) == (2, True)
+    assert (run.code, "is not HOST:PORT" in _told(run)) == (2, True)
 
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "fmu"

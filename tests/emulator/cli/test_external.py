@@ -16,7 +16,8 @@ RIG = """
 kind = "external"
 port = {port}
 period_ms = 20.0
-timeout_s = 2.0
+timeout_s = {timeout_s}
+ahead = {ahead}
 white_w_m2_sr = 30.0
 
 [camera]
@@ -39,6 +40,9 @@ with Renderer("127.0.0.1:" + sys.argv[1], Images(motion=True), shared=sys.argv[3
     columns = np.arange(renderer.camera.width)
     for k, image in enumerate(renderer):
         if k == 20 and sys.argv[2] != "go on":
+            if sys.argv[2] == "stall":
+                print("stalls", file=sys.stderr, flush=True)
+                sys.stdin.read()
             if sys.argv[2] == "end":
                 renderer.end()
                 break
@@ -53,16 +57,22 @@ def ended(tmp_path, seconds, end, carrier="shared"):
     """Return exit code and summary of a run whose renderer ends in a way after 20 images."""
     port = free_port()
     rig = tmp_path / "external.toml"
-    rig.write_text(RIG.format(port=port, seconds=seconds, path=tmp_path / "events.aedat4"))
+    waits = {"timeout_s": 100.0, "ahead": 0} if end == "stall" else {"timeout_s": 2.0, "ahead": 1}
+    rig.write_text(RIG.format(port=port, seconds=seconds, path=tmp_path / "events.aedat4", **waits))
     run = [sys.executable, "-c", "from emulator.cli import main; main()", "run", rig, "--json"]
     with (
-        subprocess.Popen([sys.executable, "-c", DRAW, str(port), end, carrier], stderr=subprocess.PIPE) as renderer,
+        subprocess.Popen(
+            [sys.executable, "-c", DRAW, str(port), end, carrier], stdin=subprocess.PIPE, stderr=subprocess.PIPE
+        ) as renderer,
         subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as evstim,
     ):
         if end == "interrupt":
             for line in evstim.stderr:
                 if "events to" in line:
                     break
+            evstim.send_signal(signal.SIGINT)
+        if end == "stall":
+            renderer.stderr.readline()
             evstim.send_signal(signal.SIGINT)
         out, err = evstim.communicate()
         renderer.kill()
@@ -109,3 +119,10 @@ def test_the_end_of_a_scene_is_the_end_of_a_run_without_one(tmp_path):
 def test_an_interrupt_ends_both(tmp_path):
     code, summary = ended(tmp_path, 0, "interrupt")
     assert (code, summary["balanced"]) == (0, True)
+
+
+def test_an_interrupt_ends_the_wait_for_an_image(tmp_path):
+    """The renderer stalls for good; the summary comes long before the rig's `timeout_s`, and has no trouble."""
+    code, summary = ended(tmp_path, 0, "stall")
+    assert (code, summary["balanced"], rule(summary, "scene")) == (0, True, None)
+    assert summary["sim_seconds"] == pytest.approx(0.38)

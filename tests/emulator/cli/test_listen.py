@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from emulator.cli.listen.reception import Limits, Source, lacking, listen_to
+from emulator.cli.listen import Limits, Source, lacking, listen_to
 from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure
 from transports.usb.cameras import CameraReception
 

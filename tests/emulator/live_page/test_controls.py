@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from emulator.live_page.controls import ChangeList, Repeats, fault_menu, totals
 from emulator.live_page.messages import ViewerCommands
-from emulator.rig.kinds import known_faults
 from emulator.run.changes import Change, Changes
 from emulator.run.outcome import Ledger, RunResult, RunStatus
 from emulator.run.pacing import Lateness
 from emulator.run.session import Operator
+from transports.faults.kinds import FAULTS
 from transports.faults.script import FaultRecord
 from transports.link.report import LinkReport
 
@@ -64,7 +64,7 @@ def _undo(commands, number):
 
 
 def test_each_fault_has_a_sentence_and_its_keys_can_be_sent():
-    menu = fault_menu(known_faults())
+    menu = fault_menu(FAULTS)
     assert len(menu) > 30
     for kind, entry in menu.items():
         assert entry["text"].endswith("."), kind

@@ -10,12 +10,13 @@ from scipy.ndimage import gaussian_filter1d
 
 from emulator.geometry.camera import Pinhole
 from emulator.light import Scene, SceneError
-from emulator.optics.lens import CHIPS, Distortion, DistortionError, LensParameters
+from emulator.optics.lens import Distortion, DistortionError, LensParameters
 from emulator.optics.passes import Bilinear, bend, blur, gaussian_taps, scale
 from emulator.optics.through import BlurWorkers, Through
 from emulator.photometry.reflectance import LUMENS_A_WATT, SUN_W_M2
+from emulator.rig.kinds import CAMERA_MODELS
 
-CHIP = CHIPS["davis346"]
+CHIP = CAMERA_MODELS["davis346"].chip
 
 
 class Plane(Scene):

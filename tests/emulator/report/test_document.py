@@ -46,7 +46,7 @@ def test_a_document_without_a_verdict_has_no_box():
 
 def test_texts_of_others_are_escaped_cut_and_printable():
     nasty = '<script>alert("x")</script>\x00\udcff'
-    page = Document(nasty, nasty, ("bad", nasty)).add(Section(nasty).text("z" * 10_000).code(nasty[:27])).html()
+    page = Document(nasty, nasty, "bad", nasty).add(Section(nasty).text("z" * 10_000).code(nasty[:27])).html()
     assert "<script" not in page
     assert "\x00" not in page
     assert "\udcff" not in page
@@ -55,7 +55,7 @@ def test_texts_of_others_are_escaped_cut_and_printable():
 
 def test_the_verdict_is_in_words_beside_its_colour():
     for kind in ("good", "bad", "unfinished"):
-        assert re.search(rf'class="verdict {kind}".*{kind.upper()}', Document("t", "", (kind, "words")).html())
+        assert re.search(rf'class="verdict {kind}".*{kind.upper()}', Document("t", "", kind, "words").html())
 
 
 def test_a_reviewer_has_room_to_decide_and_sign():
@@ -97,5 +97,5 @@ def test_keys_in_bars_have_the_contrast_of_wcag():
 
 
 def test_the_page_needs_nothing_else():
-    page = Document("t", "s", ("good", "w")).html()
+    page = Document("t", "s", "good", "w").html()
     assert not re.search(r"(src|href|url\(|@import|<script)", page)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from emulator.report.maps import ColourScale, count_map, palette_png, reduced, scene_picture
-from emulator.report.pictures import OFF_RGB, ON_RGB
+from emulator.report.pictures import OFF_RGB, ON_RGB, ColourScale, count_map, palette_png, reduced, scene_picture
 
 
 def pixels_of(element):

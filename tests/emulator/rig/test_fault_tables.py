@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from emulator.cli.app import _main
-from emulator.rig.kinds import known_faults
 from emulator.rig.loading import RigError, parse_rig
 from emulator.run.assembly import build_scene, build_session, link_setups, schedule
 from emulator.run.control import (
@@ -26,6 +25,7 @@ from emulator.run.control import (
 from emulator.run.outcome import RunStatus
 from emulator.run.pacing import Lateness
 from transports.faults.bus import DeadBus
+from transports.faults.kinds import FAULTS
 from transports.faults.line import BitFlips
 from transports.faults.script import FaultRecord
 from transports.link.pacing import MonotonicClock
@@ -282,4 +282,4 @@ def test_a_run_of_another_terminal_is_reached_by_name_alone(verb, runs, options,
 def test_every_kind_is_in_the_schema(capsys):
     assert _main(["schema"]) == 0
     defined = json.loads(capsys.readouterr().out)["$defs"]
-    assert all(cls.__name__ in defined for cls in known_faults().values())
+    assert all(cls.__name__ in defined for cls in FAULTS.values())

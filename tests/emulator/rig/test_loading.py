@@ -18,7 +18,7 @@ from emulator.rig.loading import (
 )
 from emulator.rig.top_level import rig_schema
 from emulator.sensor.presets import PRESETS
-from firmware_protocol.genx320.biases import SLOPES
+from firmware_protocol.genx320.device import SLOPES
 
 GOOD = """\
 title = "t"

@@ -20,7 +20,7 @@ from emulator.sensor.sensor import Sensor
 from emulator.trajectory.basilisk import ConnectedPath, SimulatedPath
 from emulator.trajectory.pose import STILL
 from firmware_protocol.events import EVENT
-from firmware_protocol.vizard.messages import CameraState
+from firmware_protocol.vizard import CameraState
 from transports.link.pacing import FakeClock
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "firmware_protocol" / "vizard"))

@@ -65,7 +65,7 @@ def test_thresholds_measured_from_events_follow_the_formula(name, value, towards
     sensor = Sensor(IDEAL, 1)
     sensor.reset(LightFrame(0, np.full((4, 8), START[towards], np.float32)))
     factors = sensor_factors({**DEFAULTS, ADDRESSES[name]: int(value)})
-    BiasFollowing(sensor).follow({"usbip": report(**factors)})
+    BiasFollowing(sensor).follow("usbip", report(**factors))
     expected = (0.283 * factors["threshold_on"]) if towards > 0 else (0.262 * factors["threshold_off"])
     assert LN_RAMP / events_of_ramp(sensor, towards) == pytest.approx(expected, rel=0.03)
 
@@ -73,9 +73,9 @@ def test_thresholds_measured_from_events_follow_the_formula(name, value, towards
 def test_a_change_multiplies_what_is_there_and_goes_back():
     sensor = Adjusted()
     following = BiasFollowing(sensor)
-    following.follow({"usbip": report(threshold_on=2.0)})
+    following.follow("usbip", report(threshold_on=2.0))
     sensor.adjust("threshold_on", 0.8)  # a slider
-    following.follow({"usbip": report(threshold_on=1.0)})
+    following.follow("usbip", report(threshold_on=1.0))
     assert sensor.adjustable["threshold_on"] == pytest.approx(0.4)
 
 
@@ -83,7 +83,8 @@ def test_the_same_report_is_followed_once():
     sensor = Adjusted()
     following = BiasFollowing(sensor)
     for _ in range(3):
-        following.follow({"usbip": report(corner_max_hz=0.5), "serial": report()})
+        following.follow("usbip", report(corner_max_hz=0.5))
+        following.follow("serial", report())
     assert sensor.adjustable["corner_max_hz"] == pytest.approx(1500.0)
 
 
@@ -92,20 +93,21 @@ def test_the_biases_of_several_links_have_one_bound(factor, bound, caplog):
     sensor = Adjusted()
     following = BiasFollowing(sensor)
     for link in ("usbip", "serial", "can"):
-        following.follow({link: report(threshold_on=factor)})
+        following.follow(link, report(threshold_on=factor))
     assert sensor.adjustable["threshold_on"] == pytest.approx(0.2 * bound)
     assert f"limited to {bound:g}" in caplog.text
-    following.follow({"serial": report(threshold_on=1.0)})
-    following.follow({"can": report()})
+    following.follow("serial", report(threshold_on=1.0))
+    following.follow("can", report())
     assert sensor.adjustable["threshold_on"] == pytest.approx(0.2 * factor)
-    following.follow({"usbip": report(threshold_on=1.0)})
+    following.follow("usbip", report(threshold_on=1.0))
     assert sensor.adjustable["threshold_on"] == pytest.approx(0.2)
 
 
 def test_factors_of_links_multiply_within_the_bound():
     sensor = Adjusted()
     following = BiasFollowing(sensor)
-    following.follow({"usbip": report(threshold_on=4.0), "serial": report(threshold_on=0.5)})
+    following.follow("usbip", report(threshold_on=4.0))
+    following.follow("serial", report(threshold_on=0.5))
     assert sensor.adjustable["threshold_on"] == pytest.approx(0.4)
 
 
@@ -114,8 +116,8 @@ def test_each_change_is_recorded_with_its_time_its_origin_and_both_values():
     following = BiasFollowing(sensor, changes)
     factors = {"threshold_on": 2.0, "corner_max_hz": 3.0, "unknown": 4.0}
     for t_us in (1_300, 1_700):
-        following.follow({"usbip": CameraSettings(t_us, "register", factors)}, 2_000_000)
-    following.follow({"serial": CameraSettings(2_000, "telecommand", {"threshold_on": 0.5})}, 3_000_000)
+        following.follow("usbip", CameraSettings(t_us, "register", factors), 2_000_000)
+    following.follow("serial", CameraSettings(2_000, "telecommand", {"threshold_on": 0.5}), 3_000_000)
     assert changes.listed == (
         Change(2_000_000, "register", "threshold_on", "usbip", 0.2, 0.4, 1_300),
         Change(3_000_000, "telecommand", "threshold_on", "serial", 0.4, 0.2, 2_000),
@@ -124,20 +126,20 @@ def test_each_change_is_recorded_with_its_time_its_origin_and_both_values():
 
 def test_figures_that_the_sensor_lacks_or_refuses_are_left():
     sensor = Adjusted(refuses=("threshold_on",))
-    BiasFollowing(sensor).follow({"usbip": report(threshold_on=2.0, refractory_us=3.0, corner_max_hz=2.0)})
+    BiasFollowing(sensor).follow("usbip", report(threshold_on=2.0, refractory_us=3.0, corner_max_hz=2.0))
     assert sensor.adjustable == {"threshold_on": 0.2, "corner_max_hz": 6000.0}
 
 
 def test_a_sensor_that_cannot_be_adjusted_is_left_alone():
-    BiasFollowing(object()).follow({"usbip": report(threshold_on=2.0)})
+    BiasFollowing(object()).follow("usbip", report(threshold_on=2.0))
 
 
 def test_a_figure_that_was_refused_is_not_multiplied_on_the_way_back():
     sensor = Adjusted(refuses=("threshold_on",))
     following = BiasFollowing(sensor)
-    following.follow({"gige": report(threshold_on=0.1)})
+    following.follow("gige", report(threshold_on=0.1))
     sensor.refuses = ()
-    following.follow({"gige": report(threshold_on=1.0)})
+    following.follow("gige", report(threshold_on=1.0))
     assert sensor.adjustable["threshold_on"] == 0.2
 
 
@@ -145,7 +147,7 @@ def test_what_has_no_effect_is_told_once(caplog):
     following = BiasFollowing(Adjusted())
     idle = CameraSettings(0, "register", without_effect={"hpf": "there is no high-pass"})
     for one in (idle, idle, report(), report(refractory_us=2.0), report(refractory_us=2.0)):
-        following.follow({"gige": one})
+        following.follow("gige", one)
     assert [one.message for one in caplog.records] == [
         "gige: bias hpf has no effect: there is no high-pass",
         "gige: biases have no effect on refractory_us: this source of events cannot change it",
@@ -158,7 +160,7 @@ def test_thresholds_of_a_genx320_measured_from_events_follow_its_registers(addre
     camera.write_register(address, 0x1101_0000 | value)
     sensor = Sensor(dataclasses.replace(IDEAL, threshold_on=0.223, threshold_off=0.223), 1)
     sensor.reset(LightFrame(0, np.full((4, 8), START[towards], np.float32)))
-    BiasFollowing(sensor).follow({"usbip": report(**camera.sensor_factors)})
+    BiasFollowing(sensor).follow("usbip", report(**camera.sensor_factors))
     expected = 0.223 * math.exp(slope * (value - opened[address]))
     assert LN_RAMP / events_of_ramp(sensor, towards) == pytest.approx(expected, rel=0.03)
 
@@ -170,7 +172,7 @@ def test_thresholds_of_an_imx636_measured_from_events_follow_the_slopes(bias, st
     sensor = Sensor(imx636, 1)
     slope = 0.0149 if bias == "diff_on" else (0.0254 if steps < 0 else 0.0117)
     sensor.reset(LightFrame(0, np.full((4, 8), START[towards], np.float32)))
-    BiasFollowing(sensor).follow({"gige": report(**BiasModel().factors({bias: steps}))})
+    BiasFollowing(sensor).follow("gige", report(**BiasModel().factors({bias: steps})))
     assert LN_RAMP / events_of_ramp(sensor, towards) == pytest.approx(0.223 * math.exp(slope * steps), rel=0.03)
 
 
@@ -181,7 +183,7 @@ def test_the_low_pass_of_an_imx636_follows_its_bias(steps):
     imx636 = dataclasses.replace(IDEAL, threshold_on=0.2, corner_hz_at_reference=1e6, corner_max_hz=corner_hz)
     sensor = Sensor(imx636, 1)
     sensor.reset(LightFrame(0, np.full((4, 8), 10.0, np.float32)))
-    BiasFollowing(sensor).follow({"gige": report(**BiasModel().factors({"fo": steps}))})
+    BiasFollowing(sensor).follow("gige", report(**BiasModel().factors({"fo": steps})))
     sensor.expose(LightFrame(1_000_000, np.full((4, 8), 10.0, np.float32)))
     sensor.expose(LightFrame(1_000_001, np.full((4, 8), 10.0 * math.exp(rise), np.float32)))
     events = sensor.expose(LightFrame(3_000_000, np.full((4, 8), 10.0 * math.exp(rise), np.float32)))
@@ -197,7 +199,7 @@ def test_the_refractory_period_of_an_imx636_follows_its_bias(steps, refractory_u
     imx636 = dataclasses.replace(IDEAL, refractory_us=10_000.0)
     sensor = Sensor(imx636, 1)
     sensor.reset(LightFrame(0, np.full((4, 8), START[1], np.float32)))
-    BiasFollowing(sensor).follow({"gige": report(**BiasModel().factors({"refr": steps}))})
+    BiasFollowing(sensor).follow("gige", report(**BiasModel().factors({"refr": steps})))
     apart_us = 1e6 / events_of_ramp(sensor, 1)
     assert apart_us == pytest.approx(1e6 * 0.283 / LN_RAMP + refractory_us, rel=0.03)
 
@@ -232,8 +234,8 @@ def test_the_scan_of_a_dvxplorer_follows_the_rate_that_its_host_writes():
     camera.attached()
     for setup, value in zip(exposure_us, (307 >> 8, 307 & 0xFF), strict=True):  # "variable 2000" of dv-processing
         camera.control(setup, value.to_bytes(4, "big"))
-    following.follow({"usb": report(**camera.sensor_factors)})
+    following.follow("usb", report(**camera.sensor_factors))
     assert sensor.adjustable["scan_us"] == pytest.approx(197.28 * 499 / 199)
     camera.attached()
-    following.follow({"usb": report(**camera.sensor_factors)})
+    following.follow("usb", report(**camera.sensor_factors))
     assert sensor.adjustable["scan_us"] == pytest.approx(197.28)

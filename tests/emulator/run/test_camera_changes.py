@@ -13,23 +13,23 @@ from emulator.light import Scene, SceneFrames
 from emulator.plan.step_control import FixedSteps
 from emulator.rig.tables import Trigger
 from emulator.run.assembly import TriggerPaths
+from emulator.run.camera import CameraView, ReadingSources
 from emulator.run.changes import Change, Changes
-from emulator.run.readings import ReadingSources
 from emulator.run.session import Schedule, Session
-from emulator.run.stereo import SecondView
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.davis346 import Davis346, Davis346Settings
 from firmware_protocol.davis346.biases import BIASES, CoarseFine
-from firmware_protocol.davis346.registers import Module
 from firmware_protocol.events import EdgeKind
+from firmware_protocol.fx3.registers import Module
 from firmware_protocol.instrument.instrument import Instrument
+from firmware_protocol.packets.ccsds import Acknowledge
 from firmware_protocol.packets.profile import ReceivedCommand
-from firmware_protocol.packets.pus import Acknowledge
 from firmware_protocol.packets.telecommands import RequestId, SetBias, SetRegion
 from firmware_protocol.usb.device import SetupPacket
 from transports.faults.kinds import Fault
+from transports.faults.script import FaultPlan, Faulty
 from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.link.pacing import MonotonicClock
 from transports.link.process import LinkSetup
@@ -50,6 +50,7 @@ class ScriptedHost(Endpoint):
 
     def __init__(self, device, script):
         self._device, self._script = device, list(script)
+        self.faulty = Faulty(FaultPlan("usbip"), {"any": Fault})
 
     async def start(self):
         if isinstance(self._device, Davis346):
@@ -67,9 +68,6 @@ class ScriptedHost(Endpoint):
             return
         command = SetRegion(0, 0, 8, 8) if name == "region" else SetBias(NUMBERS[name], value)
         self._device.command(ReceivedCommand(RequestId(0, 0), Acknowledge(0), command))
-
-    def inject(self, fault):
-        """Any fault is as good as none here."""
 
     def pump(self):
         pass
@@ -237,7 +235,7 @@ def test_the_second_camera_follows_its_own_host_at_stated_times():
     def run(tick_us, delay_s):
         running = session([link("left", SCRIPT[:1]), link("right", SCRIPT[1:], tick_us=tick_us)], delay_s)
         sensor, scene = Sensor(SENSOR, 2), SceneFrames(Flicker(), with_rate=False)
-        running.join(SecondView(scene, sensor, ReadingSources((), ()), ["right"]))
+        running.join(CameraView(scene, sensor, ReadingSources((), ()), ["right"]))
         return *events_of(running, FREE), sensor
 
     (events, result, ends_ns, second), *others = (run(*machine) for machine in MACHINES.values())

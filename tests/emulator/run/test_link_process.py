@@ -15,7 +15,7 @@ from transports.link.rings import FREE_RUNNING, EventRing
 from transports.priority import LINK_NICE
 from transports.usb.davis_host import DavisHost
 from transports.usb.usbip.client import UsbipHost
-from transports.usb.usbip.server import UsbipFactory
+from transports.usb.usbip.endpoint import UsbipFactory
 
 
 def attached(link):

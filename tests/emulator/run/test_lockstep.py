@@ -22,6 +22,7 @@ from transports.link.edges import EdgeRing, EdgeSink, EdgeTiming
 from transports.link.pacing import FakeClock, MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
+from transports.recording.live import FileRecorder
 from transports.usb.loopback import LoopbackFactory
 
 PERIOD_NS = 10_000_000
@@ -97,7 +98,7 @@ def driven(tmp_path, syncs, *, ends_by_itself):
     events = EventRing()
     camera = partial(Davis346, Davis346Settings(size=(24, 16), start_delay_us=0))
     timing = paths.timing("bus", None, None)
-    setup = LinkSetup("bus", events, camera, LoopbackFactory(), tmp_path / "a.npz", timing=timing)
+    setup = LinkSetup("bus", events, camera, LoopbackFactory(), FileRecorder(tmp_path / "a.npz"), timing=timing)
     run = session([setup], clock)
     sink = paths.sink("bus", events)
 

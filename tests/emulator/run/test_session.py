@@ -175,7 +175,7 @@ def test_signals_within_a_step_end_it_with_a_balanced_ledger(of):
             super().light(t_ns, out)
 
     running = session(Insisting(clock), clock)
-    expose = running._sensor.expose
+    expose = running._first.sensor.expose
 
     def exposed(frame):
         if of == "sensor" and frame.t_ns == 7 * STEP_NS:
@@ -183,7 +183,7 @@ def test_signals_within_a_step_end_it_with_a_balanced_ledger(of):
             insist(running)
         return expose(frame)
 
-    running._sensor.expose = exposed
+    running._first.sensor.expose = exposed
     taken = []
     result = running.run(Schedule(paced=False), on_events=taken.append)
     assert result.steps == 6
@@ -211,7 +211,7 @@ def test_a_step_is_no_longer_than_its_work_allows():
     clock = FakeClock()
     scene = Flashing(clock)
     running = session(scene, clock)
-    running._sensor.longest_step_ns = STEP_NS // 4
+    running._first.sensor.longest_step_ns = STEP_NS // 4
     running.run(Schedule(duration_ns=2 * STEP_NS, paced=False))
     assert scene.times == [k * STEP_NS // 4 for k in range(9)]
 

@@ -13,8 +13,7 @@ from emulator.rig.loading import RigError, load_rig, parse_rig
 from emulator.rig.second_camera import second_rig
 from emulator.rig.tables import SecondCamera
 from emulator.run.assembly import link_setups
-from emulator.run.readings import ReadingSources
-from emulator.run.stereo import SecondView
+from emulator.run.camera import CameraView, ReadingSources
 from emulator.trajectory.building import MountedPath, build_trajectory
 from emulator.trajectory.parameters import SpinPath
 from emulator.trajectory.pose import differences
@@ -144,10 +143,10 @@ class _Adjusted:
 
 def test_the_second_sensor_follows_the_biases_of_its_own_hosts_alone():
     sensor = _Adjusted()
-    view = SecondView(None, sensor, ReadingSources((), ()), ["right"])
-    view.follow({"left": CameraSettings(0, "register", {"threshold_on": 3.0})})
+    view = CameraView(None, sensor, ReadingSources((), ()), ["right"])
+    view.follow("left", CameraSettings(0, "register", {"threshold_on": 3.0}))
     assert sensor.adjustable["threshold_on"] == 0.2
-    view.follow({"right": CameraSettings(0, "register", {"threshold_on": 2.0})})
+    view.follow("right", CameraSettings(0, "register", {"threshold_on": 2.0}))
     assert sensor.adjustable["threshold_on"] == 0.4
 
 

@@ -1,12 +1,13 @@
 """Light so bright that its parasitic leak crosses thresholds more often than anyone can list: counted, not followed."""
 
 import dataclasses
+import time
 
 import numpy as np
 import pytest
 
 from emulator.light import LightFrame
-from emulator.sensor.parameters import NoiseParameters
+from emulator.sensor.parameters import ComparatorParameters, NoiseParameters, ResetParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
@@ -76,6 +77,51 @@ def test_a_leak_of_the_highest_rate_is_counted_in_long_steps(step_ms):
     listed = sum(len(pixels.step(LightFrame(k * step_ms * MS, still(1.0)))) for k in range(1, 11))
     assert listed == 10 * 64 * PIXELS
     assert listed + pixels.lost_in_pixel == pytest.approx(PIXELS * 100 * step_ms, rel=1e-3)
+
+
+def waiting(refractory_us, **changes):
+    return dataclasses.replace(PLAIN, refractory_us=refractory_us, **changes)
+
+
+def raised_by(parameters, lights, step_ns):
+    """Return the crossings of pixel 0, and of all, on light that changes along straight lines in its logarithm."""
+    pixels = PixelArray(parameters, 1)
+    pixels.reset(LightFrame(0, still(lights[0])))
+    found = [pixels.step(LightFrame(k * step_ns, still(light))) for k, light in enumerate(lights[1:], 1)]
+    return found, sum(map(len, found)) + pixels.lost_in_pixel
+
+
+@pytest.mark.parametrize("leak_hz", [0.0, 1e4])
+@pytest.mark.parametrize("light", [10.0, 1e3, 1e6, 1e12, 1e30])
+def test_a_refractory_period_adds_to_the_period_of_the_leak(light, leak_hz):
+    """Ten steps have the crossings of one stretch of time: the state of the pixel is carried across their ends."""
+    parameters = waiting(1.0, parasitic_hz_at_reference=1e4, leak_hz=leak_hz, leak_spread=0.0, random_start=False)
+    found, raised = raised_by(parameters, [light] * 11, 20 * MS)
+    period_s = 1 / (1e4 * (light + parameters.dark_current_relative) + leak_hz) + 1e-6
+    assert sum(map(len, found)) == 10 * 64 * PIXELS
+    assert raised == pytest.approx(PIXELS * 0.2 / period_s, rel=2e-4)
+
+
+@pytest.mark.parametrize("changes", [{}, {"reset": ResetParameters(offset=0.1)}, {"photoreceptor": "large_signal"},
+                                     {"comparator": ComparatorParameters(3.0, 3.0)}])  # fmt: skip
+def test_a_long_step_has_the_crossings_of_short_ones_that_follow_each(changes):
+    """Light that rises by 4 and falls again, where each event is listed in steps of 0.1 ms, and few in those of 20."""
+    parameters = waiting(5.0, parasitic_hz_at_reference=1e4, random_start=False, **changes)
+    ramp = np.geomspace(5.0, 20.0, 201)
+    ramp = np.concatenate([ramp, ramp[-2::-1]])
+    found, raised = raised_by(parameters, ramp, MS // 10)
+    _, raised_in_long = raised_by(parameters, ramp[::200], 20 * MS)
+    assert sum(map(len, found)) == raised
+    assert raised_in_long == pytest.approx(raised, rel=1e-3)
+
+
+def test_the_time_of_a_step_does_not_grow_with_the_crossings_that_are_only_counted():
+    parameters = waiting(0.001, parasitic_hz_at_reference=1e4)
+    raised_by(parameters, [1e9] * 3, 1000)
+    start_s = time.process_time()
+    _, raised = raised_by(parameters, [1e9] * 3, 100 * MS)
+    assert raised == pytest.approx(PIXELS * 0.2e9, rel=0.01)
+    assert time.process_time() - start_s < 5.0
 
 
 def test_the_sums_of_a_sensor_hold_under_such_light():

@@ -26,7 +26,7 @@ from emulator.sensor.parameters import (
     ResetParameters,
     TemperatureParameters,
 )
-from emulator.sensor.pixels import workers
+from emulator.sensor.pixels import crossings as crossings_module
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import Field
 from emulator.sensor.presets import PRESETS, ReadoutParameters, SensorParameters
@@ -385,6 +385,6 @@ def test_the_kernels_of_a_later_step_are_loaded_before_the_first(monkeypatch):
     """Those that merge the events of two threads and insert noise events: a flash of few pixels needs neither."""
     loaded = []
     monkeypatch.setattr(sensor_module, "insert", lambda *_: loaded.append("insert"))
-    monkeypatch.setattr(workers, "unpack_both", lambda *_: loaded.append("unpack_both"))
+    monkeypatch.setattr(crossings_module, "unpack_both", lambda *_: loaded.append("unpack_both"))
     Sensor(PRESETS["davis346"], 0).warm_up()
     assert {"insert", "unpack_both"} <= set(loaded)

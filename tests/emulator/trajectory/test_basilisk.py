@@ -11,7 +11,7 @@ from emulator.trajectory.basilisk import pose_of
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.parameters import BasiliskPath
 from emulator.trajectory.pose import TrajectoryError
-from firmware_protocol.vizard.messages import Update
+from firmware_protocol.vizard import Update
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "firmware_protocol" / "vizard"))
 

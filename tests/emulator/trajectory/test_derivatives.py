@@ -10,11 +10,10 @@ from emulator.geometry.attitude import quaternion_of_vector
 from emulator.geometry.camera import Cycle
 from emulator.trajectory.basilisk import SimulatedPath
 from emulator.trajectory.ccsds_file import PolynomialPath, Segment, Segmented
-from emulator.trajectory.descent import Descent
 from emulator.trajectory.keyframes import Keyframes
+from emulator.trajectory.laws import Descent, Elements, Orbit
 from emulator.trajectory.live import LivePoses, known_motion
 from emulator.trajectory.mounting import Looking, Mounted, PlaceAndAttitude, Spinning, Tilt
-from emulator.trajectory.orbit import Elements, Orbit
 from emulator.trajectory.pose import STILL, Fixed, Pose, Trajectory, differences
 
 SECOND = 1_000_000_000

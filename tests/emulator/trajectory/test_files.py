@@ -8,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from emulator.trajectory.building import build_trajectory
+from emulator.trajectory.building import build_trajectory, parse_flight, parse_table
 from emulator.trajectory.ccsds_file import parse_aem, parse_oem
-from emulator.trajectory.flight_file import parse_flight, parse_table
 from emulator.trajectory.parameters import FilePath, FixedPath, Keyframe, KeyframePath, LivePath, OrbitPath, SpinPath
 from emulator.trajectory.pose import Pose, TrajectoryError, turn_rad
 

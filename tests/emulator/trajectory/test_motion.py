@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from emulator.geometry.attitude import matrix_of, quaternion_of
 from emulator.geometry.camera import Cycle
-from emulator.trajectory.descent import LANDING, Descent, Gate
+from emulator.trajectory.laws import LANDING, Descent, Elements, Gate, Orbit, eccentric_anomaly
 from emulator.trajectory.mounting import Looking, Spinning, Tilt
-from emulator.trajectory.orbit import Elements, Orbit, eccentric_anomaly
 from emulator.trajectory.pose import Fixed, Timescale, TrajectoryError, measured_bounds
 
 S = 1_000_000_000

@@ -7,8 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from emulator.geometry.camera import Pinhole, Rays, Seen
-from emulator.optics.lens import CHIPS, LensParameters
+from emulator.optics.lens import LensParameters
 from emulator.optics.through import Through
+from emulator.rig.kinds import CAMERA_MODELS
 from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.mesh import find_shape, load_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
@@ -20,7 +21,7 @@ from emulator.scene.stars.table import MovingPoint, StarsParameters
 from emulator.scene.terrain.gl_terrain import GlTerrain
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.table import Ridge, TerrainParameters
-from emulator.trajectory.descent import Gate
+from emulator.trajectory.laws import Gate
 from emulator.trajectory.parameters import DescentPath, FixedPath, Keyframe, KeyframePath, SpinPath
 from emulator.truth.surfaces import NearestSurface
 
@@ -174,7 +175,7 @@ def test_a_ball_is_as_far_as_a_sphere():
 @pytest.mark.parametrize("lens", [LENS, BENT], ids=["straight", "bent"])
 @pytest.mark.parametrize("t_ns", [3 * MS, 1_700 * MS])
 def test_flow_of_bodies_and_sky_is_that_of_their_points(lens, t_ns):
-    with Through(lens, CHIPS["davis346"], SIZE, lambda pinhole: RasterBodies(BODIES, pinhole)) as scene:
+    with Through(lens, CAMERA_MODELS["davis346"].chip, SIZE, lambda pinhole: RasterBodies(BODIES, pinhole)) as scene:
         geometry, out = seen_by(scene, t_ns)
         assert geometry.names == ("bus", "target_panel", "far")
         assert set(np.unique(out.labels)) == {0, 1, 2, 3}
@@ -194,7 +195,7 @@ def test_depth_behind_a_lens_is_that_of_the_bent_rays():
     """The plate is flat and large: its points must lie on its plane, wherever the lens shows them."""
     plate = BodyTable(shape="target_plate", units_m=20.0, path=FixedPath((0.0, 0.0, 30.0)))
     scene_of = BodiesParameters(bodies=(plate,))
-    with Through(BENT, CHIPS["davis346"], SIZE, lambda pinhole: RasterBodies(scene_of, pinhole)) as scene:
+    with Through(BENT, CAMERA_MODELS["davis346"].chip, SIZE, lambda pinhole: RasterBodies(scene_of, pinhole)) as scene:
         geometry, out = seen_by(scene, 0)
     mesh = load_mesh(find_shape("target_plate"), 20.0)
     facing = mesh.vertices[:, 2].min() + 30.0
@@ -263,13 +264,13 @@ SKY = StarsParameters(
 
 @pytest.mark.parametrize("lens", [LENS, BENT], ids=["straight", "bent"])
 def test_the_sky_turns_and_a_point_in_it_moves(lens):
-    with StarField(SKY, SIZE, lens, CHIPS["davis346"]) as scene:
+    with StarField(SKY, SIZE, lens, CAMERA_MODELS["davis346"].chip) as scene:
         geometry, out = seen_by(scene, 900 * MS)
         assert_flow(out.flow, flow_by_moving_points(geometry, out, 900 * MS, lens))
         light = np.zeros(SIZE[::-1], np.float32)
         bare = np.zeros_like(light)
         scene.light(900 * MS, light)
-    with StarField(dataclasses.replace(SKY, points=()), SIZE, lens, CHIPS["davis346"]) as empty:
+    with StarField(dataclasses.replace(SKY, points=()), SIZE, lens, CAMERA_MODELS["davis346"].chip) as empty:
         empty.light(900 * MS, bare)
     brightest = np.unravel_index(np.argmax(light - bare), light.shape)
     assert out.labels[brightest] == 1

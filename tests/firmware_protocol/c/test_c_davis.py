@@ -6,9 +6,10 @@ from davis_strategies import streams
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.davis346 import Decoder
-from firmware_protocol.davis346.words import Special, WordEncoder
+from firmware_protocol.davis346.decoder import Decoder
+from firmware_protocol.davis346.words import WordEncoder
 from firmware_protocol.events import EdgeKind
+from firmware_protocol.fx3.words import Special
 
 KINDS = {
     Special.INPUT_RISING: EdgeKind.RISING,

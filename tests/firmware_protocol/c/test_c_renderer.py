@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from firmware_protocol.c import FOLDER
-from firmware_protocol.renderer.messages import Camera
+from firmware_protocol.renderer import Camera
 from tests.firmware_protocol.c.toolchain import SANITIZED, STRICT, compiler, run
-from transports.renderer.server import RendererEnded, RendererError, RendererServer
+from transports.renderer import RendererEnded, RendererError, RendererServer
 
 DRIVER = Path(__file__).with_name("renderer_driver.c")
 PAGE = Path(__file__).parents[3] / "docs/renderers.md"

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.events import empty_edges, empty_events
-from firmware_protocol.framing import kiss
+from firmware_protocol.framing import sealed
 from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.profile import Profile
 from firmware_protocol.telemetry import BlockEncoder, BlockError, decode_block
@@ -84,7 +84,7 @@ def test_the_csp_packet_of_the_page(library):
 
 
 def csp_sealed(packet):
-    return kiss.sealed(bytes(packet))
+    return sealed(bytes(packet))
 
 
 @pytest.mark.parametrize(

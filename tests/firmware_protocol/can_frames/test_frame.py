@@ -6,8 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.can_frames.bus_time import BitRates, BusShare, crc15, frame_bits
-from firmware_protocol.can_frames.frame import FD_LENGTHS, Frame, FrameError, fd_length
+from firmware_protocol.can_frames.frame import (
+    FD_LENGTHS,
+    BitRates,
+    BusShare,
+    Frame,
+    FrameError,
+    crc15,
+    fd_length,
+    frame_bits,
+)
 
 
 @st.composite

@@ -5,9 +5,8 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.can_frames.bus_time import BitRates, frame_bits
 from firmware_protocol.can_frames.canopen import BusSelector, SelectorSettings
-from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.frame import BitRates, Frame, frame_bits
 from firmware_protocol.can_frames.socketcand import Wire
 
 RATES = BitRates(1_000_000)

@@ -7,8 +7,8 @@ from davis_host import Host
 
 from firmware_protocol.davis346 import Davis346
 from firmware_protocol.davis346.biases import BIASES, CoarseFine, sensor_factors
-from firmware_protocol.davis346.registers import Module
 from firmware_protocol.device import LEAST_FACTOR, MOST_FACTOR
+from firmware_protocol.fx3.registers import Module
 
 ADDRESSES = {bias.name: bias.address for bias in BIASES}
 DEFAULTS = {bias.address: int(bias.default) for bias in BIASES}

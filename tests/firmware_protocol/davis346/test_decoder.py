@@ -6,8 +6,9 @@ from davis_strategies import cut
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from firmware_protocol.davis346 import Decoder, WordFaults
 from firmware_protocol.davis346 import decoder as decoder_module
+from firmware_protocol.davis346.decoder import Decoder
+from firmware_protocol.fx3.decoded import WordFaults
 
 WORDS = st.one_of(
     st.integers(0, 0xFFFF),

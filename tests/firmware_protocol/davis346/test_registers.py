@@ -7,20 +7,10 @@ from davis_registers import kept
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.davis346 import (
-    BIASES,
-    Access,
-    CoarseFine,
-    Davis346,
-    Davis346Settings,
-    Layout,
-    Module,
-    ShiftedSource,
-    SystemInfo,
-    Vdac,
-    registers,
-)
-from firmware_protocol.davis346.registers import RegisterFile, Statistic
+from firmware_protocol.davis346 import BIASES, Davis346, Davis346Settings, Layout
+from firmware_protocol.davis346.biases import CoarseFine, ShiftedSource, Vdac
+from firmware_protocol.davis346.registers import Statistic, registers
+from firmware_protocol.fx3.registers import Access, Module, RegisterFile, SystemInfo
 
 DECLARED = list(registers((346, 260), Layout.UPRIGHT, SystemInfo()))
 WRITABLE = [r for r in DECLARED if r.access is Access.READ_WRITE]

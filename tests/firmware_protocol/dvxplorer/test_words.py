@@ -9,9 +9,9 @@ from dvxplorer_reader import Reader, read
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from firmware_protocol.davis346.blocks import no_marks
 from firmware_protocol.dvxplorer import GroupDecoder, GroupEncoder
 from firmware_protocol.events import empty_events
+from firmware_protocol.fx3.blocks import no_marks
 
 SIZE = (640, 480)
 

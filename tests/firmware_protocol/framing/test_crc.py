@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.framing.crc import crc16, crc32, crc32c
+from firmware_protocol.crc import crc16, crc32, crc32c
 
 CHECK = b"123456789"
 

@@ -36,7 +36,7 @@ def test_places_and_lengths_are_those_of_real_packets(sample):
     for one in packet.fields:
         assert one.identifies in (None, values[one.field.name]), one.field.name
     assert values["length"] + 7 == len(sample.octets)
-    assert packet.before_rest + len(sample.rest) + 2 == len(sample.octets)
+    assert packet.before_tail + len(sample.rest) + 2 == len(sample.octets)
     assert packet.lengths[0] <= len(sample.octets) <= packet.lengths[1]
     for name, value in sample.values.items():
         field = next(one.field for one in packet.fields if one.field.name == name)

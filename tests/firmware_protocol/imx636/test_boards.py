@@ -7,11 +7,11 @@ from evk4_requests import ANSWERS, START, Host, events_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.imx636.boards import BOARDS
-from firmware_protocol.imx636.evk4 import Evk4, Evk4Settings
+from firmware_protocol.imx636.evk4 import BOARDS, Evk4, Evk4Settings
 from firmware_protocol.usb.device import SetupPacket
-from transports.usb.cameras import CAMERAS, TreuzellHost, driver_of
+from transports.usb.cameras import DRIVERS, driver_of
 from transports.usb.loopback import DirectHost
+from transports.usb.treuzell_host import TreuzellHost
 
 # Strings in the library of neuromorphic_drivers 0.18.2; ids and kinds in the source of 0.16.1 and issue 5.
 AS_LISTED = {
@@ -75,7 +75,7 @@ def test_it_streams_to_our_own_driver(name):
 
 
 def test_each_id_has_a_driver():
-    assert {each.usb_id for each in BOARDS.values()} <= set(CAMERAS)
+    assert {each.usb_id for each in BOARDS.values()} <= set(DRIVERS)
 
 
 def short(host, *words):

@@ -4,8 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.imx636.registers import GEN41, IMX636, IMX646, NoRegister, Registers, Surroundings
+from firmware_protocol.imx636.registers import GEN41, IMX636, IMX646, Registers, Surroundings
 from firmware_protocol.prophesee.biases import BiasModel, BiasSlopes
+from firmware_protocol.prophesee.registers import NoRegister
 
 
 def test_the_thermometer_answers_when_it_is_started():

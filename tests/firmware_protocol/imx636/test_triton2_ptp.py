@@ -6,7 +6,7 @@ import pytest
 
 from firmware_protocol.events import EDGE, EdgeKind
 from firmware_protocol.gige.control import Pulse
-from firmware_protocol.gige.gvcp import ACTION_SCHEDULED, Command, Status, request
+from firmware_protocol.gige.gvcp import Command, Flag, Status, request
 from firmware_protocol.gige.registers import PTP_ON, Capability, Register
 from firmware_protocol.imx636.triton2_control import PtpClock, Triton2Control, ptp_identity
 from firmware_protocol.imx636.triton2_registers import Ptp, Triton2Settings, features
@@ -149,7 +149,7 @@ def test_an_action_is_scheduled_in_the_masters_time(host, master):
     host.control.orders.clear()
     for ahead_ns, status, pulse in ((S, Status.SUCCESS, now_ns + S), (-S, Status.ACTION_LATE, None)):
         payload = keys + (now_ns + ahead_ns).to_bytes(8, "big")
-        assert host.send_only(Command.ACTION, payload, flags=1 | ACTION_SCHEDULED) == status
+        assert host.send_only(Command.ACTION, payload, flags=1 | Flag.SCHEDULED) == status
         assert host.control.orders.popleft() == Pulse(pulse)
 
 

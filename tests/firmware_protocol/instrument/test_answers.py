@@ -1,6 +1,6 @@
 """Answers in order, with the time of their making, the oldest lost beyond 256."""
 
-from firmware_protocol.instrument.answers import Answers
+from firmware_protocol.instrument.instrument import Answers
 from firmware_protocol.instrument.queue import OwnTime
 from firmware_protocol.packets.addresses import Message, MessageKind
 

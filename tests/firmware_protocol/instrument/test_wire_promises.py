@@ -1,4 +1,4 @@
-"""Promises of docs/packets.md and docs/can.md that are easily broken."""
+"""Promises of docs/packets.md and docs/instrument.md that are easily broken."""
 
 import numpy as np
 from instrument_ground import SIZE, Ground, stream

@@ -9,15 +9,19 @@ from spacepackets.ccsds import SpacePacketHeader
 from spacepackets.ecss.tc import PusTc
 from spacepackets.ecss.tm import MiscParams, PusTm
 
-from firmware_protocol.framing.crc import crc16
+from firmware_protocol.crc import crc16
 from firmware_protocol.packets.addresses import PacketError
 from firmware_protocol.packets.ccsds import (
     OWN_EPOCH_4_3,
+    TC_OVERHEAD,
+    TM_OVERHEAD,
+    Acknowledge,
     PacketType,
     SequenceFlags,
     SpacePacket,
+    TcPacket,
+    TmPacket,
 )
-from firmware_protocol.packets.pus import TC_OVERHEAD, TM_OVERHEAD, Acknowledge, TcPacket, TmPacket
 
 APIDS = st.integers(0, 0x7FF)
 COUNTS = st.integers(0, 0x3FFF)

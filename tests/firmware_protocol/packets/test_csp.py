@@ -5,47 +5,37 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_protocol.packets.addresses import PacketError
-from firmware_protocol.packets.csp import CspPacket, CspVersion, Priority
+from firmware_protocol.packets.codec import CspPacket, Priority
+
+NODES, PORTS = st.integers(0, 2**14 - 1), st.integers(0, 63)
+PACKETS = st.builds(
+    CspPacket, NODES, NODES, PORTS, PORTS, st.binary(max_size=50), st.sampled_from(Priority), st.integers(0, 63)
+)
 
 
-def packets(version):
-    node = st.integers(0, 2**14 - 1 if version is CspVersion.TWO else 31)
-    flags = st.integers(0, 63 if version is CspVersion.TWO else 255)
-    port = st.integers(0, 63)
-    return st.builds(
-        CspPacket, node, node, port, port, st.binary(max_size=50), st.sampled_from(Priority), flags, st.just(version)
-    )
-
-
-PACKETS = st.sampled_from(CspVersion).flatmap(packets)
-
-
-# The four or six bytes behind FEND 00 of what csp_kiss_tx wrote for these fields.
+# The six bytes behind FEND 00 of what csp_kiss_tx wrote for these fields.
 @pytest.mark.parametrize(
     ("packet", "header"),
     [
         (CspPacket(10, 1, 8, 9, b"", Priority.NORMAL), "80 01 00 28 92 00"),
         (CspPacket(8348, 6401, 37, 0, b"", Priority.HIGH, 48), "59 01 82 70 09 70"),
-        (CspPacket(25, 7, 37, 60, b"", Priority.LOW, 81, CspVersion.ONE), "f2 7f 25 51"),
     ],
 )
 def test_headers_of_libcsp(packet, header):
     assert bytes(packet) == bytes.fromhex(header)
-    assert CspPacket.parse(bytes.fromhex(header), packet.version) == packet
+    assert CspPacket.parse(bytes.fromhex(header)) == packet
 
 
 @given(PACKETS)
 def test_packets_round_trip(packet):
-    assert CspPacket.parse(bytes(packet), packet.version) == packet
+    assert CspPacket.parse(bytes(packet)) == packet
 
 
-@pytest.mark.parametrize("version", CspVersion)
-def test_what_is_shorter_than_a_header_is_refused(version):
+def test_what_is_shorter_than_a_header_is_refused():
     with pytest.raises(PacketError, match="short"):
-        CspPacket.parse(bytes(version.header_octets - 1), version)
+        CspPacket.parse(bytes(5))
 
 
-def test_addresses_that_the_version_has_no_room_for_are_refused():
-    assert CspPacket(32, 1, 0, 0, b"").source == 32
-    with pytest.raises(ValueError, match="source has 5 bits"):
-        CspPacket(32, 1, 0, 0, b"", version=CspVersion.ONE)
+def test_addresses_that_the_header_has_no_room_for_are_refused():
+    with pytest.raises(ValueError, match=r"source 16384 is not in 0\.\.16383"):
+        CspPacket(1 << 14, 1, 0, 0, b"")

@@ -8,12 +8,11 @@ from hypothesis import strategies as st
 from packet_strategies import MESSAGES, TELECOMMANDS, pieces
 from spacepackets.ecss.tm import PusTm
 
-from firmware_protocol.framing import cobs, datagram, kiss
+from firmware_protocol.framing import cobs_frame, kiss_frame, sealed
 from firmware_protocol.packets.addresses import Addresses, Message, MessageKind, Received, SequenceFollower
-from firmware_protocol.packets.ccsds import APID_IDLE, PacketType, SpacePacket
-from firmware_protocol.packets.csp import CspPacket
+from firmware_protocol.packets.ccsds import APID_IDLE, Acknowledge, PacketType, SpacePacket, TcPacket, TmPacket
+from firmware_protocol.packets.codec import CspPacket
 from firmware_protocol.packets.profile import PROFILES, Profile
-from firmware_protocol.packets.pus import Acknowledge, TcPacket, TmPacket
 from firmware_protocol.packets.telecommands import FailureCode, Ping, RequestId, SetTick, Stage, Start, Verification
 
 STREAMS = [name for name in PROFILES if name not in ("ccsds", "csp")]
@@ -146,7 +145,7 @@ def test_space_packets_for_others_idle_ones_and_unknown_services_are_told_apart(
 )
 def test_csp_packets_for_others_are_refused_by_reason(packet, reason):
     unwrapper = Profile("csp-kiss").unwrapper()
-    assert unwrapper.push(kiss.frame(bytes(packet))) == []
+    assert unwrapper.push(kiss_frame(bytes(packet))) == []
     assert dict(unwrapper.counters.refused) == {reason: 1}
 
 
@@ -160,13 +159,13 @@ def test_csp_packets_for_others_are_refused_by_reason(packet, reason):
 )
 def test_csp_telecommands_for_others_are_refused_by_reason(packet, reason):
     unwrapper = Profile("csp").command_unwrapper()
-    assert unwrapper.push(datagram.frame_sealed(bytes(packet))) == []
+    assert unwrapper.push(sealed(bytes(packet))) == []
     assert dict(unwrapper.counters.refused) == {reason: 1}
 
 
 def test_a_telecommand_of_a_libcsp_built_without_csp_21_is_taken():
     packet = Profile("csp").wrap_command(Ping())[:-4]
-    line = packet + datagram.frame_sealed(packet[6:])[-4:]
+    line = packet + sealed(packet[6:])[-4:]
     (received,) = Profile("csp").command_unwrapper().push(line)
     assert received.command == Ping()
     assert Profile("csp").unwrapper().push(line) == []
@@ -175,7 +174,7 @@ def test_a_telecommand_of_a_libcsp_built_without_csp_21_is_taken():
 def test_a_whole_telecommand_that_is_unknown_comes_with_the_failure_to_report():
     unwrapper = Profile("ccsds-cobs").command_unwrapper()
     packet = bytes(TcPacket(0x2A0, 5, 128, 3, b"\x00\x07", Acknowledge.NONE))
-    (received,) = unwrapper.push(cobs.frame(packet))
+    (received,) = unwrapper.push(cobs_frame(packet))
     assert received.command is None
     assert received.failure.code is FailureCode.ILLEGAL_DATA
     assert received.request == RequestId(0x1AA0, 0xC005)

@@ -10,7 +10,7 @@ from spacepackets.ecss.pus_1_verification import RequestId as OracleRequest
 from spacepackets.ecss.tc import PusTc
 
 from firmware_protocol.packets.addresses import PacketError
-from firmware_protocol.packets.pus import TcPacket
+from firmware_protocol.packets.ccsds import TcPacket
 from firmware_protocol.packets.telecommands import TELECOMMANDS as KINDS
 from firmware_protocol.packets.telecommands import (
     CommandRefused,

@@ -15,14 +15,11 @@ from firmware_protocol.ptp.messages import (
     MessageType,
     PortIdentity,
     Sync,
-    announce,
     clock_identity,
     delay_request,
-    delay_response,
-    follow_up,
     parse,
-    sync,
 )
+from tests.firmware_protocol.ptp_network import announce, delay_response, follow_up, sync
 
 # Captured from ptp4l 3.1.1 (`ptp4l -4 -S`), the master of a veth pair.
 SYNC = bytes.fromhex("0002002c00000200000000000000000000000000368699fffe3b5fd10001000100fd00000000000000000000")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from firmware_protocol.davis346.words import Special
 from firmware_protocol.events import EdgeKind
-from firmware_protocol.receiver.davis import DavisReceiver
+from firmware_protocol.fx3.words import Special
+from firmware_protocol.receiver.instrument import DavisReceiver
 
 # Words as the published logic writes them: reset, time 5, row 3, ON column 7, rising edge at 9, wrap, OFF column 300.
 WORDS = [1, 0x8005, 0x1003, 0x3007, 0x8009, int(Special.INPUT_RISING), 0x7001, 0x8002, 0x2000 + 300]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import example, given
 
 from firmware_protocol.events import EVENT
-from firmware_protocol.framing.deframer import DEFAULT_MAX_PAYLOAD
+from firmware_protocol.framing import DEFAULT_MAX_PAYLOAD
 from firmware_protocol.instrument.instrument import Instrument
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.packets.addresses import Message, MessageKind

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.renderer.messages import (
+from firmware_protocol.renderer import (
     ANY_TIME,
     HEADER_OCTETS,
     READY,

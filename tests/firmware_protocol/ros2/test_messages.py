@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from firmware_protocol.events import EVENT
-from firmware_protocol.ros2.messages import (
+from firmware_protocol.ros2 import (
     ENCODINGS,
     EVENT_PACKET,
     IMAGE,

@@ -12,7 +12,7 @@ import slow_decoder
 from firmware_protocol.events import EVENT
 from firmware_protocol.telemetry import BlockError, decode_block
 
-PAGE = (Path(__file__).parents[3] / "docs/packets.md").read_text()
+EXAMPLES = (Path(__file__).parents[3] / "docs/traces/messages.txt").read_text()
 BLOCKS = json.loads((make_vectors.FOLDER / "blocks.json").read_text())
 REFUSED = json.loads((make_vectors.FOLDER / "refused.json").read_text())
 
@@ -56,18 +56,18 @@ def test_every_mode_tick_and_reason_has_a_vector():
     assert {vector["why"] for vector in REFUSED} == set(range(1, 8))
 
 
-def hexes(after):
-    """The first bytes in backticks after the words `after`."""
-    text = PAGE[PAGE.index(after) :]
-    return bytes.fromhex(re.search(r"`([0-9A-F]{2}( +[0-9A-F]{2}){2,})`", text).group(1))
+def hexes(name):
+    """The bytes that stand behind a name in the list of examples."""
+    (octets,) = re.findall(rf"^{name}: ((?:(?:[0-9A-F]{{2}})+ ?)+)", EXAMPLES, re.MULTILINE)
+    return bytes.fromhex(octets)
 
 
 def test_the_examples_of_the_page_are_true():
     header = bytes.fromhex("11 00 00 03 00 0F 42 40 00 00 15 91 03 0D")
     by_name = {vector["name"]: bytes.fromhex(vector["hex"]) for vector in BLOCKS}
-    assert by_name["page: three events, ROWS"] == header + hexes("padding\n```\n\nAs bytes")
-    assert by_name["page: three events, FLAT"][14:] == hexes("The same in FLAT")
-    assert by_name["page: a small BITMAP"] == hexes("As bytes, with the header")
+    assert by_name["page: three events, ROWS"] == header + hexes("ROWS, payload")
+    assert by_name["page: three events, FLAT"][14:] == hexes("FLAT, payload")
+    assert by_name["page: a small BITMAP"] == hexes("BITMAP, with the header")
     assert decode_block(by_name["page: three events, ROWS"]).events.tolist() == make_vectors.THREE.tolist()
     x, y = (decode_block(by_name["page: a small BITMAP"]).events[name] for name in ("x", "y"))
     assert (y * 8 + x).tolist() == [10, 11, 13, 14, *range(16, 24)]

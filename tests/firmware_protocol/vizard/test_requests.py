@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.vizard.messages import (
+from firmware_protocol.vizard import (
     INPUT_REPLY,
     NO_IMAGE,
     OK,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.vizard.messages import Update, UpdateError
+from firmware_protocol.vizard import Update, UpdateError
 
 sys.path.insert(0, str(Path(__file__).parent))
 

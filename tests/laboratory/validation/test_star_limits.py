@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from emulator.optics.lens import CHIPS
+from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.loading import load_rig
 from emulator.scene.stars.skies import stars_per_deg2
 from emulator.scene.stars.stars import StarField
@@ -44,7 +44,7 @@ def test_the_real_camera_s_share_gives_its_distribution_back():
 def test_the_rigs_drift_as_the_recording_did():
     rig = load_rig("stars-limit")
     size = rig.camera.sensor.width, rig.camera.sensor.height
-    with StarField(rig.scene, size, rig.camera.lens, CHIPS["imx636"]) as sky:
+    with StarField(rig.scene, size, rig.camera.lens, CAMERA_MODELS["imx636"].chip) as sky:
         before, after = (dict(zip(g, places, strict=True)) for places, g in map(sky.stars_at, (0, 5_000_000_000)))
     near = [g for g in before if g in after and np.hypot(*(before[g] - np.array(size) / 2)) < 200]
     assert len(near) > 10

@@ -104,14 +104,14 @@ def test_at_the_end_of_a_run_what_counts_as_delivered_has_been_received(carriage
         ring, clock = EventRing(n), MonotonicClock()
         link = Link(LinkSetup("can", ring, device, CanFactory(parameters)), clock)
         await link.endpoint.start()
-        there = replace(peer_of(parameters), port=int(link.endpoint.address.rpartition(":")[2]))
+        there = replace(peer_of(parameters), port=int(link.endpoint.report().address.rpartition(":")[2]))
         told = None
         listening = asyncio.create_task(
             listen_can(
                 there, lambda now: told is None or (now.events < told.delivered and clock.now_ns() < end_ns), clock
             )
         )
-        while not link.endpoint.use.carried:
+        while not link.endpoint.report().use.carried:
             link.tick()
             await asyncio.sleep(0.001)
         ring.start(FREE_RUNNING)
@@ -146,7 +146,7 @@ def test_a_listener_that_appears_within_a_tick_connects_the_instrument_before_th
         for carries in (False, True):
             link.tick()
             clock.advance(10**6)
-            assert bool(link.endpoint.use.carried) is carries
+            assert bool(link.endpoint.report().use.carried) is carries
         ring.start(FREE_RUNNING)
         ring.push(events(100))
         ring.publish(10**7)
@@ -169,9 +169,9 @@ def test_what_cannot_leave_in_time_is_counted_as_dropped(monkeypatch):
         device = partial(Instrument, (346, 260), InstrumentSettings())
         link = Link(LinkSetup("can", ring, device, CanFactory(parameters)), clock)
         await link.endpoint.start()
-        with socket.create_connection(("127.0.0.1", int(link.endpoint.address.rpartition(":")[2]))) as sock:
+        with socket.create_connection(("127.0.0.1", int(link.endpoint.report().address.rpartition(":")[2]))) as sock:
             sock.sendall(HANDSHAKE)
-            while not link.endpoint.use.carried:
+            while not link.endpoint.report().use.carried:
                 link.tick()
                 clock.advance(10**6)
                 await asyncio.sleep(0.001)
@@ -331,7 +331,7 @@ def test_answers_that_find_no_room_are_bounded_and_counted():
         first = Frame(parameters.isotp.receive, bytes([0x10, 20, 1, 2, 3, 4, 5, 6]))
         for _ in range(2000):
             endpoint._receive(0, first, clock.now_ns())
-        return len(endpoint._urgent), dict(endpoint.counts)
+        return len(endpoint._urgent), dict(endpoint.report().counts)
 
     waiting, counts = asyncio.run(run())
     assert waiting == 1024

@@ -124,7 +124,7 @@ def test_our_reader_of_python_can_joins_it():
 
     frames, own = asyncio.run(both())
     assert [h.frame for h in frames] == [Frame(0x080, b"\x07")]
-    assert [(h.frame, h.own) for h in own] == [(Frame(0x080, b"\x07"), True)]
+    assert [(h.frame, h.is_ours) for h in own] == [(Frame(0x080, b"\x07"), True)]
     assert abs(frames[0].t_ns - own[0].t_ns) < 50_000_000
 
 
@@ -172,10 +172,10 @@ def test_a_listener_gets_the_events_that_the_link_delivers(tmp_path, carriage):
         ring, clock = EventRing(1000), MonotonicClock()
         link = Link(LinkSetup("can", ring, device, CanFactory(parameters)), clock)
         await link.endpoint.start()
-        there = replace(peer_of(parameters), port=int(link.endpoint.address.rpartition(":")[2]))
+        there = replace(peer_of(parameters), port=int(link.endpoint.report().address.rpartition(":")[2]))
         recorder = Recorder(tmp_path / "got.npz")
         listening = asyncio.create_task(listen_can(there, lambda now: now.events < 400, clock, recorder))
-        while not (link.endpoint.use.carried or listening.done()):  # until the listener is there
+        while not (link.endpoint.report().use.carried or listening.done()):  # until the listener is there
             link.tick()
             await asyncio.sleep(0.001)
         ring.start(clock.now_ns())

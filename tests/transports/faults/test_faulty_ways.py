@@ -5,8 +5,7 @@ import asyncio
 import numpy as np
 import pytest
 
-from firmware_protocol.can_frames.bus_time import BitRates
-from firmware_protocol.can_frames.frame import Frame
+from firmware_protocol.can_frames.frame import BitRates, Frame
 from firmware_protocol.events import EVENT, empty_edges
 from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.addresses import Message, MessageKind

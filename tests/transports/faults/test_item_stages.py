@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
-from firmware_protocol.can_frames.bus_time import BitRates
+from firmware_protocol.can_frames.frame import BitRates
 from transports.can_bus.faulty_bus import BusFaults
-from transports.faults.bus import CAN_FAULTS, LostFrames
-from transports.faults.datagrams import DATAGRAM_FAULTS, FaultyDatagrams, LateDatagrams, LostDatagrams
+from transports.faults.bus import LostFrames
+from transports.faults.datagrams import FaultyDatagrams, LateDatagrams, LostDatagrams
 from transports.faults.items import Delay, Loss, Repetition, pass_through
+from transports.faults.kinds import CAN_BUS, DATAGRAMS, FAULTS, GIGE_STREAM
 from transports.faults.line import LostBytes
 from transports.faults.script import FaultPlan, Faults
-from transports.gige.packet_faults import PACKET_FAULTS, FaultyPackets
+from transports.gige.packet_faults import FaultyPackets
 
 RATES = BitRates()
 
@@ -59,22 +60,22 @@ def test_an_item_passes_the_stages_in_order_and_each_hit_is_recorded_before_its_
     assert [(record.hits, record.events_lost) for record in faults.records] == [(1, 0), (2, 2)]
 
 
-@pytest.mark.parametrize("kind", CAN_FAULTS)
+@pytest.mark.parametrize("kind", [kind for kind in FAULTS if CAN_BUS in FAULTS[kind].carriers])
 def test_every_fault_of_a_bus_has_an_effect(kind):
-    assert CAN_FAULTS[kind]().stage(random(), RATES).hits in (0, 1)
+    assert FAULTS[kind]().stage(random(), RATES).hits in (0, 1)
 
 
-@pytest.mark.parametrize("kind", DATAGRAM_FAULTS)
+@pytest.mark.parametrize("kind", [kind for kind in FAULTS if DATAGRAMS in FAULTS[kind].carriers])
 def test_every_fault_of_datagrams_begins(kind):
     path = FaultyDatagrams(FaultPlan(), lambda _: None)
-    path.inject(DATAGRAM_FAULTS[kind]())
+    path.inject(FAULTS[kind]())
     assert [record.kind for record in path.records] == [kind]
 
 
-@pytest.mark.parametrize("kind", PACKET_FAULTS)
+@pytest.mark.parametrize("kind", [kind for kind in FAULTS if GIGE_STREAM in FAULTS[kind].carriers])
 def test_every_fault_of_a_gige_camera_begins(kind):
     path = FaultyPackets(FaultPlan())
-    path.inject(PACKET_FAULTS[kind]())
+    path.inject(FAULTS[kind]())
     assert [record.kind for record in path.records] == [kind]
 
 
@@ -83,5 +84,5 @@ def test_a_carrier_refuses_the_faults_of_another():
         BusFaults(FaultPlan(), RATES, None).inject(LostBytes())
     with pytest.raises(ValueError, match="'lost_frames' is no fault of packets in datagrams"):
         FaultyDatagrams(FaultPlan(), lambda _: None).inject(LostFrames())
-    with pytest.raises(ValueError, match="'lost_frames' is no fault of packets in datagrams"):
+    with pytest.raises(ValueError, match="'lost_frames' is no fault of a GigE Vision stream"):
         FaultyPackets(FaultPlan()).inject(LostFrames())

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from transports.faults.bus import LostFrames
 from transports.faults.faulty_line import FaultyLine
+from transports.faults.kinds import FAULTS, SERIAL_LINE
 from transports.faults.line import (
-    SERIAL_FAULTS,
     BitFlips,
     Burst,
     InsertedBytes,
@@ -23,7 +23,7 @@ from transports.faults.line import (
 from transports.faults.script import FaultPlan
 
 BYTES_PER_S = 300_000.0
-FAULTS = [
+FAULTS_OF_BYTES = [
     BitFlips(rate=0.01, count=0, for_s=1),
     InsertedBytes(rate=0.05, count=7),
     LostBytes(rate=0.05, count=7),
@@ -50,7 +50,7 @@ def flipped(a, b):
     return sum((x ^ y).bit_count() for x, y in zip(a, b, strict=True))
 
 
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f"{f.kind}")
+@pytest.mark.parametrize("fault", FAULTS_OF_BYTES, ids=lambda f: f"{f.kind}")
 @given(cuts=st.lists(st.integers(0, len(DATA)), max_size=12))
 def test_the_result_does_not_depend_on_how_the_bytes_are_cut(fault, cuts):
     bounds = [0, *sorted(cuts), len(DATA)]
@@ -60,22 +60,22 @@ def test_the_result_does_not_depend_on_how_the_bytes_are_cut(fault, cuts):
     assert (of_cut.hits, of_cut.touched) == (of_whole.hits, of_whole.touched)
 
 
-@pytest.mark.parametrize("fault", FAULTS[:5], ids=lambda f: f.kind)
+@pytest.mark.parametrize("fault", FAULTS_OF_BYTES[:5], ids=lambda f: f.kind)
 def test_another_seed_hits_other_places(fault):
     assert through(fault, [DATA], 1)[0] != through(fault, [DATA], 2)[0]
 
 
 def test_each_does_as_much_as_it_says():
-    out, s = through(FAULTS[0], [DATA])
+    out, s = through(FAULTS_OF_BYTES[0], [DATA])
     assert flipped(out, DATA) == s.hits == pytest.approx(160, abs=50)
-    out, s = through(FAULTS[1], [DATA])
+    out, s = through(FAULTS_OF_BYTES[1], [DATA])
     assert (len(out), s.hits, s.over) == (len(DATA) + 7, 7, True)
-    out, s = through(FAULTS[2], [DATA])
+    out, s = through(FAULTS_OF_BYTES[2], [DATA])
     assert (len(out), s.hits, s.touched, s.over) == (len(DATA) - 7, 7, 7, True)
-    out, s = through(FAULTS[3], [DATA])
+    out, s = through(FAULTS_OF_BYTES[3], [DATA])
     assert (len(out), s.hits, s.touched, s.over) == (len(DATA), 3, 27, True)
     assert sum(x != y for x, y in zip(out, DATA, strict=True)) > 20
-    out, s = through(FAULTS[4], [DATA])
+    out, s = through(FAULTS_OF_BYTES[4], [DATA])
     assert (len(out), s.hits, s.touched) == (len(DATA) - 2 * 25, 2, 50)
 
 
@@ -129,9 +129,9 @@ def test_what_a_line_cannot_have_is_refused():
         FaultyLine(FaultPlan(), "ccsds-cobs", BYTES_PER_S, None).inject(LostFrames())
 
 
-@pytest.mark.parametrize("kind", SERIAL_FAULTS)
+@pytest.mark.parametrize("kind", [kind for kind in FAULTS if SERIAL_LINE in FAULTS[kind].carriers])
 def test_every_kind_has_a_stage(kind):
-    assert stage(SERIAL_FAULTS[kind]()) is not None
+    assert stage(FAULTS[kind]()) is not None
 
 
 @pytest.mark.parametrize(

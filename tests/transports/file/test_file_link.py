@@ -16,7 +16,7 @@ from evstim.testing.link_contract import LinkContract, NoReader, event_stream
 from firmware_protocol.events import EDGE
 from tests.transports.recording.test_files import read_all, read_until_damage
 from tests.transports.recording.test_live import waited
-from transports.file.kind import FileLink
+from transports.file import FileLink
 from transports.link.edges import EdgeRing
 from transports.link.feed import Timing
 from transports.link.pacing import MonotonicClock

@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from emulator.light import LightFrame
 from emulator.rig.loading import parse_rig
 from emulator.run.assembly import link_setups
-from emulator.sensor.aps.frames import FrameSource
+from emulator.sensor.frames import FrameSource
 from emulator.sensor.parameters import FrameParameters
 from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.events import EVENT, EdgeKind
@@ -172,7 +172,7 @@ def pictures(sent):
 @pytest.fixture(autouse=True)
 def pieces(monkeypatch):
     """A step of a busy sensor has more events than are handed over at once."""
-    monkeypatch.setattr("transports.file.kind._MOST_EVENTS", 4096)
+    monkeypatch.setattr("transports.file._MOST_EVENTS", 4096)
 
 
 @pytest.mark.sampled

@@ -32,7 +32,7 @@ class Bench:
         self.link = Link(LinkSetup("gige", self.ring, camera, factory), self.clock)
         self.loop = asyncio.new_event_loop()
         self.loop.run_until_complete(self.link.endpoint.start())
-        self.host, port = self.link.endpoint.address.split(":")
+        self.host, port = self.link.endpoint.report().address.split(":")
         self.port = int(port)
         self.events = []
 

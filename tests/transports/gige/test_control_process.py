@@ -17,9 +17,9 @@ from firmware_protocol.gige.control import DeviceTime, Owner, Write
 from firmware_protocol.gige.gvcp import Command, Status, request
 from firmware_protocol.gige.registers import Register
 from firmware_protocol.imx636.triton2_registers import ACQUISITION_START, Triton2Settings
-from firmware_protocol.ptp.clock import Timebase
+from firmware_protocol.ptp.slave import Timebase
 from transports.gige.answering import TIME_CELLS, ControlSetup, read_timebase, write_timebase
-from transports.gige.control_process import ControlProcess
+from transports.gige.endpoint import ControlProcess
 from transports.link.endpoint import LinkBroken
 
 pytestmark = pytest.mark.socket
@@ -27,9 +27,9 @@ SETUP = ControlSetup("127.0.0.1", 0, (), Triton2Settings(), 4567)
 LONELY = """
 import sys, time
 from firmware_protocol.imx636.triton2_registers import Triton2Settings
-from firmware_protocol.ptp.clock import Timebase
+from firmware_protocol.ptp.slave import Timebase
 from transports.gige.answering import TIME_CELLS, ControlSetup, read_timebase, write_timebase
-from transports.gige.control_process import ControlProcess
+from transports.gige.endpoint import ControlProcess
 process = ControlProcess(ControlSetup("127.0.0.1", 0, (), Triton2Settings(), 1))
 print(process.pid, flush=True)
 sys.stdin.read()

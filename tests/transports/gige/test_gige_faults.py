@@ -28,7 +28,7 @@ def test_faults_of_the_stream_are_healed_for_a_host_that_asks_again(bench, fault
     host.start(packet_size=576)
     events = stream(20_000)
     here.run(events, host)
-    assert here.link.endpoint.faults[0].hits > 3
+    assert here.link.endpoint.faulty.records[0].hits > 3
     assert np.concatenate(here.events).tobytes() == events.tobytes()
     assert (host.assembly.requested > 0) == (fault is LostDatagrams)
     host.close()
@@ -75,7 +75,7 @@ def test_packets_that_the_camera_keeps_no_more_are_not_sent_again(bench):
     host = here.connect()
     host.start(packet_size=576)
     here.run(stream(20_000), host)
-    healed, refused = host.assembly.requested, here.link.endpoint.faults[1].hits
+    healed, refused = host.assembly.requested, here.link.endpoint.faulty.records[1].hits
     lost = here.close().faults[1].events_lost
     host.close()
     assert 0 < refused < healed
@@ -91,14 +91,14 @@ def test_a_heartbeat_that_is_lost_takes_control_away(bench):
     host.start()
     here.turn()
     assert here.link.report().attach_command == ""
-    here.link.endpoint.inject(LostHeartbeat())
+    here.link.endpoint.faulty.inject(LostHeartbeat())
     while here.link._device.owner is not None:
         here.turn()
     assert here.link.report().attach_command == command
     here.clock.advance(2_000_000_000)
     with pytest.raises(CameraGone, match="control was taken away"):
         host.read(0.001)
-    assert here.link.endpoint.faults[0].hits == 1
+    assert here.link.endpoint.faulty.records[0].hits == 1
     host.close()
     here.connect().close()
 
@@ -163,7 +163,7 @@ def test_a_camera_that_changes_its_address_is_lost_and_found_at_the_new_one(benc
     _turns_until(here, lambda: here.link._device.owner is None)
     assert _discovered(begun) is None
     here.ring.publish(150_000)
-    _turns_until(here, lambda: here.link.endpoint.address == f"127.0.0.77:{here.port}")
+    _turns_until(here, lambda: here.link.endpoint.report().address == f"127.0.0.77:{here.port}")
     moved = ("127.0.0.77", here.port)
     _turns_until(here, lambda: _discovered(moved) == "127.0.0.77")
     assert _discovered(begun) is None

@@ -5,7 +5,7 @@ import numpy as np
 from firmware_protocol.events import EVENT, empty_edges
 from transports.link.deliveries import LatencySummary, digest_of
 from transports.link.pacing import FakeClock
-from transports.link.reception import Arrivals
+from transports.reception import Arrivals
 from transports.recording.record import Recorder, load_record
 
 

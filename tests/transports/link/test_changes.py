@@ -1,20 +1,28 @@
 """Changes of a camera that wait for a session too busy to read: settings are never lost, the rest is counted."""
 
-from types import SimpleNamespace
-
 from firmware_protocol.davis346 import Davis346
-from firmware_protocol.device.event_device import EventDevice
+from firmware_protocol.device.event_device import HostAdjusted
 from transports.link.report import CameraSettings, ChangeWatch, Occurrence
 from transports.usb.davis_host import DavisHost
 from transports.usb.loopback import DirectHost
 
 
-class Device(SimpleNamespace):
-    """What a watch looks at."""
+class Device(HostAdjusted):
+    """What a watch looks at: every look finds a new version of its settings."""
 
     set_by = "telecommand"
-    settings_version = None
-    sensor_factors = EventDevice.sensor_factors
+
+    def __init__(self):
+        self.commands, self.factors, self.looks = (), {}, 0
+
+    @property
+    def settings_version(self):
+        self.looks += 1
+        return self.looks
+
+    @property
+    def sensor_factors(self):
+        return self.factors
 
     def take_commands(self):
         commands, self.commands = self.commands, ()
@@ -22,9 +30,7 @@ class Device(SimpleNamespace):
 
 
 def watched():
-    device = Device(commands=(), without_effect={})
-    device.__dict__["factors"] = {}
-    type(device).sensor_factors = property(lambda self: self.factors)
+    device = Device()
     return device, ChangeWatch(device)
 
 

@@ -15,6 +15,7 @@ from transports.link.feed import EdgeReport, Feed, Timing
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
+from transports.recording.live import FileRecorder
 from transports.recording.record import load_record
 from transports.usb.loopback import LoopbackFactory
 
@@ -33,7 +34,7 @@ def linked(timing, path=None, origin_ns=ORIGIN_NS):
     """A running link to a host beside the camera, which checks all that it decodes."""
     ring, clock = EventRing(10_000), FakeClock(ORIGIN_NS)
     camera = partial(Davis346, Davis346Settings(start_delay_us=0))
-    link = Link(LinkSetup("loopback", ring, camera, LoopbackFactory(), path, timing=timing), clock)
+    link = Link(LinkSetup("loopback", ring, camera, LoopbackFactory(), FileRecorder(path), timing=timing), clock)
     asyncio.run(link.endpoint.start())
     ring.start(origin_ns)
     return link, ring, clock

@@ -6,7 +6,7 @@ from typing import ClassVar
 import pytest
 
 from firmware_protocol.instrument.settings import InstrumentSettings
-from transports.link.kind import LinkKind
+from transports.link.kind import LinkKind, LinkParameters, possible_faults
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Kindless:
 
 
 @dataclass(frozen=True)
-class Bare:
+class Bare(LinkParameters):
     kind: ClassVar[str] = "beacon"
     name: str = "beacon"
 
@@ -43,5 +43,5 @@ def test_parameters_that_lack_something(parameters, serves, told):
 def test_parameters_that_have_all(parameters, serves):
     kind = LinkKind(parameters, serves, "beacon:factory_of")
     assert kind.name == "beacon"
-    assert kind.possible_faults(parameters()) == {}
-    assert kind.listens_on(parameters()) is None
+    assert possible_faults(kind, parameters()) == {}
+    assert parameters().listens_on() is None

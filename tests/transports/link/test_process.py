@@ -16,6 +16,7 @@ from transports.link.loop import LinkLoop, Stop, _is_read
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
+from transports.recording.live import FileRecorder
 from transports.recording.record import load_record
 from transports.usb.host import StallError
 from transports.usb.loopback import DirectHost, LoopbackEndpoint, LoopbackFactory
@@ -35,7 +36,7 @@ def stream(count, every_us=10, start_us=0, seed=1):
 
 def loopback_link(tmp_path=None, ring=None, clock=None, start_delay_us=0):
     ring = ring or EventRing(10_000)
-    record = tmp_path / "link.npz" if tmp_path else None
+    record = FileRecorder(tmp_path / "link.npz") if tmp_path else None
     camera = partial(Davis346, Davis346Settings(start_delay_us=start_delay_us))
     setup = LinkSetup("loopback", ring, camera, LoopbackFactory(), record)
     link = Link(setup, clock or FakeClock(ORIGIN_NS))

@@ -5,7 +5,7 @@ import pytest
 from transports.can_bus.node import CanReception
 from transports.gige.host import GigeReception
 from transports.link.pacing import FakeClock
-from transports.link.reception import Arrivals, InstrumentReception, Reception, receive
+from transports.reception import Arrivals, InstrumentReception, Reception, receive
 from transports.usb.cameras import CameraReception
 
 

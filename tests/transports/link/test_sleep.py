@@ -11,7 +11,7 @@ import pytest
 from virtual_loop import VirtualLoop
 
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from firmware_protocol.device.event_device import ReadingKind
+from firmware_protocol.device.items import ReadingKind
 from firmware_protocol.device.plain_device import PlainDevice
 from firmware_protocol.events import EVENT
 from firmware_protocol.frames import line_record
@@ -27,7 +27,7 @@ from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing, ReadingRing
 from transports.usb.loopback import LoopbackEndpoint, LoopbackFactory
-from transports.usb.usbip.server import UsbipFactory
+from transports.usb.usbip.endpoint import UsbipFactory
 
 MS = 1_000_000
 ORIGIN_NS = 1_000 * MS

@@ -219,7 +219,7 @@ def test_folders_and_devices_are_no_recordings(tmp_path):
 def test_a_suffix_that_is_not_written_is_answered_with_those_that_are(name, tmp_path):
     with pytest.raises(RecordingError, match=r"\.aedat4, \.aedat2.*\.npz"):
         format_to_write(tmp_path / name)
-    with pytest.raises(RecordingError, match="no format 'aedat5'"):
+    with pytest.raises(RecordingError, match="format 'aedat5' is not known here; did you mean 'aedat4'"):
         format_to_write(tmp_path / name, "aedat5")
 
 

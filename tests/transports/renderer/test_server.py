@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from evstim.renderer import Images, Renderer, RendererRefused
-from firmware_protocol.renderer.messages import HEADER_OCTETS, READY, Camera, End, Hello, Image, MessageError
-from transports.renderer import server as module
-from transports.renderer.server import RendererEnded, RendererError, RendererServer
+from firmware_protocol.renderer import HEADER_OCTETS, READY, Camera, End, Hello, Image, MessageError
+from transports import renderer as module
+from transports.renderer import RendererEnded, RendererError, RendererServer
 
 pytestmark = pytest.mark.socket
 

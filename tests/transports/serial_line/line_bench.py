@@ -15,6 +15,7 @@ from transports.faults.script import FaultPlan
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import EventRing
+from transports.recording.live import FileRecorder
 from transports.serial_line.endpoint import SerialFactory
 from transports.serial_line.kind import SerialLink
 
@@ -41,7 +42,14 @@ class Bench:
         parameters = SerialLink(**{"baud": 3_000_000, **line})
         device = partial(Instrument, (346, 260), settings or InstrumentSettings(housekeeping_s=0))
         self.link = Link(
-            LinkSetup("serial", self.ring, device, SerialFactory(parameters, faults or FaultPlan()), record), self.clock
+            LinkSetup(
+                "serial",
+                self.ring,
+                device,
+                SerialFactory(parameters, faults or FaultPlan()),
+                None if record is None else FileRecorder(record),
+            ),
+            self.clock,
         )
         self.receiver = SerialReceiver(parameters.profile)
         self.port, self.closed = None, False
@@ -52,7 +60,7 @@ class Bench:
 
     def plug(self):
         """Open the reader's side."""
-        self.port = serial.Serial(self.link.endpoint.address, timeout=0)
+        self.port = serial.Serial(self.link.endpoint.report().address, timeout=0)
         self.link.tick()
 
     def give(self, events, now_us):

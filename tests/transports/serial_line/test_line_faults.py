@@ -190,7 +190,7 @@ def test_a_fault_injected_by_hand_begins_at_once(bench):
     b.ring.start(ORIGIN_NS)
     b.give(stream(COUNT), COUNT * 20)
     b.run(100)
-    b.link.endpoint.inject(LostBytes())
+    b.link.endpoint.faulty.inject(LostBytes())
     b.run(360)
     b.read_until(b.link.report().delivered)
     report = b.link.report()

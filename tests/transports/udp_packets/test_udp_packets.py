@@ -16,15 +16,16 @@ from firmware_protocol.packets.profile import Profile
 from firmware_protocol.packets.telecommands import Ping, SetTick, Stop
 from firmware_protocol.receiver.instrument import SerialReceiver
 from tests.transports.network_streams.stream_readers import udp_port
-from transports.faults.datagrams import DATAGRAM_FAULTS, LateDatagrams, LostDatagrams, RepeatedDatagrams
+from transports.faults.datagrams import LateDatagrams, LostDatagrams, RepeatedDatagrams
 from transports.faults.line import BitFlips, Stall
 from transports.faults.script import FaultPlan
+from transports.link.kind import possible_faults
 from transports.link.pacing import FakeClock
 from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.network import AllowList, DatagramInlet
 from transports.udp_packets.endpoint import Ports, UdpPacketFactory, listen_udp
-from transports.udp_packets.kind import UdpPacketsLink
+from transports.udp_packets.kind import UDP_PACKETS, UdpPacketsLink
 
 pytestmark = pytest.mark.socket
 
@@ -51,7 +52,7 @@ class Bench:
 
     @property
     def commands_at(self):
-        host, port = self.link.endpoint.address.split(":")
+        host, port = self.link.endpoint.report().address.split(":")
         return host, int(port)
 
     def send(self, octets):
@@ -281,8 +282,13 @@ def test_faults_that_meet_leave_each_message_one_fate(bench):
 
 def test_a_fault_of_a_serial_line_is_refused(bench):
     with pytest.raises(ValueError, match="no fault of packets in datagrams"):
-        bench().link.endpoint.inject(Stall())
-    assert list(DATAGRAM_FAULTS) == ["lost_datagrams", "repeated_datagrams", "late_datagrams", "bit_flips"]
+        bench().link.endpoint.faulty.inject(Stall())
+    assert set(possible_faults(UDP_PACKETS, UdpPacketsLink())) == {
+        "lost_datagrams",
+        "repeated_datagrams",
+        "late_datagrams",
+        "bit_flips",
+    }
 
 
 def test_a_port_that_is_taken_says_so():

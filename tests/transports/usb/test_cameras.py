@@ -2,6 +2,7 @@
 
 import dataclasses
 import struct
+from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
@@ -14,10 +15,11 @@ from firmware_protocol.usb.device import Identity
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import UsbSilence
-from transports.usb.cameras import TreuzellHost, driver_of, first_on_the_bus
+from transports.usb.cameras import driver_of, first_on_the_bus
 from transports.usb.host import DeviceAbsent, PeerBroken, StallError, StreamSettings, TransferTimeout, UnsuitableDevice
 from transports.usb.loopback import DirectHost
 from transports.usb.pyusb_host import PyusbHost
+from transports.usb.treuzell_host import TreuzellHost
 from transports.usb.usbip.client import UsbipHost
 
 SETTINGS = Evk4Settings(serial="c0ffee", start_delay_us=0)
@@ -160,6 +162,18 @@ def test_a_camera_that_says_nothing_times_out(camera):
     host.configure()
     with pytest.raises(TransferTimeout):
         host.bulk_in(2, 1024)
+
+
+def test_the_driver_of_another_package_is_an_entry_point(monkeypatch):
+    class Other(Evk4):
+        identity = Identity(0x1234, 0x5678, 0, Speed.SUPER)
+
+    def installed(group, name):
+        return [EntryPoint(name, "transports.usb.davis_host:DavisHost", group)] if name == "1234:5678" else []
+
+    monkeypatch.setattr("transports.usb.cameras.entry_points", installed)
+    with pytest.raises(UnsuitableDevice, match="1234:5678 is not a DAVIS"):
+        driver_of(DirectHost(Other(SETTINGS)))
 
 
 def test_old_firmware_and_other_devices_are_refused():

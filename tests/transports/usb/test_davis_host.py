@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, SystemInfo, WordEncoder
+from firmware_protocol.davis346 import Davis346, Davis346Settings, Layout, WordEncoder
 from firmware_protocol.events import EVENT
+from firmware_protocol.fx3.registers import SystemInfo
 from firmware_protocol.usb.descriptors import Speed
 from firmware_protocol.usb.device import Identity, SetupPacket
 from transports.usb.davis_host import DavisHost
@@ -214,7 +215,7 @@ def test_camera_that_goes_away_while_streaming(bench):
 
 
 def test_reset_that_never_shows_is_a_timeout(bench, monkeypatch):
-    monkeypatch.setattr("transports.usb.davis_host._RESET_TIMEOUT_S", 0.05)
+    monkeypatch.setattr("transports.usb.fx3_host._RESET_TIMEOUT_S", 0.05)
     camera = Davis346()
     monkeypatch.setattr(camera, "read", lambda endpoint, max_bytes: None)
     bench.start({"1-1": camera})

@@ -17,7 +17,7 @@ from transports.link.process import Link, LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
 from transports.usb.cameras import driver_of
 from transports.usb.usbip.client import UsbipHost
-from transports.usb.usbip.server import UsbipFactory
+from transports.usb.usbip.endpoint import UsbipFactory
 
 pytestmark = pytest.mark.socket
 
@@ -37,7 +37,7 @@ async def reports_of(camera, fault):
     factory = UsbipFactory("127.0.0.1", 0, "1-1", FaultPlan("usb", (fault,)))
     link = Link(LinkSetup("usb", ring, lambda: camera, factory), MonotonicClock())
     await link.endpoint.start()
-    port, done = int(link.endpoint.address.rpartition(":")[2]), asyncio.Event()
+    port, done = int(link.endpoint.report().address.rpartition(":")[2]), asyncio.Event()
 
     def read_all():
         with UsbipHost.attach(port=port, timeout_s=120) as host:

@@ -6,8 +6,8 @@ from collections import deque
 import pytest
 import zmq
 
-from firmware_protocol.vizard.messages import NO_IMAGE, OK, PONG
-from transports.vizard.server import ForwardingServer, Other
+from firmware_protocol.vizard import NO_IMAGE, OK, PONG
+from transports.vizard import ForwardingServer, Other
 
 pytestmark = pytest.mark.socket
 

@@ -6,8 +6,8 @@ from contextlib import contextmanager
 import pytest
 import zmq
 
-from transports.vizard import server as module
-from transports.vizard.server import VizardServer
+from transports import vizard as module
+from transports.vizard import VizardServer
 
 pytestmark = pytest.mark.socket
 

@@ -395,7 +395,10 @@ class Cable:
             job: Transfer | Stall | None = self._device.read(endpoint, _LARGEST_TRANSFER)
         except Stall as stall:
             job = stall
-            self._device.control(_end_of_halt(endpoint), b"")
+            end_of_halt = SetupPacket(
+                Recipient.ENDPOINT, StandardRequest.CLEAR_FEATURE, Feature.ENDPOINT_HALT, _IN | endpoint, 0
+            )
+            self._device.control(end_of_halt, b"")
         if job is not None:
             self._on_the_way[thread] = _InProgress(job, self._device.flushes(endpoint))
             thread.put(job)
@@ -420,7 +423,3 @@ class Cable:
                 transfer.until_s = min(transfer.until_s, now_s + self._grace_s)
             if turning or now_s >= transfer.until_s:
                 thread.abort()
-
-
-def _end_of_halt(endpoint: int) -> SetupPacket:
-    return SetupPacket(Recipient.ENDPOINT, StandardRequest.CLEAR_FEATURE, Feature.ENDPOINT_HALT, _IN | endpoint, 0)

@@ -14,7 +14,7 @@ from firmware_protocol.usb.functionfs import descriptor_block, string_block
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, LinkBroken
+from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory, EndpointReport, LinkBroken
 from transports.link.kind import Wiring
 from transports.usb.functionfs.cable import Cable
 from transports.usb.functionfs.files import WAKE_SIGNAL, FunctionFiles, with_spares
@@ -47,11 +47,11 @@ def factory_of(link: UsbGadgetLink, wiring: Wiring) -> GadgetFactory:
 class GadgetEndpoint(Endpoint):
     """Endpoint of one camera at one controller."""
 
-    _faulty: FaultyDevice
+    faulty: FaultyDevice
 
     def __init__(self, factory: GadgetFactory, camera: UsbCamera, deliveries: Deliveries) -> None:
         self._camera = camera
-        self._faulty = FaultyDevice(camera, factory.faults, deliveries.add)
+        self.faulty = FaultyDevice(camera, factory.faults, deliveries.add)
         self._udc = factory.udc
         self._gadget = Gadget(factory.name)
         self._is_mine = self._is_gone = self._had_host = False
@@ -66,7 +66,7 @@ class GadgetEndpoint(Endpoint):
         self._prepare()
         try:
             self._files = self._open(controller)
-            self._cable = Cable(self._faulty, self._files)
+            self._cable = Cable(self.faulty, self._files)
             self._cable.start()
             self._gadget.bind(controller)
         except OSError:
@@ -82,26 +82,21 @@ class GadgetEndpoint(Endpoint):
                 self._check_addresses()
 
     def serve(self, attend: Callable[[], None]) -> None:
-        """See `Endpoint.serve`."""
+        """Let the cable call `attend` before it processes a request."""
         if self._cable is not None:
             self._cable.attend = attend
 
     @property
     def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`."""
+        """Longest possible: requests wake the event loop."""
         return REST_NS
 
     def advance_faults(self, stream_us: int) -> None:
-        """See `Endpoint.advance_faults`."""
-        self._faulty.advance(stream_us)
-        if self._faulty.gone != self._is_gone:
-            self._is_gone = self._faulty.gone
+        """Begin and end faults; one that unplugs the camera disconnects the gadget."""
+        self.faulty.advance(stream_us)
+        if self.faulty.gone != self._is_gone:
+            self._is_gone = self.faulty.gone
             self._plug(connected=not self._is_gone)
-
-    @property
-    def withholds(self) -> bool:
-        """See `Endpoint.withholds`."""
-        return self._faulty.silent
 
     async def close(self) -> None:
         """Disconnect the camera from its host, and remove the gadget if this link made it."""
@@ -112,7 +107,7 @@ class GadgetEndpoint(Endpoint):
             log.warning("%s; it is disconnected by closing its files", error)
         if self._files is not None:
             self._files.close()
-        self._faulty.close()
+        self.faulty.close()
         if self._is_mine:
             self._remove()
 
@@ -125,10 +120,9 @@ class GadgetEndpoint(Endpoint):
             return f"{self._trouble or 'plugged in'} at {self._udc}"
         return f"waiting for a host at {self._udc}"
 
-    @property
-    def address(self) -> str:
-        """Name of the controller."""
-        return self._udc
+    def report(self) -> EndpointReport:
+        """Return the name of the controller."""
+        return EndpointReport(self._udc)
 
     def _plug(self, *, connected: bool) -> None:
         """Connect the gadget to its controller, or disconnect it; raises LinkBroken."""
@@ -157,13 +151,14 @@ class GadgetEndpoint(Endpoint):
 
     def _open(self, controller: str) -> FunctionFiles:
         """Write the camera's interface to the kernel; raises OSError."""
-        own = {speed: self._camera.descriptors(speed).configuration for speed in _SPEEDS}
+        configurations = {speed: self._camera.descriptors(speed).configuration for speed in _SPEEDS}
         try:
-            interfaces = {speed: with_spares(own[speed].interfaces[0], controller) for speed in _SPEEDS}
+            interfaces = {speed: with_spares(configurations[speed].interfaces[0], controller) for speed in _SPEEDS}
         except ValueError as error:
             raise GadgetError(str(error)) from error
-        places = {place: one.address for place, one in enumerate(interfaces[Speed.FULL].endpoints, 1)}
-        used = {place: address for place, address in places.items() if address in own[Speed.FULL].endpoint_addresses}
+        places = {place: endpoint.address for place, endpoint in enumerate(interfaces[Speed.FULL].endpoints, 1)}
+        of_camera = configurations[Speed.FULL].endpoint_addresses
+        used = {place: address for place, address in places.items() if address in of_camera}
         try:
             return FunctionFiles(self._gadget.mount, (descriptor_block(interfaces), string_block()), used)
         except OSError as error:
@@ -177,8 +172,8 @@ class GadgetEndpoint(Endpoint):
         if self._files is None or not self._had_host:
             return
         with suppress(OSError):  # the host may be lost again
-            wrong = {own: given for own, given in self._files.given.items() if own != given}
-            pairs = ", ".join(f"0x{given:02X} for 0x{own:02X}" for own, given in wrong.items())
+            wrong = {address: assigned for address, assigned in self._files.given.items() if address != assigned}
+            pairs = ", ".join(f"0x{assigned:02X} for 0x{address:02X}" for address, assigned in wrong.items())
             self._trouble = f"wrong endpoints ({pairs})" if wrong else ""
             if wrong:
                 log.warning("%s gives endpoint %s: drivers of this camera will not find them", self._udc, pairs)

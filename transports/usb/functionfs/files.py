@@ -89,12 +89,12 @@ class ControlFile:
         self._wake_out, self._wake_in = os.pipe()
 
     def next_event(self) -> Event | None:
-        """See `ControlPipe`."""
-        asked = select.poll()
-        asked.register(self._fd, select.POLLIN)
-        asked.register(self._wake_out, select.POLLIN)
+        """Wait for the next event; None after `wake`."""
+        poll = select.poll()
+        poll.register(self._fd, select.POLLIN)
+        poll.register(self._wake_out, select.POLLIN)
         while True:
-            ready = dict(asked.poll())
+            ready = dict(poll.poll())
             if self._wake_out in ready:
                 return None
             try:
@@ -104,19 +104,19 @@ class ControlFile:
                     raise
 
     def wake(self) -> None:
-        """See `ControlPipe`."""
+        """End the wait of another thread in `next_event`."""
         os.write(self._wake_in, b"!")
 
     def send(self, data: bytes) -> None:
-        """See `ControlPipe`."""
+        """Send the data stage of an IN request."""
         _write(self._fd, data)
 
     def receive(self, length: int) -> bytes:
-        """See `ControlPipe`."""
+        """Receive the data stage of an OUT request."""
         return _read(self._fd, length)
 
     def refuse(self, *, is_in: bool) -> None:
-        """See `ControlPipe`."""
+        """Halt the request by a transfer in the wrong direction, which the kernel answers with EL2HLT."""
         with _expected(errno.EL2HLT):
             if is_in:
                 _read(self._fd, 0)
@@ -147,16 +147,16 @@ class EndpointFile:
 
     @property
     def number(self) -> int:
-        """See `DataPipe`."""
+        """Number of the endpoint, without its direction."""
         return self.address & ~_IN
 
     @property
     def is_in(self) -> bool:
-        """See `DataPipe`."""
+        """True if data go to the host."""
         return bool(self.address & _IN)
 
     def packet_bytes(self) -> int:
-        """See `DataPipe`."""
+        """Size of a packet at the present speed; raises OSError while there is no host."""
         return int.from_bytes(self._descriptor()[4:6], "little")
 
     def given_address(self) -> int:
@@ -164,22 +164,22 @@ class EndpointFile:
         return self._descriptor()[2]
 
     def write(self, data: bytes) -> None:
-        """See `DataPipe`."""
+        """Send data; blocks until the host has read them, or `interrupt`."""
         with self._blocking():
             _write(self._fd, data)
 
     def read(self, most_bytes: int) -> bytes:
-        """See `DataPipe`."""
+        """Receive at most `most_bytes`; blocks until the host has sent them, or `interrupt`."""
         with self._blocking():
             return _read(self._fd, most_bytes)
 
     def interrupt(self) -> None:
-        """See `DataPipe`."""
+        """End the call in which another thread is blocked."""
         if (thread := self._thread) is not None:
             signal.pthread_kill(thread, WAKE_SIGNAL)
 
     def halt(self) -> None:
-        """See `DataPipe`."""
+        """Halt the endpoint by a transfer in the wrong direction, which the kernel answers with EBADMSG."""
         with _expected(errno.EBADMSG):
             if self.is_in:
                 _read(self._fd, 0)
@@ -321,16 +321,16 @@ def with_spares(interface: Interface, controller: str) -> Interface:
     return replace(interface, endpoints=(*ins, *outs))
 
 
-def _declared(endpoints: Sequence[Endpoint], given: Sequence[int], controller: str) -> Iterator[Endpoint]:
+def _declared(endpoints: Sequence[Endpoint], assigned: Sequence[int], controller: str) -> Iterator[Endpoint]:
     """Yield the endpoints of one direction in the order of the assigned addresses, with unused ones in between."""
-    wanted = {one.address: one for one in endpoints if one.address & _IN == given[0] & _IN}
-    if missing := wanted.keys() - set(given):
+    by_address = {endpoint.address: endpoint for endpoint in endpoints if endpoint.address & _IN == assigned[0] & _IN}
+    if missing := by_address.keys() - set(assigned):
         numbers = ", ".join(f"0x{address:02X}" for address in sorted(missing))
         raise ValueError(
             f"the USB device controller {controller} has no endpoint {numbers}, which drivers of this camera use"
         )
-    packet = max(one.max_packet for one in endpoints)
-    for address in given:
-        if not wanted:
+    packet = max(endpoint.max_packet for endpoint in endpoints)
+    for address in assigned:
+        if not by_address:
             return
-        yield wanted.pop(address) if address in wanted else Endpoint(address, TransferType.BULK, packet)
+        yield by_address.pop(address) if address in by_address else Endpoint(address, TransferType.BULK, packet)

@@ -62,19 +62,19 @@ def _tool(command: list[str]) -> None:
         raise GadgetError(f"{' '.join(command)}: {done.stderr.strip()}")
 
 
-def controller_of(wanted: str, places: Places) -> str:
-    """Return the USB device controller called `wanted`, or the only one where that is empty; raises GadgetError."""
-    there = sorted(path.name for path in places.controllers.iterdir()) if places.controllers.is_dir() else []
-    if not there:
+def controller_of(name: str, places: Places) -> str:
+    """Return the USB device controller called `name`, or the only one where that is empty; raises GadgetError."""
+    controllers = sorted(path.name for path in places.controllers.iterdir()) if places.controllers.is_dir() else []
+    if not controllers:
         raise GadgetError(
             f"no USB device controller in {places.controllers}: this needs a board with one, switched to device mode "
             "(Raspberry Pi: dtoverlay=dwc2 in config.txt); for a trial, modprobe dummy_hcd"
         )
-    if wanted and wanted not in there:
-        raise GadgetError(f"no USB device controller {wanted!r}; there are: {', '.join(there)}")
-    if not wanted and len(there) > 1:
-        raise GadgetError(f"several USB device controllers, name one (udc): {', '.join(there)}")
-    return wanted or there[0]
+    if name and name not in controllers:
+        raise GadgetError(f"no USB device controller {name!r}; there are: {', '.join(controllers)}")
+    if not name and len(controllers) > 1:
+        raise GadgetError(f"several USB device controllers, name one (udc): {', '.join(controllers)}")
+    return name or controllers[0]
 
 
 class Gadget:
@@ -132,8 +132,8 @@ class Gadget:
 
     def suits(self, descriptors: DescriptorSet) -> bool:
         """Return True if a host would read the device of `descriptors`."""
-        wanted = _attributes(descriptors)
-        return all(_same(_text(self._folder / path), value) for path, value in wanted.items())
+        attributes = _attributes(descriptors)
+        return all(_same(_text(self._folder / path), value) for path, value in attributes.items())
 
     def make(self, descriptors: DescriptorSet, owner: int | None = None) -> None:
         """Make it for the device of `descriptors`, in place of the remains of a killed program.
@@ -229,10 +229,10 @@ class Gadget:
     def _require_ours(self) -> None:
         """Raise GadgetError for a gadget that a program runs, or that another program made."""
         functions = self._folder / "functions"
-        others = [path.name for path in functions.iterdir() if path != self._function] if functions.is_dir() else []
-        if others:
+        remaining = [path.name for path in functions.iterdir() if path != self._function] if functions.is_dir() else []
+        if remaining:
             raise GadgetError(
-                f"the name {self.name} is in use: that gadget has the function {others[0]}, which evstim does not "
+                f"the name {self.name} is in use: that gadget has the function {remaining[0]}, which evstim does not "
                 "make. Choose another name"
             )
         if self.controller:
@@ -271,8 +271,8 @@ def _attributes(descriptors: DescriptorSet) -> Mapping[str, str]:
     }
 
 
-def _same(one: str, other: str) -> bool:
-    return one == other or one.lower() == other.lower()
+def _same(value: str, other: str) -> bool:
+    return value == other or value.lower() == other.lower()
 
 
 def _text(path: Path) -> str:

@@ -281,7 +281,7 @@ class UsbipHost:
         self._wire.parser.expect(urb)
         self._wire.send(bytes(urb))
 
-    def _complete(self, what: str, urb: Submit) -> Submitted:
+    def _complete(self, action: str, urb: Submit) -> Submitted:
         """Submit a URB and wait for its answer."""
         replies: deque[Submitted] = deque()
         deadline = _deadline(self._timeout_s)
@@ -289,8 +289,8 @@ class UsbipHost:
         while not replies:
             if not self.receive(deadline):
                 self.unlink([urb.seqnum])
-                raise TransferTimeout(f"{what}: no answer within {self._timeout_s:g} s")
-        return _checked(replies[0], what)
+                raise TransferTimeout(f"{action}: no answer within {self._timeout_s:g} s")
+        return _checked(replies[0], action)
 
 
 class UrbStream:
@@ -328,9 +328,9 @@ class UrbStream:
         if self._open:
             self._open = False
             self._host.unlink(list(self._pending))
-        rest = [reply.data for reply in self._replies]
+        remaining = [reply.data for reply in self._replies]
         self._replies.clear()
-        return rest
+        return remaining
 
     def _submit(self) -> int:
         return self._host.submit_in(self._endpoint, self._transfer_bytes, self._replies)
@@ -342,11 +342,11 @@ def _refusal(busid: str, status: int) -> UsbHostError:
     return DeviceAbsent(f"the server does not give device {busid} (status {status}); request its list of devices")
 
 
-def _checked(reply: Submitted, what: str) -> Submitted:
+def _checked(reply: Submitted, action: str) -> Submitted:
     if reply.status == UrbStatus.STALL:
-        raise StallError(f"{what}: the device refused (STALL)")
+        raise StallError(f"{action}: the device refused (STALL)")
     if reply.status != UrbStatus.OK:
-        raise PeerBroken(f"{what}: URB status {reply.status}")
+        raise PeerBroken(f"{action}: URB status {reply.status}")
     return reply
 
 

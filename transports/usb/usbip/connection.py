@@ -147,7 +147,7 @@ class UrbObserver(Protocol):
     def completed(self, urb: Submit, status: int, length: int, data: bytes = b"") -> None:
         """Register its end, with the number of bytes moved and the data sent to the host."""
 
-    def unlinked(self, unlink: Unlink, found: Found) -> None:
+    def unlinked(self, unlink: Unlink, state: Found) -> None:
         """Register that the host cancels a URB, before that URB's end."""
 
 
@@ -382,9 +382,9 @@ class Connection(asyncio.BufferedProtocol):
         # One write, so that header and data leave in one segment.
         self._transport.write(bytes(reply))
 
-    def _report_unlink(self, unlink: Unlink, found: Found) -> None:
+    def _report_unlink(self, unlink: Unlink, state: Found) -> None:
         if self._observer is not None:
-            self._observer.unlinked(unlink, found)
+            self._observer.unlinked(unlink, state)
 
     def _over(self, urb: Submit, status: int) -> None:
         """Report that a URB has ended without an answer."""

@@ -7,8 +7,6 @@ loopback interface, an SSH tunnel, or a private bench network.
 A connection without a device is closed when a newer one needs its place; an attached host never is.
 
     bus id    "B-P": bus number B, port P; the device number is P + 1, as if a hub had address 1
-
-`UsbipEndpoint` is the server as a link's endpoint.
 """
 
 from __future__ import annotations
@@ -17,29 +15,18 @@ import asyncio
 import logging
 import re
 import socket
-import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 
-from firmware_protocol.usb.device import UsbCamera, UsbDevice
+from firmware_protocol.usb.device import UsbDevice
 from firmware_protocol.usb.usbip import DeviceListReply, DeviceRecord, ImportReply, OpStatus
 from transports.connections import Admission, Listener, Places, Seat
-from transports.faults.faulty_device import FaultyDevice
-from transports.faults.script import FaultPlan
-from transports.link.deliveries import Deliveries
-from transports.link.endpoint import REST_NS, Endpoint, EndpointFactory
-from transports.link.kind import Wiring
 from transports.network import AllowList, is_loopback
-from transports.usb.kind import UsbipLink
 from transports.usb.usbip.connection import Connection, ConnectionSettings, UrbObserver
-from transports.usb.usbip.trace import UrbTrace
 
 log = logging.getLogger(__name__)
 
 _PLACES = Places()
-_TOOL_PORT = 3240  # of `usbip` without --tcp-port
 _BUSID = re.compile(r"([1-9]\d{0,2})-([1-9]\d{0,2})")
 
 
@@ -197,119 +184,3 @@ def _place(busid: str) -> tuple[int, int]:
 def _record(busid: str, device: UsbDevice) -> DeviceRecord:
     bus, port = _place(busid)
     return DeviceRecord(busid, bus, port + 1, device.identity, f"/sys/devices/evstim/usb{bus}/{busid}")
-
-
-@dataclass(frozen=True)
-class UsbipFactory(EndpointFactory[UsbCamera]):
-    """Factory of a server for the camera under `busid` at `host`:`port` (0: any free one), for hosts in `allow`."""
-
-    host: str
-    port: int
-    busid: str
-    faults: FaultPlan = field(default_factory=FaultPlan)
-    allow: tuple[str, ...] = ()
-    trace: Path | None = None
-
-    def traced(self, path: Path) -> UsbipFactory:
-        """See `EndpointFactory.traced`."""
-        return replace(self, trace=path)
-
-    def build(self, device: UsbCamera, deliveries: Deliveries) -> UsbipEndpoint:
-        """Return the server; it does not listen yet."""
-        faulty = FaultyDevice(device, self.faults, deliveries.add)
-        trace = None if self.trace is None else UrbTrace(self.trace, faulty, time.time_ns)
-        return UsbipEndpoint(self, faulty, trace)
-
-
-def factory_of(link: UsbipLink, wiring: Wiring) -> UsbipFactory:
-    """Return the endpoint's factory."""
-    return UsbipFactory(link.host, link.port, link.busid, wiring.faults, link.allow)
-
-
-class UsbipEndpoint(Endpoint):
-    """Endpoint of one camera on one port."""
-
-    _faulty: FaultyDevice
-
-    def __init__(self, factory: UsbipFactory, device: FaultyDevice, trace: UrbTrace | None) -> None:
-        self._at = factory
-        self._faulty = device
-        self._is_gone = False
-        self._trace = trace
-        self._server = UsbipServer({factory.busid: device}, allow=factory.allow, observer=trace)
-
-    async def start(self) -> None:
-        """Listen; raises OSError, with the remedy, when the port cannot be opened."""
-        try:
-            await self._server.start(self._at.host, self._at.port)
-        except OSError as error:
-            raise OSError(
-                error.errno,
-                f"cannot listen on {self._at.host} port {self._at.port}: {error.strerror}; another evstim or usbipd "
-                "may use it: stop that one, or give this link another port (0 takes a free one)",
-            ) from error
-
-    def pump(self) -> None:
-        """Answer the hosts' pending requests."""
-        self._server.pump()
-
-    def serve(self, attend: Callable[[], None]) -> None:
-        """See `Endpoint.serve`."""
-        self._server.attend = attend
-
-    @property
-    def longest_sleep_ns(self) -> int:
-        """See `Endpoint.longest_sleep_ns`."""
-        return REST_NS
-
-    def advance_faults(self, stream_us: int) -> None:
-        """See `Endpoint.advance_faults`."""
-        self._faulty.advance(stream_us)
-        if self._faulty.gone != self._is_gone:
-            self._is_gone = self._faulty.gone
-            (self._server.unplug if self._is_gone else self._server.plug)(self._at.busid)
-
-    @property
-    def withholds(self) -> bool:
-        """See `Endpoint.withholds`."""
-        return self._faulty.silent
-
-    async def close(self) -> None:
-        """Drop the hosts and stop listening."""
-        await self._server.close()
-        self._faulty.close()
-        if self._trace is not None:
-            self._trace.close()
-
-    @property
-    def state(self) -> str:
-        """Host that holds the camera, or the address at which it is offered."""
-        if self._is_gone:
-            return "unplugged, by a fault"
-        host = self._server.attached.get(self._at.busid)
-        if host is not None:
-            return f"attached by {host}"
-        return f"waiting on {self.address}, bus id {self._at.busid}"
-
-    @property
-    def address(self) -> str:
-        """Host and port that the server listens on."""
-        return f"{self._at.host}:{self._server.port}"
-
-    @property
-    def attach_command(self) -> str:
-        """Command of a Linux kernel with vhci-hcd, while no host holds the camera."""
-        if self._is_gone or self._at.busid in self._server.attached:
-            return ""
-        port = f" --tcp-port {self._server.port}" if self._server.port != _TOOL_PORT else ""
-        return f"sudo usbip{port} attach -r {self._at.host} -b {self._at.busid}"
-
-    @property
-    def trouble(self) -> str:
-        """See `Endpoint.trouble`: reason for an incomplete trace."""
-        return "" if self._trace is None else self._trace.trouble
-
-    @property
-    def counts(self) -> Mapping[str, int]:
-        """Counts of connections that were refused, or closed for newer ones."""
-        return self._server.counts

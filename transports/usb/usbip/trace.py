@@ -15,15 +15,13 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
-from firmware_protocol.davis346.device import name_answer, name_davis_request
-from firmware_protocol.davis346.settings import PRODUCT_ID, VENDOR_ID
 from firmware_protocol.usb.control import name_request
-from firmware_protocol.usb.device import Identity, SetupPacket, UsbDevice
+from firmware_protocol.usb.device import SetupPacket, UsbDevice
 from firmware_protocol.usb.usbip import FILE_HEADER, IN_PROGRESS, Submit, Unlink, UrbRecord, UrbStatus
 from transports.output_file import OutputFile
 from transports.usb.usbip.connection import Found
@@ -103,7 +101,7 @@ class UrbTrace:
         text, pcap = trace_paths(path)
         self._text, self._pcap = OutputFile(text, "USB trace"), OutputFile(pcap, "USB trace")
         self._now_ns = now_ns
-        self._words = _Words(device.identity, transfer_types(device), now_ns())
+        self._words = _Words(device, now_ns())
         self._capacity_bytes = capacity_bytes
         self._waiting: deque[_Moment | _TakenBack] = deque()
         self._waiting_bytes = 0
@@ -129,9 +127,9 @@ class UrbTrace:
         """Record that a URB was answered, cancelled, or lost with its connection."""
         self._put(_Moment(self._now_ns(), urb, status, length, data))
 
-    def unlinked(self, unlink: Unlink, found: Found) -> None:
+    def unlinked(self, unlink: Unlink, state: Found) -> None:
         """Record that the host cancels a URB."""
-        self._put(_TakenBack(self._now_ns(), unlink.victim, found))
+        self._put(_TakenBack(self._now_ns(), unlink.victim, state))
 
     def close(self) -> None:
         """Write the waiting records, for some seconds at most, and close the files."""
@@ -177,9 +175,10 @@ class UrbTrace:
 class _Words:
     """Text and record of a URB."""
 
-    def __init__(self, camera: Identity, types: Mapping[int, int], begun_ns: int) -> None:
-        self._types = types
-        self._is_davis = (camera.vendor_id, camera.product_id) == (VENDOR_ID, PRODUCT_ID)
+    def __init__(self, device: UsbDevice, begun_ns: int) -> None:
+        camera = device.identity
+        self._device = device
+        self._types = transfer_types(device)
         self._begun_ns = begun_ns
         self.head = (
             f"# USB trace of {camera.vendor_id:04x}:{camera.product_id:04x}, "
@@ -200,10 +199,10 @@ class _Words:
         if isinstance(moment, _TakenBack):
             return f"{self._seconds(moment.t_ns)} U {moment.seqnum:6d} {'unlink':13s} of a URB {moment.found.value}\n"
         urb = moment.urb
-        way = f"{_KINDS[self._type(urb)]} {'IN' if urb.is_in else 'OUT'}"
-        what = self._submission(urb) if moment.status is None else self._completion(moment, moment.status)
+        transfer = f"{_KINDS[self._type(urb)]} {'IN' if urb.is_in else 'OUT'}"
+        text = self._submission(urb) if moment.status is None else self._completion(moment, moment.status)
         letter = "S" if moment.status is None else "C"
-        return f"{self._seconds(moment.t_ns)} {letter} {urb.seqnum:6d} {way:13s} {what}\n"
+        return f"{self._seconds(moment.t_ns)} {letter} {urb.seqnum:6d} {transfer:13s} {text}\n"
 
     def _seconds(self, t_ns: int) -> str:
         return f"{(t_ns - self._begun_ns) / 1e9:13.6f}"
@@ -214,18 +213,19 @@ class _Words:
     def _submission(self, urb: Submit) -> str:
         if urb.endpoint:
             return f"endpoint {urb.endpoint | urb.is_in << 7:#04x}, {urb.length} bytes"
-        name = name_davis_request if self._is_davis else name_request
-        return name(SetupPacket.parse(urb.setup), urb.data)
+        setup = SetupPacket.parse(urb.setup)
+        return self._device.name_request(setup, urb.data) or name_request(setup, urb.data)
 
     def _completion(self, moment: _Moment, status: int) -> str:
         status_text = _STATUS.get(status, f"status {status}")
         if status != UrbStatus.OK:
             return status_text
-        setup = SetupPacket.parse(moment.urb.setup)
-        name = name_answer(setup, moment.data) if self._is_davis and moment.urb.endpoint == 0 else ""
+        name = ""
+        if moment.urb.endpoint == 0:
+            name = self._device.name_answer(SetupPacket.parse(moment.urb.setup), moment.data)
         start = moment.data[:_SHOWN_BYTES].hex(" ")
-        more = " ..." if len(moment.data) > _SHOWN_BYTES else ""
-        return f"{status_text}, {moment.length} bytes{': ' if name or start else ''}{name or start + more}"
+        ellipsis = " ..." if len(moment.data) > _SHOWN_BYTES else ""
+        return f"{status_text}, {moment.length} bytes{': ' if name or start else ''}{name or start + ellipsis}"
 
 
 def transfer_types(device: UsbDevice) -> dict[int, int]:

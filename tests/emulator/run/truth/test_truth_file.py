@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import resource
+import shlex
 import signal
 import subprocess
 import sys
@@ -238,6 +239,18 @@ def test_a_full_disk_ends_the_truth_and_not_the_run(tmp_path):
     assert told["truth_trouble"] == f"truth stopped: File too large ({tmp_path / 't.h5'})"
 
 
+def test_a_disk_that_is_full_before_the_run_is_the_machine_s_fault(tmp_path):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    command = [*EVSTIM, "run", small_rig(tmp_path), "--seconds", "0.1", "--pace", "free", "--truth", disk / "t.h5"]
+    script = f"mount -t tmpfs -o size=8k none {disk} || exit 77; {shlex.join(map(str, command))}"
+    done = subprocess.run(["unshare", "-rm", "sh", "-c", script], capture_output=True, text=True, check=False)
+    if done.returncode == 77 or "unshare" in done.stderr:
+        pytest.skip("no namespace for a small disk can be made here")
+    assert done.returncode == 3
+    assert "No space left on device: 0.0 MB free; free more, or name a file on another disk" in done.stderr
+
+
 @pytest.fixture
 def endless(tmp_path):
     """A run without an end, in real time, that has written some pictures."""
@@ -307,7 +320,7 @@ def test_a_killed_writer_leaves_what_was_flushed_and_the_run_says_so(endless):
     (writer,) = (
         int(pid)
         for pid in os.listdir("/proc")
-        if pid.isdigit() and b"truth.writer_process" in command_of(pid) and str(path).encode() in command_of(pid)
+        if pid.isdigit() and b"truth.file:write_file" in command_of(pid) and str(path).encode() in command_of(pid)
     )
     os.kill(writer, signal.SIGKILL)
     assert gone(writer)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from emulator.light import LightFrame
-from emulator.optics.lens import CHIPS, LensParameters
+from emulator.optics.lens import LensParameters
 from emulator.photometry.reflectance import Sun
+from emulator.rig.kinds import CAMERA_MODELS
 from emulator.scene.stars.stars import StarField
 from emulator.scene.stars.table import MovingPoint, StarsParameters
 from emulator.sensor.presets import PRESETS
@@ -29,7 +30,7 @@ SKY = StarsParameters(
 
 @pytest.fixture
 def scene():
-    with StarField(SKY, SIZE, LENS, CHIPS["davis346"]) as stars:
+    with StarField(SKY, SIZE, LENS, CAMERA_MODELS["davis346"].chip) as stars:
         yield stars
 
 
@@ -45,7 +46,7 @@ def drawn_afresh(scene, t_ns):
 
 def test_pictures_in_the_same_arrays_are_those_in_new_ones(scene):
     arrays = pictures()
-    with StarField(SKY, SIZE, LENS, CHIPS["davis346"]) as other:
+    with StarField(SKY, SIZE, LENS, CAMERA_MODELS["davis346"].chip) as other:
         for k in range(30):
             scene.light_and_rate(k * STEP_NS, *arrays)
             for mine, fresh in zip(arrays, drawn_afresh(other, k * STEP_NS), strict=True):
@@ -88,7 +89,7 @@ def test_a_sensor_that_is_told_gives_the_events_of_the_full_pass(preset):
     sky = dataclasses.replace(SKY, faintest_v=3.0)  # few stars: blocks between them rest
     parameters = dataclasses.replace(PRESETS[preset], width=SIZE[0], height=SIZE[1])
     told, full = Sensor(parameters, 1), Sensor(parameters, 1)
-    arrays, scene = pictures(), StarField(sky, SIZE, LENS, CHIPS["davis346"])
+    arrays, scene = pictures(), StarField(sky, SIZE, LENS, CAMERA_MODELS["davis346"].chip)
     scene.light_and_rate(0, *arrays)
     for sensor in (told, full):
         sensor.reset(LightFrame(0, arrays[0]))

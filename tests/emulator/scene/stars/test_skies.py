@@ -9,8 +9,9 @@ import pytest
 from scipy.stats import kstest
 
 from emulator.light import MachineLacks
-from emulator.optics.lens import CHIPS, LensParameters
+from emulator.optics.lens import LensParameters
 from emulator.photometry.reflectance import SUN_W_M2
+from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.loading import load_rig
 from emulator.scene.stars.catalogue import irradiance_w_m2, load_stars
 from emulator.scene.stars.skies import (
@@ -85,7 +86,7 @@ def test_a_star_of_g_10_brings_its_light_through_135_mm_at_f_2():
     lens = LensParameters(field_of_view_deg=2.6398, f_number=2.0, transmission=0.75, vignetting=False)
     light = np.zeros((720, 1280), np.float32)
     sky = StarsParameters(drawn=field, camera=SpinPath(tilt_deg=-90.0))
-    with StarField(sky, (1280, 720), lens, CHIPS["imx636"]) as scene:
+    with StarField(sky, (1280, 720), lens, CAMERA_MODELS["imx636"].chip) as scene:
         scene.light(0, light)
         places, magnitudes = scene.stars_at(0)
     n = len(stars_of(sky))

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from emulator.geometry.attitude import quaternion_of
 from emulator.light import SceneError
-from emulator.optics.lens import CHIPS, LensParameters
+from emulator.optics.lens import LensParameters
 from emulator.photometry.reflectance import SUN_W_M2, Sun
+from emulator.rig.kinds import CAMERA_MODELS
 from emulator.scene.stars.catalogue import SUN_V, irradiance_w_m2, load_stars, splat
 from emulator.scene.stars.stars import StarField
 from emulator.scene.stars.table import MovingPoint, StarsParameters
@@ -22,7 +23,7 @@ from firmware_protocol.pose_message import NOW, PoseMessage
 
 SIZE = (64, 48)
 LENS = LensParameters(field_of_view_deg=20.0, blur_px=0.5, f_number=1.4)
-CHIP = CHIPS["davis346"]
+CHIP = CAMERA_MODELS["davis346"].chip
 SIRIUS = np.radians([101.287, -16.716])
 
 

@@ -14,7 +14,7 @@ from emulator.scene.terrain.pixel_rate import rate_of_doubtful
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.relief import make_ridge
 from emulator.scene.terrain.table import Heightmap, Ridge, TerrainParameters
-from emulator.trajectory.descent import Gate
+from emulator.trajectory.laws import Gate
 from emulator.trajectory.parameters import DescentPath, FixedPath, Keyframe, KeyframePath
 from laboratory.accuracy.sampled_scenes import SampledTerrain
 

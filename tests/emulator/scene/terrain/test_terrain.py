@@ -16,7 +16,7 @@ from emulator.scene.terrain.quadtree import BLOCK, Quadtree, _bounds, level_coun
 from emulator.scene.terrain.raster_terrain import RasterTerrain
 from emulator.scene.terrain.relief import make_ridge
 from emulator.scene.terrain.table import Heightmap, Ridge, TerrainParameters
-from emulator.trajectory.descent import Gate
+from emulator.trajectory.laws import Gate
 from emulator.trajectory.parameters import DescentPath, FixedPath, Keyframe, KeyframePath
 
 CAMERA = Pinhole.of_field((96, 64), 60.0)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from emulator.scene.video.ros2_images import Ros2ImageParameters, Ros2Images
-from firmware_protocol.ros2.messages import Header, Image, image_message
+from firmware_protocol.ros2 import Header, Image, image_message
 
 SIZE = (12, 8)
 MS = 1_000_000

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from emulator.sensor.imu.unit import Converter, no_motion
-from firmware_protocol.davis346.registers import Access, Module, Register, RegisterFile, imu_settings
+from emulator.sensor.imu import Converter, no_motion
+from firmware_protocol.davis346.registers import imu_settings
+from firmware_protocol.fx3.registers import Access, Module, Register, RegisterFile
 from firmware_protocol.imu_samples import ImuScale, physical
 
 G = 9.80665

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from emulator.sensor.imu.unit import ElementErrors, Errors
+from emulator.sensor.imu import ElementErrors, Errors
 
 PERIOD_S = 1e-3
 ZERO = np.zeros(6)

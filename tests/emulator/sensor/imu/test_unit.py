@@ -10,12 +10,12 @@ import pytest
 
 from emulator.geometry.attitude import quaternion_of_vector
 from emulator.geometry.camera import Cycle
-from emulator.sensor.imu.unit import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuUnit
+from emulator.sensor.imu import EARTH_IN_THE_PICTURE, MOON_BELOW, WEIGHTLESS, Carried, Gravity, ImuUnit
 from emulator.sensor.parameters import ImuParameters
 from emulator.trajectory.keyframes import Keyframes
+from emulator.trajectory.laws import Elements, Orbit
 from emulator.trajectory.live import LivePoses
 from emulator.trajectory.mounting import Looking, Spinning
-from emulator.trajectory.orbit import Elements, Orbit
 from emulator.trajectory.pose import STILL, Fixed, Pose, Timescale
 from firmware_protocol.pose_message import PoseMessage
 

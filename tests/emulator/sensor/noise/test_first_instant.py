@@ -3,7 +3,7 @@
 The reference follows the noise voltage in steps of a hundredth of its time constant and shares nothing with the
 emulator. Counts are compared within 5 %, the target, and 3.9 standard errors of both, found from the spread
 between pixels: a law within 5 % fails with a probability of 1e-4. The seeds are fixed.
-`laboratory/benchmarks/point_noise.py` has more thresholds and longer times.
+`laboratory/benchmarks/noise.py` has more thresholds and longer times.
 """
 
 import dataclasses

@@ -12,7 +12,7 @@ from emulator.sensor.numerics.compiled import cached_entry
 from emulator.sensor.numerics.keyed import Purpose, normal
 from emulator.sensor.parameters import ComparatorParameters, NoiseParameters, ResetParameters
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.comparator import LONGEST_S, delay_s
+from emulator.sensor.pixels.event_time import LONGEST_S, delay_s
 from emulator.sensor.pixels.method import Capabilities
 from emulator.sensor.pixels.state import StepConstants
 from emulator.sensor.presets import SensorParameters
@@ -191,7 +191,7 @@ def constants(on_us, off_us, contrast_per_e=0.0714):
         unseen_share=f(0.5),
         refine=False,
         large=False,
-        far=False,
+        exceeds_caches=False,
         on_delay=on_us * 1e-6,
         off_delay=off_us * 1e-6,
         contrast_per_e=contrast_per_e,

@@ -15,9 +15,9 @@ from tests.transports.usb.gadget_port import PACKET_BYTES, PATIENCE_S, GadgetBen
 from transports.faults.faulty_device import FaultyDevice
 from transports.faults.script import FaultPlan
 from transports.faults.usb import UsbStall
-from transports.usb.cameras import TreuzellHost
 from transports.usb.davis_host import DavisHost
 from transports.usb.host import StallError, StreamSettings, TransferTimeout
+from transports.usb.treuzell_host import TreuzellHost
 
 DESCRIPTORS = Davis346Settings().descriptors()
 SETTINGS = StreamSettings(transfer_bytes=8192, transfers=4, reset_timestamps=False)

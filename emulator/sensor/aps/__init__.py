@@ -1,1 +1,0 @@
-"""Frames: the active pixels of a DAVIS, beside its event pixels, from the same light."""

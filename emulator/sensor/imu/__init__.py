@@ -1,1 +1,0 @@
-"""The inertial measurement unit beside the sensor: the motion of its elements, with their errors."""

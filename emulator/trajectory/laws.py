@@ -1,0 +1,282 @@
+"""Paths by a law: orbits, and landings in phases.
+
+Circular and elliptical orbits about the world's origin: the two-body problem in closed form.
+
+    M = M0 + sqrt(GM / a^3) t    E - e sin E = M    (Kepler; Vallado, Fundamentals of Astrodynamics, 2.2)
+    in the plane of the orbit: x = a (cos E - e), y = a sqrt(1 - e^2) sin E
+
+then turned by the argument of periapsis about z, the inclination about x, the node about z.
+
+A landing in phases: gates of height and speed, joined smoothly, above a flat world with z up.
+
+    t_s   height_m  forward_m_s  down_m_s  depression_deg      phase that begins here
+      0     1500        100         30          35              braking
+     30      700         45         22          50              approach
+     60      250          8          8          70              vertical
+     85      150          0          0          90              hover
+    100      150          0          0          90              descent to the ground
+    165        4          0          1          90              touchdown
+
+The camera moves along `heading_deg` (0 along +y, 90 along +x), and its boresight lies `depression_deg` below the
+horizontal, ahead; up in the picture is up in the world, or ahead when it looks straight down. Heights and forward
+distances are cubic Hermite curves with the gates' speeds; the forward distance between two gates is the mean of their
+speeds times the time, which is that of constant deceleration. The depression is a monotone cubic (PCHIP, Fritsch and
+Carlson 1980), so a boresight that is held straight down stays there. The landing site, where the last gate stands, is
+at `site_m`. Source of the phases: Chandrayaan-3's (rough braking, attitude hold, fine braking, vertical descent,
+hover, touchdown below 2 m/s) and Apollo's gates (high gate 2 km, low gate 150 m), both as reported in public; the
+default is such a landing's last three minutes.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.geometry.attitude import Matrix, Quaternion, Vector, quaternion_of
+from emulator.trajectory.keyframes import Keyframes
+from emulator.trajectory.mounting import looking_along
+from emulator.trajectory.pose import STILL, Motion, Pose, Trajectory, TrajectoryError, instants_between, measured_bounds
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
+
+_NEWTON_STEPS = 50
+
+
+@dataclass(frozen=True)
+class Elements:
+    """An orbit about a point mass at the origin.
+
+    Attributes
+    ----------
+    gm_m3_s2 : gravitational parameter of the body; 4.4628e5 for Eros.
+    semi_major_axis_m : mean of nearest and farthest distance.
+    eccentricity : 0 for a circle, below 1.
+    inclination_deg, node_deg, periapsis_deg : of the orbit's plane against the world's x-y plane.
+    anomaly_deg : mean anomaly at time zero.
+    """
+
+    gm_m3_s2: float
+    semi_major_axis_m: float
+    eccentricity: float = 0.0
+    inclination_deg: float = 0.0
+    node_deg: float = 0.0
+    periapsis_deg: float = 0.0
+    anomaly_deg: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ValueError(f"{name} is {value}: it must be finite")
+        for name in ("gm_m3_s2", "semi_major_axis_m"):
+            if getattr(self, name) <= 0:
+                raise ValueError(f"{name} is {getattr(self, name):g}: it must be above 0")
+        if not 0 <= self.eccentricity < 1:
+            raise ValueError(f"eccentricity is {self.eccentricity:g}: an orbit that returns has 0 to below 1")
+
+    @property
+    def mean_motion_rad_s(self) -> float:
+        """Mean angular rate."""
+        return math.sqrt(self.gm_m3_s2 / self.semi_major_axis_m**3)
+
+    @property
+    def period_s(self) -> float:
+        """Time of one revolution."""
+        return 2 * math.pi / self.mean_motion_rad_s
+
+    @property
+    def periapsis_speed_m_s(self) -> float:
+        """The greatest speed, at the nearest point (vis-viva)."""
+        e = self.eccentricity
+        return math.sqrt(self.gm_m3_s2 / self.semi_major_axis_m * (1 + e) / (1 - e))
+
+
+class Orbit(Trajectory):
+    """An orbit around the origin, with the attitude of the world (see `looking` to look at the body)."""
+
+    def __init__(self, elements: Elements) -> None:
+        self._elements = elements
+        self._world_from_plane = _plane(elements)
+
+    def pose(self, t_ns: int) -> Pose:
+        """Return the place at `t_ns`."""
+        k = self._elements
+        anomaly = self._anomaly(t_ns)
+        across = math.sqrt(1 - k.eccentricity**2) * math.sin(anomaly)
+        in_plane: Vector = k.semi_major_axis_m * np.array([math.cos(anomaly) - k.eccentricity, across, 0.0])
+        return Pose(self._world_from_plane @ in_plane, STILL.q_world_from_body)
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return velocity and acceleration, that of free fall: -GM r / |r|^3."""
+        k = self._elements
+        anomaly = self._anomaly(t_ns)
+        place = self.pose(t_ns).position_m
+        speed = k.semi_major_axis_m * k.mean_motion_rad_s / (1 - k.eccentricity * math.cos(anomaly))
+        across = math.sqrt(1 - k.eccentricity**2) * math.cos(anomaly)
+        velocity = self._world_from_plane @ (speed * np.array([-math.sin(anomaly), across, 0.0]))
+        return Motion(velocity, -k.gm_m3_s2 * place / np.linalg.norm(place) ** 3, np.zeros(3))
+
+    def _anomaly(self, t_ns: int) -> float:
+        k = self._elements
+        mean = math.radians(k.anomaly_deg) + math.fmod(k.mean_motion_rad_s * (t_ns * 1e-9), 2 * math.pi)
+        return eccentric_anomaly(mean, k.eccentricity)
+
+    @property
+    def speed_bound_m_s(self) -> float:
+        """The speed at the nearest point."""
+        return self._elements.periapsis_speed_m_s
+
+    @property
+    def turn_bound_rad_s(self) -> float:
+        """Zero: it does not turn."""
+        return 0.0
+
+
+def eccentric_anomaly(mean_rad: float, eccentricity: float) -> float:
+    """Solve Kepler's equation for E, rad, 0 <= eccentricity < 1; to a few units in the last place."""
+    mean = math.remainder(mean_rad, 2 * math.pi)
+    anomaly = math.copysign(math.pi, mean) if eccentricity > 0.8 else mean  # Newton's method converges from there
+    for _ in range(_NEWTON_STEPS):
+        step = (anomaly - eccentricity * math.sin(anomaly) - mean) / (1 - eccentricity * math.cos(anomaly))
+        anomaly -= step
+        if abs(step) <= 1e-15 * max(1.0, abs(anomaly)):
+            break
+    return anomaly
+
+
+def _plane(k: Elements) -> Matrix:
+    """Return world_from_plane: the turns by node, inclination and periapsis."""
+
+    def about(axis: int, degrees: float) -> Matrix:
+        c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        m = np.eye(3)
+        m[np.ix_([i, j], [i, j])] = [[c, -s], [s, c]]
+        return m
+
+    return np.asarray(about(2, k.node_deg) @ about(0, k.inclination_deg) @ about(2, k.periapsis_deg))
+
+
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Gate:
+    """Height, speeds and pitch of a lander at one instant.
+
+    Attributes
+    ----------
+    t_s : stream time.
+    height_m : above the site, > 0.
+    forward_m_s, down_m_s : speeds along the heading and downward.
+    depression_deg : of the boresight below the horizontal, 0 to 90.
+    """
+
+    t_s: float
+    height_m: float
+    forward_m_s: float = 0.0
+    down_m_s: float = 0.0
+    depression_deg: float = 90.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not math.isfinite(value):
+                raise ValueError(f"{name} is {value}: it must be finite")
+        if self.height_m <= 0:
+            raise ValueError(f"height_m is {self.height_m:g}: it must be above 0")
+        if not 0 <= self.depression_deg <= 90:
+            raise ValueError(f"depression_deg is {self.depression_deg:g}: it must be 0 to 90")
+
+
+LANDING = (
+    Gate(0.0, 1500.0, 100.0, 30.0, 35.0),
+    Gate(30.0, 700.0, 45.0, 22.0, 50.0),
+    Gate(60.0, 250.0, 8.0, 8.0, 70.0),
+    Gate(85.0, 150.0),
+    Gate(100.0, 150.0),
+    Gate(165.0, 4.0, 0.0, 1.0),
+)
+"""The last three minutes of a lunar landing."""
+
+
+class Descent(Trajectory):
+    """A descent through `gates`, in order of time, to `site_m` (3,); raises TrajectoryError below the ground."""
+
+    def __init__(
+        self, gates: Sequence[Gate] = LANDING, heading_deg: float = 0.0, site_m: npt.ArrayLike = (0.0, 0.0, 0.0)
+    ) -> None:
+        heading = math.radians(heading_deg)
+        ahead = np.array([math.sin(heading), math.cos(heading), 0.0])
+        site = np.asarray(site_m, np.float64)
+        steps_m = [(b.t_s - a.t_s) * (a.forward_m_s + b.forward_m_s) / 2 for a, b in itertools.pairwise(gates)]
+        forward_m = [-sum(steps_m[k:]) for k in range(len(gates))]  # along the heading, the last gate's being 0
+        places = [site + s * ahead + gate.height_m * _UP for s, gate in zip(forward_m, gates, strict=True)]
+        velocities = [gate.forward_m_s * ahead - gate.down_m_s * _UP for gate in gates]
+        times_ns = [round(gate.t_s * 1e9) for gate in gates]
+        self._path = Keyframes(times_ns, [Pose(place, STILL.q_world_from_body) for place in places], velocities)
+        self._ahead, self._depression_rad = ahead, _depression(gates)
+        self._depression_rate = self._depression_rad.derivative()
+        self._turn_rad_s = measured_bounds(self.pose, instants_between(np.array(times_ns, np.int64)))[1]
+        self._require_above(float(site[2]))
+
+    def pose(self, t_ns: int) -> Pose:
+        """Return the pose at `t_ns`; after the last gate it stays there."""
+        first, last = self.span_ns
+        depression = float(self._depression_rad(min(max(t_ns, first), last) * 1e-9))
+        return Pose(self._path.pose(t_ns).position_m, _attitude(self._ahead, depression))
+
+    def motion(self, t_ns: int) -> Motion:
+        """Return the motion; it turns about the camera's x axis, backwards as the depression grows."""
+        first, last = self.span_ns
+        rate = float(self._depression_rate(t_ns * 1e-9)) if first <= t_ns < last else 0.0
+        path = self._path.motion(t_ns)
+        return Motion(path.velocity_m_s, path.acceleration_m_s2, np.array([-rate, 0.0, 0.0]))
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Time of the first gate and of the last."""
+        return self._path.span_ns
+
+    @property
+    def speed_bound_m_s(self) -> float:
+        """Measured, see `measured`."""
+        return self._path.speed_bound_m_s
+
+    @property
+    def turn_bound_rad_s(self) -> float:
+        """Measured, see `measured`."""
+        return self._turn_rad_s
+
+    def _require_above(self, ground_m: float) -> None:
+        first, last = self.span_ns
+        for t_ns in np.linspace(first, last, 1000).astype(np.int64):
+            if self.pose(int(t_ns)).position_m[2] <= ground_m:
+                raise TrajectoryError(
+                    f"the descent goes through the ground at {t_ns * 1e-9:.1f} s: "
+                    "between two gates the speeds need more height than there is"
+                )
+
+
+def _depression(gates: Sequence[Gate]) -> PPoly:
+    """Return the boresight's depression, rad, as a function of seconds; between gates it stays between theirs."""
+    from scipy.interpolate import (  # loaded where it is used: it takes longer than the rest of a short run's imports
+        PchipInterpolator,
+        PPoly,
+    )
+
+    radians = [math.radians(gate.depression_deg) for gate in gates]
+    if len(gates) == 1:
+        return PPoly([radians], [0.0, 1.0])
+    return PchipInterpolator([gate.t_s for gate in gates], radians)
+
+
+def _attitude(ahead: Vector, depression_rad: float) -> Quaternion:
+    """Return world_from_camera: the picture's up turns with the boresight, from the zenith to straight ahead."""
+    c, s = math.cos(depression_rad), math.sin(depression_rad)
+    return quaternion_of(looking_along(c * ahead - s * _UP, s * ahead + c * _UP))

@@ -1,0 +1,454 @@
+"""Parts that iniVation's cameras with an FX3 share: vendor requests, registers, run gate, and the data endpoint.
+
+Vendor requests, recipient device, 32-bit values big-endian (source: libcaer 3.3.15, traffic of drivers):
+
+    0xBF  OUT  wValue module, wIndex parameter   4 bytes              write a register
+    0xBF  IN   wValue module, wIndex parameter   4 bytes              read a register
+    0xC2  OUT  wValue N                          N x (u8 module, u8 parameter, u32)   write N registers, in order
+    0xB1  OUT  wValue level                      -                    log level, acknowledged
+    0xC6  OUT                                    -                    flush the data path
+
+Data of any other length stalls the request and writes nothing, not even the valid entries of a multi-write. Other
+vendor requests (flash, FPGA load) stall.
+
+Run gate: words leave while MUX RUN, TIMESTAMP_RUN, USB RUN and RUN_CHIP are 1; events need DVS RUN as well. Closing the
+gate empties the FIFO. A change of TIMESTAMP_RUN to 1 starts device time at zero; a change of TIMESTAMP_RESET to 1 does
+so too, and puts the reset word into the stream.
+
+Edges offered to the external input go through its detectors and enter the stream in time order with the events. With
+DROP_EXTINPUT_ON_STALL at 0, marks that find no room wait in that input's own FIFO, 8 deep, and get their time when they
+leave it, as the multiplexer of the published logic does.
+
+Readings (lines of frames, inertial samples) enter the stream likewise, each as a block of words. Lines that find no
+room wait for it while WAIT_ON_STALL of the APS is 1; their time is then the time at which they leave.
+
+A camera is not safe for concurrent use: one thread at a time may call it.
+"""
+
+from __future__ import annotations
+
+import struct
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from firmware_protocol.device.event_device import HasClockInput, HostAdjusted, StartsSilent, TakesReadings
+from firmware_protocol.device.fates import Fates
+from firmware_protocol.device.items import ItemEncoder, Numbers, ReadingKind, Readings
+from firmware_protocol.events import Edges, Events, copy_events, empty_events
+from firmware_protocol.fx3.blocks import Block, Marks, join_marks, no_marks
+from firmware_protocol.fx3.inputs import ExternalInput, InputSettings, ReadingInput
+from firmware_protocol.fx3.registers import Module, RegisterFile, RunGate, Statistics
+from firmware_protocol.fx3.settings import DATA_ENDPOINT, Fx3Settings
+from firmware_protocol.fx3.stream import Late
+from firmware_protocol.usb.control import Recipient, StandardControl
+from firmware_protocol.usb.device import RequestKind, SetupPacket, Stall, Transfer, UsbCamera
+
+REGISTER = 0xBF
+MULTI_WRITE = 0xC2
+LOG_LEVEL = 0xB1
+FLUSH = 0xC6
+
+ENTRY = struct.Struct(">BBI")
+_IN = 0x80
+_INPUT_FIFO = 8
+_MODULES = frozenset(map(int, Module))
+_MOST_RESETS = 64  # limit of the list, which nothing empties without a second camera
+
+
+class _Filters(Protocol):
+    """Selection of the events that leave the array."""
+
+    def power_on(self) -> None:
+        """Clear its memory."""
+
+    def follow(self, registers: RegisterFile, now_us: int) -> None:
+        """Apply registers that were written at `now_us`."""
+
+    def passed(self, events: Events, registers: RegisterFile) -> Events:
+        """Return the part of `events`, (n,) EVENT, that passes; `events` may be changed. `take` counts the others."""
+        ...
+
+    def take(self) -> None:
+        """Count the events that did not pass in the last call of `passed`."""
+
+
+class _Stream(ItemEncoder[Transfer], Protocol):
+    """Data path after the gate; see `EventStream`."""
+
+    epoch_us: int
+
+    @property
+    def free_words(self) -> int:
+        """Free room for words of events."""
+
+    @property
+    def room_until_us(self) -> int:
+        """Stream time up to which it can advance now without dropping anything."""
+
+    def room_beside(self, reserved_words: int) -> int:
+        """Return the number of events that certainly fit beside `reserved_words`."""
+        ...
+
+    def start_time(self, now_us: int) -> None:
+        """Begin device time at zero for a reader in its initial state; drop the queue."""
+
+    def reset_time(self, now_us: int) -> None:
+        """Begin device time at zero, with a reset word in the stream."""
+
+    def put(self, events: Events, marks: Marks | None = None, blocks: Sequence[Block] = ()) -> Late:
+        """Queue items in stream time, at least one in all; return those that found no room."""
+        ...
+
+    def advance(self, now_us: int) -> None:
+        """Queue the words of time due at stream time `now_us`."""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Parts in which one model differs from another."""
+
+    stream: _Stream
+    filters: _Filters
+    readings: ReadingInput
+    statistics: Statistics
+
+
+class Fx3Camera(UsbCamera, StartsSilent, HostAdjusted, TakesReadings, HasClockInput):
+    """A camera. `offer` takes events, `advance` the passing of stream time; the other methods are the USB side."""
+
+    settings: Fx3Settings
+    data_endpoint = DATA_ENDPOINT & 15
+
+    def __init__(self, settings: Fx3Settings) -> None:
+        self.settings = settings
+        self._standard = StandardControl(settings.descriptors())
+        self._registers = RegisterFile(settings.registers())
+        self._fates = Fates()
+        self._input = ExternalInput(settings.pulse_us, self._fates.edges)
+        self._stalled = no_marks()
+        parts = self._make_parts()
+        self._stream, self._filters = parts.stream, parts.filters
+        self._readings, self._statistics = parts.readings, parts.statistics
+        self._resets_us: list[int] = []
+        self._now_us = 0
+        self._has_sent = False
+        self._settings_version = 0
+        self._input_settings_of: tuple[int, int | None] | None = None
+        self._input_now = InputSettings()
+        self._power_on()
+
+    @abstractmethod
+    def _make_parts(self) -> Parts:
+        """Return the parts of this model, made with its settings, registers and fates."""
+
+    @abstractmethod
+    def _factors_of_biases(self) -> Mapping[str, float]:
+        """Return the effect on the pixels of the words in the bias module."""
+
+    def name_request(self, setup: SetupPacket, data: bytes) -> str:
+        """Return a vendor request in words, registers by name; `data` are those of its OUT stage."""
+        if setup.kind is not RequestKind.VENDOR:
+            return ""
+        if setup.request == REGISTER and setup.is_in:
+            return f"read {self._name(setup.value, setup.index)}"
+        if setup.request == REGISTER and len(data) == 4:
+            return f"write {self._name(setup.value, setup.index)} = {int.from_bytes(data, 'big')}"
+        if setup.request == MULTI_WRITE and data and len(data) % ENTRY.size == 0:
+            entries = (f"{self._name(module, address)} = {value}" for module, address, value in ENTRY.iter_unpack(data))
+            return f"write {', '.join(entries)}"
+        if setup.request == LOG_LEVEL:
+            return f"log level {setup.value}"
+        return "flush the data path" if setup.request == FLUSH else ""
+
+    def name_answer(self, setup: SetupPacket, data: bytes) -> str:
+        """Return the answer to a request in words; empty if it has no name."""
+        if setup.kind is not RequestKind.VENDOR or setup.request != REGISTER or len(data) != 4:
+            return ""
+        return f"{self._name(setup.value, setup.index)} = {int.from_bytes(data, 'big')}"
+
+    def _name(self, module: int, address: int) -> str:
+        module_name = Module(module).name.lower() if module in _MODULES else f"module {module}"
+        return f"{module_name}.{self._registers.name_of(module, address)} ({module}.{address})"
+
+    def _run_gate(self) -> RunGate:
+        """Return the run bits in the registers."""
+        return RunGate.of(self._registers)
+
+    @property
+    def now_us(self) -> int:
+        """Stream time that the camera has reached."""
+        return self._now_us
+
+    @property
+    def streaming(self) -> bool:
+        """True while events offered now would go to the host."""
+        return self._gate.events and self._now_us >= self._silent_until_us
+
+    @property
+    def at_rest(self) -> bool:
+        """True while the gate for words is closed."""
+        return not self._gate.words
+
+    @property
+    def settings_version(self) -> int:
+        """Number of changes of its registers."""
+        return self._settings_version
+
+    @property
+    def room_events(self) -> int:
+        """Events that certainly fit the FIFO now beside the marks expected, if none is later than `horizon_us`."""
+        reserved = self._readings.reserved(self._stream.free_words)
+        return max(0, self._stream.room_beside(reserved) - self._input.expected)
+
+    @property
+    def horizon_us(self) -> int:
+        """Stream time to which the FIFO has room for single wraps; during the silence after the start, its end.
+
+        During its start a host may have started the clock and not yet the words: time then advances up to half of the
+        wraps that have to be made up for, so that those of the silence fit too.
+        """
+        if self._starting:
+            return max(self._now_us, (self._stream.epoch_us + self._stream.room_until_us) // 2)
+        if not self._gate.words:
+            return super().horizon_us
+        if self._now_us < self.silent_until_us:
+            return self.silent_until_us
+        return max(self._now_us, self._stream.room_until_us)
+
+    @property
+    def sensor_factors(self) -> Mapping[str, float]:
+        """Effect on the pixels of the bias words that the host wrote; empty while they have their power-on values."""
+        return self._factors
+
+    @property
+    def silent_until_us(self) -> int:
+        """End of the silence after the start; 0 while the gate is closed."""
+        return self._silent_until_us if self._gate.words else 0
+
+    @property
+    def epoch_us(self) -> int:
+        """Stream time at which device time is zero."""
+        return self._stream.epoch_us
+
+    @property
+    def _waiting(self) -> Numbers:
+        marks = Numbers(edges=self._input.pending + len(self._stalled))
+        return self._stream.waiting.plus(marks).plus(self._readings.waiting)
+
+    def offer(self, events: Events) -> None:
+        """Take the events of the array, (n,) EVENT in stream time, sorted, none before the time advanced to.
+
+        The events are copied. Those that come while the camera does not stream are counted as not running.
+
+        Raises
+        ------
+        ValueError
+            Events go back in time or lie outside the array; then none of them is taken.
+        """
+        if not len(events):
+            return
+        if int(events["t"][0]) < self._now_us:
+            raise ValueError(f"event at {events['t'][0]} us offered after the camera's clock reached {self._now_us} us")
+        until_us = int(events["t"][-1])
+        first = int(np.searchsorted(events["t"], self._silent_until_us)) if self._gate.events else len(events)
+        if first < len(events):
+            self._put(self._filters.passed(copy_events(events[first:]), self._registers), until_us)
+            self._filters.take()
+        else:
+            self._put(empty_events(), until_us)
+        self._fates.not_running += first
+        self._fates.offered += len(events)
+        self._now_us = until_us
+
+    def offer_edges(self, edges: Edges) -> None:
+        """Apply edges, (n,) EDGE in stream time, to the external input.
+
+        They enter the stream, as the registers of module 4 select, when time reaches them; an edge before the time
+        advanced to is applied now, because the camera itself assigns its time.
+        """
+        self._input.offer(edges, self._now_us)
+
+    def reading_settings(self, kind: ReadingKind) -> tuple[int, ...]:
+        """Settings in the registers for a kind of readings; for frames, the numbers of `FrameSettings`."""
+        return self._readings.settings_of(kind)
+
+    def room_readings(self, kind: ReadingKind) -> int:
+        """Number of readings that fit half of the free room; the other half is for events."""
+        if not self._readings.runs(kind):
+            return super().room_readings(kind)
+        return self._readings.room(kind, self._stream.free_words)
+
+    def offer_readings(self, kind: ReadingKind, readings: Readings) -> bool:
+        """Take lines of frames; see `TakesReadings.offer_readings`."""
+        if self._readings.takes(kind):
+            self._readings.offer(kind, readings, self._silent_until_us)
+        return self._readings.takes(kind)
+
+    def advance(self, now_us: int) -> None:
+        """Set stream time to `now_us`; the clock never goes back."""
+        now_us = max(self._now_us, now_us)
+        self._put(empty_events(), now_us)
+        self._now_us = now_us
+        if self._gate.words and self._now_us >= self._silent_until_us:
+            self._stream.advance(self._now_us)
+
+    def _put(self, events: Events, until_us: int) -> None:
+        """Queue events, (n,) EVENT, the marks of the external input and the readings up to `until_us`."""
+        marks = self._input.marks(self._now_us, until_us, self._input_settings)
+        if len(self._stalled):
+            self._stalled["t"] = np.maximum(self._stalled["t"], self._now_us)
+            marks, self._stalled = join_marks([self._stalled, marks]), no_marks()
+        blocks = self._readings.due(self._now_us, until_us, self._stream.free_words)
+        if not len(events) and not len(marks) and not blocks:
+            return
+        try:
+            late = self._stream.put(events, marks, blocks)
+        except ValueError:
+            self._stalled = marks
+            self._readings.put_back(blocks)
+            raise
+        self._fates.dropped_fifo += late.events
+        self._hold(late.marks)
+        self._readings.hold(late.blocks)
+
+    @property
+    def _input_settings(self) -> InputSettings:
+        """Settings of the external input, read again after a change."""
+        report_from_us = self._silent_until_us if self._gate.words else None
+        if self._input_settings_of != (self._settings_version, report_from_us):
+            self._input_settings_of = self._settings_version, report_from_us
+            self._input_now = InputSettings.of(self._registers, report_from_us)
+        return self._input_now
+
+    def _hold(self, marks: Marks) -> None:
+        """Hold or drop marks that found no room, as the registers select."""
+        keep = 0 if self._registers.read(Module.MULTIPLEXER, 4) else _INPUT_FIFO
+        self._stalled = marks[:keep]
+        self._fates.edges.dropped_fifo += len(marks[keep:])
+
+    def take_resets(self) -> tuple[int, ...]:
+        """Return the stream times at which the host has reset the timestamps since the last call."""
+        resets, self._resets_us = tuple(self._resets_us), []
+        return resets
+
+    def follow_reset(self, at_us: int) -> None:
+        """Set device time to zero at `at_us`, as its master did then, and put a reset word into the stream.
+
+        A silence after the start ends.
+        """
+        if self._gate.words:
+            self._stream.reset_time(min(at_us, self._now_us))
+            self._silent_until_us = self._now_us
+
+    def restart_clock(self) -> bool:
+        """Set device time to zero with a reset word in the stream, as a slave does when its master was reset."""
+        if self._gate.words:
+            self._stream.reset_time(self._now_us)
+        else:
+            self._start_time()
+        return True
+
+    def control(self, setup: SetupPacket, data: bytes) -> bytes:
+        """Execute one control transfer; see `UsbDevice.control` and the table above."""
+        if setup.kind is RequestKind.STANDARD:
+            return self._standard.control(setup, data)
+        if setup.kind is not RequestKind.VENDOR or setup.recipient != Recipient.DEVICE:
+            raise Stall
+        if setup.is_in:
+            return self._read_register(setup)
+        self._vendor_out(setup, data)
+        return b""
+
+    def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
+        """Take data from endpoint 2; the debug endpoint, 1, never has any."""
+        self._standard.require(endpoint | _IN)
+        if endpoint | _IN != DATA_ENDPOINT or self._now_us < self._silent_until_us:
+            return None
+        transfer = self._taken(self._stream.take(self._now_us, max_bytes))
+        self._has_sent = self._has_sent or transfer is not None
+        return transfer
+
+    def _power_on(self) -> None:
+        self._registers.power_on()
+        self._standard.power_on()
+        self._follow_registers()
+        self._starting = False
+        self._has_sent = False
+        self._factors: Mapping[str, float] = {}
+        self._silent_until_us = self._now_us
+        self._drop_stalled()
+        self._start_time()
+        self._flushes += 1
+        self._filters.power_on()
+        self._statistics.power_on()
+
+    def accepts(self, setup: SetupPacket) -> bool:
+        """Return true if an OUT request is known and its data have the right length."""
+        lengths = {REGISTER: 4, MULTI_WRITE: setup.value * ENTRY.size, FLUSH: 0, LOG_LEVEL: 0}
+        return setup.kind is not RequestKind.VENDOR or setup.length == lengths.get(setup.request)
+
+    def _vendor_out(self, setup: SetupPacket, data: bytes) -> None:
+        if len(data) != setup.length or not self.accepts(setup):
+            raise Stall
+        if setup.request == REGISTER:
+            self._write(setup.value, setup.index, int.from_bytes(data, "big"))
+        elif setup.request == MULTI_WRITE:
+            for module, address, value in ENTRY.iter_unpack(data):
+                self._write(module, address, value)
+        elif setup.request == FLUSH:
+            self._flush(self._stream)
+
+    def _read_register(self, setup: SetupPacket) -> bytes:
+        if setup.request != REGISTER or setup.length < 4:
+            raise Stall
+        self._statistics.refresh(self._registers)
+        return self._registers.read(setup.value, setup.index).to_bytes(4, "big")
+
+    def _write(self, module: int, address: int, value: int) -> None:
+        before = self._gate
+        self._registers.write(module, address, value)
+        if module == Module.BIAS:
+            self._factors = self._factors_of_biases()
+        self._follow_registers()
+        if self._gate != before:
+            self._turn(before, self._gate)
+
+    def _follow_registers(self) -> None:
+        self._settings_version += 1
+        self._gate = self._run_gate()
+        self._readings.follow(words=self._gate.words)
+        self._filters.follow(self._registers, self._now_us)
+
+    def _turn(self, before: RunGate, after: RunGate) -> None:
+        """Apply a change of the run bits."""
+        if before.words and not after.words:
+            self._drop_stalled()
+            self._flush(self._stream)
+            self._flushes += 1
+        if after.timestamps and not before.timestamps:
+            self._start_time()
+            self._starting = True
+        if after.words or not after.timestamps:
+            self._starting = False
+        if after.words and not before.words:
+            self._has_sent = False
+        if (after.words and not before.words) or (after.events and not before.events and not self._has_sent):
+            self._silent_until_us = self._now_us + self.settings.start_delay_us
+        if after.reset and not before.reset and after.words:
+            self._stream.reset_time(self._now_us)
+            self._silent_until_us = self._now_us
+            self._resets_us = [*self._resets_us[-_MOST_RESETS:], self._now_us]
+
+    def _start_time(self) -> None:
+        """Begin device time at zero; what waits is flushed."""
+        self._flush(self._stream)
+        self._stream.start_time(self._now_us)
+
+    def _drop_stalled(self) -> None:
+        self._fates.edges.dropped_fifo += len(self._stalled)
+        self._stalled = no_marks()
+        self._readings.flush()

@@ -1,1 +1,0 @@
-"""Messages of ROS 2 as bytes: packets of events, and images."""

@@ -1,1 +1,0 @@
-"""Messages between Basilisk and its visualiser Vizard: requests and replies, and the state of a simulation."""

@@ -1,0 +1,208 @@
+"""Images of an external renderer: the events that they give, and how many a second come.
+
+python -m laboratory.benchmarks.external images [FOLDER]
+python -m laboratory.benchmarks.external rate [IMAGES]
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import multiprocessing
+import pickle
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from cyclopts import App
+
+from emulator.geometry.camera import Pinhole, Seen
+from emulator.light import Light, Scene
+from emulator.rig.loading import load_rig
+from emulator.scene.bodies.raster_bodies import RasterBodies
+from emulator.scene.bodies.table import BodiesParameters
+from emulator.scene.external.external import External, ImageQueue, compile_kernels
+from emulator.scene.external.joining import Joined, Pair, TimedImage, front_motion
+from emulator.scene.external.table import ExternalParameters
+from evstim.renderer import Renderer
+from firmware_protocol.renderer import Camera
+from laboratory.accuracy.rendering import Look, Stretch, comb_of
+from laboratory.accuracy.scores import PixelEvents, Stream, common_subsequences, compare
+from transports.renderer import RendererServer
+
+app = App(name="external")
+
+STEP_US = 2000
+STEPS = 48
+RATES_HZ = (30, 100, 1000)
+LAYERS = ((), ("rate",), ("motion",), ("motion", "depth"), ("motion", "depth", "rate"))
+
+
+class Images(Scene):
+    """The images of `inner` every `period_ns` with some layers, joined as those of a renderer."""
+
+    def __init__(self, inner: Scene, period_ns: int, layers: tuple[str, ...]) -> None:
+        self._inner = inner
+        self._period_ns = period_ns
+        self._layers = layers
+        self._joined, self._drawn = Joined(inner.size), dict[int, TimedImage]()
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Those of the scene."""
+        return self._inner.size
+
+    @property
+    def motion_bound_px_s(self) -> float:
+        """That of the scene."""
+        return self._inner.motion_bound_px_s
+
+    @property
+    def has_rate(self) -> bool:
+        """True: the joined light has a derivative."""
+        return True
+
+    def light(self, t_ns: int, out: Light) -> None:
+        """Write the joined light."""
+        self._joined.write(self._pair(t_ns), t_ns, out)
+
+    def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
+        """Write the joined light and its derivative."""
+        self._joined.write(self._pair(t_ns), t_ns, light, rate)
+
+    def close(self) -> None:
+        """Close the scene."""
+        self._inner.close()
+        self._joined.close()
+
+    def _pair(self, t_ns: int) -> Pair:
+        k = t_ns // self._period_ns
+        self._drawn = {k + i: self._drawn.get(k + i) or self._draw((k + i) * self._period_ns) for i in (0, 1)}
+        return self._drawn[k], self._drawn[k + 1]
+
+    def _draw(self, t_ns: int) -> TimedImage:
+        light = np.zeros(self.size[::-1], np.float32)
+        rate = np.zeros_like(light)
+        seen = Seen.of(*self.size)
+        self._inner.light_and_rate(t_ns, light, rate)
+        geometry = self._inner.geometry()
+        assert geometry is not None
+        geometry.look(t_ns, seen)
+        depth = seen.depth if "depth" in self._layers else None
+        motion = front_motion(np.nan_to_num(seen.flow), depth) if "motion" in self._layers else None
+        return TimedImage(t_ns, light, motion, depth, rate if "rate" in self._layers else None)
+
+
+def fast_look() -> Look:
+    """Return the scene and its stretch."""
+    rig = load_rig("itokawa")
+    assert isinstance(rig.scene, BodiesParameters)
+    scene = dataclasses.replace(rig.scene, time_scale=40 * rig.scene.time_scale)
+    run = dataclasses.replace(rig.run, step_us=STEP_US)
+    return Look(dataclasses.replace(rig, scene=scene, run=run), Stretch(steps=STEPS, samples=8, finer=8))
+
+
+def truth_of(shown: Look, folder: Path | None) -> Stream:
+    """Return the true events, stored in `folder`."""
+    path = None if folder is None else folder / "external-images.pickle"
+    if path is not None and path.exists():
+        return pickle.loads(path.read_bytes())  # type: ignore[no-any-return]
+    truth = shown.truth()
+    if path is not None:
+        path.write_bytes(pickle.dumps(truth))
+    return truth
+
+
+def row(name: str, stream: Stream, truth: Stream, period_us: float) -> str:
+    """Return a row of the table."""
+    ours, true = (PixelEvents(s.t_us, s.on, s.first) for s in (stream, truth))
+    common, scores = int(common_subsequences(ours, true).sum()), compare(stream, truth)
+    wrong = (len(stream) + len(truth) - 2 * common) / 2 / len(truth)
+    middle = comb_of(stream.t_us, period_us).middle_share
+    return f"| {name} | {wrong:.2%} | {scores.t50_us / 1000:.3f} | {scores.t95_us / 1000:.2f} | {middle:.3f} |"
+
+
+@app.command
+def images(folder: Path | None = None) -> None:
+    """Compare events of an external renderer's images with the truth, by rate of images and by the layers beside light.
+
+    Our own Itokawa turns 40 times as fast as in its rig, so that its surface moves at up to 280 px/s, and is drawn
+    twice: as the truth of `evstim accuracy` (point samples, rays for shadows), and as images at 30, 100 and 1000 a
+    second with their motion, depth or rate, which are joined as those of a renderer. The truth takes minutes; FOLDER
+    stores it.
+    """
+    shown = fast_look()
+    truth = truth_of(shown, folder)
+    print(f"{len(truth)} true events; middle share of them at 30, 100, 1000 Hz:", end=" ")
+    print(", ".join(f"{comb_of(truth.t_us, 1e6 / hz).middle_share:.3f}" for hz in RATES_HZ))
+    print("| images | wrong | t50 ms | t95 ms | middle share |\n|---|---:|---:|---:|---:|")
+    with shown.scene(RasterBodies) as scene:
+        print(row("our own scene", shown.events(scene, shown.step_ns, with_rate=True)[0], truth, STEP_US))
+    for hz in RATES_HZ:
+        for layers in LAYERS:
+            build = partial(_images, period_ns=round(1e9 / hz), layers=layers)
+            with shown.scene(build) as scene:
+                stream, _ = shown.events(scene, min(shown.step_ns, round(1e9 / hz)), with_rate=True)
+            print(row(f"{hz} Hz, {' and '.join(layers) or 'images alone'}", stream, truth, 1e6 / hz), flush=True)
+
+
+def _images(p: BodiesParameters, pinhole: Pinhole, period_ns: int, layers: tuple[str, ...]) -> Images:
+    return Images(RasterBodies(p, pinhole), period_ns, layers)
+
+
+SIZE = (1280, 720)
+PERIOD_NS = 10_000_000
+
+
+def draw(port: int, *, shared: bool) -> None:
+    """Draw until the end."""
+    ready = np.random.default_rng(1).random(SIZE[::-1], np.float32)
+    with Renderer(f"127.0.0.1:{port}", shared=shared) as renderer:
+        for image in renderer:
+            image.light[:] = ready
+            image.send()
+
+
+def images_a_second(count: int, *, shared: bool, lit: bool) -> float:
+    """Return the rate of `count` images."""
+    p = ExternalParameters(period_ms=PERIOD_NS * 1e-6)
+    server = RendererServer("127.0.0.1", 0)
+    drawing = multiprocessing.get_context("spawn").Process(
+        target=draw, args=(server.address[1],), kwargs={"shared": shared}
+    )
+    drawing.start()
+    connection = server.accept(Camera(SIZE, 1000.0, PERIOD_NS, p.slots, 0), 60.0)
+    assert connection is not None
+    queue = ImageQueue(connection, p)
+    scene, out = External(queue, Pinhole(*SIZE, 1000.0), 1.0), np.zeros(SIZE[::-1], np.float32)
+    queue.around(0)
+    start_s = time.perf_counter()
+    for k in range(1, count + 1):
+        if lit:
+            scene.light(k * PERIOD_NS - PERIOD_NS // 2, out)
+        else:
+            queue.around(k * PERIOD_NS)
+    spent_s = time.perf_counter() - start_s
+    scene.close()
+    drawing.join()
+    return count / spent_s
+
+
+@app.command
+def rate(count: int = 500) -> None:
+    """Measure images a second from a renderer in another process, 1280 x 720 float32, through both carriers.
+
+    The renderer copies a finished image into each slot, and evstim copies it again and checks every number of it.
+    "carrier" receives and checks; "scene" also writes a light frame for each image, half way between two. Each rate is
+    the median of five.
+    """
+    compile_kernels()
+    for shared in (True, False):
+        for lit in (False, True):
+            rates = sorted(images_a_second(count, shared=shared, lit=lit) for _ in range(5))
+            carrier = "shared memory" if shared else "connection"
+            print(f"{carrier}, {'scene' if lit else 'carrier'}: {rates[2]:.0f} images/s")
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,101 @@
+"""The camera and the link of examples/, installed as packages and read by receivers that share no code with evstim."""
+
+import json
+import shutil
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+import usbip
+
+from tests.free_ports import free_port
+from tests.installed import environment, install
+
+pytestmark = [pytest.mark.system, pytest.mark.socket]
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def started(folder, name, tmp_path, old, new):
+    """Return the process of a run of an example's rig with one line changed, and the record of what it delivers."""
+    site = install(EXAMPLES / folder, tmp_path / "site")
+    rig = tmp_path / "rig.toml"
+    text = (EXAMPLES / folder / name).read_text()
+    assert old in text
+    rig.write_text(text.replace(old, new).replace("seconds = 5.0", "seconds = 1.0"))
+    command = [sys.executable, "-c", "from emulator.cli import main; main()", "run", str(rig), "--json"]
+    files = ["--record", str(tmp_path / "delivered.npz"), "--ready-file", str(tmp_path / "ready")]
+    process = subprocess.Popen([*command, *files], cwd=tmp_path, env=environment(site), stdout=subprocess.PIPE)
+    for _ in range(2400):
+        if (tmp_path / "ready").exists() or process.poll() is not None:
+            break
+        time.sleep(0.05)
+    return process
+
+
+def result_of(process):
+    output, _ = process.communicate(timeout=120)
+    return json.loads(output.splitlines()[-1])
+
+
+def delivered(tmp_path):
+    with np.load(tmp_path / "delivered.npz") as record:
+        return record["events"].tolist()
+
+
+def test_a_usb_host_of_others_reads_the_camera(tmp_path):
+    port = free_port()
+    process = started("camera", "simple.toml", tmp_path, 'kind = "usbip"', f'kind = "usbip"\nport = {port}')
+    wire = usbip.transport.USBIP("127.0.0.1", port)
+    data = b""
+    with usbip.open(0x1209, 0x0001, transport=wire) as handle:
+        assert handle.control(0x80, 6, 0x0302, 0x0409, 255)[2:].decode("utf-16-le") == "Simple camera"
+        with pytest.raises(usbip.Stall):
+            handle.control(0x40, 77, 1, 0, b"")
+        handle.control(0x40, 1, 1, 0, b"")
+        with suppress(usbip.USBError, OSError):  # the run has ended
+            while True:
+                data += handle.bulk_in(0x81, 4096)
+    assert result_of(process)["balanced"]
+    read = [(t, x, y & 0x7FFF, bool(y >> 15)) for t, x, y in struct.iter_unpack("<IHH", data)]
+    assert len(read) > 1000
+    assert read == delivered(tmp_path)
+
+
+def test_a_socket_reads_the_lines_of_the_link(tmp_path):
+    lines = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(0.2)
+        port = receiver.getsockname()[1]
+        process = started("link", "text.toml", tmp_path, "port = 9000", f"port = {port}")
+        ended = threading.Event()
+        threading.Thread(target=lambda: (process.wait(), ended.set()), daemon=True).start()
+        while True:
+            try:
+                lines += receiver.recv(65_536).decode().splitlines()
+            except TimeoutError:
+                if ended.is_set():
+                    break
+    assert result_of(process)["balanced"]
+    read = [(int(t), int(x), int(y), on == "1") for t, x, y, on in map(str.split, lines)]
+    assert len(read) > 100
+    assert read == delivered(tmp_path)
+
+
+@pytest.mark.parametrize("folder", ["camera", "link"])
+def test_pip_installs_it(folder, tmp_path):
+    """The wheel has the module and the entry point, where the build back end is here."""
+    pytest.importorskip("hatchling")
+    project = shutil.copytree(EXAMPLES / folder, tmp_path / folder)
+    from hatchling.builders.wheel import WheelBuilder
+
+    wheels = list(WheelBuilder(str(project)).build(directory=str(tmp_path), versions=["standard"]))
+    assert len(wheels) == 1

@@ -1,1 +1,0 @@
-"""Links that write a recording."""

@@ -1,1 +1,0 @@
-"""Carriers of external renderers' images: a socket, and memory shared on one machine."""

@@ -1,1 +1,0 @@
-"""The socket to which a Basilisk simulation connects."""
