@@ -68,7 +68,7 @@ def draw_report(seconds: float = 10.0, height_px: int = 2375) -> None:
         _photograph(page, PICTURES / "report.png", height_px)
 
 
-def draw_campaign(height_px: int = 1420) -> None:
+def draw_campaign(height_px: int = 1396) -> None:
     """Write the picture of the example campaign's report."""
     example = Path(__file__).parents[1] / "examples" / "campaign"
     with tempfile.TemporaryDirectory() as made:

@@ -359,7 +359,7 @@ def test_results_come_together_in_one_table_and_page(tmp_path):
     ]  # fmt: skip
     assert [row["mpx_per_s"] for row in rows[:2]] == [None, 500]
     text = markdown(reports, "pictures/simulators.png")
-    assert "|near|100 / 1000|100 / 100|0.01 / 0.01|0.02 / 0.02|0 / 0|1 / 1|1 of 1 / 1 of 1|– / 500|" in text
+    assert "|near|100 / 1000|50 / 100|0.01 / 0.01|0.02 / 0.02|0 / 0|1 / 1|1 of 1 / 1 of 1|– / 500|" in text
     assert "- **far**: made | up; no scores for line-1000: it did not end." in text
     files = write_page(reports, tmp_path)
     assert all(file.stat().st_size for file in files)
