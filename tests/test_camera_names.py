@@ -2,6 +2,7 @@
 
 import ast
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,12 @@ CAMERAS = {
     "GenX320": (r"gen_?x", "genx320", "treuzell_host", 2),
     "EVK4 and Triton2": (r"imx636|evk4|triton|silkyevcam|ueye", "imx636", "treuzell_host", 8),
 }
+
+
+@cache
+def code_of(path):
+    """The words of a module in one text."""
+    return "\n".join(words_of(path))
 
 
 def words_of(path):
@@ -45,5 +52,5 @@ def test_few_modules_name_a_camera(camera):
     assert all((ROOT / place).exists() for place in places)
     modules = [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
     others = [path for path in modules if not any(path.is_relative_to(ROOT / place) for place in places)]
-    naming = [str(path.relative_to(ROOT)) for path in others if re.search(names, "\n".join(words_of(path)), re.I)]
+    naming = [str(path.relative_to(ROOT)) for path in others if re.search(names, code_of(path), re.I)]
     assert len(naming) <= most, naming
