@@ -19,7 +19,7 @@ from emulator.cli.checks import parsed_size, reading
 from emulator.cli.output import BAD_VERDICT, GOOD, console, print_json
 from emulator.run.truth.file import truth_in
 from firmware_protocol.events import Events
-from transports.recording.guarded import OpenRecording
+from transports.recording.files import OpenRecording
 from transports.recording.part import Facts, Part, RecordingError
 
 

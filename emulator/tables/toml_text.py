@@ -94,8 +94,8 @@ def _given_twice(text: str, error: ValueError) -> TomlError:
     for line, path, is_header in _paths(text):
         if path in first:
             name = dotted(path)[:200]
-            what, remedy = (f"[{name}]", "put its keys under one header") if is_header else (name, "leave one out")
-            return TomlError(f"{what} is given twice, first in line {first[path]}: {remedy}", line)
+            place, remedy = (f"[{name}]", "put its keys under one header") if is_header else (name, "leave one out")
+            return TomlError(f"{place} is given twice, first in line {first[path]}: {remedy}", line)
         first[path] = line
     return TomlError(f"not valid TOML: a key or a table is given twice, leave one out: {shortened(error)}")
 
@@ -107,7 +107,7 @@ def toml_of(tables: Mapping[str, Any]) -> str:
 
 def _value(value: Any) -> str:
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_string(key)} = {_value(one)}" for key, one in value.items()) + "}"
+        return "{" + ", ".join(f"{_string(key)} = {_value(inner)}" for key, inner in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_value, value)) + "]"
     if isinstance(value, bool):
@@ -127,8 +127,8 @@ def dotted(path: KeyPath) -> str:
 def line_of(text: str, path: KeyPath) -> int | None:
     """Return the line (from 1) of the key or table at `path`, or of its nearest parent that has one."""
     lines: dict[KeyPath, int] = {}
-    for line, found, _ in _paths(text):
-        lines.setdefault(found, line)
+    for line, key_path, _ in _paths(text):
+        lines.setdefault(key_path, line)
     while path:
         if path in lines:
             return lines[path]

@@ -22,9 +22,9 @@ from emulator.run.report.content import Circumstances, ReportContent
 from emulator.run.report.files import write_report
 from emulator.run.report.modelled import Modelled, is_drawn_here, modelled
 from evstim.testing.running_rig import RunningRig, rules_of_a_test
+from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Part
-from transports.recording.writing import RecordingFile
 
 
 def write_artefacts(rig: RunningRig, test: str, folder: Path) -> list[Path]:

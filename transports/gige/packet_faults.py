@@ -14,9 +14,8 @@ from typing import ClassVar
 import numpy as np
 
 from firmware_protocol.gige.gvsp import removed
-from transports.faults.items import HitStage, ItemStage, Loss, pass_through
-from transports.faults.kinds import GIGE_STREAM, Fault, HitFault, LastingFault, Stage
-from transports.faults.script import FaultPlan, Faulty
+from transports.faults.kinds import GIGE_STREAM, Fault, HitFault, HitStage, ItemStage, LastingFault, Loss, Stage
+from transports.faults.script import FaultPlan, Faulty, pass_through
 
 
 @dataclass(frozen=True)
@@ -33,7 +32,6 @@ class _Refusal(HitStage[Packet]):
     """Refusal of single packets that a host requested again: they are reported as no longer stored."""
 
     def change(self, item: Packet) -> list[Packet]:
-        """See `ItemStage.change`."""
         return [Packet(removed(item.block, item.number))] if item.again and self.is_hit() else [item]
 
 
@@ -70,7 +68,6 @@ class _Down(ItemStage[Packet]):
     """Fault that stops all packets."""
 
     def change(self, item: Packet) -> list[Packet]:
-        """See `ItemStage.change`."""
         self.hits = 1
         self.touched += 1
         return []
