@@ -6,10 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from firmware_protocol.events import Events, join_events
-from transports.recording.guarded import OpenRecording
-from transports.recording.part import RecordingError
-
-Size = tuple[int, int]
+from transports.recording.files import OpenRecording
+from transports.recording.part import RecordingError, Size
 
 
 def read_events(path: str | Path, *, size: Size | None = None, strict: bool = True) -> Events:

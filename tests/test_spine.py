@@ -95,7 +95,7 @@ FEATURES = {  # folders of what only some users need, and the modules that may i
     ),
     "external renderers": (["firmware_protocol.renderer", "transports.renderer"], ["emulator.scene.external.external"]),
     "formats of files": (
-        [f"transports.recording.{name}" for name in ("dsec", "rosbag", "faery_files", "evt_file")],
+        [f"transports.recording.{name}" for name in ("dsec", "rosbag", "faery_files")],
         [],
     ),
     "the laboratory": (["laboratory"], []),

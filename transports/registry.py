@@ -43,8 +43,8 @@ def imported(path: str) -> Any:
 
 def unknown(name: str, names: Collection[str]) -> str:
     """Return the message that `name` is none of `names`, with the most similar one."""
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    remedy = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(names)}"
+    similar = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    remedy = f"did you mean {similar[0]!r}?" if similar else f"known are {', '.join(names)}"
     return f"{name!r} is not known here; {remedy}"
 
 

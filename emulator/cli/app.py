@@ -73,16 +73,22 @@ for flag in ("--help", "--version"):
 
 
 def _add_verbs_of_packages(name: str) -> None:
-    """Add the verb of this name from an installed package, or those of all packages where none has it."""
-    try:
-        verbs = [VERBS[name]] if name in VERBS else VERBS.usable().values()
-        for verb in verbs:
-            if verb.name not in app:
-                _add(verb)
-        if name in VERBS:
-            VERBS.imported(name, VERBS[name].command)
-    except PluginError as error:
-        raise Failure(str(error), LACKING) from error
+    """Add the verb of this name from an installed package, or those of all packages where none has it.
+
+    Raises Failure if the verb cannot be loaded; of several, those that cannot be are left out with a warning.
+    """
+    names = [name] if name in VERBS else [other for other in VERBS if other not in VERBS.built_in_names]
+    for verb_name in names:
+        try:
+            verb = VERBS[verb_name]
+            VERBS.imported(verb_name, verb.command)
+        except PluginError as error:
+            if verb_name == name:
+                raise Failure(str(error), LACKING) from error
+            logging.getLogger(__name__).warning("%s", error)
+            continue
+        if verb_name not in app:
+            _add(verb)
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from emulator.cli.checks import parsed_size, reading
 from emulator.cli.output import BAD_VERDICT, GOOD, Json, console, print_json
 from emulator.run.truth.file import truth_in
-from transports.recording.guarded import OpenRecording
+from transports.recording.files import OpenRecording
 from transports.recording.part import Facts, Part, RecordingError
 
 

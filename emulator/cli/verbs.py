@@ -31,112 +31,87 @@ class Verb:
     group: str = "From other packages"
 
 
-_VERBS = (
-    Verb(
-        "demo",
-        "emulator.cli.demo:demo",
-        "Run a rig, read its camera over USB/IP in a second process, and compare every event.",
-        "Run and read",
-    ),
-    Verb(
-        "run",
-        "emulator.cli.run:run",
-        "Run a rig: render its scene, simulate its sensor, serve its links.",
-        "Run and read",
-    ),
-    Verb(
-        "listen",
-        "emulator.cli.listen.cameras:verbs",
-        "Read a camera, real or emulated: on USB (the default), a serial line or a CAN bus.",
-        "Run and read",
-    ),
-    Verb(
-        "picture",
-        "emulator.cli.picture:picture",
-        "Write a picture or movie of a rig or a recording: its light and its events.",
-        "Run and read",
-    ),
-    Verb(
-        "doctor",
-        "emulator.cli.doctor:doctor",
-        "Show which parts this machine has and lacks, with the command that adds each.",
-        "Run and read",
-    ),
-    Verb("rigs", "emulator.cli.rigs:rigs", "List the rigs that are installed with evstim.", "Rigs"),
-    Verb("check", "emulator.cli.rigs:check", "Check a rig file without running it.", "Rigs"),
-    Verb("plan", "emulator.cli.plan:plan", "Show the plan of a run: step, effects and expected load.", "Rigs"),
-    Verb("schema", "emulator.cli.rigs:schema", "Print the JSON Schema of rig files, or of reports.", "Rigs"),
-    Verb("fault", "emulator.cli.fault:fault", "Inject a fault into a link of a running rig.", "While a rig runs"),
-    Verb(
-        "trigger",
-        "emulator.cli.fault:trigger",
-        "Give the camera of a running rig an edge, or reset its clock.",
-        "While a rig runs",
-    ),
-    Verb(
-        "dynamics",
-        "emulator.cli.dynamics:dynamics",
-        "Fly an FMU: its poses go to a running rig, its inputs come from a file or a CAN bus.",
-        "While a rig runs",
-    ),
-    Verb(
-        "vizard",
-        "emulator.cli.vizard:vizard",
-        "Run a rig in step with a Basilisk simulation, which sends poses and requests images.",
-        "While a rig runs",
-    ),
-    Verb(
-        "record",
-        "emulator.cli.record:record",
-        "Record the events of a rig to a file: AEDAT4, EVT3, HDF5, a ROS bag, ...",
-        "Recordings",
-    ),
-    Verb("info", "emulator.cli.info:info", "Show the format and the content of a recording of events.", "Recordings"),
-    Verb("convert", "emulator.cli.convert:convert", "Convert a recording of events to another format.", "Recordings"),
-    Verb(
-        "recover",
-        "emulator.cli.convert:recover",
-        "Save the readable part of a recording that was cut.",
-        "Recordings",
-    ),
-    Verb(
-        "campaign",
-        "emulator.cli.campaign:verbs",
-        "Run a rig many times over sampled parameters, and report on the table of all runs.",
-        "Measure",
-    ),
-    Verb(
-        "accuracy",
-        "laboratory.verbs.accuracy:verbs",
-        "Measure accuracy against speed, where each method fails, and other simulators on the same scenes.",
-        "Measure",
-    ),
-    Verb(
-        "characterise",
-        "laboratory.verbs.characterise:characterise",
-        "Measure a simulated sensor with the methods of a laboratory.",
-        "Measure",
-    ),
-    Verb(
-        "validate",
-        "laboratory.verbs.validate:validate",
-        "Repeat public measurements of real cameras on the simulated sensors.",
-        "Measure",
-    ),
-    Verb("bench", "laboratory.verbs.bench:verbs", "Measure the speeds that the documentation quotes.", "Measure"),
-    Verb(
-        "gadget",
-        "emulator.cli.gadget:verbs",
-        "Make or remove the USB gadget for a camera on a real cable, at a machine with a USB device port.",
-        "Connect",
-    ),
-    Verb("dbc", "emulator.cli.listen.can:dbc", "Write the DBC file of a rig's CAN link.", "Connect"),
-    Verb(
-        "export",
-        "emulator.cli.export:export",
-        "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark.",
-        "Connect",
-    ),
+_VERBS = {
+    "Run and read": {
+        "demo": (
+            "emulator.cli.demo:demo",
+            "Run a rig, read its camera over USB/IP in a second process, and compare every event.",
+        ),
+        "run": ("emulator.cli.run:run", "Run a rig: render its scene, simulate its sensor, serve its links."),
+        "listen": (
+            "emulator.cli.listen.cameras:verbs",
+            "Read a camera, real or emulated: on USB (the default), a serial line or a CAN bus.",
+        ),
+        "picture": (
+            "emulator.cli.picture:picture",
+            "Write a picture or movie of a rig or a recording: its light and its events.",
+        ),
+        "doctor": (
+            "emulator.cli.doctor:doctor",
+            "Show which parts this machine has and lacks, with the command that adds each.",
+        ),
+    },
+    "Rigs": {
+        "rigs": ("emulator.cli.rigs:rigs", "List the rigs that are installed with evstim."),
+        "check": ("emulator.cli.rigs:check", "Check a rig file without running it."),
+        "plan": ("emulator.cli.plan:plan", "Show the plan of a run: step, effects and expected load."),
+        "schema": ("emulator.cli.rigs:schema", "Print the JSON Schema of rig files, or of reports."),
+    },
+    "While a rig runs": {
+        "fault": ("emulator.cli.fault:fault", "Inject a fault into a link of a running rig."),
+        "trigger": ("emulator.cli.fault:trigger", "Give the camera of a running rig an edge, or reset its clock."),
+        "dynamics": (
+            "emulator.cli.dynamics:dynamics",
+            "Fly an FMU: its poses go to a running rig, its inputs come from a file or a CAN bus.",
+        ),
+        "vizard": (
+            "emulator.cli.vizard:vizard",
+            "Run a rig in step with a Basilisk simulation, which sends poses and requests images.",
+        ),
+    },
+    "Recordings": {
+        "record": (
+            "emulator.cli.record:record",
+            "Record the events of a rig to a file: AEDAT4, EVT3, HDF5, a ROS bag, ...",
+        ),
+        "info": ("emulator.cli.info:info", "Show the format and the content of a recording of events."),
+        "convert": ("emulator.cli.convert:convert", "Convert a recording of events to another format."),
+        "recover": ("emulator.cli.convert:recover", "Save the readable part of a recording that was cut."),
+    },
+    "Measure": {
+        "campaign": (
+            "emulator.cli.campaign:verbs",
+            "Run a rig many times over sampled parameters, and report on the table of all runs.",
+        ),
+        "accuracy": (
+            "laboratory.verbs.accuracy:verbs",
+            "Measure accuracy against speed, where each method fails, and other simulators on the same scenes.",
+        ),
+        "characterise": (
+            "laboratory.verbs.characterise:characterise",
+            "Measure a simulated sensor with the methods of a laboratory.",
+        ),
+        "validate": (
+            "laboratory.verbs.validate:validate",
+            "Repeat public measurements of real cameras on the simulated sensors.",
+        ),
+        "bench": ("laboratory.verbs.bench:verbs", "Measure the speeds that the documentation quotes."),
+    },
+    "Connect": {
+        "gadget": (
+            "emulator.cli.gadget:verbs",
+            "Make or remove the USB gadget for a camera on a real cable, at a machine with a USB device port.",
+        ),
+        "dbc": ("emulator.cli.listen.can:dbc", "Write the DBC file of a rig's CAN link."),
+        "export": (
+            "emulator.cli.export:export",
+            "Write the packets' definitions for COSMOS, Yamcs, F Prime or Wireshark.",
+        ),
+    },
+}
+VERBS: Registry[Verb] = Registry(
+    "evstim.verbs",
+    Verb,
+    {name: Verb(name, path, text, group) for group, verbs in _VERBS.items() for name, (path, text) in verbs.items()},
 )
-VERBS: Registry[Verb] = Registry("evstim.verbs", Verb, {verb.name: verb for verb in _VERBS})
 """Verbs by name, in the order of `evstim --help`."""

@@ -17,8 +17,8 @@ from emulator.scene.kind import SceneKind
 from emulator.tables.typed_table import NO_FILE, RigFile
 from firmware_protocol.events import Events, join_events
 from transports.needs import Need, package
+from transports.recording.files import OpenRecording
 from transports.recording.format import format_to_read, format_to_write
-from transports.recording.guarded import OpenRecording
 from transports.recording.part import Frame, LibraryMissing, RecordingError, wrong_event
 
 

@@ -204,9 +204,9 @@ def usb_model(camera: Camera, kind: LinkKind[Any]) -> UsbModel | None:
 
     A link may carry a camera without a USB device of its size in the words of another model.
     """
-    own = CAMERA_MODELS[camera.model].usb
-    if kind.usb_model is None or (own is not None and own.size == camera.size):
-        return own
+    usb = CAMERA_MODELS[camera.model].usb
+    if kind.usb_model is None or (usb is not None and usb.size == camera.size):
+        return usb
     return CAMERA_MODELS[kind.usb_model].usb
 
 

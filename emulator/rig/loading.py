@@ -11,7 +11,8 @@
 `emulator.rig.top_level` has the top-level keys. Each key below them is a field of a dataclass, in `emulator.rig.tables`
 or in the package that owns the table. A mistake raises RigError with the file, the line, the key, the error and the
 allowed values. Old spellings, and removed keys where they have no effect, are accepted for one version with a logged
-warning. A command or a call may replace some values of the `[run]` table.
+warning. A command or a call may replace some values of the `[run]` table. `second_rig` is the rig as its second camera
+has it: its model, its links, and the scene from where it is mounted.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.rig.top_level import values_of
 from emulator.scene.kind import SceneParameters
@@ -47,11 +49,13 @@ __all__ = [
     "Trigger",
     "UsbipLink",
     "Verdict",
+    "carries_second",
     "find_rig",
     "load_rig",
     "parse_rig",
     "read_rig",
     "rig_of_table",
+    "second_rig",
     "shipped_rigs",
     "with_new_spellings",
     "with_options",
@@ -114,12 +118,12 @@ def _without(
     table: dict[str, Any], keys: tuple[str, ...], path: tuple[str, ...], removed: RemovedKey
 ) -> dict[str, Any]:
     """Return a table without the key that `keys` lead to; `path` is its place in the rig."""
-    first, *rest = keys
+    first, *inner_keys = keys
     if first not in table:
         return table
-    if rest:
+    if inner_keys:
         inner = table[first]
-        return {**table, first: _without(inner, tuple(rest), path, removed)} if isinstance(inner, dict) else table
+        return {**table, first: _without(inner, tuple(inner_keys), path, removed)} if isinstance(inner, dict) else table
     if table[first] != removed.value:
         raise TableError(f"{table[first]!r} is not available: {removed.reason}; remove this key", path)
     _LOG.warning("%s has no effect: %s; please remove this key", dotted(path), removed.reason)
@@ -235,8 +239,11 @@ def _rig(table: dict[str, Any], name: str) -> Rig:
 
 def with_options(rig: Rig, seconds: float | None = None, seed: int | None = None, pace: str | None = None) -> Rig:
     """Return the rig with the values that are not None; raises ValueError, its message begins with the name."""
-    given = {"seconds": seconds, "seed": seed, "pace": pace}
-    changed = {name: getattr(value, "item", lambda v=value: v)() for name, value in given.items() if value is not None}
+    options = {"seconds": seconds, "seed": seed, "pace": pace}
+    # A number of NumPy becomes one of Python.
+    changed = {
+        name: getattr(value, "item", lambda v=value: v)() for name, value in options.items() if value is not None
+    }
     try:
         run = convert({**vars(rig.run), **changed}, Run)
     except TableError as error:
@@ -245,10 +252,62 @@ def with_options(rig: Rig, seconds: float | None = None, seed: int | None = None
     source = rig.source
     if source is not None:
         source = dataclasses.replace(source, options={**source.options, **changed})
-    made = dataclasses.replace(rig, run=run, source=source)
-    if made.run.pace == "free" and not made.run.seconds and getattr(made.scene, "loop", False):
+    if run.pace == "free" and not run.seconds and getattr(rig.scene, "loop", False):
         raise ValueError(
             'seconds must be above 0 here, got 0: with pace "free" a recording or video that loops '
             "(scene.loop) never ends"
         )
-    return made
+    return dataclasses.replace(rig, run=run, source=source)
+
+
+def carries_second(rig: Rig, link: str) -> bool:
+    """Return whether a link carries the rig's second camera."""
+    return rig.second_camera is not None and link in rig.second_camera.links
+
+
+def second_rig(rig: Rig) -> Rig:
+    """Return the rig as its second camera has it; raises RigError where its scene has no path to mount it on."""
+    second = rig.second_camera
+    assert second is not None
+    seed = rig.run.seed + 1
+    links = tuple(link for link in rig.links if carries_second(rig, link.name))
+    run = dataclasses.replace(rig.run, seed=seed)
+    return dataclasses.replace(
+        rig,
+        camera=_second_model(rig.camera, second),
+        links=links,
+        run=run,
+        scene=_moved(rig, second),
+        trigger=None,
+        second_camera=None,
+    )
+
+
+def _second_model(first: Camera, second: SecondCamera) -> Camera:
+    """Return the first camera with another serial number, or one of another model with the same lens and connector."""
+    if second.model in ("", first.model):
+        return dataclasses.replace(first, serial=second.serial)
+    return dataclasses.replace(
+        first,
+        model=second.model,
+        serial=second.serial,
+        sensor=CAMERA_MODELS[second.model].sensor,
+        imu=None,
+        frames=None,
+        bias_slopes=None,
+        activity_filter=False,
+    )
+
+
+def _moved(rig: Rig, second: SecondCamera) -> SceneParameters:
+    from emulator.trajectory.building import MountedPath
+    from emulator.trajectory.parameters import BasiliskPath, LivePath
+
+    path = getattr(rig.scene, "camera", None)
+    if path is None or isinstance(path, LivePath | BasiliskPath):
+        raise RigError(
+            f"{rig.name}: second_camera: this scene's camera has no path of its own on which another can be mounted; "
+            "take one of bodies, terrain or stars with a path that the rig gives"
+        )
+    moved = MountedPath(path, second.offset_m, second.q_first_from_second)
+    return dataclasses.replace(rig.scene, camera=moved)

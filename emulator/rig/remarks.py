@@ -23,16 +23,16 @@ _LIGHTS = 30
 
 def remarks(rig: Rig) -> list[str]:
     """Return a sentence on each value that may be a mistake; files that cannot be read are not its subject."""
-    found = []
+    sentences = []
     for name in ("threshold_on", "threshold_off"):
         value = getattr(rig.camera.sensor, name)
         if value > _QUESTIONABLE_THRESHOLD:
-            found.append(
+            sentences.append(
                 f"camera.sensor.{name} is {value:g}: an event for each change of light by a factor of "
                 f"{math.exp(value):.3g}; real sensors have 0.1 to 0.5"
             )
     paths = _paths(rig) if hasattr(rig.scene, "camera") else ()
-    return [*found, *_noise(rig.camera.sensor), *paths]
+    return [*sentences, *_noise(rig.camera.sensor), *paths]
 
 
 def _noise(sensor: SensorParameters) -> Iterator[str]:
@@ -140,8 +140,8 @@ def _open(where: str, path: Path) -> int | None:
 def _tables(value: object, where: str) -> Iterator[tuple[str, object]]:
     """Yield a table of a rig and those in it, with their keys."""
     if isinstance(value, tuple):
-        for number, one in enumerate(value):
-            yield from _tables(one, f"{where}[{number}]")
+        for number, table in enumerate(value):
+            yield from _tables(table, f"{where}[{number}]")
     elif dataclasses.is_dataclass(value):
         yield where, value
         for field in dataclasses.fields(value):

@@ -57,8 +57,8 @@ class _Values(dict[str, Any]):
 
     def __missing__(self, name: str) -> Any:
         key = TOP_LEVEL[name]
-        given = self._table.get(name, key.absent)
-        self[name] = value = None if given is None else key.read(given, self)
+        content = self._table.get(name, key.absent)
+        self[name] = value = None if content is None else key.read(content, self)
         return value
 
 
@@ -115,12 +115,12 @@ def _title(title: object, _: Mapping[str, Any]) -> str:
 
 
 def _scene(table: object, rig: Mapping[str, Any]) -> SceneParameters:
-    kind, rest = _of_kind(table, SCENES, ("scene",))
+    kind, keys = _of_kind(table, SCENES, ("scene",))
     if rig["run"].painter == "gl" and not kind.gl:
-        able = " and ".join(f'"{name}"' for name, one in SCENES.usable().items() if one.gl)
+        able = " and ".join(f'"{name}"' for name, scene in SCENES.usable().items() if scene.gl)
         message = f'a scene of kind "{kind.name}" has no GL painter, only kinds {able} have one: leave painter out'
         raise TableError(message, ("run", "painter"))
-    return convert(rest, kind.parameters, ("scene",))
+    return convert(keys, kind.parameters, ("scene",))
 
 
 def _camera(table: object, _: Mapping[str, Any]) -> Camera:
@@ -130,17 +130,17 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
     model = table.get("model", Camera.model)
     if not isinstance(model, str) or model not in CAMERA_MODELS:
         raise TableError(unknown(str(model), list(CAMERA_MODELS)), (*path, "model"))
-    own = {k: v for k, v in table.items() if k != "sensor"}
-    camera = convert(_with_slopes(own, CAMERA_MODELS[model]), Camera, path)
-    camera = dataclasses.replace(camera, sensor=_sensor(table.get("sensor", {}), CAMERA_MODELS[model].sensor))
-    if camera.bias_slopes is not None and CAMERA_MODELS[model].bias_slopes is None:
-        able = " or ".join(name for name, one in CAMERA_MODELS.usable().items() if one.bias_slopes is not None)
+    record = _record(CAMERA_MODELS, model, (*path, "model"))
+    keys = {key: value for key, value in table.items() if key != "sensor"}
+    camera = convert(_with_slopes(keys, record), Camera, path)
+    camera = dataclasses.replace(camera, sensor=_sensor(table.get("sensor", {}), record.sensor))
+    if camera.bias_slopes is not None and record.bias_slopes is None:
+        able = " or ".join(name for name, other in CAMERA_MODELS.usable().items() if other.bias_slopes is not None)
         raise TableError(f"biases of a {model} have no slopes: leave it out, or take {able}", (*path, "bias_slopes"))
-    usb = CAMERA_MODELS[model].usb
-    if usb is not None:
-        _check_imu(camera, usb)
+    if record.usb is not None:
+        _check_imu(camera, record.usb)
         try:
-            usb.device(camera, UsbSettings(camera.start_delay_ms))
+            record.usb.device(camera, UsbSettings(camera.start_delay_ms))
         except ValueError as error:
             raise TableError(str(error), (*path, "serial")) from error
     return camera
@@ -202,9 +202,9 @@ def _trigger(table: object, rig: Mapping[str, Any]) -> Trigger:
     trigger = convert(table, Trigger, ("trigger",))
     buses = [link.name for link in rig["links"] if LINKS[link.kind].has_sync]
     if trigger.source and trigger.source not in buses:
-        there = ", ".join(buses) or "none in this rig"
+        names = ", ".join(buses) or "none in this rig"
         raise TableError(
-            f'{trigger.source!r} is not a link with a bus (kind = "can"); there is {there}', ("trigger", "source")
+            f'{trigger.source!r} is not a link with a bus (kind = "can"); there is {names}', ("trigger", "source")
         )
     return trigger
 
@@ -232,8 +232,8 @@ def _links(tables: object, rig: Mapping[str, Any]) -> tuple[LinkParameters, ...]
 
 
 def _link(table: object, camera: Camera, path: KeyPath) -> LinkParameters:
-    kind, rest = _of_kind(table, LINKS, path)
-    link: LinkParameters = convert(kind.parameters.complete(rest), kind.parameters, path)
+    kind, keys = _of_kind(table, LINKS, path)
+    link: LinkParameters = convert(kind.parameters.complete(keys), kind.parameters, path)
     if not _LINK_NAME.fullmatch(link.name):
         message = f"{link.name!r} cannot be part of a file's name: take 1 to 64 of the letters A-Z a-z 0-9 . _ -"
         raise TableError(f"{message}, the first no dot or hyphen", (*path, "name"))
@@ -264,11 +264,16 @@ def _faults(tables: object, rig: Mapping[str, Any]) -> tuple[Fault, ...]:
 
 def _of_kind(table: object, kinds: Registry[R], path: KeyPath) -> tuple[R, dict[str, Any]]:
     """Return the record that a table's `kind` names, and its other keys; raises TableError."""
-    kind, rest = split_kind(table, kinds, path)
+    kind, keys = split_kind(table, kinds, path)
+    return _record(kinds, kind, (*path, "kind")), keys
+
+
+def _record(records: Registry[R], name: str, path: KeyPath) -> R:
+    """Return the record that the key at `path` names; raises TableError for one of a broken package."""
     try:
-        return kinds[kind], rest
+        return records[name]
     except PluginError as error:
-        raise TableError(str(error), (*path, "kind")) from error
+        raise TableError(str(error), path) from error
 
 
 def _one(cls: type) -> Callable[[], Mapping[str, type]]:
@@ -339,7 +344,11 @@ def _definition(cls: type, definitions: _Definitions, kind: str) -> dict[str, An
     types, bounds = field_types(cls), bounds_of(cls)
     bounded = {name: Annotated[types[name], limits] for name, limits in bounds.items()}
     properties = {f.name: _field(f, {**types, **bounded}[f.name], definitions) for f in dataclasses.fields(cls)}
-    required = [f.name for f in dataclasses.fields(cls) if not _is_optional(f)]
+    required = [
+        f.name
+        for f in dataclasses.fields(cls)
+        if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING
+    ]
     if kind:
         properties, required = {"kind": {"const": kind}, **properties}, ["kind", *required]
     return {
@@ -350,10 +359,6 @@ def _definition(cls: type, definitions: _Definitions, kind: str) -> dict[str, An
         **({"required": required} if required else {}),
         "additionalProperties": False,
     }
-
-
-def _is_optional(field: dataclasses.Field[Any]) -> bool:
-    return field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
 
 
 def _field(field: dataclasses.Field[Any], annotation: Any, definitions: _Definitions) -> dict[str, Any]:

@@ -36,8 +36,7 @@ from emulator.rig.kinds import (
     UsbSettings,
     usb_model,
 )
-from emulator.rig.loading import Rig, RigError, Run
-from emulator.rig.second_camera import carries_second, second_rig
+from emulator.rig.loading import Rig, RigError, Run, carries_second, second_rig
 from emulator.rig.tables import OWN_METHODS, Trigger
 from emulator.run.camera import CameraView, ReadingSource, ReadingSources
 from emulator.run.session import Schedule, Session

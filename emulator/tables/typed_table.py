@@ -50,26 +50,28 @@ def convert(table: object, target: type[T], path: KeyPath = ()) -> T:
     """Return `table` as a `target`, a dataclass; raises TableError."""
     if not isinstance(table, dict):
         raise TableError(f"expected a table, got {table!r}", path)
-    fields = field_types(target)
+    types = field_types(target)
     for key in table:
-        if key not in fields:
-            raise TableError(unknown(key, list(fields)), (*path, key))
-    values = {key: _value(value, fields[key], (*path, key)) for key, value in table.items()}
-    for f in dataclasses.fields(target):  # type: ignore[arg-type]
-        is_optional = f.default is not dataclasses.MISSING or f.default_factory is not dataclasses.MISSING
-        if f.name not in values and not is_optional:
-            raise TableError(f"{f.name!r} is missing", path)
+        if key not in types:
+            raise TableError(unknown(key, list(types)), (*path, key))
+    values = {key: _value(value, types[key], (*path, key)) for key, value in table.items()}
+    for field in dataclasses.fields(target):  # type: ignore[arg-type]
+        is_optional = field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
+        if field.name not in values and not is_optional:
+            raise TableError(f"{field.name!r} is missing", path)
     try:
         return target(**values)
     except ValueError as error:
-        first = re.match(r"\w+", str(error))  # a refusal names its key first
-        raise TableError(str(error), (*path, first[0]) if first and first[0] in fields else path) from error
+        first_word = re.match(r"\w+", str(error))  # the key that the refusal names
+        if first_word and first_word.group() in types:
+            path = (*path, first_word.group())
+        raise TableError(str(error), path) from error
 
 
 def convert_kind(table: object, kinds: Mapping[str, type[T]], path: KeyPath) -> T:
     """Convert a table to the type that its `kind` selects; raises TableError."""
-    kind, values = split_kind(table, kinds, path)
-    return convert(values, kinds[kind], path)
+    kind, keys = split_kind(table, kinds, path)
+    return convert(keys, kinds[kind], path)
 
 
 def split_kind(table: object, kinds: Collection[str], path: KeyPath) -> tuple[str, dict[str, Any]]:
@@ -86,7 +88,7 @@ def split_kind(table: object, kinds: Collection[str], path: KeyPath) -> tuple[st
 
 def field_types(target: Any) -> Mapping[str, Any]:
     """Return the annotations of a dataclass's fields, by name, resolved."""
-    return _field_types(target)
+    return _field_types(target)  # for mypy a class is not hashable, so callers cannot call the cached function
 
 
 @cache
@@ -161,7 +163,7 @@ def _value(value: object, annotation: Any, path: KeyPath) -> object:
     if item := item_type(annotation):
         if not isinstance(value, list):
             raise TableError(f"expected a list of tables, got {value!r}", path)
-        return tuple(_value(element, item, (*path, i)) for i, element in enumerate(value))
+        return tuple(_value(table, item, (*path, i)) for i, table in enumerate(value))
     if kinds := kinds_of(annotation):
         return convert_kind(value, kinds, path)
     table = table_type(annotation)
@@ -193,8 +195,8 @@ NO_FILE = RigFile("")
 def beside(value: T, folder: Path) -> T:
     """Return a dataclass, and those in it, with the whole path of each file that lies in `folder`."""
     if isinstance(value, tuple):
-        located = tuple(beside(element, folder) for element in value)
-        return value if located == value else located  # type: ignore[return-value]
+        tables = tuple(beside(table, folder) for table in value)
+        return value if tables == value else tables  # type: ignore[return-value]
     if not dataclasses.is_dataclass(value) or isinstance(value, type):
         return value
     types = field_types(type(value))
@@ -202,8 +204,8 @@ def beside(value: T, folder: Path) -> T:
     for name, annotation in types.items():
         old = getattr(value, name)
         if annotation == tuple[RigFile, ...]:
-            located = tuple(str(folder / file) if os.path.isfile(folder / file) else file for file in old)
-            new = old if located == old else located
+            files = tuple(str(folder / file) if os.path.isfile(folder / file) else file for file in old)
+            new = old if files == old else files
         else:
             is_file = annotation is RigFile and os.path.isfile(folder / old)  # False for names that no file can have
             new = RigFile(str(folder / old)) if is_file else beside(old, folder)

@@ -15,8 +15,7 @@ import numpy as np
 from emulator.optics.lens import Chip
 from emulator.rig.kinds import CameraModel, UsbModel, UsbSettings
 from emulator.rig.tables import Camera
-from emulator.sensor.parameters import ReadoutParameters
-from emulator.sensor.presets import SensorParameters
+from emulator.sensor.presets import ReadoutParameters, SensorParameters
 from firmware_protocol.device.plain_device import PlainDevice, own_time
 from firmware_protocol.usb import descriptors as usb
 from firmware_protocol.usb.control import StandardControl

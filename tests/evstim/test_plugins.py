@@ -109,6 +109,7 @@ def test_a_broken_entry_point_is_reported_with_its_package_and_stops_nothing_els
     assert "AttributeError" in printed(done)
     assert evstim(site, "check", "loopback").returncode == 0
     assert evstim(site, "--help").returncode == 0
+    assert "Did you mean" in printed(evstim(site, "recrod"))
 
 
 def test_a_package_that_cannot_be_imported_stops_only_rigs_that_name_it(site, tmp_path):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import evstim
+from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Part
-from transports.recording.writing import RecordingFile
 
 COUNT = 100_000  # more than one piece holds
 

@@ -27,8 +27,8 @@ from tests.guest.machine import Guest
 from tests.guest.running_rig import Delivered, RunningRig
 from tests.guest.streaming import Seen, Streaming
 from tests.guest.turns import Turns, long_but, selected
-from transports.recording.evt_file import EvtReader
 from transports.recording.part import Facts
+from transports.recording.word_files import EvtReader
 
 EVENTS = round(float(os.environ.get("EVSTIM_EVK4_EVENTS", "1e5")))
 GAP_US = 4  # 0.25 million events a second, which a processor that QEMU translates can take

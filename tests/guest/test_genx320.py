@@ -22,8 +22,8 @@ from tests.guest.machine import Guest
 from tests.guest.running_rig import RunningRig
 from tests.guest.test_evk4 import RIG, assert_same_triggers
 from tests.hostile.looped import Looped
-from transports.recording.evt_file import EvtReader
 from transports.recording.part import Facts
+from transports.recording.word_files import EvtReader
 
 EVENTS = round(float(os.environ.get("EVSTIM_GENX320_EVENTS", "3e4")))
 GAP_US = 4

@@ -126,8 +126,8 @@ def test_control():
     good = [b'{"request": "faults"}\n']
     for kind, fault in FAULTS.items():
         table = {name: rng.choice(VALUES) for name in fault.__dataclass_fields__ if rng.random() < 0.3}
-        good.append(json.dumps({"request": "throw", "fault": {"kind": kind}}).encode() + b"\n")
-        good.append(json.dumps({"request": "throw", "fault": {**table, "kind": kind}}).encode() + b"\n")
+        good.append(json.dumps({"request": "inject", "fault": {"kind": kind}}).encode() + b"\n")
+        good.append(json.dumps({"request": "inject", "fault": {**table, "kind": kind}}).encode() + b"\n")
     told = {"error": 0, "links": 0, "link": 0}
     for data in inputs([*good, b"[" * 2000, b'{"a":' * 2000], 4):
         answer = _answered(data, lambda message: desk.answer(message, now))

@@ -15,9 +15,8 @@ from emulator.scene.kind import SceneKind
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.events import EVENT
 from firmware_protocol.instrument.settings import InstrumentSettings
-from transports.faults.items import ItemStage, pass_through
-from transports.faults.kinds import LastingFault
-from transports.faults.script import FaultPlan, Faulty
+from transports.faults.kinds import ItemStage, LastingFault
+from transports.faults.script import FaultPlan, Faulty, pass_through
 from transports.link.endpoint import Endpoint, EndpointFactory
 from transports.link.kind import LinkKind, LinkParameters, Listener, Unsuitable
 from transports.recording.format import Format

@@ -3,6 +3,7 @@
 import logging
 import sys
 from dataclasses import dataclass
+from operator import attrgetter
 
 import pytest
 
@@ -96,3 +97,26 @@ def test_no_package_replaces_a_built_in_record(site, caplog):
     assert list(kinds) == ["brick"]
     assert kinds["brick"] is BUILT_IN
     assert "'brick' is built in" in caplog.text
+
+
+class Base:
+    kind = ""
+
+
+def test_records_that_are_classes_or_stand_in_the_registry_itself(site):
+    module = "from registry_home import Base\nclass Straw(Base):\n    kind = 'straw'\nHAY = Base()\n"
+    install(site, "straw_class", {"straw": "Straw", "hay": "HAY"}, module)
+    kinds = Registry("test.kinds", type[Base], {"": Base}, attrgetter("kind"))
+    assert kinds[""] is Base
+    assert issubclass(kinds["straw"], Base)
+    with pytest.raises(PluginError, match="must be a subclass of Base"):
+        kinds["hay"]
+
+
+def test_a_path_in_a_record_of_a_broken_package(site):
+    install(site, "straw_good", {"straw": "STRAW"}, KIND)
+    assert registry().imported("straw", "straw_good:Kind") is Kind
+    with pytest.raises(PluginError, match="straw_good:build cannot be imported"):
+        registry().imported("straw", "straw_good:build")
+    with pytest.raises(AttributeError):
+        registry().imported("brick", "registry_home:build")

@@ -30,7 +30,7 @@ from firmware_protocol.instrument.instrument import Instrument, Outgoing
 from firmware_protocol.packets.addresses import Addresses, Received
 from firmware_protocol.packets.profile import CommandUnwrapper, Profile
 from transports.can_bus.kind import CanLink
-from transports.faults.tracker import Load, Tracker
+from transports.faults.bus import Load, Tracker
 from transports.link.deliveries import Deliveries
 
 _RAW_EVENTS_A_TIME = 8  # limits the events with an unknown outcome when a bus is lost

@@ -22,9 +22,8 @@ from transports.can_bus.faulty_bus import BusFaults, FaultyBus
 from transports.can_bus.kind import CanLink
 from transports.can_bus.node import Node, TriggerCallback
 from transports.can_bus.served import ServedBus
-from transports.faults.bus import QueuedFrame
+from transports.faults.bus import QueuedFrame, Tracker
 from transports.faults.script import FaultPlan
-from transports.faults.tracker import Tracker
 from transports.link.deliveries import Deliveries
 from transports.link.endpoint import (
     BUSY_NS,

@@ -18,11 +18,9 @@ from functools import partial
 from firmware_protocol.can_frames.frame import BitRates, Frame
 from transports.can_bus.bus import BusDown, CanBus, TimedFrame
 from transports.can_bus.carriage import FrameSource
-from transports.faults.bus import Babbler, BusStage, QueuedFrame
-from transports.faults.items import ItemStage, pass_through
-from transports.faults.kinds import CAN_BUS
-from transports.faults.script import FaultPlan, Faulty
-from transports.faults.tracker import Callbacks, FrameTracker, MessageTracker
+from transports.faults.bus import Babbler, BusStage, Callbacks, FrameTracker, MessageTracker, QueuedFrame
+from transports.faults.kinds import CAN_BUS, ItemStage
+from transports.faults.script import FaultPlan, Faulty, pass_through
 from transports.link.deliveries import Deliveries
 
 _AHEAD_NS = 1_000_000  # frames of a babbling node are queued this long before their time

@@ -1,18 +1,26 @@
 """Faults of a CAN bus: their tables in a rig, and their effects on the frames of a node and on the bus. Sans-I/O.
 
 See `kinds` for the attributes that all faults have.
+
+A `Tracker` finds the messages of an instrument that survive, by frame or assembled from frames. It follows one frame
+source, and begins and ends between two messages; without a tracker, each message that left counts as arrived.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 
 from firmware_protocol.can_frames.frame import BitRates, Frame, frame_bits
-from transports.faults.items import Delay, HitStage, ItemStage, Repetition
-from transports.faults.kinds import CAN_BUS, HitFault, LastingFault, Stage
+from firmware_protocol.events import Edges, Events, empty_edges, empty_events
+from firmware_protocol.instrument.instrument import Outgoing
+from firmware_protocol.packets.addresses import Received
+from transports.faults.faulty_line import ReferenceReceiver
+from transports.faults.kinds import CAN_BUS, Delay, HitFault, HitStage, ItemStage, LastingFault, Repetition, Stage
 
 _PROTOCOL_ERROR = 0x88  # CAN_ERR_PROT | CAN_ERR_BUSERROR of linux/can/error.h
 _BUSES = {"A": 0, "B": 1}
@@ -109,7 +117,7 @@ class ReorderedFrames(HitFault):
             raise ValueError(f"behind must be 1 to 1000 frames, got {self.behind}")
 
     def stage(self, random: np.random.Generator, carrier: BitRates) -> Stage:
-        """See `Fault.stage`."""
+        """Return the delay of frames until `behind` others have passed."""
         return _Overtaken(self, random, self.behind)
 
 
@@ -254,3 +262,187 @@ class BabblingIdiot(_OfBus):
             raise ValueError(f"identifier must be 0 to 2047, got {self.identifier}")
         if not 0 < self.load <= 1:
             raise ValueError(f"load must be above 0 and at most 1, got {self.load}")
+
+
+@dataclass(frozen=True)
+class Load:
+    """Data of one frame, in stream time."""
+
+    events: Events
+    edges: Edges
+    epoch_us: int
+
+    @classmethod
+    def of(cls, outgoing: Outgoing) -> Load:
+        """Return the data of a whole message."""
+        return cls(outgoing.events, outgoing.edges, outgoing.epoch_us)
+
+    @classmethod
+    def nothing(cls) -> Load:
+        """Return the empty load, for a frame that the link itself makes."""
+        return cls(empty_events(), empty_edges(), 0)
+
+
+@dataclass(frozen=True)
+class Callbacks:
+    """Functions that receive the data that arrived, and the data that never will."""
+
+    arrived: Callable[[Load], None]
+    lost: Callable[[Load], None]
+
+
+class Tracker(ABC):
+    """Tracker of the frames of one source."""
+
+    @abstractmethod
+    def message(self, load: Load) -> QueuedMessage | None:
+        """Return the callbacks for the next frame, which contains `load` if frames stand alone."""
+
+    @abstractmethod
+    def left(self, outgoing: Outgoing) -> None:
+        """Record that all of a message has left the camera."""
+
+    @abstractmethod
+    def dropped(self) -> None:
+        """Record that the camera has aborted the message in progress, and counts it as lost itself."""
+
+    @property
+    @abstractmethod
+    def in_step(self) -> bool:
+        """True when no message is outstanding."""
+
+    def settle(self) -> None:
+        """Determine the fates of the messages that have left."""
+        return
+
+    def damaged(self) -> None:
+        """Record that a fault was active until now."""
+        return
+
+    def close(self) -> None:
+        """Close the tracker: outstanding messages can no longer arrive."""
+        return
+
+
+class _Single:
+    """Frame that stands alone: its fate is reported when its message has left."""
+
+    def __init__(self, load: Load, callbacks: Callbacks) -> None:
+        self._load = load
+        self._callbacks: Callbacks | None = callbacks
+        self._fate: Callable[[Load], None] | None = None
+        self._settled = False
+
+    def arrived(self, frame: Frame) -> None:
+        if self._callbacks is not None:
+            self._decide(self._callbacks.arrived)
+
+    def gone(self) -> None:
+        if self._callbacks is not None:
+            self._decide(self._callbacks.lost)
+
+    def spoilt(self) -> None:
+        self.gone()
+
+    def settle(self) -> None:
+        self._settled = True
+        if self._fate is not None:
+            self._fate(self._load)
+
+    def cancel(self) -> None:
+        self._callbacks = None
+
+    def _decide(self, fate: Callable[[Load], None]) -> None:
+        self._callbacks = None  # the first fate counts, also for a frame that arrives twice
+        self._fate = fate
+        if self._settled:
+            fate(self._load)
+
+
+class FrameTracker(Tracker):
+    """Tracker of frames that stand alone."""
+
+    def __init__(self, callbacks: Callbacks) -> None:
+        self._callbacks = callbacks
+        self._under_way: list[_Single] = []
+
+    def message(self, load: Load) -> QueuedMessage | None:
+        """Return the callbacks of a frame with data; None for one without."""
+        if not len(load.events) and not len(load.edges):
+            return None
+        self._under_way.append(_Single(load, self._callbacks))
+        return self._under_way[-1]
+
+    def left(self, outgoing: Outgoing) -> None:
+        """Report the fates of the message's frames, now that all of them have left."""
+        for single in self._under_way:
+            single.settle()
+        self._under_way.clear()
+
+    def dropped(self) -> None:
+        """Report no fate for the frames of the message in progress."""
+        for single in self._under_way:
+            single.cancel()
+        self._under_way.clear()
+
+    @property
+    def in_step(self) -> bool:
+        """True when no frame's fate is open."""
+        return not self._under_way
+
+
+class MessageTracker(Tracker):
+    """Tracker of messages in several frames; `read` decodes messages from frames, as the receiver does."""
+
+    def __init__(self, callbacks: Callbacks, read: Callable[[Frame], Iterable[Received]]) -> None:
+        self._callbacks = callbacks
+        self._read = read
+        self._reference = ReferenceReceiver()
+
+    def message(self, load: Load) -> QueuedMessage:
+        """Return this tracker: the fate of a message depends on all its frames."""
+        return self
+
+    def arrived(self, frame: Frame) -> None:
+        """Decode a frame as the receiver does."""
+        self._reference.came(self._read(frame))
+
+    def gone(self) -> None:
+        """Record that a frame will not arrive."""
+        self._reference.damaged()
+
+    def spoilt(self) -> QueuedMessage:
+        """Record that a frame's data are wrong; it is decoded all the same."""
+        self._reference.damaged()
+        return self
+
+    def left(self, outgoing: Outgoing) -> None:
+        """Expect a message whose last frame has left."""
+        self._reference.left(outgoing)
+
+    def dropped(self) -> None:
+        """Do nothing: an aborted message is not expected."""
+        return
+
+    @property
+    def in_step(self) -> bool:
+        """True when no message is outstanding and messages arrive whole again."""
+        return self._reference.in_step
+
+    def settle(self) -> None:
+        """Report the messages that arrived whole, and those that are now known to be lost."""
+        came, lost = self._reference.settle()
+        for outgoing in lost:
+            self._callbacks.lost(Load.of(outgoing))
+        for outgoing in came:
+            self._callbacks.arrived(Load.of(outgoing))
+
+    def damaged(self) -> None:
+        """Record that a fault was active until now."""
+        self._reference.damaged()
+
+    def close(self) -> None:
+        """Report outstanding messages as lost."""
+        self.settle()
+        for outgoing in self._reference.give_up():
+            self._callbacks.lost(Load.of(outgoing))

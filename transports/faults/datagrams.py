@@ -18,10 +18,9 @@ import numpy as np
 
 from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.profile import Profile
-from transports.faults.items import Delay, ItemStage, Loss, Repetition, pass_through
-from transports.faults.kinds import DATAGRAMS, GIGE_STREAM, Fault, HitFault, Stage
+from transports.faults.kinds import DATAGRAMS, GIGE_STREAM, Delay, Fault, HitFault, ItemStage, Loss, Repetition, Stage
 from transports.faults.line import ByteStage
-from transports.faults.script import FaultPlan, Faulty
+from transports.faults.script import FaultPlan, Faulty, pass_through
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class LateDatagrams(HitFault):
             raise ValueError(f"overtaken_by must be 1 to 1000 datagrams, got {self.overtaken_by}")
 
     def stage(self, random: np.random.Generator, carrier: None) -> Stage:
-        """See `Fault.stage`."""
+        """Return the delay of datagrams until `overtaken_by` others have passed."""
         return Delay(self, random, self.overtaken_by)
 
 
@@ -90,12 +89,17 @@ class _Flips(ItemStage[_Copy]):
 
     def __init__(self, bits: ByteStage) -> None:
         self._bits = bits
-        self.hits, self.touched, self.over = bits.hits, bits.touched, bits.over
+        self._copy_counts()
 
     def change(self, copy: _Copy) -> list[_Copy]:
         data = self._bits.change(copy.data)
-        self.hits, self.touched, self.over = self._bits.hits, self._bits.touched, self._bits.over
+        self._copy_counts()
         return [_Copy(data, copy.of)]
+
+    def _copy_counts(self) -> None:
+        self.hits = self._bits.hits
+        self.touched = self._bits.touched
+        self.over = self._bits.over
 
 
 class FaultyDatagrams(Faulty[ItemStage[_Copy]]):

@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -48,7 +49,7 @@ from firmware_protocol.usb.device import (
 from transports.faults.kinds import USB_LINK, Fault, Stage
 from transports.faults.script import FaultPlan, Faulty
 from transports.faults.usb import ControlStage, RegisterFlip, UsbStage, UsbUnplugged, WrongVersion
-from transports.faults.words import SentWords, WordStage, inserted
+from transports.faults.words import INSERTED, SentWords, WordStage, inserted
 
 _ANY_SIZE = (MAX_ADDRESS + 1, MAX_ADDRESS + 1)  # faults change no address
 
@@ -80,8 +81,9 @@ class Survivors:
         """Return `transfer` with the arriving data, and with the events and edges that survive."""
         original = SentWords.of(transfer.data)
         sent, arrived = self._sent.feed(transfer.data), self._arrived.feed(arriving.words.tobytes())
-        events = _same(_columns(original, sent), _columns(arriving, arrived), len(original.words))
-        edges = _same(_marks(original, sent), _marks(arriving, arrived), len(original.words))
+        count = len(original.words)
+        events = _is_unchanged(_event_words(original, sent), _event_words(arriving, arrived), count)
+        edges = _is_unchanged(_edge_words(original, sent), _edge_words(arriving, arrived), count)
         return replace(
             transfer,
             data=arriving.data,
@@ -90,31 +92,40 @@ class Survivors:
         )
 
 
-def _columns(sent: SentWords, decoded: Decoded) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.void]]:
-    """Return the origin of each event word, and the events."""
-    return sent.origin[is_column(sent.words)], decoded.events
+class _DecodedWords(NamedTuple):
+    """The n words of one kind of a transfer.
+
+    Attributes
+    ----------
+    origin
+        (n,) index of each word among those that the camera sent; INSERTED: it did not send this word.
+    meaning
+        (n,) time, and place and polarity or code, that a decoder reads from each.
+    """
+
+    origin: npt.NDArray[np.int64]
+    meaning: npt.NDArray[np.void]
 
 
-def _marks(sent: SentWords, decoded: Decoded) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.void]]:
-    """Return the origin of each edge's word, and their times and codes."""
+def _event_words(words: SentWords, decoded: Decoded) -> _DecodedWords:
+    return _DecodedWords(words.origin[is_column(words.words)], decoded.events)
+
+
+def _edge_words(words: SentWords, decoded: Decoded) -> _DecodedWords:
     marks = decoded.specials[_is_mark(decoded.specials["code"])]
-    return sent.origin[_is_mark(sent.words)], marks[["t", "code"]]
+    return _DecodedWords(words.origin[_is_mark(words.words)], marks[["t", "code"]])
 
 
-def _same(
-    sent: tuple[npt.NDArray[np.int64], npt.NDArray[np.void]],
-    arrived: tuple[npt.NDArray[np.int64], npt.NDArray[np.void]],
-    words: int,
-) -> Mask:
-    """Return for each word sent if it arrives with the same meaning, (words,)."""
-    (at, meant), (origin, read) = sent, arrived
-    index = np.full(words, -1)
-    index[at] = np.arange(len(at))
-    known = origin >= 0
-    origin, read = origin[known], read[known]
-    good = np.zeros(words, np.bool_)
-    good[origin[read == meant[index[origin]]]] = True
-    return good
+def _is_unchanged(sent: _DecodedWords, arrived: _DecodedWords, count: int) -> Mask:
+    """Return for each of the `count` words sent whether it arrives with the same meaning, (count,)."""
+    place_in_kind = np.full(count, -1)
+    place_in_kind[sent.origin] = np.arange(len(sent.origin))
+    is_of_camera = arrived.origin != INSERTED
+    origin = arrived.origin[is_of_camera]
+    is_same = arrived.meaning[is_of_camera] == sent.meaning[place_in_kind[origin]]
+    is_unchanged = np.zeros(count, np.bool_)
+    is_unchanged[origin[is_same]] = True
+    return is_unchanged
 
 
 def _is_mark(words: Words) -> Mask:
@@ -167,7 +178,9 @@ _DEVICE, _SERIAL = 0x0100, 0x0303
 _STRING_TYPE = 3
 _OUT, _IN = 0x40, 0xC0
 _Address = tuple[int, int]
-_LOGIC, _CHIP, _PATCH = (Module.SYSTEM, 0), (Module.SYSTEM, 1), (Module.SYSTEM, 7)
+_LOGIC = (Module.SYSTEM, 0)
+_CHIP = (Module.SYSTEM, 1)
+_PATCH = (Module.SYSTEM, 7)
 
 
 class FalseAnswers:
@@ -218,13 +231,13 @@ class FalseAnswers:
         return true
 
     def _firmware(self, true: int) -> int:
-        false = [one.firmware for one in self.versions if one.firmware >= 0]
+        false = [fault.firmware for fault in self.versions if fault.firmware >= 0]
         return true & 0xFF00 | false[-1] if false else true
 
     def _version(self, address: _Address, true: int) -> int:
         values = {_LOGIC: "logic_version", _CHIP: "chip", _PATCH: "logic_patch"}
         name = values.get((Module(address[0]), address[1])) if address[0] == Module.SYSTEM else None
-        false = [getattr(one, name) for one in self.versions if getattr(one, name) >= 0] if name else []
+        false = [getattr(fault, name) for fault in self.versions if getattr(fault, name) >= 0] if name else []
         return false[-1] if false else true
 
 
@@ -245,22 +258,24 @@ def flip_register(device: UsbDevice, false: FalseAnswers, flip: RegisterFlip) ->
 Report = Callable[[Events, int, Edges, Sequence[Reading]], None]
 
 
-def _no_report(events: Events, epoch_us: int, edges: Edges, readings: Sequence[Reading]) -> None:
-    """Report nothing: for a device without a link."""
-
-
 class FaultyDevice(Faulty[Stage], UsbDevice):
     """USB device that passes all calls to a device, through the faults.
 
     Parameters
     ----------
     report
-        Called with the events, epoch, edges and readings that have reached the host with a transfer.
+        Called with the events, epoch, edges and readings that have reached the host with a transfer; by default, for a
+        device without a link, they are not reported.
     """
 
     carrier = USB_LINK
 
-    def __init__(self, device: UsbDevice, plan: FaultPlan, report: Report = _no_report) -> None:
+    def __init__(
+        self,
+        device: UsbDevice,
+        plan: FaultPlan,
+        report: Report = lambda events, epoch_us, edges, readings: None,
+    ) -> None:
         self._device = device
         self._report = report
         super().__init__(plan, self._dropped)
@@ -269,7 +284,7 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
         self._words = WordPath(device.identity)
         self._false = FalseAnswers()
         # Transfers of the device that have no fate yet, oldest first; None: a transfer made by a fault.
-        self._given: deque[Transfer | None] = deque()
+        self._originals: deque[Transfer | None] = deque()
         self._data_endpoint = device.data_endpoint if isinstance(device, UsbCamera) else 2
         self._now_us = 0
 
@@ -287,7 +302,9 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
         """Advance stream time."""
         self._now_us = max(self._now_us, now_us)
         if self._faults.stages:
-            self._end_full()
+            dropped = self._dropped()
+            for stage in self._endpoint_stages:  # a FIFO that was to overflow
+                stage.over |= bool(stage.overflow) and dropped >= stage.overflow
         for over in self._faults.advance(now_us):
             self._words.front += over.finish() if isinstance(over, WordStage) else []
         if self._faults.stages or self._seen:
@@ -304,14 +321,14 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
         return self._false.identity(self._device.identity)
 
     def attached(self) -> None:
-        """See `UsbDevice.attached`; no endpoint is halted then."""
+        """Set the power-on state, in which no endpoint is halted."""
         self._halted.clear()
         self._false.power_on()
         self._start_data()
         self._device.attached()
 
     def detached(self) -> None:
-        """See `UsbDevice.detached`."""
+        """Pass on that the host is gone."""
         self._device.detached()
 
     def control(self, setup: SetupPacket, data: bytes) -> bytes:
@@ -326,12 +343,15 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
         return self._false.answer(setup, answer) if setup.is_in else answer
 
     def read(self, endpoint: int, max_bytes: int) -> Transfer | None:
-        """See `UsbDevice.read`."""
+        """Return the data of the device as they arrive; None for an endpoint that is silent."""
         if not self._faults.stages and endpoint not in self._halted:
             return self._read(endpoint, max_bytes)
         for stage in [stage for stage in self._endpoint_stages if stage.endpoint == endpoint]:
             if stage.stalls and endpoint not in self._halted:
-                self._halt(stage)
+                self._halted.add(endpoint)
+                stage.stalls -= 1
+                stage.over = not stage.stalls
+                self._hit(stage)
             if stage.silent:
                 self._hit(stage)
                 return None
@@ -341,14 +361,14 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
             if stage.empty is not None and endpoint not in self._halted and stage.empty.within(1):
                 stage.over = stage.empty.over
                 self._hit(stage)
-                self._given.append(None)
+                self._originals.append(None)
                 return Transfer()
         if endpoint in self._halted:
             raise Stall(f"endpoint {endpoint} is halted, by a fault")
         return self._read(endpoint, max_bytes)
 
     def accepts(self, setup: SetupPacket) -> bool:
-        """See `UsbDevice.accepts`."""
+        """Return the device's answer: no fault refuses data."""
         return self._device.accepts(setup)
 
     def name_request(self, setup: SetupPacket, data: bytes) -> str:
@@ -360,27 +380,27 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
         return self._device.name_answer(setup, data)
 
     def flushes(self, endpoint: int) -> int:
-        """See `UsbDevice.flushes`."""
+        """Return the number of the device's flushes: no fault flushes."""
         return self._device.flushes(endpoint)
 
     def write(self, endpoint: int, data: bytes) -> None:
-        """See `UsbDevice.write`."""
+        """Pass on data of the host: no fault changes them."""
         self._device.write(endpoint, data)
 
     def sent(self, transfer: Transfer) -> None:
         """Pass on the transfer of the device; data that did not arrive are counted for the fault."""
         self._report(transfer.events, transfer.epoch_us, transfer.edges, transfer.readings)
-        given = self._given.popleft()
-        if given is None:
+        original = self._originals.popleft()
+        if original is None:
             return
-        self._faults.lose(len(given.events) - len(transfer.events), len(given.edges) - len(transfer.edges))
-        self._device.sent(given)
+        self._faults.lose(len(original.events) - len(transfer.events), len(original.edges) - len(transfer.edges))
+        self._device.sent(original)
 
     def lost(self, transfer: Transfer) -> None:
         """Pass on the transfer of the device, which the link has lost."""
-        given = self._given.popleft()
-        if given is not None:
-            self._device.lost(given)
+        original = self._originals.popleft()
+        if original is not None:
+            self._device.lost(original)
 
     @property
     def _endpoint_stages(self) -> list[UsbStage]:
@@ -389,16 +409,16 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
     def _read(self, endpoint: int, max_bytes: int) -> Transfer | None:
         stages = [stage for stage in self._faults.stages if isinstance(stage, WordStage) and not stage.over]
         if endpoint != self._data_endpoint or not self._words.needed(stages):
-            transfer = given = self._device.read(endpoint, max_bytes)
+            transfer = original = self._device.read(endpoint, max_bytes)
         else:
-            given = self._device.read(endpoint, self._words.room(stages, max_bytes))
+            original = self._device.read(endpoint, self._words.room(stages, max_bytes))
             before = [stage.hits for stage in stages]
-            transfer = None if given is None else self._words.changed(given, stages)
+            transfer = None if original is None else self._words.changed(original, stages)
             for stage, hits in zip(stages, before, strict=True):
                 if stage.hits > hits:
                     self._faults.applied(stage, [stage.hits] if not hits else [])
-        if given is not None:
-            self._given.append(given)
+        if original is not None:
+            self._originals.append(original)
         return transfer
 
     def _check_request(self, setup: SetupPacket) -> None:
@@ -409,12 +429,6 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
             finally:
                 if stage.hits > hits:
                     self._faults.applied(stage, [stage.hits])
-
-    def _end_full(self) -> None:
-        """End the faults that last until the device has dropped a number of events."""
-        dropped = self._dropped()
-        for stage in self._endpoint_stages:
-            stage.over |= bool(stage.overflow) and dropped >= stage.overflow
 
     def _begin_new(self) -> None:
         """Apply the immediate effects of new faults, and set the versions of the active ones."""
@@ -441,12 +455,6 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
 
     def _dropped(self) -> int:
         return self._device.counters.dropped_fifo if isinstance(self._device, UsbCamera) else 0
-
-    def _halt(self, stage: UsbStage) -> None:
-        self._halted.add(stage.endpoint)
-        stage.stalls -= 1
-        stage.over = not stage.stalls
-        self._hit(stage)
 
     def _hit(self, stage: UsbStage) -> None:
         stage.hits += 1

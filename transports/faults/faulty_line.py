@@ -48,7 +48,7 @@ class ReferenceReceiver:
 
     def came(self, received: Iterable[Received]) -> None:
         """Add the messages that an intact receiver decodes from the arrived bytes."""
-        self._came += [each.message for each in received]
+        self._came += [packet.message for packet in received]
 
     def left(self, outgoing: Outgoing) -> None:
         """Add a message whose last byte has left, damaged or not."""
@@ -60,7 +60,7 @@ class ReferenceReceiver:
         lost: list[Outgoing] = []
         while self._came:
             message = self._came.popleft()
-            place = next((n for n, each in enumerate(self._expected) if _same(each.message, message)), None)
+            place = next((n for n, sent in enumerate(self._expected) if _same(sent.message, message)), None)
             if place is None:
                 self.false += 1
                 continue

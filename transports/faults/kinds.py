@@ -8,14 +8,16 @@ A fault begins at `at_s` of stream time and lasts `for_s`. Faults of single bits
 probability `rate` and end after `count` hits.
 
 `Places` draws the places of the hits in a stream of bits, bytes or frames; they do not depend on how it is divided.
+`Loss`, `Repetition` and `Delay` act on single items, which are frames of a bus, datagrams or packets.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -99,7 +101,7 @@ class Fault:
                 raise ValueError(f"{name} must be 0 to 3.2e7 (a year), got {value}")
 
     def stage(self, random: np.random.Generator, carrier: Any) -> Stage:
-        """Return its effect on a carrier, with hits drawn by `random`; see `Stage`."""
+        """Return the effect of this fault on a carrier; `random` draws the hits."""
         return self.effect(self, random, carrier)
 
 
@@ -160,14 +162,14 @@ class Places:
 
     def within(self, n: int) -> list[int]:
         """Return the indices of the next `n` units that are hit, and advance behind these units."""
-        found = []
+        places = []
         while self._next < n and self._left != 0:
-            found.append(self._next)
+            places.append(self._next)
             self._next += self._gap()
             if self._left is not None:
                 self._left -= 1
         self._next -= n
-        return found
+        return places
 
     def first(self, n: int) -> int | None:
         """Return the first of the next `n` units that is hit, and advance behind it.
@@ -186,6 +188,80 @@ class Places:
         if not self._gaps:
             self._gaps = self._random.geometric(self._rate, _GAPS_AT_ONCE).tolist()
         return self._gaps.pop()
+
+
+T = TypeVar("T")
+
+
+class ItemStage(Stage, Generic[T]):
+    """One active fault of items; the base class passes them unchanged."""
+
+    def change(self, item: T) -> list[T]:
+        """Return the items that are passed on now."""
+        return [item]
+
+    def finish(self) -> list[T]:
+        """Return the items that are passed on at the end of the fault."""
+        return []
+
+
+class HitStage(ItemStage[T]):
+    """Fault that is applied to each item that is hit."""
+
+    def __init__(self, fault: HitFault, random: np.random.Generator, carrier: Any = None) -> None:
+        super().__init__(fault, random, carrier)
+        self._where = Places(fault, random)
+
+    def is_hit(self) -> bool:
+        """Return whether the next item is hit, and count it."""
+        hit = bool(self._where.within(1))
+        self.count(hit, hit)
+        self.over = self._where.over
+        return hit
+
+
+class Loss(HitStage[T]):
+    """Loss of single items."""
+
+    def change(self, item: T) -> list[T]:
+        """Drop an item that is hit."""
+        return [] if self.is_hit() else [item]
+
+
+class Repetition(HitStage[T]):
+    """Repetition of single items."""
+
+    def change(self, item: T) -> list[T]:
+        """Return an item that is hit twice."""
+        return [item, item] if self.is_hit() else [item]
+
+
+class Delay(HitStage[T]):
+    """Delay of single items, each until `overtaken_by` others have passed."""
+
+    def __init__(self, fault: HitFault, random: np.random.Generator, overtaken_by: int) -> None:
+        super().__init__(fault, random)
+        self._overtaken_by = overtaken_by
+        self._held: deque[tuple[int, T]] = deque()  # each with the count of passed items at which it follows
+        self._passed = 0
+
+    def change(self, item: T) -> list[T]:
+        """Hold an item that is hit; return any other, followed by those that it has overtaken often enough."""
+        if self.is_hit():
+            self._held.append((self._passed + self._overtaken_by, item))
+            self.over = False
+            return []
+        self._passed += 1
+        going = [item]
+        while self._held and self._held[0][0] <= self._passed:
+            going.append(self._held.popleft()[1])
+        self.over = self._where.over and not self._held
+        return going
+
+    def finish(self) -> list[T]:
+        """Return the items that are held."""
+        held, self._held = [item for _, item in self._held], deque()
+        return held
 
 
 FAULTS: Registry[type[Fault]] = Registry(

@@ -151,7 +151,7 @@ class LostBytes(HitFault):
     carriers = (SERIAL_LINE,)
 
     def stage(self, random: np.random.Generator, carrier: float) -> Stage:
-        """Return its effect on a line of `carrier` bytes a second."""
+        """Return the loss of runs of one byte."""
         return _Runs(self, random, 0, 1)
 
 
@@ -180,7 +180,7 @@ class Overrun(HitFault):
             raise ValueError(f"fifo_bytes must be 1 to 65536, got {self.fifo_bytes}")
 
     def stage(self, random: np.random.Generator, carrier: float) -> Stage:
-        """Return its effect on a line of `carrier` bytes a second."""
+        """Return the loss of the bytes that a line of `carrier` bytes a second brings before the receiver reads."""
         missed = round(self.late_us * 1e-6 * carrier) - self.fifo_bytes
         return _Runs(self, random, self.fifo_bytes, max(0, missed))
 
@@ -215,7 +215,7 @@ class Burst(HitFault):
             raise ValueError(f"length must be 1 to 1000000 bytes, got {self.length}")
 
     def stage(self, random: np.random.Generator, carrier: float) -> Stage:
-        """Return its effect on a line of `carrier` bytes a second."""
+        """Return random bytes in place of runs of `length`."""
         return _Noise(self, random, 0, self.length)
 
 
@@ -304,13 +304,16 @@ class _Resampled(ByteStage):
         return self._sample()
 
     def _sample(self) -> bytes:
-        bits, at, out = self._bits, 0, bytearray()
-        first, stop, read = self._middles[0], self._middles[-1], self._data_bits
+        bits = self._bits
+        first = self._middles[0]
+        stop = self._middles[-1]
+        out = bytearray()
+        at = 0
         while (start := bits.find(b"\0", at)) >= 0 and start + stop < len(bits):
             if bits[start + first]:  # too short for a start bit
                 at = start + first
                 continue
-            out.append(sum(map(mul, read(bits[start : start + stop + 1]), _WEIGHTS)))
+            out.append(sum(map(mul, self._data_bits(bits[start : start + stop + 1]), _WEIGHTS)))
             # A UART looks for the next start bit from the middle of the stop bit on.
             at = start + stop if bits[start + stop] else start + stop + 1
         self._bits = b"" if start < 0 else bits[start:]

@@ -20,7 +20,7 @@ from typing import Any, ClassVar, Generic, TypeVar, cast
 
 import numpy as np
 
-from transports.faults.kinds import Fault, Stage
+from transports.faults.kinds import Fault, ItemStage, Stage
 from transports.output_file import OutputFile
 
 _FOREVER_US = 1 << 62
@@ -194,12 +194,12 @@ class Faults(Generic[S]):
         trouble = "" if self._log is None else self._log.trouble
         return replace(injected.record, hits=injected.stage.hits, touched=injected.stage.touched, log_trouble=trouble)
 
-    def _write(self, injected: _Injected[S], what: str, **details: object) -> None:
+    def _write(self, injected: _Injected[S], effect: str, **details: object) -> None:
         if self._log is None:
             return
         record = injected.record
         head = {"t_us": self._now_us, "link": self._plan.link, "fault": record.number, "kind": record.kind}
-        self._log.write(json.dumps({**head, "what": what, **details}).encode() + b"\n", flush=True)
+        self._log.write(json.dumps({**head, "what": effect, **details}).encode() + b"\n", flush=True)
 
 
 class Faulty(Generic[S]):
@@ -238,7 +238,7 @@ class Faulty(Generic[S]):
 
     @property
     def next_us(self) -> int:
-        """See `Faults.next_us`."""
+        """Stream time of the next begin of a fault; 0 while one is active."""
         return self._faults.next_us
 
     def inject(self, fault: Fault) -> None:
@@ -246,9 +246,34 @@ class Faulty(Generic[S]):
         self._faults.inject(fault)
 
     def end(self, number: int) -> bool:
-        """See `Faults.end`."""
+        """Let the active fault with this number end at the next advance; return False where there is none."""
         return self._faults.end(number)
 
     def close(self) -> None:
         """End all faults; the data that they hold are lost with the link."""
         self._faults.close()
+
+
+T = TypeVar("T")
+
+
+def pass_through(
+    faults: Faults[ItemStage[T]],
+    item: T,
+    place: int,
+    fate: Callable[[ItemStage[T], T, list[T]], None] = lambda stage, item, passed: None,
+) -> list[T]:
+    """Return the items that leave in place of `item`, the one with number `place`.
+
+    `fate` is called for each item at each stage, with the items that are passed on, after the hit has been recorded.
+    """
+    items = [item]
+    for stage in faults.stages:
+        before = stage.hits
+        steps = [(entering, stage.change(entering)) for entering in items]
+        if stage.hits != before:
+            faults.applied(stage, [place])
+        for entering, leaving in steps:
+            fate(stage, entering, leaving)
+        items = [item for _, leaving in steps for item in leaving]
+    return items

@@ -77,7 +77,7 @@ class UsbSilence(LastingFault):
     endpoint: int = 2
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
-        """See `Fault.stage`."""
+        """Return a silent endpoint."""
         return UsbStage(self, self.endpoint, silent=True)
 
 
@@ -104,7 +104,7 @@ class UsbStall(Fault):
             raise ValueError(f"count must be 1 or more, got {self.count}")
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
-        """See `Fault.stage`."""
+        """Return an endpoint that halts `count` times."""
         return UsbStage(self, self.endpoint, stalls=self.count)
 
 
@@ -131,7 +131,7 @@ class ShortTransfers(LastingFault):
             raise ValueError(f"most_bytes must be even, a DAVIS346 sends words of two bytes, got {self.most_bytes}")
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
-        """See `Fault.stage`."""
+        """Return an endpoint whose transfers end early."""
         return UsbStage(self, self.endpoint, most_bytes=self.most_bytes)
 
 
@@ -152,7 +152,7 @@ class EmptyTransfers(HitFault):
     endpoint: int = 2
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
-        """See `Fault.stage`."""
+        """Return an endpoint with empty transfers at places drawn by `random`."""
         return UsbStage(self, self.endpoint, empty=Places(self, random))
 
 
@@ -177,7 +177,7 @@ class FifoOverflow(LastingFault):
             raise ValueError(f"events must be 1 or more, got {self.events}")
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
-        """Return its effect; `carrier` returns the number of events that the camera has dropped from a full FIFO."""
+        """Return a silent endpoint; `carrier` returns the number of events dropped from a full FIFO so far."""
         return UsbStage(self, silent=True, overflow=carrier() + self.events)
 
 
@@ -202,7 +202,7 @@ class UsbUnplugged(LastingFault):
             raise ValueError(f"serial must be at most {_UNICODE_MOST} printable ASCII characters, got {self.serial!r}")
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
-        """See `Fault.stage`."""
+        """Return the absence of the device."""
         return UsbStage(self, gone=True, hits=1)
 
 
@@ -236,7 +236,7 @@ class WrongVersion(Fault):
                 raise ValueError(f"{name} must be -1 (the same) or 32 bits, got {getattr(self, name)}")
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
-        """See `Fault.stage`."""
+        """Return false versions, which the device's answers contain from now on."""
         return UsbStage(self, hits=1)
 
 
@@ -267,7 +267,7 @@ class RegisterFlip(Fault):
                 raise ValueError(f"{name} must be 0 to 65535, got {getattr(self, name)}")
 
     def stage(self, random: np.random.Generator, carrier: Callable[[], int]) -> Stage:
-        """See `Fault.stage`."""
+        """Return the flip of one bit, which is done when the fault begins."""
         return UsbStage(self)
 
 

@@ -19,8 +19,12 @@ INSERTED = -1
 """Origin of a word that the camera did not send."""
 
 _WORD = np.dtype("<u2")
-_TIMESTAMP, _WRAP, _KIND, _LOW = 0x8000, 0x7000, 0xF000, 0x7FFF
-_ROW, _COLUMN_OFF = 0x1000, 0x2000
+_TIMESTAMP = 0x8000
+_WRAP = 0x7000
+_KIND = 0xF000
+_LOW = 0x7FFF
+_ROW = 0x1000
+_COLUMN_OFF = 0x2000
 _STALE_WORDS = 3  # timestamp, row, column
 _STALE_ADDRESSES = 260  # inside the array, rotated or not
 _WRAP_US = 32_768

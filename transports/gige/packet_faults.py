@@ -14,9 +14,8 @@ from typing import ClassVar
 import numpy as np
 
 from firmware_protocol.gige.gvsp import removed
-from transports.faults.items import HitStage, ItemStage, Loss, pass_through
-from transports.faults.kinds import GIGE_STREAM, Fault, HitFault, LastingFault, Stage
-from transports.faults.script import FaultPlan, Faulty
+from transports.faults.kinds import GIGE_STREAM, Fault, HitFault, HitStage, ItemStage, LastingFault, Loss, Stage
+from transports.faults.script import FaultPlan, Faulty, pass_through
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from firmware_protocol.events import EVENT, Events
-from transports.recording.part import Facts, Part, RecordingError
+from firmware_protocol.events import EVENT
+from transports.recording.part import Facts, Part, RecordingError, Size
 
 _CHUNK = 1 << 16
 _MS = 1000
@@ -45,16 +45,13 @@ class DsecWriter:
         events = part.events
         if not len(events):
             return
-        _append(self._starts, self._new_starts(events))
+        first_ms = self._starts.shape[0]
+        marks_us = np.arange(first_ms, int(events["t"][-1]) // _MS + 1, dtype=np.uint64) * np.uint64(_MS)
+        _append(self._starts, np.searchsorted(events["t"], marks_us) + self._count)
         for name, data in self._sets.items():
             _append(data, events["on" if name == "p" else name])
         self._count += len(events)
         self._file.flush()
-
-    def _new_starts(self, events: Events) -> np.ndarray:
-        first = self._starts.shape[0]
-        marks = np.arange(first, int(events["t"][-1]) // _MS + 1, dtype=np.uint64) * np.uint64(_MS)
-        return np.searchsorted(events["t"], marks) + self._count
 
     def close(self) -> None:
         """Close the file."""
@@ -70,7 +67,7 @@ def _append(data: h5py.Dataset, values: np.ndarray) -> None:
 class DsecReader:
     """Reader of /events in pieces."""
 
-    def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
+    def __init__(self, path: Path, size: Size | None) -> None:
         with contextlib.suppress(ImportError):
             __import__("hdf5plugin")  # the files of the data set itself are compressed by Blosc
         self._file = h5py.File(path, "r")
@@ -78,18 +75,21 @@ class DsecReader:
         if not isinstance(group, h5py.Group) or not all(name in group for name in _FIELDS):
             raise RecordingError("it has no /events with x, y, t and p: HDF5 is read as the DSEC data set has it")
         self._sets = [group[name] for name in _FIELDS]
-        if len({one.shape for one in self._sets}) != 1 or self._sets[0].ndim != 1:
+        if len({data.shape for data in self._sets}) != 1 or self._sets[0].ndim != 1:
             raise RecordingError("its x, y, t and p are no lists of the same length")
-        told = (int(group.attrs.get("width", 0)), int(group.attrs.get("height", 0)))
+        size_in_file = (int(group.attrs.get("width", 0)), int(group.attrs.get("height", 0)))
         offset = int(self._file["t_offset"][()]) if "t_offset" in self._file else 0
         camera = str(group.attrs.get("camera", "dsec"))
-        self.facts = Facts(told if all(told) else size, camera, max(0, offset), frozenset())
+        self.facts = Facts(size_in_file if all(size_in_file) else size, camera, max(0, offset), frozenset())
 
     def parts(self) -> Iterator[Part]:
         """Yield events."""
         with self._file:
             for start in range(0, self._sets[0].shape[0], _CHUNK):
-                x, y, t, p = (one[start : start + _CHUNK] for one in self._sets)
+                x, y, t, p = (data[start : start + _CHUNK] for data in self._sets)
                 events = np.zeros(len(t), EVENT)
-                events["x"], events["y"], events["t"], events["on"] = x, y, t, p > 0
+                events["x"] = x
+                events["y"] = y
+                events["t"] = t
+                events["on"] = p > 0
                 yield Part(events)

@@ -1,22 +1,31 @@
-"""DAT, Event Stream and CSV files, written and read by faery.
+"""AEDAT 4.0, DAT, Event Stream and CSV files, written and read by faery.
 
-Times stay unchanged (no t0 is subtracted): faery would begin each file at its first event. Event Stream counts rows
-from the bottom, and faery's writer does not convert them. Readers are for a child process: faery panics at unexpected
-data, see `guarded`.
+DAT, Event Stream and CSV: times stay unchanged (no t0 is subtracted), while faery would begin each file at its first
+event. Event Stream counts rows from the bottom, and faery's writer does not convert them. Readers are for a child
+process: faery panics at unexpected data, see `files`.
+
+AEDAT 4.0 holds events, triggers, IMU samples and frames. Frames are written with 8 bits, as readers expect them, and
+grey. faery 0.7.1 writes only frames that it has read itself, so each frame is first written to a small file, see
+`_Frames`. Times in a file are Unix microseconds, and `tsOffset` is that of t = 0. Readers use the names `events`,
+`frames`, `imu` and `triggers`. During writing, the header states that there is no table of packets. So a file that was
+never closed is read up to its last whole packet.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+import struct
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from faery.extension import csv, dat, es
+from faery.extension import aedat, csv, dat, es
 
-from firmware_protocol.events import EVENT, Events
-from transports.recording.part import Facts, Part, RecordingError
+from firmware_protocol.events import EDGE, EVENT, EdgeKind, Edges, Events
+from firmware_protocol.recordings.aedat4 import Aedat4Head, aedat4_picture
+from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, Size
 
 _COMMA = 44
 _SIZE = (1280, 720)  # for a file without it: faery's own default
@@ -76,7 +85,7 @@ class CsvWriter(_Events):
 class _Decoded:
     """Reader of events with a decoder of faery."""
 
-    def __init__(self, decoder: Any, size: tuple[int, int] | None, camera: str) -> None:
+    def __init__(self, decoder: Any, size: Size | None, camera: str) -> None:
         self._decoder = decoder
         self.facts = Facts(size, camera, streams=frozenset())
 
@@ -95,7 +104,7 @@ class _Decoded:
 class DatReader(_Decoded):
     """Reader of DAT with change-detection events."""
 
-    def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
+    def __init__(self, path: Path, size: Size | None) -> None:
         decoder = dat.Decoder(path, size or _SIZE, "dat2")
         if decoder.event_type != "cd":
             raise RecordingError(f"its events are of type {decoder.event_type!r}; change-detection events are read")
@@ -112,7 +121,7 @@ class DatReader(_Decoded):
 class EsReader(_Decoded):
     """Reader of Event Stream files of DVS events."""
 
-    def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
+    def __init__(self, path: Path, size: Size | None) -> None:
         decoder = es.Decoder(path, 0)
         if decoder.event_type != "dvs":
             raise RecordingError(f"its events are of type {decoder.event_type!r}; DVS events are read")
@@ -125,12 +134,12 @@ class EsReader(_Decoded):
 class CsvReader(_Decoded):
     """Reader of lines t,x,y,on; the first line may give the size as our writer does: t,x@346,y@260,on."""
 
-    def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
+    def __init__(self, path: Path, size: Size | None) -> None:
         with path.open("rb") as file:
             head = file.readline(200)
-        told = re.search(rb"x@(\d{1,5}),y@(\d{1,5})", head)
+        size_in_file = re.search(rb"x@(\d{1,5}),y@(\d{1,5})", head)
         has_header = not head[:1].isdigit()
-        size = (int(told[1]), int(told[2])) if told else size
+        size = (int(size_in_file[1]), int(size_in_file[2])) if size_in_file else size
         decoder = csv.Decoder(
             path=path, dimensions=size or _SIZE, has_header=has_header, separator=_COMMA, t_index=0, x_index=1,
             y_index=2, on_index=3, t_scale=0.0, t0=0, on_value=b"1", off_value=b"0", skip_errors=False,
@@ -147,3 +156,175 @@ def _turned(events: Events, top: int) -> Events:
     turned = events.copy()
     turned["y"] = top - events["y"]
     return turned
+
+
+_TRIGGER = np.dtype([("t", "<u8"), ("source", "u1")])
+_SOURCES = {EdgeKind.RISING: 1, EdgeKind.FALLING: 2, EdgeKind.PULSE: 3}
+_NUMBERS = {"events": 0, "frames": 1, "imu": 2, "edges": 3}  # as cameras number them
+_STREAMS = (
+    ("events", "events", "EVTS", "Array of events (polarity ON/OFF)."),
+    ("frames", "frames", "FRME", "Standard frame (8-bit image)."),
+    ("imu", "imu", "IMUS", "Inertial Measurement Unit data samples."),
+    ("edges", "triggers", "TRIG", "External triggers and special signals."),
+)
+_LZ4 = ("lz4", 1)
+
+
+class Aedat4Writer:
+    """Writer of events, and of the streams that `facts` names."""
+
+    def __init__(self, path: Path, facts: Facts) -> None:
+        self._streams = {"events", *facts.streams}
+        self._start_us = np.uint64(facts.unix_us)
+        self._encoder = aedat.Encoder(path, [_description(facts, self._streams)], _LZ4)
+        self._encoder.__enter__()
+        self._frames = _Frames(facts) if "frames" in self._streams else None
+
+    def write(self, part: Part) -> None:
+        """Append one packet of each stream that has data."""
+        self._put("events", self._shifted(part.events))
+        self._put("edges", self._shifted(_triggers(part.edges)))
+        self._put("imu", self._shifted(part.imu))
+        if self._frames is not None:
+            for frame in part.frames:
+                self._encoder.write(_NUMBERS["frames"], self._frames.of_faery(frame, int(self._start_us)))
+
+    def _put(self, stream: str, packet: Any) -> None:
+        if len(packet) and stream in self._streams:
+            self._encoder.write(_NUMBERS[stream], packet)
+
+    def _shifted(self, records: Any) -> Any:
+        if not self._start_us or not len(records):
+            return records
+        shifted = records.view(f"V{records.dtype.itemsize}").copy().view(records.dtype)
+        shifted["t"] += self._start_us
+        return shifted
+
+    def close(self) -> None:
+        """Write the table of packets and its place in the header."""
+        self._encoder.__exit__(None, None, None)
+        if self._frames is not None:
+            self._frames.close()
+
+
+class _Frames:
+    """Converter to frames of faery: writes a file with one frame, and lets faery read it."""
+
+    def __init__(self, facts: Facts) -> None:
+        self._folder = TemporaryDirectory(prefix="evstim-frames-")
+        self._path = Path(self._folder.name) / "frame.aedat4"
+        with aedat.Encoder(self._path, [_description(facts, {"frames"}, "NONE")], None):
+            pass
+        self._head = Aedat4Head(self._path.read_bytes()).unfinished()
+
+    def of_faery(self, frame: Frame, start_us: int) -> Any:
+        """Return a frame whose times are later by `start_us`; of more than 8 bits, 10 are used."""
+        pixels = frame.pixels if frame.pixels.dtype == np.uint8 else (frame.pixels >> 2).astype(np.uint8)
+        pixels = pixels if pixels.ndim == 2 else pixels.mean(axis=2).astype(np.uint8)
+        t, begin, end = (t + start_us for t in (frame.t_us, frame.exposure_begin_us, frame.exposure_end_us))
+        payload = aedat4_picture(t, begin, end, np.ascontiguousarray(pixels), frame.origin)
+        packet = struct.pack("<ii", _NUMBERS["frames"], len(payload)) + payload
+        self._path.write_bytes(self._head + packet)
+        with aedat.Decoder(self._path) as packets:
+            return next(iter(packets))[1]
+
+    def close(self) -> None:
+        """Remove the file."""
+        self._folder.cleanup()
+
+
+def _description(facts: Facts, streams: set[str], compression: str = "LZ4") -> Any:
+    top = "/mainloop/Recorder/outInfo/"
+    nodes = [
+        _node(facts, f"{top}{_NUMBERS[stream]}/", [*row, compression]) for stream, *row in _STREAMS if stream in streams
+    ]
+    return aedat.DescriptionNode("outInfo", top, {}, nodes)
+
+
+def _node(facts: Facts, path: str, row: list[str]) -> Any:
+    name, kind, description, compression = row
+    about = {
+        "compression": compression, "originalModuleName": "capture", "originalOutputName": name,
+        "typeDescription": description, "typeIdentifier": kind,
+    }  # fmt: skip
+    info = {"source": _text(facts.camera), "tsOffset": aedat.DescriptionAttribute("long", facts.unix_us)}
+    if facts.size is not None and kind in ("EVTS", "FRME"):
+        info |= {f"size{axis}": aedat.DescriptionAttribute("int", n) for axis, n in zip("XY", facts.size, strict=True)}
+    attributes = {key: _text(value) for key, value in about.items()}
+    inner = [aedat.DescriptionNode("info", f"{path}info/", info, [])]
+    return aedat.DescriptionNode(path.split("/")[-2], path, attributes, inner)
+
+
+def _text(value: str) -> Any:
+    return aedat.DescriptionAttribute("string", value)
+
+
+def _triggers(edges: Edges) -> Any:
+    triggers = np.zeros(len(edges), _TRIGGER)
+    triggers["t"] = edges["t"]
+    for kind, source in _SOURCES.items():
+        triggers["source"][edges["kind"] == kind] = source
+    return triggers
+
+
+class Aedat4Reader:
+    """Reader of the first event stream and its companions; for a child process, see `files`."""
+
+    def __init__(self, path: Path, size: Size | None) -> None:
+        self._decoder = aedat.Decoder(path)
+        tracks = {track.id: track for track in self._decoder.tracks()}
+        events = next((track for track in tracks.values() if track.data_type == "events"), None)
+        if events is None:
+            raise RecordingError("it holds no stream of events")
+        self._events = events.id
+        kinds = {"imus": "imu", "triggers": "edges", "frame": "frames"}
+        streams = frozenset(kinds[track.data_type] for track in tracks.values() if track.data_type in kinds)
+        info = _info(self._decoder.description(), events.id)
+        self.facts = Facts(events.dimensions or size, str(info.get("source", "aedat4")), _start(info), streams)
+        self.other_streams = len(tracks) - 1 - len(streams)
+
+    def parts(self) -> Iterator[Part]:
+        """Yield packets; raises at the first damaged one, after all packets before it."""
+        start_us = np.uint64(self.facts.unix_us)
+        with self._decoder as packets:
+            for track, packet in packets:
+                if track.data_type == "frame":
+                    yield Part(frames=(_frame(packet, int(start_us)),))
+                    continue
+                packet = packet.copy()
+                packet["t"] -= start_us
+                if track.id == self._events:
+                    yield Part(packet.view(EVENT))
+                elif track.data_type == "triggers":
+                    yield Part(edges=_edges(packet))
+                elif track.data_type == "imus":
+                    yield Part(imu=packet.view(IMU))
+
+
+def _info(description: Any, stream: int) -> Mapping[str, Any]:
+    for top in description:
+        for node in top.nodes:
+            if node.name == str(stream):
+                return {key: attribute.value for inner in node.nodes for key, attribute in inner.attributes.items()}
+    return {}
+
+
+def _start(info: Mapping[str, Any]) -> int:
+    offset = info.get("tsOffset", 0)
+    return offset if isinstance(offset, int) and 0 <= offset < 1 << 62 else 0
+
+
+def _frame(frame: Any, start_us: int) -> Frame:
+    times = frame.t - start_us, frame.exposure_start_t - start_us, frame.exposure_end_t - start_us
+    return Frame(*times, frame.pixels, (frame.offset_x, frame.offset_y))
+
+
+def _edges(triggers: Any) -> Edges:
+    """Return the external triggers; resets, generators and marks of frames are omitted."""
+    kinds = {source: kind for kind, source in _SOURCES.items()}
+    external = triggers[np.isin(triggers["source"], list(kinds))]
+    edges = np.zeros(len(external), EDGE)
+    edges["t"] = external["t"]
+    for source, kind in kinds.items():
+        edges["kind"][external["source"] == source] = kind
+    return edges

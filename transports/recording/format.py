@@ -14,11 +14,12 @@ import os
 import re
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from transports.needs import install_command
-from transports.recording.part import Facts, LibraryMissing, Reader, RecordingError, Writer
+from transports.recording.part import Facts, LibraryMissing, Reader, RecordingError, Size, Writer
 from transports.registry import PluginError, Registry, UnknownName, imported
 
 
@@ -86,7 +87,7 @@ class Format:
         writer: Writer = self.imported(self.writer)(path, facts)
         return writer
 
-    def open_reader(self, path: Path, size: tuple[int, int] | None = None) -> Reader:
+    def open_reader(self, path: Path, size: Size | None = None) -> Reader:
         """Return a reader of `path`; `size` is for files without the sensor's size. Raises as its parts do."""
         reader: Reader = self.imported(self.reader)(path, size)
         return reader
@@ -104,201 +105,88 @@ class Format:
 _ALL = ("events", "edges", "imu", "frames")
 _PICTURED = ("events", "imu", "frames")
 _WORDS = ("events", "edges")  # share one order of time where both are words
+_HERE = "transports.recording"
+_evt_file = partial(
+    Format,
+    reader=f"{_HERE}.word_files:EvtReader",
+    holds=_WORDS,
+    ordered=_WORDS,
+    size_px=(1 << 11, 1 << 11),
+    is_evt=True,
+)
 _FORMATS = (
     Format(
-        "aedat4",
-        "AEDAT 4.0",
-        (".aedat4",),
-        "transports.recording.aedat4:Aedat4Writer",
-        "transports.recording.aedat4:Aedat4Reader",
-        signature=b"#!AER-DAT4.0",
-        holds=_ALL,
-        readers="DV, dv-processing, aedat, faery, jAER",
-        needs="faery",
+        "aedat4", "AEDAT 4.0", (".aedat4",), f"{_HERE}.faery_files:Aedat4Writer", f"{_HERE}.faery_files:Aedat4Reader",
+        signature=b"#!AER-DAT4.0", holds=_ALL, readers="DV, dv-processing, aedat, faery, jAER", needs="faery",
         size_px=(1 << 15, 1 << 15),
     ),
     Format(
-        "aedat2",
-        "AEDAT 2.0",
-        (".aedat2", ".aedat"),
-        "transports.recording.legacy_aedat:Aedat2Writer",
-        "transports.recording.legacy_aedat:Aedat2Reader",
-        signature=b"#!AER-DAT2",
-        holds=_ALL,
-        ordered=_ALL,
-        readers="jAER, tonic, dv",
-        size_px=(1 << 10, 1 << 9),
+        "aedat2", "AEDAT 2.0", (".aedat2", ".aedat"), f"{_HERE}.word_files:Aedat2Writer",
+        f"{_HERE}.word_files:Aedat2Reader", signature=b"#!AER-DAT2", holds=_ALL, ordered=_ALL,
+        readers="jAER, tonic, dv", size_px=(1 << 10, 1 << 9),
     ),
     Format(
-        "aedat31",
-        "AEDAT 3.1",
-        (".aedat31", ".aedat3"),
-        "transports.recording.legacy_aedat:Aedat31Writer",
-        "transports.recording.legacy_aedat:Aedat31Reader",
-        signature=b"#!AER-DAT3.1",
-        holds=_ALL,
-        readers="cAER, dv",
+        "aedat31", "AEDAT 3.1", (".aedat31", ".aedat3"), f"{_HERE}.word_files:Aedat31Writer",
+        f"{_HERE}.word_files:Aedat31Reader", signature=b"#!AER-DAT3.1", holds=_ALL, readers="cAER, dv",
         size_px=(1 << 15, 1 << 15),
     ),
-    Format(
-        "evt3",
-        "EVT3",
-        (".raw",),
-        "transports.recording.evt_file:Evt3Writer",
-        "transports.recording.evt_file:EvtReader",
-        holds=_WORDS,
-        ordered=_WORDS,
-        readers="Metavision, OpenEB, faery, evlib, evt3",
-        size_px=(1 << 11, 1 << 11),
-        is_evt=True,
+    _evt_file(
+        "evt3", "EVT3", (".raw",), f"{_HERE}.word_files:Evt3Writer", readers="Metavision, OpenEB, faery, evlib, evt3",
+    ),
+    _evt_file(
+        "evt2", "EVT2", (".evt2.raw", ".evt2"), f"{_HERE}.word_files:Evt2Writer",
+        readers="Metavision, OpenEB, faery, evlib, expelliarmus", until_us=1 << 34,
+    ),
+    _evt_file(
+        "evt21", "EVT2.1", (".evt21.raw", ".evt21"), f"{_HERE}.word_files:Evt21Writer",
+        readers="Metavision, OpenEB, evlib", until_us=1 << 34,
+    ),
+    _evt_file(
+        "evt21-legacy", "EVT2.1 as of an IMX636", (".evt21-legacy.raw",), f"{_HERE}.word_files:Evt21LegacyWriter",
+        readers="Metavision, OpenEB", until_us=1 << 34,
     ),
     Format(
-        "evt2",
-        "EVT2",
-        (".evt2.raw", ".evt2"),
-        "transports.recording.evt_file:Evt2Writer",
-        "transports.recording.evt_file:EvtReader",
-        holds=_WORDS,
-        ordered=_WORDS,
-        readers="Metavision, OpenEB, faery, evlib, expelliarmus",
-        size_px=(1 << 11, 1 << 11),
-        until_us=1 << 34,
-        is_evt=True,
-    ),
-    Format(
-        "evt21",
-        "EVT2.1",
-        (".evt21.raw", ".evt21"),
-        "transports.recording.evt_file:Evt21Writer",
-        "transports.recording.evt_file:EvtReader",
-        holds=_WORDS,
-        ordered=_WORDS,
-        readers="Metavision, OpenEB, evlib",
-        size_px=(1 << 11, 1 << 11),
-        until_us=1 << 34,
-        is_evt=True,
-    ),
-    Format(
-        "evt21-legacy",
-        "EVT2.1 as of an IMX636",
-        (".evt21-legacy.raw",),
-        "transports.recording.evt_file:Evt21LegacyWriter",
-        "transports.recording.evt_file:EvtReader",
-        holds=_WORDS,
-        ordered=_WORDS,
-        readers="Metavision, OpenEB",
-        size_px=(1 << 11, 1 << 11),
-        until_us=1 << 34,
-        is_evt=True,
-    ),
-    Format(
-        "dat",
-        "DAT",
-        (".dat",),
-        "transports.recording.faery_files:DatWriter",
-        "transports.recording.faery_files:DatReader",
-        readers="Metavision, OpenEB, faery, expelliarmus",
-        needs="faery",
-        size_px=(1 << 14, 1 << 14),
+        "dat", "DAT", (".dat",), f"{_HERE}.faery_files:DatWriter", f"{_HERE}.faery_files:DatReader",
+        readers="Metavision, OpenEB, faery, expelliarmus", needs="faery", size_px=(1 << 14, 1 << 14),
         until_us=1 << 32,
     ),
     Format(
-        "es",
-        "Event Stream",
-        (".es",),
-        "transports.recording.faery_files:EsWriter",
-        "transports.recording.faery_files:EsReader",
-        signature=b"Event Stream",
-        readers="faery, event_stream, Sepia",
-        needs="faery",
-        until_us=1 << 37,
+        "es", "Event Stream", (".es",), f"{_HERE}.faery_files:EsWriter", f"{_HERE}.faery_files:EsReader",
+        signature=b"Event Stream", readers="faery, event_stream, Sepia", needs="faery", until_us=1 << 37,
     ),
     Format(
-        "csv",
-        "CSV",
-        (".csv",),
-        "transports.recording.faery_files:CsvWriter",
-        "transports.recording.faery_files:CsvReader",
-        readers="faery, pandas, any table",
-        needs="faery",
+        "csv", "CSV", (".csv",), f"{_HERE}.faery_files:CsvWriter", f"{_HERE}.faery_files:CsvReader",
+        readers="faery, pandas, any table", needs="faery",
     ),
     Format(
-        "dsec",
-        "HDF5 as DSEC has it",
-        (".h5", ".hdf5"),
-        "transports.recording.dsec:DsecWriter",
-        "transports.recording.dsec:DsecReader",
-        signature=b"\x89HDF\r\n\x1a\n",
-        readers="h5py, evlib, the DSEC tools",
-        needs="h5py",
-        until_us=1 << 32,
-        piece_us=1000000,
+        "dsec", "HDF5 as DSEC has it", (".h5", ".hdf5"), f"{_HERE}.dsec:DsecWriter", f"{_HERE}.dsec:DsecReader",
+        signature=b"\x89HDF\r\n\x1a\n", readers="h5py, evlib, the DSEC tools", needs="h5py", until_us=1 << 32,
+        piece_us=1_000_000,
     ),
     Format(
-        "ros1",
-        "ROS 1 bag",
-        (".bag",),
-        "transports.recording.rosbag:Ros1Writer",
-        "transports.recording.rosbag:BagReader",
-        signature=b"#ROSBAG V2.0",
-        holds=_ALL,
-        ordered=_WORDS,
-        readers="event_camera_msgs (evt3)",
-        needs="rosbags",
-        size_px=(1 << 11, 1 << 11),
-        live=False,
-        is_evt=True,
+        "ros1", "ROS 1 bag", (".bag",), f"{_HERE}.rosbag:Ros1Writer", f"{_HERE}.rosbag:BagReader",
+        signature=b"#ROSBAG V2.0", holds=_ALL, ordered=_WORDS, readers="event_camera_msgs (evt3)", needs="rosbags",
+        size_px=(1 << 11, 1 << 11), live=False, is_evt=True,
     ),
     Format(
-        "ros1-dvs",
-        "ROS 1 bag of dvs_msgs",
-        (".dvs.bag",),
-        "transports.recording.rosbag:Ros1DvsWriter",
-        "transports.recording.rosbag:BagReader",
-        holds=_PICTURED,
-        readers="dvs_msgs: rpg_dvs_ros, rpg_esim",
-        needs="rosbags",
+        "ros1-dvs", "ROS 1 bag of dvs_msgs", (".dvs.bag",), f"{_HERE}.rosbag:Ros1DvsWriter",
+        f"{_HERE}.rosbag:BagReader", holds=_PICTURED, readers="dvs_msgs: rpg_dvs_ros, rpg_esim", needs="rosbags",
         live=False,
     ),
     Format(
-        "ros2",
-        "ROS 2 bag",
-        (".ros2",),
-        "transports.recording.rosbag:Ros2Writer",
-        "transports.recording.rosbag:BagReader",
-        holds=_ALL,
-        ordered=_WORDS,
-        readers="event_camera_msgs (evt3)",
-        needs="rosbags",
-        size_px=(1 << 11, 1 << 11),
-        is_folder=True,
-        live=False,
-        is_evt=True,
+        "ros2", "ROS 2 bag", (".ros2",), f"{_HERE}.rosbag:Ros2Writer", f"{_HERE}.rosbag:BagReader", holds=_ALL,
+        ordered=_WORDS, readers="event_camera_msgs (evt3)", needs="rosbags", size_px=(1 << 11, 1 << 11),
+        is_folder=True, live=False, is_evt=True,
     ),
     Format(
-        "ros2-dvs",
-        "ROS 2 bag of dvs_msgs",
-        (".dvs.ros2",),
-        "transports.recording.rosbag:Ros2DvsWriter",
-        "transports.recording.rosbag:BagReader",
-        holds=_PICTURED,
-        readers="dvs_msgs",
-        needs="rosbags",
-        is_folder=True,
-        live=False,
+        "ros2-dvs", "ROS 2 bag of dvs_msgs", (".dvs.ros2",), f"{_HERE}.rosbag:Ros2DvsWriter",
+        f"{_HERE}.rosbag:BagReader", holds=_PICTURED, readers="dvs_msgs", needs="rosbags", is_folder=True, live=False,
     ),
     Format(
-        "npz",
-        "NumPy",
-        (".npz",),
-        "transports.recording.record:NpzWriter",
-        "transports.recording.record:NpzReader",
-        signature=b"PK\x03\x04",
-        holds=_ALL,
-        readers="numpy, evstim",
-        live=False,
+        "npz", "NumPy", (".npz",), f"{_HERE}.record:NpzWriter", f"{_HERE}.record:NpzReader", signature=b"PK\x03\x04",
+        holds=_ALL, readers="numpy, evstim", live=False,
     ),
-)
+)  # fmt: skip
 FORMATS: Registry[Format] = Registry("evstim.formats", Format, {form.name: form for form in _FORMATS})
 """Formats by name."""
 
@@ -386,7 +274,7 @@ def _of_text(head: bytes, path: Path) -> Format:
     raise RecordingError(f"it is none of the recordings that are read: {names}")
 
 
-_MOST = 300
+_MOST_CHARACTERS = 300
 
 
 def reason(error: BaseException) -> str:
@@ -401,5 +289,6 @@ def reason(error: BaseException) -> str:
     if "failed to fill whole buffer" in str(error) or "FileDataTable" in str(error):
         return "it is cut short; for AEDAT 4.0 `evstim recover IN OUT` makes a file that others read"
     text = " ".join(str(error).split()) or type(error).__name__
-    found = re.search(r"([A-Z][A-Za-z ,']+) \(os error \d+\)", text) or re.search(r"error message = '([^']+)'", text)
-    return found[1] if found else text[:_MOST]
+    patterns = r"([A-Z][A-Za-z ,']+) \(os error \d+\)", r"error message = '([^']+)'"  # of Rust, of HDF5
+    message = next(filter(None, (re.search(pattern, text) for pattern in patterns)), None)
+    return message[1] if message else text[:_MOST_CHARACTERS]

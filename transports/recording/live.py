@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from firmware_protocol.events import EVENT
+from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS, Format, format_to_write, with_addition
 from transports.recording.part import (
     Facts,
@@ -30,10 +31,10 @@ from transports.recording.part import (
     encoded_restart,
     facts_of,
     named,
+    values_of,
 )
 from transports.recording.record import Recorder
 from transports.recording.writer_process import WriterProcess, serve_writer
-from transports.recording.writing import RecordingFile
 
 _CAPACITY_BYTES = 1 << 27
 _READ_BYTES = 1 << 20
@@ -50,11 +51,10 @@ class LiveRecorder:
         Number of records of each stream that found the queue full, or arrived when nothing could be written any more.
     """
 
-    def __init__(self, path: Path, form: Format, facts: Facts, what: str = "record") -> None:
+    def __init__(self, path: Path, form: Format, facts: Facts, title: str = "record") -> None:
         self.path = path
-        self._what = what
-        known = {"size": facts.size, "camera": facts.camera, "unix_us": facts.unix_us, "streams": sorted(facts.streams)}
-        order = {"path": str(path), "format": form.name, "facts": known}
+        self._title = title
+        order = {"path": str(path), "format": form.name, "facts": values_of(facts)}
         self._writer = WriterProcess(f"{__name__}:main", order, _CAPACITY_BYTES)
         self._restart: list[bytes] | None = None  # the message of a restart that could not be sent; None: of the first
         self._form = form
@@ -79,12 +79,12 @@ class LiveRecorder:
     @property
     def trouble(self) -> str:
         """Reason for an incomplete file, for people; empty if it is complete."""
-        if why := self.report.get("trouble"):
-            return f"{self._what} stopped: {why} ({self.path})"
+        if reason := self.report.get("trouble"):
+            return f"{self._title} stopped: {reason} ({self.path})"
         if self.missing:
-            return f"{self._what} lacks {named(self.missing)}: they came faster than it could be written ({self.path})"
+            return f"{self._title} lacks {named(self.missing)}: they came faster than it could be written ({self.path})"
         if late := self.report.get("late"):
-            return f"{self._what} lacks {named(late)}: they came after what is later had been written ({self.path})"
+            return f"{self._title} lacks {named(late)}: they came after what is later had been written ({self.path})"
         return ""
 
     @property
@@ -126,12 +126,11 @@ def main(order: Mapping[str, Any]) -> None:
     def opened() -> RecordingFile:
         return RecordingFile(Path(order["path"]), FORMATS[order["format"]], facts_of(order["facts"]))
 
-    serve_writer(opened, _write_all, _report_of)
+    def report(file: RecordingFile) -> dict[str, Any]:
+        paths = [str(path) for path in file.paths]
+        return {"written": file.written, "left_out": +file.left_out, "late": +file.late, "paths": paths}
 
-
-def _report_of(file: RecordingFile) -> dict[str, Any]:
-    paths = [str(path) for path in file.paths]
-    return {"written": file.written, "left_out": +file.left_out, "late": +file.late, "paths": paths}
+    serve_writer(opened, _write_all, report)
 
 
 def _write_all(file: RecordingFile) -> None:

@@ -31,6 +31,7 @@ __all__ = [
     "RecordingError",
     "RecordingSummary",
     "Restart",
+    "Size",
     "Writer",
     "counts_of",
     "encoded_end",
@@ -40,8 +41,13 @@ __all__ = [
     "encoded_restart",
     "facts_of",
     "named",
+    "values_of",
     "wrong_event",
 ]
+
+
+Size = tuple[int, int]
+"""(width, height) of a sensor, pixels."""
 
 
 class RecordingError(Exception):
@@ -94,19 +100,16 @@ def encoded_part(part: Part) -> list[bytes]:
     """Return the messages of a part; empty streams have none."""
     arrays = ((b"E", part.events), (b"X", part.edges), (b"I", part.imu))
     pieces = [(letter, records.tobytes()) for letter, records in arrays if len(records)]
-    pieces += [(b"F", _frame_bytes(frame)) for frame in part.frames]
+    for frame in part.frames:
+        times_us = frame.t_us, frame.exposure_begin_us, frame.exposure_end_us
+        head = json.dumps([*times_us, frame.pixels.dtype.str, frame.pixels.shape, frame.origin])
+        pieces.append((b"F", head.encode() + b"\n" + frame.pixels.tobytes()))
     last = len(pieces) - 1
     return [
         data
         for k, (letter, payload) in enumerate(pieces)
         for data in _message(letter if k == last else letter.lower(), payload)
     ]
-
-
-def _frame_bytes(frame: Frame) -> bytes:
-    times = frame.t_us, frame.exposure_begin_us, frame.exposure_end_us
-    head = [*times, frame.pixels.dtype.str, frame.pixels.shape, frame.origin]
-    return json.dumps(head).encode() + b"\n" + frame.pixels.tobytes()
 
 
 def encoded_restart(unix_us: int) -> list[bytes]:
@@ -119,10 +122,14 @@ def encoded_reached(t_us: int) -> list[bytes]:
     return _message(b"T", struct.pack("<q", t_us))
 
 
-def encoded_facts(facts: Facts, **more: Any) -> list[bytes]:
+def values_of(facts: Facts) -> dict[str, Any]:
+    """Return facts as values of JSON."""
+    return {"size": facts.size, "camera": facts.camera, "unix_us": facts.unix_us, "streams": sorted(facts.streams)}
+
+
+def encoded_facts(facts: Facts, **further: Any) -> list[bytes]:
     """Return the message of facts, with further values."""
-    known = {"size": facts.size, "camera": facts.camera, "unix_us": facts.unix_us, "streams": sorted(facts.streams)}
-    return _message(b"H", json.dumps(known | more).encode())
+    return _message(b"H", json.dumps(values_of(facts) | further).encode())
 
 
 def encoded_end(**values: Any) -> list[bytes]:
@@ -131,7 +138,7 @@ def encoded_end(**values: Any) -> list[bytes]:
 
 
 def facts_of(values: dict[str, Any]) -> Facts:
-    """Return the facts of an H message."""
+    """Return the facts of `values_of`, or of an H message."""
     size = values["size"] and (int(values["size"][0]), int(values["size"][1]))
     return Facts(size, values["camera"], values["unix_us"], frozenset(values["streams"]))
 

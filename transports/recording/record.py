@@ -21,6 +21,7 @@ compressed member of an `.npz` may grow to 100 times its size in the file, or to
 Source of the format: NEP 1, `numpy.lib.format`.
 
 `NpzWriter` and `NpzReader` are those of the format "npz": a record is read in pieces, so that memory stays constant.
+`RawEvents` recovers the raw events of a run that was killed.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from numpy.lib import format as npy
 
 from firmware_protocol.events import EDGE, EVENT, Events
 from transports.output_file import OutputFile
-from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, RecordingSummary
+from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, RecordingSummary, Size
 
 _MOST_GROWTH = 100
 _ALWAYS_BYTES = 1 << 26
@@ -65,8 +66,8 @@ def load_arrays(path: Path, names: Sequence[str]) -> dict[str, _Array]:
     _require_regular(path)
     try:
         with zipfile.ZipFile(path) as archive:
-            there = set(archive.namelist())
-            return {name: _member(archive, f"{name}.npy") for name in names if f"{name}.npy" in there}
+            members = set(archive.namelist())
+            return {name: _member(archive, f"{name}.npy") for name in names if f"{name}.npy" in members}
     except (ArrayFileError, OSError):
         raise
     except Exception as error:  # zipfile raises errors of any type for a damaged archive
@@ -80,8 +81,8 @@ def _require_regular(path: Path) -> None:
 
 def _member(archive: zipfile.ZipFile, name: str) -> _Array:
     info = archive.getinfo(name)
-    most = max(_ALWAYS_BYTES, _MOST_GROWTH * info.compress_size)
-    if info.compress_type != zipfile.ZIP_STORED and info.file_size > most:
+    limit_bytes = max(_ALWAYS_BYTES, _MOST_GROWTH * info.compress_size)
+    if info.compress_type != zipfile.ZIP_STORED and info.file_size > limit_bytes:
         raise ArrayFileError(
             f"{name} would grow from {info.compress_size} to {info.file_size} bytes, beyond {_MOST_GROWTH} times"
         )
@@ -97,13 +98,15 @@ def _array(file: IO[bytes], size: int) -> _Array:
     shape, is_fortran, dtype = _header(file)
     if dtype.hasobject:
         raise ArrayFileError("it holds Python objects, which are never read; numbers are needed")
-    claimed, there = math.prod(shape) * dtype.itemsize, size - file.tell()
-    if claimed > there:
+    claimed_bytes = math.prod(shape) * dtype.itemsize
+    following_bytes = size - file.tell()
+    if claimed_bytes > following_bytes:
         raise ArrayFileError(
-            f"its header has shape {shape} of {dtype}, {claimed} bytes, and {there} follow: it is cut short or damaged"
+            f"its header has shape {shape} of {dtype}, {claimed_bytes} bytes, and {following_bytes} follow: "
+            "it is cut short or damaged"
         )
     try:
-        array = np.frombuffer(_content(file, claimed), dtype)
+        array = np.frombuffer(_content(file, claimed_bytes), dtype)
         return array.reshape(shape, order="F" if is_fortran else "C")
     except (ValueError, TypeError) as error:
         raise ArrayFileError(
@@ -161,7 +164,7 @@ def _frame(frame: Frame, size: tuple[int, int]) -> npt.NDArray[np.void]:
 class Recorder:
     """Recorder of delivered data; `close` makes the `.npz`. Only the constructor raises OSError."""
 
-    def __init__(self, path: Path, size: tuple[int, int] | None = None) -> None:
+    def __init__(self, path: Path, size: Size | None = None) -> None:
         self.path = path
         self._size = size
         self._events = _Raw(path.with_suffix(path.suffix + ".part"), EVENT)
@@ -299,19 +302,16 @@ def load_record(path: str | Path) -> tuple[Events, list[int]]:
     Raises ArrayFileError with the file's name, or OSError if it cannot be opened.
     """
     try:
-        there = load_arrays(Path(path), ("events", "resets"))
-        events, starts = (there.get(key, np.zeros(0)) for key in ("events", "resets"))
+        arrays = load_arrays(Path(path), ("events", "resets"))
+        events, starts = (arrays.get(key, np.zeros(0)) for key in ("events", "resets"))
         if events.dtype != EVENT or events.ndim != 1:
             raise ArrayFileError(f"its events are {events.dtype} of shape {events.shape}, not a list of {EVENT}")
-        if starts.ndim != 1 or (starts.size and (starts.dtype.kind not in "iu" or _outside(starts, len(events)))):
+        is_list = starts.ndim == 1 and (not starts.size or starts.dtype.kind in "iu")
+        if not is_list or (starts.size and not 0 <= int(starts.min()) <= int(starts.max()) <= len(events)):
             raise ArrayFileError(f"its resets are no list of places among {len(events)} events")
         return events, [int(i) for i in starts]
     except ArrayFileError as error:
         raise ArrayFileError(f"{path}: cannot be read as a recording of evstim: {error}") from error
-
-
-def _outside(starts: npt.NDArray[np.generic], count: int) -> bool:
-    return int(starts.min()) < 0 or int(starts.max()) > count
 
 
 _NPZ_PIECE_BYTES = 1 << 20
@@ -346,31 +346,33 @@ class NpzWriter:
 class NpzReader:
     """Reader of a record, each stream from the last restart of the camera's clock on."""
 
-    def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
+    def __init__(self, path: Path, size: Size | None) -> None:
         self._path = path
         try:
             arrays = load_arrays(path, (*_RESTARTS.values(), "size"))
             self._starts = {name: _last(arrays.get(key, _NONE)) for name, key in _RESTARTS.items()}
         except (ArrayFileError, ValueError, TypeError) as error:
             raise RecordingError(str(error)) from error
-        told = arrays.get("size", np.zeros(0))
-        known = (int(told[0]), int(told[1])) if told.shape == (2,) else size
+        stored = arrays.get("size", np.zeros(0))
+        if stored.shape == (2,):
+            size = int(stored[0]), int(stored[1])
         with zipfile.ZipFile(path) as archive:
             streams = {name for name in ("edges", "imu", "frames") if f"{name}.npy" in archive.namelist()}
-        self.facts = Facts(known, "npz", streams=frozenset(streams))
+        self.facts = Facts(size, "npz", streams=frozenset(streams))
 
     def parts(self) -> Iterator[Part]:
         """Yield the data in the order of time, at most a second of them at a time."""
-        events, edges, imu, frames = (
+        queues = [
             _Waiting(self._pieces(name, dtype), dtype)
             for name, dtype in zip(_RESTARTS, (EVENT, EDGE, IMU, frame_record(self.facts.size or (0, 0))), strict=True)
-        )
-        while (first_us := min(one.first_us for one in (events, edges, imu, frames))) < _FOREVER_US:
+        ]
+        events, edges, imu, frames = queues
+        while (first_us := min(queue.first_us for queue in queues)) < _FOREVER_US:
             until_us = first_us + _PART_US
-            some = events.until(until_us, _MOST_EVENTS)
-            until_us = min(until_us, int(some["t"][-1])) if len(some) == _MOST_EVENTS else until_us
-            yield Part(some, edges.until(until_us), imu.until(until_us), _frames(frames.until(until_us)))
-        if any(one.left for one in (events, edges, imu, frames)):
+            due = events.until(until_us, _MOST_EVENTS)
+            until_us = min(until_us, int(due["t"][-1])) if len(due) == _MOST_EVENTS else until_us
+            yield Part(due, edges.until(until_us), imu.until(until_us), _frames(frames.until(until_us)))
+        if any(queue.left for queue in queues):
             raise RecordingError("it holds times beyond 2^63 us")
 
     def _pieces(self, name: str, dtype: np.dtype[np.void]) -> Iterator[npt.NDArray[Any]]:
@@ -378,14 +380,14 @@ class NpzReader:
             if f"{name}.npy" not in archive.namelist():
                 return
             with archive.open(f"{name}.npy") as file:
-                count, most = _count(file, dtype), max(1, _NPZ_PIECE_BYTES // dtype.itemsize)
-                for n in _numbers(self._starts[name], most):
+                count = _count(file, dtype)
+                for n in _piece_counts(self._starts[name], dtype):
                     file.read(n * dtype.itemsize)
-                for n in _numbers(count - self._starts[name], most):
+                for n in _piece_counts(count - self._starts[name], dtype):
                     data = file.read(n * dtype.itemsize)
-                    whole = len(data) // dtype.itemsize
-                    yield np.frombuffer(data, dtype, whole)
-                    if whole < n:
+                    whole_records = len(data) // dtype.itemsize
+                    yield np.frombuffer(data, dtype, whole_records)
+                    if whole_records < n:
                         raise RecordingError(f"its {name} are cut short")
 
 
@@ -409,14 +411,15 @@ class _Waiting:
         """True if there are records after the latest possible time."""
         return len(self._next) > 0
 
-    def until(self, t_us: int, most: int = 1 << 62) -> npt.NDArray[Any]:
-        """Return at most `most` of the records up to `t_us`, in order."""
+    def until(self, t_us: int, limit: int = 1 << 62) -> npt.NDArray[Any]:
+        """Return at most `limit` of the records up to `t_us`, in order."""
         taken = [self._none]
-        while most > 0 and self.first_us <= t_us:
+        while limit > 0 and self.first_us <= t_us:
             due = int(np.count_nonzero(np.maximum.accumulate(self._next["t"].astype(np.int64)) <= t_us))
-            n = min(due, most)
+            n = min(due, limit)
             taken.append(self._next[:n])
-            self._next, most = self._next[n:], most - n
+            self._next = self._next[n:]
+            limit -= n
         return np.concatenate(taken)
 
 
@@ -427,20 +430,46 @@ def _last(starts: npt.NDArray[Any]) -> int:
 
 def _frames(records: npt.NDArray[Any]) -> tuple[Frame, ...]:
     return tuple(
-        Frame(int(one["t"]), int(one["exposure_begin"]), int(one["exposure_end"]), one["pixels"]) for one in records
+        Frame(int(record["t"]), int(record["exposure_begin"]), int(record["exposure_end"]), record["pixels"])
+        for record in records
     )
 
 
-def _numbers(count: int, most: int) -> Iterator[int]:
-    for start in range(0, max(0, count), most):
-        yield min(most, count - start)
+def _piece_counts(count: int, dtype: np.dtype[np.void]) -> Iterator[int]:
+    """Yield the number of records of each piece in which `count` records are read."""
+    records = max(1, _NPZ_PIECE_BYTES // dtype.itemsize)
+    for start in range(0, max(0, count), records):
+        yield min(records, count - start)
 
 
 def _count(file: Any, dtype: np.dtype[np.void]) -> int:
     try:
-        shape, _, found = _header(file)
+        shape, _, dtype_in_file = _header(file)
     except ArrayFileError as error:
         raise RecordingError(f"it is damaged: {error}") from error
-    if found != dtype or len(shape) != 1:
-        raise RecordingError(f"it holds {found} of shape {shape}, not a list of {dtype}")
+    if dtype_in_file != dtype or len(shape) != 1:
+        raise RecordingError(f"it holds {dtype_in_file} of shape {shape}, not a list of {dtype}")
     return int(shape[0])
+
+
+class RawEvents:
+    """Reader of the `.part` file of an `.npz` record whose run was killed, from the last clock restart on."""
+
+    def __init__(self, path: Path, size: Size | None) -> None:
+        self.facts = Facts(size, "record", streams=frozenset())
+        self._path = path
+
+    def parts(self) -> Iterator[Part]:
+        """Yield the whole events; if time goes back, the clock was restarted, and earlier events are omitted."""
+        count = self._path.stat().st_size // EVENT.itemsize
+        if not count:
+            return
+        events = np.memmap(self._path, EVENT, "r", shape=(count,))
+        step = _NPZ_PIECE_BYTES // EVENT.itemsize
+        back = [
+            int(k) + start + 1
+            for start in range(0, count, step)
+            for k in np.flatnonzero(np.diff(events["t"][start : start + step + 1].astype(np.int64)) < 0)
+        ]
+        for start in range(back[-1] if back else 0, count, step):
+            yield Part(np.array(events[start : start + step]))

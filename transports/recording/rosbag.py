@@ -41,7 +41,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from firmware_protocol.events import EVENT, Events
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, ten_bits
-from transports.recording.part import Facts, Part, RecordingError
+from transports.recording.part import Facts, Part, RecordingError, Size
 
 _HEADER = "std_msgs/Header header\nuint32 height\nuint32 width\n"
 EVENT_PACKET = f"{_HEADER}uint64 seq\nuint64 time_base\nstring encoding\nbool is_bigendian\nuint8[] events\n"
@@ -79,8 +79,10 @@ def event_array(events: Events, size: tuple[int, int], unix_us: int, seq: int, *
 
 
 def _filled(records: np.ndarray, events: Events, t_us: np.ndarray) -> np.ndarray:
-    records["x"], records["y"], records["on"] = events["x"], events["y"], events["on"]
-    records["s"], records["ns"] = t_us // 1_000_000, t_us % 1_000_000 * 1000
+    for name in ("x", "y", "on"):
+        records[name] = events[name]
+    records["s"] = t_us // 1_000_000
+    records["ns"] = t_us % 1_000_000 * 1000
     return records
 
 
@@ -118,7 +120,9 @@ def _cdr_events(message: bytes) -> tuple[Events, tuple[int, int]]:
 
 def _events(records: np.ndarray) -> Events:
     events = np.zeros(len(records), EVENT)
-    events["x"], events["y"], events["on"] = records["x"], records["y"], records["on"] != 0
+    events["x"] = records["x"]
+    events["y"] = records["y"]
+    events["on"] = records["on"] != 0
     events["t"] = records["s"].astype(np.uint64) * np.uint64(1_000_000) + records["ns"] // np.uint32(1000)
     return events
 
@@ -144,7 +148,8 @@ def frame_of(message: Any, t_us: int) -> Frame | None:
     if bits is None:
         return None
     dtype = np.dtype((">" if message.is_bigendian else "<") + bits)
-    width, height, step = message.width, message.height, message.step
+    width, height = message.width, message.height
+    step = message.step  # bytes from row to row
     data = np.ascontiguousarray(message.data, np.uint8)
     if min(width, height) < 1 or step < width * dtype.itemsize or len(data) < step * height:
         return None
@@ -255,12 +260,12 @@ class _BagWriter:
     def _header(self, topic: str, stamp_us: int) -> Any:
         types = self._types.types
         stamp = types["builtin_interfaces/msg/Time"](sec=stamp_us // 1_000_000, nanosec=stamp_us % 1_000_000 * 1000)
-        own = {} if self._cdr else {"seq": self._count[topic]}
-        return types["std_msgs/msg/Header"](stamp=stamp, frame_id="camera", **own)
+        number = {} if self._cdr else {"seq": self._count[topic]}  # which ROS 2 dropped
+        return types["std_msgs/msg/Header"](stamp=stamp, frame_id="camera", **number)
 
     def _serialized(self, message: Any, kind: str) -> bytes:
-        made = self._types.serialize_cdr if self._cdr else self._types.serialize_ros1
-        return bytes(made(message, kind))
+        serialize = self._types.serialize_cdr if self._cdr else self._types.serialize_ros1
+        return bytes(serialize(message, kind))
 
     def _message(self, part: Part, stamp_us: int) -> bytes:
         words = np.frombuffer(self._encoder.encode(part.events, part.edges), np.uint8)
@@ -306,27 +311,28 @@ class BagReader:
     Of several topics of a type the first is read, of frames and samples the first in the name space of the events.
     """
 
-    def __init__(self, path: Path, size: tuple[int, int] | None) -> None:
+    def __init__(self, path: Path, size: Size | None) -> None:
         self._bag = AnyReader([path], default_typestore=_typestore(Stores.ROS2_HUMBLE))
         self._bag.open()
-        found = next((c for c in self._bag.connections if c.msgtype in (_PACKET, _ARRAY)), None)
-        if found is None:
+        events = next((c for c in self._bag.connections if c.msgtype in (_PACKET, _ARRAY)), None)
+        if events is None:
             raise RecordingError("it has no topic of event_camera_msgs/EventPacket or dvs_msgs/EventArray")
-        beside = {name: topic for name, kind in _KINDS.items() if (topic := self._beside(found.topic, kind))}
-        topics = {found.topic, *beside.values()}
+        beside = {name: topic for name, kind in _KINDS.items() if (topic := self._beside(events.topic, kind))}
+        topics = {events.topic, *beside.values()}
         self._connections = [c for c in self._bag.connections if c.topic in topics]
-        self._is_array = found.msgtype == _ARRAY
-        self._seen_size: tuple[int, int] | None = None
+        self._is_array = events.msgtype == _ARRAY
+        self._seen_size: Size | None = None
         self._decoder = Evt3Decoder()
         self._start_us = self._first_us()
         self._decoder = Evt3Decoder()
         streams = frozenset(beside) if self._is_array else frozenset({"edges", *beside})
-        self.facts = Facts(self._seen_size or size, found.topic, self._start_us, streams)
+        self.facts = Facts(self._seen_size or size, events.topic, self._start_us, streams)
 
     def _beside(self, topic: str, kind: str) -> str | None:
         """Return the first topic of a type in the name space of another one: elsewhere it is of another camera."""
         topics = [c.topic for c in self._bag.connections if c.msgtype == kind]
-        return next((one for one in topics if one.rpartition("/")[0] == topic.rpartition("/")[0]), None)
+        name_space = topic.rpartition("/")[0]
+        return next((candidate for candidate in topics if candidate.rpartition("/")[0] == name_space), None)
 
     def _first_us(self) -> int:
         """Return the Unix time of t = 0, us, or 0, by the messages up to the first one with events."""

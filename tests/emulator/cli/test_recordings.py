@@ -118,7 +118,7 @@ def test_a_torn_file_is_converted_up_to_there_with_a_verdict(tmp_path, capsys):
         (["convert", "in.aedat4", "gone/out.raw"], 2, "does not exist"),
         (["convert", "in.aedat4", "folder.raw"], 2, "is a folder"),
         (["convert", "nothing.raw", "out.raw"], 2, "No such file"),
-        (["convert", "in.aedat4", "out.raw", "--to", "evt9"], 2, "no format 'evt9'"),
+        (["convert", "in.aedat4", "out.raw", "--to", "evt9"], 2, "format 'evt9' is not known here"),
         (["convert", "in.aedat4", "folder.raw", "--to", "ros2"], 2, "exists"),
         (["info", "in.aedat4", "--size", "big"], 2, "WIDTHxHEIGHT"),
         (["info", "folder.raw"], 2, "no ROS 2 bag"),

@@ -15,7 +15,11 @@ from emulator.rig.top_level import TOP_LEVEL, rig_schema
 ROOT = Path(__file__).parents[3]
 SCHEMA = json.loads(json.dumps(rig_schema()))
 VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
-EXAMPLES = [path for path in sorted((ROOT / "examples").rglob("*.toml")) if "[scene]" in path.read_text()]
+EXAMPLES = [
+    path
+    for path in sorted((ROOT / "examples").rglob("*.toml"))
+    if "[scene]" in path.read_text() and not (path.parent / "pyproject.toml").exists()  # which adds kinds of its own
+]
 
 BASE = """\
 [scene]

@@ -9,8 +9,7 @@ import pytest
 
 from emulator.cli.app import _main
 from emulator.rig.kinds import CAMERA_MODELS
-from emulator.rig.loading import RigError, load_rig, parse_rig
-from emulator.rig.second_camera import second_rig
+from emulator.rig.loading import RigError, load_rig, parse_rig, second_rig
 from emulator.rig.tables import SecondCamera
 from emulator.run.assembly import link_setups
 from emulator.run.camera import CameraView, ReadingSources

@@ -23,9 +23,9 @@ from laboratory.characterise.recordings import (
     toml,
     write_comparison,
 )
+from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Frame, Part
-from transports.recording.writing import RecordingFile
 
 SIZE = 200, 150
 SECONDS = 8.0

@@ -11,11 +11,19 @@ from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.addresses import Message, MessageKind
 from transports.can_bus.bus import BusDown, CanBus, TimedFrame
 from transports.can_bus.faulty_bus import BusFaults, FaultyBus
-from transports.faults.bus import BabblingIdiot, BusOff, DeadBus, QueuedFrame, RepeatedFrames
+from transports.faults.bus import (
+    BabblingIdiot,
+    BusOff,
+    Callbacks,
+    DeadBus,
+    FrameTracker,
+    Load,
+    QueuedFrame,
+    RepeatedFrames,
+)
 from transports.faults.faulty_line import FaultyLine
 from transports.faults.line import LostBytes, Stall, WrongBaud
 from transports.faults.script import FaultPlan
-from transports.faults.tracker import Callbacks, FrameTracker, Load
 
 DATA = np.random.default_rng(3).bytes(5000)
 FRAME = Frame(0x1A2, bytes(8))

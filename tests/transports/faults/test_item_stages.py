@@ -7,10 +7,9 @@ from firmware_protocol.can_frames.frame import BitRates
 from transports.can_bus.faulty_bus import BusFaults
 from transports.faults.bus import LostFrames
 from transports.faults.datagrams import FaultyDatagrams, LateDatagrams, LostDatagrams
-from transports.faults.items import Delay, Loss, Repetition, pass_through
-from transports.faults.kinds import CAN_BUS, DATAGRAMS, FAULTS, GIGE_STREAM
+from transports.faults.kinds import CAN_BUS, DATAGRAMS, FAULTS, GIGE_STREAM, Delay, Loss, Repetition
 from transports.faults.line import LostBytes
-from transports.faults.script import FaultPlan, Faults
+from transports.faults.script import FaultPlan, Faults, pass_through
 from transports.gige.packet_faults import FaultyPackets
 
 RATES = BitRates()

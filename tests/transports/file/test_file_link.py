@@ -117,7 +117,7 @@ def children(pid):
     [
         ("", "path is missing"),
         ('path = "a.mp4"', "none of the suffixes"),
-        ('path = "a.raw"\nformat = "evt9"', "no format 'evt9'"),
+        ('path = "a.raw"\nformat = "evt9"', "format 'evt9' is not known here"),
         ('path = "a.es"\nformat = "aedat2"\n[camera]\nmodel = "imx636"', "numbers 1024 x 512 pixels"),
     ],
 )

@@ -41,8 +41,8 @@ from tests.transports.recording.test_other_readers import (
 from transports.link.pacing import FakeClock
 from transports.link.process import Link
 from transports.link.rings import FREE_RUNNING
+from transports.recording.files import OpenRecording
 from transports.recording.format import FORMATS
-from transports.recording.guarded import OpenRecording
 from transports.recording.record import load_record
 from transports.recording.rosbag import EVENT_PACKET
 

@@ -3,9 +3,9 @@
 import numpy as np
 
 from firmware_protocol.events import EDGE, EVENT, EdgeKind
+from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Part
-from transports.recording.writing import RecordingFile
 
 SIZE = (346, 260)
 UNIX_US = 1_700_000_000_123_000

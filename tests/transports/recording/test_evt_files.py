@@ -7,8 +7,8 @@ from firmware_protocol.evt.evt2 import Evt2Encoder, evt2_header
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.evt.words import evt3_header
 from tests.transports.recording.samples import SIZE, sample_edges, sample_events
-from transports.recording.evt_file import Evt21LegacyWriter, EvtReader
 from transports.recording.part import Facts
+from transports.recording.word_files import Evt21LegacyWriter, EvtReader
 
 EVENTS = sample_events()
 EDGES = sample_edges(EVENTS)

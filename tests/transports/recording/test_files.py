@@ -7,10 +7,9 @@ import pytest
 
 from firmware_protocol.events import EDGE, EVENT
 from tests.transports.recording.samples import SIZE, UNIX_US, sample_edges, sample_events, write
+from transports.recording.files import OpenRecording, RecordingFile
 from transports.recording.format import FORMATS, format_to_write, with_addition
-from transports.recording.guarded import OpenRecording
 from transports.recording.part import Facts, Part, RecordingError
-from transports.recording.writing import RecordingFile
 
 pytestmark = pytest.mark.system
 

@@ -5,10 +5,10 @@ import pytest
 
 from firmware_protocol.events import EVENT, empty_events
 from tests.npz_records import load_frames
+from transports.recording.files import RecordingFile
 from transports.recording.format import FORMATS
 from transports.recording.part import Facts, Frame, Part
 from transports.recording.record import Recorder, frame_record
-from transports.recording.writing import RecordingFile
 
 SIZE = (346, 260)
 FACTS = Facts(SIZE, "DAVIS346_1", 1_700_000_000_000_000, frozenset({"edges", "frames"}))

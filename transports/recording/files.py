@@ -1,5 +1,6 @@
-"""Writer of a recording in any format: in pieces of a suitable size, in the order of time, one file for each clock.
+"""Recordings in any format as files: `RecordingFile` writes, `OpenRecording` reads those of unknown origin.
 
+Data are written in pieces of a suitable size, in the order of time, one file for each clock.
 Links pass on data when they leave: an edge before the events of its time, a frame when it has been read out, with the
 time of its exposure. So data are held for a time, and older data are written in the order of time. The holding time is
 stream time only, so that the file depends neither on the step nor on the load of the machine. Data that arrive later
@@ -9,6 +10,10 @@ A format holds one time that never goes back. A restart of the camera's clock be
 by NAME-clock2.aedat4.
 
 `HeldRecords` and `HeldFrames` are queues of records and frames, which are taken up to a time, in the order of time.
+
+A recording is read part by part in a child process (see `guarded_reader`), whose memory does not grow with the file.
+Damaged data become a RecordingError, after all data before them. Events that go back in time or lie outside the sensor
+are damage in every format, because none of them has such events.
 """
 
 from __future__ import annotations
@@ -16,15 +21,33 @@ from __future__ import annotations
 import dataclasses
 import shutil
 from collections import Counter, deque
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.events import EDGE, EVENT, EdgeKind, join_events
-from transports.recording.format import Format, with_addition
-from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, Writer, counts_of, wrong_event
+from transports.guarded_reader import ForeignFileError, GuardedReader, Limits
+from transports.recording.format import FORMATS, Format, format_to_read, reason, with_addition
+from transports.recording.part import (
+    IMU,
+    Facts,
+    Frame,
+    LibraryMissing,
+    Part,
+    PipeReader,
+    RecordingError,
+    Size,
+    Writer,
+    counts_of,
+    encoded_facts,
+    encoded_part,
+    facts_of,
+    wrong_event,
+)
 
 _Records = npt.NDArray[Any]
 
@@ -193,7 +216,9 @@ class RecordingFile:
             self.left_out["edges"] += len(part.edges) - len(edges)
         for name, records in (("events", part.events), ("edges", edges), ("imu", part.imu)):
             if len(records) and name in self._streams:
-                self._hold_records(name, records if name == "events" else _sorted(records))
+                # Edges and samples of other programs' files may have another order.
+                is_sorted = name == "events" or bool((records["t"][1:] >= records["t"][:-1]).all())
+                self._hold_records(name, records if is_sorted else records[np.argsort(records["t"], kind="stable")])
         if part.frames and "frames" in self._streams:
             self._hold_frames(part.frames)
         self.reach(self._last_us)
@@ -218,7 +243,12 @@ class RecordingFile:
         self._newest_us = max(self._newest_us, last_us - _ALONE_US)
 
     def _hold_frames(self, frames: tuple[Frame, ...]) -> None:
-        inside = tuple(frame for frame in frames if _is_inside(frame, self._facts.size or (0, 0)))
+        width, height = self._facts.size or (0, 0)
+        inside = []
+        for frame in frames:
+            rows, columns = frame.pixels.shape[:2]
+            if frame.origin[0] + columns <= width and frame.origin[1] + rows <= height:
+                inside.append(frame)
         earliest_us = self._earliest_us("frames")
         timely = tuple(frame for frame in inside if frame.t_us >= earliest_us)
         self.left_out["frames"] += len(frames) - len(inside)
@@ -284,19 +314,98 @@ def _hold_us(form: Format, facts: Facts) -> int:
     return _HOLD_FRAMES_US if "frames" in form.ordered and "frames" in facts.streams else _HOLD_US
 
 
-def _sorted(records: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return the records of a piece in the order of time: files of other programs may have another order."""
-    is_sorted = bool((records["t"][1:] >= records["t"][:-1]).all())
-    return records if is_sorted else records[np.argsort(records["t"], kind="stable")]
-
-
-def _is_inside(frame: Frame, size: tuple[int, int]) -> bool:
-    rows, columns = frame.pixels.shape[:2]
-    return bool(frame.origin[0] + columns <= size[0] and frame.origin[1] + rows <= size[1])
-
-
 def _remove(path: Path) -> None:
     if path.is_dir():
         shutil.rmtree(path)
     elif path.is_file():  # a device stays
         path.unlink()
+
+
+_MOST_EVENTS = 1 << 16  # in one message
+
+
+class OpenRecording:
+    """Recording that is open in a child process; a context manager.
+
+    Parameters
+    ----------
+    size : tuple[int, int] or None
+        (width, height) of the sensor, for files without it.
+    strict : bool
+        False: events that go back in time or lie outside the sensor are no error.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read. LibraryMissing if its library is missing. OSError if it cannot be opened.
+
+    Attributes
+    ----------
+    format, facts
+        Its format, and the facts available before its first event.
+    """
+
+    def __init__(self, path: Path, size: Size | None = None, *, strict: bool = True) -> None:
+        self._strict = strict
+        self.format: Format = format_to_read(path)
+        arguments = (f"{__name__}:read_messages", path, self.format.name, size)
+        self._reader = GuardedReader(*arguments, limits=Limits.in_pieces(path))
+        self._messages = self._received()
+        try:
+            self.facts: Facts = facts_of(next(self._messages))
+        except BaseException:
+            self.close()
+            raise
+
+    def parts(self) -> Iterator[Part]:
+        """Yield all parts; raises RecordingError after the data before damaged data."""
+        count = last_us = 0
+        size = self.facts.size or (1 << 16, 1 << 16)
+        for part in self._messages:
+            events = part.events
+            if self._strict and (wrong := wrong_event(events, last_us, size)) is not None:
+                yield Part(events[: wrong[0]])
+                raise RecordingError(f"event {count + wrong[0]} {wrong[1]}; read_events with strict=False returns all")
+            yield part
+            count, last_us = count + len(events), int(events["t"][-1]) if len(events) else last_us
+
+    def _received(self) -> Iterator[Any]:
+        """Yield the facts and the parts; raises RecordingError."""
+        pipe = PipeReader()
+        try:
+            for values in self._reader.values():
+                yield from pipe.feed(values["messages"].tobytes())
+        except ForeignFileError as error:
+            raise (LibraryMissing if error.lacks else RecordingError)(str(error)) from None
+
+    def close(self) -> None:
+        """End the child process."""
+        self._reader.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def read_messages(path: Path, form: str, size: list[int] | None) -> Iterator[dict[str, Any]]:
+    """Yield the messages of a recording's facts and parts (see `part`), in the child; raises RecordingError."""
+    try:
+        reader = FORMATS[form].open_reader(path, None if size is None else (size[0], size[1]))
+        yield _message(encoded_facts(reader.facts))
+        for part in reader.parts():
+            for start in range(0, max(1, len(part.events)), _MOST_EVENTS):
+                events = part.events[start : start + _MOST_EVENTS]
+                piece = Part(events) if start else Part(events, part.edges, part.imu, part.frames)
+                yield _message(encoded_part(piece))
+    except (RecordingError, GeneratorExit):
+        raise
+    except BaseException as error:
+        raise RecordingError(reason(error)) from error
+
+
+def _message(pieces: list[bytes]) -> dict[str, Any]:
+    return {"messages": np.frombuffer(b"".join(pieces), np.uint8)}

@@ -1,0 +1,285 @@
+"""Files whose bytes are those of `firmware_protocol`: AEDAT 2.0 and 3.1, and `.raw` files of Prophesee's formats.
+
+The latter are EVT3, EVT2, and EVT2.1 in both orders of octets. Their words are encoded here: faery 0.7.1 writes no time
+in long silences, so readers of its EVT3 files miss wraps.
+
+All readers refuse a finished AEDAT 4.0 file that was cut, because its header refers to a table that is missing.
+`recover_aedat4` makes a copy whose header states that there is none, and which ends with the last whole packet.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import BinaryIO, TypeVar, cast
+
+from firmware_protocol.evt.evt2 import Evt2Decoder, Evt2Encoder, Form, evt2_header
+from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
+from firmware_protocol.evt.words import evt3_header
+from firmware_protocol.recordings.aedat import (
+    Aedat2Decoder,
+    Aedat31Decoder,
+    Words,
+    aedat2_header,
+    aedat31_header,
+    edge_words,
+    encode_aedat31,
+    encode_frame,
+    encode_imu,
+    event_words,
+    frame_words,
+    guarded_start,
+    imu_words,
+    packed,
+    parse_aedat2_header,
+    parse_aedat31_header,
+)
+from firmware_protocol.recordings.aedat4 import MAGIC, Aedat4Head, packet_at
+from transports.recording.format import format_to_read
+from transports.recording.part import Facts, Part, RecordingError, Size
+
+_PIECE_BYTES = 1 << 19
+T = TypeVar("T")
+_MOST_HEADER = 1 << 22  # jAER writes all its preferences: 2100 lines
+
+
+class Aedat2Writer:
+    """Writer of events, pin events, IMU samples and frames in jAER's layout, of a sensor of `facts.size`.
+
+    A frame is the reset reads of its pixels, at the start of its exposure, and their signal reads at its end, which
+    wait until all earlier data have arrived.
+    """
+
+    def __init__(self, path: Path, facts: Facts) -> None:
+        self._size = facts.size or (0, 0)
+        self._file = path.open("wb", buffering=1 << 16)
+        self._file.write(aedat2_header(self._size, facts.unix_us))
+        self._signal: list[Words] = []
+        self._is_start = True
+
+    def write(self, part: Part) -> None:
+        """Append records; none of the next part is earlier."""
+        reset = []
+        for frame in part.frames:
+            reads = frame_words(frame, self._size[1])
+            reset.append(reads[0])
+            self._signal.append(reads[1])
+        words = [edge_words(part.edges), imu_words(part.imu), *reset, event_words(part.events, self._size)]
+        until_us = max((int(stream["t"][-1]) for stream in words if len(stream)), default=0)
+        due = [reads for reads in self._signal if int(reads["t"][0]) <= until_us]
+        self._signal = [reads for reads in self._signal if int(reads["t"][0]) > until_us]
+        self._append([*words[:2], *due, *words[2:]])
+
+    def _append(self, words: list[Words]) -> None:
+        records = packed(words)
+        self._file.write(guarded_start(records) if self._is_start else records)
+        self._is_start = self._is_start and not records
+        self._file.flush()
+
+    def close(self) -> None:
+        """Write the waiting records and close the file."""
+        try:
+            self._append(self._signal)
+        finally:
+            self._file.close()
+
+
+class Aedat2Reader:
+    """Reader of events, pin events, IMU samples and frames; `size` is the sensor's if the file does not give it."""
+
+    def __init__(self, path: Path, size: Size | None) -> None:
+        self._path = path
+        with path.open("rb") as file:
+            self._start, size_in_file, unix_us = _parsed(parse_aedat2_header, file.read(_MOST_HEADER))
+        if not (size or size_in_file):
+            raise RecordingError("it does not contain the size of its sensor: give --size, such as 346x260")
+        self.facts = Facts(size or size_in_file, "aedat2", unix_us, _STREAMS)
+
+    def parts(self) -> Iterator[Part]:
+        """Yield events, and raise RecordingError at the end if many were outside the sensor."""
+        decoder = Aedat2Decoder(self.facts.size or (0, 0))
+        for data in _pieces(self._path, self._start):
+            yield decoder.decode(data)
+        if decoder.outside:
+            raise RecordingError(
+                f"{decoder.outside} events lie outside {self.facts.size} and are left out: give --size"
+            )
+
+
+class Aedat31Writer:
+    """Writer of events, special events, IMU samples and frames in cAER's layout."""
+
+    def __init__(self, path: Path, facts: Facts) -> None:
+        self._file = path.open("wb", buffering=1 << 16)
+        started = time.strftime("%Y-%m-%d %H:%M:%S (TZ+0000)", time.gmtime(facts.unix_us // 1_000_000))
+        self._file.write(aedat31_header(facts.camera, started))
+
+    def write(self, part: Part) -> None:
+        """Append packets."""
+        self._file.write(encode_aedat31(part.events, part.edges) + encode_imu(part.imu))
+        for frame in part.frames:
+            self._file.write(encode_frame(frame))
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class Aedat31Reader:
+    """Reader of events, special events, IMU samples and frames; the file does not give the size of its sensor."""
+
+    def __init__(self, path: Path, size: Size | None) -> None:
+        self._path = path
+        with path.open("rb") as file:
+            self._start, source = _parsed(parse_aedat31_header, file.read(_MOST_HEADER))
+        size_of_model = next((s for model, s in _SIZES.items() if source.upper().startswith(model)), None)
+        self.facts = Facts(size or size_of_model, source or "aedat31", streams=_STREAMS)
+
+    def parts(self) -> Iterator[Part]:
+        """Yield the contents of whole packets."""
+        decoder = Aedat31Decoder()
+        for data in _pieces(self._path, self._start):
+            try:
+                part = decoder.decode(data)
+            except ValueError as error:
+                raise RecordingError(f"it is damaged: {error}") from error
+            yield part
+
+
+_STREAMS = frozenset({"edges", "imu", "frames"})  # possible streams: only reading the whole file shows if they exist
+_SIZES = {"DAVIS346": (346, 260), "DAVIS240": (240, 180), "DVS128": (128, 128), "DAVIS640": (640, 480)}
+
+
+def _parsed(parse: Callable[[bytes], T], head: bytes) -> T:
+    try:
+        return parse(head)
+    except ValueError as error:
+        raise RecordingError(str(error)) from error
+
+
+def _pieces(path: Path, start: int) -> Iterator[bytes]:
+    with path.open("rb") as file:
+        file.seek(start)
+        while data := file.read(_PIECE_BYTES):
+            yield data
+
+
+_EVT_PIECE_BYTES = 1 << 17  # at most twelve events in each word: 786 432 events
+_EVT_MOST_HEADER = 1 << 16
+
+
+class _EvtWriter:
+    """Writer of events and triggers as words of a form, None: EVT3, after its header."""
+
+    def __init__(self, form: Form | None, path: Path, facts: Facts) -> None:
+        size = facts.size or (0, 0)
+        self._encoder = Evt3Encoder(width=size[0]) if form is None else Evt2Encoder(form)
+        self._file = path.open("wb", buffering=1 << 16)
+        self._file.write(evt3_header(size) if form is None else evt2_header(size, form))
+
+    def write(self, part: Part) -> None:
+        """Append words."""
+        self._file.write(self._encoder.encode(part.events, part.edges))
+        self._file.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+Evt3Writer = partial(_EvtWriter, None)
+Evt2Writer = partial(_EvtWriter, "evt2")
+Evt21Writer = partial(_EvtWriter, "evt21")  # little-endian, as a GenX320 sends it
+Evt21LegacyWriter = partial(_EvtWriter, "evt21-legacy")  # in the order of octets of an IMX636 and its siblings
+
+
+class EvtReader:
+    """Reader of `.raw` files of EVT3, EVT2 and EVT2.1, as given in their header; EVT3 if it gives no format."""
+
+    def __init__(self, path: Path, size: Size | None) -> None:
+        with path.open("rb") as file:
+            head = file.read(_EVT_MOST_HEADER)
+        self._path, self._start = path, _end_of_evt_header(head)
+        text = head[: self._start]
+        name = format_to_read(path).name
+        self._form = None if name == "evt3" else cast("Form", name)
+        self.facts = Facts(_evt_size(text) or size, name)
+
+    def parts(self) -> Iterator[Part]:
+        """Yield events and triggers, half a mebibyte of words at a time."""
+        decoder = Evt3Decoder() if self._form is None else Evt2Decoder(self._form)
+        with self._path.open("rb") as file:
+            file.seek(self._start)
+            while data := file.read(_EVT_PIECE_BYTES):
+                yield Part(*decoder.decode(data))
+
+
+def _end_of_evt_header(head: bytes) -> int:
+    start = 0
+    while head[start : start + 1] == b"%":
+        end = head.find(b"\n", start)
+        if end < 0:
+            raise RecordingError("its lines of text have no end")
+        line, start = head[start:end], end + 1
+        if line.strip() == b"% end":
+            break
+    if not start:
+        raise RecordingError("it is no .raw file of Prophesee's cameras: they begin with a line of text, '% ...'")
+    return start
+
+
+def _evt_size(text: bytes) -> Size | None:
+    patterns = (
+        rb"(?m)^% geometry (?P<width>\d{1,5})x(?P<height>\d{1,5})",
+        rb"width=(?P<width>\d{1,5});height=(?P<height>\d{1,5})",
+        rb"height=(?P<height>\d{1,5});width=(?P<width>\d{1,5})",
+    )
+    for pattern in patterns:
+        if size := re.search(pattern, text):
+            return int(size["width"]), int(size["height"])
+    return None
+
+
+_AEDAT4_MOST_HEADER = 1 << 24
+_COPY_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class Saved:
+    """Result of a recovery: number of packets, their bytes, and bytes omitted at the end."""
+
+    packets: int
+    kept_bytes: int
+    left_bytes: int
+
+
+def recover_aedat4(source: Path, target: Path) -> Saved:
+    """Copy the whole packets of an AEDAT 4.0 file; raises RecordingError if the header is damaged, or OSError."""
+    with source.open("rb") as file:
+        try:
+            head = Aedat4Head(file.read(len(MAGIC) + 4 + _AEDAT4_MOST_HEADER))
+        except ValueError as error:
+            raise RecordingError(str(error)) from error
+        size = source.stat().st_size
+        end = head.table_at if head.packets_at <= head.table_at <= size else size
+        file.seek(head.packets_at)
+        with target.open("wb") as copy:
+            copy.write(head.unfinished())
+            packets, kept = _copied(file, copy, end - head.packets_at)
+    return Saved(packets, kept, end - head.packets_at - kept)
+
+
+def _copied(file: BinaryIO, copy: BinaryIO, left_bytes: int) -> tuple[int, int]:
+    packets = kept = 0
+    while size := packet_at(head := file.read(8), left_bytes - kept):
+        copy.write(head)
+        for start in range(8, size, _COPY_BYTES):
+            copy.write(file.read(min(_COPY_BYTES, size - start)))
+        packets += 1
+        kept += size
+    return packets, kept
