@@ -275,10 +275,8 @@ def _equal_depth_speed(
     column, row = origin[0] + x, origin[1] + line.y
     if line.axis == 1:
         column, row = row, column
-    first, second = (
-        int(contents.facets[int(intervals[k, _SLOT]), _OF]),
-        int(contents.facets[int(intervals[m, _SLOT]), _OF]),
-    )
+    first = int(contents.facets[int(intervals[k, _SLOT]), _OF])
+    second = int(contents.facets[int(intervals[m, _SLOT]), _OF])
     difference = _inverse_depth_rate(data, first, column, row) - _inverse_depth_rate(data, second, column, row)
     slope = intervals[k, _WX] - intervals[m, _WX]
     return -difference / slope if slope != 0.0 else 0.0

@@ -167,12 +167,9 @@ def _put(n: int, k: int, part: int, parts: _Parts, per_m: float, tile: Tile) -> 
     s, middle, a, b = tile.fields, parts.middle, parts.right, parts.down
     line = part // int(parts.columns)
     right, down = (part - line * parts.columns + 0.5) / parts.columns - 0.5, (line + 0.5) / parts.rows - 0.5
-    x, y, z = (
-        middle[0] + right * a[0] + down * b[0],
-        middle[1] + right * a[1] + down * b[1],
-        middle[2] + right * a[2] + down * b[2],
-    )
-    set_triple(s, t.X, n, x, y, z)
+    s[t.X * TILE + n] = middle[0] + right * a[0] + down * b[0]
+    s[t.Y * TILE + n] = middle[1] + right * a[1] + down * b[1]
+    s[t.Z * TILE + n] = middle[2] + right * a[2] + down * b[2]
     set_triple(s, t.LIFT_X, n, parts.lift[0], parts.lift[1], parts.lift[2])
     set_triple(s, t.EYE_X, n, parts.eye[0], parts.eye[1], parts.eye[2])
     s[t.HALF_X * TILE + n] = s[t.HALF_Y * TILE + n] = parts.half_m
