@@ -98,6 +98,14 @@ FEATURES = {  # folders of what only some users need, and the modules that may i
         [f"transports.recording.{name}" for name in ("dsec", "rosbag", "faery_files")],
         [],
     ),
+    "files of models": (
+        [f"emulator.scene.bodies.{name}" for name in ("gltf", "models", "textures", "usd")],
+        ["emulator.rig.remarks", "emulator.scene.bodies.albedo", "emulator.scene.bodies.world"],
+    ),
+    "files of paths": (
+        ["emulator.trajectory.ccsds_file", "emulator.trajectory.spice"],
+        ["emulator.rig.remarks", "emulator.trajectory.building"],
+    ),
     "the laboratory": (["laboratory"], []),
 }
 
