@@ -412,7 +412,7 @@ def test_the_verbs_export_score_and_peers(folder, tmp_path, capsys):
     assert _main([*command, *quick, "--page", str(page), "--json"]) == 0
     told = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert told["simulators"]["difference"][0]["right"] == 1
-    assert "| mine, by files | 1000 |" in page.read_text()
+    assert "|mine, by files|1000|" in page.read_text()
     assert (tmp_path / "pictures" / "simulators.png").stat().st_size
     assert _main(["accuracy", "score", str(tmp_path / "s"), str(tmp_path / "none")]) == 1
     assert "there is no edge-1000.npz" in capsys.readouterr().out
