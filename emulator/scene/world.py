@@ -1,4 +1,4 @@
-"""What scenes of a world have in common, whoever draws them: a camera on its path before bodies or ground."""
+"""Base of the scenes of a world, for the CPU and for GL: a camera on its path before bodies or ground."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ W = TypeVar("W", bound=World)
 
 
 class WorldScene(Scene, Generic[W]):
-    """A scene of `world`, drawn by the CPU unless a subclass says otherwise."""
+    """A scene of `world`, drawn by the CPU unless a subclass draws by GL."""
 
     def __init__(self, world: W) -> None:
         self._world = world

@@ -116,7 +116,7 @@ class Dark(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """What is known of facets since an earlier search.
+    """Results of an earlier search, by facet.
 
     Attributes
     ----------

@@ -34,7 +34,7 @@ Triple = tuple[float, float, float]
 
 
 class _Parts(NamedTuple):
-    """How a pixel is divided.
+    """Division of a pixel.
 
     Attributes
     ----------

@@ -32,7 +32,7 @@ Floats = npt.NDArray[np.float64]
 
 
 class _Split(NamedTuple):
-    """What decides how blocks are split, see the module docstring, and the ground's grids.
+    """Rules for the division of blocks, see the module docstring, and the ground's grids.
 
     Attributes
     ----------
