@@ -8,7 +8,7 @@ events up to that time and none after it. The camera stores its stream time afte
 (`EventRing.settle`). So when a camera has reached a stream time, a waiting session has all changes before that time. It
 need not wait until the events have been sent: it computes its next step meanwhile.
 
-A bias on its way: the register (`Davis346._write`), its factor (`sensor_factors`), `ChangeWatch.look`,
+A bias on its way: the register (`Fx3Camera._write`), its factor (`sensor_factors`), `ChangeWatch.look`,
 `LinkLoop._send_changes`, `LinkProcess.take_changes`, `Session._follow_cameras`, `BiasFollowing.follow`
 (`emulator.run.changes`), `Sensor.adjust`.
 """

@@ -9,6 +9,7 @@ the numbers of vendor and product, such as "152a:841a".
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -22,6 +23,8 @@ from transports.reception import Arrivals, Reception
 from transports.recording.record import Recorder
 from transports.usb.host import CameraHost, DeviceAbsent, PeerGone, StreamSettings, UnsuitableDevice, UsbHost
 from transports.usb.pyusb_host import PyusbHost
+
+_GROUP = "evstim.usb_drivers"
 
 DRIVERS: Mapping[tuple[int, int], str] = {
     (0x152A, 0x841A): "transports.usb.davis_host:DavisHost",
@@ -38,7 +41,7 @@ def driver_of(host: UsbHost) -> CameraHost[Any]:
     """Return the driver of a device; if there is none, close the device and raise UnsuitableDevice."""
     usb_id = host.identity.vendor_id, host.identity.product_id
     name = "{:04x}:{:04x}".format(*usb_id)
-    installed = () if usb_id in DRIVERS else entry_points(group="evstim.usb_drivers", name=name)
+    installed = () if usb_id in DRIVERS else entry_points(group=_GROUP, name=name)
     path = next((point.value for point in installed), DRIVERS.get(usb_id))
     if path is None:
         host.close()
@@ -50,8 +53,9 @@ def driver_of(host: UsbHost) -> CameraHost[Any]:
 
 
 def first_on_the_bus() -> UsbHost:
-    """Return this machine's first known camera; raises the errors of `PyusbHost.find`."""
-    *earlier, last = DRIVERS
+    """Return this machine's first known camera, or one with an installed driver; raises as `PyusbHost.find` does."""
+    names = [point.name for point in entry_points(group=_GROUP) if re.fullmatch(r"[0-9a-f]{4}:[0-9a-f]{4}", point.name)]
+    *earlier, last = [*((int(name[:4], 16), int(name[5:], 16)) for name in names), *DRIVERS]
     for vendor, product in earlier:
         with contextlib.suppress(DeviceAbsent):
             return PyusbHost.find(vendor, product)

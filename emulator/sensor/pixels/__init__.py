@@ -5,7 +5,8 @@ block `quiet_pass` finds the pixels that cannot fire, `candidates` solves those 
 substeps; `refinement` solves undersampled ones again.
 
 A pixel's light, filter and thresholds are in `state`; `curve` and `receptor` are the laws of its light and of its
-filter within a step. An event gets its time in `event_time`. A bias acts through the parameters of the sensor:
+filter within a step. An event gets its time in `_fire` of `candidates` or `march`, by
+the functions of `event_time`. A bias acts through the parameters of the sensor:
 `array.PixelArray.adjust` changes thresholds and leaks of the pixels, and `_constants` makes the other parameters the
 constants of each step.
 """

@@ -130,6 +130,18 @@ def test_the_bus_is_searched_for_each_camera(monkeypatch):
     assert first_on_the_bus() == (0x04B4, 0x00F5)
 
 
+def test_the_bus_is_searched_for_cameras_with_an_installed_driver(monkeypatch):
+    def find(vendor, product):
+        if (vendor, product) != (0x1209, 0xA001):
+            raise DeviceAbsent("none here")
+        return vendor, product
+
+    points = [EntryPoint(name, "mine:Host", "evstim.usb_drivers") for name in ("no numbers", "1209:a001")]
+    monkeypatch.setattr("transports.usb.cameras.entry_points", lambda group: points)
+    monkeypatch.setattr(PyusbHost, "find", find)
+    assert first_on_the_bus() == (0x1209, 0xA001)
+
+
 @pytest.mark.socket
 def test_an_endpoint_that_is_none_stalls_over_usbip(served_camera):
     host = UsbipHost.attach(port=served_camera.server.port, timeout_s=120)
