@@ -11,7 +11,6 @@ import pytest
 from emulator.rig.loading import load_rig
 from emulator.run import kernels
 from emulator.run.kernels import parts_of, prepare
-from emulator.run.link_process import starting_a_process
 
 
 @pytest.fixture
@@ -50,8 +49,5 @@ def test_a_process_that_compiles_ends_when_the_run_is_ended():
 @pytest.mark.system
 def test_a_process_that_compiles_starts_with_numba_imported(tmp_path):
     code = f"import pathlib, sys; pathlib.Path({str(tmp_path / 'modules')!r}).write_text(' '.join(sys.modules))"
-    with starting_a_process():
-        process = kernels._processes().Process(target=exec, args=(code,))
-        process.start()
-    process.join()
+    kernels._started(kernels.Part("modules", 1.0, partial(exec, code))).process.join()
     assert {"numba", "emulator.run.kernels"} < set((tmp_path / "modules").read_text().split())

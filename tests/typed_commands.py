@@ -12,7 +12,7 @@ import subprocess
 import threading
 from contextlib import suppress
 
-__all__ = ["Terminal", "commands_of", "printed_by", "without_comment"]
+__all__ = ["Terminal", "commands_of", "lines_of", "pattern_of", "without_comment"]
 
 PATIENCE_S = 900  # on a busy machine; nothing here is expected to take a tenth of it
 PROMPT = re.compile(r"<exit (\d+)> ")
@@ -22,19 +22,26 @@ CONTROLS = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]|\r")
 
 def commands_of(page):
     """Return the commands of a page in their order, each a line with its comment."""
-    blocks = FENCE.findall(page)
-    lines = [line.removeprefix("$ ") for kind, block in blocks for line in block.splitlines() if is_command(kind, line)]
-    return [line for line in lines if line and not line.startswith("#")]
+    return [line for line, is_printed in lines_of(page) if not is_printed]
+
+
+def lines_of(page):
+    """Yield the lines of a page's blocks in their order: commands, and lines that they print."""
+    for kind, block in FENCE.findall(page):
+        for line in block.splitlines():
+            if not is_command(kind, line):
+                yield line, True
+            elif (command := line.removeprefix("$ ")) and not command.startswith("#"):
+                yield command, False
 
 
 def is_command(kind, line):
     return kind in ("sh", "bash") or line.startswith("$ ")
 
 
-def printed_by(page):
-    """Return a pattern for each line that a page shows as printed: any number fits in the place of a number."""
-    lines = [line for kind, block in FENCE.findall(page) for line in block.splitlines() if not is_command(kind, line)]
-    return [re.sub(r"[0-9a-f]*\d[0-9a-f]*", r"[0-9a-f]+", re.escape(line)) for line in lines]
+def pattern_of(line):
+    """Return a pattern for a line that a page shows as printed: any number fits in the place of a number."""
+    return re.sub(r"[0-9a-f]*\d[0-9a-f]*", r"[0-9a-f]+", re.escape(line))
 
 
 def without_comment(line):
@@ -75,6 +82,11 @@ class Terminal:
         """Wait until the present command has printed something; it must not end before."""
         match = self._until(re.compile(f"{pattern}|{PROMPT.pattern}"))
         assert match[1] is None, f"ended before {pattern!r}: {self.output}"
+
+    def has_printed(self, pattern, within_s):
+        """Return whether it shows a pattern, at the latest after some time."""
+        with self._news:
+            return self._news.wait_for(lambda: re.search(pattern, self.text), within_s) is not None
 
     def interrupt(self):
         """Send what Ctrl-C sends, where the program still runs, and wait for its end; return its exit code."""

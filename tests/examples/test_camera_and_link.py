@@ -66,6 +66,7 @@ def test_a_usb_host_of_others_reads_the_camera(tmp_path):
 def test_a_socket_reads_the_lines_of_the_link(tmp_path):
     lines = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)  # the sender does not wait for a slow reader
         receiver.bind(("127.0.0.1", 0))
         receiver.settimeout(0.5)
         port = receiver.getsockname()[1]

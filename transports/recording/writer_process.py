@@ -214,7 +214,10 @@ _F = TypeVar("_F", bound=_File)
 def serve_writer(
     opened: Callable[[], _F], write: Callable[[_F], None], report: Callable[[_F], Mapping[str, Any]]
 ) -> None:
-    """Run the writer process: `write` writes all messages of stdin to the file and closes it; `report` follows."""
+    """Run the writer process: `write` writes all messages of stdin to the file and closes it; `report` follows.
+
+    After an error the report comes first.
+    """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     try:
@@ -223,14 +226,14 @@ def serve_writer(
         _report(error=reason(error), errno=getattr(error, "errno", None) or _errno_in(str(error)))
         return
     _report(opened=True)
-    trouble = ""
     try:
         write(file)
     except BaseException as error:  # noqa: BLE001
-        trouble = reason(error)
-        with suppress(BaseException):  # the first reason is reported
+        _report(trouble=reason(error), **report(file))
+        with suppress(BaseException):  # HDF5 may crash in here, when the disk is full
             file.close()
-    _report(trouble=trouble, **report(file))
+    else:
+        _report(trouble="", **report(file))
 
 
 def _errno_in(text: str) -> int:

@@ -218,11 +218,15 @@ def _write(file: h5py.File, path: Path) -> None:
 def _write_rows(file: h5py.File) -> Mapping[str, Any]:
     """Add all rows; return the attributes of the last message, {} where the run was killed before it."""
     flushed_s = time.monotonic()
+    # They stay open: h5py ignores the error of a full disk when it closes one, and the next flush then crashes.
+    sets: dict[str, h5py.Dataset] = {}
     while (rows := decoded(sys.stdin.buffer.read)) is not None:
         if "attributes" in rows:
             return rows["attributes"]  # type: ignore[no-any-return]
         for name, values in rows.items():
-            data = file[name]
+            if name not in sets:
+                sets[name] = file[name]
+            data = sets[name]
             before = len(data)
             data.resize(before + len(values), axis=0)
             data[before:] = values

@@ -373,7 +373,8 @@ def _find_delays(table: Table, n: int, c: StepConstants) -> None:
         if rows[_C_KIND + j] == _FIRES:
             z = rows[_C_Z + j]
             slope = (_THREE * rows[_C_C3 + j] * z + _TWO * rows[_C_C2 + j]) * z + rows[_C_C1 + j]
-            rows[_C_LATE + j] = np.float32(delay_s(abs(slope) / c.h, rows[_C_D1 + j] > rows[_C_A + j], c) / c.h)
+            late_s = delay_s(np.float64(abs(slope) / c.h), rows[_C_D1 + j] > rows[_C_A + j], c)
+            rows[_C_LATE + j] = np.float32(late_s / c.h)
 
 
 @vector_kernel

@@ -181,7 +181,7 @@ def _late(rows: _Float32s, j: int, c: StepConstants) -> np.float32:
         return _ZERO
     g, x = _cubic(rows, j), rows[row.HIT + j]
     slope = ((_THREE * g.c3 * x + _TWO * g.c2) * x + g.c1) / (rows[row.SPAN + j] * c.h)
-    return np.float32(delay_s(abs(slope), rows[row.TO + j] > rows[row.LEVEL + j], c) / c.h)
+    return np.float32(delay_s(np.float64(abs(slope)), rows[row.TO + j] > rows[row.LEVEL + j], c) / c.h)
 
 
 @kernel

@@ -45,12 +45,21 @@ HIGHER, LOWER = int(CoarseFine(6, 200)), int(CoarseFine(5, 60))
 SCRIPT = ((7_300, "OnBn", LOWER), (15_000, "OffBn", int(CoarseFine(3, 90))), (31_999, "OnBn", HIGHER))
 
 
+@dataclasses.dataclass(frozen=True)
+class ScriptedFault(Fault):
+    carriers = ("a script",)
+
+
+class FaultyScript(Faulty):
+    carrier = "a script"
+
+
 class ScriptedHost(Endpoint):
     """Writes each bias as soon as its camera's clock has reached a time; takes no events."""
 
     def __init__(self, device, script):
         self._device, self._script = device, list(script)
-        self.faulty = Faulty(FaultPlan("usbip"), {"any": Fault})
+        self.faulty = FaultyScript(FaultPlan("usbip"))
 
     async def start(self):
         if isinstance(self._device, Davis346):
@@ -257,7 +266,7 @@ def test_faults_and_edges_by_hand_are_recorded_with_the_time_of_the_camera():
     def once(status):
         if not done and running.t_ns:
             done.append(running.t_ns)
-            running.inject(Fault(link="usbip"), "evstim")
+            running.inject(ScriptedFault(link="usbip"), "evstim")
             running.happen("usbip", EdgeKind.RISING, "evstim")
 
     done = []
