@@ -214,10 +214,7 @@ _F = TypeVar("_F", bound=_File)
 def serve_writer(
     opened: Callable[[], _F], write: Callable[[_F], None], report: Callable[[_F], Mapping[str, Any]]
 ) -> None:
-    """Run the writer process: `write` writes all messages of stdin to the file and closes it; `report` follows.
-
-    After an error the report comes first.
-    """
+    """Run the writer: `write` writes stdin's messages to the file and closes it; `report` follows, or is first."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     try:

@@ -12,20 +12,19 @@ import contextlib
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from importlib.metadata import entry_points
-from typing import Any
+from typing import Any, cast
 
 from firmware_protocol.events import Events, empty_events
 from transports import reception
 from transports.link.pacing import Clock
 from transports.reception import Arrivals, Reception
 from transports.recording.record import Recorder
+from transports.registry import imported
 from transports.usb.host import CameraHost, DeviceAbsent, PeerGone, StreamSettings, UnsuitableDevice, UsbHost
 from transports.usb.pyusb_host import PyusbHost
 
 _GROUP = "evstim.usb_drivers"
-
 DRIVERS: Mapping[tuple[int, int], str] = {
     (0x152A, 0x841A): "transports.usb.davis_host:DavisHost",
     (0x152A, 0x8419): "transports.usb.dvxplorer_host:driver_of_model",
@@ -41,15 +40,12 @@ def driver_of(host: UsbHost) -> CameraHost[Any]:
     """Return the driver of a device; if there is none, close the device and raise UnsuitableDevice."""
     usb_id = host.identity.vendor_id, host.identity.product_id
     name = "{:04x}:{:04x}".format(*usb_id)
-    installed = () if usb_id in DRIVERS else entry_points(group=_GROUP, name=name)
-    path = next((point.value for point in installed), DRIVERS.get(usb_id))
+    path = DRIVERS.get(usb_id) or next((point.value for point in entry_points(group=_GROUP, name=name)), None)
     if path is None:
         host.close()
         cameras = " or ".join(f"{vendor:04x}:{product:04x}" for vendor, product in DRIVERS)
         raise UnsuitableDevice(f"{name} is not a known camera ({cameras})")
-    module, _, name = path.partition(":")
-    driver: CameraHost[Any] = getattr(import_module(module), name)(host)
-    return driver
+    return cast(CameraHost[Any], imported(path)(host))
 
 
 def first_on_the_bus() -> UsbHost:

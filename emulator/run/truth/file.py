@@ -218,15 +218,12 @@ def _write(file: h5py.File, path: Path) -> None:
 def _write_rows(file: h5py.File) -> Mapping[str, Any]:
     """Add all rows; return the attributes of the last message, {} where the run was killed before it."""
     flushed_s = time.monotonic()
-    # They stay open: h5py ignores the error of a full disk when it closes one, and the next flush then crashes.
-    sets: dict[str, h5py.Dataset] = {}
+    sets: dict[str, h5py.Dataset] = {}  # open to the end: h5py ignores a full disk at their close, then flush crashes
     while (rows := decoded(sys.stdin.buffer.read)) is not None:
         if "attributes" in rows:
             return rows["attributes"]  # type: ignore[no-any-return]
         for name, values in rows.items():
-            if name not in sets:
-                sets[name] = file[name]
-            data = sets[name]
+            data = sets[name] = sets.get(name) or file[name]
             before = len(data)
             data.resize(before + len(values), axis=0)
             data[before:] = values

@@ -452,8 +452,5 @@ class PixelArray(PixelMethod):
 
 
 def _refractory_ns(p: SensorParameters) -> int:
-    """Return the refractory period, ns; at least 1 where comparators are late.
-
-    The reference is then set when the period ends, which needs a time after the event.
-    """
+    """Return the refractory period, ns; at least 1 where comparators are late: the reference is set at its end."""
     return max(round(p.refractory_us * 1000), int(max(p.comparator.on_us, p.comparator.off_us) > 0))
