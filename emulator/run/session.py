@@ -348,7 +348,7 @@ class Session:
         return Lockstep(rings[0], self._schedule.lockstep_ns, self._clock)
 
     def _trouble_of(self, error: BaseException) -> str:
-        """Return the reason for the verdict; "" for a regular end of the scene where the run has none, or was stopped."""
+        """Return the reason for the verdict; "" for a regular end of the scene where a run has none, or was stopped."""
         t_s = self._t_ns * 1e-9
         if isinstance(error, _StepInterrupted):
             return f"interrupted within the step after {t_s:g} s, which is discarded"
