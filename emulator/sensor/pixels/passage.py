@@ -64,13 +64,14 @@ _N, _V, _SCALE = range(3)
 MOST_PASSAGES = 1024
 """Most events of a pixel in a step; what comes then in its piece is lost in the pixel."""
 
-_MORE = 1.5  # bound of the hazard in a window, over that at its ends
+_MORE = 2.0  # bound of the hazard in a window, over that at its ends
 _EXPONENT = 1.5  # by which the hazard's exponent grows in a window near a threshold
 _MOST_POINTS = 4.0  # expected in a window, at the hazard of its start
-_TRIPLES = 2.0  # a window's length over the time since the reset
-_FAST = 16.0  # ... and over the time of the faster pole, shortly after the reset
-_UNREACHED = 18.0  # deviations of the nearer threshold: no passage before the noise has grown to that
+_DOUBLES = 1.0  # a window's length over the time since the reset
+_UNREACHED = 7.0  # deviations of the nearer threshold: no passage before the noise has grown to that
 _FORGOTTEN = 10.0  # time constants of the slower pole after which the reset is forgotten
+_OVERSHOOT = 0.5  # of the mean of the noise by its slope at the reset, at most, over slope / rate
+_LEAST_CALM, _CALM_POINTS = 2.5, 0.3  # deviations; points expected until the reset is forgotten
 _RARE = 0.15  # hazard below which a ramp is passed in one window, over the speed of the exponent
 _NO_POINT = 1e-3  # expected points in 1e-9
 _SHORTEST_NS = 1e-3
@@ -184,21 +185,37 @@ def _hazard_at(t_ns: float, p: Piece, a: _State, tables: _Float32s, c: StepConst
 
 
 @kernel
+def _calm_end(t: float, end: float, now: _Signal, a: _State) -> tuple[float, float]:
+    """Return until when a reset cannot fire a pixel soon, and a bound of its hazard until then; t where it can.
+
+    The mean of the noise stays within its value at the reset and what its slope adds. The thresholds are nearest, in
+    deviations, when the noise has forgotten the reset: there the hazard is below twice Rice's rate at a speed of 1.
+    """
+    noise = now.noise
+    until = min(t + _FORGOTTEN / min(noise.a1, noise.a2) * 1e9, end)
+    moved = abs(now.speed) * (until - t) * 1e-9 * 2
+    beyond = abs(a.n_r) + _OVERSHOOT * abs(a.v_r) / noise.rate + moved
+    c = (min(a.on, a.off) - beyond) / noise.sigma
+    if c < _LEAST_CALM:
+        return t, 0.0
+    bound_hz = noise.rate * (c + 1) * math.exp(-0.5 * c * c)
+    if bound_hz * (until - t) * 1e-9 > _CALM_POINTS:
+        return t, 0.0
+    return until, bound_hz
+
+
+@kernel
 def _window_end(t: float, end: float, now: _Signal, h: Hazard, a: _State) -> float:
     """Return the end of the window that begins at t, a time of the piece, with hazard h."""
     since_s, noise = (t - a.reset) * 1e-9, now.noise
     if since_s <= 0:
         return min(t + _first_window_s(now, a) * 1e9, end)
     window_s = (end - t) * 1e-9
-    slower = min(noise.a1, noise.a2)
-    if since_s * slower < _FORGOTTEN:
-        window_s = min(window_s, _TRIPLES * since_s)
-        if noise.ratio > 0:
-            window_s = min(window_s, _FAST / max(noise.a1, noise.a2) * (1 + since_s * slower))
-    # The speed of the approach may pass through zero as the noise forgets the reset: the signal's own is the least.
+    # Shortly after a reset windows grow with the time since then; later the signal decides.
+    if since_s * min(noise.a1, noise.a2) < _FORGOTTEN:
+        window_s = min(window_s, _DOUBLES * since_s)
     speed = abs(now.speed) / noise.sigma
-    window_s = min(window_s, _window_s(h.c_on, max(h.nu_on * h.slope, speed), noise.rate))
-    window_s = min(window_s, _window_s(h.c_off, max(h.nu_off * h.slope, speed), noise.rate))
+    window_s = min(window_s, _window_s(min(h.c_on, h.c_off), speed, noise.rate))
     total = h.on + h.off
     if total * window_s > _MOST_POINTS:
         window_s = _MOST_POINTS / total
@@ -330,11 +347,15 @@ def pass_piece(  # noqa: PLR0913, PLR0917
     before = 0.0 if t <= a.reset else h.on + h.off
     at_once = t > a.reset and min(h.c_on, h.c_off) < BEYOND  # the light has jumped
     while t < end:
-        to = _window_end(t, end, now, h, a)
+        to, calm_hz = t, 0.0
+        if t <= a.reset:
+            to, calm_hz = _calm_end(t, end, now, a)
+        if to <= t:
+            to, calm_hz = _window_end(t, end, now, h, a), 0.0
         to = turn if t < turn < to else to
         to = turn2 if t < turn2 < to else to
         after, at_end = _hazard_at(to, p, a, tables, c)
-        bound_hz = _MORE * max(before, at_end.on + at_end.off)
+        bound_hz = max(_MORE * max(before, at_end.on + at_end.off), calm_hz)
         event = none
         if at_once:
             event = _event_at(c.t0_ns + math.ceil(t), h.c_on < h.c_off, now, h, a, tables)
