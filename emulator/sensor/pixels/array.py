@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from emulator.light import LightFrame, PixelLight, Region
 from emulator.sensor.noise.hazard import hazard_tables
+from emulator.sensor.noise.start import settle
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.numerics.keyed import Purpose, root_of, streams
@@ -32,6 +33,7 @@ from emulator.sensor.pixels.state import (
     DEAD_THRESHOLD,
     EPOCH_BITS,
     FIELDS,
+    MEMORY,
     NEAR_BLOCKS,
     PARTS,
     Field,
@@ -51,11 +53,14 @@ from emulator.sensor.pixels.state import (
 )
 from emulator.sensor.pixels.step import Share, Tally, Workers, advance, compile_parts, replace_light
 from emulator.sensor.presets import SensorParameters
+from emulator.threads import ThreadPool, available_threads
 
 __all__ = ["PixelArray", "PixelState"]
 
 _EPOCH_NS = 1 << EPOCH_BITS
 _LONG_AGO_NS = 1 << 40
+_CERTIFIED_NS = 10_000_000  # length of the steps for which the first certificates are made
+_PART = 1 << 14  # pixels that a thread settles at once
 
 _Float32s = npt.NDArray[np.float32]
 _NO_RATE = np.empty(0, np.float32)
@@ -281,11 +286,28 @@ class PixelArray(PixelMethod):
         )
         put_field(state.fields, Field.REFERENCE, log_light + leak * since_epoch - on * phase)
         if p.noise.rms:
-            state.fields[:, Field.UNTIL] = -np.inf
-            state.refractory_until_ns[:pixels] = frame.t_ns - _LONG_AGO_NS  # the noise has forgotten the last reset
+            self._settle(pixels)
         self._clear_counters()
         self._replacing = None
         self.wake()
+
+    def _settle(self, pixels: int) -> None:
+        """Let noise act on the references before the start, by all cores, and certify the pixels."""
+        state = self.state
+        state.fields[:, Field.UNTIL] = -np.inf
+        state.memory.reshape(-1, MEMORY)[:, :2] = 0
+        state.refractory_until_ns[:pixels] = state.t_ns - _LONG_AGO_NS  # the noise has forgotten the last reset
+        root, history_s = root_of(self.seed, Purpose.NOISE_BURST), self.parameters.noise.history_s
+        c, flat = self._constants(state.t_ns - _CERTIFIED_NS, state.t_ns), self._flat_state()
+
+        def settle_part(part: int, _: int) -> None:
+            settle(part * _PART, min((part + 1) * _PART, self._pixels), history_s, root, flat, c)
+
+        pool = ThreadPool(available_threads())
+        try:
+            pool.each(settle_part, -(-self._pixels // _PART))
+        finally:
+            pool.close()
 
     def step(self, frame: LightFrame) -> Crossings:
         """Move from the last time to that of `frame`.
