@@ -219,11 +219,12 @@ def _make_curves(table: _Float32s, n: int, c: StepConstants) -> None:
         smooth = is_smooth(u1 - u0, a0, a1, threshold, c.unseen_share)
         # The slopes of the filter's output are its rate times its lag. Where the exponential is rounding noise, the lag
         # without it is more accurate than the difference of two large numbers.
-        t = transient(u0 - v0, Course(s, u1 - u0, s * a0 / r0, s * a1 / r1))
+        allowed = _SHARE * threshold
+        t = transient(u0 - v0, Course(s, u1 - u0, s * a0 / r0, s * a1 / r1), allowed)
         m0 = r0 * (t.lag0 if t.faint else u0 - v0)
         m1 = r1 * (t.lag1 if t.faint else u1 - v1)
         # A cubic is good where it misses little of the exponential.
-        fits = (_ZERO if t.faint else missed_by_cubic(t.b, s)) <= _SHARE * threshold
+        fits = (_ZERO if t.faint else missed_by_cubic(t.b, s)) <= allowed
         table[C_D0 + j] = v0
         table[C_D1 + j] = v1
         table[C_C1 + j] = m0
@@ -243,8 +244,9 @@ def _make_curves_of_receptor(table: _Float32s, n: int, c: StepConstants) -> None
         threshold = min(table[C_ON + j], table[C_OFF + j])
         r0 = c.h * table[C_L0 + j]
         r1 = c.h * table[C_L1 + j]
-        r = response(Filtered(u0 - v0, u1 - v1, v1 - v0, r0, r1), Course(s, u1 - u0, s * a0 / r0, s * a1 / r1))
         allowed = _SHARE * threshold if c.second == _ZERO else min(_SHARE * threshold, _MISSED)
+        course = Course(s, u1 - u0, s * a0 / r0, s * a1 / r1)
+        r = response(Filtered(u0 - v0, u1 - v1, v1 - v0, r0, r1), course, allowed)
         smooth = is_smooth(u1 - u0, a0, a1, threshold, c.unseen_share) & (u0 - v0 < MOST_BEHIND)
         table[C_D0 + j] = v0
         table[C_D1 + j] = v1
@@ -260,8 +262,8 @@ def _make_curves_of_second_pole(table: _Float32s, n: int, c: StepConstants) -> N
     for j in range(n):
         v0, v1 = table[C_V0 + j], table[C_V1 + j]
         w0, w1 = table[C_W0 + j], table[C_W1 + j]
-        t = transient(v0 - w0, Course(c.second, v1 - v0, table[C_C1 + j], table[C_C2 + j]))
         allowed = _SHARE * min(table[C_ON + j], table[C_OFF + j])
+        t = transient(v0 - w0, Course(c.second, v1 - v0, table[C_C1 + j], table[C_C2 + j]), allowed)
         fits = (_ZERO if t.faint else missed_by_cubic(t.b, c.second)) <= allowed
         table[C_D0 + j] = w0
         table[C_D1 + j] = w1

@@ -83,7 +83,7 @@ _REVISITS = 0.02  # points below the least bound in a step
 _SPEED_SHARE = 0.3  # largest speed, in units of the noise's own
 _LEAST_FAR = 1.5  # deviations
 _GROWTH = 1.15  # of the hazard, beside that of its Gaussian
-_LONGEST_NS = 1 << 35
+_LONGEST_NS, _LONGEST_STEPS = 1 << 33, 256
 
 # Purposes of an event's random numbers.
 _SLOPE, _VALUE = np.uint64(0xD6E8FEB86659FD93), np.uint64(0x9E3779B97F4A7C15)
@@ -434,8 +434,9 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, c: StepConsta
     if limit_on >= c_on or limit_off >= c_off:
         return
     end_ns = c.t0_ns + c.h_ns
-    point = next_point(a.stream, end_ns - 1, end_ns + _LONGEST_NS, bound_hz)
-    until_ns = min(point.t_ns, end_ns + _LONGEST_NS)
+    last_ns = end_ns + min(_LONGEST_NS, _LONGEST_STEPS * c.h_ns)
+    point = next_point(a.stream, end_ns - 1, last_ns, bound_hz)
+    until_ns = min(point.t_ns, last_ns)
     fields[at + _ON_LIMIT] = np.float32(a.on - noise.sigma * limit_on)
     fields[at + _OFF_LIMIT] = np.float32(a.off - noise.sigma * limit_off)
     fields[at + _SPEED] = np.float32(speed)
