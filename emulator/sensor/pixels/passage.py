@@ -67,6 +67,7 @@ MOST_PASSAGES = 1024
 _MORE = 2.0  # bound of the hazard in a window, over that at its ends
 _EXPONENT = 1.5  # by which the hazard's exponent grows in a window near a threshold
 _MOST_POINTS = 4.0  # expected in a window, at the hazard of its start
+_TOO_MANY = 8e9  # points in 1e-9: a window is divided
 _DOUBLES = 1.0  # a window's length over the time since the reset
 _UNREACHED = 7.0  # deviations of the nearer threshold: no passage before the noise has grown to that
 _FORGOTTEN = 10.0  # time constants of the slower pole after which the reset is forgotten
@@ -356,6 +357,10 @@ def pass_piece(  # noqa: PLR0913, PLR0917
         to = turn2 if t < turn2 < to else to
         after, at_end = _hazard_at(to, p, a, tables, c)
         bound_hz = max(_MORE * max(before, at_end.on + at_end.off), calm_hz)
+        while bound_hz * (to - t) > _TOO_MANY and to - t > 1:  # it came nearer than its speed at t allowed for
+            to = t + (to - t) * 0.25
+            after, at_end = _hazard_at(to, p, a, tables, c)
+            bound_hz = max(_MORE * max(before, at_end.on + at_end.off), calm_hz)
         event = none
         if at_once:
             event = _event_at(c.t0_ns + math.ceil(t), h.c_on < h.c_off, now, h, a, tables)
