@@ -190,7 +190,7 @@ class Distance(NamedTuple):
     narrowing: float  # rate at which sigma shrinks: -(d sigma / dt) / sigma, 1/s
 
 
-@kernel
+@lane
 def _pair(a: float, b: float, first: int, most: int, per_unit: float, tables: _Float32s) -> float:
     """Return F for thresholds at a and b deviations, the flux through a."""
     x = min(max((a + 0.5) * per_unit, 0.0), most - 1.001)
@@ -202,7 +202,7 @@ def _pair(a: float, b: float, first: int, most: int, per_unit: float, tables: _F
     return float(low + (high - low) * f)
 
 
-@kernel
+@lane
 def _one_pole(s: float, d: Distance, n_r: float, noise: Noise, tables: _Float32s) -> Hazard:
     """Return the hazards of a pixel of one pole at a time s after its reset."""
     e = math.exp(-s * noise.rate) if s * noise.rate < _SETTLED else 0.0
@@ -232,7 +232,7 @@ def _one_pole(s: float, d: Distance, n_r: float, noise: Noise, tables: _Float32s
     return Hazard(on, off, c_on, c_off, nu_on, nu_off, -noise.rate * m, deviation, noise.rate * e * e / v, rate)
 
 
-@kernel
+@lane
 def _start(c: float, tables: _Float32s) -> float:
     """Return the share by which the start of the noise at its reset raises the hazard of one pole."""
     x = c * 8
@@ -252,7 +252,7 @@ class Transition(NamedTuple):
     w: float
 
 
-@kernel
+@lane
 def transition(s: float, noise: Noise) -> Transition:
     """Return the transition of two poles over a time s > 0."""
     # Equal poles are a limit of the formulas: a millionth apart is near enough, and keeps their digits.
@@ -271,7 +271,7 @@ def transition(s: float, noise: Noise) -> Transition:
     return Transition(p11, p12, p21, p22, 1 - p11 * p11 - k * p12 * p12, k * both * p12 * p12, k - p21 * p21 - k * p22 * p22)
 
 
-@kernel
+@lane
 def _two_poles(s: float, d: Distance, n_r: float, v_r: float, noise: Noise, tables: _Float32s) -> Hazard:  # noqa: PLR0913, PLR0917
     """Return the hazards of a pixel of two poles at a time s after its reset."""
     m_slope, deviation, pull, slope, ratio, m = 0.0, 1.0, 0.0, noise.rate, noise.ratio, 0.0
@@ -308,7 +308,7 @@ def _two(c: float, nu: float, ratio: float, tables: _Float32s) -> float:
     return np.float64(value * (_F1 + abs(speed)) * _INVERSE_ROOT * _gaussian(at))
 
 
-@kernel
+@lane
 def hazard(s: float, d: Distance, n_r: float, v_r: float, noise: Noise, tables: _Float32s) -> Hazard:  # noqa: PLR0913, PLR0917
     """Return the hazards of a pixel at a time s > 0 after its reset, s.
 

@@ -133,7 +133,8 @@ class PixelArray(PixelMethod):
         put_field(fields, Field.ON, pixels.on)
         put_field(fields, Field.OFF, pixels.off)
         put_field(fields, Field.LEAK, pixels.leak_hz * take_field(fields, Field.ON, self._pixels))
-        fields[:, Field.UNTIL] = -np.inf
+        for field in (Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL):
+            fields[:, field] = np.inf  # of the pixels beyond the sensor's end
         memory = noise_memory(p, self.seed, blocks * BLOCK) if p.noise.rms else np.empty(0, np.float32)
         positions = np.zeros((1 + (p.reset.noise > 0)) * blocks * BLOCK, np.int64)
         return PixelState(fields, positions, 0, 0, False, memory)
@@ -179,7 +180,7 @@ class PixelArray(PixelMethod):
         self.parameters, self._light_constants = after, light_constants(after)
         self._refractory_ns = _refractory_ns(after)
         self._refinement = None
-        self.state.fields[:, Field.UNTIL] = -np.inf  # certificates are those of the parameters before
+        put_field(self.state.fields, Field.UNTIL, np.full(self._pixels, -np.inf))  # their certificates do not hold now
         self.wake()
 
     def _scale_threshold(self, field: Field, ratio: float) -> None:
@@ -294,7 +295,7 @@ class PixelArray(PixelMethod):
     def _settle(self, pixels: int) -> None:
         """Let noise act on the references before the start, by all cores, and certify the pixels."""
         state = self.state
-        state.fields[:, Field.UNTIL] = -np.inf
+        put_field(state.fields, Field.UNTIL, np.full(self._pixels, -np.inf))
         state.memory.reshape(-1, MEMORY)[:, :2] = 0
         state.refractory_until_ns[:pixels] = state.t_ns - _LONG_AGO_NS  # the noise has forgotten the last reset
         root, history_s = root_of(self.seed, Purpose.NOISE_BURST), self.parameters.noise.history_s

@@ -30,22 +30,18 @@ _U, _V, _REF, _LEAK, _W, _P = (
     int(f) * BLOCK
     for f in (Field.LOG_LIGHT, Field.FILTERED, Field.REFERENCE, Field.LEAK, Field.SECOND, Field.LEAKED)
 )
-_ZERO, _ONE, _TWO, _THREE = (np.float32(x) for x in (0, 1, 2, 3))
+_ZERO, _ONE, _TWO, _THREE, _NAN = (np.float32(x) for x in (0, 1, 2, 3, np.nan))
 
 
 @vector_kernel
 def _make_pieces(rows: _Float32s, n: int) -> None:
-    """Turn values and slopes of each candidate's curve into a cubic relative to its base."""
+    """Turn values and slopes of each candidate's curve into a cubic relative to its start, which is exact in float32."""
     use_widest_vectors()
     for j in range(n):
-        # Relative to the reference, or to the start of the step where there is none: small numbers are exact.
-        reference = rows[row.C_REF + j]
-        base = rows[row.C_D0 + j] if reference != reference else reference
-        d0 = rows[row.C_D0 + j] - base
-        rise = (rows[row.C_D1 + j] - base) - d0
+        rise = rows[row.C_D1 + j] - rows[row.C_D0 + j]
         m0, m1 = rows[row.C_C1 + j], rows[row.C_C2 + j]
-        rows[row.C_BASE + j] = base
-        rows[row.C_D0 + j] = d0
+        rows[row.C_BASE + j] = rows[row.C_D0 + j]
+        rows[row.C_D0 + j] = _ZERO
         rows[row.C_C2 + j] = _THREE * rise - _TWO * m0 - m1
         rows[row.C_C3 + j] = m0 + m1 - _TWO * rise
 
@@ -150,6 +146,7 @@ def solve_noisy(
     rows, substeps = table.rows, table.substep_table
     for j in range(n):
         rows[row.C_LEAK + j] = _ZERO
+        rows[row.C_REF + j] = _NAN  # no curve is relative to a reference, which depends on the step
     make_curves(rows, n, c)
     _make_pieces(rows, whole_vectors(n))
     lost = undersampled = in_substeps = NONE

@@ -37,7 +37,7 @@ from emulator.sensor.noise.hazard import (
     noise_of,
     transition,
 )
-from emulator.sensor.numerics.compiled import kernel
+from emulator.sensor.numerics.compiled import kernel, lane
 from emulator.sensor.numerics.keyed import high, mix_word, normal_from, unit
 from emulator.sensor.pixels.crossings import Keys, pack
 from emulator.sensor.pixels.event_time import delay_s
@@ -62,20 +62,22 @@ _NAN, _ENDLESS = np.float32(np.nan), np.float32(np.inf)
 _N, _V, _SCALE = range(3)
 
 MOST_PASSAGES = 1024
-"""Most events of a pixel in a step; what comes then in its piece is lost in the pixel."""
+"""Most events of a pixel in a step. The rest of its piece is lost in the pixel, and counted at the rate until then."""
 
 _MORE = 2.0  # bound of the hazard in a window, over that at its ends
 _EXPONENT = 1.5  # by which the hazard's exponent grows in a window near a threshold
 _MOST_POINTS = 4.0  # expected in a window, at the hazard of its start
 _TOO_MANY = 8e9  # points in 1e-9: a window is divided
-_DOUBLES = 1.0  # a window's length over the time since the reset
-_UNREACHED = 7.0  # deviations of the nearer threshold: no passage before the noise has grown to that
+_GROWS = 1.0  # a window's length over the time since the reset ...
+_BURST = 10.0  # ... up to so many time constants of the slower pole
+_UNREACHED = 5.0  # deviations of the nearer threshold: no passage before the noise has grown to that
 _FORGOTTEN = 10.0  # time constants of the slower pole after which the reset is forgotten
 _OVERSHOOT = 0.5  # of the mean of the noise by its slope at the reset, at most, over slope / rate
-_LEAST_CALM, _CALM_POINTS = 2.5, 0.3  # deviations; points expected until the reset is forgotten
+_LEAST_CALM, _CALM_POINTS, _WORTH_IT = 1.0, 1.0, 2.0  # deviations; points expected; times of the noise
 _RARE = 0.15  # hazard below which a ramp is passed in one window, over the speed of the exponent
 _NO_POINT = 1e-3  # expected points in 1e-9
 _SHORTEST_NS = 1e-3
+_MOST_LOST = 1e9
 _STEEPEST = 1e6  # slope of the noise of one pole, which has none, ln units a second
 
 # Of a certificate.
@@ -127,7 +129,7 @@ class _Signal(NamedTuple):
     noise: Noise
 
 
-@kernel
+@lane
 def _signal(t_ns: float, p: Piece, leak: float, scale: float, c: StepConstants) -> _Signal:
     """Return the signal at a time of a piece."""
     x = (t_ns - p.begin_ns) / p.span_ns
@@ -187,22 +189,20 @@ def _hazard_at(t_ns: float, p: Piece, a: _State, tables: _Float32s, c: StepConst
 
 @kernel
 def _calm_end(t: float, end: float, now: _Signal, a: _State) -> tuple[float, float]:
-    """Return until when a reset cannot fire a pixel soon, and a bound of its hazard until then; t where it can.
+    """Return until when a reset is not likely to fire a pixel, and a bound of its hazard until then; t where it is.
 
     The mean of the noise stays within its value at the reset and what its slope adds. The thresholds are nearest, in
     deviations, when the noise has forgotten the reset: there the hazard is below twice Rice's rate at a speed of 1.
     """
     noise = now.noise
-    until = min(t + _FORGOTTEN / min(noise.a1, noise.a2) * 1e9, end)
-    moved = abs(now.speed) * (until - t) * 1e-9 * 2
-    beyond = abs(a.n_r) + _OVERSHOOT * abs(a.v_r) / noise.rate + moved
+    forgotten_s = min(_FORGOTTEN / min(noise.a1, noise.a2), (end - t) * 1e-9)
+    beyond = abs(a.n_r) + _OVERSHOOT * abs(a.v_r) / noise.rate + 2 * abs(now.speed) * forgotten_s
     c = (min(a.on, a.off) - beyond) / noise.sigma
     if c < _LEAST_CALM:
         return t, 0.0
-    bound_hz = noise.rate * (c + 1) * math.exp(-0.5 * c * c)
-    if bound_hz * (until - t) * 1e-9 > _CALM_POINTS:
-        return t, 0.0
-    return until, bound_hz
+    bound_hz = noise.rate * math.exp(-0.5 * c * c) * (0.5 + 0.25 * c if noise.ratio > 0 else 1 + c)
+    calm_s = min(forgotten_s, _CALM_POINTS / bound_hz)
+    return t + calm_s * 1e9 if calm_s * noise.rate > _WORTH_IT else t, bound_hz
 
 
 @kernel
@@ -213,8 +213,8 @@ def _window_end(t: float, end: float, now: _Signal, h: Hazard, a: _State) -> flo
         return min(t + _first_window_s(now, a) * 1e9, end)
     window_s = (end - t) * 1e-9
     # Shortly after a reset windows grow with the time since then; later the signal decides.
-    if since_s * min(noise.a1, noise.a2) < _FORGOTTEN:
-        window_s = min(window_s, _DOUBLES * since_s)
+    if since_s * min(noise.a1, noise.a2) < _BURST:
+        window_s = min(window_s, _GROWS * since_s)
     speed = abs(now.speed) / noise.sigma
     window_s = min(window_s, _window_s(min(h.c_on, h.c_off), speed, noise.rate))
     total = h.on + h.off
@@ -390,15 +390,9 @@ def pass_piece(  # noqa: PLR0913, PLR0917
         a = _re_armed(pixels, pixel, now, a, c)
         before = 0.0
         if fired >= MOST_PASSAGES:
-            return n_keys, fired, _lose(pixels, pixel, now, _signal(end, p, a.leak, a.scale, c), a)
+            pixels.fields[slot(pixel) + _REF] = np.float32(_signal(end, p, a.leak, a.scale, c).value)
+            return n_keys, fired, 1 + int(min(fired * (end - t) / max(t, 1.0), _MOST_LOST))
     return n_keys, fired, 0
-
-
-@kernel
-def _lose(pixels: Pixels, pixel: int, now: _Signal, last: _Signal, a: _State) -> int:
-    """Move the reference of a pixel that fires too often to the end of its piece; return the events lost by that."""
-    pixels.fields[slot(pixel) + _REF] = np.float32(last.value)
-    return 1 + int(min(abs(last.value - now.value) / min(a.on, a.off), 1e9))
 
 
 @kernel

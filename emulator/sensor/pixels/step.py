@@ -73,9 +73,9 @@ _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 _Bytes = npt.NDArray[np.uint8]
 
-_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _ = (int(f) * BLOCK for f in Field)
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _UNTIL = (int(f) * BLOCK for f in Field)
 _U0, _V0, _L0, _G0, _A0, _A1, _, _, _W0, _P0, _, _ = BEFORE_ROWS
-_ZERO, _NO_FLAGS = np.float32(0), np.uint64(0)
+_ZERO, _PAST, _NO_FLAGS = np.float32(0), np.float32(-np.inf), np.uint64(0)
 
 RUN = 8 * BLOCK
 """Pixels that a thread moves before it leaves the next ones to another."""
@@ -179,6 +179,7 @@ def _gather_undersampled(  # noqa: PLR0913, PLR0917
             subset.fields[to + row] = s[entry_at(row, i)]
         subset.fields[to + _W] = before[entry_at(_W0, i)] if c.second > _ZERO else s[entry_at(_W, i)]
         subset.fields[to + _P] = before[entry_at(_P0, i)] if c.parasitic > _ZERO else s[entry_at(_P, i)]
+        subset.fields[to + _UNTIL] = _PAST  # it has left its certificate
     return remaining, n
 
 
