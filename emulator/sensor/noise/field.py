@@ -36,6 +36,12 @@ _LOW = np.uint64((1 << 32) - 1)  # the bits of a word that no cell's time uses
 _PER_LOW = 1.0 / (1 << 32)
 _MOST = 8
 
+TOP_HZ = _LEAST_HZ * 4 ** (BANDS - 1)
+"""Largest hazard of the field's points."""
+
+CERTAIN_HZ = 4 * TOP_HZ
+"""A hazard above that of all points: the next one is an event, within 128 ns in the mean."""
+
 NEVER_NS = 1 << 62
 
 

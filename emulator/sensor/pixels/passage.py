@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.noise.field import NEVER_NS, next_point
+from emulator.sensor.noise.field import CERTAIN_HZ, NEVER_NS, TOP_HZ, next_point
 from emulator.sensor.noise.hazard import (
     BEYOND,
     Distance,
@@ -184,7 +184,13 @@ def _hazard_at(t_ns: float, p: Piece, a: _State, tables: _Float32s, c: StepConst
     now = _signal(t_ns, p, a.leak, a.scale, c)
     distance = Distance(a.reference + a.on - now.value, now.value - a.reference + a.off, now.speed, now.narrowing)
     since_s = max(t_ns - a.reset, _SHORTEST_NS) * 1e-9
-    return now, hazard(since_s, distance, a.n_r, a.v_r, now.noise, tables)
+    h = hazard(since_s, distance, a.n_r, a.v_r, now.noise, tables)
+    if min(h.c_on, h.c_off) < BEYOND:
+        # The signal has passed the threshold faster than the field can show: any next point is the event.
+        is_on = h.c_on < h.c_off
+        on_hz, off_hz = (CERTAIN_HZ, 0.0) if is_on else (0.0, CERTAIN_HZ)
+        h = Hazard(on_hz, off_hz, h.c_on, h.c_off, h.nu_on, h.nu_off, h.mean_slope, h.deviation, h.pull, h.slope)
+    return now, h
 
 
 @kernel
@@ -217,7 +223,7 @@ def _window_end(t: float, end: float, now: _Signal, h: Hazard, a: _State) -> flo
         window_s = min(window_s, _GROWS * since_s)
     speed = abs(now.speed) / noise.sigma
     window_s = min(window_s, _window_s(min(h.c_on, h.c_off), speed, noise.rate))
-    total = h.on + h.off
+    total = min(h.on + h.off, TOP_HZ)
     if total * window_s > _MOST_POINTS:
         window_s = _MOST_POINTS / total
     return min(t + max(window_s * 1e9, 1.0), end)
@@ -239,6 +245,8 @@ def _event_at(t_ns: int, on: bool, now: _Signal, h: Hazard, a: _State, tables: _
     if now.noise.ratio == 0.0:
         return _Event(t_ns, on, now, h, _STEEPEST if on else -_STEEPEST)
     nu, far = (h.nu_on, h.c_on) if on else (h.nu_off, h.c_off)
+    if far < BEYOND:
+        return _Event(t_ns, on, now, h, h.mean_slope)
     share = unit(high(mix_word(a.stream ^ (np.uint64(t_ns) * _SLOPE))))
     beyond = exit_speed(nu, far, share, now.noise.ratio, tables) - nu
     outward = now.noise.sigma * h.deviation * (beyond * h.slope + far * h.pull)
@@ -268,6 +276,10 @@ def _after_event(e: _Event, dead_s: float, a: _State) -> tuple[float, float]:
     noise = e.signal.noise
     first = mix_word(a.stream ^ (np.uint64(e.t_ns) * _VALUE))
     value = a.reference + (a.on if e.on else -a.off) - e.signal.value
+    far = e.hazard.c_on if e.on else e.hazard.c_off
+    if far < BEYOND:  # the signal has jumped: the noise is not that of a passage, but any
+        inward = noise.sigma * e.hazard.deviation * (normal_from(mix_word(first ^ _SLOPE)) - far)
+        value += inward if e.on else -inward
     if noise.ratio == 0.0:
         decay = math.exp(-noise.rate * dead_s)
         return value * decay + noise.sigma * math.sqrt(1 - decay * decay) * normal_from(first), 0.0
@@ -346,7 +358,6 @@ def pass_piece(  # noqa: PLR0913, PLR0917
     now, h = _hazard_at(t, p, a, tables, c)
     none = _Event(NEVER_NS, False, now, h, 0.0)
     before = 0.0 if t <= a.reset else h.on + h.off
-    at_once = t > a.reset and min(h.c_on, h.c_off) < BEYOND  # the light has jumped
     while t < end:
         to, calm_hz = t, 0.0
         if t <= a.reset:
@@ -356,17 +367,14 @@ def pass_piece(  # noqa: PLR0913, PLR0917
         to = turn if t < turn < to else to
         to = turn2 if t < turn2 < to else to
         after, at_end = _hazard_at(to, p, a, tables, c)
-        bound_hz = max(_MORE * max(before, at_end.on + at_end.off), calm_hz)
-        while bound_hz * (to - t) > _TOO_MANY and to - t > 1:  # it came nearer than its speed at t allowed for
+        bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), CERTAIN_HZ)
+        while min(bound_hz, TOP_HZ) * (to - t) > _TOO_MANY and to - t > 1:  # it came nearer than its speed at t allowed for
             to = t + (to - t) * 0.25
             after, at_end = _hazard_at(to, p, a, tables, c)
-            bound_hz = max(_MORE * max(before, at_end.on + at_end.off), calm_hz)
+            bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), CERTAIN_HZ)
         event = none
-        if at_once:
-            event = _event_at(c.t0_ns + math.ceil(t), h.c_on < h.c_off, now, h, a, tables)
-        elif bound_hz * (to - t) > _NO_POINT:
+        if bound_hz * (to - t) > _NO_POINT:
             event = _first_event(t, to, bound_hz, p, a, tables, none, c)
-        at_once = False
         if event.t_ns == NEVER_NS:
             t, now, h, before = to, after, at_end, at_end.on + at_end.off
             continue
