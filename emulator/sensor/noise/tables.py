@@ -31,6 +31,7 @@ speed from 9 deviations; one that recedes was still for a long time before, at c
 One pole is solved by BDF2. For two poles a step of time is split: v mixes, by an L-stable scheme of second order (R.
 Alexander, SIAM J. Numer. Anal. 14, 1977), then y moves along characteristics, by cubic interpolation. A flux is the
 mean of those before and after the mixing. Near the boundary g is like y^(1/6) at u = 0, so both grids are finest there.
+With steps of a third, hazards of two poles differ by 0.2 % at most (where they are not negligible), of one by 1e-4.
 
 `python -m emulator.sensor.noise.tables` writes the file, in some six minutes.
 """
@@ -193,8 +194,8 @@ class Plane(NamedTuple):
     u : v + nu, (slopes,).
     dq : step of time.
     mixing : (4, slopes); two rates to the neighbours below and above, and their parts that are multiplied by z.
-    source, share : (slopes, distances) and (4, slopes, distances); first of the four nodes behind, which are to move
-        to a node, and their weights.
+    source, share : (slopes, distances) and (4, slopes, distances); first of the four nodes from which the next value
+        of a node is interpolated, and their weights.
     v_weight, y_weight : quadrature, with phi(v).
     mixed, work : (slopes, distances); for intermediate results.
     """
