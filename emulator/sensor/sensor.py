@@ -80,14 +80,16 @@ def make_readout(p: SensorParameters) -> ReadOut:
     return ScanReadOut(p) if p.readout.scan_us else ArbiterReadOut(p)
 
 
-def finished(jitter: Jitter | None, readout: ReadOut, late: Crossings = NO_CROSSINGS) -> Events:
-    """Return the events that a read-out, and a delay before it, have not sent yet.
+def rest_of_delays(jitter: Jitter | None, late: Crossings) -> Crossings:
+    """Return the crossings that still wait in a delay, with `late` ones of after the last step, as they leave it."""
+    if jitter is None:
+        return late
+    begun = jitter.step(late, int(late.t_ns[-1]) + 1) if len(late) else late
+    return joined([begun, jitter.step(NO_CROSSINGS, jitter.last_ns() + 1)])
 
-    `late` are crossings after the last step. They are delayed as all are, so they may leave before earlier ones.
-    """
-    if jitter is not None:
-        begun = jitter.step(late, int(late.t_ns[-1]) + 1) if len(late) else late
-        late = joined([begun, jitter.step(NO_CROSSINGS, jitter.last_ns() + 1)])
+
+def finished(readout: ReadOut, late: Crossings) -> Events:
+    """Return the events that a read-out has not sent yet, with crossings of after the last step."""
     sent = [readout.push(late, int(late.t_ns[-1]) + 1)] if len(late) else []
     return np.concatenate([*sent, readout.finish()])
 
@@ -450,8 +452,12 @@ class Sensor:
 
     def finish(self) -> Events:
         """Return the events that have not left yet; the sensor cannot be exposed afterwards."""
+        return finished(self._readout, self._rest())
+
+    def _rest(self) -> Crossings:
+        """Return the crossings that have not reached the read-out."""
         late = NO_CROSSINGS if self._kicks is None else self._of_live_pixels(self._kicks.rest())
-        return finished(self._jitter, self._readout, late)
+        return rest_of_delays(self._jitter, late)
 
     def _next_cut_ns(self) -> int:
         """Return the next time at which a step must end."""

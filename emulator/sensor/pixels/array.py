@@ -23,7 +23,7 @@ from emulator.sensor.noise.start import settle
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.numerics.keyed import Purpose, root_of, streams
-from emulator.sensor.pixels.crossings import Crossings, EventBuffers, Keys
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, EventBuffers, Keys
 from emulator.sensor.pixels.curve import UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, touch, wake
 from emulator.sensor.pixels.method import Capabilities, PixelMethod, time_of
@@ -92,6 +92,8 @@ class PixelArray(PixelMethod):
         in a way that the frames do not show (see `interpolation`; known only where the time derivative is given).
     refined : int
         Undersampled pixel-steps that were refined instead; each needed the light of a pixel once.
+    of_noise : Crossings
+        Those of the last step for which the signal had gone less than half of the way to its threshold.
     """
 
     capabilities: ClassVar = Capabilities(
@@ -110,7 +112,8 @@ class PixelArray(PixelMethod):
         self._clear_counters()
         self._whole = Region(0, parameters.height, 0, parameters.width)
         self._pixels = parameters.width * parameters.height
-        self._pixel_bits = max(1, (self._pixels - 1).bit_length())
+        self._flag_bits = int(parameters.noise.rms > 0)  # behind a pixel's number: whether the event is the noise's
+        self._pixel_bits = max(1, (self._pixels - 1).bit_length()) + self._flag_bits
         self._refractory_ns = _refractory_ns(parameters)
         self._light_constants = light_constants(parameters)
         self._noise_root = root_of(seed, Purpose.NOISE_EVENTS)
@@ -141,6 +144,7 @@ class PixelArray(PixelMethod):
 
     def _clear_counters(self) -> None:
         self.lost_in_pixel = self.quiet_nan = self.undersampled = self.candidates = 0
+        self.of_noise = NO_CROSSINGS
         self.refined = 0
 
     @property
@@ -335,6 +339,10 @@ class PixelArray(PixelMethod):
         else:
             self._replacing = FlatLight(flat.copy(), slope.copy())
         events = self._buffers
+        if self._flag_bits:
+            flagged = np.flatnonzero(events.pixel[:n] & 1)
+            events.pixel[:n] >>= 1
+            self.of_noise = Crossings(events.t_ns[flagged], events.pixel[flagged], events.on[flagged])
         return Crossings(events.t_ns[:n], events.pixel[:n], events.on[:n], self.lost_in_pixel - lost_before)
 
     def _whole_epochs(self, flat: _Float32s, t_ns: int) -> int:

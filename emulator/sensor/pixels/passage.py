@@ -381,13 +381,16 @@ def pass_piece(  # noqa: PLR0913, PLR0917
         # The event, and the dead time behind it.
         late_s = delay_s(abs(event.slope + event.signal.speed), event.on, c)
         t_ns = event.t_ns + int(late_s * 1e9)
+        # The event is the noise's where the signal has gone less than half of the way since the reference was set.
+        gone = event.signal.value - (a.reference - a.n_r)
+        of_noise = (gone / a.on if event.on else -gone / a.off) < 0.5
+        keys[n_keys] = pack(t_ns - c.t0_ns, 2 * pixel + of_noise, event.on, c.pixel_bits)
         pixels.memory[pixel * MEMORY + _N], pixels.memory[pixel * MEMORY + _V] = _after_event(
             event, late_s + c.refractory_ns * 1e-9, a
         )
         pixels.fields[slot(pixel) + _REF] = _NAN
         pixels.fields[slot(pixel) + _UNTIL] = -_ENDLESS
         pixels.refractory_until_ns[pixel] = t_ns + c.refractory_ns
-        keys[n_keys] = pack(t_ns - c.t0_ns, pixel, event.on, c.pixel_bits)
         n_keys += 1
         fired += 1
         a = _state_of(pixels, pixel, c)
@@ -420,7 +423,7 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, c: StepConsta
     # Light that falls as far as the limits may raise the rms by this share.
     if noise.a1 != noise.a2:
         louder = noise.sigma * (1 + 0.5 * noise.a1 / (noise.a1 + noise.a2) * max(off, 0.0))
-        noise = Noise(louder, noise.a1, noise.a2, noise.rate, noise.ratio, noise.shift)
+        noise = Noise(louder, noise.a1, noise.a2, noise.rate, noise.ratio, noise.apart)
     speed = _SPEED_SHARE * noise.sigma * noise.rate
     c_on, c_off = on / noise.sigma, off / noise.sigma
     if min(c_on, c_off) < _LEAST_FAR:
@@ -437,7 +440,7 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, c: StepConsta
     if growth > 0:
         limit_on = min(far, math.sqrt(max(c_on * c_on - growth, _LEAST_FAR * _LEAST_FAR)))
         limit_off = min(far, math.sqrt(max(c_off * c_off - growth, _LEAST_FAR * _LEAST_FAR)))
-    limit_on, limit_off = max(limit_on, _LEAST_FAR) + noise.shift, max(limit_off, _LEAST_FAR) + noise.shift
+    limit_on, limit_off = max(limit_on, _LEAST_FAR), max(limit_off, _LEAST_FAR)
     if limit_on >= c_on or limit_off >= c_off:
         return
     end_ns = c.t0_ns + c.h_ns
