@@ -152,25 +152,27 @@ def _lit(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s
 
 
 def _read_out(sensor: SensorParameters) -> None:
-    """Read out one event of each pixel of a sensor with these effects, or the noise of the grid grade."""
+    """Read out two events of each pixel of a sensor with these effects, or the noise of the grid grade."""
     from emulator.sensor.pixels.array import PixelArray
     from emulator.sensor.pixels.crossings import Crossings
     from emulator.sensor.sensor import Sensor
 
-    class OneEvent(PixelArray):
+    ends_ns = 1_000_000, 50_000_000, 5_000_000_000
+
+    class TwoEvents(PixelArray):
         def step(self, frame: LightFrame) -> Crossings:
-            first, self.state.t_ns = self.state.t_ns == 0, frame.t_ns
-            pixel = np.arange(frame.light.size if first else 0, dtype=np.uint32)
-            return Crossings(np.full(pixel.size, frame.t_ns - 1, np.int64), pixel, pixel < pixel.size // 2)
+            middle_ns, self.state.t_ns = (self.state.t_ns + frame.t_ns) // 2, frame.t_ns
+            pixel = np.arange(frame.light.size if frame.t_ns in ends_ns[::2] else 0, dtype=np.uint32)
+            return Crossings(np.full(pixel.size, middle_ns, np.int64), pixel, pixel < pixel.size // 2)
 
     if sensor.noise.rms:  # so loud that there are noise events by the end
         noise = dataclasses.replace(sensor.noise, rms=0.3 * sensor.threshold_on)
         small_sensor = Sensor(dataclasses.replace(sensor, noise=noise), 0)
     else:
-        small_sensor = Sensor(sensor, 0, OneEvent)
+        small_sensor = Sensor(sensor, 0, TwoEvents)
     light = np.full((_HEIGHT, _WIDTH), 0.02, np.float32)
     small_sensor.reset(LightFrame(0, light))
-    for t_ns in (1_000_000, 50_000_000, 5_000_000_000):
+    for t_ns in ends_ns:
         small_sensor.expose(LightFrame(t_ns, light, np.zeros_like(light)))
     small_sensor.finish()
 
