@@ -14,9 +14,9 @@ line.
     edges    the board of sharp edges at which a pixel's light changes several times over within a step: edges of 10:1,
              blurred by 0.5 px, at 0.5 px a step; events a second of work
 
-Noise: a step of 1 ms with noise beside the same step without, 346 x 260 pixels, one thread, in turns; medians over means
-of 64 steps. The light is dim, 0.05 of the reference, and all pixels leak a little; the noise has the rms at which it
-makes the wanted number of events. The array is timed alone, and within a whole sensor.
+Noise: a step of 1 ms with noise beside the same step without, 346 x 260 pixels, one thread, in turns; medians over
+means of 64 steps. The light is dim, 0.05 of the reference, and all pixels leak a little; the noise has the rms at which
+it makes the wanted number of events. The array is timed alone, and within a whole sensor.
 """
 
 from __future__ import annotations
