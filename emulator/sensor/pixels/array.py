@@ -241,7 +241,7 @@ class PixelArray(PixelMethod):
         self.wake()
 
     def compile_part(self, part: str) -> None:
-        """Compile "blocks" or "candidates", large parts of the step that `step` then finds on disk."""
+        """Compile "blocks", "candidates" or "noise", large parts of the step that `step` then finds on disk."""
         pixels = self._flat_state()
         share = Share(0, 1, self._workers.idle, self._touched(None))
         compile_parts(part, pixels, self._workers.buffers(), share, self._constants(0, 1_000_000))

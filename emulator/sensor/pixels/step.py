@@ -6,6 +6,7 @@
             _move_block     a block with many active parts, in place
             _move_pack      the active parts of blocks with few, together as one block
         solve               all crossings of the candidates (`candidates`)
+        solve_noisy         the same with noise (`noisy`)
 
 The arithmetic of a pixel does not depend on the blocks that are moved with it, their order and their thread, so the
 events are the same to the last bit. The number of threads follows from the work of the last step: counts, no clock.
@@ -363,13 +364,14 @@ def _fill(
 
 
 def compile_parts(part: str, pixels: Pixels, buffers: Buffers, share: Share, c: StepConstants) -> None:
-    """Compile "blocks" or "candidates", the two large parts of `advance`, which finds them on disk afterwards."""
+    """Compile "blocks", "candidates" or "noise", the large parts of `advance`, which finds them on disk afterwards."""
     light, keys = np.zeros(BLOCK, np.float32), np.empty(1, np.uint64)
     arguments = {
         "blocks": (FlatLight(light, light), pixels, buffers, share, _Progress(0, 0, 0, 0, 0, 0, 0), c),
         "candidates": (pixels, buffers.table, 0, keys, 0, c),
+        "noise": (pixels, buffers.table, 0, keys, 0, c),
     }
-    kernel_of = {"blocks": _fill, "candidates": solve}
+    kernel_of = {"blocks": _fill, "candidates": solve, "noise": solve_noisy}
     kernel_of[part].compile(tuple(map(numba.typeof, arguments[part])))
 
 
