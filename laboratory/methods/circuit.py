@@ -26,6 +26,7 @@ Solving ODEs II, IV.7), with the exact Jacobian: it stays stable however stiff t
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -70,6 +71,23 @@ class Light(NamedTuple):
     a0: float
     a1: float
     h: float
+
+
+@kernel
+def log_light_between(u: tuple[float, float], slopes: tuple[float, float], h: float) -> Light:
+    """Return log light in a step of h seconds, by value and slope (1/s) at both ends; monotone where they are.
+
+    It is a straight line where a slope is NaN. Slopes too steep for a monotone cubic are scaled down (Fritsch and
+    Carlson).
+    """
+    d, a0, a1 = u[1] - u[0], slopes[0] * h, slopes[1] * h
+    if a0 != a0 or a1 != a1:
+        a0 = a1 = d
+    size = a0 * a0 + a1 * a1
+    if a0 * d >= 0 and a1 * d >= 0 and a0 * a1 >= 0 and size > 9 * d * d:
+        less = 3 * abs(d) / math.sqrt(size)
+        a0, a1 = a0 * less, a1 * less
+    return Light(u[0], u[1], a0, a1, h)
 
 
 @kernel
@@ -326,16 +344,6 @@ def _advance_pixel(
 
 
 @kernel
-def _limited(d: float, a0: float, a1: float) -> tuple[float, float]:
-    """Return slopes with which a monotone step stays monotone (Fritsch and Carlson)."""
-    size = a0 * a0 + a1 * a1
-    if a0 * d >= 0 and a1 * d >= 0 and a0 * a1 >= 0 and size > 9 * d * d:
-        less = 3 * abs(d) / math.sqrt(size)
-        return a0 * less, a1 * less
-    return a0, a1
-
-
-@kernel
 def _rests(pixel: int, light: Light, current: float, m: _Model, s: _Array) -> bool:
     """Move a pixel at rest in still light whose leak does not fire it within the step; return whether it is one."""
     if light.u0 != light.u1 or light.a0 != 0 or light.a1 != 0 or s.refractory_s[pixel] > 0:
@@ -365,12 +373,8 @@ def _advance(
     """
     n = lost = 0
     for pixel in range(m.on.size):
-        u0, u1 = u[0][pixel], u[1][pixel]
-        d, a0, a1 = u1 - u0, slopes[0][pixel] * h_s, slopes[1][pixel] * h_s
-        if a0 != a0 or a1 != a1:
-            a0, a1 = d, d
-        a0, a1 = _limited(d, a0, a1)
-        light = Light(u0, u1, a0, a1, h_s)
+        slopes_here = slopes[0][pixel], slopes[1][pixel]
+        light = log_light_between((u[0][pixel], u[1][pixel]), slopes_here, h_s)
         if _rests(pixel, light, u[2][pixel], m, s):
             continue
         pending, n, gone = _advance_pixel(pixel, light, m, s, pending, n)
@@ -378,40 +382,24 @@ def _advance(
     return pending, n, lost
 
 
-class CircuitPixels(DrawnPixels):
-    """An array of event pixels with the photoreceptor's circuit.
-
-    Parameters
-    ----------
-    parameters : SensorParameters
-        The sensor, with `photoreceptor = "circuit"`.
-    seed : int
-        Keys the pixels, which are those of a `PixelArray` with that seed.
+class LogLightPixels(DrawnPixels):
+    """A method in float64 for which log light between two frames is a cubic, or a straight line without derivatives.
 
     Attributes
     ----------
-    lost_in_pixel : int
-        Crossings beyond 64 of a pixel in a step.
     quiet_nan : int
         Pixel-steps whose light was not finite; the last finite light of the pixel is used.
     """
 
-    capabilities: ClassVar = Capabilities(uses_rate=True, has_faults=True, has_circuit=True)
-
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
-        p, drawn = parameters, draw(parameters, seed)
         super().__init__(parameters, seed)
-        self._settled_ns = 0
-        hz = p.corner_hz_at_reference, p.corner_max_hz, p.source_follower_hz
-        self._model: _Model = _Model(
-            drawn.on, drawn.off, drawn.leak, p.parasitic_hz_at_reference * drawn.on,
-            Circuit(*(2 * math.pi * one for one in hz)), p.refractory_us * 1e-6,
-        )  # fmt: skip
-        self._phase = drawn.phase
-        self._u = np.full(drawn.on.size, math.log(p.dark_current_relative))
-        self._current = np.full(drawn.on.size, p.dark_current_relative)
-        self._light = np.zeros(drawn.on.size, np.float32)
-        self._slope = np.full(drawn.on.size, np.nan)
+        self.drawn = draw(parameters, seed)
+        self._phase, pixels, dark = self.drawn.phase, self.drawn.on.size, parameters.dark_current_relative
+        self._settled_ns = self._t_ns = 0
+        self._u = np.full(pixels, math.log(dark))
+        self._current = np.full(pixels, dark)
+        self._light = np.zeros(pixels, np.float32)
+        self._slope = np.full(pixels, np.nan)
 
     @property
     def settled_ns(self) -> int:
@@ -420,39 +408,40 @@ class CircuitPixels(DrawnPixels):
 
     def reset(self, frame: LightFrame) -> None:
         """Start at rest on the light of `frame`, at its time, and with counters at zero."""
-        self._u, self._settled_ns = self._log(frame.light), int(frame.t_ns)
+        self._u, self._t_ns = self._log(frame.light), int(frame.t_ns)
         self._slope = self._slopes(frame.rate)
-        u, m = self._u, self._model
-        shortest = np.full(u.size, 1e-4)
-        self._state = _Array(np.zeros(u.size), u.copy(), u.copy(), u - m.on * self._phase, np.zeros(u.size), shortest)
         self.lost_in_pixel = self.quiet_nan = 0
+        self._start()
 
     def step(self, frame: LightFrame) -> Crossings:
-        """Move to the time of `frame` and return the crossings on the way; see `PixelArray.step`.
+        """Move to the time of `frame` and return the crossings up to `settled_ns`; see `PixelArray.step`.
 
         Raises
         ------
         ValueError
             Time goes back, the step is longer than 8.6 s, or the frame does not have the sensor's size.
         """
-        t0_ns, t_ns = self.settled_ns, time_of(frame, self.settled_ns)
-        h_ns = t_ns - t0_ns
-        if h_ns > _LONGEST_NS:
-            raise ValueError(f"a step of {h_ns * 1e-9:.3g} s: the photoreceptor's circuit takes 8.6 s at most")
-        u = self._log(frame.light)
-        slope = self._slopes(frame.rate)
-        if h_ns == 0:
-            self._u, self._slope = u, slope
-            return NO_CROSSINGS
-        pending, n, lost = _advance(
-            (self._u, u, self._current), (self._slope, slope), h_ns * 1e-9, self._model, self._state, new_pending()
-        )
-        self._u, self._slope, self._settled_ns = u, slope, t_ns
-        self.lost_in_pixel += lost
-        bits = max(1, (u.size - 1).bit_length())
-        keys = np.minimum(pending[0][:n], h_ns - 1).astype(np.uint64) << np.uint64(bits + 1) | pending[1][:n]
-        found = unpacked(keys, t0_ns, bits)
-        return Crossings(found.t_ns, found.pixel, found.on, lost)
+        t_ns, settled_ns = time_of(frame, self._t_ns), self._settled_ns
+        if t_ns - self._t_ns > _LONGEST_NS:
+            raise ValueError(f"a step of {(t_ns - self._t_ns) * 1e-9:.3g} s: this method takes 8.6 s at most")
+        u, slope, found = self._log(frame.light), self._slopes(frame.rate), NO_CROSSINGS
+        if t_ns > self._t_ns:
+            pending, n, lost = self._move(u, slope, t_ns)
+            self.lost_in_pixel += lost
+            bits = max(1, (u.size - 1).bit_length())
+            keys = pending[0][:n].astype(np.uint64) << np.uint64(bits + 1) | pending[1][:n]
+            sorted_events = unpacked(keys, settled_ns, bits)
+            found = Crossings(sorted_events.t_ns, sorted_events.pixel, sorted_events.on, lost)
+        self._u, self._slope, self._t_ns = u, slope, t_ns
+        return found
+
+    @abstractmethod
+    def _start(self) -> None:
+        """Start at rest on the present light, at the present time."""
+
+    @abstractmethod
+    def _move(self, u: _Floats, slope: _Floats, t_ns: int) -> tuple[Pending, int, int]:
+        """Move to a time with that log light and slope; return the events, counted from `settled_ns`, and lost ones."""
 
     def _slopes(self, rate: _Float32s | None) -> _Floats:
         """Return the time derivative of log light, 1/s; NaN where unknown."""
@@ -475,3 +464,43 @@ class CircuitPixels(DrawnPixels):
         self._current[changed] = current + self.parameters.dark_current_relative
         u[changed] = np.log(self._current[changed])
         return u
+
+
+class CircuitPixels(LogLightPixels):
+    """An array of event pixels with the photoreceptor's circuit.
+
+    Parameters
+    ----------
+    parameters : SensorParameters
+        The sensor, with `photoreceptor = "circuit"`.
+    seed : int
+        Keys the pixels, which are those of a `PixelArray` with that seed.
+
+    Attributes
+    ----------
+    lost_in_pixel : int
+        Crossings beyond 64 of a pixel in a step.
+    """
+
+    capabilities: ClassVar = Capabilities(uses_rate=True, has_faults=True, has_circuit=True)
+
+    def __init__(self, parameters: SensorParameters, seed: int) -> None:
+        super().__init__(parameters, seed)
+        p, drawn = parameters, self.drawn
+        hz = p.corner_hz_at_reference, p.corner_max_hz, p.source_follower_hz
+        self._model: _Model = _Model(
+            drawn.on, drawn.off, drawn.leak, p.parasitic_hz_at_reference * drawn.on,
+            Circuit(*(2 * math.pi * one for one in hz)), p.refractory_us * 1e-6,
+        )  # fmt: skip
+
+    def _start(self) -> None:
+        u, m, self._settled_ns = self._u, self._model, self._t_ns
+        shortest = np.full(u.size, 1e-4)
+        self._state = _Array(np.zeros(u.size), u.copy(), u.copy(), u - m.on * self._phase, np.zeros(u.size), shortest)
+
+    def _move(self, u: _Floats, slope: _Floats, t_ns: int) -> tuple[Pending, int, int]:
+        h_ns, self._settled_ns = t_ns - self._t_ns, t_ns
+        lights, slopes = (self._u, u, self._current), (self._slope, slope)
+        pending, n, lost = _advance(lights, slopes, h_ns * 1e-9, self._model, self._state, new_pending())
+        np.minimum(pending[0], h_ns - 1, out=pending[0])
+        return pending, n, lost
