@@ -187,12 +187,12 @@ def _next_event(
     """Return the first place after `at` in the piece where a threshold is met, and 1 for ON; 2 if there is none."""
     on, off = thresholds
     left = 1 - at
+    if seen >= on or seen <= -off:
+        return at, 1 if seen >= on else 0
     if piece.variance == 0:
         if -off < end < on:
             return 2.0, 0
-        level = on if end >= on else -off
-        share = (level - seen) / (end - seen) if end != seen else 0.0
-        return at + left * min(max(share, 0.0), 1.0), 1 if end >= on else 0
+        return at + left * ((on if end >= on else -off) - seen) / (end - seen), 1 if end >= on else 0
     variance, bits = piece.variance * left, word(piece.base, piece.draw)
     rising, falling = 2 * (on - seen) * (on - end), 2 * (seen + off) * (end + off)
     if end >= on or (rising < _HOPELESS * variance and unit(high(bits)) < math.exp(-rising / variance)):
@@ -202,8 +202,6 @@ def _next_event(
     else:
         return 2.0, 0
     way, rest = abs(level - seen), max(abs(level - end), 1e-12)
-    if way == 0:
-        return at, up
     # An inverse Gaussian number of mean way / rest and shape way^2 / V (Michael, Schucany and Haas 1976).
     x = normal_from(word(piece.base, piece.draw + 1)) ** 2 * variance / (way * rest)
     root = 1 + (x + math.sqrt(x * (4 + x))) / 2
