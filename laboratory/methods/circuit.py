@@ -151,6 +151,7 @@ def rosenbrock(s: State, t: float, h: float, light: Light, c: Circuit) -> tuple[
     return after, error
 
 
+_BISECTIONS = 60
 _TOLERANCE = 2e-6  # ln units a substep
 _AT_REST = 1e-6  # ln units: less than the tolerance
 _MOST_EVENTS = 64
@@ -185,75 +186,68 @@ class _Array(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """The comparator's signal, leak included, in a substep: a cubic in the share of it; its start and length, s."""
+    """The comparator's signal, leak included, in a substep, as a cubic (see `cubic`); its start and length, s."""
 
-    s0: float
-    s1: float
-    a0: float
-    a1: float
+    g: tuple[float, float, float, float]
     t: float
     h: float
 
 
 @kernel
-def _signal(piece: _Piece, z: float) -> float:
-    d = piece.s1 - piece.s0
-    return piece.s0 + z * (piece.a0 + z * (3 * d - 2 * piece.a0 - piece.a1 + z * (piece.a0 + piece.a1 - 2 * d)))
+def cubic(g: tuple[float, float, float, float], z: float) -> float:
+    """Return the cubic of values g[0], g[1] and slopes g[2], g[3] (a step) at z in [0, 1]."""
+    g0, g1, m0, m1 = g
+    d = g1 - g0
+    return g0 + z * (m0 + z * (3 * d - 2 * m0 - m1 + z * (m0 + m1 - 2 * d)))
 
 
 @kernel
-def _extrema(piece: _Piece) -> tuple[float, float]:
-    """Return the shares at which the cubic turns, in order; 1 where it does not."""
-    d = piece.s1 - piece.s0
-    a, b, c = 3 * (piece.a0 + piece.a1 - 2 * d), 2 * (3 * d - 2 * piece.a0 - piece.a1), piece.a0
-    root = b * b - 4 * a * c
-    if root <= 0:
+def turns(g: tuple[float, float, float, float]) -> tuple[float, float]:
+    """Return the extrema of the cubic inside (0, 1), in rising order; 1 stands for none."""
+    g0, g1, m0, m1 = g
+    d = g1 - g0
+    a, b = 3 * (m0 + m1 - 2 * d), 2 * (3 * d - 2 * m0 - m1)
+    under = b * b - 4 * a * m0
+    if under <= 0:
         return 1.0, 1.0
-    q = -0.5 * (b + math.copysign(math.sqrt(root), b))
-    first = q / a if a != 0 else 1.0
-    second = c / q if q != 0 else 1.0
-    first, second = (first if 0 < first < 1 else 1.0), (second if 0 < second < 1 else 1.0)
-    return min(first, second), max(first, second)
+    half = -0.5 * (b + math.copysign(math.sqrt(under), b))
+    z1 = half / a if a != 0 else 1.0
+    z2 = m0 / half if half != 0 else 1.0
+    z1, z2 = (z1 if 0 < z1 < 1 else 1.0), (z2 if 0 < z2 < 1 else 1.0)
+    return min(z1, z2), max(z1, z2)
 
 
 @kernel
-def _meet(piece: _Piece, level: float, low: float, high: float) -> float:
-    """Return the share at which the signal, monotone from `low` to `high`, meets a level, by bisection."""
-    rising = _signal(piece, high) > _signal(piece, low)
-    for _ in range(45):
-        middle = 0.5 * (low + high)
-        if (_signal(piece, middle) < level) == rising:
-            low = middle
-        else:
-            high = middle
-    return high
-
-
-@kernel
-def _next(piece: _Piece, after: float, up: float, down: float) -> tuple[float, int]:
-    """Return the first share after `after` at which the signal meets a level, and 1 for `up`; 2 if there is none."""
-    turns = _extrema(piece)
-    low = after
-    for k in range(3):
-        high = turns[k] if k < 2 else 1.0
-        if high <= low:
+def first_crossing(g: tuple[float, float, float, float], start: float, low: float, high: float) -> float:
+    """Return the first point from `start` on at which the cubic reaches `high` or `low`; 2 if none in the step."""
+    turn_1, turn_2 = turns(g)
+    a = start
+    for end in (turn_1, turn_2, 1.0):
+        if end <= a:
             continue
-        end = _signal(piece, high)
-        if end >= up:
-            return _meet(piece, up, low, high), 1
-        if end <= down:
-            return _meet(piece, down, low, high), 0
-        low = high
-    return 2.0, 0
+        value = cubic(g, end)
+        if value >= high or value <= low:
+            up = value >= high
+            level = high if up else low
+            b = end
+            for _ in range(_BISECTIONS):
+                middle = 0.5 * (a + b)
+                if (cubic(g, middle) >= level) if up else (cubic(g, middle) <= level):
+                    b = middle
+                else:
+                    a = middle
+            return b
+        a = end
+    return 2.0
 
 
 @kernel
 def _pass_over(piece: _Piece, z: float, reference: float, thresholds: tuple[float, float]) -> tuple[float, int]:
     """Return the reference after all crossings of a substep from share z on, and their number."""
-    turns, lost = _extrema(piece), 0
-    for k in range(3):
-        high = turns[k] if k < 2 else 1.0
-        end = _signal(piece, high)
+    turn_1, turn_2 = turns(piece.g)
+    lost = 0
+    for high in (turn_1, turn_2, 1.0):
+        end = cubic(piece.g, high)
         threshold = thresholds[0] if end > reference else thresholds[1]
         if high > z and abs(end - reference) >= threshold:
             passed, rest = levels_passed(reference, end, threshold)
@@ -275,11 +269,12 @@ def _fire(
             z = (s.refractory_s[pixel] - piece.t) / piece.h
             if z > 1:
                 return pending, n, lost
-            s.reference[pixel] = _signal(piece, z)
+            s.reference[pixel] = cubic(piece.g, z)
         reference = s.reference[pixel]
-        z, on = _next(piece, z, reference + m.on[pixel], reference - m.off[pixel])
+        z = first_crossing(piece.g, z, reference - m.off[pixel], reference + m.on[pixel])
         if z > 1:
             return pending, n, lost
+        on = cubic(piece.g, z) > reference
         if n - begun < _MOST_EVENTS:
             pending = reserve(pending, n, 1)
             pending.t_ns[n] = np.int64((piece.t + z * piece.h) * 1e9)
@@ -332,7 +327,7 @@ def _advance_pixel(
         slope0, slope1 = (d0.w, d1.w) if c.c > 0 else (d0.y, d1.y)
         v0, v1 = (state.w, after.w) if c.c > 0 else (state.y, after.y)
         more = leaked + h * (l0 + l1) / 2
-        piece = _Piece(v0 + leaked, v1 + more, h * (slope0 + l0), h * (slope1 + l1), t, h)
+        piece = _Piece((v0 + leaked, v1 + more, h * (slope0 + l0), h * (slope1 + l1)), t, h)
         pending, n, gone = _fire(pixel, piece, m, s, pending, (begun, n))
         state, t, leaked, lost = after, t + h, more, lost + gone
     s.p[pixel], s.y[pixel], s.w[pixel] = state
