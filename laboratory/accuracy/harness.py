@@ -14,6 +14,9 @@ on a sensor of 346 x 260 pixels, whose light frame repeats the case's row: the m
 `CASES` are the scenes of the chart, each with its sensor and the steps of its sweep. They are those of the tables by
 which the method was chosen: threshold 0.2 with 3 % mismatch, leak 0.1 Hz with 30 % spread, contrast 10 : 1, corner
 frequency 300 Hz at light 1 and proportional to light between 1 and 3000 Hz, 60 pixels, 0.4 s.
+
+Cases with noise have equal pixels in the same light, which are samples of one distribution. Their truth is that of
+`laboratory.methods.grid`, and only evstim's own pixels have noise.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame, PixelLight
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.pixels.method import MakePixels
@@ -40,6 +44,7 @@ from laboratory.accuracy.scenes import (
     DriftingStar,
     Flash,
     Flicker,
+    LogSine,
     MovingEdge,
     ShadedEdge,
     SineGrating,
@@ -48,8 +53,9 @@ from laboratory.accuracy.scenes import (
     ThinLine,
     TurningBody,
 )
-from laboratory.accuracy.scores import Scores, Stream, compare
+from laboratory.accuracy.scores import Scores, Stream, compare, compare_samples
 from laboratory.accuracy.truth import true_events
+from laboratory.methods.grid import NoisyPixels
 from laboratory.methods.other_simulators import OTHER_SIMULATORS
 
 SEED = 3
@@ -101,7 +107,7 @@ class Case:
     start_ns : int
         Stream time of the start; the light counts time from the start.
     fine_s : float
-        Step of the truth, s; longer for slow scenes.
+        Step of the truth, s; longer for slow scenes. With noise: between two frames of the reference.
     """
 
     name: str
@@ -110,6 +116,10 @@ class Case:
     duration_s: float = 0.4
     start_ns: int = 0
     fine_s: float = 1e-5
+
+
+REFERENCE = Method("reference", NoisyPixels, rate=True)
+"""The reference of cases with noise."""
 
 
 def methods() -> list[Method]:
@@ -121,7 +131,9 @@ def methods() -> list[Method]:
 
 @lru_cache(maxsize=64)
 def truth(case: Case) -> Stream:
-    """Return the true events of a case, times counted from its start."""
+    """Return the true events of a case, times counted from its start; with noise a sample of them."""
+    if case.parameters.noise.rms:
+        return events(REFERENCE, case, case.fine_s)[0]
     return true_events(case.scene, case.parameters, SEED, case.duration_s, case.fine_s)
 
 
@@ -166,8 +178,9 @@ def pixel_light(case: Case) -> PixelLight:
 
 
 def score(method: Method, case: Case, step_s: float) -> Scores:
-    """Return the scores of a method on a case in steps of `step_s`."""
-    return compare(events(method, case, step_s)[0], truth(case))
+    """Return the scores of a method on a case in steps of `step_s`, as of samples where there is noise."""
+    compared = compare_samples if case.parameters.noise.rms else compare
+    return compared(events(method, case, step_s)[0], truth(case))
 
 
 def step_cost_us(method: Method, case: Case, step_s: float) -> float:
@@ -228,7 +241,28 @@ class Swept:
     description: str
     steps_ms: tuple[float, ...]
 
+    @property
+    def has_noise(self) -> bool:
+        """True: streams are samples of a distribution, and compared as such."""
+        return self.case.parameters.noise.rms > 0
 
+    def fitting(self, ways: Sequence[Method]) -> list[Method]:
+        """Return the methods that have the effects of the case."""
+        return [method for method in ways if method.make is PixelArray or not self.has_noise]
+
+
+_NOISY = dataclasses.replace(
+    PLAIN,
+    mismatch=0.0,
+    leak_hz=0.0,
+    corner_hz_at_reference=3000.0,
+    corner_max_hz=6000.0,
+    refractory_us=20.0,
+    noise=NoiseParameters(rms=0.045, corner_hz=1900.0),
+)
+_DIMMER = dataclasses.replace(_NOISY, corner_max_hz=600.0)  # the reference's steps follow from it
+
+_WIDE = (0.2, 1.0, 5.0, 10.0, 20.0, 80.0)
 _FAST = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 _SLOW = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 
@@ -254,6 +288,21 @@ CASES = (
     Swept(Case("kinked", ShadedEdge(), PLAIN, 0.35), "kinked edge of 0.6 px, shaded, 100 px/s", _FAST),
     Swept(Case("line", ThinLine(profile="blurred"), PLAIN, 0.35), "line of 1 px, 0.6 px blur, 100 px/s", _FAST),
     Swept(Case("body", TurningBody(), PLAIN, 0.6), "turning body, 6 : 1, 100 px/s", _FAST),
+    Swept(
+        Case("noise_still", LogSine(amplitude=0.0, level=0.1), _DIMMER, 4.0, fine_s=1e-3),
+        "noise, still light of 0.1: distributions",
+        _WIDE,
+    ),
+    Swept(
+        Case("noise_dim", LogSine(amplitude=0.5, level=0.1, spread=0.0), _DIMMER, 4.0, fine_s=1e-3),
+        "noise, 2 Hz sine about 0.1: distributions",
+        _WIDE,
+    ),
+    Swept(
+        Case("noise_bright", LogSine(amplitude=0.5, spread=0.0), _NOISY, 4.0, fine_s=1e-3),
+        "noise, 2 Hz sine about 1: distributions",
+        _WIDE,
+    ),
     Swept(Case("dark", Dark(), dataclasses.replace(PLAIN, leak_hz=2.0), 2.0), "dark: leak alone, 2 Hz", _SLOW),
 )
 """All scenes of the chart."""
@@ -261,6 +310,6 @@ CASES = (
 QUICK = tuple(
     Swept(swept.case, swept.description, (0.5, 2.0, 5.0))
     for swept in CASES
-    if swept.case.name in ("sine", "checkerboard", "disc")
+    if swept.case.name in ("sine", "checkerboard", "disc", "noise_dim")
 )
-"""Three scenes in three steps."""
+"""Four scenes in three steps."""

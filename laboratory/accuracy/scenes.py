@@ -12,6 +12,8 @@ A method under test does not get these times.
     DriftingStar          background + peak exp(-d^2 / 2 sigma^2), d the distance to a star on its way
     Flash                 dark until an instant of the pixel's own, then bright
     SlowRamp              level exp(k t), another k for each pixel
+    LogSine               level exp(a sin(2 pi f t + phase)): light of the scenes with noise; a = 0: still
+    LogEdge               log light on a logistic curve in time
     Dark                  no light at all
 
 Edges with a given profile, which a cubic in log light approximates badly: a profile is "blurred", a Gaussian edge, or
@@ -34,7 +36,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr
+from scipy.special import expit, ndtr
 
 Float64s = npt.NDArray[np.float64]
 
@@ -76,6 +78,53 @@ def _bell(x: Float64s) -> Float64s:
 def _column(t_s: npt.ArrayLike) -> Float64s:
     """Return times as a column, (m, 1), to meet the row of pixels."""
     return np.atleast_1d(np.asarray(t_s, np.float64))[:, None]
+
+
+@dataclass(frozen=True)
+class _LogLight(ClosedLight):
+    """Light whose logarithm is in closed form."""
+
+    @abstractmethod
+    def _log_and_rate(self, t_s: npt.ArrayLike) -> tuple[Float64s, Float64s]:
+        """Return ln of the light and its time derivative, (m, pixels), or shapes that broadcast to that."""
+
+    def value(self, t_s: npt.ArrayLike) -> Float64s:
+        """See `ClosedLight`."""
+        return np.exp(self._log_and_rate(t_s)[0]) * np.ones(self.pixels)
+
+    def rate(self, t_s: npt.ArrayLike) -> Float64s:
+        """See `ClosedLight`."""
+        log, slope = self._log_and_rate(t_s)
+        return np.exp(log) * slope * np.ones(self.pixels)
+
+
+@dataclass(frozen=True)
+class LogSine(_LogLight):
+    """A sine in log light about that of `level`, its phases spread over that share of a turn; 0: all pixels alike."""
+
+    amplitude: float = 0.5
+    hz: float = 2.0
+    level: float = 1.0
+    spread: float = 1.0
+
+    def _log_and_rate(self, t_s: npt.ArrayLike) -> tuple[Float64s, Float64s]:
+        omega = 2 * math.pi * self.hz
+        angle = omega * _column(t_s) + 2 * math.pi * self.spread * np.arange(self.pixels) / self.pixels
+        return math.log(self.level) + self.amplitude * np.sin(angle), self.amplitude * omega * np.cos(angle)
+
+
+@dataclass(frozen=True)
+class LogEdge(_LogLight):
+    """Log light that rises by `height` to that of `level` on a logistic curve of width `width_s` about `middle_s`."""
+
+    height: float = 1.0
+    width_s: float = 1e-3
+    middle_s: float = 0.02
+    level: float = 1.0
+
+    def _log_and_rate(self, t_s: npt.ArrayLike) -> tuple[Float64s, Float64s]:
+        share = expit((_column(t_s) - self.middle_s) / self.width_s)
+        return math.log(self.level) + self.height * (share - 1), self.height * share * (1 - share) / self.width_s
 
 
 @dataclass(frozen=True)
@@ -188,7 +237,7 @@ _WAVES = (
 
 
 @dataclass(frozen=True)
-class TexturedDisc(ClosedLight):
+class TexturedDisc(_LogLight):
     """A textured disc turning about its middle; pixels at radii up to `radius_px`, all round."""
 
     turn_rad_s: float = 1.0
@@ -205,15 +254,6 @@ class TexturedDisc(ClosedLight):
             log += amplitude * np.sin(argument)
             slope += amplitude * np.cos(argument) * k * radius * np.sin(angle - direction) * self.turn_rad_s
         return log, slope
-
-    def value(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        return np.asarray(np.exp(self._log_and_rate(t_s)[0]))
-
-    def rate(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        log, slope = self._log_and_rate(t_s)
-        return np.asarray(np.exp(log) * slope)
 
 
 @dataclass(frozen=True)
@@ -264,23 +304,16 @@ class Flash(ClosedLight):
 
 
 @dataclass(frozen=True)
-class SlowRamp(ClosedLight):
+class SlowRamp(_LogLight):
     """Light that grows by a constant factor a second, `slowest` to `fastest` ln units a second over the row."""
 
     slowest: float = 0.3
     fastest: float = 3.0
     level: float = 0.1
 
-    def _speed(self) -> Float64s:
-        return self.slowest + (self.fastest - self.slowest) * self._share()
-
-    def value(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        return np.asarray(self.level * np.exp(self._speed() * _column(t_s)))
-
-    def rate(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        return self._speed() * self.value(t_s)
+    def _log_and_rate(self, t_s: npt.ArrayLike) -> tuple[Float64s, Float64s]:
+        speed = self.slowest + (self.fastest - self.slowest) * self._share()
+        return math.log(self.level) + speed * _column(t_s), speed
 
 
 @dataclass(frozen=True)

@@ -87,13 +87,13 @@ class Point:
 
 def settings(cases: Sequence[Swept], methods: Sequence[Method]) -> int:
     """Return how many points a sweep has."""
-    return len(methods) * sum(len(swept.steps_ms) for swept in cases)
+    return sum(len(swept.fitting(methods)) * len(swept.steps_ms) for swept in cases)
 
 
 def sweep(cases: Sequence[Swept], methods: Sequence[Method]) -> Iterator[Point]:
     """Yield the points one by one."""
     for swept in cases:
-        for method in methods:
+        for method in swept.fitting(methods):
             for step_ms in swept.steps_ms:
                 scores = score(method, swept.case, step_ms * 1e-3)
                 cost_us = step_cost_us(method, swept.case, step_ms * 1e-3)
@@ -263,8 +263,8 @@ EFFECTS = (
     Effect("low-pass, following the light", ("corner_hz_at_reference", "corner_min_hz", "corner_max_hz")),
     Effect("second pole", instead=(("source_follower_hz", 300.0),)),
     Effect("refractory period", instead=(("refractory_us", 100.0),)),
-    Effect("noise as a point process", table="noise", instead=(("rms", 0.05), ("corner_hz", 300.0))),
-    Effect("noise on a grid", table="noise", instead=(("rms", 0.05), ("corner_hz", 300.0), ("grade", "grid"))),
+    Effect("noise", table="noise", instead=(("rms", 0.05), ("corner_hz", 300.0))),
+    Effect("noise, reference", table="noise", instead=(("rms", 0.05), ("corner_hz", 300.0), ("grade", "grid"))),
     Effect("event-time jitter", table="jitter", instead=(("latency_us", 100.0), ("deviation_us", 30.0))),
     Effect("hot pixels", table="defects", instead=(("hot_share", 0.05),)),
     Effect("dead pixels", table="defects", instead=(("dead_share", 0.05),)),

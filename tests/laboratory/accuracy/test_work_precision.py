@@ -148,7 +148,7 @@ def test_each_effect_alone_changes_what_it_should():
     assert rows["junction leak"].scores.wrong_events > 0
     assert rows["event-time jitter"].scores.t50_us == pytest.approx(100, abs=20)
     assert rows["dead pixels"].scores.count < 1
-    for noisy in ("noise as a point process", "hot pixels"):
+    for noisy in ("noise", "hot pixels"):
         assert rows[noisy].scores.count > 1
 
 
