@@ -153,8 +153,8 @@ def events(
     steps = round(case.duration_s * 1e9 / h_ns)
     t_s = np.arange(steps + 1) * (h_ns * 1e-9)
     at = pixel_light(case) if method.refines else None
-    light = case.scene.value(t_s).astype(np.float32)[:, None, :]
-    rate = case.scene.rate(t_s).astype(np.float32)[:, None, :] if method.rate else None
+    light, slope = (one.astype(np.float32)[:, None, :] for one in case.scene.light_and_rate(t_s))
+    rate = slope if method.rate else None
     light = light if seen is None else seen(light)
     found: list[Crossings] = []
     array.reset(LightFrame(case.start_ns, light[0], None if rate is None else rate[0]))
@@ -170,9 +170,9 @@ def pixel_light(case: Case) -> PixelLight:
     scene = case.scene
 
     def at(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:
-        t_s = np.array([(t_ns - case.start_ns) * 1e-9])
+        light, rate = scene.light_and_rate((t_ns - case.start_ns) * 1e-9)
         places = pixels % scene.pixels
-        return scene.value(t_s)[0, places].astype(np.float32), scene.rate(t_s)[0, places].astype(np.float32)
+        return light[0, places].astype(np.float32), rate[0, places].astype(np.float32)
 
     return at
 

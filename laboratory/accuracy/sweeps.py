@@ -45,7 +45,7 @@ from laboratory.accuracy.harness import (
     step_cost_us,
     truth,
 )
-from laboratory.accuracy.scenes import Float64s, ShadedEdge, ThinLine, TurningBody
+from laboratory.accuracy.scenes import ShadedEdge, ThinLine, TurningBody
 from laboratory.accuracy.scores import Scores, Stream, compare
 
 _LEAST_ORDER = 0.5  # below it, an error does not count as falling with the step
@@ -405,5 +405,5 @@ def control(case: Case, limits: Limits, *, with_rate: bool, refined: bool = Fals
 
 
 def _frame(case: Case, t_ns: int) -> tuple[np.ndarray, np.ndarray]:
-    t_s: Float64s = np.array([t_ns * 1e-9])
-    return case.scene.value(t_s).astype(np.float32), case.scene.rate(t_s).astype(np.float32)
+    light, rate = case.scene.light_and_rate(t_ns * 1e-9)
+    return light.astype(np.float32), rate.astype(np.float32)

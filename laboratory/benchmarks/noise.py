@@ -156,16 +156,17 @@ def sines(scale: float) -> Iterator[Line]:
 
 def still(scale: float) -> Iterator[Line]:
     """Measure still light in windows from the start on, in light of a tenth."""
-    pixels, edges_s = GROUPS * max(8, round(50 * scale)), (0.0, 0.1, 1.0, 4.0)
+    edges_s = 0.0, 0.1, 1.0, 4.0
     for poles in (1, 2):
         for ratio in (1.6, 2.0, 3.0, 4.0, 5.2, 7.2):
+            pixels = GROUPS * max(8, round((50 if ratio < 5 else 200) * scale))
             passed = 1900 / (1900 + 3000 * (0.1 + DARK)) if poles == 2 else 1.0
             noise = NoiseParameters(THETA / ratio / math.sqrt(passed), 1900.0 * (poles - 1))
             p = sensor(0.1, poles, "one_pole", pixels, noise=noise, refractory_us=20.0)
             signal = dataclasses.replace(p, random_start=False)
             starts: list[tuple[str, ClosedLight, SensorParameters, float]] = [
                 ("reset", LogSine(pixels, 0.0, level=0.1), p, 0.0),
-                ("signal", LogEdge(pixels, 3.35 * THETA, 2e-3, 0.02, 0.1), signal, 0.04),
+                ("signal", LogEdge(pixels, 3.75 * THETA, 2e-3, 0.02, 0.1), signal, 0.04),
             ]
             for name, scene, parameters, begin_s in starts:
                 case = Case("still", scene, parameters, begin_s + edges_s[-1])

@@ -117,7 +117,7 @@ def test_two_poles_have_the_rate_of_a_simulation_by_others(a, tau1_us, tau2_us, 
 
 @pytest.mark.parametrize(("tau1_us", "tau2_us"), [(53.0, 84.0), (84.0, 84.0), (1900.0, 84.0)])
 def test_two_poles_cross_a_level_at_rices_rate(tau1_us, tau2_us):
-    """First passages shortly after the start are crossings; less than 3 % are of pixels that began beyond and come back."""
+    """Shortly after the start first passages are crossings, of which those of pixels that began beyond are below 3 %."""
     p = dataclasses.replace(at_rest(1.5, tau1_us, tau2_us, 1e6), width=1000, height=1000, random_start=False)
     slope = 1e6 / (tau1_us * tau2_us) ** 0.5
     found, pixels = run(p, [round(0.1e9 / slope)], lambda t: still(p=p))
@@ -130,7 +130,9 @@ def test_two_poles_cross_a_level_at_rices_rate(tau1_us, tau2_us):
 
 def test_the_rms_behind_the_receptor_stays_when_the_light_changes():
     """So that behind the fixed pole it rises as the light falls, to its stationary value after some time constants."""
-    p = dataclasses.replace(at_rest(20.0, 53.0, 84.0, 0.0, 20_000), corner_min_hz=1.0, threshold_on=50, threshold_off=50)
+    p = dataclasses.replace(
+        at_rest(20.0, 53.0, 84.0, 0.0, 20_000), corner_min_hz=1.0, threshold_on=50, threshold_off=50
+    )
     pixels = NoisyPixels(p, 1)
     pixels.reset(LightFrame(0, still(1.0, p)))
     for t_ns, light in ((MS, 1.0), (5 * MS, 0.1), (8 * MS, 0.1)):
