@@ -117,7 +117,7 @@ def test_two_poles_have_the_rate_of_a_simulation_by_others(a, tau1_us, tau2_us, 
 
 @pytest.mark.parametrize(("tau1_us", "tau2_us"), [(53.0, 84.0), (84.0, 84.0), (1900.0, 84.0)])
 def test_two_poles_cross_a_level_at_rices_rate(tau1_us, tau2_us):
-    """Shortly after the start first passages are crossings, of which those of pixels that began beyond are below 3 %."""
+    """Shortly after the start, first passages are crossings; fewer than 3 % are of pixels that began beyond."""
     p = dataclasses.replace(at_rest(1.5, tau1_us, tau2_us, 1e6), width=1000, height=1000, random_start=False)
     slope = 1e6 / (tau1_us * tau2_us) ** 0.5
     found, pixels = run(p, [round(0.1e9 / slope)], lambda t: still(p=p))
