@@ -80,34 +80,19 @@ class _Model(NamedTuple):
 
 
 class _State(NamedTuple):
-    """State at the last grid time, (pixels,) each; `seen` is the comparator's input over the reference.
-
-    Log light, receptor, source follower, noise behind each pole over its rms, and `seen`; NaN: refractory.
-    """
+    """State at the last grid time, (pixels,) each: log light, signal and noise behind each pole, comparator."""
 
     u: _Floats
     v: _Floats  # with the large-signal photoreceptor e^-v, whose equation is linear
     w: _Floats
-    n1: _Floats
+    n1: _Floats  # over its rms
     n2: _Floats
-    seen: _Floats
+    seen: _Floats  # the input over the reference; NaN: refractory
     refractory_until_ns: npt.NDArray[np.int64]
 
 
-class _Span(NamedTuple):
-    """The grid times after `first` up to `last`, and the times of the frames before and after them."""
-
-    first: int
-    last: int
-    t0_ns: int
-    t1_ns: int
-
-
 class _Piece(NamedTuple):
-    """A piece of a pixel's comparator input: start (ns since the span's first grid time), length, change, variance.
-
-    `base` and `draw` are the stream of the pixel and its next number.
-    """
+    """A piece of a pixel's comparator input, and the pixel's stream of numbers with the next one's index."""
 
     pixel: int
     start_ns: int
@@ -217,12 +202,6 @@ def _within(at: float, to: float, seen: float, end: float, piece: _Piece) -> flo
     return float(seen + share * (end - seen) + deviation * normal_from(word(piece.base, piece.draw + 3)))
 
 
-@kernel
-def _later(piece: _Piece) -> _Piece:
-    """Return the same piece with fresh numbers."""
-    return _Piece(*piece[:6], piece.draw + 4)
-
-
 @kernel_that_allocates
 def _fire(piece: _Piece, m: _Model, s: _State, pending: Pending, n: int) -> tuple[Pending, int, int]:
     """Move a pixel's comparator over a piece; add its events to `pending`; return it, their number, the lost ones."""
@@ -234,7 +213,7 @@ def _fire(piece: _Piece, m: _Model, s: _State, pending: Pending, n: int) -> tupl
             return pending, n, 0
         seen, end = 0.0, piece.change - _within(0.0, at, 0.0, piece.change, piece)
     while True:
-        piece = _later(piece)
+        piece = _Piece(*piece[:6], piece.draw + 4)
         if events >= _MOST_EVENTS and refractory == 0 and (end >= m.on[pixel] or end <= -m.off[pixel]):
             level = m.on[pixel] if end > 0 else -m.off[pixel]
             events, seen, end = events + int(min(end / level, _MOST_COUNTED)), 0.0, end % level
@@ -285,31 +264,30 @@ def _is_far(seen: float, middle: float, end: float, variance: float, thresholds:
 
 @entry_of(*SOURCES, __name__, "laboratory.methods.circuit")
 def _advance(
-    lights: tuple[_Floats, _Floats],
-    slopes: tuple[_Floats, _Floats],
-    span: _Span,
+    light_of: tuple[tuple[_Floats, _Floats], tuple[_Floats, _Floats]],
+    grid_times: tuple[int, int],
+    frame_ns: tuple[int, int],
     m: _Model,
     s: _State,
     pending: Pending,
 ) -> tuple[Pending, int, int]:
-    """Move all pixels over the grid times of a span.
+    """Move all pixels over the grid times after the first of `grid_times` up to the last.
 
-    `lights` are log light of its two frames, `slopes` its derivatives, 1/s; NaN: unknown.
+    `light_of` are log light of two frames and its derivatives, 1/s; NaN: unknown.
     """
     n, lost, h, half_ns = 0, 0, m.delta_ns * 1e-9, m.delta_ns // 2
     for pixel in range(m.on.size):
-        light = log_light_between(
-            (lights[0][pixel], lights[1][pixel]), (slopes[0][pixel], slopes[1][pixel]), (span.t1_ns - span.t0_ns) * 1e-9
-        )
+        values, slopes = [(both[0][pixel], both[1][pixel]) for both in light_of]
+        light = log_light_between(values, slopes, (frame_ns[1] - frame_ns[0]) * 1e-9)
         voltage, bridge = stream(m.voltage_root, pixel), stream(m.bridge_root, pixel)
         thresholds, rms = (m.on[pixel], m.off[pixel]), m.rms[pixel]
         u0, v0, w0, n1, n2 = s.u[pixel], s.v[pixel], s.w[pixel], s.n1[pixel], s.n2[pixel]
         current0, bend, variance, known, noise = math.exp(u0), 0.0, 0.0, math.nan, _transition(1.0, 0.0, 1.0)
         rests, is_still = False, light.u0 == light.u1 and light.a0 == 0 and light.a1 == 0
-        for grid in range(span.first + 1, span.last + 1):
+        for grid in range(grid_times[0] + 1, grid_times[1] + 1):
             start_ns, change = (grid - 1) * m.delta_ns, 0.0
             if not rests:
-                u1 = log_light(light, (grid * m.delta_ns - span.t0_ns) * 1e-9)[0]
+                u1 = log_light(light, (grid * m.delta_ns - frame_ns[0]) * 1e-9)[0]
                 current1 = math.exp(u1)
                 v1, w1 = _signal((u0, u1), (current0, current1), v0, w0, m)
                 middle = math.floor((u0 + u1) * (_PER_E_FOLD / 2) + 0.5)
@@ -394,9 +372,8 @@ class NoisyPixels(LogLightPixels):
 
     def _move(self, u: _Floats, slope: _Floats, t_ns: int) -> tuple[Pending, int, int]:
         delta_ns, settled_ns = self._model.delta_ns, self._settled_ns
-        span = _Span(settled_ns // delta_ns, t_ns // delta_ns, self._t_ns, t_ns)
-        light = (self._u, u), (self._slope, slope)
-        pending, n, lost = _advance(*light, span, self._model, self._state, new_pending())
+        light_of, times = ((self._u, u), (self._slope, slope)), (settled_ns // delta_ns, t_ns // delta_ns)
+        pending, n, lost = _advance(light_of, times, (self._t_ns, t_ns), self._model, self._state, new_pending())
         pending[0][:n] -= settled_ns
-        self._settled_ns = max(span.last * delta_ns, settled_ns)
+        self._settled_ns = max(times[1] * delta_ns, settled_ns)
         return pending, n, lost
