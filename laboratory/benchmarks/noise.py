@@ -22,7 +22,7 @@ import dataclasses
 import itertools
 import json as to_json
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
@@ -32,8 +32,10 @@ from cyclopts import App
 from emulator.light import LightFrame
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.crossings import Crossings
+from emulator.sensor.pixels.method import MakePixels
 from emulator.sensor.presets import SensorParameters
-from laboratory.accuracy.harness import SEED, Case, Method, events
+from laboratory.accuracy.harness import Case, Method, events
 from laboratory.accuracy.scenes import ClosedLight, LogEdge, LogSine, SlowRamp
 from laboratory.accuracy.scores import Stream
 from laboratory.methods.grid import NoisyPixels, grid_ns
@@ -72,40 +74,40 @@ class Measured(NamedTuple):
 class Line(NamedTuple):
     """All quantities of one setting."""
 
-    check: str
     setting: str
     step_ms: float
     measured: list[Measured]
 
     def __str__(self) -> str:
-        return f"{self.check:6} {self.setting:44} {self.step_ms:6g} ms  {'  '.join(map(str, self.measured))}"
+        return f"{self.setting:45} {self.step_ms:6g} ms  {'  '.join(map(str, self.measured))}"
 
 
-def measured(name: str, of: Callable[[Stream], float], ours: Stream, true: Stream, target: float) -> Measured:
-    """Return a quantity of two streams of the same pixels."""
-    parts = [[of(one.where(one.pixel % GROUPS == k)) for one in (ours, true)] for k in range(GROUPS)]
-    differences = [a - b for a, b in parts]
-    whole = of(true)
-    error = np.std(differences) / math.sqrt(GROUPS - 1) / (np.mean([b for _, b in parts]) or math.nan)
-    return Measured(name, of(ours), whole, float(error), target)
+Quantity = tuple[str, Callable[[Stream], float], float]
+"""A name, the function of a stream, and the target."""
 
 
-def opposite(stream: Stream) -> float:
-    """Return the share of the events whose next one has the other polarity."""
-    return float(stream.words(2)[1:3].sum())
+def measured(quantities: Iterable[Quantity], ours: Stream, true: Stream) -> list[Measured]:
+    """Return quantities of two streams of the same pixels."""
+    out = []
+    for name, of, target in quantities:
+        parts = [[of(one.where(one.pixel % GROUPS == k)) for k in range(GROUPS)] for one in (ours, true)]
+        error = np.std(np.subtract(parts[0], parts[1])) / math.sqrt(GROUPS - 1) / (np.mean(parts[1]) or math.nan)
+        out.append(Measured(name, of(ours), of(true), float(error), target))
+    return out
 
 
-def quantile(level: float, stream: Stream) -> float:
-    """Return a quantile of the intervals, ms."""
-    intervals = stream.intervals_us()
-    return float(np.quantile(intervals, level)) * 1e-3 if intervals.size else math.nan
+def behaviour(seconds: float, target: float = 0.03) -> list[Quantity]:
+    """Return rate (Hz), share of events before one of the other polarity, and quantiles of the intervals (ms)."""
 
+    def quantile(level: float, stream: Stream) -> float:
+        intervals = stream.intervals_us()
+        return float(np.quantile(intervals, level)) * 1e-3 if intervals.size else math.nan
 
-def behaviour(ours: Stream, true: Stream, seconds: float, target: float = 0.03) -> list[Measured]:
-    """Return rate (Hz), order and intervals (ms)."""
-    out = [measured("Hz", lambda stream: len(stream) / stream.pixels / seconds, ours, true, target)]
-    out += [measured("opposite", opposite, ours, true, target)]
-    return out + [measured(f"{q:.0%}", partial(quantile, q), ours, true, target) for q in (0.05, 0.5, 0.95)]
+    return [
+        ("Hz", lambda stream: len(stream) / stream.pixels / seconds, target),
+        ("opposite", lambda stream: float(stream.words(2)[1:3].sum()), target),
+        *((f"{level:.0%}", partial(quantile, level), target) for level in (0.05, 0.5, 0.95)),
+    ]
 
 
 def sensor(light: float, poles: int, receptor: Receptor, pixels: int, **changes: Any) -> SensorParameters:
@@ -144,14 +146,14 @@ def sines(scale: float) -> Iterator[Line]:
     pixels = GROUPS * max(2, round(16 * scale))
     kinds: list[tuple[Receptor, int]] = [("one_pole", 1), ("one_pole", 2), ("large_signal", 1), ("large_signal", 2)]
     for receptor, poles in kinds:
-        for light, amplitude, hz in SINES:
+        for light, amplitude, hz in SINES if receptor == "one_pole" else SINES[3:]:  # the others do not tell them apart
             seconds = 2.0 * math.ceil(40 / (4 + 4 * amplitude * hz / THETA))
             p = sensor(light * math.exp(amplitude), poles, receptor, pixels)
             case = Case("sine", LogSine(pixels, amplitude, hz, light), p, seconds)
             true = of_reference(case)
             for step_ms in STEPS_MS:
                 setting = f"{receptor}, {poles} poles, light {light:g}, A {amplitude:g}, {hz:g} Hz"
-                yield Line("sines", setting, step_ms, behaviour(of_pixels(case, step_ms * 1e-3), true, seconds))
+                yield Line(setting, step_ms, measured(behaviour(seconds), of_pixels(case, step_ms * 1e-3), true))
 
 
 def still(scale: float) -> Iterator[Line]:
@@ -175,30 +177,32 @@ def still(scale: float) -> Iterator[Line]:
                     t0_us, t1_us = 1e6 * (begin_s + a), 1e6 * (begin_s + b)
                     window = [stream.where((stream.t_us >= t0_us) & (stream.t_us < t1_us)) for stream in streams]
                     setting = f"{name}, {poles} poles, threshold {ratio:g} sigma, {a:g} to {b:g} s"
-                    yield Line("still", setting, 10.0, behaviour(*window, b - a, 0.05 if ratio > 5 else 0.03))
+                    yield Line(setting, 10.0, measured(behaviour(b - a, 0.05 if ratio > 5 else 0.03), *window))
 
 
 def ramps(scale: float) -> Iterator[Line]:
     """Measure ramps of ten thresholds through light 1 and 0.1."""
-    moments = ("mean ms", lambda s: float(s.intervals_us().mean()) * 1e-3, 0.02), (
-        "spread ms", lambda s: float(s.intervals_us().std()) * 1e-3, 0.05)  # fmt: skip
+    moments: list[Quantity] = [
+        ("mean ms", lambda stream: float(stream.intervals_us().mean()) * 1e-3, 0.02),
+        ("spread ms", lambda stream: float(stream.intervals_us().std()) * 1e-3, 0.05),
+    ]
     for light, poles in ((1.0, 2), (1.0, 1), (0.1, 2), (0.1, 1)):
         for speed in (1.0, 10.0, 100.0, 1000.0):
             pixels, seconds = GROUPS * max(4, round((5 if speed == 1 else 50) * scale)), 10 / speed
             middle = math.exp(5 * THETA)
             scene = SlowRamp(pixels, speed * THETA, speed * THETA, light / middle)
             case = Case("ramp", scene, sensor(light * middle, poles, "one_pole", pixels), seconds)
-            ours, true = of_pixels(case, min(seconds, 1e-2)), of_reference(case)
-            line = [measured(name, of, ours, true, target) for name, of, target in moments]
-            yield Line(
-                "ramps", f"{speed:g} thresholds/s, {poles} poles, light {light:g}", 1e3 * min(seconds, 1e-2), line
-            )
+            step_s, setting = min(seconds, 1e-2), f"{speed:g} thresholds/s, {poles} poles, light {light:g}"
+            yield Line(setting, 1e3 * step_s, measured(moments, of_pixels(case, step_s), of_reference(case)))
 
 
 def edges(scale: float) -> Iterator[Line]:
     """Measure the first events at edges of 3.4 thresholds."""
     pixels = GROUPS * max(8, round(100 * scale))
-    moments = ("mean us", lambda s: float(s.t_us.mean()), 0.02), ("spread us", lambda s: float(s.t_us.std()), 0.05)
+    moments: list[Quantity] = [
+        ("mean us", lambda stream: float(stream.t_us.mean()), 0.02),
+        ("spread us", lambda stream: float(stream.t_us.std()), 0.05),
+    ]
     for poles in (1, 2):
         for width_s in (2e-6, 2e-5, 2e-4, 2e-3):
             p = sensor(1.0, poles, "one_pole", pixels, random_start=False)
@@ -206,8 +210,7 @@ def edges(scale: float) -> Iterator[Line]:
             true = first_events(of_reference(case, width_s / 4), 20e6 * width_s)
             for step_s in (width_s / 4, width_s):
                 ours = first_events(of_pixels(case, step_s), 20e6 * width_s)
-                line = [measured(name, of, ours, true, target) for name, of, target in moments]
-                yield Line("edges", f"{1e6 * width_s:g} us, {poles} poles", 1e3 * step_s, line)
+                yield Line(f"edge of {1e6 * width_s:g} us, {poles} poles", 1e3 * step_s, measured(moments, ours, true))
 
 
 def first_events(stream: Stream, middle_us: float) -> Stream:
@@ -218,51 +221,42 @@ def first_events(stream: Stream, middle_us: float) -> Stream:
     return Stream.of(chosen.t_us - 0.9 * middle_us, chosen.pixel, chosen.on, chosen.pixels)
 
 
+class Restarted(PixelArray):
+    """An array that is replaced by a new one with a copy of its state before each step."""
+
+    def step(self, frame: LightFrame) -> Crossings:
+        """See `PixelArray.step`."""
+        self.heir = PixelArray(self.parameters, self.seed, 1)
+        self.heir.state = copy.deepcopy(self.state)
+        found = self.heir.step(frame)
+        self.state = self.heir.state
+        return found
+
+
 def same(scale: float) -> Iterator[Line]:
     """Measure the share of events within 0, 1 and 100 us of those in steps of 1 ms on one thread.
 
     In other steps moving light, and float32, is not the same to the last bit.
     """
-    pixels, seconds = max(16, round(1024 * scale)), 1.6
+    pixels = max(16, round(1024 * scale))
     scenes: dict[str, ClosedLight] = {
         "still light": LogSine(pixels, 0.0, level=0.1),
         "ramp": SlowRamp(pixels, 0.2, 2.0, 0.1),
         "sine": LogSine(pixels, 0.5, 2.0, 0.1),
     }
-    for poles in (1, 2):
-        for name, scene in scenes.items():
-            case = Case("same", scene, sensor(3.0, poles, "one_pole", pixels), seconds)
-            unbroken = restarted(case, 1, 1e-3, False)
-            for words, other, step_ms in (
-                *(("step", restarted(case, 1, ms * 1e-3, False), ms) for ms in STEPS_MS),
-                ("two threads", restarted(case, 2, 1e-3, False), 1.0),
-                ("restarted", restarted(case, 1, 1e-3, True), 1.0),
-            ):
-                exact = name == "still light" or words != "step"
-                targets = ((0.0, 0.0 if exact else 1.0), (1.0, 0.03), (100.0, 0.01))
-                line = [Measured(f"{us:g} us", alike(other, unbroken, us), 1.0, 0.0, target) for us, target in targets]
-                yield Line("same", f"{name}, {poles} poles, {words}", step_ms, line)
-
-
-def restarted(case: Case, threads: int, step_s: float, restart: bool) -> Stream:
-    """Return the events of pixels; with `restart` another array continues from a copy of the state in each step."""
-
-    def make(p: SensorParameters, seed: int) -> PixelArray:
-        return Restarting(p, seed, threads) if restart else PixelArray(p, seed, threads)
-
-    return events(Method("array", make, rate=True, refines=True), case, step_s)[0]
-
-
-class Restarting(PixelArray):
-    """An array that is replaced by a new one with a copy of its state before each step."""
-
-    def step(self, frame: LightFrame) -> Any:
-        """See `PixelArray.step`."""
-        self._next = PixelArray(self.parameters, SEED, 1)
-        self._next.state = copy.deepcopy(self.state)
-        found = self._next.step(frame)
-        self.state = self._next.state
-        return found
+    ways: list[tuple[str, MakePixels, float]] = [
+        *(("steps", partial(PixelArray, threads=1), step_ms) for step_ms in STEPS_MS),
+        ("two threads", partial(PixelArray, threads=2), 1.0),
+        ("restarted", partial(Restarted, threads=1), 1.0),
+    ]
+    for poles, (name, scene) in itertools.product((1, 2), scenes.items()):
+        case, first = Case("same", scene, sensor(3.0, poles, "one_pole", pixels), 1.6), partial(PixelArray, threads=1)
+        true = events(Method("array", first, rate=True), case, 1e-3)[0]
+        for words, make, step_ms in ways:
+            stream = events(Method("array", make, rate=True, refines=step_ms > 1), case, step_ms * 1e-3)[0]
+            targets = ((0.0, 0.0 if name == "still light" or words != "steps" else 1.0), (1.0, 0.03), (100.0, 0.01))
+            shares = [Measured(f"{us:g} us", alike(stream, true, us), 1.0, 0.0, target) for us, target in targets]
+            yield Line(f"{name}, {poles} poles, {words}", step_ms, shares)
 
 
 def alike(stream: Stream, other: Stream, within_us: float) -> float:
@@ -282,13 +276,22 @@ app = App(name="noise")
 @app.default
 def main(*checks: Literal["sines", "still", "ramps", "edges", "same"], scale: float = 1.0, json: bool = False) -> None:
     """Run the checks, all unless some are named, with `scale` times as many pixels; print a line for each setting."""
-    lines = []
+    found: dict[str, list[Line]] = {}
     for check in checks or CHECKS:
+        found[check] = []
         for line in CHECKS[check](scale):
             print(line, flush=True)
-            lines.append({**line._asdict(), "measured": [one._asdict() for one in line.measured]})
+            found[check].append(line)
+        every = [one for line in found[check] for one in line.measured if math.isfinite(one.ratio)]
+        apart = np.abs([one.ratio - 1 for one in every])
+        print(
+            f"{check}: {len(every)} quantities, {sum(one.is_off for one in every)} off; ratios {np.median(apart):.2%}"
+            f" from 1 in the median, {np.quantile(apart, 0.95):.2%} in 95 %"
+        )
     if json:
-        print(to_json.dumps({"lines": lines}))
+        rows = {check: [{**line._asdict(), "measured": [m._asdict() for m in line.measured]} for line in found[check]]
+                for check in found}  # fmt: skip
+        print(to_json.dumps(rows))
 
 
 if __name__ == "__main__":
