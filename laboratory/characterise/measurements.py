@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.chip.defects import at_temperature
-from emulator.sensor.noise.law import bandwidth_hz, corner_hz, fixed_corner_hz, of_array, rms
+from emulator.sensor.noise.law import corner_hz, fixed_corner_hz, rms, still_hz
 from emulator.sensor.parameters import BackgroundParameters
 from emulator.sensor.presets import SensorParameters
 from laboratory.characterise.stimuli import (
@@ -175,7 +175,6 @@ _MOST_PIXELS = 0.9
 
 _NOISE_STEP_S = 0.1
 _SETTLED_S = 30.0
-_NODES = 9
 _FLICKER = math.log(10)
 _PARTS = 8  # of half a period
 _SETTLE_TAUS = 8
@@ -187,17 +186,16 @@ _FLASH = 3.0  # ln: over every threshold
 def noise_light(p: SensorParameters, series: str, noise_rms: float, light: float, for_s: float) -> list[Point]:
     """Return the event rates of a pixel from temporal noise alone, ON and OFF, in still light."""
     p = _with_noise(p, noise_rms)
-    model = sum(_law_hz(p, light))
+    model = sum(still_hz(p, float(corner_hz(at_temperature(p), light))))
     return [Point("noise_light", series, light, sum(_noise_hz(p, light, for_s)), model=model)]
 
 
 def noise_law(p: SensorParameters, series: str, a: float, light: float, for_s: float) -> list[Point]:
     """Return the ON rate over the noise's bandwidth where the threshold is `a` times the noise."""
-    quiet = float(rms(_with_noise(p, 1.0), corner_hz(at_temperature(p), light)))
-    p = _with_noise(p, (p.threshold_on + p.threshold_off) / 2 / (a * quiet))
-    bandwidth = float(bandwidth_hz(p, corner_hz(at_temperature(p), light)))
-    on_hz, _ = _noise_hz(p, light, for_s)
-    return [Point("noise_law", series, a, on_hz / bandwidth, model=_law_hz(p, light)[0] / bandwidth)]
+    hz = float(corner_hz(at_temperature(p), light))
+    p = _with_noise(p, (p.threshold_on + p.threshold_off) / 2 / (a * float(rms(_with_noise(p, 1.0), hz))))
+    each_s = 1 / hz + 1 / fixed_corner_hz(p)  # over the bandwidth
+    return [Point("noise_law", series, a, _noise_hz(p, light, for_s)[0] * each_s, model=still_hz(p, hz).on * each_s)]
 
 
 def _with_noise(p: SensorParameters, noise_rms: float) -> SensorParameters:
@@ -207,15 +205,6 @@ def _with_noise(p: SensorParameters, noise_rms: float) -> SensorParameters:
     """
     noise = dataclasses.replace(p.noise, rms=noise_rms, history_s=max(p.noise.history_s, _SETTLED_S))
     return dataclasses.replace(p, noise=noise, leak_hz=0.0, parasitic_hz_at_reference=0.0)
-
-
-def _law_hz(p: SensorParameters, light: float) -> tuple[float, float]:
-    """Return the ON and the OFF rate of the law, averaged over pixels whose mean thresholds spread normally."""
-    node, weight = np.polynomial.hermite_e.hermegauss(_NODES)
-    deviation = p.mismatch * math.hypot(p.threshold_on, p.threshold_off) / 2
-    thresholds = (p.threshold_on + p.threshold_off) / 2 + deviation * node
-    law = of_array(p, thresholds, corner_hz(at_temperature(p), light))
-    return tuple(float(np.sum(weight * rate) / np.sum(weight)) for rate in (law.on, law.off))  # type: ignore[return-value]
 
 
 def _noise_hz(p: SensorParameters, light: float, for_s: float) -> tuple[float, float]:
