@@ -132,19 +132,17 @@ class LogEdge(_LogLight):
 
 @dataclass(frozen=True)
 class SineGrating(ClosedLight):
-    """A sine in linear light, `hz` periods a second, passing the row. `modulation` < 1."""
+    """A sine in linear light, `modulation` < 1, its phases spread over that share of a turn."""
 
     hz: float = 20.0
     modulation: float = 0.7
     mean: float = 1.0
-
-    def _phase(self) -> Float64s:
-        return 2 * math.pi * np.arange(self.pixels) / self.pixels
+    spread: float = 1.0
 
     def light(self, t: Float64s) -> tuple[Float64s, Float64s]:
         """See `ClosedLight`."""
         omega, size = 2 * math.pi * self.hz, self.mean * self.modulation
-        angle = omega * t + self._phase()
+        angle = omega * t + 2 * math.pi * self.spread * np.arange(self.pixels) / self.pixels
         return self.mean + size * np.sin(angle), size * omega * np.cos(angle)
 
 
@@ -154,9 +152,7 @@ class Flicker(SineGrating):
 
     hz: float = 100.0
     modulation: float = 0.5
-
-    def _phase(self) -> Float64s:
-        return np.zeros(self.pixels)
+    spread: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ and with the coupling at which the circuit does not ring, not with their fitted 
 
 Arithmetic is float64. Between two frames log light is a cubic, or a straight line without derivatives. The circuit is
 solved pixel by pixel with steps of its own, each as long as an error of `_TOLERANCE` allows; between their ends the
-comparator's signal is the cubic through values and derivatives. A pixel at rest in light that does not change is not
-solved at all. One step is Shampine's Rosenbrock method of order 4 with an error estimate of order 3 (Hairer and Wanner,
+comparator's signal is the cubic through values and derivatives. A pixel at rest in light that does not change takes
+one step. One step is Shampine's Rosenbrock method of order 4 with an error estimate of order 3 (Hairer and Wanner,
 Solving ODEs II, IV.7), with the exact Jacobian: it stays stable however stiff the circuit is.
 """
 
@@ -338,40 +338,14 @@ def _advance_pixel(
     return pending, n, lost
 
 
-@kernel
-def _rests(pixel: int, light: Light, current: float, m: _Model, s: _Array) -> bool:
-    """Move a pixel at rest in still light whose leak does not fire it within the step; return whether it is one."""
-    if light.u0 != light.u1 or light.a0 != 0 or light.a1 != 0 or s.refractory_s[pixel] > 0:
-        return False
-    p, y, w = s.p[pixel], s.y[pixel], s.w[pixel]
-    if max(abs(p), abs(y - light.u0), abs(w - light.u0)) > _AT_REST:
-        return False
-    reference = s.reference[pixel] - (m.leak[pixel] + m.parasitic[pixel] * current) * light.h
-    if w - reference >= m.on[pixel] or w - s.reference[pixel] <= -m.off[pixel]:
-        return False
-    s.reference[pixel] = reference
-    return True
-
-
 @entry_of(*SOURCES, __name__)
 def _advance(
-    u: tuple[_Floats, _Floats, _Floats],
-    slopes: tuple[_Floats, _Floats],
-    h_s: float,
-    m: _Model,
-    s: _Array,
-    pending: Pending,
+    u: tuple[_Floats, _Floats], slopes: tuple[_Floats, _Floats], h_s: float, m: _Model, s: _Array, pending: Pending
 ) -> tuple[Pending, int, int]:
-    """Move all pixels over a step.
-
-    `u` is log light of both frames and the later photocurrent, `slopes` its derivatives, 1/s; NaN: unknown.
-    """
+    """Move all pixels over a step; `u` is log light of both frames, `slopes` its derivatives, 1/s; NaN: unknown."""
     n = lost = 0
     for pixel in range(m.on.size):
-        slopes_here = slopes[0][pixel], slopes[1][pixel]
-        light = log_light_between((u[0][pixel], u[1][pixel]), slopes_here, h_s)
-        if _rests(pixel, light, u[2][pixel], m, s):
-            continue
+        light = log_light_between((u[0][pixel], u[1][pixel]), (slopes[0][pixel], slopes[1][pixel]), h_s)
         pending, n, gone = _advance_pixel(pixel, light, m, s, pending, n)
         lost += gone
     return pending, n, lost
@@ -391,10 +365,8 @@ class LogLightPixels(DrawnPixels):
         self.drawn = draw(parameters, seed)
         self._phase, pixels, dark = self.drawn.phase, self.drawn.on.size, parameters.dark_current_relative
         self._settled_ns = self._t_ns = 0
-        self._u = np.full(pixels, math.log(dark))
-        self._current = np.full(pixels, dark)
-        self._light = np.zeros(pixels, np.float32)
-        self._slope = np.full(pixels, np.nan)
+        self._current, self._lit = np.full(pixels, dark), np.zeros(pixels, np.bool_)
+        self._u, self._slope = np.log(self._current), np.full(pixels, np.nan)
 
     @property
     def settled_ns(self) -> int:
@@ -439,26 +411,21 @@ class LogLightPixels(DrawnPixels):
         """Move to a time with that log light and slope; return the events, counted from `settled_ns`, and lost ones."""
 
     def _slopes(self, rate: _Float32s | None) -> _Floats:
-        """Return the time derivative of log light, 1/s; NaN where unknown."""
+        """Return the time derivative of the present log light, 1/s; NaN where unknown."""
         if rate is None:
             return np.full(self._u.size, np.nan)
-        slope = np.where(self._light > 0, self._flat(rate), 0) / self._current
+        slope = np.where(self._lit, self._flat(rate), 0) / self._current
         return np.where(np.isfinite(slope), slope, np.nan)
 
     def _log(self, light: _Float32s) -> _Floats:
         """Return the log of the photocurrent, (pixels,); the last finite one where the light is not finite."""
         flat = self._flat(light)
-        changed = np.flatnonzero(flat != self._light)
-        new = flat[changed]
-        readable = np.isfinite(new)
+        readable = np.isfinite(flat)
         self.quiet_nan += int((~readable).sum())
-        changed, new = changed[readable], new[readable]
-        u = self._u.copy()
-        self._light[changed] = new
-        current = np.clip(new, 0, _BRIGHTEST).astype(np.float64)
-        self._current[changed] = current + self.parameters.dark_current_relative
-        u[changed] = np.log(self._current[changed])
-        return u
+        current = np.clip(flat, 0, _BRIGHTEST).astype(np.float64) + self.parameters.dark_current_relative
+        self._current = np.where(readable, current, self._current)
+        self._lit = np.where(readable, flat > 0, self._lit)
+        return np.asarray(np.log(self._current))
 
 
 class CircuitPixels(LogLightPixels):
@@ -495,7 +462,7 @@ class CircuitPixels(LogLightPixels):
 
     def _move(self, u: _Floats, slope: _Floats, t_ns: int) -> tuple[Pending, int, int]:
         h_ns, self._settled_ns = t_ns - self._t_ns, t_ns
-        lights, slopes = (self._u, u, self._current), (self._slope, slope)
-        pending, n, lost = _advance(lights, slopes, h_ns * 1e-9, self._model, self._state, new_pending())
+        light_of = (self._u, u), (self._slope, slope)
+        pending, n, lost = _advance(*light_of, h_ns * 1e-9, self._model, self._state, new_pending())
         np.minimum(pending[0], h_ns - 1, out=pending[0])
         return pending, n, lost
