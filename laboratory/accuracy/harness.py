@@ -27,6 +27,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -190,31 +191,21 @@ def step_cost_us(method: Method, case: Case, step_s: float) -> float:
     steps = min(_COST_WARM_UP + _COST_STEPS, max(3, round(case.duration_s * 1e9) // h_ns))
     first = max(0, round(case.duration_s * 1e9) // h_ns - steps) // 2
     t_s = (first + np.arange(steps + 1)) * (h_ns * 1e-9)
-    light = [_tiled(row, width, height) for row in case.scene.value(t_s)]
-    rate = [_tiled(row, width, height) for row in case.scene.rate(t_s)] if method.rate else [None] * len(light)
+    light, slopes = ([np.resize(row.astype(np.float32), (height, width)) for row in one]
+                     for one in case.scene.light_and_rate(t_s))  # fmt: skip
+    rate = slopes if method.rate else [None] * len(light)
     array = method.make(dataclasses.replace(case.parameters, width=width, height=height), SEED)
     at = pixel_light(dataclasses.replace(case, start_ns=0)) if method.refines else None
     array.reset(LightFrame(0, light[0], rate[0]))
     frames = [LightFrame(k * h_ns, light[k], rate[k], at) for k in range(1, steps + 1)]
-    return median_step_us(array.step, frames, _COST_WARM_UP, _COST_BUDGET_S)
-
-
-def median_step_us(
-    step: Callable[[LightFrame], object], frames: Sequence[LightFrame], warm_up: int, budget_s: float
-) -> float:
-    """Return the median time of a step, us, but for the first `warm_up`; no more are timed once all took `budget_s`."""
     taken_s: list[float] = []
     for frame in frames:
         begun_s = time.perf_counter()
-        step(frame)
+        array.step(frame)
         taken_s.append(time.perf_counter() - begun_s)
-        if len(taken_s) > warm_up and sum(taken_s) > budget_s:
+        if len(taken_s) > _COST_WARM_UP and sum(taken_s) > _COST_BUDGET_S:
             break
-    return statistics.median(taken_s[min(warm_up, len(taken_s) - 1) :]) * 1e6
-
-
-def _tiled(row: npt.NDArray[np.float64], width: int, height: int) -> _Float32s:
-    return np.resize(row.astype(np.float32), (height, width))
+    return statistics.median(taken_s[min(_COST_WARM_UP, len(taken_s) - 1) :]) * 1e6
 
 
 PLAIN = SensorParameters(
@@ -252,17 +243,18 @@ class Swept:
 
 
 _NOISY = dataclasses.replace(
-    PLAIN,
-    mismatch=0.0,
-    leak_hz=0.0,
-    corner_hz_at_reference=3000.0,
-    corner_max_hz=6000.0,
-    refractory_us=20.0,
+    PLAIN, mismatch=0.0, leak_hz=0.0, corner_hz_at_reference=3000.0, refractory_us=20.0,
     noise=NoiseParameters(rms=0.045, corner_hz=1900.0),
-)
-_DIMMER = dataclasses.replace(_NOISY, corner_max_hz=600.0)  # the reference's steps follow from it
+)  # fmt: skip
 
-_WIDE = (0.2, 1.0, 5.0, 10.0, 20.0, 80.0)
+
+def _noisy(name: str, scene: LogSine, description: str, **changes: Any) -> Swept:
+    """Return a case with noise, its highest corner frequency that of the light, which the reference's steps follow."""
+    p = dataclasses.replace(_NOISY, corner_max_hz=5000.0 * scene.level, **changes)
+    case = Case(name, dataclasses.replace(scene, spread=0.0), p, 4.0, fine_s=1e-3)
+    return Swept(case, f"noise, {description}: distributions", (0.2, 1.0, 5.0, 10.0, 20.0, 80.0))
+
+
 _FAST = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 _SLOW = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 
@@ -288,21 +280,9 @@ CASES = (
     Swept(Case("kinked", ShadedEdge(), PLAIN, 0.35), "kinked edge of 0.6 px, shaded, 100 px/s", _FAST),
     Swept(Case("line", ThinLine(profile="blurred"), PLAIN, 0.35), "line of 1 px, 0.6 px blur, 100 px/s", _FAST),
     Swept(Case("body", TurningBody(), PLAIN, 0.6), "turning body, 6 : 1, 100 px/s", _FAST),
-    Swept(
-        Case("noise_still", LogSine(amplitude=0.0, level=0.1), _DIMMER, 4.0, fine_s=1e-3),
-        "noise, still light of 0.1: distributions",
-        _WIDE,
-    ),
-    Swept(
-        Case("noise_dim", LogSine(amplitude=0.5, level=0.1, spread=0.0), _DIMMER, 4.0, fine_s=1e-3),
-        "noise, 2 Hz sine about 0.1: distributions",
-        _WIDE,
-    ),
-    Swept(
-        Case("noise_bright", LogSine(amplitude=0.5, spread=0.0), _NOISY, 4.0, fine_s=1e-3),
-        "noise, 2 Hz sine about 1: distributions",
-        _WIDE,
-    ),
+    _noisy("noise_still", LogSine(amplitude=0.0, level=0.1), "still light of 0.1", noise=NoiseParameters(0.07, 1900.0)),
+    _noisy("noise_dim", LogSine(level=0.1), "2 Hz sine about 0.1"),
+    _noisy("noise_bright", LogSine(), "2 Hz sine about 1"),
     Swept(Case("dark", Dark(), dataclasses.replace(PLAIN, leak_hz=2.0), 2.0), "dark: leak alone, 2 Hz", _SLOW),
 )
 """All scenes of the chart."""

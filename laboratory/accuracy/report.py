@@ -104,12 +104,8 @@ def _panel(axes: Any, points: Sequence[Point], against: str, value: Callable[[Po
         row = [p for p in points if p.method == name]
         x, y, style = [getattr(p, against) for p in row], [value(p) for p in row], _style(name)
         axes.plot(x, y, **style, markerfacecolor="none", alpha=0.9)
-        good = [p.scores.right >= 0.9 for p in row]
-        axes.plot(
-            [a for a, g in zip(x, good, strict=True) if g],
-            [b for b, g in zip(y, good, strict=True) if g],
-            linestyle="none", color=style["color"], marker=style["marker"], markersize=5,
-        )  # fmt: skip
+        good = [value(p) if p.scores.right >= 0.9 else math.nan for p in row]
+        axes.plot(x, good, linestyle="none", color=style["color"], marker=style["marker"], markersize=5)
     axes.set_xscale("log")
     axes.set_yscale("log")
     ticks = importlib.import_module("matplotlib.ticker")
@@ -374,7 +370,7 @@ _MAP_COLUMNS = 3
 
 def write_against_line(cells: Sequence[Difference], out: Path) -> list[Path]:
     """Write the map into folder `out`; return the files, the page first."""
-    rows = [cell.row() for cell in cells]
+    rows = [dataclasses.asdict(cell) for cell in cells]
     drawn = _draw(cells, out / "against_line")
     page = Page("hermite against line").findings(reading_against_line(cells)).drawn(drawn).records(rows)
     return [page.write(out / "against_line.html"), write_csv(rows, out / "against_line.csv"), *drawn]

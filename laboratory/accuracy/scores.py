@@ -283,8 +283,7 @@ def compare(stream: Stream, truth: Stream, tau_us: float = 1000.0) -> Scores:
     ValueError
         They have different numbers of pixels, or `tau_us` is not positive.
     """
-    if stream.pixels != truth.pixels:
-        raise ValueError(f"{stream.pixels} pixels against {truth.pixels}: streams must be of the same pixels")
+    _check_pixels(stream, truth)
     if not tau_us > 0:
         raise ValueError(f"tau_us = {tau_us}: must be above 0")
     ours, known = (PixelEvents(s.t_us, s.on, s.first) for s in (stream, truth))
@@ -310,19 +309,17 @@ def compare(stream: Stream, truth: Stream, tau_us: float = 1000.0) -> Scores:
     )
 
 
+def _check_pixels(stream: Stream, truth: Stream) -> None:
+    if stream.pixels != truth.pixels:
+        raise ValueError(f"{stream.pixels} pixels against {truth.pixels}: streams must be of the same pixels")
+
+
 _LEVELS = np.linspace(0.005, 0.995, 199)
 
 
 def compare_samples(stream: Stream, truth: Stream) -> Scores:
-    """Compare a stream with another sample of the true distribution of streams; see the module docstring.
-
-    Raises
-    ------
-    ValueError
-        They have different numbers of pixels.
-    """
-    if stream.pixels != truth.pixels:
-        raise ValueError(f"{stream.pixels} pixels against {truth.pixels}: streams must be of the same pixels")
+    """Compare a stream with another sample of the true distribution; raises ValueError as `compare` does."""
+    _check_pixels(stream, truth)
     samples, n = [one.intervals_us() for one in (stream, truth)], len(truth)
     moved = np.full(1, np.nan)
     if samples[0].size and samples[1].size:

@@ -27,6 +27,7 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -226,33 +227,23 @@ def _with_rms(noise_rms: float) -> SensorParameters:
 
 @dataclass(frozen=True)
 class NoiseLoad:
-    """Time that noise of about `events_hz` events a pixel and second adds to a step of pixels, or of a whole sensor."""
+    """What noise of about `events_hz` events a pixel and second adds to a step, microseconds, or by what factor.
 
-    events_hz: float
-    with_readout: bool = False
-
-    def __call__(self) -> float:
-        """Return the additional time, microseconds."""
-        noisy_s, quiet_s = _medians(Sensor if self.with_readout else PixelArray, self.events_hz)
-        return (noisy_s - quiet_s) * 1e6
-
-
-@dataclass(frozen=True)
-class NoiseShare:
-    """Time of a step of a whole sensor with noise of `events_hz` events a pixel and second, over that without.
-
-    The light of all pixels changes in each step, so that no pixel is skipped, and nothing fires but noise and leak.
+    "pixels": to that of the array; "sensor": with the read-out; "factor": of the sensor, where light changes in all
+    pixels by so little that nothing fires but noise and leak.
     """
 
     events_hz: float
+    of: Literal["pixels", "sensor", "factor"] = "pixels"
 
     def __call__(self) -> float:
-        """Return the ratio."""
-        noisy_s, quiet_s = _medians(Sensor, self.events_hz, flicker=1e-4)
-        return noisy_s / quiet_s
+        """Return it."""
+        make = PixelArray if self.of == "pixels" else Sensor
+        noisy_s, quiet_s = _medians(make, self.events_hz, 1e-4 if self.of == "factor" else 0.0)
+        return noisy_s / quiet_s if self.of == "factor" else (noisy_s - quiet_s) * 1e6
 
 
-def _medians(make: type[Sensor | PixelArray], events_hz: float, flicker: float = 0.0) -> tuple[float, float]:
+def _medians(make: type[Sensor | PixelArray], events_hz: float, flicker: float) -> tuple[float, float]:
     """Return the seconds of a step with noise and without, in light that all pixels see change by that share."""
     p, t_ns, means = noisy_sensor(events_hz), 0, []
     light = np.full((p.height, p.width), _LIGHT, np.float32)

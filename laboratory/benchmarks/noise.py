@@ -8,11 +8,10 @@
     edges     mean and spread of the first event's time at edges of 2 us to 2 ms
     same      share of the events that are the same in other steps, with two threads, and after a restart
 
-All checks take half an hour on one core, and `--scale 0.1` a tenth of the pixels. Both sides have the same thresholds,
-the same start and the same light: the pixels get frames with the time derivative, and light of single pixels between
-them, and the reference gets frames every millisecond or less. A line has for each quantity that of the pixels, that of
-the reference, and their ratio with its standard error, from eight groups of pixels; a star marks a ratio that is off
-the target by more than two standard errors.
+All checks take half an hour on one core, and `--scale 0.1` a tenth of the pixels. Both sides have the same thresholds
+and the same light: the pixels get frames with the time derivative, and light of single pixels between them; the
+reference gets frames every millisecond or less. A line has each quantity of the pixels, that of the reference, and the
+ratio with its standard error, from eight groups of pixels; a star marks one off its target by more than two of these.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ import json as to_json
 import math
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 from cyclopts import App
@@ -111,16 +110,13 @@ def behaviour(seconds: float, target: float = 0.03) -> list[Quantity]:
 
 
 def sensor(light: float, poles: int, receptor: Receptor, pixels: int, **changes: Any) -> SensorParameters:
-    """Return a sensor like an imx636, its highest corner frequency that of `light`: the reference's steps follow it."""
-    hz, fixed_hz = 3000.0 * (light + DARK), 1900.0 * (poles - 1)
-    return dataclasses.replace(
-        SensorParameters(
-            width=pixels, height=1, threshold_on=THETA, threshold_off=THETA, dark_current_relative=DARK, leak_hz=0.0,
-            corner_max_hz=hz, source_follower_hz=4350.0 * (poles - 1), refractory_us=20.0, photoreceptor=receptor,
-            noise=NoiseParameters(RMS, fixed_hz),
-        ),
-        **changes,
+    """Return a sensor like an imx636, its highest corner frequency that of `light`, which the grid's step follows."""
+    p = SensorParameters(
+        width=pixels, height=1, threshold_on=THETA, threshold_off=THETA, dark_current_relative=DARK, leak_hz=0.0,
+        corner_max_hz=3000.0 * (light + DARK), source_follower_hz=4350.0 * (poles - 1), refractory_us=20.0,
+        photoreceptor=receptor, noise=NoiseParameters(RMS, 1900.0 * (poles - 1)),
     )  # fmt: skip
+    return dataclasses.replace(p, **changes)
 
 
 def of_pixels(case: Case, step_s: float) -> Stream:
@@ -144,8 +140,7 @@ SINES = [
 def sines(scale: float) -> Iterator[Line]:
     """Measure sines of all receptors and poles at all steps, with some 10 000 events each or more."""
     pixels = GROUPS * max(2, round(16 * scale))
-    kinds: list[tuple[Receptor, int]] = [("one_pole", 1), ("one_pole", 2), ("large_signal", 1), ("large_signal", 2)]
-    for receptor, poles in kinds:
+    for receptor, poles in itertools.product(get_args(Receptor), (1, 2)):
         for light, amplitude, hz in SINES if receptor == "one_pole" else SINES[3:]:  # the others do not tell them apart
             seconds = 2.0 * math.ceil(40 / (4 + 4 * amplitude * hz / THETA))
             p = sensor(light * math.exp(amplitude), poles, receptor, pixels)
@@ -164,18 +159,14 @@ def still(scale: float) -> Iterator[Line]:
             pixels = GROUPS * max(8, round((50 if ratio < 5 else 200) * scale))
             passed = 1900 / (1900 + 3000 * (0.1 + DARK)) if poles == 2 else 1.0
             noise = NoiseParameters(THETA / ratio / math.sqrt(passed), 1900.0 * (poles - 1))
-            p = sensor(0.1, poles, "one_pole", pixels, noise=noise, refractory_us=20.0)
-            signal = dataclasses.replace(p, random_start=False)
-            starts: list[tuple[str, ClosedLight, SensorParameters, float]] = [
-                ("reset", LogSine(pixels, 0.0, level=0.1), p, 0.0),
-                ("signal", LogEdge(pixels, 3.75 * THETA, 2e-3, 0.02, 0.1), signal, 0.04),
-            ]
-            for name, scene, parameters, begin_s in starts:
-                case = Case("still", scene, parameters, begin_s + edges_s[-1])
+            for name, begin_s in (("reset", 0.0), ("signal", 0.04)):
+                edge = LogEdge(pixels, 3.75 * THETA, 2e-3, 0.02, 0.1)
+                scene = edge if name == "signal" else LogSine(pixels, 0.0, level=0.1)
+                p = sensor(0.1, poles, "one_pole", pixels, noise=noise, random_start=name == "reset")
+                case = Case("still", scene, p, begin_s + edges_s[-1])
                 streams = of_pixels(case, 1e-2), of_reference(case)
                 for a, b in itertools.pairwise(edges_s):
-                    t0_us, t1_us = 1e6 * (begin_s + a), 1e6 * (begin_s + b)
-                    window = [stream.where((stream.t_us >= t0_us) & (stream.t_us < t1_us)) for stream in streams]
+                    window = [one.where(np.floor_divide(one.t_us * 1e-6 - begin_s - a, b - a) == 0) for one in streams]
                     setting = f"{name}, {poles} poles, threshold {ratio:g} sigma, {a:g} to {b:g} s"
                     yield Line(setting, 10.0, measured(behaviour(b - a, 0.05 if ratio > 5 else 0.03), *window))
 
@@ -246,8 +237,7 @@ def same(scale: float) -> Iterator[Line]:
     }
     ways: list[tuple[str, MakePixels, float]] = [
         *(("steps", partial(PixelArray, threads=1), step_ms) for step_ms in STEPS_MS),
-        ("two threads", partial(PixelArray, threads=2), 1.0),
-        ("restarted", partial(Restarted, threads=1), 1.0),
+        *(("two threads", partial(PixelArray, threads=2), 1.0), ("restarted", partial(Restarted, threads=1), 1.0)),
     ]
     for poles, (name, scene) in itertools.product((1, 2), scenes.items()):
         case, first = Case("same", scene, sensor(3.0, poles, "one_pole", pixels), 1.6), partial(PixelArray, threads=1)
@@ -267,9 +257,7 @@ def alike(stream: Stream, other: Stream, within_us: float) -> float:
     return float((np.minimum(after - keys, keys - before) <= within_us).mean())
 
 
-CHECKS: dict[str, Callable[[float], Iterator[Line]]] = {
-    "sines": sines, "still": still, "ramps": ramps, "edges": edges, "same": same,
-}  # fmt: skip
+CHECKS = {check.__name__: check for check in (sines, still, ramps, edges, same)}
 app = App(name="noise")
 
 
@@ -283,15 +271,12 @@ def main(*checks: Literal["sines", "still", "ramps", "edges", "same"], scale: fl
             print(line, flush=True)
             found[check].append(line)
         every = [one for line in found[check] for one in line.measured if math.isfinite(one.ratio)]
-        apart = np.abs([one.ratio - 1 for one in every])
-        print(
-            f"{check}: {len(every)} quantities, {sum(one.is_off for one in every)} off; ratios {np.median(apart):.2%}"
-            f" from 1 in the median, {np.quantile(apart, 0.95):.2%} in 95 %"
-        )
+        quantiles = np.quantile([abs(one.ratio - 1) for one in every], (0.5, 0.95))
+        print(f"{check}: {sum(one.is_off for one in every)} of {len(every)} ratios are off; half of them are within"
+              f" {quantiles[0]:.2%} of 1, 95 % within {quantiles[1]:.2%}")  # fmt: skip
     if json:
-        rows = {check: [{**line._asdict(), "measured": [m._asdict() for m in line.measured]} for line in found[check]]
-                for check in found}  # fmt: skip
-        print(to_json.dumps(rows))
+        print(to_json.dumps({check: [[*line[:2], [one._asdict() for one in line.measured]] for line in lines]
+                             for check, lines in found.items()}))  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ Solving ODEs II, IV.7), with the exact Jacobian: it stays stable however stiff t
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from abc import abstractmethod
 from typing import ClassVar, NamedTuple
@@ -397,8 +398,7 @@ class LogLightPixels(DrawnPixels):
             self.lost_in_pixel += lost
             bits = max(1, (u.size - 1).bit_length())
             keys = pending[0][:n].astype(np.uint64) << np.uint64(bits + 1) | pending[1][:n]
-            sorted_events = unpacked(keys, settled_ns, bits)
-            found = Crossings(sorted_events.t_ns, sorted_events.pixel, sorted_events.on, lost)
+            found = dataclasses.replace(unpacked(keys, settled_ns, bits), lost_in_pixel=lost)
         self._u, self._slope, self._t_ns = u, slope, t_ns
         return found
 

@@ -1,17 +1,15 @@
 """Pixels whose noise voltage is simulated on a fine grid of times: the independent reference of noise.
 
-Its cost allows some thousand pixels, and it shares no code with the noise of `emulator.sensor`. Arithmetic is float64.
-The shot noise of the photoreceptor is white; the receptor's pole a1, which follows the light, and a fixed pole a2
-behind it filter it:
+It shares no code with the noise of `emulator.sensor`; its cost allows some thousand pixels. Arithmetic is float64. The
+shot noise of the photoreceptor is white; the receptor's pole a1, which follows the light, and a fixed one filter it:
 
     dn1 = -a1 n1 dt + rms sqrt(2 a1) dW        a1 = 2 pi f(light): the rms of n1 is the same in any light
     dn2 = a2 (n1 - n2) dt                      a2 = 2 pi noise.corner_hz, or the signal's source follower
 
 From one grid time to the next (n1, n2) moves by its exact Gaussian transition at the rates of the light in the middle,
-with two numbers keyed by (seed, pixel, grid time). The step of the grid is a twentieth of 1 / sqrt(a1 a2) at the
-highest corner frequency, and at most a quarter of 1 / a2, rounded down to a power of two; events in steps of half that
-length have the same statistics (see the tests). Grid times are multiples of it since stream time zero. Filters are
-solved with their input, and their rate, on a straight line between grid times.
+with numbers keyed by (seed, pixel, grid time). A step is a twentieth of 1 / sqrt(a1 a2) at the highest corner
+frequency, a quarter of 1 / a2 at most, and a power of two; steps of half that length give the same statistics (see the
+tests). Filters are solved with their input, and their rate, on a straight line between grid times.
 
     two poles     n2 is the cubic through its values and its derivatives a2 (n1 - n2) at both grid times, here as two
                   straight lines that join at its middle: the noise has a derivative, and no excursion between them
@@ -21,9 +19,8 @@ solved with their input, and their rate, on a straight line between grid times.
 The time t at which a bridge of length 1 first meets c is exact too: t / (1 - t) is an inverse Gaussian number of mean
 |c - x| / |c - y| and shape (c - x)^2 / V (Borodin and Salminen, Handbook of Brownian Motion, 2002).
 
-An event leaves the pixel refractory; at its end the comparator's input is the new reference. All draws are keyed by
-grid time, and events are known up to the last grid time only (`settled_ns`). So in still light the result does not
-depend on the steps, and in moving light it does so only through the light between frames.
+Events are known up to the last grid time (`settled_ns`): in still light they do not depend on the steps at all, and in
+moving light only through the light between frames.
 """
 
 from __future__ import annotations
@@ -253,7 +250,7 @@ def _signal(
 
 @kernel
 def _is_far(seen: float, middle: float, end: float, variance: float, thresholds: tuple[float, float]) -> bool:
-    """Return whether a grid step, of two straight pieces or a bridge, meets no threshold; NaN: it may end a period."""
+    """Return whether a grid step, of two straight pieces or a bridge, meets no threshold."""
     if seen != seen:
         return False
     high, low = thresholds[0] - max(seen, middle, end), thresholds[1] + min(seen, middle, end)

@@ -28,7 +28,7 @@ def test_a_load_takes_some_time(monkeypatch):
     for name, less in (("_STEPS", 20), ("_BLOCKS", 3)):
         monkeypatch.setattr(f"laboratory.bench.pixels.{name}", less)
     assert 0 < NoiseLoad(10.0)() < 1e5
-    assert abs(NoiseLoad(10.0, with_readout=True)()) < 1e5  # a difference, which a busy machine may turn round
+    assert abs(NoiseLoad(10.0, "sensor")()) < 1e5  # a difference, which a busy machine may turn round
 
 
 @pytest.mark.system
