@@ -40,8 +40,8 @@ from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
 
 _DAVIS = dataclasses.replace(
-    PRESETS["davis346"], source_follower_hz=0.0, parasitic_hz_at_reference=0.0, leak_hz=0.1
-)  # the sensor of all earlier measurements, for comparison: without its fixed pole
+    PRESETS["davis346"], source_follower_hz=0.0, parasitic_hz_at_reference=0.0, leak_hz=0.1, noise=NoiseParameters()
+)  # the sensor of all earlier measurements, for comparison: without its fixed pole and noise
 
 _STEP_NS = 1_000_000
 _WARM_UP = 50
