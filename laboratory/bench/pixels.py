@@ -14,9 +14,9 @@ line.
     edges    the board of sharp edges at which a pixel's light changes several times over within a step: edges of 10:1,
              blurred by 0.5 px, at 0.5 px a step; events a second of work
 
-Noise: a step of 1 ms with noise beside the same step without, 346 x 260 pixels, one thread, in turns; medians over
-means of 64 steps. The light is dim, 0.05 of the reference, and all pixels leak a little; the noise has the rms at which
-it makes the wanted number of events. The array is timed alone, and within a whole sensor.
+Noise: the time that it adds to a step of 346 x 260 pixels and 1 ms, in microseconds. The light is still and dim, 0.05
+of the reference, and all pixels leak a little; the noise has the rms at which it makes the wanted number of events.
+Steps with noise and without are timed in turns; results are medians over means of 64 steps.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -39,8 +40,8 @@ from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
 
 _DAVIS = dataclasses.replace(
-    PRESETS["davis346"], source_follower_hz=0.0, parasitic_hz_at_reference=0.0, leak_hz=0.1
-)  # the sensor of all earlier measurements, for comparison: without its fixed pole
+    PRESETS["davis346"], source_follower_hz=0.0, parasitic_hz_at_reference=0.0, leak_hz=0.1, noise=NoiseParameters()
+)  # the sensor of all earlier measurements, for comparison: without its fixed pole and noise
 
 _STEP_NS = 1_000_000
 _WARM_UP = 50
@@ -213,72 +214,51 @@ def noisy_sensor(events_hz: float) -> SensorParameters:
     low, high = 0.01, 0.3
     while high / low > 1.001:
         p = _with_rms(math.sqrt(low * high))
-        made_hz = sum(still_hz(p, float(corner_hz(p, _LIGHT))))
-        low, high = (p.noise.rms, high) if made_hz < events_hz else (low, p.noise.rms)
+        is_less = sum(still_hz(p, float(corner_hz(p, _LIGHT)))) < events_hz
+        low, high = (p.noise.rms, high) if is_less else (low, p.noise.rms)
     return _with_rms(low)
 
 
 def _with_rms(noise_rms: float) -> SensorParameters:
-    noise = NoiseParameters(rms=noise_rms, history_s=100.0)
-    # A refractory period longer than the noise's time constant: no bursts.
+    noise = NoiseParameters(rms=noise_rms)
+    # A refractory period longer than the noise's time constant: the rate is soon that of the law.
     return dataclasses.replace(PRESETS["davis346"], noise=noise, leak_hz=0.1, refractory_us=_REFRACTORY_US)
-
-
-_Step = Callable[[LightFrame], object]
 
 
 @dataclass(frozen=True)
 class NoiseLoad:
-    """Time that noise of about `events_hz` events a pixel and second adds to a step in still light."""
+    """What noise of about `events_hz` events a pixel and second adds to a step, microseconds, or by what factor.
 
-    events_hz: float
-    with_readout: bool = False
-
-    def __call__(self) -> float:
-        """Return the additional time of a step, microseconds."""
-        noisy_s, quiet_s = _seconds(noisy_sensor(self.events_hz), whole=self.with_readout, moving=False)
-        return (noisy_s - quiet_s) * 1e6
-
-
-@dataclass(frozen=True)
-class NoiseShare:
-    """Time of a step of a whole sensor with noise of `events_hz` events a pixel and second, over that without.
-
-    The light of all pixels changes in each step, so that no pixel is skipped, and nothing fires but noise and leak.
+    "pixels": to that of the array; "sensor": with the read-out; "factor": of the sensor, where light changes in all
+    pixels by so little that nothing fires but noise and leak.
     """
 
     events_hz: float
+    of: Literal["pixels", "sensor", "factor"] = "pixels"
 
     def __call__(self) -> float:
-        """Return the ratio of the times."""
-        noisy_s, quiet_s = _seconds(noisy_sensor(self.events_hz), whole=True, moving=True)
-        return noisy_s / quiet_s
+        """Return it."""
+        make = PixelArray if self.of == "pixels" else Sensor
+        noisy_s, quiet_s = _medians(make, self.events_hz, 1e-4 if self.of == "factor" else 0.0)
+        return noisy_s / quiet_s if self.of == "factor" else (noisy_s - quiet_s) * 1e6
 
 
-def _seconds(p: SensorParameters, *, whole: bool, moving: bool) -> tuple[float, float]:
-    """Return the time of a step with noise and of one without, s: medians of 25 means of 64 steps, in turns."""
-    light, t_ns = np.full((p.height, p.width), _LIGHT, np.float32), 0
-    steps = [_begun(one, light, whole=whole) for one in (p, _with_rms(0.0))]
-    means = np.zeros((_BLOCKS + 1, 2))
-    for block in means:
+def _medians(make: type[Sensor | PixelArray], events_hz: float, flicker: float) -> tuple[float, float]:
+    """Return the seconds of a step with noise and without, in light that all pixels see change by that share."""
+    p, t_ns, means = noisy_sensor(events_hz), 0, []
+    light = np.full((p.height, p.width), _LIGHT, np.float32)
+    both = make(p, _SEED), make(_with_rms(0.0), _SEED)
+    for one in both:
+        one.reset(LightFrame(0, light))
+    for _ in range(_BLOCKS + 1):
+        spent_s = np.zeros(2)
         for _ in range(_NOISE_STEPS):
             t_ns += _STEP_NS
-            if moving:
-                light.fill(_LIGHT * (1 + 1e-4 * (t_ns // _STEP_NS % 2)))
-            for k, step in enumerate(steps):
-                begun = time.perf_counter()
-                step(LightFrame(t_ns, light))
-                block[k] += (time.perf_counter() - begun) / _NOISE_STEPS
+            light.fill(_LIGHT * (1 + flicker * (t_ns // _STEP_NS % 2)))
+            for k, one in enumerate(both):
+                begun_s = time.perf_counter()
+                (one.expose if isinstance(one, Sensor) else one.step)(LightFrame(t_ns, light))
+                spent_s[k] += time.perf_counter() - begun_s
+        means.append(spent_s / _NOISE_STEPS)
     noisy_s, quiet_s = np.median(means[1:], axis=0)
     return float(noisy_s), float(quiet_s)
-
-
-def _begun(p: SensorParameters, light: _Light, *, whole: bool) -> _Step:
-    """Return the step of a sensor, or of its pixels alone, that has started on the light."""
-    if whole:
-        sensor = Sensor(p, _SEED, lambda parameters, seed: PixelArray(parameters, seed, 1))
-        sensor.reset(LightFrame(0, light))
-        return sensor.expose
-    pixels = PixelArray(p, _SEED, 1)
-    pixels.reset(LightFrame(0, light))
-    return pixels.step
