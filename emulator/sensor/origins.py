@@ -29,8 +29,8 @@ from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.chip.readout import Arrivals
 from emulator.sensor.chip.sources import BackgroundEvents, Particles
 from emulator.sensor.numerics.compiled import cached_entry
-from emulator.sensor.pixels.crossings import Crossings, joined, merged
 from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.crossings import Crossings, joined, merged
 from emulator.sensor.pixels.method import MakePixels
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
@@ -174,10 +174,10 @@ class TracedSensor(Sensor):
 
     def finish(self) -> Events:
         """Return the events that have not left yet."""
-        rest = self._rest()
-        bits = _bits(rest, self._delayed(np.empty(0, np.uint8), np.empty(0, np.uint32), rest.pixel))
+        late = self._rest()
+        bits = _bits(late, self._codes_behind_delay(np.empty(0, np.uint8), np.empty(0, np.uint32), late.pixel))
         self.origins = _codes([finished(out, b) for out, b in zip(self._readouts, bits, strict=True)])
-        return finished(self._readout, rest)
+        return finished(self._readout, late)
 
     def _make_twins(self) -> None:
         self._readouts = [make_readout(self.parameters) for _ in range(_BITS)]
@@ -193,7 +193,7 @@ class TracedSensor(Sensor):
         if self._jitter is not None:
             pixels = crossings.pixel.copy()
             crossings = self._jitter.step(crossings, settled_ns)
-            codes = self._delayed(codes, pixels, crossings.pixel)
+            codes = self._codes_behind_delay(codes, pixels, crossings.pixel)
         bits = _bits(crossings, codes)
         for source in self._sources:
             raised = source.step(seen.reshape(-1), settled_ns)
@@ -203,7 +203,9 @@ class TracedSensor(Sensor):
         self._bits.append([dataclasses.replace(b, t_ns=b.t_ns.copy(), pixel=b.pixel.copy()) for b in bits])
         return crossings
 
-    def _delayed(self, codes: _Codes, pixels: npt.NDArray[np.uint32], leaving: npt.NDArray[np.uint32]) -> _Codes:
+    def _codes_behind_delay(
+        self, codes: _Codes, pixels: npt.NDArray[np.uint32], leaving: npt.NDArray[np.uint32]
+    ) -> _Codes:
         """Return the codes of crossings that leave the delay, by their pixels.
 
         `codes` and `pixels` are those that enter it now. The delay, which depends on polarity, keeps the order of each
@@ -215,10 +217,10 @@ class TracedSensor(Sensor):
         number = np.arange(by_pixel.size) - np.searchsorted(by_pixel, by_pixel)  # of those of its pixel that leave now
         place = np.searchsorted(pixels[waiting], by_pixel) + number
         left = np.full(by_pixel.size, Origin.SIGNAL, np.uint8)
-        known = place < np.searchsorted(pixels[waiting], by_pixel, side="right")
-        left[order[known]] = codes[waiting[place[known]]]
+        has_code = place < np.searchsorted(pixels[waiting], by_pixel, side="right")
+        left[order[has_code]] = codes[waiting[place[has_code]]]
         stays = np.ones(codes.size, np.bool_)
-        stays[waiting[place[known]]] = False
+        stays[waiting[place[has_code]]] = False
         self._waiting_codes, self._waiting_pixels = codes[stays], pixels[stays]
         return left
 
@@ -246,10 +248,10 @@ class TracedSensor(Sensor):
         return None if capabilities.has_grid_noise or not capabilities.has_faults else self.pixels.leak_hz()
 
 
-def _is_among(crossings: Crossings, some: Crossings) -> npt.NDArray[np.bool_]:
-    """Return which crossings have time and pixel of one of `some`."""
-    first_ns = min(int(crossings.t_ns[0]), int(some.t_ns[0])) if len(crossings) else 0
-    keys, among = ((c.t_ns - first_ns << _PIXEL_BITS) | c.pixel.astype(np.int64) for c in (crossings, some))
+def _is_among(crossings: Crossings, listed: Crossings) -> npt.NDArray[np.bool_]:
+    """Return which crossings have time and pixel of one that is listed."""
+    first_ns = min(int(crossings.t_ns[0]), int(listed.t_ns[0])) if len(crossings) else 0
+    keys, among = ((c.t_ns - first_ns << _PIXEL_BITS) | c.pixel.astype(np.int64) for c in (crossings, listed))
     return np.asarray(np.isin(keys, among))
 
 

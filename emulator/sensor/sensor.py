@@ -33,7 +33,6 @@ from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, EventBuffers, joined
 from emulator.sensor.pixels.method import MakePixels, PixelMethod
 from emulator.sensor.pixels.passage import MOST_PASSAGES
-from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.row_kicks import LineReads, RowKicks
 from firmware_protocol.events import Events
@@ -222,8 +221,8 @@ def _noise_hz(p: SensorParameters) -> float:
     if not p.noise.rms:
         return 0.0
     f = corner_hz(p, _LIGHTS)
-    far = min(p.threshold_on, p.threshold_off) / rms(p, f)
-    noisiest = np.argmax(np.log(np.minimum(f, fixed_corner_hz(p))) - far * far / 2)
+    deviations = min(p.threshold_on, p.threshold_off) / rms(p, f)
+    noisiest = np.argmax(np.log(np.minimum(f, fixed_corner_hz(p))) - deviations**2 / 2)
     return sum(still_hz(p, float(f[noisiest])))
 
 
@@ -472,8 +471,6 @@ class Sensor:
         seen = self._imager.see(frame)
         crossings = self._of_live_pixels(self.pixels.step(seen) if self._kicks is None else self._kicked(seen))
         self._t_ns = frame.t_ns
-        if self._kicks is not None:
-            crossings = self._kicks.without_silent(crossings)
         return self._with_others(crossings, seen.light, self.pixels.settled_ns)
 
     def _kicked(self, seen: LightFrame) -> Crossings:

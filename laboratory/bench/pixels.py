@@ -227,7 +227,7 @@ def _with_rms(noise_rms: float) -> SensorParameters:
 
 @dataclass(frozen=True)
 class NoiseLoad:
-    """What noise of about `events_hz` events a pixel and second adds to a step, microseconds, or by what factor.
+    """Cost that noise of about `events_hz` events a pixel and second adds to a step, microseconds, or by what factor.
 
     "pixels": to that of the array; "sensor": with the read-out; "factor": of the sensor, where light changes in all
     pixels by so little that nothing fires but noise and leak.

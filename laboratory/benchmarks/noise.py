@@ -141,7 +141,9 @@ def sines(scale: float) -> Iterator[Line]:
     """Measure sines of all receptors and poles at all steps, with some 10 000 events each or more."""
     pixels = GROUPS * max(2, round(16 * scale))
     for receptor, poles in itertools.product(get_args(Receptor), (1, 2)):
-        for light, amplitude, hz in SINES if receptor == "one_pole" else SINES[3:]:  # the others do not tell them apart
+        for light, amplitude, hz in (
+            SINES if receptor == "one_pole" else SINES[3:]
+        ):  # the others do not distinguish them
             seconds = 2.0 * math.ceil(40 / (4 + 4 * amplitude * hz / THETA))
             p = sensor(light * math.exp(amplitude), poles, receptor, pixels)
             case = Case("sine", LogSine(pixels, amplitude, hz, light), p, seconds)

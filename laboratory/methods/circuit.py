@@ -28,7 +28,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from abc import abstractmethod
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,8 +38,8 @@ from emulator.sensor.chip.sources import Pending, new_pending, reserve
 from emulator.sensor.numerics.compiled import SOURCES, kernel, kernel_that_allocates
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, unpacked
 from emulator.sensor.pixels.event_time import levels_passed
-from emulator.sensor.pixels.method import Capabilities, DrawnPixels, time_of
-from emulator.sensor.pixels.state import draw
+from emulator.sensor.pixels.method import Capabilities, PixelMethod, time_of
+from emulator.sensor.pixels.state import DEAD_THRESHOLD, draw
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.compiled import entry_of
 
@@ -352,14 +352,18 @@ def _advance(
     return pending, n, lost
 
 
-class LogLightPixels(DrawnPixels):
+class LogLightPixels(PixelMethod):
     """A method in float64 for which log light between two frames is a cubic, or a straight line without derivatives.
+
+    Faults are changes of the arrays of its `_model`, (pixels,) float64 each: thresholds and leaks.
 
     Attributes
     ----------
     quiet_nan : int
         Pixel-steps whose light was not finite; the last finite light of the pixel is used.
     """
+
+    _model: Any
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
         super().__init__(parameters, seed)
@@ -401,6 +405,20 @@ class LogLightPixels(DrawnPixels):
             found = dataclasses.replace(unpacked(keys, settled_ns, bits), lost_in_pixel=lost)
         self._u, self._slope, self._t_ns = u, slope, t_ns
         return found
+
+    def kill(self, pixel: npt.NDArray[np.int64]) -> None:
+        """Set thresholds that no light reaches, and no leak, for pixels, (n,)."""
+        m = self._model
+        m.on[pixel] = m.off[pixel] = DEAD_THRESHOLD
+        m.leak[pixel] = m.parasitic[pixel] = self._phase[pixel] = 0
+
+    def leak_hz(self) -> npt.NDArray[np.float64]:
+        """Return the leak rate of all pixels, (pixels,), without the parasitic leak."""
+        return np.asarray(self._model.leak / self._model.on)
+
+    def set_leak(self, leak_hz: npt.NDArray[np.float64]) -> None:
+        """Set the leak rate of all pixels, (pixels,)."""
+        self._model.leak[:] = leak_hz * self._model.on
 
     @abstractmethod
     def _start(self) -> None:

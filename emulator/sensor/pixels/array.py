@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from emulator.light import LightFrame, PixelLight, Region
 from emulator.sensor.noise.hazard import hazard_tables
-from emulator.sensor.noise.start import settle
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.numerics.keyed import Purpose, root_of, streams
@@ -27,6 +26,7 @@ from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, EventBuffe
 from emulator.sensor.pixels.curve import UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, touch, wake
 from emulator.sensor.pixels.method import Capabilities, PixelMethod, time_of
+from emulator.sensor.pixels.noisy import settle
 from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
 from emulator.sensor.pixels.state import (
     BLOCK,
@@ -34,7 +34,6 @@ from emulator.sensor.pixels.state import (
     EPOCH_BITS,
     FIELDS,
     MEMORY,
-    NEAR_BLOCKS,
     PARTS,
     Field,
     FlatLight,
@@ -199,11 +198,6 @@ class PixelArray(PixelMethod):
         change = leak * np.float32(ratio) - leak
         state.fields[:, Field.REFERENCE] += change * since_epoch_s
         leak += change
-
-    def live_thresholds(self) -> npt.NDArray[np.float64]:
-        """Return each pixel's ON and OFF threshold, (2, pixels), as they are now; infinite for dead pixels."""
-        on, off = (self.field(field).reshape(-1).astype(np.float64) for field in (Field.ON, Field.OFF))
-        return np.where(on < DEAD_THRESHOLD, np.stack([on, off]), np.inf)
 
     def thresholds_of(self, pixel: int) -> tuple[float, float]:
         """Return the ON and OFF threshold of one pixel as they are now; infinite for a dead one."""
@@ -491,7 +485,6 @@ class PixelArray(PixelMethod):
             unseen_share=UNSEEN_SHARE,
             refine=False,
             large=p.photoreceptor == "large_signal",
-            exceeds_caches=self.state.fields.shape[0] > NEAR_BLOCKS,
             reset=ResetError(np.float32(p.reset.offset), np.float32(p.reset.noise)),
             on_delay=p.comparator.on_us * 1e-6,
             off_delay=p.comparator.off_us * 1e-6,

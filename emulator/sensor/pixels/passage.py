@@ -1,19 +1,19 @@
 """Events of one pixel with noise along a piece of its curve: first passages of signal plus noise.
 
 A piece is an interval in which the noise-free value of the comparator is a cubic in time. `pass_piece` goes along it in
-windows. It knows the hazard of an event at both ends of a window (`hazard`), from which follows a bound in between, and
-tries the points of the pixel's random field below that bound (`field`) in the order of time: the first one below the
-hazard is an event. The windows do not change the events, because the points do not depend on them.
+windows. The hazard at both ends of a window (`hazard`) gives a bound in between; the points of the pixel's random field
+below that bound (`keyed`) are tried in the order of time, and the first one below the hazard is an event. The windows
+do not change the events, because the points do not depend on them.
 
-    window     the distance to a threshold shrinks by some part of a deviation, or the time since the reset triples;
+    window     the distance to a threshold shrinks by some part of a deviation, or the time since the reset doubles;
                windows end where the curve turns, so that each is monotone
     event      the noise's slope at the passage is drawn; value and slope are carried over the dead time exactly, with
                two normal numbers; the reference is signal plus noise at its end
     no event   at the end of the step the pixel gets a certificate
 
-A certificate says that no event comes before a time while the value stays between two limits and moves no faster than a
-speed: its hazard is below a bound there, and the field has no point below that bound. The quiet pass tests it in place
-of the thresholds, so a pixel that noise does not fire costs as little as one without noise.
+A certificate states that no event comes before a time while the value stays between two limits and moves no faster
+than a speed: its hazard is below a bound there, and the field has no point below that bound. The quiet pass tests it in
+place of the thresholds, so a pixel that noise does not fire costs as little as one without noise.
 
 Times within a step are nanoseconds since its start. All numbers of an event are keyed by pixel and time.
 """
@@ -26,7 +26,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.noise.field import CERTAIN_HZ, NEVER_NS, TOP_HZ, next_point
 from emulator.sensor.noise.hazard import (
     BEYOND,
     Distance,
@@ -38,7 +37,16 @@ from emulator.sensor.noise.hazard import (
     transition,
 )
 from emulator.sensor.numerics.compiled import kernel, lane
-from emulator.sensor.numerics.keyed import high, mix_word, normal_from, unit
+from emulator.sensor.numerics.keyed import (
+    CERTAIN_HZ,
+    NEVER_NS,
+    TOP_HZ,
+    high,
+    mix_word,
+    next_point,
+    normal_from,
+    unit,
+)
 from emulator.sensor.pixels.crossings import Keys, pack
 from emulator.sensor.pixels.event_time import delay_s
 from emulator.sensor.pixels.state import (
@@ -158,7 +166,8 @@ def _first_window_s(now: _Signal, a: _State) -> float:
         until = (1.5 * grown * grown / (k * (noise.a1 + noise.a2))) ** (1 / 3)
         until = min(until, math.sqrt(0.4 * least / (abs(a.n_r) * k + 1e-30)))
         pulled = abs(a.v_r)
-    return min(until, 0.2 * least / (pulled + abs(now.speed) + 1e-30))
+    until_s: float = min(until, 0.2 * least / (pulled + abs(now.speed) + 1e-30))
+    return until_s
 
 
 @kernel
@@ -168,14 +177,14 @@ def _window_s(c_near: float, speed: float, rate: float) -> float:
     The exponent of the hazard may grow by some units. Where the hazard stays rare even much nearer, the window goes on
     to there: the field has few points below such a bound, so that the far part of a ramp is one window.
     """
-    far = abs(c_near)
     step = max(_EXPONENT, 0.25 * c_near * c_near - 2.0) if c_near > 0 else _EXPONENT
-    nearer = step / (far + 1)
+    nearer = step / (abs(c_near) + 1)
     if c_near > 3:
         rare = _RARE * c_near * speed / rate
         if rare < 0.1:
             nearer = max(nearer, c_near - math.sqrt(2 * math.log(0.4 / rare)))
-    return nearer / speed
+    length_s: float = nearer / speed
+    return length_s
 
 
 @kernel
@@ -215,9 +224,10 @@ def _calm_end(t: float, end: float, now: _Signal, a: _State) -> tuple[float, flo
 def _window_end(t: float, end: float, now: _Signal, h: Hazard, a: _State) -> float:
     """Return the end of the window that begins at t, a time of the piece, with hazard h."""
     since_s, noise = (t - a.reset) * 1e-9, now.noise
+    window_s: float = (end - t) * 1e-9
     if since_s <= 0:
-        return min(t + _first_window_s(now, a) * 1e9, end)
-    window_s = (end - t) * 1e-9
+        window_s = min(_first_window_s(now, a), window_s)
+        return t + window_s * 1e9
     # Shortly after a reset windows grow with the time since then; later the signal decides.
     if since_s * min(noise.a1, noise.a2) < _BURST:
         window_s = min(window_s, _GROWS * since_s)
@@ -226,7 +236,8 @@ def _window_end(t: float, end: float, now: _Signal, h: Hazard, a: _State) -> flo
     total = min(h.on + h.off, TOP_HZ)
     if total * window_s > _MOST_POINTS:
         window_s = _MOST_POINTS / total
-    return min(t + max(window_s * 1e9, 1.0), end)
+    to: float = min(t + max(window_s * 1e9, 1.0), end)
+    return to
 
 
 class _Event(NamedTuple):
@@ -240,16 +251,16 @@ class _Event(NamedTuple):
 
 
 @kernel
-def _event_at(t_ns: int, on: bool, now: _Signal, h: Hazard, a: _State, tables: _Float32s) -> _Event:  # noqa: PLR0913, PLR0917
+def _event_at(t_ns: int, on: bool, now: _Signal, h: Hazard, a: _State, tables: _Float32s) -> _Event:
     """Return an event with the slope of its noise: its mean by the value, and what the passage adds to it."""
     if now.noise.ratio == 0.0:
         return _Event(t_ns, on, now, h, _STEEPEST if on else -_STEEPEST)
-    nu, far = (h.nu_on, h.c_on) if on else (h.nu_off, h.c_off)
-    if far < BEYOND:
+    nu, c_event = (h.nu_on, h.c_on) if on else (h.nu_off, h.c_off)
+    if c_event < BEYOND:
         return _Event(t_ns, on, now, h, h.mean_slope)
     share = unit(high(mix_word(a.stream ^ (np.uint64(t_ns) * _SLOPE))))
-    beyond = exit_speed(nu, far, share, now.noise.ratio, tables) - nu
-    outward = now.noise.sigma * h.deviation * (beyond * h.slope + far * h.pull)
+    beyond = exit_speed(nu, c_event, share, now.noise.ratio, tables) - nu
+    outward = now.noise.sigma * h.deviation * (beyond * h.slope + c_event * h.pull)
     return _Event(t_ns, on, now, h, h.mean_slope + (outward if on else -outward))
 
 
@@ -266,7 +277,8 @@ def _first_event(  # noqa: PLR0913, PLR0917
             return none
         now, h = _hazard_at(np.float64(point.t_ns - c.t0_ns), p, a, tables, c)
         if point.hz < h.on + h.off:
-            return _event_at(point.t_ns, point.hz < h.on, now, h, a, tables)
+            event: _Event = _event_at(point.t_ns, point.hz < h.on, now, h, a, tables)
+            return event
         from_ns = point.t_ns
 
 
@@ -276,9 +288,9 @@ def _after_event(e: _Event, dead_s: float, a: _State) -> tuple[float, float]:
     noise = e.signal.noise
     first = mix_word(a.stream ^ (np.uint64(e.t_ns) * _VALUE))
     value = a.reference + (a.on if e.on else -a.off) - e.signal.value
-    far = e.hazard.c_on if e.on else e.hazard.c_off
-    if far < BEYOND:  # the signal has jumped: the noise is not that of a passage, but any
-        inward = noise.sigma * e.hazard.deviation * (normal_from(mix_word(first ^ _SLOPE)) - far)
+    c_event = e.hazard.c_on if e.on else e.hazard.c_off
+    if c_event < BEYOND:  # the signal has jumped: the noise is not that of a passage, but any
+        inward = noise.sigma * e.hazard.deviation * (normal_from(mix_word(first ^ _SLOPE)) - c_event)
         value += inward if e.on else -inward
     if noise.ratio == 0.0:
         decay = math.exp(-noise.rate * dead_s)
@@ -305,7 +317,8 @@ def _re_armed(pixels: Pixels, pixel: int, now: _Signal, a: _State, c: StepConsta
 @kernel
 def _state_of(pixels: Pixels, pixel: int, c: StepConstants) -> _State:
     """Return a pixel's state."""
-    at, memory, fields = slot(pixel), pixel * MEMORY, pixels.fields
+    at, memory = slot(pixel), pixel * MEMORY
+    fields = pixels.fields
     return _State(
         np.float64(fields[at + _ON]),
         np.float64(fields[at + _OFF]),
@@ -339,7 +352,7 @@ def _turns(p: Piece, leak: float) -> tuple[float, float]:
 
 
 @kernel
-def pass_piece(  # noqa: PLR0913, PLR0917
+def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
     pixels: Pixels, pixel: int, p: Piece, keys: Keys, n_keys: int, fired: int, c: StepConstants
 ) -> tuple[int, int, int]:
     """Find the events of a pixel along a piece, and move its reference and noise.
@@ -368,7 +381,9 @@ def pass_piece(  # noqa: PLR0913, PLR0917
         to = turn2 if t < turn2 < to else to
         after, at_end = _hazard_at(to, p, a, tables, c)
         bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), CERTAIN_HZ)
-        while min(bound_hz, TOP_HZ) * (to - t) > _TOO_MANY and to - t > 1:  # it came nearer than its speed at t allowed for
+        while (
+            min(bound_hz, TOP_HZ) * (to - t) > _TOO_MANY and to - t > 1
+        ):  # it came nearer than its speed at t allowed for
             to = t + (to - t) * 0.25
             after, at_end = _hazard_at(to, p, a, tables, c)
             bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), CERTAIN_HZ)
@@ -376,7 +391,8 @@ def pass_piece(  # noqa: PLR0913, PLR0917
         if bound_hz * (to - t) > _NO_POINT:
             event = _first_event(t, to, bound_hz, p, a, tables, none, c)
         if event.t_ns == NEVER_NS:
-            t, now, h, before = to, after, at_end, at_end.on + at_end.off
+            t, now = to, after
+            h, before = at_end, at_end.on + at_end.off
             continue
         # The event, and the dead time behind it.
         late_s = delay_s(abs(event.slope + event.signal.speed), event.on, c)
@@ -420,7 +436,7 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, c: StepConsta
     if a.reference != a.reference or since_s * min(noise.a1, noise.a2) < _FORGOTTEN:
         return
     on, off = a.reference + a.on - value, value - a.reference + a.off
-    # Light that falls as far as the limits may raise the rms by this share.
+    # Light that falls as c_least as the limits may raise the rms by this share.
     if noise.a1 != noise.a2:
         louder = noise.sigma * (1 + 0.5 * noise.a1 / (noise.a1 + noise.a2) * max(off, 0.0))
         noise = Noise(louder, noise.a1, noise.a2, noise.rate, noise.ratio, noise.apart)
@@ -434,12 +450,12 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, c: StepConsta
     bound_hz = max(_CERTIFIED * total, _REVISITS / c.h)
     # Limits at which the hazard meets the bound: from its value here, or from the law's largest one anywhere.
     anywhere = (0.5 if noise.ratio > 0 else 5.0) * noise.rate / bound_hz
-    far = math.sqrt(2 * math.log(anywhere)) if anywhere > 1 else _LEAST_FAR
+    c_least = math.sqrt(2 * math.log(anywhere)) if anywhere > 1 else _LEAST_FAR
     growth = 2 * math.log(bound_hz / (_GROWTH * total)) if total > 0 else 0.0
-    limit_on, limit_off = far, far
+    limit_on = limit_off = c_least
     if growth > 0:
-        limit_on = min(far, math.sqrt(max(c_on * c_on - growth, _LEAST_FAR * _LEAST_FAR)))
-        limit_off = min(far, math.sqrt(max(c_off * c_off - growth, _LEAST_FAR * _LEAST_FAR)))
+        limit_on = min(c_least, math.sqrt(max(c_on * c_on - growth, _LEAST_FAR * _LEAST_FAR)))
+        limit_off = min(c_least, math.sqrt(max(c_off * c_off - growth, _LEAST_FAR * _LEAST_FAR)))
     limit_on, limit_off = max(limit_on, _LEAST_FAR), max(limit_off, _LEAST_FAR)
     if limit_on >= c_on or limit_off >= c_off:
         return

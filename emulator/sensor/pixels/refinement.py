@@ -165,7 +165,9 @@ class Refinement:
         buffers = self._buffers[level + 1]
         self._keys, n_keys, tally = advance(half.end, pixels, buffers, self._keys, self._share, c)
         later_ns = half.t0_ns - self._step.t0_ns
-        self._lists.append(_renumbered(self._keys[:n_keys], half.origin, later_ns, self._step.pixel_bits, int(self._step.noisy)))
+        self._lists.append(
+            _renumbered(self._keys[:n_keys], half.origin, later_ns, self._step.pixel_bits, int(self._step.noisy))
+        )
         self._tallies.append(tally)
         if tally.refined:
             self._refine(pixels, tally.refined, half, level + 1)

@@ -50,10 +50,8 @@ from emulator.sensor.pixels.idle import (
 )
 from emulator.sensor.pixels.noisy import solve_noisy
 from emulator.sensor.pixels.quiet_pass import (
-    Ahead,
     list_flags,
     move_quietly,
-    move_quietly_from_memory,
     replace_light_of_block,
 )
 from emulator.sensor.pixels.state import (
@@ -278,23 +276,15 @@ def _move_pack(
 
 @kernel
 def _move_block(  # noqa: PLR0913, PLR0917
-    frame: FlatLight, pixels: Pixels, buffers: Buffers, idle: Idle, first: int, following: int, at: _Progress,
-    c: StepConstants,
+    frame: FlatLight, pixels: Pixels, buffers: Buffers, idle: Idle, first: int, at: _Progress, c: StepConstants
 ) -> _Progress:  # fmt: skip
-    """Move the block that begins at pixel `first` in place; the one that begins at `following` is moved next."""
+    """Move the block that begins at pixel `first` in place."""
     scratch = buffers.scratch
     firsts = scratch.indices[_FIRSTS:_PACKED]
     list_all(first, firsts)
     s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
     block = _of_block(frame, first, scratch, c)
-    usual = (c.second == _ZERO) & (c.parasitic == _ZERO) & (not c.chord) & (not c.noisy)
-    end = following + BLOCK
-    if c.exceeds_caches & usual & (end <= frame.light.size):
-        state = pixels.fields[following * FIELDS : end * FIELDS]
-        ahead = Ahead(state, frame.light[following:end], frame.rate[following:end])
-        move_quietly_from_memory(block.light, block.rate, s, scratch.before, scratch.may_fire, c, ahead)
-    else:
-        move_quietly(block.light, block.rate, s, scratch.before, scratch.may_fire, c)
+    move_quietly(block.light, block.rate, s, scratch.before, scratch.may_fire, c)
     moved: _Progress = _list_and_mark(s, block.light, firsts, pixels, buffers, idle, at, c)
     return moved
 
@@ -350,7 +340,7 @@ def _fill(
             continue
         active = list_active(frame, first, idle, share.touched, scratch.indices[_FIRSTS:_PACKED], c)
         if active > MOST_PACKED:
-            at = _move_block(frame, pixels, buffers, idle, first, _first_of(block + 1, share), at, c)
+            at = _move_block(frame, pixels, buffers, idle, first, at, c)
         elif packed + active > PARTS:
             at = _Progress(block, packed, at.n, at.candidates, at.unreadable, at.refined, at.moved)
             at, packed = _move_pack(frame, pixels, buffers, idle, at, c), NONE

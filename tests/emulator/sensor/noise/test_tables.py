@@ -9,8 +9,18 @@ from scipy import stats
 from scipy.optimize import brentq
 from scipy.special import hyp1f1, ndtr, pbdv
 
-from emulator.sensor.noise import tables
-from emulator.sensor.noise.tables import C_ONE, C_START, C_TWO, EXIT_SPEEDS, INVERSE_B, PAIR_ONE, PAIR_TWO, RHO, SPEEDS
+from tests.emulator.sensor.noise import hazard_tables as tables
+from tests.emulator.sensor.noise.hazard_tables import (
+    C_ONE,
+    C_START,
+    C_TWO,
+    EXIT_SPEEDS,
+    INVERSE_B,
+    PAIR_ONE,
+    PAIR_TWO,
+    RHO,
+    SPEEDS,
+)
 
 FILE = dict(np.load(tables.HAZARDS))
 STILL = 32

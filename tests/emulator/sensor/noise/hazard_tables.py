@@ -33,7 +33,7 @@ Alexander, SIAM J. Numer. Anal. 14, 1977), then y moves along characteristics, b
 mean of those before and after the mixing. Near the boundary g is like y^(1/6) at u = 0, so both grids are finest there.
 With steps of a third, hazards of two poles differ by 0.2 % at most (where they are not negligible), of one by 1e-4.
 
-`python -m emulator.sensor.noise.tables` writes the file, in some six minutes.
+`python -m tests.emulator.sensor.noise.hazard_tables` writes the file, in some six minutes.
 """
 
 from __future__ import annotations
@@ -48,9 +48,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from emulator.sensor.noise.hazard import TABLES
 from emulator.sensor.numerics.compiled import kernel, vector_kernel
 
-HAZARDS = Path(__file__).with_name("data") / "hazards.npz"
+HAZARDS = TABLES
 
 RHO = np.arange(-32, 33) / 32
 SPEEDS = RHO[1:-1] / (1 - abs(RHO[1:-1]))
