@@ -60,7 +60,8 @@ def _finish(pixels: Pixels, pixel: int, piece: Piece, leaked: float, lit: float,
         base -= leaked
     leak = np.float64(pixels.fields[at + _LEAK])
     value = base + piece.d0 + piece.c1 + piece.c2 + piece.c3 + leak * (c.since_s + c.h_ns * 1e-9)
-    certify(pixels, pixel, value, piece.rate1, c)
+    moves = (piece.c1 != 0.0) | (piece.c2 != 0.0) | (piece.c3 != 0.0)
+    certify(pixels, pixel, value, piece.rate1, moves, c)
 
 
 @kernel
@@ -194,11 +195,16 @@ def settle(first: int, last: int, history_s: float, root: np.uint64, pixels: Pix
         left_s = min(history_s, 0.5 * on / max(leak, _LEAST_LEAK), _STAYS / max(rarest.on + rarest.off, _LEAST_HZ))
         level = np.float64(fields[at + _REF]) - value + leak * left_s
         number = stream(root, np.int64(pixels.memory[pixel * MEMORY + 3]))
+        drift_s = 0.5 * noise.sigma / max(leak, _LEAST_LEAK)  # in which leak hardly changes the hazard
         for k in range(_MOST_STAYS):
             stay = stay_at(level, on, off, noise, c.refractory_ns * 1e-9, number, k, pixels.tables)
-            if stay.length_s >= left_s:
+            stays_s = min(left_s, drift_s)
+            if stay.length_s < stays_s:
+                stays_s = stay.length_s
+                level = stay.level
+            level -= leak * stays_s
+            left_s -= stays_s
+            if left_s <= 0:
                 break
-            left_s -= stay.length_s + c.refractory_ns * 1e-9
-            level = stay.level
-        fields[at + _REF] = np.float32(value + level - leak * max(left_s, 0.0))
-        certify(pixels, pixel, value, rate, c)
+        fields[at + _REF] = np.float32(value + level)
+        certify(pixels, pixel, value, rate, False, c)
