@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from emulator.light import LightFrame
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import BLOCK, Field
 from emulator.sensor.presets import PRESETS, SensorParameters
@@ -161,7 +162,7 @@ def test_leak_has_its_rate_and_its_phases_are_spread():
     """Means of 89 960 pixels with a spread of 30 %: standard error 0.1 %. Phases: Kolmogorov-Smirnov at 1e-3."""
     parameters = dataclasses.replace(
         PRESETS["davis346"], leak_hz=0.1, leak_spread=0.3, refractory_us=0.0, source_follower_hz=0.0,
-        parasitic_hz_at_reference=0.0,
+        parasitic_hz_at_reference=0.0, noise=NoiseParameters(),
     )  # fmt: skip
     array = PixelArray(parameters, 7)
     still = flat(parameters, 0.3)
