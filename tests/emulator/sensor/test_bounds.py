@@ -81,7 +81,7 @@ def test_the_longest_step_bounds_the_events_and_the_moves_of_a_step(noisy, most_
 
 def test_presets_are_not_limited():
     for p in PRESETS.values():
-        assert longest_step_ns(p) > 10**11
+        assert longest_step_ns(p) > 10**10
 
 
 def test_a_change_during_a_run_changes_the_longest_step():
