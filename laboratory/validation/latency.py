@@ -20,8 +20,7 @@ _SPREAD_BOUND, _NOISE_BOUND, _FEW_BOUND = 1.25, 1.5, 1.5
 _FEWEST_COUNTED, _MOST_COUNTED = 3, 100.0
 _RISE_BOUND_US, _REGION_W_M2 = 5.0, 0.1658
 _COUNTED_PIXELS, _MOST_EDGES = 65_536, 16  # so many that single late pixels move a mean by less than 1 us
-_FACTORY = 0, 0
-_POLARITIES = {1.0: "ON", 0.0: "OFF"}
+_FACTORY, _POLARITIES = (0, 0), {1.0: "ON", 0.0: "OFF"}
 
 _PROTOCOL = (
     "A red LED switches on and off in front of the bare sensor, half a second each. The latency of a pixel is that of "
