@@ -1,15 +1,6 @@
 """Costs of leaving out effects of the pixel and of the chip, from which `decide` makes its decisions.
 
-Each cost is a decision without its verdict; None where the effect is off. The shift of events by noise is that of a
-ramp through a threshold with one-pole noise on it, in units of rms over contrast rate A, against rho = A tau_n / rms;
-simulated, 4000 crossings a column, the same for thresholds of 3 to 15 rms
-(`tests/emulator/sensor/noise/test_noise_shift.py` holds the pixels of the grid grade against it):
-
-    rho        0.1     0.3     1      3      10
-    mean      -1.87   -1.32   -.71   -.31   -.09
-    deviation   .58     .72    .86    .96   1.0
-
-Effects of the chip are temperature, imager, defects and radiation. `dim` is dark current over the photocurrent of the
+Each cost is a decision without its verdict; None where the effect is off. Effects of the chip are temperature, imager, defects and radiation. `dim` is dark current over the photocurrent of the
 darkest active pixels: a change of the dark current, or of the light alone, by a share changes contrasts there by that
 share of `dim`, and time constants by that share.
 """
@@ -25,14 +16,14 @@ import numpy as np
 from emulator.optics.lens import LensParameters
 from emulator.plan.scene_probe import Probe
 from emulator.sensor.chip.sources import hits_per_second
-from emulator.sensor.noise.law import bandwidth_hz, beyond_the_law, fixed_corner_hz, of_array, rms
+from emulator.sensor.noise.law import fixed_corner_hz, still_hz
 from emulator.sensor.parameters import REFERENCE_CELSIUS
 from emulator.sensor.presets import SensorParameters
 
 EFFECTS = (
     *("low-pass", "bandwidth following the light", "large signals", "source follower"),
     *("leak", "leak spread", "leak jitter", "parasitic", "mismatch", "refractory period"),
-    *("noise", "shift by noise", "jitter", "comparator", "reset offset", "reset noise", "acknowledge"),
+    *("noise", "jitter", "comparator", "reset offset", "reset noise", "acknowledge"),
     *("dark current", "temperature", "system efficiency", "quantum efficiency", "PRNU", "DCNU"),
     *("photon shot noise", "dark shot noise", "hot pixels", "dead pixels", "radiation", "dose"),
     "veiling glare",
@@ -112,12 +103,7 @@ def tau_us(p: SensorParameters, current: float) -> float:
     return 1e6 / (2 * math.pi * corner_hz)
 
 
-_RHO = (0.1, 0.3, 1.0, 3.0, 10.0)
-_EARLIER = (1.87, 1.32, 0.71, 0.31, 0.09)
-_DEVIATION = (0.58, 0.72, 0.86, 0.96, 1.0)
-_Q95 = 1.645
 _FASTEST_HZ = 1e6
-_LEAST_RHO = 0.3  # of a point process
 
 
 def pixel_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list[Decision | None]:
@@ -131,19 +117,11 @@ def pixel_costs(p: SensorParameters, scene: Probe, tolerance: Tolerance) -> list
         _mismatch(p, scene),
         _refractory(p, scene),
         _noise(p, scene),
-        _shift(p, scene),
         _jitter(p),
         _comparator(p, scene),
         *_resets(p, scene),
         _acknowledge(p, scene),
     ]
-
-
-def noise_shift(rho: float) -> tuple[float, float]:
-    """Return the mean time by which noise makes events earlier, and its deviation, in rms over contrast rate."""
-    place = math.log(rho)
-    nodes = np.log(_RHO)
-    return float(np.interp(place, nodes, _EARLIER)), float(np.interp(place, nodes, _DEVIATION))
 
 
 def _low_pass(p: SensorParameters, scene: Probe) -> Decision | None:
@@ -233,28 +211,9 @@ def _noise(p: SensorParameters, scene: Probe) -> Decision | None:
         return None
     darkest, brightest = _corner_hz(p, p.dark_current_relative), _corner_hz(p, _largest(scene))
     f = np.geomspace(darkest, brightest, 20) if math.isfinite(brightest) else np.full(1, math.inf)
-    rates = of_array(p, np.asarray(threshold(p)), f)
-    share = over(float((rates.on + rates.off).max()) * threshold(p), scene)
+    share = over(max(sum(still_hz(p, float(hz))) for hz in np.unique(f)) * threshold(p), scene)
     jitter_us = over(p.noise.rms, scene) * 1e6
     return Decision("noise", "jitter of events, and noise events", jitter_us, share, {"noise": {"rms": 0.0}})
-
-
-def _shift(p: SensorParameters, scene: Probe) -> Decision | None:
-    """Return the cost of a noise without voltage in time: it would make real events earlier and scatter them."""
-    if not p.noise.rms:
-        return None
-    f = np.asarray(_corner_hz(p, least_current(p, scene)))
-    sigma, bandwidth = float(rms(p, f)), float(bandwidth_hz(p, f))
-    tau_s = 1 / (2 * math.pi * bandwidth)
-    rho = max(scene.contrast_rate * tau_s / sigma, 1e-9)
-    earlier, deviation = noise_shift(rho)
-    shift_us = over(sigma, scene) * (earlier + _Q95 * deviation) * 1e6
-    beyond = "noise decides whether" if rho < _LEAST_RHO else beyond_the_law(p, f)
-    share = math.inf if beyond else None
-    bound = f"beyond a point process: {beyond}" if beyond else "events brought forward by noise"
-    on_grid = p.noise.grade == "grid"
-    changes = {"noise": {"grade": "points"}} if on_grid else {}
-    return Decision("shift by noise", bound, shift_us, share, changes, choice=on_grid, kept=on_grid)
 
 
 def _jitter(p: SensorParameters) -> Decision | None:

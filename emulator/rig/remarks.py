@@ -13,12 +13,13 @@ import numpy as np
 
 from emulator.light import SceneError
 from emulator.rig.loading import Rig, RigError
-from emulator.sensor.noise.law import beyond_the_law, corner_hz
+from emulator.sensor.noise.law import corner_hz, rms
 from emulator.sensor.presets import SensorParameters
 from emulator.tables.typed_table import RigFile, field_types
 
 _QUESTIONABLE_THRESHOLD = 2.0
 _LIGHTS = 30
+_LEAST_DEVIATIONS = 1.6
 
 
 def remarks(rig: Rig) -> list[str]:
@@ -36,11 +37,14 @@ def remarks(rig: Rig) -> list[str]:
 
 
 def _noise(sensor: SensorParameters) -> Iterator[str]:
-    """Yield a sentence where the noise is outside the range of the law that draws its events."""
-    if sensor.noise.rms and sensor.noise.grade == "points":
-        beyond = beyond_the_law(sensor, corner_hz(sensor, np.geomspace(1e-6, 10, _LIGHTS)))
-        if beyond:
-            yield f'camera.sensor.noise: {beyond}; grade = "grid" follows the noise itself'
+    """Yield a sentence where the noise is stronger than any that its law was compared with."""
+    largest = float(rms(sensor, corner_hz(sensor, np.geomspace(1e-6, 10, _LIGHTS))).max())
+    least = min(sensor.threshold_on, sensor.threshold_off) / max(largest, 1e-9)
+    if least < _LEAST_DEVIATIONS:
+        yield (
+            f"camera.sensor.noise: a threshold is {least:.2g} rms of the noise, and such a pixel fires all the time; "
+            f"events of noise are checked from {_LEAST_DEVIATIONS:g} rms on"
+        )
 
 
 def _paths(rig: Rig) -> Iterator[str]:

@@ -25,7 +25,6 @@ from emulator.light import LightFrame
 from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.chip.readout import Arrivals
 from emulator.sensor.chip.sources import BackgroundEvents, Particles
-from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.numerics.compiled import cached_entry
 from emulator.sensor.pixels.crossings import Crossings, joined, merged
 from emulator.sensor.pixels.method import MakePixels
@@ -137,7 +136,6 @@ _Float32s = npt.NDArray[np.float32]
 
 
 _OF_SOURCES: dict[type[Any], Origin] = {
-    NoiseEvents: Origin.NOISE,
     BackgroundEvents: Origin.BACKGROUND,
     Particles: Origin.PARTICLE,
 }

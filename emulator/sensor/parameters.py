@@ -5,7 +5,7 @@ Every effect of a sensor is off, or changes nothing, by default:
     effect         off when                                   implemented in
     temperature    it is 20 degrees Celsius                   chip.defects
     defects        shares are 0 and lists empty               chip.defects
-    noise          rms is 0                                   noise.points, noise.grid
+    noise          rms is 0                                   pixels.passage
     background     rates are 0                                chip.sources
     jitter         latency, deviation and leak share are 0    chip.readout, chip.defects
     comparator     times are 0                                pixels.event_time
@@ -140,14 +140,14 @@ class NoiseParameters:
     spread : log-normal spread of the rms between pixels, with the median `rms`: a few fire far more often than the
         others, as on real chips.
     history_s : longest time for which noise has acted before the start, in the first light. Without it, references at
-        random phases make a burst of events, as after a reset of the whole chip. Points only.
-    grade : "points": noise events drawn by their rate; "grid": the voltage of each pixel on a fine grid of time, for
+        random phases make a burst of events, as after a reset of the whole chip. Passages only.
+    grade : "passages": events are first passages of signal and noise; "grid": the noise on a fine grid of time, for
         comparison on some thousand pixels.
     """
 
     rms: Share = 0.0
     corner_hz: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
-    grade: Literal["points", "grid"] = "points"
+    grade: Literal["passages", "grid"] = "passages"
     spread: Share = 0.0
     history_s: Annotated[float, Meta(ge=0, le=10_000)] = 0.0
 
@@ -155,8 +155,8 @@ class NoiseParameters:
         check_bounds(self)
         if 0 < self.corner_hz < 1:
             raise ValueError(f"corner_hz = {self.corner_hz!r}: must be 0 (the signal's) or at least 1")
-        if self.grade not in ("points", "grid"):
-            raise ValueError(f"grade = {self.grade!r}: must be 'points' or 'grid'")
+        if self.grade not in ("passages", "grid"):
+            raise ValueError(f"grade = {self.grade!r}: must be 'passages' or 'grid'")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
 """The whole sensor: light in, events out.
 
-    light -> imager -> pixels -> jitter --+--> read-out -> events
-                         ^ ^    noise ----+
-                     leaks kicks radiation +
+    light -> imager -> pixels -> jitter ------+--> read-out -> events
+                         ^ ^        radiation +
+                     leaks kicks   background +
 
 A part that the rig leaves off does not exist and costs nothing. Some parts change at fixed stream times (the grid of
 shot noise, changing leak, pixels turning hot). A step across such a time is cut there; the light at the cut lies on a
@@ -27,9 +27,7 @@ from emulator.sensor.chip.imager import Imager, part_of_the_way
 from emulator.sensor.chip.readout import ArbiterReadOut, Jitter, ReadOut
 from emulator.sensor.chip.scan import ScanReadOut
 from emulator.sensor.chip.sources import BackgroundEvents, Particles, hits_per_second
-from emulator.sensor.noise.draws import insert
-from emulator.sensor.noise.law import corner_hz, of_array
-from emulator.sensor.noise.points import NoiseEvents
+from emulator.sensor.noise.law import corner_hz, still_hz
 from emulator.sensor.parameters import DefectParameters, KickParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, EventBuffers, joined
@@ -44,7 +42,7 @@ _Float32s = npt.NDArray[np.float32]
 
 
 class Source(Protocol):
-    """A source of events beside the pixels: noise, particles."""
+    """A source of events beside the pixels: background, particles."""
 
     def reset(self, t_ns: int) -> None:
         """Start at `t_ns`."""
@@ -102,19 +100,9 @@ def dead_pixels(p: SensorParameters, defects: Defects) -> npt.NDArray[np.bool_] 
     return dead
 
 
-def make_noise(p: SensorParameters, seed: int, defects: Defects, pixels: PixelMethod) -> NoiseEvents | None:
-    """Return the noise of the grade "points" of these pixels; None where there is none. Dead pixels have none."""
-    if not p.noise.rms or p.noise.grade != "points" or defects.dead.size == p.width * p.height:
-        return None
-    drawn_pixels = draw(p, seed)
-    thresholds = np.stack([drawn_pixels.on, drawn_pixels.off])
-    thresholds[:, defects.dead] = np.inf
-    return NoiseEvents(p, seed, thresholds, pixels.levels() if pixels.capabilities.takes_row_reads else None)
-
-
-def make_sources(p: SensorParameters, seed: int, defects: Defects, noise: NoiseEvents | None) -> list[Source]:
-    """Return the sources of events beside the pixels, `noise` among them; dead pixels have none."""
-    sources: list[Source] = [] if noise is None else [noise]
+def make_sources(p: SensorParameters, seed: int, defects: Defects) -> list[Source]:
+    """Return the sources of events beside the pixels; dead pixels have none."""
+    sources: list[Source] = []
     if p.background.hz or p.background.hot_share * p.background.hot_hz:
         sources.append(BackgroundEvents(p, seed, defects.dead))
     if p.radiation.hits_per_cm2_s:
@@ -227,22 +215,16 @@ def longest_step_ns(p: SensorParameters) -> int:
 
 def _noise_hz(p: SensorParameters) -> float:
     """Return the rate of a pixel's noise events in the light where they are most frequent."""
-    if not p.noise.rms:
-        return 0.0
-    with np.errstate(all="ignore"):  # noise so small that no number holds its rate
-        rates = of_array(p, np.asarray((p.threshold_on + p.threshold_off) / 2), corner_hz(p, _LIGHTS))
-        return float(np.nan_to_num(rates.on + rates.off).max())
+    return max(sum(still_hz(p, float(f))) for f in np.unique(corner_hz(p, _LIGHTS)))
 
 
 def _load_rare_kernels() -> None:
     """Load the kernels that a flash at a few pixels does not reach: loading one takes 10 ms, which a run has not.
 
-    They merge the events of two threads, and insert the noise events of a step.
+    They merge the events of two threads.
     """
     key = np.zeros(1, np.uint64)
     EventBuffers().add([key, key], 0, 10, 0)
-    nothing, out = ((np.empty(n, np.int64), np.empty(n, np.uint32), np.empty(n, np.bool_)) for n in (0, 1))
-    insert(key, 0, 10, nothing, out)
 
 
 class Sensor:
@@ -282,8 +264,7 @@ class Sensor:
         defects = draw_defects(p, seed)
         self._dead = dead_pixels(p, defects)
         self._leaks = _leaks(self.pixels, p, seed, defects)
-        self._noise = make_noise(p, seed, defects, self.pixels)
-        self._sources = make_sources(p, seed, defects, self._noise)
+        self._sources = make_sources(p, seed, defects)
         self._jitter = make_jitter(p, seed)
         self._readout = make_readout(p)
         self._dark = np.float32(at_reference.dark_current_relative)
@@ -379,8 +360,6 @@ class Sensor:
             self._kicks.reset()
         for source in self._sources:
             source.reset(self._t_ns)
-        if self._noise is not None:
-            self._noise.begin(seen.light.reshape(-1))
         if self._jitter is not None:
             self._jitter.reset(self._t_ns)
         self._remember(frame.light)
@@ -418,7 +397,7 @@ class Sensor:
         return fields
 
     def adjust(self, name: str, value: float) -> None:
-        """Set one of `adjustable` from now on; noise of the grade "points" follows from the same time on.
+        """Set one of `adjustable` from now on; the noise follows from the same time on.
 
         Raises
         ------
@@ -458,8 +437,6 @@ class Sensor:
         self.longest_step_ns = longest_step_ns(self.pixels.parameters)
         if name == "refractory_us":
             self._set_refractory(value)
-        if self._noise is not None:
-            self._noise.follow(self.pixels.parameters, self.pixels.live_thresholds())
 
     def _set_refractory(self, refractory_us: float) -> None:
         self._readout.set_refractory(refractory_us)
@@ -482,8 +459,6 @@ class Sensor:
         seen = self._imager.see(frame)
         crossings = self._of_live_pixels(self.pixels.step(seen) if self._kicks is None else self._kicked(seen))
         self._t_ns = frame.t_ns
-        if self._noise is not None:
-            crossings = self._noise.take(crossings, seen.light.reshape(-1))
         if self._kicks is not None:
             crossings = self._kicks.without_silent(crossings)
         return self._with_others(crossings, seen.light, self.pixels.settled_ns)

@@ -107,13 +107,14 @@ _ONE_32, _HALF, _MINUS_TWO, _UNIT_24 = (np.float32(x) for x in (1, 0.5, -2, 2.0*
 _C1, _C2, _C3, _C4, _C5 = (np.float32(c) for c in (-19.7390496, 64.9302786, -85.2868440, 58.8524982, -21.1624988))
 
 
-_mix = kernel(mix)
+mix_word = kernel(mix)
+"""Scramble a word, one to one, in compiled loops."""
 
 
 @kernel
 def stream(root: np.uint64, pixel: int) -> np.uint64:
     """Return the stream of a pixel (slot, particle), a whole number >= 0."""
-    mixed: np.uint64 = _mix(root + np.uint64(pixel) * GOLDEN)
+    mixed: np.uint64 = mix_word(root + np.uint64(pixel) * GOLDEN)
     return mixed
 
 
@@ -129,7 +130,7 @@ def streams(root: np.uint64, n: int) -> npt.NDArray[np.uint64]:
 @kernel
 def word(base: np.uint64, index: int) -> np.uint64:
     """Return number `index` >= 0 of a stream, 64 bits."""
-    mixed: np.uint64 = _mix(base + (np.uint64(index) + _ONE) * GOLDEN)
+    mixed: np.uint64 = mix_word(base + (np.uint64(index) + _ONE) * GOLDEN)
     return mixed
 
 

@@ -18,6 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame, PixelLight, Region
+from emulator.sensor.noise.hazard import hazard_tables
+from emulator.sensor.noise.start import settle
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.numerics.keyed import Purpose, root_of, streams
@@ -31,6 +33,7 @@ from emulator.sensor.pixels.state import (
     DEAD_THRESHOLD,
     EPOCH_BITS,
     FIELDS,
+    MEMORY,
     NEAR_BLOCKS,
     PARTS,
     Field,
@@ -44,15 +47,20 @@ from emulator.sensor.pixels.state import (
     field_index,
     leak_phase,
     light_constants,
+    noise_memory,
     put_field,
     take_field,
 )
 from emulator.sensor.pixels.step import Share, Tally, Workers, advance, compile_parts, replace_light
 from emulator.sensor.presets import SensorParameters
+from emulator.threads import ThreadPool, available_threads
 
 __all__ = ["PixelArray", "PixelState"]
 
 _EPOCH_NS = 1 << EPOCH_BITS
+_LONG_AGO_NS = 1 << 40
+_CERTIFIED_NS = 10_000_000  # length of the steps for which the first certificates are made
+_PART = 1 << 14  # pixels that a thread settles at once
 
 _Float32s = npt.NDArray[np.float32]
 _NO_RATE = np.empty(0, np.float32)
@@ -105,7 +113,9 @@ class PixelArray(PixelMethod):
         self._pixel_bits = max(1, (self._pixels - 1).bit_length())
         self._refractory_ns = _refractory_ns(parameters)
         self._light_constants = light_constants(parameters)
+        self._noise_root = root_of(seed, Purpose.NOISE_EVENTS)
         self._buffers = EventBuffers()
+        self._tables = hazard_tables() if parameters.noise.rms else np.empty(0, np.float32)
         self.state = self._dark_state()
         self._workers = Workers(self.state.fields.shape[0], threads)
         self._delays = max(parameters.comparator.on_us, parameters.comparator.off_us) > 0
@@ -123,7 +133,10 @@ class PixelArray(PixelMethod):
         put_field(fields, Field.ON, pixels.on)
         put_field(fields, Field.OFF, pixels.off)
         put_field(fields, Field.LEAK, pixels.leak_hz * take_field(fields, Field.ON, self._pixels))
-        return PixelState(fields, np.zeros((1 + (p.reset.noise > 0)) * blocks * BLOCK, np.int64), 0, 0, False)
+        fields[:, Field.UNTIL] = -np.inf
+        memory = noise_memory(p, self.seed, blocks * BLOCK) if p.noise.rms else np.empty(0, np.float32)
+        positions = np.zeros((1 + (p.reset.noise > 0)) * blocks * BLOCK, np.int64)
+        return PixelState(fields, positions, 0, 0, False, memory)
 
     def _clear_counters(self) -> None:
         self.lost_in_pixel = self.quiet_nan = self.undersampled = self.candidates = 0
@@ -166,6 +179,7 @@ class PixelArray(PixelMethod):
         self.parameters, self._light_constants = after, light_constants(after)
         self._refractory_ns = _refractory_ns(after)
         self._refinement = None
+        self.state.fields[:, Field.UNTIL] = -np.inf  # certificates are those of the parameters before
         self.wake()
 
     def _scale_threshold(self, field: Field, ratio: float) -> None:
@@ -223,9 +237,13 @@ class PixelArray(PixelMethod):
 
     def compile_part(self, part: str) -> None:
         """Compile "blocks" or "candidates", large parts of the step that `step` then finds on disk."""
-        pixels = Pixels(self.state.fields.reshape(-1), self.state.refractory_until_ns)
+        pixels = self._flat_state()
         share = Share(0, 1, self._workers.idle, self._touched(None))
         compile_parts(part, pixels, self._workers.buffers(), share, self._constants(0, 1_000_000))
+
+    def _flat_state(self) -> Pixels:
+        state = self.state
+        return Pixels(state.fields.reshape(-1), state.refractory_until_ns, state.memory, self._tables)
 
     def wake(self) -> None:
         """Compute all blocks in the next step; for callers that change the state of pixels."""
@@ -267,9 +285,29 @@ class PixelArray(PixelMethod):
             np.where(flat > 0, slope, 0) / (current * filter_rate) if slope.size else np.full(flat.size, np.nan),
         )
         put_field(state.fields, Field.REFERENCE, log_light + leak * since_epoch - on * phase)
+        if p.noise.rms:
+            self._settle(pixels)
         self._clear_counters()
         self._replacing = None
         self.wake()
+
+    def _settle(self, pixels: int) -> None:
+        """Let noise act on the references before the start, by all cores, and certify the pixels."""
+        state = self.state
+        state.fields[:, Field.UNTIL] = -np.inf
+        state.memory.reshape(-1, MEMORY)[:, :2] = 0
+        state.refractory_until_ns[:pixels] = state.t_ns - _LONG_AGO_NS  # the noise has forgotten the last reset
+        root, history_s = root_of(self.seed, Purpose.NOISE_BURST), self.parameters.noise.history_s
+        c, flat = self._constants(state.t_ns - _CERTIFIED_NS, state.t_ns), self._flat_state()
+
+        def settle_part(part: int, _: int) -> None:
+            settle(part * _PART, min((part + 1) * _PART, self._pixels), history_s, root, flat, c)
+
+        pool = ThreadPool(available_threads())
+        try:
+            pool.each(settle_part, -(-self._pixels // _PART))
+        finally:
+            pool.close()
 
     def step(self, frame: LightFrame) -> Crossings:
         """Move from the last time to that of `frame`.
@@ -336,7 +374,7 @@ class PixelArray(PixelMethod):
             self.wake()
         state.slopes_known = with_slopes
         t0_ns = state.t_ns
-        pixels = Pixels(state.fields.reshape(-1), state.refractory_until_ns)
+        pixels = self._flat_state()
         c = self._constants(t0_ns, t_ns, not with_slopes)
         touched = self._touched(changed)
         if with_slopes and at is not None and t_ns - t0_ns >= SHORTEST_NS:
@@ -372,7 +410,7 @@ class PixelArray(PixelMethod):
         frame, self._replacing = self._replacing, None
         state = self.state
         c = self._constants(state.t_ns, state.t_ns + 1, chord=not frame.rate.size)
-        pixels = Pixels(state.fields.reshape(-1), state.refractory_until_ns)
+        pixels = self._flat_state()
         self.quiet_nan += replace_light(frame, pixels, self._workers.buffers().scratch, c)
         state.slopes_known = bool(frame.rate.size)
         self.wake()
@@ -392,6 +430,7 @@ class PixelArray(PixelMethod):
         if epoch_ns != state.epoch_ns:
             moved_s = np.float32((epoch_ns - state.epoch_ns) * 1e-9)
             state.fields[:, Field.REFERENCE] -= state.fields[:, Field.LEAK] * moved_s
+            state.fields[:, Field.UNTIL] -= moved_s + np.float32(1e-5)  # never later by its rounding
             self._move_parasitic(moved_s, take_field(state.fields, Field.LOG_LIGHT, self._pixels))
             state.epoch_ns = epoch_ns
 
@@ -448,6 +487,11 @@ class PixelArray(PixelMethod):
             on_delay=p.comparator.on_us * 1e-6,
             off_delay=p.comparator.off_us * 1e-6,
             contrast_per_e=float(p.comparator.contrast_per_e),
+            noisy=p.noise.rms > 0,
+            noise_rms=float(p.noise.rms),
+            noise_pole=2 * math.pi * (p.noise.corner_hz or p.source_follower_hz),
+            noise_root=self._noise_root,
+            since_s=since_ns * 1e-9,
         )
 
 

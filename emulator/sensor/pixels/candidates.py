@@ -55,7 +55,7 @@ from emulator.sensor.pixels.substeps import CAPACITY, SubstepTable, new_substep_
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 
-_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P = (int(f) * BLOCK for f in Field)
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _ = (int(f) * BLOCK for f in Field)
 
 _U0, _V0, _L0, _G0, _A0, _A1, _S, _, _W0, _P0, _, _ = BEFORE_ROWS
 
@@ -64,15 +64,15 @@ BATCH = BLOCK
 
 # Rows of the table, by their first index in the flat array.
 (
-    _C_U0, _C_V0, _C_L0, _C_A0, _C_U1, _C_V1, _C_L1, _C_A1, _C_S, _C_REF, _C_ON, _C_OFF, _C_LEAK,
-    _C_W0, _C_W1, _C_P0, _C_P1, _C_START, _C_BASE, _C_A, _C_D0, _C_D1, _C_C1, _C_C2, _C_C3, _C_KIND,
-    _C_Z, _C_MISS, _C_NEXT_A, _C_NEXT_START, _C_NEXT_REF, _C_AGAIN, _C_LIT,
-    _C_RESET, _C_NEXT_RESET, _C_LATE,
+    C_U0, C_V0, C_L0, C_A0, C_U1, C_V1, C_L1, C_A1, C_S, C_REF, C_ON, C_OFF, C_LEAK,
+    C_W0, C_W1, C_P0, C_P1, C_START, C_BASE, C_A, C_D0, C_D1, C_C1, C_C2, C_C3, C_KIND,
+    C_Z, C_MISS, C_NEXT_A, C_NEXT_START, C_NEXT_REF, C_AGAIN, C_LIT,
+    C_RESET, C_NEXT_RESET, C_LATE,
 ) = (k * CAPACITY for k in range(36))  # fmt: skip
-_C_ROWS = 36
+C_ROWS = 36
 _LAST, _NEXT = (np.int64(n) for n in range(2))
 
-_NOTHING, _RE_ARMS, _FIRES, _NEEDS_SUBSTEPS = (np.float32(kind) for kind in range(4))
+_NOTHING, _RE_ARMS, _FIRES, NEEDS_SUBSTEPS = (np.float32(kind) for kind in range(4))
 
 _NAN = np.float32(np.nan)
 _ZERO, _ONE, _TWO, _THREE, _HALF = (np.float32(x) for x in (0, 1, 2, 3, 0.5))
@@ -94,7 +94,7 @@ class Table(NamedTuple):
 
 def new_table() -> Table:
     """Return an empty table."""
-    rows = aligned_zeros(_C_ROWS * CAPACITY)
+    rows = aligned_zeros(C_ROWS * CAPACITY)
     return Table(rows, np.empty(CAPACITY, np.int64), np.empty(CAPACITY, np.int64), new_substep_table())
 
 
@@ -147,15 +147,15 @@ def gather(selected: _Int64s, s: _Float32s, before: _Float32s, firsts: _Int64s, 
         i, k = np.uint64(selected[j]), np.uint64(n + j)
         table.pixels[k] = pixel_at(firsts, selected[j])
         # light, filter, rate and slopes at both ends of the step
-        rows[entry_at(_C_U0, k)], rows[entry_at(_C_U1, k)] = before[entry_at(_U0, i)], s[entry_at(_U, i)]
-        rows[entry_at(_C_V0, k)], rows[entry_at(_C_V1, k)] = before[entry_at(_V0, i)], s[entry_at(_V, i)]
-        rows[entry_at(_C_L0, k)], rows[entry_at(_C_L1, k)] = before[entry_at(_L0, i)], s[entry_at(_L, i)]
-        rows[entry_at(_C_A0, k)], rows[entry_at(_C_A1, k)] = before[entry_at(_A0, i)], before[entry_at(_A1, i)]
-        rows[entry_at(_C_S, k)] = before[entry_at(_S, i)]
+        rows[entry_at(C_U0, k)], rows[entry_at(C_U1, k)] = before[entry_at(_U0, i)], s[entry_at(_U, i)]
+        rows[entry_at(C_V0, k)], rows[entry_at(C_V1, k)] = before[entry_at(_V0, i)], s[entry_at(_V, i)]
+        rows[entry_at(C_L0, k)], rows[entry_at(C_L1, k)] = before[entry_at(_L0, i)], s[entry_at(_L, i)]
+        rows[entry_at(C_A0, k)], rows[entry_at(C_A1, k)] = before[entry_at(_A0, i)], before[entry_at(_A1, i)]
+        rows[entry_at(C_S, k)] = before[entry_at(_S, i)]
         # the comparator
-        rows[entry_at(_C_LEAK, k)] = s[entry_at(_LEAK, i)]
-        rows[entry_at(_C_ON, k)], rows[entry_at(_C_OFF, k)] = s[entry_at(_ON, i)], s[entry_at(_OFF, i)]
-        rows[entry_at(_C_REF, k)] = s[entry_at(_REF, i)]
+        rows[entry_at(C_LEAK, k)] = s[entry_at(_LEAK, i)]
+        rows[entry_at(C_ON, k)], rows[entry_at(C_OFF, k)] = s[entry_at(_ON, i)], s[entry_at(_OFF, i)]
+        rows[entry_at(C_REF, k)] = s[entry_at(_REF, i)]
 
 
 @kernel
@@ -165,9 +165,9 @@ def gather_rare(selected: _Int64s, s: _Float32s, before: _Float32s, n: int, tabl
     for j in range(selected.size):
         i, k = np.uint64(selected[j]), np.uint64(n + j)
         if c.second > _ZERO:
-            rows[entry_at(_C_W0, k)], rows[entry_at(_C_W1, k)] = before[entry_at(_W0, i)], s[entry_at(_W, i)]
+            rows[entry_at(C_W0, k)], rows[entry_at(C_W1, k)] = before[entry_at(_W0, i)], s[entry_at(_W, i)]
         if c.parasitic > _ZERO:
-            rows[entry_at(_C_P0, k)], rows[entry_at(_C_P1, k)] = before[entry_at(_P0, i)], s[entry_at(_P, i)]
+            rows[entry_at(C_P0, k)], rows[entry_at(C_P1, k)] = before[entry_at(_P0, i)], s[entry_at(_P, i)]
 
 
 @kernel
@@ -175,23 +175,23 @@ def _complete_parasitic(rows: _Float32s, n: int, c: StepConstants) -> None:
     """Add to each candidate's sums what its light at both ends of the step leaks since the epoch."""
     use_widest_vectors()
     for j in range(n):
-        leaks = c.parasitic * rows[_C_ON + j]
-        since0, since1 = leaks * photocurrent(rows[_C_U0 + j]), leaks * photocurrent(rows[_C_U1 + j])
-        rows[_C_P0 + j] += since0 * c.since_epoch_0
-        rows[_C_P1 + j] += since1 * c.since_epoch_1
-        rows[_C_LIT + j] = since1
+        leaks = c.parasitic * rows[C_ON + j]
+        since0, since1 = leaks * photocurrent(rows[C_U0 + j]), leaks * photocurrent(rows[C_U1 + j])
+        rows[C_P0 + j] += since0 * c.since_epoch_0
+        rows[C_P1 + j] += since1 * c.since_epoch_1
+        rows[C_LIT + j] = since1
 
 
 @kernel
 def _find_starts(pixels: Pixels, table: Table, n: int, c: StepConstants) -> None:
     """Write when each candidate is re-armed, as a share of the step; 0 outside a refractory period."""
     for j in range(n):
-        reference = table.rows[_C_REF + j]
+        reference = table.rows[C_REF + j]
         start = _ZERO
         if reference != reference:
             wait_ns = pixels.refractory_until_ns[table.pixels[j]] - c.t0_ns
             start = np.float32(max(wait_ns, 0) / c.h_ns)
-        table.rows[_C_START + j] = start
+        table.rows[C_START + j] = start
 
 
 @kernel
@@ -199,9 +199,9 @@ def _find_offsets(pixels: Pixels, table: Table, n: int, c: StepConstants) -> Non
     """Write the offsets of each candidate's reference after its last reset and after its next one; see `state`."""
     rows = table.rows
     for j in range(n):
-        pixel, on, off = table.pixels[j], rows[_C_ON + j], rows[_C_OFF + j]
-        rows[_C_RESET + j] = reset_offset(pixels, pixel, _LAST, on, off, c.reset)
-        rows[_C_NEXT_RESET + j] = reset_offset(pixels, pixel, _NEXT, on, off, c.reset)
+        pixel, on, off = table.pixels[j], rows[C_ON + j], rows[C_OFF + j]
+        rows[C_RESET + j] = reset_offset(pixels, pixel, _LAST, on, off, c.reset)
+        rows[C_NEXT_RESET + j] = reset_offset(pixels, pixel, _NEXT, on, off, c.reset)
 
 
 @vector_kernel
@@ -209,26 +209,27 @@ def _make_curves(table: _Float32s, n: int, c: StepConstants) -> None:
     """Write each candidate's cubic, without leak, and whether the pixel needs substeps instead."""
     use_widest_vectors()
     for j in range(n):
-        u0, u1 = table[_C_U0 + j], table[_C_U1 + j]
-        v0, v1 = table[_C_V0 + j], table[_C_V1 + j]
-        a0, a1 = table[_C_A0 + j], table[_C_A1 + j]
-        s = table[_C_S + j]
-        threshold = min(table[_C_ON + j], table[_C_OFF + j])
-        r0 = c.h * table[_C_L0 + j]  # rates of the filter, per step
-        r1 = c.h * table[_C_L1 + j]
+        u0, u1 = table[C_U0 + j], table[C_U1 + j]
+        v0, v1 = table[C_V0 + j], table[C_V1 + j]
+        a0, a1 = table[C_A0 + j], table[C_A1 + j]
+        s = table[C_S + j]
+        threshold = min(table[C_ON + j], table[C_OFF + j])
+        r0 = c.h * table[C_L0 + j]  # rates of the filter, per step
+        r1 = c.h * table[C_L1 + j]
         smooth = is_smooth(u1 - u0, a0, a1, threshold, c.unseen_share)
         # The slopes of the filter's output are its rate times its lag. Where the exponential is rounding noise, the lag
         # without it is more accurate than the difference of two large numbers.
-        t = transient(u0 - v0, Course(s, u1 - u0, s * a0 / r0, s * a1 / r1))
+        allowed = _SHARE * threshold
+        t = transient(u0 - v0, Course(s, u1 - u0, s * a0 / r0, s * a1 / r1), allowed)
         m0 = r0 * (t.lag0 if t.faint else u0 - v0)
         m1 = r1 * (t.lag1 if t.faint else u1 - v1)
         # A cubic is good where it misses little of the exponential.
-        fits = (_ZERO if t.faint else missed_by_cubic(t.b, s)) <= _SHARE * threshold
-        table[_C_D0 + j] = v0
-        table[_C_D1 + j] = v1
-        table[_C_C1 + j] = m0
-        table[_C_C2 + j] = m1
-        table[_C_KIND + j] = _NOTHING if smooth & fits else _NEEDS_SUBSTEPS
+        fits = (_ZERO if t.faint else missed_by_cubic(t.b, s)) <= allowed
+        table[C_D0 + j] = v0
+        table[C_D1 + j] = v1
+        table[C_C1 + j] = m0
+        table[C_C2 + j] = m1
+        table[C_KIND + j] = _NOTHING if smooth & fits else NEEDS_SUBSTEPS
 
 
 @vector_kernel
@@ -236,21 +237,22 @@ def _make_curves_of_receptor(table: _Float32s, n: int, c: StepConstants) -> None
     """Write the cubics of `_make_curves` for the large-signal law."""
     use_widest_vectors()
     for j in range(n):
-        u0, u1 = table[_C_U0 + j], table[_C_U1 + j]
-        v0, v1 = table[_C_V0 + j], table[_C_V1 + j]
-        a0, a1 = table[_C_A0 + j], table[_C_A1 + j]
-        s = table[_C_S + j]
-        threshold = min(table[_C_ON + j], table[_C_OFF + j])
-        r0 = c.h * table[_C_L0 + j]
-        r1 = c.h * table[_C_L1 + j]
-        r = response(Filtered(u0 - v0, u1 - v1, v1 - v0, r0, r1), Course(s, u1 - u0, s * a0 / r0, s * a1 / r1))
+        u0, u1 = table[C_U0 + j], table[C_U1 + j]
+        v0, v1 = table[C_V0 + j], table[C_V1 + j]
+        a0, a1 = table[C_A0 + j], table[C_A1 + j]
+        s = table[C_S + j]
+        threshold = min(table[C_ON + j], table[C_OFF + j])
+        r0 = c.h * table[C_L0 + j]
+        r1 = c.h * table[C_L1 + j]
         allowed = _SHARE * threshold if c.second == _ZERO else min(_SHARE * threshold, _MISSED)
+        course = Course(s, u1 - u0, s * a0 / r0, s * a1 / r1)
+        r = response(Filtered(u0 - v0, u1 - v1, v1 - v0, r0, r1), course, allowed)
         smooth = is_smooth(u1 - u0, a0, a1, threshold, c.unseen_share) & (u0 - v0 < MOST_BEHIND)
-        table[_C_D0 + j] = v0
-        table[_C_D1 + j] = v1
-        table[_C_C1 + j] = r.m0
-        table[_C_C2 + j] = r.m1
-        table[_C_KIND + j] = _NOTHING if smooth & (r.missed <= allowed) else _NEEDS_SUBSTEPS
+        table[C_D0 + j] = v0
+        table[C_D1 + j] = v1
+        table[C_C1 + j] = r.m0
+        table[C_C2 + j] = r.m1
+        table[C_KIND + j] = _NOTHING if smooth & (r.missed <= allowed) else NEEDS_SUBSTEPS
 
 
 @vector_kernel
@@ -258,16 +260,16 @@ def _make_curves_of_second_pole(table: _Float32s, n: int, c: StepConstants) -> N
     """Replace each candidate's cubic by that of the second pole's output: it follows the cubic as the filter light."""
     use_widest_vectors()
     for j in range(n):
-        v0, v1 = table[_C_V0 + j], table[_C_V1 + j]
-        w0, w1 = table[_C_W0 + j], table[_C_W1 + j]
-        t = transient(v0 - w0, Course(c.second, v1 - v0, table[_C_C1 + j], table[_C_C2 + j]))
-        allowed = _SHARE * min(table[_C_ON + j], table[_C_OFF + j])
+        v0, v1 = table[C_V0 + j], table[C_V1 + j]
+        w0, w1 = table[C_W0 + j], table[C_W1 + j]
+        allowed = _SHARE * min(table[C_ON + j], table[C_OFF + j])
+        t = transient(v0 - w0, Course(c.second, v1 - v0, table[C_C1 + j], table[C_C2 + j]), allowed)
         fits = (_ZERO if t.faint else missed_by_cubic(t.b, c.second)) <= allowed
-        table[_C_D0 + j] = w0
-        table[_C_D1 + j] = w1
-        table[_C_C1 + j] = c.second * (t.lag0 if t.faint else v0 - w0)
-        table[_C_C2 + j] = c.second * (t.lag1 if t.faint else v1 - w1)
-        table[_C_KIND + j] = table[_C_KIND + j] if fits else _NEEDS_SUBSTEPS
+        table[C_D0 + j] = w0
+        table[C_D1 + j] = w1
+        table[C_C1 + j] = c.second * (t.lag0 if t.faint else v0 - w0)
+        table[C_C2 + j] = c.second * (t.lag1 if t.faint else v1 - w1)
+        table[C_KIND + j] = table[C_KIND + j] if fits else NEEDS_SUBSTEPS
 
 
 @vector_kernel
@@ -275,11 +277,29 @@ def _add_parasitic(table: _Float32s, n: int, c: StepConstants) -> None:
     """Add the parasitic leak to each candidate's curve."""
     use_widest_vectors()
     for j in range(n):
-        leaks = c.h * c.parasitic * table[_C_ON + j]
-        table[_C_D0 + j] += table[_C_P0 + j]
-        table[_C_D1 + j] += table[_C_P1 + j]
-        table[_C_C1 + j] += leaks * exponential(table[_C_U0 + j])
-        table[_C_C2 + j] += leaks * exponential(table[_C_U1 + j])
+        leaks = c.h * c.parasitic * table[C_ON + j]
+        table[C_D0 + j] += table[C_P0 + j]
+        table[C_D1 + j] += table[C_P1 + j]
+        table[C_C1 + j] += leaks * exponential(table[C_U0 + j])
+        table[C_C2 + j] += leaks * exponential(table[C_U1 + j])
+
+
+@kernel
+def make_curves(rows: _Float32s, n: int, c: StepConstants) -> None:
+    """Write values and slopes of the n candidates' curves at both ends of the step, without the junction's leak.
+
+    Marks those that need substeps. The rows of the coefficients hold the slopes at the ends, C1 and C2.
+    """
+    if c.parasitic > _ZERO:
+        _complete_parasitic(rows, whole_vectors(n), c)
+    if c.large:
+        _make_curves_of_receptor(rows, whole_vectors(n), c)
+    else:
+        _make_curves(rows, whole_vectors(n), c)
+    if c.second > _ZERO:
+        _make_curves_of_second_pole(rows, whole_vectors(n), c)
+    if c.parasitic > _ZERO:
+        _add_parasitic(rows, whole_vectors(n), c)
 
 
 @vector_kernel
@@ -287,56 +307,56 @@ def _sort_by_kind(table: _Float32s, n: int, c: StepConstants) -> None:
     """Finish each candidate's curve, relative to `base` and with leak, and write its kind."""
     use_widest_vectors()
     for j in range(n):
-        leak = table[_C_LEAK + j]
-        on = table[_C_ON + j]
-        off = table[_C_OFF + j]
-        start = table[_C_START + j]
-        reference = table[_C_REF + j]
-        w0 = table[_C_D0 + j]
+        leak = table[C_LEAK + j]
+        on = table[C_ON + j]
+        off = table[C_OFF + j]
+        start = table[C_START + j]
+        reference = table[C_REF + j]
+        w0 = table[C_D0 + j]
         # Relative to the reference, or to the start of the step where there is none: small numbers are exact.
         refractory = reference != reference
         base = w0 + leak * c.since_epoch_0 if refractory else reference
         d0 = (w0 - base) + leak * c.since_epoch_0
-        d1 = (table[_C_D1 + j] - base) + leak * c.since_epoch_1
+        d1 = (table[C_D1 + j] - base) + leak * c.since_epoch_1
         # The cubic through both values and slopes. It is monotone if the Bernstein coefficients of its slope, m0, m1
         # and the middle one, have one sign.
         rise = d1 - d0
-        m0 = table[_C_C1 + j] + c.h * leak
-        m1 = table[_C_C2 + j] + c.h * leak
+        m0 = table[C_C1 + j] + c.h * leak
+        m1 = table[C_C2 + j] + c.h * leak
         c2 = _THREE * rise - _TWO * m0 - m1
         c3 = m0 + m1 - _TWO * rise
         middle = m0 + c2
         monotone = (min(min(m0, m1), middle) >= _ZERO) | (max(max(m0, m1), middle) <= _ZERO)
         # The pixel compares from `start` on with the level a: then a monotone curve fires if its end does.
         at_start = ((c3 * start + c2) * start + m0) * start + d0
-        a = at_start + table[_C_RESET + j] if refractory else _ZERO
+        a = at_start + table[C_RESET + j] if refractory else _ZERO
         inside = (at_start - a < on) & (at_start - a > -off)
         fires = (d1 - a >= on) | (d1 - a <= -off)
-        table[_C_BASE + j] = base
-        table[_C_A + j] = a
-        table[_C_D0 + j] = d0
-        table[_C_D1 + j] = d1
-        table[_C_C1 + j] = m0
-        table[_C_C2 + j] = c2
-        table[_C_C3 + j] = c3
+        table[C_BASE + j] = base
+        table[C_A + j] = a
+        table[C_D0 + j] = d0
+        table[C_D1 + j] = d1
+        table[C_C1 + j] = m0
+        table[C_C2 + j] = c2
+        table[C_C3 + j] = c3
         idle = _RE_ARMS if refractory else _NOTHING
         kind = _FIRES if fires else idle
-        table[_C_KIND + j] = kind if monotone & inside & (table[_C_KIND + j] != _NEEDS_SUBSTEPS) else _NEEDS_SUBSTEPS
+        table[C_KIND + j] = kind if monotone & inside & (table[C_KIND + j] != NEEDS_SUBSTEPS) else NEEDS_SUBSTEPS
 
 
 @lane
 def _cubic(rows: _Float32s, j: int) -> Cubic:
     """Return the curve of candidate j over the step."""
-    return Cubic(rows[_C_D0 + j], rows[_C_C1 + j], rows[_C_C2 + j], rows[_C_C3 + j])
+    return Cubic(rows[C_D0 + j], rows[C_C1 + j], rows[C_C2 + j], rows[C_C3 + j])
 
 
 @lane
 def _bracket(rows: _Float32s, j: int) -> Bracket:
     """Return the bracket in which the curve of candidate j meets its next level."""
-    a = rows[_C_A + j]
-    rising = rows[_C_D1 + j] > a
-    level = a + (rows[_C_ON + j] if rising else -rows[_C_OFF + j])
-    return Bracket(rows[_C_START + j], _ONE, level, rising)
+    a = rows[C_A + j]
+    rising = rows[C_D1 + j] > a
+    level = a + (rows[C_ON + j] if rising else -rows[C_OFF + j])
+    return Bracket(rows[C_START + j], _ONE, level, rising)
 
 
 @vector_kernel
@@ -346,8 +366,8 @@ def _cross(table: _Float32s, n: int) -> None:
     for j in range(n):
         g, at = _cubic(table, j), _bracket(table, j)
         at_start = value(g, at.low)
-        guess = at.low + (_ONE - at.low) * (at.level - at_start) / (table[_C_D1 + j] - at_start)
-        table[_C_Z + j], table[_C_MISS + j] = newton(g, at, guess)
+        guess = at.low + (_ONE - at.low) * (at.level - at_start) / (table[C_D1 + j] - at_start)
+        table[C_Z + j], table[C_MISS + j] = newton(g, at, guess)
 
 
 @kernel
@@ -359,10 +379,10 @@ def _bisect_unsettled(table: Table, n: int) -> None:
     rows, unsettled = table.rows, 0
     for j in range(n):
         table.listed[unsettled] = j
-        unsettled += (rows[_C_KIND + j] == _FIRES) & (rows[_C_MISS + j] > SETTLED)
+        unsettled += (rows[C_KIND + j] == _FIRES) & (rows[C_MISS + j] > SETTLED)
     for k in range(unsettled):
         j = table.listed[k]
-        rows[_C_Z + j] = bisect(_cubic(rows, j), _bracket(rows, j))
+        rows[C_Z + j] = bisect(_cubic(rows, j), _bracket(rows, j))
 
 
 @kernel
@@ -370,11 +390,11 @@ def _find_delays(table: Table, n: int, c: StepConstants) -> None:
     """Write the delay of the comparator of each candidate that fires, as a share of the step."""
     rows = table.rows
     for j in range(n):
-        if rows[_C_KIND + j] == _FIRES:
-            z = rows[_C_Z + j]
-            slope = (_THREE * rows[_C_C3 + j] * z + _TWO * rows[_C_C2 + j]) * z + rows[_C_C1 + j]
-            late_s = delay_s(np.float64(abs(slope) / c.h), rows[_C_D1 + j] > rows[_C_A + j], c)
-            rows[_C_LATE + j] = np.float32(late_s / c.h)
+        if rows[C_KIND + j] == _FIRES:
+            z = rows[C_Z + j]
+            slope = (_THREE * rows[C_C3 + j] * z + _TWO * rows[C_C2 + j]) * z + rows[C_C1 + j]
+            late_s = delay_s(np.float64(abs(slope) / c.h), rows[C_D1 + j] > rows[C_A + j], c)
+            rows[C_LATE + j] = np.float32(late_s / c.h)
 
 
 @vector_kernel
@@ -382,18 +402,18 @@ def _follow(table: _Float32s, n: int, c: StepConstants) -> None:
     """Write for each candidate that fires at z its next reference, when it is re-armed, and whether it fires again."""
     use_widest_vectors()
     for j in range(n):
-        a, d1 = table[_C_A + j], table[_C_D1 + j]
-        on, off = table[_C_ON + j], table[_C_OFF + j]
-        re_armed = table[_C_Z + j] + (table[_C_LATE + j] + c.refractory)
+        a, d1 = table[C_A + j], table[C_D1 + j]
+        on, off = table[C_ON + j], table[C_OFF + j]
+        re_armed = table[C_Z + j] + (table[C_LATE + j] + c.refractory)
         # Without a refractory period the level that was crossed is the next reference; else the curve at its end is.
         crossed = a + (on if d1 > a else -off)
         at_end = value(_cubic(table, j), re_armed)
-        following = (at_end if c.refractory > _ZERO else crossed) + table[_C_NEXT_RESET + j]
+        following = (at_end if c.refractory > _ZERO else crossed) + table[C_NEXT_RESET + j]
         fires = ((d1 - following >= on) | (d1 - following <= -off)) & (re_armed <= _ONE)
-        table[_C_NEXT_A + j] = following
-        table[_C_NEXT_START + j] = re_armed
-        table[_C_NEXT_REF + j] = table[_C_BASE + j] + following if re_armed <= _ONE else _NAN
-        table[_C_AGAIN + j] = _ONE if fires & (table[_C_KIND + j] == _FIRES) else _ZERO
+        table[C_NEXT_A + j] = following
+        table[C_NEXT_START + j] = re_armed
+        table[C_NEXT_REF + j] = table[C_BASE + j] + following if re_armed <= _ONE else _NAN
+        table[C_AGAIN + j] = _ONE if fires & (table[C_KIND + j] == _FIRES) else _ZERO
 
 
 @kernel
@@ -401,10 +421,10 @@ def _move_column(table: Table, j: int, k: int) -> None:
     """Move the entries for the next crossing from column j to column k."""
     rows = table.rows
     table.pixels[k] = table.pixels[j]
-    rows[_C_A + k] = rows[_C_NEXT_A + j]
-    rows[_C_START + k] = rows[_C_NEXT_START + j]
-    rows[_C_KIND + k] = _FIRES
-    for row in (_C_ON, _C_OFF, _C_BASE, _C_D0, _C_D1, _C_C1, _C_C2, _C_C3, _C_NEXT_RESET):
+    rows[C_A + k] = rows[C_NEXT_A + j]
+    rows[C_START + k] = rows[C_NEXT_START + j]
+    rows[C_KIND + k] = _FIRES
+    for row in (C_ON, C_OFF, C_BASE, C_D0, C_D1, C_C1, C_C2, C_C3, C_NEXT_RESET):
         rows[row + k] = rows[row + j]
 
 
@@ -413,24 +433,24 @@ def _fire(pixels: Pixels, table: Table, n: int, keys: Keys, n_keys: int, c: Step
     """Write the events of the candidates that fire, and their references; return n_keys and the count of repeats."""
     rows, again = table.rows, NONE
     for j in range(n):
-        if rows[_C_KIND + j] != _FIRES:
+        if rows[C_KIND + j] != _FIRES:
             continue
         # The event: its time in the step is the crossing's, and the delay of the comparator.
         pixel = table.pixels[j]
-        dt_ns = min(int(rows[_C_Z + j] * c.h_ns), c.h_ns) + int(rows[_C_LATE + j] * c.h_ns)
-        keys[n_keys] = pack(dt_ns, pixel, rows[_C_D1 + j] > rows[_C_A + j], c.pixel_bits)
+        dt_ns = min(int(rows[C_Z + j] * c.h_ns), c.h_ns) + int(rows[C_LATE + j] * c.h_ns)
+        keys[n_keys] = pack(dt_ns, pixel, rows[C_D1 + j] > rows[C_A + j], c.pixel_bits)
         n_keys += 1
         # The reset. The reference is NaN in the refractory period, if that lasts longer than the step.
-        reference = rows[_C_NEXT_REF + j]
+        reference = rows[C_NEXT_REF + j]
         pixels.fields[slot(pixel) + _REF] = reference
         if reference != reference:
             pixels.refractory_until_ns[pixel] = c.t0_ns + dt_ns + c.refractory_ns
         count_reset(pixels, pixel, c.reset.noise)
-        if rows[_C_AGAIN + j] != _ZERO:
+        if rows[C_AGAIN + j] != _ZERO:
             _move_column(table, j, again)  # to the front: `again` is never behind j
             if c.reset.noise > _ZERO:
-                on, off = rows[_C_ON + j], rows[_C_OFF + j]
-                rows[_C_NEXT_RESET + again] = reset_offset(pixels, pixel, _NEXT, on, off, c.reset)
+                on, off = rows[C_ON + j], rows[C_OFF + j]
+                rows[C_NEXT_RESET + again] = reset_offset(pixels, pixel, _NEXT, on, off, c.reset)
             again += 1
     return n_keys, again
 
@@ -443,16 +463,16 @@ def _pass_over(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
         pixel = table.pixels[j]
         at = slot(pixel)
         compared = pixels.fields[at + (_W if c.second > _ZERO else _V)] + pixels.fields[at + _LEAK] * c.since_epoch_1
-        on, off = rows[_C_ON + j], rows[_C_OFF + j]
-        rising = rows[_C_D1 + j] > rows[_C_A + j]
+        on, off = rows[C_ON + j], rows[C_OFF + j]
+        rising = rows[C_D1 + j] > rows[C_A + j]
         if c.refractory_ns == 0:
-            crossings, climbed = levels_passed(rows[_C_A + j], rows[_C_D1 + j], on if rising else off)
+            crossings, climbed = levels_passed(rows[C_A + j], rows[C_D1 + j], on if rising else off)
             pixels.fields[at + _REF] = compared - np.float32(climbed)
             lost += crossings
             continue
         offset = reset_offset(pixels, pixel, _LAST, on, off, c.reset)
         threshold = np.float64(on + offset if rising else off - offset)
-        passed = pass_over(_cubic(rows, j), np.float64(rows[_C_START + j]), 1.0, threshold, rising, 1.0, c)
+        passed = pass_over(_cubic(rows, j), np.float64(rows[C_START + j]), 1.0, threshold, rising, 1.0, c)
         if passed.waiting > 0:
             pixels.fields[at + _REF] = _NAN
             pixels.refractory_until_ns[pixel] = c.t0_ns + int((1.0 + passed.waiting) * c.h_ns)
@@ -464,26 +484,26 @@ def _pass_over(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
 
 
 @kernel
-def _enter(table: Table, j: int, k: int, c: StepConstants) -> None:
+def enter(table: Table, j: int, k: int, c: StepConstants) -> None:
     """Write candidate j into column k of the table of substeps, at the start of the step."""
     rows, to = table.rows, table.substep_table.rows
     table.substep_table.pixels[k] = table.pixels[j]
     # light: value, change and slopes per step
-    to[substep.U + k] = rows[_C_U0 + j]
-    to[substep.D + k] = rows[_C_U1 + j] - rows[_C_U0 + j]
-    to[substep.A0 + k] = rows[_C_A0 + j]
-    to[substep.A1 + k] = rows[_C_A1 + j]
+    to[substep.U + k] = rows[C_U0 + j]
+    to[substep.D + k] = rows[C_U1 + j] - rows[C_U0 + j]
+    to[substep.A0 + k] = rows[C_A0 + j]
+    to[substep.A1 + k] = rows[C_A1 + j]
     # filters and leak
-    to[substep.V + k] = rows[_C_V0 + j]
-    to[substep.W + k] = rows[_C_W0 + j] if c.second > _ZERO else rows[_C_V0 + j]
-    to[substep.P + k] = rows[_C_P0 + j] if c.parasitic > _ZERO else _ZERO
-    to[substep.LEAK + k] = rows[_C_LEAK + j]
+    to[substep.V + k] = rows[C_V0 + j]
+    to[substep.W + k] = rows[C_W0 + j] if c.second > _ZERO else rows[C_V0 + j]
+    to[substep.P + k] = rows[C_P0 + j] if c.parasitic > _ZERO else _ZERO
+    to[substep.LEAK + k] = rows[C_LEAK + j]
     # comparator: the reference is NaN in the refractory period, until `re_armed`
-    to[substep.BASE + k] = rows[_C_REF + j]
-    to[substep.RE_ARMED + k] = rows[_C_START + j]
-    to[substep.ON + k] = rows[_C_ON + j]
-    to[substep.OFF + k] = rows[_C_OFF + j]
-    to[substep.RESET + k] = rows[_C_RESET + j]
+    to[substep.BASE + k] = rows[C_REF + j]
+    to[substep.RE_ARMED + k] = rows[C_START + j]
+    to[substep.ON + k] = rows[C_ON + j]
+    to[substep.OFF + k] = rows[C_OFF + j]
+    to[substep.RESET + k] = rows[C_RESET + j]
 
 
 @kernel
@@ -494,12 +514,12 @@ def _dispatch(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
     """
     rows, in_substeps = table.rows, NONE
     for j in range(n):
-        kind = rows[_C_KIND + j]
-        if kind == _NEEDS_SUBSTEPS:
-            _enter(table, j, in_substeps, c)
+        kind = rows[C_KIND + j]
+        if kind == NEEDS_SUBSTEPS:
+            enter(table, j, in_substeps, c)
             in_substeps += 1
         elif kind == _RE_ARMS:
-            pixels.fields[slot(table.pixels[j]) + _REF] = rows[_C_BASE + j] + rows[_C_A + j]
+            pixels.fields[slot(table.pixels[j]) + _REF] = rows[C_BASE + j] + rows[C_A + j]
     return int(in_substeps)
 
 
@@ -507,10 +527,10 @@ def _dispatch(pixels: Pixels, table: Table, n: int, c: StepConstants) -> int:
 def _fold_parasitic(pixels: Pixels, table: Table, n: int, c: StepConstants) -> None:
     """Move the parasitic leak of candidates that fire or are re-armed into their references; its sum starts at zero."""
     for j in range(n):
-        kind = table.rows[_C_KIND + j]
+        kind = table.rows[C_KIND + j]
         if (kind == _FIRES) | (kind == _RE_ARMS):
-            table.rows[_C_BASE + j] -= table.rows[_C_P1 + j]
-            pixels.fields[slot(table.pixels[j]) + _P] = -table.rows[_C_LIT + j] * c.since_epoch_1
+            table.rows[C_BASE + j] -= table.rows[C_P1 + j]
+            pixels.fields[slot(table.pixels[j]) + _P] = -table.rows[C_LIT + j] * c.since_epoch_1
 
 
 @cached_entry
@@ -524,19 +544,10 @@ def solve(
     The keys (a longer copy where they were too short), the number of events in them, the number of crossings beyond
     MOST_EVENTS of a pixel, and the number of undersampled pixels.
     """
-    if c.parasitic > _ZERO:
-        _complete_parasitic(table.rows, whole_vectors(n), c)
     _find_starts(pixels, table, n, c)
     if (c.reset.offset != _ZERO) | (c.reset.noise > _ZERO):
         _find_offsets(pixels, table, n, c)
-    if c.large:
-        _make_curves_of_receptor(table.rows, whole_vectors(n), c)
-    else:
-        _make_curves(table.rows, whole_vectors(n), c)
-    if c.second > _ZERO:
-        _make_curves_of_second_pole(table.rows, whole_vectors(n), c)
-    if c.parasitic > _ZERO:
-        _add_parasitic(table.rows, whole_vectors(n), c)
+    make_curves(table.rows, n, c)
     _sort_by_kind(table.rows, whole_vectors(n), c)
     if c.parasitic > _ZERO:
         _fold_parasitic(pixels, table, n, c)

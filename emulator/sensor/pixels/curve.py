@@ -156,8 +156,7 @@ _TWELFTH, _A_384TH = np.float32(1 / 12), np.float32(1 / 384)
 _K0, _K1, _K2, _K3 = (np.float32(x) for x in (0.16666658, -0.04166122, 0.00827807, -0.00120679))
 _SERIES_UP_TO = np.float32(0.5)  # beyond, the closed forms lose less than the series
 _SHORTEST = np.float32(0.01)  # below, the error of a cubic for an exponential is below the resolution of float32
-_FAST = np.float32(100)  # above, an exponential below _FAINT is rounding noise, which its slope would amplify
-_FAINT = np.float32(1e-5)
+_FAST = np.float32(6)  # above, a cubic with the exponential's slope misses more than the exponential itself
 _LEAST_GAP = np.float32(1e-6)
 _LINEAR, _OFFSET = np.float32(0.16), np.float32(0.2)
 
@@ -177,7 +176,7 @@ class Transient(NamedTuple):
     b: Real
     lag0: Real
     lag1: Real
-    faint: Real  # whether b is rounding noise, and is to be ignored
+    faint: Real  # whether b is ignored: the steady lags are the better slopes of a cubic
 
 
 class Filtered(NamedTuple):
@@ -227,8 +226,12 @@ def rise_of_filter(q: Real, behind: Real, u: Course) -> Real:
 
 
 @lane
-def transient(behind: Real, u: Course) -> Transient:
-    """Return the exponential part of the answer of a filter that starts at `behind` = u0 - v0."""
+def transient(behind: Real, u: Course, allowed: Real) -> Transient:
+    """Return the exponential part of the answer of a filter that starts at `behind` = u0 - v0.
+
+    On an interval of many time constants a cubic is better without an exponential below `allowed` than with its slope,
+    which it would follow for most of the interval.
+    """
     # The steady answer to a cubic lags by its first derivative, less the second, plus the third; what the start has
     # beyond that lag decays as b e^-s.
     inverse = _ONE / max(u.s, _SHORTEST)
@@ -237,7 +240,7 @@ def transient(behind: Real, u: Course) -> Transient:
     lag0 = inverse * (u.w0 - inverse * (second - inverse * third))
     lag1 = inverse * (u.w1 - inverse * (second + third - inverse * third))
     b = lag0 - behind
-    return Transient(b, lag0, lag1, (u.s > _FAST) & (abs(b) < _FAINT))
+    return Transient(b, lag0, lag1, (u.s > _FAST) & (abs(b) < allowed))
 
 
 @lane
@@ -268,7 +271,7 @@ def rise_behind_second_pole(q: Real, behind: Real, second: Real, u: Course, v: F
     `second` is the pole's rate times the length of the interval.
     """
     # Up to S = 1 the cubic through v's own values and slopes; beyond, that of its steady part, and b e^-s apart.
-    t = transient(v.behind0, u)
+    t = transient(v.behind0, u, _ZERO)
     slow = u.s < _ONE
     b = _ZERO if slow else t.b
     rise = v.rise if slow else u.d - (t.lag1 - t.lag0)

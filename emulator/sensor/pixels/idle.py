@@ -109,7 +109,7 @@ _Float32s = npt.NDArray[np.float32]
 _Words = npt.NDArray[np.uint64]
 _Int64s = npt.NDArray[np.int64]
 
-_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P = (int(f) * BLOCK for f in Field)
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _ON_LIMIT, _, _, _UNTIL = (int(f) * BLOCK for f in Field)
 _U0, _V0, _L0, _G0, _, _, _, _Q, _W0, _P0, _WAIT, _ = BEFORE_ROWS  # the bounds are not needed any more
 _WORDS, _PART_WORDS = np.int64(BLOCK // 2), PART // 2
 _SIGNLESS, _SIGNLESS_HALF = np.uint64(0x7FFFFFFF7FFFFFFF), np.uint32(0x7FFFFFFF)
@@ -237,9 +237,11 @@ def _find_rest(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
         pulled = -exponential_less_one(v - u) if c.large else u - v
         # The filter rests where its motion is lost in rounding, even in a step 1.1 times as long.
         rests = v + _MORE * (before[_Q + i] * pulled) == v
-        room = (on - _MARGIN - by_light * c.h) - (compared - s[_REF + i])  # the quiet test allows 1.5 times that leak
+        limit = s[_ON_LIMIT + i] if c.noisy else on
+        room = (limit - _MARGIN - by_light * c.h) - (compared - s[_REF + i])  # the quiet test allows 1.5 times that leak
         # The leak fires when it has filled the room between the comparator and its threshold.
         wait = room / leak if leak > _ZERO else (_LARGE if leak == _ZERO else -_LARGE)
+        wait = min(wait, s[_UNTIL + i]) if c.noisy else wait
         before[_WAIT + i] = wait if rests else -_LARGE
 
 

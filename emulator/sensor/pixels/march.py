@@ -44,7 +44,7 @@ from emulator.sensor.pixels.substeps import SubstepTable, begin, begin_substep
 
 _Float32s = npt.NDArray[np.float32]
 
-_U, _V, _, _, _REF, _, _, _, _W, _P = (int(f) * BLOCK for f in Field)
+_U, _V, _, _, _REF, _, _, _, _W, _P, _, _, _, _ = (int(f) * BLOCK for f in Field)
 
 _NAN = np.float32(np.nan)
 _ZERO, _ONE, _TWO, _THREE = (np.float32(x) for x in (0, 1, 2, 3))

@@ -57,6 +57,7 @@ _WIDER, _BULGE = np.float32(1.08), np.float32(1.2)  # as in the quiet test of th
 _CHORD = np.float32(1.57)  # e^x <= 1 + 1.57 x for x up to 0.84, the farthest that smooth light goes
 _SMALL = np.float32(0.02)  # an exponential of V that is the same in w, within 2e-4
 _MISSED = np.float32(1e-3)  # ln units
+_FAINT = np.float32(1e-5)
 
 
 @lane
@@ -96,20 +97,17 @@ def bounds_of_receptor(q: Real, behind: Real, excess: Real, d: Real, a0: Real, a
 
 
 @lane
-def fourth_derivative(b: Real, excess: Real) -> Real:
-    """Return a bound of the fourth derivative of V by warped time, for the weight b of the exponential in w.
+def fourth_derivative(excess: Real, u: Course, allowed: Real) -> Real:
+    """Return a bound of the fourth derivative of V by warped time over an interval; 0 if its exponential is faint.
 
-    In constant light it is x (6 x + 1) with x = P (P - 1), and for V below the light less than the weight.
+    With the weight b of the exponential in w it is x (6 x + 1) with x = -b (1 - b), and below b for V below the light:
+    exactly so in constant light, where V's whole distance from the light is that exponential. In light that moves the
+    steady part of the distance is as smooth as the light.
     """
-    x = (_ONE + excess) * max(excess, _ZERO)
-    return max(abs(b), x * (_SIX * x + _ONE))
-
-
-@lane
-def weight_of_exponential(excess: Real, u: Course) -> Real:
-    """Return the weight of the exponential in w over an interval; 0 if it is rounding noise."""
-    t = transient(excess, _reciprocal(excess, u))
-    return _ZERO if t.faint else t.b
+    t = transient(excess, _reciprocal(excess, u), allowed)
+    above = max(-t.b, _ZERO)
+    x = (_ONE + above) * above
+    return _ZERO if t.faint else max(abs(t.b), x * (_SIX * x + _ONE))
 
 
 class Response(NamedTuple):
@@ -127,11 +125,14 @@ class Response(NamedTuple):
 
 
 @lane
-def response(v: Filtered, u: Course) -> Response:
-    """Return the response over an interval from the output's distances below the light at both ends, and its rise."""
+def response(v: Filtered, u: Course, allowed: Real) -> Response:
+    """Return the response over an interval from the output's distances below the light at both ends, and its rise.
+
+    A faint exponential is ignored, see `transient`.
+    """
     excess0, excess1 = excess_of(v.behind0), excess_of(v.behind1)
     p = _reciprocal(excess0, u)
-    t = transient(excess0, p)
+    t = transient(excess0, p, allowed)
     to_end = (_ONE + excess1) / (_ONE + excess0 + p.d)  # w at the start over that at the end
     b = _ZERO if t.faint else t.b
     lag0, lag1 = -t.lag0, -t.lag1 * to_end
@@ -149,7 +150,7 @@ def rise_behind_second_pole_of_receptor(behind: Real, second: Real, u: Course, v
     `second` is the pole's rate times the length of the interval. A faint exponential is the same in V and in w; a
     strong one on a long interval has no closed form, and its pixel must be solved in substeps.
     """
-    r = response(v, u)
+    r = response(v, u, _FAINT)
     cubic = r.missed <= _MISSED
     b = _ZERO if cubic else -r.b
     m0, m1 = (r.m0 if cubic else v.r0 * r.lag0), (r.m1 if cubic else v.r1 * r.lag1)

@@ -23,7 +23,7 @@ from emulator.sensor.pixels.candidates import Table
 from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, new_idle, wake
-from emulator.sensor.pixels.state import BLOCK, FIELDS, Field, FlatLight, Pixels, StepConstants, slot
+from emulator.sensor.pixels.state import BLOCK, FIELDS, MEMORY, Field, FlatLight, Pixels, StepConstants, slot
 from emulator.sensor.pixels.step import Buffers, Share, Subset, Tally, advance, new_scratch, new_subset
 
 LEVELS = 3
@@ -39,7 +39,14 @@ _ONE = np.uint64(1)
 _EVERYWHERE = Touched(0, 1, 0, 1, 1 << 40, np.empty(0, np.uint8))
 
 
-_V, _REF, _W, _P = (int(f) * BLOCK for f in (Field.FILTERED, Field.REFERENCE, Field.SECOND, Field.LEAKED))
+_V, _REF, _W, _P, *_CERTIFICATE = (
+    int(f) * BLOCK
+    for f in (
+        Field.FILTERED, Field.REFERENCE, Field.SECOND, Field.LEAKED,
+        Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL,
+    )
+)  # fmt: skip
+_ROWS = (_V, _REF, _W, _P, *_CERTIFICATE)
 
 
 @cached_entry
@@ -50,13 +57,17 @@ def _scatter(subset: Pixels, above: Pixels, listed: _Int64s) -> None:
     """
     for k in range(listed.size):
         at, to = slot(k), slot(listed[k])
-        for row in (_V, _REF, _W, _P):
+        for row in _ROWS:
             above.fields[to + row] = subset.fields[at + row]
         above.refractory_until_ns[listed[k]] = subset.refractory_until_ns[k]
     if subset.refractory_until_ns.size > subset.fields.size // FIELDS:  # positions in the streams of reset noise follow
         begin, to = subset.refractory_until_ns.size // 2, above.refractory_until_ns.size // 2
         for k in range(listed.size):
             above.refractory_until_ns[to + listed[k]] = subset.refractory_until_ns[begin + k]
+    if above.memory.size:
+        for k in range(listed.size):
+            for row in range(MEMORY):
+                above.memory[listed[k] * MEMORY + row] = subset.memory[k * MEMORY + row]
 
 
 @cached_entry
@@ -163,4 +174,8 @@ class Refinement:
         parts = above.refractory_until_ns.size // (above.fields.size // FIELDS)  # 2 with positions of reset noise
         refractory_until_ns = np.zeros((parts, blocks * BLOCK), np.int64)
         refractory_until_ns[:, :n] = above.refractory_until_ns.reshape(parts, -1)[:, subset.pixels[:n]]
-        return Pixels(fields, refractory_until_ns.reshape(-1))
+        memory = np.empty(0, np.float32)
+        if above.memory.size:
+            memory = np.zeros((blocks * BLOCK, MEMORY), np.float32)
+            memory[:n] = above.memory.reshape(-1, MEMORY)[subset.pixels[:n]]
+        return Pixels(fields, refractory_until_ns.reshape(-1), memory.reshape(-1), above.tables)

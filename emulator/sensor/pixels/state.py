@@ -31,7 +31,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import cached_entry, kernel
-from emulator.sensor.numerics.keyed import Purpose, normal, normal_from, uniform, word
+from emulator.sensor.numerics.keyed import Purpose, normal, normal_from, stream, uniform, word
 from emulator.sensor.pixels.crossings import Keys
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.device.clock import GOLDEN
@@ -71,6 +71,12 @@ class Field(IntEnum):
     LEAKED = (
         9  # parasitic leak since the pixel's last event, less what the present light leaks since the epoch, ln units
     )
+    # The certificate of a pixel with noise, see `passage`: limits of the compared value from the reference, ln units,
+    # its largest speed, ln units a second, and the time since the epoch, s, until which it holds.
+    ON_LIMIT = 10
+    OFF_LIMIT = 11
+    SPEED_LIMIT = 12
+    UNTIL = 13
 
 
 FIELDS = len(Field)
@@ -97,6 +103,8 @@ class PixelState:
         Time from which leak is counted.
     slopes_known : bool
         Whether the last frame came with its time derivative.
+    memory : (blocks * BLOCK * MEMORY,) float32
+        Noise of the pixels, see `MEMORY`; empty without noise.
     late : (n,) uint64
         Events whose comparator switches after `t_ns`, packed as in `pack`, with times counted from `late_from_ns`.
     """
@@ -106,19 +114,27 @@ class PixelState:
     t_ns: int
     epoch_ns: int
     slopes_known: bool
+    memory: npt.NDArray[np.float32] = field(default_factory=lambda: np.empty(0, np.float32))
     late: Keys = field(default_factory=lambda: np.empty(0, np.uint64))
     late_from_ns: int = 0
+
+
+MEMORY = 4
+"""Values of a pixel's noise: its value and slope at the end of the last refractory period, ln units and a second; the
+rms over that of the sensor; and the pixel's number in the sensor, which keys its random numbers."""
 
 
 class Pixels(NamedTuple):
     """The state of an array: `fields`, flat, and the end (ns) of the refractory period of pixels with reference NaN.
 
-    Positions in the streams of reset noise follow in the second array, see `PixelState`: one array for both, because
-    each costs time in every call.
+    With noise the second array has the end of the last refractory period of all pixels. Positions in the streams of
+    reset noise follow in it, see `PixelState`: one array for both, because each costs time in every call.
     """
 
     fields: npt.NDArray[np.float32]
     refractory_until_ns: npt.NDArray[np.int64]
+    memory: npt.NDArray[np.float32]  # of the noise
+    tables: npt.NDArray[np.float32]  # of hazards
 
 
 class FlatLight(NamedTuple):
@@ -163,6 +179,18 @@ class StepConstants(NamedTuple):
     on_delay: float = 0.0  # times of the comparators, s; see `comparator`
     off_delay: float = 0.0
     contrast_per_e: float = 1.0
+    noisy: bool = False  # events are first passages of signal and noise
+    noise_rms: float = 0.0  # behind the receptor, ln units
+    noise_pole: float = 0.0  # rate of the fixed pole behind it, 1/s; 0: none
+    noise_root: np.uint64 = np.uint64(0)  # of the pixels' streams
+    since_s: float = 0.0  # time since the epoch at the step's start, in float64
+
+
+@kernel
+def noise_stream(pixels: Pixels, pixel: int, c: StepConstants) -> np.uint64:
+    """Return the stream of random numbers of a pixel's noise."""
+    number: np.uint64 = stream(c.noise_root, np.int64(pixels.memory[pixel * MEMORY + 3]))
+    return number
 
 
 @kernel
@@ -199,6 +227,15 @@ def reset_offset(
         bits = word(np.uint64(pixels.refractory_until_ns[place]) - GOLDEN, ahead)
         offset += error.noise * np.float32(normal_from(bits))
     return np.float32(min(max(offset, -_MOST_OFFSET * on), _MOST_OFFSET * off))
+
+
+@kernel
+def reset_offset_at(number: np.uint64, t_ns: int, on: float, off: float, error: ResetError) -> float:
+    """Return the offset of a reference that is set at a time; `number` is the stream of the pixel's noise."""
+    offset = np.float64(error.offset)
+    if error.noise > _ZERO:
+        offset += error.noise * normal_from(word(number, t_ns))
+    return min(max(offset, -_MOST_OFFSET * on), _MOST_OFFSET * off)
 
 
 @kernel
@@ -290,6 +327,14 @@ def leak_phase(parameters: SensorParameters, seed: int) -> _Float64s:
     return uniform(seed, Purpose.LEAK_PHASE, pixel) if parameters.random_start else np.zeros(pixel.size)
 
 
+def noise_memory(parameters: SensorParameters, seed: int, pixels: int) -> npt.NDArray[np.float32]:
+    """Return the memory of pixels, (pixels * MEMORY,), whose noise has no last reset yet."""
+    memory = np.zeros((pixels, MEMORY), np.float32)
+    memory[:, 2] = np.exp(parameters.noise.spread * normal(seed, Purpose.NOISE_SPREAD, np.arange(pixels)))
+    memory[:, 3] = np.arange(pixels)
+    return memory.reshape(-1)
+
+
 DEAD_THRESHOLD = 1e6
 """Thresholds of a dead pixel, ln units: no light has a million e-folds, and float32 does arithmetic with it."""
 
@@ -303,7 +348,7 @@ def field_index(pixel: _Int64s, field: Field) -> _Int64s:
 
 _Float32s = npt.NDArray[np.float32]
 
-_U, _V, _, _, _REF, _ON, _OFF, _LEAK, _W, _P = (int(f) * BLOCK for f in Field)
+_U, _V, _, _, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _ = (int(f) * BLOCK for f in Field)
 _NOW = np.int64(0)
 
 
@@ -368,7 +413,7 @@ class Levels:
     @property
     def _pixels(self) -> Pixels:
         state = self._array.state
-        return Pixels(state.fields.reshape(-1), state.refractory_until_ns)
+        return Pixels(state.fields.reshape(-1), state.refractory_until_ns, state.memory, state.memory)
 
     def of(self, pixel: _Int64s) -> _Float32s:
         """Return the levels of pixels (n,); NaN in the refractory period."""

@@ -47,6 +47,7 @@ from emulator.sensor.pixels.idle import (
     pixel_at,
     scatter_parts,
 )
+from emulator.sensor.pixels.noisy import solve_noisy
 from emulator.sensor.pixels.quiet_pass import (
     Ahead,
     list_flags,
@@ -72,7 +73,7 @@ _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 _Bytes = npt.NDArray[np.uint8]
 
-_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P = (int(f) * BLOCK for f in Field)
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _ = (int(f) * BLOCK for f in Field)
 _U0, _V0, _L0, _G0, _A0, _A1, _, _, _W0, _P0, _, _ = BEFORE_ROWS
 _ZERO, _NO_FLAGS = np.float32(0), np.uint64(0)
 
@@ -284,7 +285,7 @@ def _move_block(  # noqa: PLR0913, PLR0917
     list_all(first, firsts)
     s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
     block = _of_block(frame, first, scratch, c)
-    usual = (c.second == _ZERO) & (c.parasitic == _ZERO) & (not c.chord)
+    usual = (c.second == _ZERO) & (c.parasitic == _ZERO) & (not c.chord) & (not c.noisy)
     end = following + BLOCK
     if c.exceeds_caches & usual & (end <= frame.light.size):
         state = pixels.fields[following * FIELDS : end * FIELDS]
@@ -401,7 +402,10 @@ def advance(
     at = _Progress(NONE, NONE, NONE, NONE, NONE, NONE, NONE)
     while at.block != _END:
         at = _fill(frame, pixels, buffers, share, at, c)
-        keys, n_keys, lost_now, undersampled_now = solve(pixels, buffers.table, at.n, keys, n_keys, c)
+        if c.noisy:
+            keys, n_keys, lost_now, undersampled_now = solve_noisy(pixels, buffers.table, at.n, keys, n_keys, c)
+        else:
+            keys, n_keys, lost_now, undersampled_now = solve(pixels, buffers.table, at.n, keys, n_keys, c)
         lost += lost_now
         undersampled += undersampled_now
         at = _Progress(at.block, at.packed, NONE, at.candidates, at.unreadable, at.refined, at.moved)

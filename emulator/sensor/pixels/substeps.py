@@ -44,7 +44,6 @@ from emulator.sensor.pixels.receptor import (
     fourth_derivative,
     response,
     rise_of_receptor,
-    weight_of_exponential,
 )
 from emulator.sensor.pixels.state import BLOCK, StepConstants
 
@@ -240,7 +239,7 @@ def _choose_width(rows: _Float32s, n: int, c: StepConstants) -> None:
     for j in range(n):
         width, stop, last = _widest(rows, j)
         q = _substep(_light_of(rows, j), rows[Z + j], width, c)
-        t = transient(q.u0 - rows[V + j], q.course)
+        t = transient(q.u0 - rows[V + j], q.course, _allowed(rows, j))
         share = _share_within(_ZERO if t.faint else t.b, q.course.s, _allowed(rows, j))
         _set_width(rows, j, width, share, stop, last)
 
@@ -251,8 +250,7 @@ def _choose_width_of_receptor(rows: _Float32s, n: int, c: StepConstants) -> None
     for j in range(n):
         width, stop, last = _widest(rows, j)
         q = _substep(_light_of(rows, j), rows[Z + j], width, c)
-        excess = excess_of(q.u0 - rows[V + j])
-        bending = fourth_derivative(weight_of_exponential(excess, q.course), excess)
+        bending = fourth_derivative(excess_of(q.u0 - rows[V + j]), q.course, _allowed(rows, j))
         share = _share_within(bending, q.course.s, _allowed(rows, j))
         _set_width(rows, j, width, share, stop, last)
 
@@ -264,7 +262,7 @@ def _shorten_for_second_pole(rows: _Float32s, n: int, c: StepConstants) -> None:
         span = rows[SPAN + j]
         behind = rows[V + j] - rows[W + j]
         s = c.second * span
-        t = transient(behind, Course(s, rows[D1 + j] - rows[D0 + j], rows[C1 + j], rows[M1 + j]))
+        t = transient(behind, Course(s, rows[D1 + j] - rows[D0 + j], rows[C1 + j], rows[M1 + j]), _allowed(rows, j))
         share = _share_within(_ZERO if t.faint else t.b, s, _allowed(rows, j))
         rows[SPAN + j] = share * span
         rows[Z1 + j] = rows[Z1 + j] if share == _ONE else rows[Z + j] + share * span
@@ -297,7 +295,7 @@ def _follow_light(rows: _Float32s, n: int, c: StepConstants) -> None:
         behind = q.u0 - v0
         v1 = v0 + rise_of_filter(decay(q.course.s), behind, q.course)
         # The slope is the rate times the lag; without a faint exponential, which is rounding noise.
-        t = transient(behind, q.course)
+        t = transient(behind, q.course, _allowed(rows, j))
         m0 = width * q.r0 * (t.lag0 if t.faint else behind)
         m1 = width * q.r1 * (t.lag1 if t.faint else q.u1 - v1)
         _set_light(rows, j, q)
@@ -312,7 +310,7 @@ def _follow_light_of_receptor(rows: _Float32s, n: int, c: StepConstants) -> None
         v0, width = rows[V + j], rows[SPAN + j]
         q = _substep(_light_of(rows, j), rows[Z + j], width, c)
         v1 = v0 + rise_of_receptor(decay(q.course.s), excess_of(q.u0 - v0), q.course)
-        r = response(Filtered(q.u0 - v0, q.u1 - v1, v1 - v0, width * q.r0, width * q.r1), q.course)
+        r = response(Filtered(q.u0 - v0, q.u1 - v1, v1 - v0, width * q.r0, width * q.r1), q.course, _allowed(rows, j))
         _set_light(rows, j, q)
         _set_ends(rows, j, v0, v1, r.m0, r.m1)
         rows[V1 + j] = rows[W1 + j] = v1
@@ -326,7 +324,7 @@ def _follow_filter(rows: _Float32s, n: int, c: StepConstants) -> None:
         v0, v1 = rows[D0 + j], rows[D1 + j]
         course = Course(s, v1 - v0, rows[C1 + j], rows[M1 + j])
         w1 = w0 + rise_of_filter(decay(s), v0 - w0, course)
-        t = transient(v0 - w0, course)
+        t = transient(v0 - w0, course, _allowed(rows, j))
         m0 = s * (t.lag0 if t.faint else v0 - w0)
         m1 = s * (t.lag1 if t.faint else v1 - w1)
         _set_ends(rows, j, w0, w1, m0, m1)

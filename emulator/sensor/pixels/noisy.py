@@ -1,0 +1,178 @@
+"""Candidates of a sensor with noise: the pieces of their curves, along which `passage` finds their events.
+
+The curves are those of pixels without noise: one cubic where the step is smooth (`candidates`), else one a substep
+(`substeps`). The junction's leak is left out of them, and added in float64 by time, so that still light gives the same
+values whatever the steps.
+
+Fast because filters are solved for all columns at once; a pixel's events follow one by one, with its state in
+registers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+import emulator.sensor.pixels.candidates as row
+import emulator.sensor.pixels.substeps as sub
+from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, vector_kernel
+from emulator.sensor.numerics.elementary import exponential, use_widest_vectors
+from emulator.sensor.pixels.candidates import Table, enter, make_curves
+from emulator.sensor.pixels.crossings import Keys, reserve
+from emulator.sensor.pixels.curve import photocurrent
+from emulator.sensor.pixels.passage import MOST_PASSAGES, Piece, certify, pass_piece
+from emulator.sensor.pixels.state import BLOCK, Field, Pixels, StepConstants, slot, whole_vectors
+from emulator.sensor.pixels.substeps import STEP_ROWS, SubstepTable, begin, begin_substep
+
+_Float32s = npt.NDArray[np.float32]
+
+_U, _V, _REF, _LEAK, _W, _P = (
+    int(f) * BLOCK
+    for f in (Field.LOG_LIGHT, Field.FILTERED, Field.REFERENCE, Field.LEAK, Field.SECOND, Field.LEAKED)
+)
+_ZERO, _ONE, _TWO, _THREE = (np.float32(x) for x in (0, 1, 2, 3))
+
+
+@vector_kernel
+def _make_pieces(rows: _Float32s, n: int) -> None:
+    """Turn values and slopes of each candidate's curve into a cubic relative to its base."""
+    use_widest_vectors()
+    for j in range(n):
+        # Relative to the reference, or to the start of the step where there is none: small numbers are exact.
+        reference = rows[row.C_REF + j]
+        base = rows[row.C_D0 + j] if reference != reference else reference
+        d0 = rows[row.C_D0 + j] - base
+        rise = (rows[row.C_D1 + j] - base) - d0
+        m0, m1 = rows[row.C_C1 + j], rows[row.C_C2 + j]
+        rows[row.C_BASE + j] = base
+        rows[row.C_D0 + j] = d0
+        rows[row.C_C2 + j] = _THREE * rise - _TWO * m0 - m1
+        rows[row.C_C3 + j] = m0 + m1 - _TWO * rise
+
+
+@kernel
+def _finish(pixels: Pixels, pixel: int, piece: Piece, leaked: float, lit: float, fired: int, c: StepConstants) -> None:  # noqa: PLR0913, PLR0917
+    """Certify a pixel at the end of its last piece. Its parasitic leak moves into the reference of one that fired.
+
+    `leaked` is that leak since the last time, `lit` what its present light leaks a second.
+    """
+    at = slot(pixel)
+    base = piece.base
+    if c.parasitic > _ZERO:
+        if fired > 0:
+            pixels.fields[at + _REF] -= np.float32(leaked)
+            pixels.fields[at + _P] = np.float32(-lit * c.since_epoch_1)
+            base -= leaked
+    leak = np.float64(pixels.fields[at + _LEAK])
+    value = base + piece.d0 + piece.c1 + piece.c2 + piece.c3 + leak * (c.since_s + c.h_ns * 1e-9)
+    certify(pixels, pixel, value, piece.rate1, c)
+
+
+@kernel
+def _solve_whole(pixels: Pixels, table: Table, j: int, keys: Keys, n_keys: int, c: StepConstants) -> tuple[int, int]:
+    """Find the events of a candidate whose curve is one piece; return the number in `keys`, and of those lost."""
+    rows, pixel = table.rows, table.pixels[j]
+    piece = Piece(
+        0.0,
+        np.float64(c.h_ns),
+        np.float64(rows[row.C_BASE + j]),
+        np.float64(rows[row.C_D0 + j]),
+        np.float64(rows[row.C_C1 + j]),
+        np.float64(rows[row.C_C2 + j]),
+        np.float64(rows[row.C_C3 + j]),
+        np.float64(rows[row.C_L0 + j]),
+        np.float64(rows[row.C_L1 + j]),
+    )
+    n_keys, fired, lost = pass_piece(pixels, pixel, piece, keys, n_keys, 0, c)
+    leaked = np.float64(rows[row.C_P1 + j]) if c.parasitic > _ZERO else 0.0
+    lit = np.float64(rows[row.C_LIT + j]) if c.parasitic > _ZERO else 0.0
+    _finish(pixels, pixel, piece, leaked, lit, fired, c)
+    return n_keys, lost
+
+
+@kernel
+def _rate(u: np.float32, c: StepConstants) -> float:
+    """Return the rate of the receptor's pole at a log light, 1/s."""
+    return np.float64(min(max(c.rate_at_reference * exponential(u), c.rate_min), c.rate_max))
+
+
+@kernel
+def _piece_of(rows: _Float32s, j: int, c: StepConstants) -> Piece:
+    """Return the piece of column j's substep."""
+    return Piece(
+        np.float64(rows[sub.Z + j]) * c.h_ns,
+        (np.float64(rows[sub.Z1 + j]) - np.float64(rows[sub.Z + j])) * c.h_ns,
+        np.float64(rows[sub.BASE + j]),
+        np.float64(rows[sub.D0 + j]),
+        np.float64(rows[sub.C1 + j]),
+        np.float64(rows[sub.C2 + j]),
+        np.float64(rows[sub.C3 + j]),
+        _rate(rows[sub.U0 + j], c),
+        _rate(rows[sub.U1 + j], c),
+    )
+
+
+@kernel
+def _end_substep(pixels: Pixels, table: SubstepTable, n: int, c: StepConstants) -> int:
+    """Store the columns that have reached the end of the step, compact the others; return how many remain."""
+    rows, remaining = table.rows, NONE
+    for j in range(n):
+        if rows[sub.Z1 + j] >= _ONE:
+            pixel = table.pixels[j]
+            at = slot(pixel)
+            pixels.fields[at + _V] = rows[sub.V1 + j]
+            if c.second > _ZERO:
+                pixels.fields[at + _W] = rows[sub.W1 + j]
+            leaked = lit = 0.0
+            if c.parasitic > _ZERO:
+                leaked = np.float64(rows[sub.P1 + j])
+                lit = np.float64(c.parasitic * rows[sub.ON + j] * photocurrent(pixels.fields[at + _U]))
+                pixels.fields[at + _P] = np.float32(leaked - lit * c.since_epoch_1)
+            _finish(pixels, pixel, _piece_of(rows, j, c), leaked, lit, int(rows[sub.COUNT + j]), c)
+            continue
+        rows[sub.V + j] = rows[sub.V1 + j]
+        rows[sub.W + j] = rows[sub.W1 + j]
+        rows[sub.P + j] = rows[sub.P1 + j]
+        rows[sub.Z + j] = rows[sub.Z1 + j]
+        if remaining < j:
+            table.pixels[remaining] = table.pixels[j]
+            for k in range(STEP_ROWS):
+                rows[k * sub.CAPACITY + remaining] = rows[k * sub.CAPACITY + j]
+        remaining += 1
+    return int(remaining)
+
+
+@cached_entry
+def solve_noisy(
+    pixels: Pixels, table: Table, n: int, keys: Keys, n_keys: int, c: StepConstants
+) -> tuple[Keys, int, int, int]:
+    """Find all events of the n candidates, and move their references, as `candidates.solve` does without noise."""
+    rows, substeps = table.rows, table.substep_table
+    for j in range(n):
+        rows[row.C_LEAK + j] = _ZERO
+    make_curves(rows, n, c)
+    _make_pieces(rows, whole_vectors(n))
+    lost = undersampled = in_substeps = NONE
+    for j in range(n):
+        if rows[row.C_KIND + j] == row.NEEDS_SUBSTEPS:
+            enter(table, j, in_substeps, c)
+            in_substeps += 1
+            continue
+        keys = reserve(keys, n_keys + MOST_PASSAGES)
+        n_keys, lost_now = _solve_whole(pixels, table, j, keys, n_keys, c)
+        lost += lost_now
+    n = in_substeps
+    begin(substeps.rows, whole_vectors(n), c)
+    for j in range(n):
+        undersampled += substeps.rows[sub.UNDERSAMPLED + j] != _ZERO
+    while n > 0:
+        begin_substep(substeps.rows, whole_vectors(n), c)
+        for j in range(n):
+            keys = reserve(keys, n_keys + MOST_PASSAGES)
+            fired = int(substeps.rows[sub.COUNT + j])
+            piece = _piece_of(substeps.rows, j, c)
+            n_keys, fired, lost_now = pass_piece(pixels, substeps.pixels[j], piece, keys, n_keys, fired, c)
+            substeps.rows[sub.COUNT + j] = np.float32(fired)
+            lost += lost_now
+        n = _end_substep(pixels, substeps, n, c)
+    return keys, n_keys, lost, undersampled

@@ -1,0 +1,450 @@
+"""Events of one pixel with noise along a piece of its curve: first passages of signal plus noise.
+
+A piece is an interval in which the noise-free value of the comparator is a cubic in time. `pass_piece` goes along it in
+windows. It knows the hazard of an event at both ends of a window (`hazard`), from which follows a bound in between, and
+tries the points of the pixel's random field below that bound (`field`) in the order of time: the first one below the
+hazard is an event. The windows do not change the events, because the points do not depend on them.
+
+    window     the distance to a threshold shrinks by some part of a deviation, or the time since the reset triples;
+               windows end where the curve turns, so that each is monotone
+    event      the noise's slope at the passage is drawn; value and slope are carried over the dead time exactly, with
+               two normal numbers; the reference is signal plus noise at its end
+    no event   at the end of the step the pixel gets a certificate
+
+A certificate says that no event comes before a time while the value stays between two limits and moves no faster than a
+speed: its hazard is below a bound there, and the field has no point below that bound. The quiet pass tests it in place
+of the thresholds, so a pixel that noise does not fire costs as little as one without noise.
+
+Times within a step are nanoseconds since its start. All numbers of an event are keyed by pixel and time.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from emulator.sensor.noise.field import NEVER_NS, next_point
+from emulator.sensor.noise.hazard import (
+    BEYOND,
+    Distance,
+    Hazard,
+    Noise,
+    exit_speed,
+    hazard,
+    noise_of,
+    transition,
+)
+from emulator.sensor.numerics.compiled import kernel
+from emulator.sensor.numerics.keyed import high, mix_word, normal_from, unit
+from emulator.sensor.pixels.crossings import Keys, pack
+from emulator.sensor.pixels.event_time import delay_s
+from emulator.sensor.pixels.state import (
+    BLOCK,
+    MEMORY,
+    Field,
+    Pixels,
+    StepConstants,
+    noise_stream,
+    reset_offset_at,
+    slot,
+)
+
+_Float32s = npt.NDArray[np.float32]
+
+_REF, _ON, _OFF, _LEAK = (int(f) * BLOCK for f in (Field.REFERENCE, Field.ON, Field.OFF, Field.LEAK))
+_ON_LIMIT, _OFF_LIMIT, _SPEED, _UNTIL = (
+    int(f) * BLOCK for f in (Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL)
+)
+_NAN, _ENDLESS = np.float32(np.nan), np.float32(np.inf)
+_N, _V, _SCALE = range(3)
+
+MOST_PASSAGES = 1024
+"""Most events of a pixel in a step; what comes then in its piece is lost in the pixel."""
+
+_MORE = 2.0  # bound of the hazard in a window, over that at its ends
+_EXPONENT = 1.5  # by which the hazard's exponent grows in a window near a threshold
+_MOST_POINTS = 4.0  # expected in a window, at the hazard of its start
+_TOO_MANY = 8e9  # points in 1e-9: a window is divided
+_DOUBLES = 1.0  # a window's length over the time since the reset
+_UNREACHED = 7.0  # deviations of the nearer threshold: no passage before the noise has grown to that
+_FORGOTTEN = 10.0  # time constants of the slower pole after which the reset is forgotten
+_OVERSHOOT = 0.5  # of the mean of the noise by its slope at the reset, at most, over slope / rate
+_LEAST_CALM, _CALM_POINTS = 2.5, 0.3  # deviations; points expected until the reset is forgotten
+_RARE = 0.15  # hazard below which a ramp is passed in one window, over the speed of the exponent
+_NO_POINT = 1e-3  # expected points in 1e-9
+_SHORTEST_NS = 1e-3
+_STEEPEST = 1e6  # slope of the noise of one pole, which has none, ln units a second
+
+# Of a certificate.
+_CERTIFIED = 2.5  # its bound, over the hazard
+_REVISITS = 0.02  # points below the least bound in a step
+_SPEED_SHARE = 0.3  # largest speed, in units of the noise's own
+_LEAST_FAR = 1.5  # deviations
+_GROWTH = 1.15  # of the hazard, beside that of its Gaussian
+_LONGEST_NS, _LONGEST_STEPS = 1 << 33, 256
+
+# Purposes of an event's random numbers.
+_SLOPE, _VALUE = np.uint64(0xD6E8FEB86659FD93), np.uint64(0x9E3779B97F4A7C15)
+
+
+class Piece(NamedTuple):
+    """A piece of a pixel's curve, without the junction's leak, over x from 0 to 1."""
+
+    begin_ns: float  # since the start of the step
+    span_ns: float
+    base: float  # value to which the cubic is added
+    d0: float
+    c1: float
+    c2: float
+    c3: float
+    rate0: float  # of the receptor's pole at both ends, 1/s
+    rate1: float
+
+
+class _State(NamedTuple):
+    """A pixel between two events."""
+
+    on: float  # thresholds, ln units
+    off: float
+    leak: float  # ln units a second
+    scale: float  # of its noise
+    stream: np.uint64
+    reference: float
+    n_r: float  # value and slope of the noise at the reset, ln units and a second
+    v_r: float
+    reset: float  # ns since the start of the step
+
+
+class _Signal(NamedTuple):
+    """Value of the comparator without noise, its speed a second, and the noise of the light."""
+
+    value: float
+    speed: float
+    narrowing: float
+    noise: Noise
+
+
+@kernel
+def _signal(t_ns: float, p: Piece, leak: float, scale: float, c: StepConstants) -> _Signal:
+    """Return the signal at a time of a piece."""
+    x = (t_ns - p.begin_ns) / p.span_ns
+    per_s = 1e9 / p.span_ns
+    value = p.base + ((((p.c3 * x + p.c2) * x + p.c1) * x + p.d0) + leak * (c.since_s + t_ns * 1e-9))
+    speed = ((3 * p.c3 * x + 2 * p.c2) * x + p.c1) * per_s + leak
+    rate = p.rate0 + (p.rate1 - p.rate0) * x
+    noise = noise_of(rate, c.noise_pole, c.noise_rms * scale)
+    # sigma^2 is rms^2 a2 / (a1 + a2): it shrinks as the receptor becomes faster.
+    narrowing = 0.0
+    if p.rate1 != p.rate0 and noise.a1 != noise.a2:
+        narrowing = 0.5 * (p.rate1 - p.rate0) * per_s / (noise.a1 + noise.a2)
+    return _Signal(value, speed, narrowing, noise)
+
+
+@kernel
+def _first_window_s(now: _Signal, a: _State) -> float:
+    """Return a time after a reset within which noise and signal stay far from both thresholds."""
+    noise, least = now.noise, min(a.on, a.off)
+    grown = least / (_UNREACHED * noise.sigma)  # deviation of the noise at the end
+    if noise.ratio == 0.0:
+        until = -0.5 * math.log(1 - grown * grown) / noise.rate if grown < 0.9 else 1 / noise.rate
+        pulled = abs(a.n_r) * noise.rate
+    else:
+        k = noise.a1 * noise.a2
+        until = (1.5 * grown * grown / (k * (noise.a1 + noise.a2))) ** (1 / 3)
+        until = min(until, math.sqrt(0.4 * least / (abs(a.n_r) * k + 1e-30)))
+        pulled = abs(a.v_r)
+    return min(until, 0.2 * least / (pulled + abs(now.speed) + 1e-30))
+
+
+@kernel
+def _window_s(c_near: float, speed: float, rate: float) -> float:
+    """Return the length of a window in which a threshold, `c_near` deviations away, comes nearer by `speed` a second.
+
+    The exponent of the hazard may grow by some units. Where the hazard stays rare even much nearer, the window goes on
+    to there: the field has few points below such a bound, so that the far part of a ramp is one window.
+    """
+    far = abs(c_near)
+    step = max(_EXPONENT, 0.25 * c_near * c_near - 2.0) if c_near > 0 else _EXPONENT
+    nearer = step / (far + 1)
+    if c_near > 3:
+        rare = _RARE * c_near * speed / rate
+        if rare < 0.1:
+            nearer = max(nearer, c_near - math.sqrt(2 * math.log(0.4 / rare)))
+    return nearer / speed
+
+
+@kernel
+def _hazard_at(t_ns: float, p: Piece, a: _State, tables: _Float32s, c: StepConstants) -> tuple[_Signal, Hazard]:
+    """Return signal and hazard at a time of a piece that is after the reset."""
+    now = _signal(t_ns, p, a.leak, a.scale, c)
+    distance = Distance(a.reference + a.on - now.value, now.value - a.reference + a.off, now.speed, now.narrowing)
+    since_s = max(t_ns - a.reset, _SHORTEST_NS) * 1e-9
+    return now, hazard(since_s, distance, a.n_r, a.v_r, now.noise, tables)
+
+
+@kernel
+def _calm_end(t: float, end: float, now: _Signal, a: _State) -> tuple[float, float]:
+    """Return until when a reset cannot fire a pixel soon, and a bound of its hazard until then; t where it can.
+
+    The mean of the noise stays within its value at the reset and what its slope adds. The thresholds are nearest, in
+    deviations, when the noise has forgotten the reset: there the hazard is below twice Rice's rate at a speed of 1.
+    """
+    noise = now.noise
+    until = min(t + _FORGOTTEN / min(noise.a1, noise.a2) * 1e9, end)
+    moved = abs(now.speed) * (until - t) * 1e-9 * 2
+    beyond = abs(a.n_r) + _OVERSHOOT * abs(a.v_r) / noise.rate + moved
+    c = (min(a.on, a.off) - beyond) / noise.sigma
+    if c < _LEAST_CALM:
+        return t, 0.0
+    bound_hz = noise.rate * (c + 1) * math.exp(-0.5 * c * c)
+    if bound_hz * (until - t) * 1e-9 > _CALM_POINTS:
+        return t, 0.0
+    return until, bound_hz
+
+
+@kernel
+def _window_end(t: float, end: float, now: _Signal, h: Hazard, a: _State) -> float:
+    """Return the end of the window that begins at t, a time of the piece, with hazard h."""
+    since_s, noise = (t - a.reset) * 1e-9, now.noise
+    if since_s <= 0:
+        return min(t + _first_window_s(now, a) * 1e9, end)
+    window_s = (end - t) * 1e-9
+    # Shortly after a reset windows grow with the time since then; later the signal decides.
+    if since_s * min(noise.a1, noise.a2) < _FORGOTTEN:
+        window_s = min(window_s, _DOUBLES * since_s)
+    speed = abs(now.speed) / noise.sigma
+    window_s = min(window_s, _window_s(min(h.c_on, h.c_off), speed, noise.rate))
+    total = h.on + h.off
+    if total * window_s > _MOST_POINTS:
+        window_s = _MOST_POINTS / total
+    return min(t + max(window_s * 1e9, 1.0), end)
+
+
+class _Event(NamedTuple):
+    """An event: its stream time, NEVER_NS if there is none, its polarity, and signal and hazard at its time."""
+
+    t_ns: int
+    on: bool
+    signal: _Signal
+    hazard: Hazard
+    slope: float  # of the noise, ln units a second
+
+
+@kernel
+def _event_at(t_ns: int, on: bool, now: _Signal, h: Hazard, a: _State, tables: _Float32s) -> _Event:  # noqa: PLR0913, PLR0917
+    """Return an event with the slope of its noise: its mean by the value, and what the passage adds to it."""
+    if now.noise.ratio == 0.0:
+        return _Event(t_ns, on, now, h, _STEEPEST if on else -_STEEPEST)
+    nu, far = (h.nu_on, h.c_on) if on else (h.nu_off, h.c_off)
+    share = unit(high(mix_word(a.stream ^ (np.uint64(t_ns) * _SLOPE))))
+    beyond = exit_speed(nu, far, share, now.noise.ratio, tables) - nu
+    outward = now.noise.sigma * h.deviation * (beyond * h.slope + far * h.pull)
+    return _Event(t_ns, on, now, h, h.mean_slope + (outward if on else -outward))
+
+
+@kernel
+def _first_event(  # noqa: PLR0913, PLR0917
+    t: float, to: float, bound_hz: float, p: Piece, a: _State, tables: _Float32s, none: _Event, c: StepConstants
+) -> _Event:  # fmt: skip
+    """Return the first event of a window, in which the hazard is below a bound, or `none`."""
+    # Windows share no point: each has those from its start, included, to its end, not included.
+    from_ns, to_ns = c.t0_ns + math.ceil(t) - 1, c.t0_ns + math.ceil(to) - 1
+    while True:
+        point = next_point(a.stream, from_ns, to_ns, bound_hz)
+        if point.t_ns == NEVER_NS:
+            return none
+        now, h = _hazard_at(np.float64(point.t_ns - c.t0_ns), p, a, tables, c)
+        if point.hz < h.on + h.off:
+            return _event_at(point.t_ns, point.hz < h.on, now, h, a, tables)
+        from_ns = point.t_ns
+
+
+@kernel
+def _after_event(e: _Event, dead_s: float, a: _State) -> tuple[float, float]:
+    """Return value and slope of the noise at the end of the dead time that follows an event."""
+    noise = e.signal.noise
+    first = mix_word(a.stream ^ (np.uint64(e.t_ns) * _VALUE))
+    value = a.reference + (a.on if e.on else -a.off) - e.signal.value
+    if noise.ratio == 0.0:
+        decay = math.exp(-noise.rate * dead_s)
+        return value * decay + noise.sigma * math.sqrt(1 - decay * decay) * normal_from(first), 0.0
+    if dead_s <= 0:
+        return value, e.slope
+    m = transition(dead_s, noise)
+    deviation = math.sqrt(m.v)
+    with_value = m.c / deviation
+    g1, g2 = noise.sigma * normal_from(first), noise.sigma * normal_from(mix_word(first + _VALUE))
+    slope = m.p21 * value + m.p22 * e.slope + with_value * g1 + math.sqrt(max(m.w - with_value * with_value, 0.0)) * g2
+    return m.p11 * value + m.p12 * e.slope + deviation * g1, slope
+
+
+@kernel
+def _re_armed(pixels: Pixels, pixel: int, now: _Signal, a: _State, c: StepConstants) -> _State:
+    """Return a pixel whose dead time ends: its reference is signal plus noise, and the error of the reset."""
+    offset = reset_offset_at(a.stream, pixels.refractory_until_ns[pixel], a.on, a.off, c.reset)
+    reference = np.float32(now.value + a.n_r + offset)
+    pixels.fields[slot(pixel) + _REF] = reference
+    return _State(a.on, a.off, a.leak, a.scale, a.stream, np.float64(reference), a.n_r, a.v_r, a.reset)
+
+
+@kernel
+def _state_of(pixels: Pixels, pixel: int, c: StepConstants) -> _State:
+    """Return a pixel's state."""
+    at, memory, fields = slot(pixel), pixel * MEMORY, pixels.fields
+    return _State(
+        np.float64(fields[at + _ON]),
+        np.float64(fields[at + _OFF]),
+        np.float64(fields[at + _LEAK]),
+        np.float64(pixels.memory[memory + _SCALE]),
+        noise_stream(pixels, pixel, c),
+        np.float64(fields[at + _REF]),
+        np.float64(pixels.memory[memory + _N]),
+        np.float64(pixels.memory[memory + _V]),
+        np.float64(pixels.refractory_until_ns[pixel] - c.t0_ns),
+    )
+
+
+@kernel
+def _turns(p: Piece, leak: float) -> tuple[float, float]:
+    """Return the times at which a piece's curve turns, the end where it does not."""
+    end = p.begin_ns + p.span_ns
+    first = p.c1 + leak * p.span_ns * 1e-9
+    middle, last = first + p.c2, first + 2 * p.c2 + 3 * p.c3
+    if min(first, middle, last) >= 0 or max(first, middle, last) <= 0:  # Bernstein's coefficients of the slope
+        return end, end
+    square = p.c2 * p.c2 - 3 * p.c3 * first
+    if square <= 0:
+        return end, end
+    # The larger root first, without cancellation; the other one from the product of both.
+    total = -(p.c2 + math.copysign(math.sqrt(square), p.c2))
+    x1, x2 = total / (3 * p.c3), first / total
+    t1 = p.begin_ns + x1 * p.span_ns if 0 < x1 < 1 else end
+    t2 = p.begin_ns + x2 * p.span_ns if 0 < x2 < 1 else end
+    return min(t1, t2), max(t1, t2)
+
+
+@kernel
+def pass_piece(  # noqa: PLR0913, PLR0917
+    pixels: Pixels, pixel: int, p: Piece, keys: Keys, n_keys: int, fired: int, c: StepConstants
+) -> tuple[int, int, int]:
+    """Find the events of a pixel along a piece, and move its reference and noise.
+
+    `keys` must have room for MOST_PASSAGES more events; `fired` is the number of events of the pixel in this step so
+    far. Returns the number of events in `keys`, the new `fired`, and the number of events that were lost.
+    """
+    end, tables = p.begin_ns + p.span_ns, pixels.tables
+    a = _state_of(pixels, pixel, c)
+    if a.reset >= end:
+        return n_keys, fired, 0
+    t = max(p.begin_ns, a.reset)
+    if a.reference != a.reference:
+        a = _re_armed(pixels, pixel, _signal(t, p, a.leak, a.scale, c), a, c)
+    turn, turn2 = _turns(p, a.leak)
+    now, h = _hazard_at(t, p, a, tables, c)
+    none = _Event(NEVER_NS, False, now, h, 0.0)
+    before = 0.0 if t <= a.reset else h.on + h.off
+    at_once = t > a.reset and min(h.c_on, h.c_off) < BEYOND  # the light has jumped
+    while t < end:
+        to, calm_hz = t, 0.0
+        if t <= a.reset:
+            to, calm_hz = _calm_end(t, end, now, a)
+        if to <= t:
+            to, calm_hz = _window_end(t, end, now, h, a), 0.0
+        to = turn if t < turn < to else to
+        to = turn2 if t < turn2 < to else to
+        after, at_end = _hazard_at(to, p, a, tables, c)
+        bound_hz = max(_MORE * max(before, at_end.on + at_end.off), calm_hz)
+        while bound_hz * (to - t) > _TOO_MANY and to - t > 1:  # it came nearer than its speed at t allowed for
+            to = t + (to - t) * 0.25
+            after, at_end = _hazard_at(to, p, a, tables, c)
+            bound_hz = max(_MORE * max(before, at_end.on + at_end.off), calm_hz)
+        event = none
+        if at_once:
+            event = _event_at(c.t0_ns + math.ceil(t), h.c_on < h.c_off, now, h, a, tables)
+        elif bound_hz * (to - t) > _NO_POINT:
+            event = _first_event(t, to, bound_hz, p, a, tables, none, c)
+        at_once = False
+        if event.t_ns == NEVER_NS:
+            t, now, h, before = to, after, at_end, at_end.on + at_end.off
+            continue
+        # The event, and the dead time behind it.
+        late_s = delay_s(abs(event.slope + event.signal.speed), event.on, c)
+        t_ns = event.t_ns + int(late_s * 1e9)
+        pixels.memory[pixel * MEMORY + _N], pixels.memory[pixel * MEMORY + _V] = _after_event(
+            event, late_s + c.refractory_ns * 1e-9, a
+        )
+        pixels.fields[slot(pixel) + _REF] = _NAN
+        pixels.fields[slot(pixel) + _UNTIL] = -_ENDLESS
+        pixels.refractory_until_ns[pixel] = t_ns + c.refractory_ns
+        keys[n_keys] = pack(t_ns - c.t0_ns, pixel, event.on, c.pixel_bits)
+        n_keys += 1
+        fired += 1
+        a = _state_of(pixels, pixel, c)
+        t = a.reset
+        if t >= end:
+            break
+        now = _signal(t, p, a.leak, a.scale, c)
+        a = _re_armed(pixels, pixel, now, a, c)
+        before = 0.0
+        if fired >= MOST_PASSAGES:
+            return n_keys, fired, _lose(pixels, pixel, now, _signal(end, p, a.leak, a.scale, c), a)
+    return n_keys, fired, 0
+
+
+@kernel
+def _lose(pixels: Pixels, pixel: int, now: _Signal, last: _Signal, a: _State) -> int:
+    """Move the reference of a pixel that fires too often to the end of its piece; return the events lost by that."""
+    pixels.fields[slot(pixel) + _REF] = np.float32(last.value)
+    return 1 + int(min(abs(last.value - now.value) / min(a.on, a.off), 1e9))
+
+
+@kernel
+def certify(pixels: Pixels, pixel: int, value: float, rate: float, c: StepConstants) -> None:
+    """Write the certificate of a pixel at the end of the step.
+
+    `value` is the noise-free value of its comparator, leak included, `rate` that of its receptor's pole, 1/s.
+    """
+    at, a = slot(pixel), _state_of(pixels, pixel, c)
+    fields = pixels.fields
+    fields[at + _UNTIL] = -_ENDLESS
+    noise = noise_of(rate, c.noise_pole, c.noise_rms * a.scale)
+    since_s = (c.h_ns - a.reset) * 1e-9
+    if a.reference != a.reference or since_s * min(noise.a1, noise.a2) < _FORGOTTEN:
+        return
+    on, off = a.reference + a.on - value, value - a.reference + a.off
+    # Light that falls as far as the limits may raise the rms by this share.
+    if noise.a1 != noise.a2:
+        louder = noise.sigma * (1 + 0.5 * noise.a1 / (noise.a1 + noise.a2) * max(off, 0.0))
+        noise = Noise(louder, noise.a1, noise.a2, noise.rate, noise.ratio, noise.shift)
+    speed = _SPEED_SHARE * noise.sigma * noise.rate
+    c_on, c_off = on / noise.sigma, off / noise.sigma
+    if min(c_on, c_off) < _LEAST_FAR:
+        return
+    h_on = hazard(since_s, Distance(on, off, speed, 0.0), 0.0, 0.0, noise, pixels.tables).on
+    h_off = hazard(since_s, Distance(on, off, -speed, 0.0), 0.0, 0.0, noise, pixels.tables).off
+    total = h_on + h_off
+    bound_hz = max(_CERTIFIED * total, _REVISITS / c.h)
+    # Limits at which the hazard meets the bound: from its value here, or from the law's largest one anywhere.
+    anywhere = (0.5 if noise.ratio > 0 else 5.0) * noise.rate / bound_hz
+    far = math.sqrt(2 * math.log(anywhere)) if anywhere > 1 else _LEAST_FAR
+    growth = 2 * math.log(bound_hz / (_GROWTH * total)) if total > 0 else 0.0
+    limit_on, limit_off = far, far
+    if growth > 0:
+        limit_on = min(far, math.sqrt(max(c_on * c_on - growth, _LEAST_FAR * _LEAST_FAR)))
+        limit_off = min(far, math.sqrt(max(c_off * c_off - growth, _LEAST_FAR * _LEAST_FAR)))
+    limit_on, limit_off = max(limit_on, _LEAST_FAR) + noise.shift, max(limit_off, _LEAST_FAR) + noise.shift
+    if limit_on >= c_on or limit_off >= c_off:
+        return
+    end_ns = c.t0_ns + c.h_ns
+    last_ns = end_ns + min(_LONGEST_NS, _LONGEST_STEPS * c.h_ns)
+    point = next_point(a.stream, end_ns - 1, last_ns, bound_hz)
+    until_ns = min(point.t_ns, last_ns)
+    fields[at + _ON_LIMIT] = np.float32(a.on - noise.sigma * limit_on)
+    fields[at + _OFF_LIMIT] = np.float32(a.off - noise.sigma * limit_off)
+    fields[at + _SPEED] = np.float32(speed)
+    # Seconds since the epoch, earlier than the point by more than float32 may round.
+    until_s = np.float64(c.since_epoch_1) + (until_ns - end_ns) * 1e-9
+    fields[at + _UNTIL] = np.float32(until_s - 1e-6 - 1e-6 * abs(until_s))
