@@ -17,6 +17,7 @@ import numpy as np
 
 from emulator.light import Light, LightFrame, Region
 from emulator.report.page import pyplot, save
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS
 from laboratory.bench.pixels import grating
@@ -60,7 +61,8 @@ Row = tuple[tuple[int, int], bool, list[float]]
 def measured() -> Iterator[Row]:
     """Yield the rows of all sizes, and print them."""
     for size in SIZES:
-        parameters = dataclasses.replace(PRESETS["davis346"], width=size[0], height=size[1], leak_hz=0.0)
+        parameters = dataclasses.replace(PRESETS["davis346"], width=size[0], height=size[1], leak_hz=0.0,
+                                         noise=NoiseParameters())  # fmt: skip
         array = PixelArray(parameters, 1, 1)
         for reported in (False, True):
             times = [step_us(array, share, reported=reported) for share in SHARES]

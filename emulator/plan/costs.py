@@ -1,8 +1,9 @@
 """Costs of leaving out effects of the pixel and of the chip, from which `decide` makes its decisions.
 
-Each cost is a decision without its verdict; None where the effect is off. Effects of the chip are temperature, imager, defects and radiation. `dim` is dark current over the photocurrent of the
-darkest active pixels: a change of the dark current, or of the light alone, by a share changes contrasts there by that
-share of `dim`, and time constants by that share.
+Each cost is a decision without its verdict; None where the effect is off. Effects of the chip are temperature, imager,
+defects and radiation. `dim` is dark current over the photocurrent of the darkest active pixels: a change of the dark
+current, or of the light alone, by a share changes contrasts there by that share of `dim`, and time constants by that
+share.
 """
 
 from __future__ import annotations

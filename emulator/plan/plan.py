@@ -20,7 +20,6 @@ darkest active light.
     mismatch            stamps off by n sigma theta / A                    that < eps
     refractory          t_ref A/theta of the events; stamps by n t_ref     that < delta, and n t_ref < eps
     noise               R events a second; stamps off by rms / A           R < delta A/theta, and rms / A < eps
-    shift by noise      stamps late by up to 3 rms / A                     that < eps, and a point process will do
     jitter              stamps early by the latency                        latency + 2 deviations < eps
     comparator          stamps early by its delay at A, events by delay A/theta    that < eps, and < delta
     reset offset        contrasts by o / theta; stamps by n o / A          that < delta, and < eps

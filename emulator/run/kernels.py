@@ -33,6 +33,7 @@ from emulator.light import LightFrame, MachineLacks, Region, Scene, SceneError
 from emulator.rig.kinds import LINKS, SCENES, usb_model
 from emulator.rig.loading import Rig
 from emulator.run.link_process import starting_a_process
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS, SensorParameters
 from firmware_protocol.compiled import cache_folder, checksum_of
 
@@ -100,6 +101,8 @@ def parts_of(rig: Rig) -> list[Part]:
 
 
 def _effects(sensor: SensorParameters) -> Part:
+    if sensor.noise.grade == "passages":
+        sensor = dataclasses.replace(sensor, noise=NoiseParameters())  # its kernels are those of every pixel step
     present = _present(dataclasses.asdict(sensor))
     variant = f"{zlib.crc32(repr(present).encode()):08x}"
     return Part("read-out and effects", 4.5, partial(_read_out, sensor), variant)
@@ -120,6 +123,17 @@ def _of_the_step(section: str) -> None:
     PixelArray(_FEW, 0).compile_part(section)
 
 
+def _noise() -> None:
+    """Compile the passages of noise, the references at the start and the rates in still light."""
+    from emulator.sensor.noise.law import still_hz
+    from emulator.sensor.pixels.array import PixelArray
+
+    pixels = PixelArray(_FEW, 0)
+    pixels.compile_part("noise")
+    pixels.reset(LightFrame(0, np.ones((_HEIGHT, _WIDTH), np.float32)))
+    still_hz(_FEW, _FEW.corner_max_hz)
+
+
 def _step() -> None:
     """Advance a few pixels by a step in which some fire, and some are refined; merge the events of two threads."""
     from emulator.sensor.pixels.array import PixelArray
@@ -138,24 +152,27 @@ def _lit(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s
 
 
 def _read_out(sensor: SensorParameters) -> None:
-    """Read out one event of each pixel of a sensor with these effects, then noise alone, where there is any."""
+    """Read out two events of each pixel of a sensor with these effects, or the noise of the grid grade."""
     from emulator.sensor.pixels.array import PixelArray
     from emulator.sensor.pixels.crossings import Crossings
     from emulator.sensor.sensor import Sensor
 
-    class OneEvent(PixelArray):
-        def step(self, frame: LightFrame) -> Crossings:
-            first, self.state.t_ns = self.state.t_ns == 0, frame.t_ns
-            pixel = np.arange(frame.light.size if first else 0, dtype=np.uint32)
-            return Crossings(np.full(pixel.size, frame.t_ns - 1, np.int64), pixel, pixel < pixel.size // 2)
+    ends_ns = 1_000_000, 50_000_000, 5_000_000_000
 
-    loud = 0.3 * sensor.threshold_on if sensor.noise.rms else 0.0  # so that there are noise events by the end
-    sensor = dataclasses.replace(sensor, noise=dataclasses.replace(sensor.noise, rms=loud))
-    is_grid = bool(loud) and sensor.noise.grade == "grid"
-    small_sensor = Sensor(sensor, 0) if is_grid else Sensor(sensor, 0, OneEvent)
+    class TwoEvents(PixelArray):
+        def step(self, frame: LightFrame) -> Crossings:
+            middle_ns, self.state.t_ns = (self.state.t_ns + frame.t_ns) // 2, frame.t_ns
+            pixel = np.arange(frame.light.size if frame.t_ns in ends_ns[::2] else 0, dtype=np.uint32)
+            return Crossings(np.full(pixel.size, middle_ns, np.int64), pixel, pixel < pixel.size // 2)
+
+    if sensor.noise.rms:  # so loud that there are noise events by the end
+        noise = dataclasses.replace(sensor.noise, rms=0.3 * sensor.threshold_on)
+        small_sensor = Sensor(dataclasses.replace(sensor, noise=noise), 0)
+    else:
+        small_sensor = Sensor(sensor, 0, TwoEvents)
     light = np.full((_HEIGHT, _WIDTH), 0.02, np.float32)
     small_sensor.reset(LightFrame(0, light))
-    for t_ns in (1_000_000, 50_000_000, 5_000_000_000):
+    for t_ns in ends_ns:
         small_sensor.expose(LightFrame(t_ns, light, np.zeros_like(light)))
     small_sensor.finish()
 
@@ -249,7 +266,8 @@ def _code_evt() -> None:
 
 _CANDIDATES = Part("pixel candidates", 6.0, partial(_of_the_step, "candidates"))
 _BLOCKS = Part("pixel blocks", 6.5, partial(_of_the_step, "blocks"))
-PIXELS = Part("pixel step", 3.0, _step, after=(_CANDIDATES, _BLOCKS))
+_NOISE = Part("pixel noise", 6.0, _noise)
+PIXELS = Part("pixel step", 3.0, _step, after=(_CANDIDATES, _BLOCKS, _NOISE))
 CODER = Part("telemetry coder", 4.0, _encode)
 TRUTH = Part("truth", 4.0, _find_truth)
 DECODER = Part("telemetry decoder", 3.0, _decode)

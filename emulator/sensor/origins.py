@@ -1,8 +1,11 @@
 """A sensor that reports the origin of each of its events.
 
 The events are those of `Sensor`, to the last bit. The code of an origin has three bits, and each bit travels as the
-polarity of one more list of crossings, with the same times and pixels, through a delay and a read-out of its own: these
-never depend on polarity, so the bits come out in the order of the events.
+polarity of one more list of crossings, with the same times and pixels, through a read-out of its own: it never depends
+on polarity, so the bits come out in the order of the events. Through the delay, which does, codes go by pixel.
+
+The origin "noise" is one of the pixel itself: the signal had gone less than half of the way from the level at which the
+reference was set to the threshold. It comes first; an event of noise is not the leak's.
 
 The origin "leak" is a definition, because leak and light move one comparator together. An ON event is the leak's if,
 since the pixel's reference was last read, the leak has moved the comparator further than the light has: by more than
@@ -26,11 +29,12 @@ from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.chip.readout import Arrivals
 from emulator.sensor.chip.sources import BackgroundEvents, Particles
 from emulator.sensor.numerics.compiled import cached_entry
+from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import Crossings, joined, merged
 from emulator.sensor.pixels.method import MakePixels
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters
-from emulator.sensor.sensor import Sensor, finished, make_jitter, make_readout, own_pixels
+from emulator.sensor.sensor import Sensor, finished, make_readout, own_pixels
 from firmware_protocol.events import Events
 
 
@@ -130,6 +134,7 @@ def _step(
 
 
 _BITS = 3
+_PIXEL_BITS = 24
 
 _Codes = npt.NDArray[np.uint8]
 _Float32s = npt.NDArray[np.float32]
@@ -169,18 +174,14 @@ class TracedSensor(Sensor):
 
     def finish(self) -> Events:
         """Return the events that have not left yet."""
-        events = super().finish()
-        twins = zip(self._jitters, self._readouts, strict=True)
-        self.origins = _codes([finished(jitter, readout) for jitter, readout in twins])
-        return events
+        late = self._rest()
+        bits = _bits(late, self._codes_behind_delay(np.empty(0, np.uint8), np.empty(0, np.uint32), late.pixel))
+        self.origins = _codes([finished(out, b) for out, b in zip(self._readouts, bits, strict=True)])
+        return finished(self._readout, late)
 
     def _make_twins(self) -> None:
-        p = at_temperature(self.parameters)
-        self._jitters = [make_jitter(p, self._seed) for _ in range(_BITS)]
-        for jitter in self._jitters:
-            if jitter is not None:
-                jitter.reset(self._t_ns)
         self._readouts = [make_readout(self.parameters) for _ in range(_BITS)]
+        self._waiting_codes, self._waiting_pixels = np.empty(0, np.uint8), np.empty(0, np.uint32)
 
     def _set_refractory(self, refractory_us: float) -> None:
         super()._set_refractory(refractory_us)
@@ -188,13 +189,12 @@ class TracedSensor(Sensor):
             readout.set_refractory(refractory_us)
 
     def _with_others(self, crossings: Crossings, seen: _Float32s, settled_ns: int) -> Crossings:
-        bits = _bits(crossings, self._of_pixels(crossings, seen, settled_ns))
+        codes = self._of_pixels(crossings, seen, settled_ns)
         if self._jitter is not None:
+            pixels = crossings.pixel.copy()
             crossings = self._jitter.step(crossings, settled_ns)
-            bits = [
-                b if jitter is None else jitter.step(b, settled_ns)
-                for jitter, b in zip(self._jitters, bits, strict=True)
-            ]
+            codes = self._codes_behind_delay(codes, pixels, crossings.pixel)
+        bits = _bits(crossings, codes)
         for source in self._sources:
             raised = source.step(seen.reshape(-1), settled_ns)
             codes = np.full(len(raised), _OF_SOURCES.get(type(source), Origin.UNKNOWN), np.uint8)
@@ -202,6 +202,27 @@ class TracedSensor(Sensor):
             bits = [merged(a, b) for a, b in zip(bits, _bits(raised, codes), strict=True)]
         self._bits.append([dataclasses.replace(b, t_ns=b.t_ns.copy(), pixel=b.pixel.copy()) for b in bits])
         return crossings
+
+    def _codes_behind_delay(
+        self, codes: _Codes, pixels: npt.NDArray[np.uint32], leaving: npt.NDArray[np.uint32]
+    ) -> _Codes:
+        """Return the codes of crossings that leave the delay, by their pixels.
+
+        `codes` and `pixels` are those that enter it now. The delay, which depends on polarity, keeps the order of each
+        pixel. Crossings that kicks add at the end of the stream count as the signal's.
+        """
+        codes, pixels = np.append(self._waiting_codes, codes), np.append(self._waiting_pixels, pixels)
+        waiting, order = np.argsort(pixels, kind="stable"), np.argsort(leaving, kind="stable")
+        by_pixel = leaving[order]
+        number = np.arange(by_pixel.size) - np.searchsorted(by_pixel, by_pixel)  # of those of its pixel that leave now
+        place = np.searchsorted(pixels[waiting], by_pixel) + number
+        left = np.full(by_pixel.size, Origin.SIGNAL, np.uint8)
+        has_code = place < np.searchsorted(pixels[waiting], by_pixel, side="right")
+        left[order[has_code]] = codes[waiting[place[has_code]]]
+        stays = np.ones(codes.size, np.bool_)
+        stays[waiting[place[has_code]]] = False
+        self._waiting_codes, self._waiting_pixels = codes[stays], pixels[stays]
+        return left
 
     def _send(self, crossings: Crossings, settled_ns: int) -> Events:
         events = super()._send(crossings, settled_ns)
@@ -216,12 +237,22 @@ class TracedSensor(Sensor):
             return np.full(len(crossings), Origin.UNKNOWN, np.uint8)
         hz = self._constant_hz if self._leaks is None else self._leak_hz()
         leaks = self._leak.step(crossings, self._constant_hz if hz is None else hz, seen, settled_ns)
-        return np.where(leaks, np.uint8(Origin.LEAK), np.uint8(Origin.SIGNAL))
+        codes = np.where(leaks, np.uint8(Origin.LEAK), np.uint8(Origin.SIGNAL))
+        if isinstance(self.pixels, PixelArray) and len(self.pixels.of_noise):
+            codes[_is_among(crossings, self.pixels.of_noise)] = Origin.NOISE
+        return codes
 
     def _leak_hz(self) -> npt.NDArray[np.float64] | None:
         """Return each pixel's leak rate, without the parasitic one; None where unknown or inseparable from noise."""
         capabilities = self.pixels.capabilities
         return None if capabilities.has_grid_noise or not capabilities.has_faults else self.pixels.leak_hz()
+
+
+def _is_among(crossings: Crossings, listed: Crossings) -> npt.NDArray[np.bool_]:
+    """Return which crossings have time and pixel of one that is listed."""
+    first_ns = min(int(crossings.t_ns[0]), int(listed.t_ns[0])) if len(crossings) else 0
+    keys, among = ((c.t_ns - first_ns << _PIXEL_BITS) | c.pixel.astype(np.int64) for c in (crossings, listed))
+    return np.asarray(np.isin(keys, among))
 
 
 def _bits(crossings: Crossings, codes: _Codes) -> list[Crossings]:

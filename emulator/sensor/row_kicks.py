@@ -108,7 +108,7 @@ class RowKicks:
         ]
         self._late = NO_CROSSINGS
         self._place = np.full(len(pixels), -1, np.int64)
-        self._silent, self._muted = np.zeros(len(pixels), np.bool_), np.zeros(len(pixels), np.bool_)
+        self._silent = np.zeros(len(pixels), np.bool_)
 
     def reset(self) -> None:
         """Start with the levels that the pixels have now; no event is to come."""
@@ -116,7 +116,6 @@ class RowKicks:
         on, _ = self._levels.thresholds(pixels)
         strongest = np.maximum(*self._added) * (1 + _STRONG * self._frame_spread)
         self._silent = self._levels.of(pixels) + strongest >= on
-        self._muted[:] = False
         self._late = NO_CROSSINGS
 
     def begin(self, reads: LineReads) -> list[_Before]:
@@ -151,7 +150,7 @@ class RowKicks:
     def rest(self) -> Crossings:
         """Return the events that are still to come."""
         late, self._late = self._late, NO_CROSSINGS
-        return self.without_silent(late)
+        return late
 
     def _kicked(self, group: _Before, crossings: Crossings, t0_ns: int, t1_ns: int) -> Crossings:
         on, off = self._levels.thresholds(group.pixel)
@@ -174,14 +173,6 @@ class RowKicks:
         crossings = self._without_next(group, fired, crossings, at[~before], place[~before])
         return merged(crossings, self._events(group, fired, needed))
 
-    def without_silent(self, crossings: Crossings) -> Crossings:
-        """Return crossings without those of silent kicks, after the noise has followed all of them."""
-        sent = ~self._muted[crossings.pixel]
-        if sent.all():
-            return crossings
-        self._muted[crossings.pixel] = False
-        return _part(crossings, np.flatnonzero(sent), crossings.lost_in_pixel)
-
     def _without_next(
         self, group: _Before, fired: _Int64s, crossings: Crossings, later: _Int64s, place: _Int64s
     ) -> Crossings:
@@ -202,10 +193,11 @@ class RowKicks:
         return _part(crossings, np.flatnonzero(kept), crossings.lost_in_pixel)
 
     def _events(self, group: _Before, fired: _Int64s, needed: _Floats) -> Crossings:
-        """Return the events of the pixels `fired`, which need a share of their kick each, silent ones among them."""
+        """Return the events of the pixels `fired`, which need a share of their kick each; none of silent ones."""
+        sent = ~self._silent[group.pixel[fired]]
+        self._silent[group.pixel[fired]] = False
+        fired, needed = fired[sent], needed[sent]
         pixel, at_ns = group.pixel[fired], group.t_ns[fired]
-        self._muted[pixel] |= self._silent[pixel]
-        self._silent[pixel] = False
         chance = uniform(self._seed, Purpose.APS_KICK, pixel, at_ns // 1000 + 2)  # 0 and 1 are the strengths
         t_ns = at_ns + (chance * needed * self._delay_ns).astype(np.int64)
         order = np.lexsort((pixel, t_ns))

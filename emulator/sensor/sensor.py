@@ -27,12 +27,12 @@ from emulator.sensor.chip.imager import Imager, part_of_the_way
 from emulator.sensor.chip.readout import ArbiterReadOut, Jitter, ReadOut
 from emulator.sensor.chip.scan import ScanReadOut
 from emulator.sensor.chip.sources import BackgroundEvents, Particles, hits_per_second
-from emulator.sensor.noise.law import corner_hz, still_hz
+from emulator.sensor.noise.law import corner_hz, fixed_corner_hz, rms, still_hz
 from emulator.sensor.parameters import DefectParameters, KickParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, EventBuffers, joined
 from emulator.sensor.pixels.method import MakePixels, PixelMethod
-from emulator.sensor.pixels.state import draw
+from emulator.sensor.pixels.passage import MOST_PASSAGES
 from emulator.sensor.presets import SensorParameters
 from emulator.sensor.row_kicks import LineReads, RowKicks
 from firmware_protocol.events import Events
@@ -79,14 +79,16 @@ def make_readout(p: SensorParameters) -> ReadOut:
     return ScanReadOut(p) if p.readout.scan_us else ArbiterReadOut(p)
 
 
-def finished(jitter: Jitter | None, readout: ReadOut, late: Crossings = NO_CROSSINGS) -> Events:
-    """Return the events that a read-out, and a delay before it, have not sent yet.
+def rest_of_delays(jitter: Jitter | None, late: Crossings) -> Crossings:
+    """Return the crossings that still wait in a delay, with `late` ones of after the last step, as they leave it."""
+    if jitter is None:
+        return late
+    begun = jitter.step(late, int(late.t_ns[-1]) + 1) if len(late) else late
+    return joined([begun, jitter.step(NO_CROSSINGS, jitter.last_ns() + 1)])
 
-    `late` are crossings after the last step. They are delayed as all are, so they may leave before earlier ones.
-    """
-    if jitter is not None:
-        begun = jitter.step(late, int(late.t_ns[-1]) + 1) if len(late) else late
-        late = joined([begun, jitter.step(NO_CROSSINGS, jitter.last_ns() + 1)])
+
+def finished(readout: ReadOut, late: Crossings) -> Events:
+    """Return the events that a read-out has not sent yet, with crossings of after the last step."""
     sent = [readout.push(late, int(late.t_ns[-1]) + 1)] if len(late) else []
     return np.concatenate([*sent, readout.finish()])
 
@@ -200,8 +202,8 @@ def longest_step_ns(p: SensorParameters) -> int:
     the worst light, and the pixels that are moved where the sensor has a grid of times of its own.
     """
     pixels = p.width * p.height
-    b, r = p.background, p.radiation
-    each_hz = p.leak_hz + p.parasitic_hz_at_reference + b.hz + b.hot_share * b.hot_hz + _noise_hz(p)
+    b, r, noise_hz = p.background, p.radiation, _noise_hz(p)
+    each_hz = p.leak_hz + p.parasitic_hz_at_reference + b.hz + b.hot_share * b.hot_hz + noise_hz
     hot_hz = p.defects.hot_hz * math.exp(p.defects.hot_spread**2 / 2)
     track = (1 + r.off_share) * min(1 + 2 * r.depth_um / r.pixel_pitch_um, p.width + p.height)
     random_hz = pixels * (each_hz + p.defects.hot_share * hot_hz) + hits_per_second(p) * track
@@ -209,13 +211,19 @@ def longest_step_ns(p: SensorParameters) -> int:
     if p.noise.rms and p.noise.grade == "grid":
         grids_ns.append(imported("laboratory.methods.grid:grid_ns")(p))
     most_ns = [_MOST_RANDOM / random_hz * 1e9] if random_hz else []
+    most_ns += [MOST_PASSAGES / 4 / noise_hz * 1e9] if noise_hz else []
     most_ns += [_MOST_MOVED / pixels * step_ns for step_ns in grids_ns]
     return max(round(min(*most_ns, 2.0**62, 2.0**62)), 1000)
 
 
 def _noise_hz(p: SensorParameters) -> float:
     """Return the rate of a pixel's noise events in the light where they are most frequent."""
-    return max(sum(still_hz(p, float(f))) for f in np.unique(corner_hz(p, _LIGHTS)))
+    if not p.noise.rms:
+        return 0.0
+    f = corner_hz(p, _LIGHTS)
+    deviations = min(p.threshold_on, p.threshold_off) / rms(p, f)
+    noisiest = np.argmax(np.log(np.minimum(f, fixed_corner_hz(p))) - deviations**2 / 2)
+    return sum(still_hz(p, float(f[noisiest])))
 
 
 def _load_rare_kernels() -> None:
@@ -443,8 +451,12 @@ class Sensor:
 
     def finish(self) -> Events:
         """Return the events that have not left yet; the sensor cannot be exposed afterwards."""
+        return finished(self._readout, self._rest())
+
+    def _rest(self) -> Crossings:
+        """Return the crossings that have not reached the read-out."""
         late = NO_CROSSINGS if self._kicks is None else self._of_live_pixels(self._kicks.rest())
-        return finished(self._jitter, self._readout, late)
+        return rest_of_delays(self._jitter, late)
 
     def _next_cut_ns(self) -> int:
         """Return the next time at which a step must end."""
@@ -459,8 +471,6 @@ class Sensor:
         seen = self._imager.see(frame)
         crossings = self._of_live_pixels(self.pixels.step(seen) if self._kicks is None else self._kicked(seen))
         self._t_ns = frame.t_ns
-        if self._kicks is not None:
-            crossings = self._kicks.without_silent(crossings)
         return self._with_others(crossings, seen.light, self.pixels.settled_ns)
 
     def _kicked(self, seen: LightFrame) -> Crossings:

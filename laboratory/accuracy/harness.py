@@ -14,6 +14,9 @@ on a sensor of 346 x 260 pixels, whose light frame repeats the case's row: the m
 `CASES` are the scenes of the chart, each with its sensor and the steps of its sweep. They are those of the tables by
 which the method was chosen: threshold 0.2 with 3 % mismatch, leak 0.1 Hz with 30 % spread, contrast 10 : 1, corner
 frequency 300 Hz at light 1 and proportional to light between 1 and 3000 Hz, 60 pixels, 0.4 s.
+
+Cases with noise have equal pixels in the same light, which are samples of one distribution. Their truth is that of
+`laboratory.methods.grid`, and only evstim's own pixels have noise.
 """
 
 from __future__ import annotations
@@ -24,11 +27,13 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame, PixelLight
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.crossings import Crossings
 from emulator.sensor.pixels.method import MakePixels
@@ -40,6 +45,7 @@ from laboratory.accuracy.scenes import (
     DriftingStar,
     Flash,
     Flicker,
+    LogSine,
     MovingEdge,
     ShadedEdge,
     SineGrating,
@@ -48,8 +54,9 @@ from laboratory.accuracy.scenes import (
     ThinLine,
     TurningBody,
 )
-from laboratory.accuracy.scores import Scores, Stream, compare
+from laboratory.accuracy.scores import Scores, Stream, compare, compare_samples
 from laboratory.accuracy.truth import true_events
+from laboratory.methods.grid import NoisyPixels
 from laboratory.methods.other_simulators import OTHER_SIMULATORS
 
 SEED = 3
@@ -101,7 +108,7 @@ class Case:
     start_ns : int
         Stream time of the start; the light counts time from the start.
     fine_s : float
-        Step of the truth, s; longer for slow scenes.
+        Step of the truth, s; longer for slow scenes. With noise: between two frames of the reference.
     """
 
     name: str
@@ -110,6 +117,10 @@ class Case:
     duration_s: float = 0.4
     start_ns: int = 0
     fine_s: float = 1e-5
+
+
+REFERENCE = Method("reference", NoisyPixels, rate=True)
+"""The reference of cases with noise."""
 
 
 def methods() -> list[Method]:
@@ -121,7 +132,9 @@ def methods() -> list[Method]:
 
 @lru_cache(maxsize=64)
 def truth(case: Case) -> Stream:
-    """Return the true events of a case, times counted from its start."""
+    """Return the true events of a case, times counted from its start; with noise a sample of them."""
+    if case.parameters.noise.rms:
+        return events(REFERENCE, case, case.fine_s)[0]
     return true_events(case.scene, case.parameters, SEED, case.duration_s, case.fine_s)
 
 
@@ -141,8 +154,8 @@ def events(
     steps = round(case.duration_s * 1e9 / h_ns)
     t_s = np.arange(steps + 1) * (h_ns * 1e-9)
     at = pixel_light(case) if method.refines else None
-    light = case.scene.value(t_s).astype(np.float32)[:, None, :]
-    rate = case.scene.rate(t_s).astype(np.float32)[:, None, :] if method.rate else None
+    light, slope = (one.astype(np.float32)[:, None, :] for one in case.scene.light_and_rate(t_s))
+    rate = slope if method.rate else None
     light = light if seen is None else seen(light)
     found: list[Crossings] = []
     array.reset(LightFrame(case.start_ns, light[0], None if rate is None else rate[0]))
@@ -158,16 +171,17 @@ def pixel_light(case: Case) -> PixelLight:
     scene = case.scene
 
     def at(t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[_Float32s, _Float32s]:
-        t_s = np.array([(t_ns - case.start_ns) * 1e-9])
+        light, rate = scene.light_and_rate((t_ns - case.start_ns) * 1e-9)
         places = pixels % scene.pixels
-        return scene.value(t_s)[0, places].astype(np.float32), scene.rate(t_s)[0, places].astype(np.float32)
+        return light[0, places].astype(np.float32), rate[0, places].astype(np.float32)
 
     return at
 
 
 def score(method: Method, case: Case, step_s: float) -> Scores:
-    """Return the scores of a method on a case in steps of `step_s`."""
-    return compare(events(method, case, step_s)[0], truth(case))
+    """Return the scores of a method on a case in steps of `step_s`, as of samples where there is noise."""
+    compared = compare_samples if case.parameters.noise.rms else compare
+    return compared(events(method, case, step_s)[0], truth(case))
 
 
 def step_cost_us(method: Method, case: Case, step_s: float) -> float:
@@ -177,31 +191,21 @@ def step_cost_us(method: Method, case: Case, step_s: float) -> float:
     steps = min(_COST_WARM_UP + _COST_STEPS, max(3, round(case.duration_s * 1e9) // h_ns))
     first = max(0, round(case.duration_s * 1e9) // h_ns - steps) // 2
     t_s = (first + np.arange(steps + 1)) * (h_ns * 1e-9)
-    light = [_tiled(row, width, height) for row in case.scene.value(t_s)]
-    rate = [_tiled(row, width, height) for row in case.scene.rate(t_s)] if method.rate else [None] * len(light)
+    light, slopes = ([np.resize(row.astype(np.float32), (height, width)) for row in one]
+                     for one in case.scene.light_and_rate(t_s))  # fmt: skip
+    rate = slopes if method.rate else [None] * len(light)
     array = method.make(dataclasses.replace(case.parameters, width=width, height=height), SEED)
     at = pixel_light(dataclasses.replace(case, start_ns=0)) if method.refines else None
     array.reset(LightFrame(0, light[0], rate[0]))
     frames = [LightFrame(k * h_ns, light[k], rate[k], at) for k in range(1, steps + 1)]
-    return median_step_us(array.step, frames, _COST_WARM_UP, _COST_BUDGET_S)
-
-
-def median_step_us(
-    step: Callable[[LightFrame], object], frames: Sequence[LightFrame], warm_up: int, budget_s: float
-) -> float:
-    """Return the median time of a step, us, but for the first `warm_up`; no more are timed once all took `budget_s`."""
     taken_s: list[float] = []
     for frame in frames:
         begun_s = time.perf_counter()
-        step(frame)
+        array.step(frame)
         taken_s.append(time.perf_counter() - begun_s)
-        if len(taken_s) > warm_up and sum(taken_s) > budget_s:
+        if len(taken_s) > _COST_WARM_UP and sum(taken_s) > _COST_BUDGET_S:
             break
-    return statistics.median(taken_s[min(warm_up, len(taken_s) - 1) :]) * 1e6
-
-
-def _tiled(row: npt.NDArray[np.float64], width: int, height: int) -> _Float32s:
-    return np.resize(row.astype(np.float32), (height, width))
+    return statistics.median(taken_s[min(_COST_WARM_UP, len(taken_s) - 1) :]) * 1e6
 
 
 PLAIN = SensorParameters(
@@ -227,6 +231,28 @@ class Swept:
     case: Case
     description: str
     steps_ms: tuple[float, ...]
+
+    @property
+    def has_noise(self) -> bool:
+        """True: streams are samples of a distribution, and compared as such."""
+        return self.case.parameters.noise.rms > 0
+
+    def fitting(self, ways: Sequence[Method]) -> list[Method]:
+        """Return the methods that have the effects of the case."""
+        return [method for method in ways if method.make is PixelArray or not self.has_noise]
+
+
+_NOISY = dataclasses.replace(
+    PLAIN, mismatch=0.0, leak_hz=0.0, corner_hz_at_reference=3000.0, refractory_us=20.0,
+    noise=NoiseParameters(rms=0.045, corner_hz=1900.0),
+)  # fmt: skip
+
+
+def _noisy(name: str, scene: LogSine, description: str, **changes: Any) -> Swept:
+    """Return a case with noise, its highest corner frequency that of the light, which the reference's steps follow."""
+    p = dataclasses.replace(_NOISY, corner_max_hz=5000.0 * scene.level, **changes)
+    case = Case(name, dataclasses.replace(scene, spread=0.0), p, 4.0, fine_s=1e-3)
+    return Swept(case, f"noise, {description}: distributions", (0.2, 1.0, 5.0, 10.0, 20.0, 80.0))
 
 
 _FAST = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
@@ -254,6 +280,9 @@ CASES = (
     Swept(Case("kinked", ShadedEdge(), PLAIN, 0.35), "kinked edge of 0.6 px, shaded, 100 px/s", _FAST),
     Swept(Case("line", ThinLine(profile="blurred"), PLAIN, 0.35), "line of 1 px, 0.6 px blur, 100 px/s", _FAST),
     Swept(Case("body", TurningBody(), PLAIN, 0.6), "turning body, 6 : 1, 100 px/s", _FAST),
+    _noisy("noise_still", LogSine(amplitude=0.0, level=0.1), "still light of 0.1", noise=NoiseParameters(0.07, 1900.0)),
+    _noisy("noise_dim", LogSine(level=0.1), "2 Hz sine about 0.1"),
+    _noisy("noise_bright", LogSine(), "2 Hz sine about 1"),
     Swept(Case("dark", Dark(), dataclasses.replace(PLAIN, leak_hz=2.0), 2.0), "dark: leak alone, 2 Hz", _SLOW),
 )
 """All scenes of the chart."""
@@ -261,6 +290,6 @@ CASES = (
 QUICK = tuple(
     Swept(swept.case, swept.description, (0.5, 2.0, 5.0))
     for swept in CASES
-    if swept.case.name in ("sine", "checkerboard", "disc")
+    if swept.case.name in ("sine", "checkerboard", "disc", "noise_dim")
 )
-"""Three scenes in three steps."""
+"""Four scenes in three steps."""

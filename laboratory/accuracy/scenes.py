@@ -12,6 +12,8 @@ A method under test does not get these times.
     DriftingStar          background + peak exp(-d^2 / 2 sigma^2), d the distance to a star on its way
     Flash                 dark until an instant of the pixel's own, then bright
     SlowRamp              level exp(k t), another k for each pixel
+    LogSine               level exp(a sin(2 pi f t + phase)): light of the scenes with noise; a = 0: still
+    LogEdge               log light on a logistic curve in time
     Dark                  no light at all
 
 Edges with a given profile, which a cubic in log light approximates badly: a profile is "blurred", a Gaussian edge, or
@@ -34,7 +36,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr
+from scipy.special import expit, ndtr
 
 Float64s = npt.NDArray[np.float64]
 
@@ -52,12 +54,22 @@ class ClosedLight(ABC):
     pixels: int = 60
 
     @abstractmethod
+    def light(self, t: Float64s) -> tuple[Float64s, Float64s]:
+        """Return the light and its time derivative at times (m, 1), s: (m, pixels), or what broadcasts to that."""
+
     def value(self, t_s: npt.ArrayLike) -> Float64s:
         """Return the light at times `t_s`, (m,) s: (m, pixels), relative to the reference light."""
+        return self.light_and_rate(t_s)[0]
 
-    @abstractmethod
     def rate(self, t_s: npt.ArrayLike) -> Float64s:
         """Return the time derivative of `value`, (m, pixels), a second."""
+        return self.light_and_rate(t_s)[1]
+
+    def light_and_rate(self, t_s: npt.ArrayLike) -> tuple[Float64s, Float64s]:
+        """Return `value` and `rate`."""
+        t = np.atleast_1d(np.asarray(t_s, np.float64))[:, None]
+        light, rate = (np.array(np.broadcast_to(one, (t.size, self.pixels))) for one in self.light(t))
+        return light, rate
 
     def jumps_s(self) -> Float64s:
         """Return the times at which the light of each pixel jumps, (pixels, k) s, rising along the second axis."""
@@ -73,31 +85,65 @@ def _bell(x: Float64s) -> Float64s:
     return np.asarray(np.exp(-0.5 * x * x) / math.sqrt(2 * math.pi))
 
 
-def _column(t_s: npt.ArrayLike) -> Float64s:
-    """Return times as a column, (m, 1), to meet the row of pixels."""
-    return np.atleast_1d(np.asarray(t_s, np.float64))[:, None]
+@dataclass(frozen=True)
+class _LogLight(ClosedLight):
+    """Light whose logarithm is in closed form."""
+
+    @abstractmethod
+    def log(self, t: Float64s) -> tuple[Float64s, Float64s]:
+        """Return ln of the light and its time derivative, as `light` does."""
+
+    def light(self, t: Float64s) -> tuple[Float64s, Float64s]:
+        """See `ClosedLight`."""
+        log, slope = self.log(t)
+        return np.exp(log), np.exp(log) * slope
+
+
+@dataclass(frozen=True)
+class LogSine(_LogLight):
+    """A sine in log light about that of `level`, its phases spread over that share of a turn; 0: all pixels alike."""
+
+    amplitude: float = 0.5
+    hz: float = 2.0
+    level: float = 1.0
+    spread: float = 1.0
+
+    def log(self, t: Float64s) -> tuple[Float64s, Float64s]:
+        """See `_LogLight`."""
+        omega = 2 * math.pi * self.hz
+        angle = omega * t + 2 * math.pi * self.spread * np.arange(self.pixels) / self.pixels
+        return math.log(self.level) + self.amplitude * np.sin(angle), self.amplitude * omega * np.cos(angle)
+
+
+@dataclass(frozen=True)
+class LogEdge(_LogLight):
+    """Log light that rises by `height` to that of `level` on a logistic curve of width `width_s` about `middle_s`."""
+
+    height: float = 1.0
+    width_s: float = 1e-3
+    middle_s: float = 0.02
+    level: float = 1.0
+
+    def log(self, t: Float64s) -> tuple[Float64s, Float64s]:
+        """See `_LogLight`."""
+        share = expit((t - self.middle_s) / self.width_s)
+        return math.log(self.level) + self.height * (share - 1), self.height * share * (1 - share) / self.width_s
 
 
 @dataclass(frozen=True)
 class SineGrating(ClosedLight):
-    """A sine in linear light, `hz` periods a second, passing the row. `modulation` < 1."""
+    """A sine in linear light, `modulation` < 1, its phases spread over that share of a turn."""
 
     hz: float = 20.0
     modulation: float = 0.7
     mean: float = 1.0
+    spread: float = 1.0
 
-    def _phase(self) -> Float64s:
-        return 2 * math.pi * np.arange(self.pixels) / self.pixels
-
-    def value(self, t_s: npt.ArrayLike) -> Float64s:
+    def light(self, t: Float64s) -> tuple[Float64s, Float64s]:
         """See `ClosedLight`."""
-        wave = np.sin(2 * math.pi * self.hz * _column(t_s) + self._phase())
-        return np.asarray(self.mean * (1 + self.modulation * wave))
-
-    def rate(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        omega = 2 * math.pi * self.hz
-        return np.asarray(self.mean * self.modulation * omega * np.cos(omega * _column(t_s) + self._phase()))
+        omega, size = 2 * math.pi * self.hz, self.mean * self.modulation
+        angle = omega * t + 2 * math.pi * self.spread * np.arange(self.pixels) / self.pixels
+        return self.mean + size * np.sin(angle), size * omega * np.cos(angle)
 
 
 @dataclass(frozen=True)
@@ -106,9 +152,7 @@ class Flicker(SineGrating):
 
     hz: float = 100.0
     modulation: float = 0.5
-
-    def _phase(self) -> Float64s:
-        return np.zeros(self.pixels)
+    spread: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -122,17 +166,11 @@ class MovingEdge(ClosedLight):
     duration_s: float = 0.4
     half_width_px: float = 12.0
 
-    def _sigmas(self, t_s: npt.ArrayLike) -> Float64s:
-        x = self.half_width_px * (2 * self._share() - 1)
-        return np.asarray((self.speed_px_s * (_column(t_s) - self.duration_s / 2) - x) / self.sigma_px)
-
-    def value(self, t_s: npt.ArrayLike) -> Float64s:
+    def light(self, t: Float64s) -> tuple[Float64s, Float64s]:
         """See `ClosedLight`."""
-        return np.asarray(self.dark + (self.bright - self.dark) * ndtr(self._sigmas(t_s)))
-
-    def rate(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        return (self.bright - self.dark) * _bell(self._sigmas(t_s)) * (self.speed_px_s / self.sigma_px)
+        x, height = self.half_width_px * (2 * self._share() - 1), self.bright - self.dark
+        sigmas = (self.speed_px_s * (t - self.duration_s / 2) - x) / self.sigma_px
+        return self.dark + height * ndtr(sigmas), height * _bell(sigmas) * (self.speed_px_s / self.sigma_px)
 
 
 @dataclass(frozen=True)
@@ -146,14 +184,14 @@ class BlurredCheckerboard(ClosedLight):
     bright: float = 1.0
     angle_rad: float = 0.3
 
-    def _waves(self, t_s: npt.ArrayLike) -> tuple[Float64s, Float64s, Float64s, Float64s]:
-        """Return the two square waves and their time derivatives."""
+    def light(self, t: Float64s) -> tuple[Float64s, Float64s]:
+        """See `ClosedLight`."""
         k = np.arange(self.pixels)
         x0, y0 = k * 1.0, (k * 0.618034 * self.square_px) % (2 * self.square_px)
         vx, vy = self.speed_px_s * math.cos(self.angle_rad), self.speed_px_s * math.sin(self.angle_rad)
-        wave_x, slope_x = self._square_wave(x0 - vx * _column(t_s))
-        wave_y, slope_y = self._square_wave(y0 - vy * _column(t_s))
-        return wave_x, -vx * slope_x, wave_y, -vy * slope_y
+        (x, slope_x), (y, slope_y) = self._square_wave(x0 - vx * t), self._square_wave(y0 - vy * t)
+        middle, half = (self.bright + self.dark) / 2, (self.bright - self.dark) / 2
+        return middle + half * x * y, -half * (vx * slope_x * y + vy * slope_y * x)
 
     def _square_wave(self, x: Float64s) -> tuple[Float64s, Float64s]:
         """Return the blurred square wave, -1 to 1, rising at x = 0, and its slope: the two edges next to x."""
@@ -167,16 +205,6 @@ class BlurredCheckerboard(ClosedLight):
             slope += up * 2 * _bell((place - edge) / sigma) / sigma
         return sign * wave, sign * slope
 
-    def value(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        x, _, y, _ = self._waves(t_s)
-        return (self.bright + self.dark) / 2 + (self.bright - self.dark) / 2 * x * y
-
-    def rate(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        x, dx, y, dy = self._waves(t_s)
-        return (self.bright - self.dark) / 2 * (dx * y + x * dy)
-
 
 _WAVES = (
     # wavelength px, direction rad, phase rad, amplitude ln
@@ -188,16 +216,17 @@ _WAVES = (
 
 
 @dataclass(frozen=True)
-class TexturedDisc(ClosedLight):
+class TexturedDisc(_LogLight):
     """A textured disc turning about its middle; pixels at radii up to `radius_px`, all round."""
 
     turn_rad_s: float = 1.0
     radius_px: float = 60.0
     level: float = 0.4
 
-    def _log_and_rate(self, t_s: npt.ArrayLike) -> tuple[Float64s, Float64s]:
+    def log(self, t: Float64s) -> tuple[Float64s, Float64s]:
+        """See `_LogLight`."""
         radius = 3 + (self.radius_px - 3) * self._share()
-        angle = 2.399963 * np.arange(self.pixels) - self.turn_rad_s * _column(t_s)
+        angle = 2.399963 * np.arange(self.pixels) - self.turn_rad_s * t
         log, slope = np.full_like(angle, math.log(self.level)), np.zeros_like(angle)
         for wavelength, direction, phase, amplitude in _WAVES:
             k = 2 * math.pi / wavelength
@@ -205,15 +234,6 @@ class TexturedDisc(ClosedLight):
             log += amplitude * np.sin(argument)
             slope += amplitude * np.cos(argument) * k * radius * np.sin(angle - direction) * self.turn_rad_s
         return log, slope
-
-    def value(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        return np.asarray(np.exp(self._log_and_rate(t_s)[0]))
-
-    def rate(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        log, slope = self._log_and_rate(t_s)
-        return np.asarray(np.exp(log) * slope)
 
 
 @dataclass(frozen=True)
@@ -225,20 +245,12 @@ class DriftingStar(ClosedLight):
     sky: float = 0.02
     ratio: float = 200.0
 
-    def _place(self, t_s: npt.ArrayLike) -> tuple[Float64s, Float64s]:
-        """Return (x - x_star, y - y_star) of each pixel in blurs."""
-        x = -1 + 9 * self._share() - self.speed_px_s * _column(t_s)
-        return x / self.sigma_px, np.asarray((np.arange(self.pixels) % 4) * 0.5 / self.sigma_px)
-
-    def value(self, t_s: npt.ArrayLike) -> Float64s:
+    def light(self, t: Float64s) -> tuple[Float64s, Float64s]:
         """See `ClosedLight`."""
-        x, y = self._place(t_s)
-        return np.asarray(self.sky * (1 + (self.ratio - 1) * np.exp(-(x**2 + y**2) / 2)))
-
-    def rate(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        x, _ = self._place(t_s)
-        return np.asarray((self.value(t_s) - self.sky) * x * self.speed_px_s / self.sigma_px)
+        x = (-1 + 9 * self._share() - self.speed_px_s * t) / self.sigma_px
+        y = (np.arange(self.pixels) % 4) * 0.5 / self.sigma_px
+        star = self.sky * (self.ratio - 1) * np.exp(-(x**2 + y**2) / 2)
+        return self.sky + star, star * x * self.speed_px_s / self.sigma_px
 
 
 @dataclass(frozen=True)
@@ -254,46 +266,32 @@ class Flash(ClosedLight):
         """See `ClosedLight`."""
         return (self.first_s + (self.last_s - self.first_s) * (np.arange(self.pixels) + 0.5) / self.pixels)[:, None]
 
-    def value(self, t_s: npt.ArrayLike) -> Float64s:
+    def light(self, t: Float64s) -> tuple[Float64s, Float64s]:
         """See `ClosedLight`."""
-        return np.where(_column(t_s) < self.jumps_s()[:, 0], self.dark, self.bright)
-
-    def rate(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        return np.zeros((np.size(t_s), self.pixels))
+        return np.where(t < self.jumps_s()[:, 0], self.dark, self.bright), np.zeros(1)
 
 
 @dataclass(frozen=True)
-class SlowRamp(ClosedLight):
+class SlowRamp(_LogLight):
     """Light that grows by a constant factor a second, `slowest` to `fastest` ln units a second over the row."""
 
     slowest: float = 0.3
     fastest: float = 3.0
     level: float = 0.1
 
-    def _speed(self) -> Float64s:
-        return self.slowest + (self.fastest - self.slowest) * self._share()
-
-    def value(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        return np.asarray(self.level * np.exp(self._speed() * _column(t_s)))
-
-    def rate(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        return self._speed() * self.value(t_s)
+    def log(self, t: Float64s) -> tuple[Float64s, Float64s]:
+        """See `_LogLight`."""
+        speed = self.slowest + (self.fastest - self.slowest) * self._share()
+        return math.log(self.level) + speed * t, speed
 
 
 @dataclass(frozen=True)
 class Dark(ClosedLight):
     """A closed shutter: nothing but the sensor's own leak."""
 
-    def value(self, t_s: npt.ArrayLike) -> Float64s:
+    def light(self, t: Float64s) -> tuple[Float64s, Float64s]:
         """See `ClosedLight`."""
-        return np.zeros((np.size(t_s), self.pixels))
-
-    def rate(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        return np.zeros((np.size(t_s), self.pixels))
+        return np.zeros(1), np.zeros(1)
 
 
 _HALF_ROW_PX = 12.0
@@ -321,18 +319,6 @@ class _Profiled(ClosedLight):
         half = self.blur_px * math.sqrt(3)
         return np.clip((x / half + 1) / 2, 0, 1), np.where(np.abs(x) < half, 0.5 / half, 0.0)
 
-    def value(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        return self._light(np.atleast_1d(np.asarray(t_s, np.float64))[:, None])[0]
-
-    def rate(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        return self._light(np.atleast_1d(np.asarray(t_s, np.float64))[:, None])[1]
-
-    @abstractmethod
-    def _light(self, t: Float64s) -> tuple[Float64s, Float64s]:
-        """Return light and rate, (m, pixels), at times (m, 1), s."""
-
 
 @dataclass(frozen=True)
 class _Passing(_Profiled):
@@ -356,7 +342,8 @@ class ShadedEdge(_Passing):
     shade: float = 0.05
     shade_px: float = 25.0
 
-    def _light(self, t: Float64s) -> tuple[Float64s, Float64s]:
+    def light(self, t: Float64s) -> tuple[Float64s, Float64s]:
+        """See `ClosedLight`."""
         x, k, dark = self._place(t), 2 * math.pi / self.shade_px, 1 / self.contrast
         level, slope = self._edge(x)
         level, factor = dark + (1 - dark) * level, np.exp(self.shade * np.sin(k * x + 1))
@@ -370,7 +357,8 @@ class ThinLine(_Passing):
 
     line_px: float = 1.0
 
-    def _light(self, t: Float64s) -> tuple[Float64s, Float64s]:
+    def light(self, t: Float64s) -> tuple[Float64s, Float64s]:
+        """See `ClosedLight`."""
         x, dark = self._place(t), 1 / self.contrast
         (up, up_slope), (down, down_slope) = self._edge(x + self.line_px / 2), self._edge(x - self.line_px / 2)
         return dark + (1 - dark) * (up - down), (1 - dark) * (up_slope - down_slope) * self.speed_px_s
@@ -385,7 +373,8 @@ class TurningBody(_Profiled):
         """Time of half a turn."""
         return math.pi * 20 / self.speed_px_s
 
-    def _light(self, t: Float64s) -> tuple[Float64s, Float64s]:
+    def light(self, t: Float64s) -> tuple[Float64s, Float64s]:
+        """See `ClosedLight`."""
         k, turn, dark = np.arange(self.pixels), self.speed_px_s / 20, 1 / self.contrast
         radius, angle = 8 + 16 * ((k * 0.618034) % 1), 2.399963 * k - turn * t
         x, y = radius * np.cos(angle), radius * np.sin(angle)
@@ -435,19 +424,11 @@ class Faded(ClosedLight):
         """See `ClosedLight`."""
         return self.scene.jumps_s()
 
-    def _log_and_rate(self, t_s: npt.ArrayLike) -> tuple[Float64s, Float64s]:
-        """Return ln of the dimming and its time derivative, (m, pixels)."""
-        shares = 0.1 + 0.8 * ((np.arange(self.pixels) * _IRRATIONAL) % 1)
-        phase = math.pi * np.clip(_column(t_s) / self.rise_s, 0, 1)
-        depth = -self.threshold * shares
+    def light(self, t: Float64s) -> tuple[Float64s, Float64s]:
+        """See `ClosedLight`."""
+        depth = -self.threshold * (0.1 + 0.8 * ((np.arange(self.pixels) * _IRRATIONAL) % 1))
+        phase = math.pi * np.clip(t / self.rise_s, 0, 1)
+        dimming = np.exp(depth * (1 + np.cos(phase)) / 2)
         slope = -depth * np.sin(phase) * math.pi / (2 * self.rise_s)
-        return np.asarray(depth * (1 + np.cos(phase)) / 2), np.asarray(slope)
-
-    def value(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        return np.asarray(self.scene.value(t_s) * np.exp(self._log_and_rate(t_s)[0]))
-
-    def rate(self, t_s: npt.ArrayLike) -> Float64s:
-        """See `ClosedLight`."""
-        log, slope = self._log_and_rate(t_s)
-        return np.asarray((self.scene.rate(t_s) + self.scene.value(t_s) * slope) * np.exp(log))
+        light, rate = self.scene.light(t)
+        return light * dimming, (rate + light * slope) * dimming

@@ -14,6 +14,13 @@
                         count in the wrong events only, us
     same time           share of the events whose timestamp another event of the stream has too ("timestamp batching")
 
+With noise two streams have no event in common, and are compared as samples of one distribution (`compare_samples`):
+
+    right               1 - total variation distance of the sequences of four polarities of a pixel
+    t50, t95            quantiles of the difference between the quantile functions of the intervals of a pixel's events,
+                        over levels from 0.5 to 99.5 %; earth mover: their mean, us
+    wrong events        difference of the numbers of ON events, and that of OFF events, over the true events
+
 A `Stream` is an event stream for comparison: times of any resolution, sorted by pixel and then by time.
 """
 
@@ -189,6 +196,25 @@ class Stream:
         """Pixel of each event, (n,)."""
         return np.repeat(np.arange(self.pixels), self.counts)
 
+    def where(self, chosen: npt.NDArray[np.bool_]) -> Stream:
+        """Return the chosen events, by a mask of all, (n,)."""
+        return Stream.of(self.t_us[chosen], self.pixel[chosen], self.on[chosen], self.pixels)
+
+    def intervals_us(self) -> npt.NDArray[np.float64]:
+        """Return the times between successive events of a pixel, (m,), of all pixels, sorted."""
+        return np.sort(np.diff(self.t_us)[np.diff(self.pixel) == 0])
+
+    def words(self, length: int = 4) -> npt.NDArray[np.float64]:
+        """Return the share of each sequence of so many polarities of a pixel, (2^length,), ON as 1, the first highest.
+
+        All are NaN where no pixel has as many events.
+        """
+        n = max(len(self) - length + 1, 0)
+        code = sum((self.on[k : k + n].astype(np.int64) << (length - 1 - k) for k in range(length)), np.zeros(n, int))
+        pixel = self.pixel
+        code = code[pixel[:n] == pixel[length - 1 :][:n]]
+        return np.bincount(code, minlength=1 << length) / np.float64(code.size or np.nan)
+
     @classmethod
     def of(cls, t_us: npt.ArrayLike, pixel: npt.ArrayLike, on: npt.ArrayLike, pixels: int) -> Stream:
         """Sort events, (n,) each, by pixel and time; those of one pixel and time keep their order.
@@ -257,8 +283,7 @@ def compare(stream: Stream, truth: Stream, tau_us: float = 1000.0) -> Scores:
     ValueError
         They have different numbers of pixels, or `tau_us` is not positive.
     """
-    if stream.pixels != truth.pixels:
-        raise ValueError(f"{stream.pixels} pixels against {truth.pixels}: streams must be of the same pixels")
+    _check_pixels(stream, truth)
     if not tau_us > 0:
         raise ValueError(f"tau_us = {tau_us}: must be above 0")
     ours, known = (PixelEvents(s.t_us, s.on, s.first) for s in (stream, truth))
@@ -281,6 +306,36 @@ def compare(stream: Stream, truth: Stream, tau_us: float = 1000.0) -> Scores:
         same_time=same_time_share(stream.t_us),
         events=n,
         true_events=m,
+    )
+
+
+def _check_pixels(stream: Stream, truth: Stream) -> None:
+    if stream.pixels != truth.pixels:
+        raise ValueError(f"{stream.pixels} pixels against {truth.pixels}: streams must be of the same pixels")
+
+
+_LEVELS = np.linspace(0.005, 0.995, 199)
+
+
+def compare_samples(stream: Stream, truth: Stream) -> Scores:
+    """Compare a stream with another sample of the true distribution; raises ValueError as `compare` does."""
+    _check_pixels(stream, truth)
+    samples, n = [one.intervals_us() for one in (stream, truth)], len(truth)
+    moved = np.full(1, np.nan)
+    if samples[0].size and samples[1].size:
+        moved = np.abs(np.quantile(samples[0], _LEVELS) - np.quantile(samples[1], _LEVELS))
+    ons = int(stream.on.sum()) - int(truth.on.sum())
+    return Scores(
+        right=float(1 - np.abs(stream.words() - truth.words()).sum() / 2),
+        t50_us=float(np.quantile(moved, 0.5)),
+        t95_us=float(np.quantile(moved, 0.95)),
+        count=_ratio(len(stream), n),
+        wrong_events=_ratio(abs(ons) + abs(len(stream) - n - ons), n),
+        van_rossum=float("nan"),
+        earth_mover_us=float(moved.mean()),
+        same_time=same_time_share(stream.t_us),
+        events=len(stream),
+        true_events=n,
     )
 
 

@@ -34,15 +34,17 @@ from emulator.sensor.presets import SensorParameters
 from firmware_protocol.compiled import entry_of
 from laboratory.accuracy.scenes import ClosedLight
 from laboratory.accuracy.scores import Stream
+from laboratory.methods.circuit import cubic, first_crossing
 
 _Float64s = npt.NDArray[np.float64]
 
 _CHUNK = 512
-_BISECTIONS = 60
 _LONGEST_STEP = 1.5  # in time constants; Runge-Kutta is unstable from 2.8
 
 # Without reference counts, which cost more than the arithmetic: no kernel here makes an array (see sensor.compiled).
-compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = entry_of(__name__, _nrt=False)
+compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = entry_of(
+    __name__, "laboratory.methods.circuit", _nrt=False
+)
 
 
 class _Constants(NamedTuple):
@@ -129,55 +131,6 @@ def _fine_step(
 
 
 @compiled
-def _cubic(g: tuple[float, float, float, float], z: float) -> float:
-    """Return the cubic of values g[0], g[1] and slopes g[2], g[3] (a step) at z in [0, 1]."""
-    g0, g1, m0, m1 = g
-    d = g1 - g0
-    return g0 + z * (m0 + z * (3 * d - 2 * m0 - m1 + z * (m0 + m1 - 2 * d)))
-
-
-@compiled
-def _turns(g: tuple[float, float, float, float]) -> tuple[float, float]:
-    """Return the extrema of the cubic inside (0, 1), in rising order; 1 stands for none."""
-    g0, g1, m0, m1 = g
-    d = g1 - g0
-    a, b = 3 * (m0 + m1 - 2 * d), 2 * (3 * d - 2 * m0 - m1)
-    under = b * b - 4 * a * m0
-    if under <= 0:
-        return 1.0, 1.0
-    half = -0.5 * (b + math.copysign(math.sqrt(under), b))
-    z1 = half / a if a != 0 else 1.0
-    z2 = m0 / half if half != 0 else 1.0
-    z1 = z1 if 0 < z1 < 1 else 1.0
-    z2 = z2 if 0 < z2 < 1 else 1.0
-    return min(z1, z2), max(z1, z2)
-
-
-@compiled
-def _first_crossing(g: tuple[float, float, float, float], start: float, low: float, high: float) -> float:
-    """Return the first point from `start` on at which the cubic reaches `high` or `low`; 2 if none in the step."""
-    turn_1, turn_2 = _turns(g)
-    a = start
-    for end in (turn_1, turn_2, 1.0):
-        if end <= a:
-            continue
-        value = _cubic(g, end)
-        if value >= high or value <= low:
-            up = value >= high
-            level = high if up else low
-            b = end
-            for _ in range(_BISECTIONS):
-                middle = 0.5 * (a + b)
-                if (_cubic(g, middle) >= level) if up else (_cubic(g, middle) <= level):
-                    b = middle
-                else:
-                    a = middle
-            return b
-        a = end
-    return 2.0
-
-
-@compiled
 def _fire(j: int, span: _Span, g: tuple[float, float, float, float], p: _Pixels, s: _State, out: _Events) -> None:
     """Write the events of pixel j in a span in which the comparator's input is the cubic g."""
     t, h, refractory = span.t, span.h, span.refractory
@@ -185,12 +138,12 @@ def _fire(j: int, span: _Span, g: tuple[float, float, float, float], p: _Pixels,
     while s.refractory_until[j] <= t + h:
         if s.refractory_until[j] > -math.inf:
             z = min(max((s.refractory_until[j] - t) / h, z), 1.0)
-            s.r[j] = _cubic(g, z)
+            s.r[j] = cubic(g, z)
             s.refractory_until[j] = -math.inf
-        z = _first_crossing(g, z, s.r[j] - p.off[j], s.r[j] + p.on[j])
+        z = first_crossing(g, z, s.r[j] - p.off[j], s.r[j] + p.on[j])
         if z > 1:
             break
-        up = _cubic(g, z) > s.r[j]
+        up = cubic(g, z) > s.r[j]
         n = out.n[0]
         if n < out.t_s.size:
             out.t_s[n], out.pixel[n], out.on[n] = t + z * h, j, up

@@ -19,7 +19,7 @@ from laboratory.bench.coders import (
     Evt3Decoding,
     Evt3Encoding,
 )
-from laboratory.bench.pixels import NoiseLoad, NoiseShare
+from laboratory.bench.pixels import NoiseLoad
 from laboratory.bench.scenes import Drawing, ScenesAlike, Workload
 
 
@@ -80,9 +80,9 @@ MEASURES = (
     Measure("pixel_edges", "Mev/s", "higher", 10, pixel.pixel_edges),
     Measure("noise_rare", "us/step", "lower", 10, NoiseLoad(0.01)),
     Measure("noise_1hz", "us/step", "lower", 10, NoiseLoad(1.0)),
-    Measure("noise_1hz_whole", "times", "lower", 1.3, NoiseShare(1.0)),
+    Measure("noise_1hz_whole", "times", "lower", 1.3, NoiseLoad(1.0, "factor")),
     Measure("noise_10hz", "us/step", "lower", None, NoiseLoad(10.0)),
-    Measure("noise_10hz_read_out", "us/step", "lower", None, NoiseLoad(10.0, with_readout=True)),
+    Measure("noise_10hz_read_out", "us/step", "lower", None, NoiseLoad(10.0, "sensor")),
     Measure("scenes_alike_64", "times", "lower", 2, ScenesAlike(64)),
     Measure("scenes_alike_4096", "times", "lower", 2, ScenesAlike(4096)),
     Measure("words_encode", "Mev/s", "higher", 80, word.words_encode),

@@ -14,11 +14,9 @@ line.
     edges    the board of sharp edges at which a pixel's light changes several times over within a step: edges of 10:1,
              blurred by 0.5 px, at 0.5 px a step; events a second of work
 
-Noise: the cost of point-process noise in a step of 346 x 260 pixels and 1 ms, in microseconds, one thread. The light is
-still and dim, 0.05 of the reference, and all pixels leak a little; the noise has the rms at which it makes the wanted
-number of events. Each step of the noise is timed alone, right after the pixels' own, so that it finds the caches as in
-a run; a window of the noise spans about 16 steps, hence results are medians over means of 64 steps. With read-out whole
-sensors are timed, with noise and without, step by step in turns.
+Noise: the time that it adds to a step of 346 x 260 pixels and 1 ms, in microseconds. The light is still and dim, 0.05
+of the reference, and all pixels leak a little; the noise has the rms at which it makes the wanted number of events.
+Steps with noise and without are timed in turns; results are medians over means of 64 steps.
 """
 
 from __future__ import annotations
@@ -29,22 +27,21 @@ import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame, Region
-from emulator.sensor.noise.law import corner_hz, of_array
-from emulator.sensor.noise.points import NoiseEvents
+from emulator.sensor.noise.law import corner_hz, still_hz
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
-from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
 
 _DAVIS = dataclasses.replace(
-    PRESETS["davis346"], source_follower_hz=0.0, parasitic_hz_at_reference=0.0, leak_hz=0.1
-)  # the sensor of all earlier measurements, for comparison: without its fixed pole
+    PRESETS["davis346"], source_follower_hz=0.0, parasitic_hz_at_reference=0.0, leak_hz=0.1, noise=NoiseParameters()
+)  # the sensor of all earlier measurements, for comparison: without its fixed pole and noise
 
 _STEP_NS = 1_000_000
 _WARM_UP = 50
@@ -217,9 +214,8 @@ def noisy_sensor(events_hz: float) -> SensorParameters:
     low, high = 0.01, 0.3
     while high / low > 1.001:
         p = _with_rms(math.sqrt(low * high))
-        law = of_array(p, (p.threshold_on + p.threshold_off) / 2, corner_hz(p, _LIGHT))
-        made_hz = float(law.on + law.off)
-        low, high = (p.noise.rms, high) if made_hz < events_hz else (low, p.noise.rms)
+        is_less = sum(still_hz(p, float(corner_hz(p, _LIGHT)))) < events_hz
+        low, high = (p.noise.rms, high) if is_less else (low, p.noise.rms)
     return _with_rms(low)
 
 
@@ -231,84 +227,38 @@ def _with_rms(noise_rms: float) -> SensorParameters:
 
 @dataclass(frozen=True)
 class NoiseLoad:
-    """Noise of about `events_hz` events a pixel and second: its own time, or with that of the read-out."""
+    """Cost that noise of about `events_hz` events a pixel and second adds to a step, microseconds, or by what factor.
 
-    events_hz: float
-    with_readout: bool = False
-
-    def __call__(self) -> float:
-        """Return the additional time of a step, microseconds."""
-        step = _whole(self.events_hz) if self.with_readout else _alone(self.events_hz)
-        means = [statistics.fmean(step() for _ in range(_NOISE_STEPS)) for _ in range(_BLOCKS + 1)]
-        return statistics.median(means[1:]) * 1e6
-
-
-def _still_light(p: SensorParameters) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    return np.full((p.height, p.width), _LIGHT, np.float32)
-
-
-def _alone(events_hz: float) -> Callable[[], float]:
-    """Return a function that runs a step of pixels and noise and returns the seconds of the latter."""
-    p = noisy_sensor(events_hz)
-    drawn, light = draw(p, _SEED), _still_light(p)
-    pixels, noise = PixelArray(p, _SEED), NoiseEvents(p, _SEED, (drawn.on + drawn.off) / 2)
-    pixels.reset(LightFrame(0, light))
-
-    def step() -> float:
-        t_ns = pixels.state.t_ns + _STEP_NS
-        crossings = pixels.step(LightFrame(t_ns, light))
-        begun = time.perf_counter()
-        noise.add_to(crossings, light.reshape(-1), t_ns)
-        return time.perf_counter() - begun
-
-    return step
-
-
-@dataclass(frozen=True)
-class NoiseShare:
-    """Time of a step of a whole sensor with noise of `events_hz` events a pixel and second, over that without.
-
-    The light of all pixels changes in each step, so that no pixel is skipped, and nothing fires but noise and leak.
+    "pixels": to that of the array; "sensor": with the read-out; "factor": of the sensor, where light changes in all
+    pixels by so little that nothing fires but noise and leak.
     """
 
     events_hz: float
+    of: Literal["pixels", "sensor", "factor"] = "pixels"
 
     def __call__(self) -> float:
-        """Return the ratio of the medians of 25 means of 64 steps, taken in turns."""
-        step = _both(self.events_hz, moving=True)
-        pairs = [np.mean([step() for _ in range(_NOISE_STEPS)], axis=0) for _ in range(_BLOCKS + 1)]
-        noisy_s, quiet_s = np.median(pairs[1:], axis=0)
-        return float(noisy_s / quiet_s)
+        """Return it."""
+        make = PixelArray if self.of == "pixels" else Sensor
+        noisy_s, quiet_s = _medians(make, self.events_hz, 1e-4 if self.of == "factor" else 0.0)
+        return noisy_s / quiet_s if self.of == "factor" else (noisy_s - quiet_s) * 1e6
 
 
-def _whole(events_hz: float) -> Callable[[], float]:
-    """Return a function that runs a step of two sensors and returns the seconds by which the noisy one is slower."""
-    step = _both(events_hz)
-
-    def difference() -> float:
-        noisy_s, quiet_s = step()
-        return noisy_s - quiet_s
-
-    return difference
-
-
-def _both(events_hz: float, *, moving: bool = False) -> Callable[[], tuple[float, float]]:
-    """Return a function that runs a step of a noisy sensor and of a quiet one, and returns the seconds of each."""
-    p = noisy_sensor(events_hz)
-    light, t_ns = _still_light(p), 0
-    noisy, quiet = Sensor(p, _SEED), Sensor(_with_rms(0.0), _SEED)
-    for sensor in (noisy, quiet):
-        sensor.reset(LightFrame(0, light))
-
-    def step() -> tuple[float, float]:
-        nonlocal t_ns
-        t_ns += _STEP_NS
-        if moving:
-            light.fill(_LIGHT * (1 + 1e-4 * (t_ns // _STEP_NS % 2)))
-        begun = time.perf_counter()
-        noisy.expose(LightFrame(t_ns, light))
-        middle = time.perf_counter()
-        quiet.expose(LightFrame(t_ns, light))
-        return middle - begun, time.perf_counter() - middle
-
-    return step
+def _medians(make: type[Sensor | PixelArray], events_hz: float, flicker: float) -> tuple[float, float]:
+    """Return the seconds of a step with noise and without, in light that all pixels see change by that share."""
+    p, t_ns, means = noisy_sensor(events_hz), 0, []
+    light = np.full((p.height, p.width), _LIGHT, np.float32)
+    both = make(p, _SEED), make(_with_rms(0.0), _SEED)
+    for one in both:
+        one.reset(LightFrame(0, light))
+    for _ in range(_BLOCKS + 1):
+        spent_s = np.zeros(2)
+        for _ in range(_NOISE_STEPS):
+            t_ns += _STEP_NS
+            light.fill(_LIGHT * (1 + flicker * (t_ns // _STEP_NS % 2)))
+            for k, one in enumerate(both):
+                begun_s = time.perf_counter()
+                (one.expose if isinstance(one, Sensor) else one.step)(LightFrame(t_ns, light))
+                spent_s[k] += time.perf_counter() - begun_s
+        means.append(spent_s / _NOISE_STEPS)
+    noisy_s, quiet_s = np.median(means[1:], axis=0)
+    return float(noisy_s), float(quiet_s)

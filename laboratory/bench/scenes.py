@@ -36,6 +36,7 @@ import numpy.typing as npt
 from emulator.light import LightFrame, SceneFrames
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.assembly import build_scene
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.sensor.sensor import Sensor
@@ -110,8 +111,9 @@ _Frame = tuple[_Light, _Light]
 """Light and its time derivative, a second."""
 
 _SENSOR = dataclasses.replace(
-    PRESETS["davis346"], refractory_us=0.0, leak_hz=0.01, parasitic_hz_at_reference=0.0, source_follower_hz=0.0
-)
+    PRESETS["davis346"], refractory_us=0.0, leak_hz=0.01, parasitic_hz_at_reference=0.0, source_follower_hz=0.0,
+    noise=NoiseParameters(),
+)  # fmt: skip
 _FAST = dataclasses.replace(_SENSOR, corner_hz_at_reference=1e6, corner_min_hz=1e6, corner_max_hz=1e6)
 _THRESHOLD = (_SENSOR.threshold_on + _SENSOR.threshold_off) / 2
 _PIXELS = _SENSOR.width * _SENSOR.height

@@ -54,12 +54,13 @@ def measure_encoder() -> None:
 def measure_steps(what: str, phase: float) -> None:
     """Print what a step of 346 x 260 pixels costs in a grating that moves by `phase` rad a step."""
     from emulator.light import LightFrame
+    from emulator.sensor.parameters import NoiseParameters
     from emulator.sensor.pixels.array import PixelArray
     from emulator.sensor.presets import PRESETS
     from laboratory.bench.pixels import grating
 
     plain = {"source_follower_hz": 0.0, "parasitic_hz_at_reference": 0.0, "leak_hz": 0.0}
-    sensor = dataclasses.replace(PRESETS["davis346"], **plain)
+    sensor = dataclasses.replace(PRESETS["davis346"], **plain, noise=NoiseParameters())
     pictures = [grating(sensor, -phase * k, phase) for k in range(STEPS + 1)]
     array, took_s, fired = PixelArray(sensor, 1, 1), [], 0
     array.reset(LightFrame(0, pictures[0][0], pictures[0][1]))

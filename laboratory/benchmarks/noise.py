@@ -1,249 +1,284 @@
-"""Noise of a sensor: its cost in time, and its events beside a reference.
+"""Noise of evstim's pixels beside the reference of `laboratory.methods.grid`, which shares no code with it.
 
-python -m laboratory.benchmarks.noise cost [BLOCKS]
-python -m laboratory.benchmarks.noise points [PIXELS]
+    python -m laboratory.benchmarks.noise [CHECK ...] [--scale 1] [--json]
+
+    sines     rates, order and intervals on sines in log light, contrast 0.1 to 2, 0.5 to 10 Hz, light 1 to 0.02
+    still     the same in still light, after a reset and after events of a signal, threshold over sigma 1.6 to 7.2
+    ramps     mean and spread of the intervals on ramps of 1 to 1000 thresholds a second
+    edges     mean and spread of the first event's time at edges of 2 us to 2 ms
+    same      share of the events that are the same in other steps, with two threads, and after a restart
+
+All checks take half an hour on one core, and `--scale 0.1` a tenth of the pixels. Both sides have the same thresholds
+and the same light: the pixels get frames with the time derivative, and light of single pixels between them; the
+reference gets frames every millisecond or less. A line has each quantity of the pixels, that of the reference, and the
+ratio with its standard error, from eight groups of pixels; a star marks one off its target by more than two of these.
 """
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import itertools
+import json as to_json
 import math
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from typing import Any
+from typing import Any, Literal, NamedTuple, get_args
 
-import numba
 import numpy as np
-import numpy.typing as npt
 from cyclopts import App
 
 from emulator.light import LightFrame
 from emulator.sensor.parameters import NoiseParameters
-from emulator.sensor.pixels.state import draw
-from emulator.sensor.presets import PRESETS, SensorParameters
-from emulator.sensor.sensor import Sensor, own_pixels
+from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.pixels.crossings import Crossings
+from emulator.sensor.pixels.method import MakePixels
+from emulator.sensor.presets import SensorParameters
+from laboratory.accuracy.harness import Case, Method, events
+from laboratory.accuracy.scenes import ClosedLight, LogEdge, LogSine, SlowRamp
+from laboratory.accuracy.scores import Stream
+from laboratory.methods.grid import NoisyPixels, grid_ns
 
+THETA, RMS, DARK = 0.223, 0.045, 0.009
+STEPS_MS = 0.2, 1.0, 10.0, 80.0
+GROUPS = 8
+
+Receptor = Literal["one_pole", "large_signal"]
+
+
+class Measured(NamedTuple):
+    """A quantity of both sides, the standard error of the ratio pixels / reference, and the target of |ratio - 1|."""
+
+    quantity: str
+    ours: float
+    reference: float
+    error: float
+    target: float
+
+    @property
+    def ratio(self) -> float:
+        """The pixels' quantity over that of the reference."""
+        return self.ours / self.reference if self.reference else math.nan
+
+    @property
+    def is_off(self) -> bool:
+        """True: the ratio misses the target by more than two standard errors."""
+        return abs(self.ratio - 1) > self.target + 2 * self.error
+
+    def __str__(self) -> str:
+        star = "*" if self.is_off else " "
+        return f"{self.quantity} {self.ours:.4g} {self.reference:.4g} {self.ratio:.3f} +- {self.error:.3f}{star}"
+
+
+class Line(NamedTuple):
+    """All quantities of one setting."""
+
+    setting: str
+    step_ms: float
+    measured: list[Measured]
+
+    def __str__(self) -> str:
+        return f"{self.setting:45} {self.step_ms:6g} ms  {'  '.join(map(str, self.measured))}"
+
+
+Quantity = tuple[str, Callable[[Stream], float], float]
+"""A name, the function of a stream, and the target."""
+
+
+def measured(quantities: Iterable[Quantity], ours: Stream, true: Stream) -> list[Measured]:
+    """Return quantities of two streams of the same pixels."""
+    out = []
+    for name, of, target in quantities:
+        parts = [[of(one.where(one.pixel % GROUPS == k)) for k in range(GROUPS)] for one in (ours, true)]
+        error = np.std(np.subtract(parts[0], parts[1])) / math.sqrt(GROUPS - 1) / (np.mean(parts[1]) or math.nan)
+        out.append(Measured(name, of(ours), of(true), float(error), target))
+    return out
+
+
+def behaviour(seconds: float, target: float = 0.03) -> list[Quantity]:
+    """Return rate (Hz), share of events before one of the other polarity, and quantiles of the intervals (ms)."""
+
+    def quantile(level: float, stream: Stream) -> float:
+        intervals = stream.intervals_us()
+        return float(np.quantile(intervals, level)) * 1e-3 if intervals.size else math.nan
+
+    return [
+        ("Hz", lambda stream: len(stream) / stream.pixels / seconds, target),
+        ("opposite", lambda stream: float(stream.words(2)[1:3].sum()), target),
+        *((f"{level:.0%}", partial(quantile, level), target) for level in (0.05, 0.5, 0.95)),
+    ]
+
+
+def sensor(light: float, poles: int, receptor: Receptor, pixels: int, **changes: Any) -> SensorParameters:
+    """Return a sensor like an imx636, its highest corner frequency that of `light`, which the grid's step follows."""
+    p = SensorParameters(
+        width=pixels, height=1, threshold_on=THETA, threshold_off=THETA, dark_current_relative=DARK, leak_hz=0.0,
+        corner_max_hz=3000.0 * (light + DARK), source_follower_hz=4350.0 * (poles - 1), refractory_us=20.0,
+        photoreceptor=receptor, noise=NoiseParameters(RMS, 1900.0 * (poles - 1)),
+    )  # fmt: skip
+    return dataclasses.replace(p, **changes)
+
+
+def of_pixels(case: Case, step_s: float) -> Stream:
+    """Return the events of evstim's pixels."""
+    return events(Method("refined", PixelArray, rate=True, refines=True), case, step_s)[0]
+
+
+def of_reference(case: Case, step_s: float = 1e-3) -> Stream:
+    """Return the events of the reference, whose grid is as fine as the steps."""
+    delta_ns = min(grid_ns(case.parameters), round(step_s * 1e9))
+    return events(Method("reference", partial(NoisyPixels, delta_ns=delta_ns), rate=True), case, step_s)[0]
+
+
+SINES = [
+    # light, amplitude, Hz
+    (1.0, 0.1, 2.0), (1.0, 0.5, 0.5), (1.0, 0.5, 2.0), (1.0, 2.0, 10.0), (0.1, 0.25, 2.0), (0.1, 1.0, 10.0),
+    (0.02, 0.5, 2.0), (0.02, 2.0, 0.5),
+]  # fmt: skip
+
+
+def sines(scale: float) -> Iterator[Line]:
+    """Measure sines of all receptors and poles at all steps, with some 10 000 events each or more."""
+    pixels = GROUPS * max(2, round(16 * scale))
+    for receptor, poles in itertools.product(get_args(Receptor), (1, 2)):
+        for light, amplitude, hz in (
+            SINES if receptor == "one_pole" else SINES[3:]
+        ):  # the others do not distinguish them
+            seconds = 2.0 * math.ceil(40 / (4 + 4 * amplitude * hz / THETA))
+            p = sensor(light * math.exp(amplitude), poles, receptor, pixels)
+            case = Case("sine", LogSine(pixels, amplitude, hz, light), p, seconds)
+            true = of_reference(case)
+            for step_ms in STEPS_MS:
+                setting = f"{receptor}, {poles} poles, light {light:g}, A {amplitude:g}, {hz:g} Hz"
+                yield Line(setting, step_ms, measured(behaviour(seconds), of_pixels(case, step_ms * 1e-3), true))
+
+
+def still(scale: float) -> Iterator[Line]:
+    """Measure still light in windows from the start on, in light of a tenth."""
+    edges_s = 0.0, 0.1, 1.0, 4.0
+    for poles in (1, 2):
+        for ratio in (1.6, 2.0, 3.0, 4.0, 5.2, 7.2):
+            pixels = GROUPS * max(8, round((50 if ratio < 5 else 200) * scale))
+            passed = 1900 / (1900 + 3000 * (0.1 + DARK)) if poles == 2 else 1.0
+            noise = NoiseParameters(THETA / ratio / math.sqrt(passed), 1900.0 * (poles - 1))
+            for name, begin_s in (("reset", 0.0), ("signal", 0.04)):
+                edge = LogEdge(pixels, 3.75 * THETA, 2e-3, 0.02, 0.1)
+                scene = edge if name == "signal" else LogSine(pixels, 0.0, level=0.1)
+                p = sensor(0.1, poles, "one_pole", pixels, noise=noise, random_start=name == "reset")
+                case = Case("still", scene, p, begin_s + edges_s[-1])
+                streams = of_pixels(case, 1e-2), of_reference(case)
+                for a, b in itertools.pairwise(edges_s):
+                    window = [one.where(np.floor_divide(one.t_us * 1e-6 - begin_s - a, b - a) == 0) for one in streams]
+                    setting = f"{name}, {poles} poles, threshold {ratio:g} sigma, {a:g} to {b:g} s"
+                    yield Line(setting, 10.0, measured(behaviour(b - a, 0.05 if ratio > 5 else 0.03), *window))
+
+
+def ramps(scale: float) -> Iterator[Line]:
+    """Measure ramps of ten thresholds through light 1 and 0.1."""
+    moments: list[Quantity] = [
+        ("mean ms", lambda stream: float(stream.intervals_us().mean()) * 1e-3, 0.02),
+        ("spread ms", lambda stream: float(stream.intervals_us().std()) * 1e-3, 0.05),
+    ]
+    for light, poles in ((1.0, 2), (1.0, 1), (0.1, 2), (0.1, 1)):
+        for speed in (1.0, 10.0, 100.0, 1000.0):
+            pixels, seconds = GROUPS * max(4, round((5 if speed == 1 else 50) * scale)), 10 / speed
+            middle = math.exp(5 * THETA)
+            scene = SlowRamp(pixels, speed * THETA, speed * THETA, light / middle)
+            case = Case("ramp", scene, sensor(light * middle, poles, "one_pole", pixels), seconds)
+            step_s, setting = min(seconds, 1e-2), f"{speed:g} thresholds/s, {poles} poles, light {light:g}"
+            yield Line(setting, 1e3 * step_s, measured(moments, of_pixels(case, step_s), of_reference(case)))
+
+
+def edges(scale: float) -> Iterator[Line]:
+    """Measure the first events at edges of 3.4 thresholds."""
+    pixels = GROUPS * max(8, round(100 * scale))
+    moments: list[Quantity] = [
+        ("mean us", lambda stream: float(stream.t_us.mean()), 0.02),
+        ("spread us", lambda stream: float(stream.t_us.std()), 0.05),
+    ]
+    for poles in (1, 2):
+        for width_s in (2e-6, 2e-5, 2e-4, 2e-3):
+            p = sensor(1.0, poles, "one_pole", pixels, random_start=False)
+            case = Case("edge", LogEdge(pixels, 3.4 * THETA, width_s, 20 * width_s), p, 40 * width_s + 1e-3)
+            true = first_events(of_reference(case, width_s / 4), 20e6 * width_s)
+            for step_s in (width_s / 4, width_s):
+                ours = first_events(of_pixels(case, step_s), 20e6 * width_s)
+                yield Line(f"edge of {1e6 * width_s:g} us, {poles} poles", 1e3 * step_s, measured(moments, ours, true))
+
+
+def first_events(stream: Stream, middle_us: float) -> Stream:
+    """Return the first event of each pixel, by its time after a tenth of the edge."""
+    first = np.zeros(len(stream), np.bool_)
+    first[stream.first[:-1][stream.counts > 0]] = True
+    chosen = stream.where(first)
+    return Stream.of(chosen.t_us - 0.9 * middle_us, chosen.pixel, chosen.on, chosen.pixels)
+
+
+class Restarted(PixelArray):
+    """An array that is replaced by a new one with a copy of its state before each step."""
+
+    def step(self, frame: LightFrame) -> Crossings:
+        """See `PixelArray.step`."""
+        self.heir = PixelArray(self.parameters, self.seed, 1)
+        self.heir.state = copy.deepcopy(self.state)
+        found = self.heir.step(frame)
+        self.state = self.heir.state
+        return found
+
+
+def same(scale: float) -> Iterator[Line]:
+    """Measure the share of events within 0, 1 and 100 us of those in steps of 1 ms on one thread.
+
+    In other steps moving light, and float32, is not the same to the last bit.
+    """
+    pixels = max(16, round(1024 * scale))
+    scenes: dict[str, ClosedLight] = {
+        "still light": LogSine(pixels, 0.0, level=0.1),
+        "ramp": SlowRamp(pixels, 0.2, 2.0, 0.1),
+        "sine": LogSine(pixels, 0.5, 2.0, 0.1),
+    }
+    ways: list[tuple[str, MakePixels, float]] = [
+        *(("steps", partial(PixelArray, threads=1), step_ms) for step_ms in STEPS_MS),
+        *(("two threads", partial(PixelArray, threads=2), 1.0), ("restarted", partial(Restarted, threads=1), 1.0)),
+    ]
+    for poles, (name, scene) in itertools.product((1, 2), scenes.items()):
+        case, first = Case("same", scene, sensor(3.0, poles, "one_pole", pixels), 1.6), partial(PixelArray, threads=1)
+        true = events(Method("array", first, rate=True), case, 1e-3)[0]
+        for words, make, step_ms in ways:
+            stream = events(Method("array", make, rate=True, refines=step_ms > 1), case, step_ms * 1e-3)[0]
+            targets = ((0.0, 0.0 if name == "still light" or words != "steps" else 1.0), (1.0, 0.03), (100.0, 0.01))
+            shares = [Measured(f"{us:g} us", alike(stream, true, us), 1.0, 0.0, target) for us, target in targets]
+            yield Line(f"{name}, {poles} poles, {words}", step_ms, shares)
+
+
+def alike(stream: Stream, other: Stream, within_us: float) -> float:
+    """Return the share of the events that the other stream has within a time, in the same pixel and polarity."""
+    keys, theirs = (np.sort(1e9 * (2 * one.pixel + one.on) + one.t_us) for one in (stream, other))
+    after = np.append(theirs, np.inf)[np.searchsorted(theirs, keys)]
+    before = np.insert(theirs, 0, -np.inf)[np.searchsorted(theirs, keys, side="right")]
+    return float((np.minimum(after - keys, keys - before) <= within_us).mean())
+
+
+CHECKS = {check.__name__: check for check in (sines, still, ramps, edges, same)}
 app = App(name="noise")
 
-COSTS = {"davis346, 346 x 260": ("davis346", 0.5), "imx636, 1280 x 720": ("imx636", 0.5)}
-STEPS, STEP_NS = 64, 1_000_000
-WAVELENGTH_PX, SPEED_PX_S = 12.8, 200.0  # a period is 64 steps
-MOVING_SHARE = 0.2
-SETTLE_BLOCKS = 4
 
-Lights = list[npt.NDArray[np.float32]]
-
-
-def lights(p: SensorParameters, level: float) -> dict[str, Lights]:
-    """Return the light of each scene, repeated after as many steps."""
-    still = np.full((p.height, p.width), level, np.float32)
-    moving, rows = [], slice(0, round(MOVING_SHARE * p.height))
-    for k in range(STEPS):
-        frame = still.copy()
-        phase = 2 * math.pi * (np.arange(p.width) - SPEED_PX_S * k * STEP_NS * 1e-9) / WAVELENGTH_PX
-        frame[rows] = level * (1 + 0.5 * np.sin(phase))
-        moving.append(frame)
-    return {"still": [still], "flicker": [still, still * np.float32(1 + 1e-4)], "moving": moving}
-
-
-def blocks(sensors: tuple[Sensor, Sensor], frames: Lights) -> Iterator[npt.NDArray[np.float64]]:
-    """Return for each block the processor seconds, wall seconds and events of each sensor, (2, 3); without an end."""
-    for either in sensors:
-        either.reset(LightFrame(0, frames[0]))
-    for block in itertools.count():
-        spent = np.zeros((2, 3))
-        for k in range(block * STEPS + 1, (block + 1) * STEPS + 1):
-            for sensor in (0, 1) if k % 2 else (1, 0):  # neither always finds the other's caches
-                cpu_s, wall_s = time.thread_time(), time.perf_counter()
-                events = sensors[sensor].expose(LightFrame(k * STEP_NS, frames[k % len(frames)]))
-                spent[sensor] += time.thread_time() - cpu_s, time.perf_counter() - wall_s, len(events)
-        yield spent
-
-
-@app.command
-def cost(count: int = 24) -> None:
-    """Measure a whole sensor with its preset's noise beside that without, in one thread, step by step in turns.
-
-    Both sensors see the same light frames, 1 ms apart, and read their events out:
-
-        still      light that does not change at all: blocks of pixels that rest are skipped
-        flicker    all light changes by 1e-4 in each step, and nothing fires but noise: no pixel is skipped
-        moving     a grating of contrast 0.5 drifts by 200 pixels a second through a fifth of the rows
-
-    A line has the medians over COUNT blocks of 64 steps of processor time (of the thread) and of wall time, the ratio
-    of the medians with the quartiles of the blocks' own ratios, and the events a second of both. On a machine with
-    other work only the ratios of processor times mean something.
-    """
-    make = partial(own_pixels, threads=1)
-    for name, (preset, level) in COSTS.items():
-        p = PRESETS[preset]
-        quiet = dataclasses.replace(p, noise=dataclasses.replace(p.noise, rms=0.0))
-        for scene, frames in lights(p, level).items():
-            taken = blocks((Sensor(p, 1, make), Sensor(quiet, 1, make)), frames)
-            spent = np.array(list(itertools.islice(taken, SETTLE_BLOCKS, SETTLE_BLOCKS + count)))
-            _print_cost(f"{name:20} {scene:8}", spent)
-
-
-def _print_cost(name: str, spent: npt.NDArray[np.float64]) -> None:
-    """Print one line from (blocks, 2, 3)."""
-    cpu, wall = (np.median(spent[:, :, k], axis=0) / STEPS * 1e6 for k in (0, 1))
-    low, high = np.quantile(spent[:, 0, 0] / spent[:, 1, 0], (0.25, 0.75))
-    rates = spent[:, :, 2].mean(0) / (STEPS * STEP_NS * 1e-9)
-    print(
-        f"{name} processor {cpu[0]:7.1f} and {cpu[1]:7.1f} us a step, ratio {cpu[0] / cpu[1]:.2f}"
-        f" ({low:.2f} to {high:.2f}); wall ratio {wall[0] / wall[1]:.2f}; {rates[0]:.3g} and {rates[1]:.3g} events/s",
-        flush=True,
-    )
-
-
-RATIOS = (1.6, 4.0, 7.15)
-OVER = (0.35, 0.75)
-EDGES_S = np.array([0.1, 1.0, 10.0])
-CORNER_HZ = 150.0
-TAU_S = 1 / (2 * math.pi * CORNER_HZ)
-STEP = 0.01  # of a time constant
-RISE_S, REST_S = 0.02, 0.04
-RISE_FRAMES = 80
-THRESHOLDS_PASSED = 3
-P = SensorParameters(
-    width=40,
-    height=25,
-    threshold_on=0.283,
-    threshold_off=0.262,
-    corner_hz_at_reference=math.inf,
-    corner_max_hz=math.inf,
-    leak_hz=0.0,
-    refractory_us=3.4,
-)
-P_REFRACTORY = P.refractory_us * 1e-6 / TAU_S
-MEAN = (P.threshold_on + P.threshold_off) / 2
-
-Floats = npt.NDArray[np.float64]
-
-
-@numba.njit(nogil=True)
-def _followed(
-    on: Floats, off: Floats, start: Floats, course: tuple[float, float, Floats], random: np.random.Generator
-) -> Floats:
-    """Return the events of each pixel before each end and after the last one, (pixels, ends).
-
-    Lengths are in deviations of the noise, times in time constants. `start` is the signal above the first reference
-    without noise; `course` has the slope of the signal, its time, and the ends of the windows: one begins where the one
-    before ends, and events before the first end do not count.
-    """
-    slope, rise_end, ends = course
-    counts = np.zeros((on.size, ends.size - 1))
-    decay, kick = np.exp(-STEP), np.sqrt(-np.expm1(-2 * STEP))
-    again = np.exp(-P_REFRACTORY)
-    blind = np.sqrt(1 - again * again)
-    for pixel in range(on.size):
-        noise = random.normal()
-        reference, t, v = -start[pixel], 0.0, noise
-        while t < ends[-1]:
-            noise = noise * decay + kick * random.normal()
-            t += STEP
-            w = noise + slope * min(t, rise_end)
-            up, down, event = reference + on[pixel], reference - off[pixel], -1
-            if w >= up or (v < up and random.random() < math.exp(-(up - v) * (up - w) / STEP)):
-                event = 1
-            elif w <= down or (v > down and random.random() < math.exp(-(v - down) * (w - down) / STEP)):
-                event = 0
-            if event >= 0:
-                k = np.searchsorted(ends, t) - 1
-                if 0 <= k < ends.size - 1:
-                    counts[pixel, k] += 1
-                t_reset = t + P_REFRACTORY
-                signal = slope * min(t, rise_end)
-                noise = ((up if event else down) - signal) * again + blind * random.normal()
-                t = t_reset
-                w = noise + slope * min(t, rise_end)
-                reference = w
-            v = w
-    return counts
-
-
-def noisy(ratio: float, **changes: Any) -> SensorParameters:
-    """Return a sensor of which the mean threshold is `ratio` deviations of the noise."""
-    return dataclasses.replace(P, noise=NoiseParameters(MEAN / ratio, CORNER_HZ), **changes)
-
-
-def reference(p: SensorParameters, rise: float, begin_s: float) -> Floats:
-    """Return the events of each pixel in each window, (pixels, 3); the light rises by `rise` ln units in `RISE_S`."""
-    drawn, sigma = draw(p, 1), p.noise.rms
-    start = drawn.phase * drawn.on if p.random_start else np.zeros(len(drawn.on))
-    ends = np.concatenate([[begin_s], begin_s + EDGES_S]) / TAU_S
-    slope = rise / sigma / (RISE_S / TAU_S)
-    course = slope, RISE_S / TAU_S, ends
-    return np.asarray(_followed(drawn.on / sigma, drawn.off / sigma, start / sigma, course, np.random.default_rng(3)))
-
-
-def of_sensor(p: SensorParameters, rise: float, begin_s: float) -> Floats:
-    """Return the same of the emulator's sensor."""
-    sensor = Sensor(p, 1)
-    times_s = [*(np.linspace(0, RISE_S, RISE_FRAMES + 1)[1:] if rise else ()), 0.03, 0.04, 0.06]
-    times_s += [begin_s + t for t in (*EDGES_S, *range(1, 11)) if begin_s + t > times_s[-1]]
-    dark = p.dark_current_relative
-
-    def frame(t_s: float) -> LightFrame:
-        current = math.exp(rise * (min(t_s / RISE_S, 1.0) - 1)) if rise else 1.0
-        return LightFrame(round(t_s * 1e9), np.full((p.height, p.width), current - dark, np.float32))
-
-    sensor.reset(frame(0.0))
-    e = np.concatenate([*(sensor.expose(frame(t_s)) for t_s in sorted(set(times_s))), sensor.finish()])
-    counts = np.zeros((p.width * p.height, len(EDGES_S)))
-    t_s = e["t"] * 1e-6 - begin_s
-    k = np.where(t_s > 0, np.searchsorted(EDGES_S, t_s), len(EDGES_S))
-    inside = k < len(EDGES_S)
-    np.add.at(counts, (e["y"][inside] * np.int64(p.width) + e["x"][inside], k[inside]), 1)
-    return counts
-
-
-@app.command
-def points(pixels: int = 4000) -> None:
-    """Compare point noise with a voltage that is followed in fine steps: events of a pixel from the first instant on.
-
-    For mean thresholds of 1.6, 4 and 7.15 deviations of the noise, in three windows of time, the program prints the
-    events of a pixel in the sensor and in the reference, and their quotient with its standard error,
-
-        reset     after a start at random phases, in still light
-        signal    after light has risen by some thresholds in 20 ms and stopped between two of them
-
-    The reference adds an Ornstein-Uhlenbeck process of exact steps, a hundredth of its time constant long, to the
-    logarithm of the light, and compares the sum with thresholds about the voltage of the last reset; a passage between
-    two steps has the probability of a Brownian bridge. It shares with the emulator each pixel's thresholds and phase,
-    and nothing else. Without a photoreceptor's corner the signal is the logarithm of the light, and the noise has its
-    fixed pole alone.
-    """
-    height = max(1, pixels // P.width)
-    print("start         threshold/sigma  window, s      sensor   reference  quotient")
-    for ratio in RATIOS:
-        cases = [("reset", noisy(ratio, height=height), 0.0, 0.0)]
-        cases += [
-            (
-                f"signal +{over:g}",
-                noisy(ratio, height=height, random_start=False, mismatch=0.0),
-                P.threshold_on * (THRESHOLDS_PASSED + over),
-                REST_S,
-            )
-            for over in OVER
-        ]
-        for name, p, rise, begin_s in cases:
-            _print_points(f"{name:13} {ratio:<15g}", of_sensor(p, rise, begin_s), reference(p, rise, begin_s))
-
-
-def _print_points(name: str, ours: Floats, true: Floats) -> None:
-    begin_s = 0.0
-    for k, end_s in enumerate(EDGES_S):
-        means = [counts[:, k].mean() for counts in (ours, true)]
-        errors = [counts[:, k].std() / math.sqrt(len(counts)) for counts in (ours, true)]
-        line = f"{name}  {begin_s:g} to {end_s:<6g} {means[0]:10.5g} {means[1]:10.5g}"
-        if min(means) > 0:
-            quotient = means[0] / means[1]
-            line += f"   {quotient:.3f} +- {quotient * math.hypot(errors[0] / means[0], errors[1] / means[1]):.3f}"
-        print(line, flush=True)
-        begin_s = end_s
+@app.default
+def main(*checks: Literal["sines", "still", "ramps", "edges", "same"], scale: float = 1.0, json: bool = False) -> None:
+    """Run the checks, all unless some are named, with `scale` times as many pixels; print a line for each setting."""
+    found: dict[str, list[Line]] = {}
+    for check in checks or CHECKS:
+        found[check] = []
+        for line in CHECKS[check](scale):
+            print(line, flush=True)
+            found[check].append(line)
+        every = [one for line in found[check] for one in line.measured if math.isfinite(one.ratio)]
+        quantiles = np.quantile([abs(one.ratio - 1) for one in every], (0.5, 0.95))
+        print(f"{check}: {sum(one.is_off for one in every)} of {len(every)} ratios are off; half of them are within"
+              f" {quantiles[0]:.2%} of 1, 95 % within {quantiles[1]:.2%}")  # fmt: skip
+    if json:
+        print(to_json.dumps({check: [[*line[:2], [one._asdict() for one in line.measured]] for line in lines]
+                             for check, lines in found.items()}))  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.chip.defects import at_temperature
-from emulator.sensor.noise.law import bandwidth_hz, corner_hz, fixed_corner_hz, of_array, rms
+from emulator.sensor.noise.law import corner_hz, fixed_corner_hz, still_hz
 from emulator.sensor.parameters import BackgroundParameters
 from emulator.sensor.presets import SensorParameters
 from laboratory.characterise.stimuli import (
@@ -175,7 +175,6 @@ _MOST_PIXELS = 0.9
 
 _NOISE_STEP_S = 0.1
 _SETTLED_S = 30.0
-_NODES = 9
 _FLICKER = math.log(10)
 _PARTS = 8  # of half a period
 _SETTLE_TAUS = 8
@@ -187,17 +186,8 @@ _FLASH = 3.0  # ln: over every threshold
 def noise_light(p: SensorParameters, series: str, noise_rms: float, light: float, for_s: float) -> list[Point]:
     """Return the event rates of a pixel from temporal noise alone, ON and OFF, in still light."""
     p = _with_noise(p, noise_rms)
-    model = sum(_law_hz(p, light))
+    model = sum(still_hz(p, float(corner_hz(at_temperature(p), light))))
     return [Point("noise_light", series, light, sum(_noise_hz(p, light, for_s)), model=model)]
-
-
-def noise_law(p: SensorParameters, series: str, a: float, light: float, for_s: float) -> list[Point]:
-    """Return the ON rate over the noise's bandwidth where the threshold is `a` times the noise."""
-    quiet = float(rms(_with_noise(p, 1.0), corner_hz(at_temperature(p), light)))
-    p = _with_noise(p, (p.threshold_on + p.threshold_off) / 2 / (a * quiet))
-    bandwidth = float(bandwidth_hz(p, corner_hz(at_temperature(p), light)))
-    on_hz, _ = _noise_hz(p, light, for_s)
-    return [Point("noise_law", series, a, on_hz / bandwidth, model=_law_hz(p, light)[0] / bandwidth)]
 
 
 def _with_noise(p: SensorParameters, noise_rms: float) -> SensorParameters:
@@ -207,15 +197,6 @@ def _with_noise(p: SensorParameters, noise_rms: float) -> SensorParameters:
     """
     noise = dataclasses.replace(p.noise, rms=noise_rms, history_s=max(p.noise.history_s, _SETTLED_S))
     return dataclasses.replace(p, noise=noise, leak_hz=0.0, parasitic_hz_at_reference=0.0)
-
-
-def _law_hz(p: SensorParameters, light: float) -> tuple[float, float]:
-    """Return the ON and the OFF rate of the law, averaged over pixels whose mean thresholds spread normally."""
-    node, weight = np.polynomial.hermite_e.hermegauss(_NODES)
-    deviation = p.mismatch * math.hypot(p.threshold_on, p.threshold_off) / 2
-    thresholds = (p.threshold_on + p.threshold_off) / 2 + deviation * node
-    law = of_array(p, thresholds, corner_hz(at_temperature(p), light))
-    return tuple(float(np.sum(weight * rate) / np.sum(weight)) for rate in (law.on, law.off))  # type: ignore[return-value]
 
 
 def _noise_hz(p: SensorParameters, light: float, for_s: float) -> tuple[float, float]:
@@ -355,7 +336,6 @@ _MISMATCHES = {"mismatch 2.1 %": 0.021, "mismatch 10 %": 0.1}
 _RMS = (0.043, 0.073)
 _CONTRASTS = (0.4, 0.7, 1.5)
 _DEAD_US = (100.0, 500.0)
-_LAW_LIGHT = 0.1
 _MOST_CORNERS = 30  # corner frequencies: a faster flicker gives no events
 
 
@@ -368,14 +348,13 @@ class _Sweep:
     lights: int
     leak_s: float
     noise_s: float
-    a: Sequence[float]
     flicker: int
     burst: Sequence[int]
 
 
-_QUICK = _Sweep(7, (0, 20, 40), 6, 20.0, 4.0, (2.5, 3, 3.5, 4), 8, (100, 1000, 10_000))
+_QUICK = _Sweep(7, (0, 20, 40), 6, 20.0, 4.0, 8, (100, 1000, 10_000))
 _FULL = _Sweep(
-    19, (-20, -10, 0, 10, 20, 30, 40, 50, 60), 16, 60.0, 20.0, (2.25, 2.5, 2.75, 3, 3.25, 3.5, 3.75, 4, 4.25), 24,
+    19, (-20, -10, 0, 10, 20, 30, 40, 50, 60), 16, 60.0, 20.0, 24,
     (10, 100, 1000, 3000, 10_000, 30_000, 100_000, 300_000, 900_000),
 )  # fmt: skip
 
@@ -425,8 +404,6 @@ def _noise(p: SensorParameters, sweep: _Sweep) -> Iterator[Measurement]:
         yield partial(_figure, "noise swept, ln rms", deviation)
         for light in np.geomspace(1e-4, 10, sweep.lights):
             yield partial(noise_light, p, series, deviation, float(light), sweep.noise_s)
-    for a in sweep.a:
-        yield partial(noise_law, p, CONFIGURED, a, _LAW_LIGHT, sweep.noise_s)
 
 
 def _figure(name: str, value: float) -> list[Point]:

@@ -13,8 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
 from laboratory.characterise.stimuli import FIGURE
 
 _LICHTSTEINER = "Lichtsteiner, Posch and Delbruck, IEEE JSSC 2008, abstract"
@@ -23,7 +21,6 @@ _SCIDVS = "SciDVS, arXiv 2409.09648"
 _NOZAKI = "Nozaki and Delbruck 2017"
 _DND21 = "Guo and Delbruck, DND21"
 _GRACA = "Graca 2024, thesis, fig. 2.13, through a public re-implementation"
-_V2E = "Hu et al., v2e, CVPRW 2021, from arXiv 2109.08640 fig. 3"
 _RECORDING = "DAVIS346 recording shipped with the Python package aedat 2.3.0; its activity filter may have been on"
 _WHITE_PAPER = "iniVation white paper on the DAVIS346"
 
@@ -63,15 +60,6 @@ class Published:
     remark: str = ""
     own: bool = False
 
-
-def _law_of_v2e() -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return v2e's fit: threshold over noise, and ON rate over bandwidth."""
-    x = np.linspace(-4.5, -0.4, 42)
-    a = 10 ** (-0.0026 * x**3 - 0.036 * x**2 - 0.1949 * x + 0.321)
-    return tuple(a.tolist()), tuple((10**x).tolist())
-
-
-_LAW_OF_V2E = _law_of_v2e()
 
 PUBLISHED: tuple[Published, ...] = (
     Published("mismatch 2.1 % of contrast", FIGURE, (), (0.021,), _LICHTSTEINER, "cited", "mismatch ON, share"),
@@ -155,15 +143,6 @@ PUBLISHED: tuple[Published, ...] = (
         "measured",
         tolerance=0,
         remark="a few events in all; light unknown",
-    ),
-    Published(
-        "v2e's law of noise events",
-        "noise_law",
-        *_LAW_OF_V2E,
-        _V2E,
-        "cited",
-        "as configured",
-        remark="a law for levels that move by exactly a threshold; a level read anew lies on a peak of the noise",
     ),
     Published(
         "noise 0.043 to 0.073 ln units rms",

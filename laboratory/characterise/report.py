@@ -97,11 +97,9 @@ def _mark(axes: Any, known: Sequence[Published]) -> None:
             axes.axhspan(*figure.y, alpha=0.2, linewidth=0, **style)
         elif not figure.x:
             axes.axhline(figure.y[0], linestyle=dashes, linewidth=1.2, **style)
-        elif len(figure.x) > 2:
-            axes.plot(figure.x, figure.y, linestyle="--", linewidth=1.4, **style)
         else:
             _place(axes, figure, _STARS[k % len(_STARS)], style)
-        values = [value for value in figure.y if value > 0 and len(figure.x) < 3]
+        values = [value for value in figure.y if value > 0]
         low, high = min([low, *(value / 2 for value in values)]), max([high, *(value * 2 for value in values)])
     if axes.get_yscale() == "log":
         axes.set_ylim(low, high)
@@ -170,10 +168,7 @@ def _compare(known: Published, points: Sequence[Point]) -> Comparison:
     here = _at(known, own)
     if not here or known.tolerance == 0:
         return Comparison(known, *_ends(here), "not compared")
-    if len(known.x) > 2:
-        agrees = all(math.isclose(ratio, 1, abs_tol=known.tolerance - 1) for ratio in _ratios(known, own))
-    else:
-        agrees = max(here) * known.tolerance >= min(known.y) and min(here) <= max(known.y) * known.tolerance
+    agrees = max(here) * known.tolerance >= min(known.y) and min(here) <= max(known.y) * known.tolerance
     good = "as preset" if known.own else "agrees"
     return Comparison(known, *_ends(here), good if agrees else "differs")
 
@@ -188,8 +183,6 @@ def _at(known: Published, own: Sequence[Point]) -> list[float]:
         return []
     if not known.x:
         return [p.y for p in own]
-    if len(known.x) > 2:
-        return _ratios(known, own)
     found = []
     for series in dict.fromkeys(p.series for p in own):
         line = sorted((p.x, p.y) for p in own if p.series == series and p.y > 0)
@@ -204,14 +197,6 @@ def _interpolated(line: Sequence[tuple[float, float]], x: Sequence[float], log_x
     if log_x:
         along, places = np.log(along), np.log(places)
     return [float(value) for value in np.exp(np.interp(places, along, logs))]
-
-
-def _ratios(known: Published, own: Sequence[Point]) -> list[float]:
-    """Return our points over a published line, where both are known."""
-    order = np.argsort(known.x)
-    x, y = np.array(known.x)[order], np.array(known.y)[order]
-    inside = [p for p in own if x[0] <= p.x <= x[-1] and p.y > 0]
-    return [p.y / float(np.exp(np.interp(p.x, x, np.log(y)))) for p in inside]
 
 
 def reading(points: Sequence[Point], name: str) -> list[str]:

@@ -224,7 +224,6 @@ CURVES: dict[str, Curve] = {
     "leak_temperature": Curve("leak", "Leak against temperature", "chip, degrees C", "events a pixel, Hz", False),
     "leak_light": Curve("leak", "Leak against light", _LIGHT, "events a pixel, Hz"),
     "noise_light": Curve("noise", "Noise events against light", _LIGHT, "events a pixel, ON and OFF, Hz"),
-    "noise_law": Curve("noise", "Law of noise events", "threshold over noise", "ON rate over bandwidth", False),
     "latency": Curve("latency", "Latency of a step, one pixel alone", _LIGHT, "latency, us (bars 5 to 95 %)"),
     "bandwidth": Curve("latency", "Bandwidth by the latency", _LIGHT, "corner frequency, Hz"),
     "burst": Curve("latency", "Pixels that fire together", "pixels at once", "latest event after the first, us"),

@@ -18,15 +18,17 @@ and with the coupling at which the circuit does not ring, not with their fitted 
 
 Arithmetic is float64. Between two frames log light is a cubic, or a straight line without derivatives. The circuit is
 solved pixel by pixel with steps of its own, each as long as an error of `_TOLERANCE` allows; between their ends the
-comparator's signal is the cubic through values and derivatives. A pixel at rest in light that does not change is not
-solved at all. One step is Shampine's Rosenbrock method of order 4 with an error estimate of order 3 (Hairer and Wanner,
+comparator's signal is the cubic through values and derivatives. A pixel at rest in light that does not change takes
+one step. One step is Shampine's Rosenbrock method of order 4 with an error estimate of order 3 (Hairer and Wanner,
 Solving ODEs II, IV.7), with the exact Jacobian: it stays stable however stiff the circuit is.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from typing import ClassVar, NamedTuple
+from abc import abstractmethod
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -36,8 +38,8 @@ from emulator.sensor.chip.sources import Pending, new_pending, reserve
 from emulator.sensor.numerics.compiled import SOURCES, kernel, kernel_that_allocates
 from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, unpacked
 from emulator.sensor.pixels.event_time import levels_passed
-from emulator.sensor.pixels.method import Capabilities, DrawnPixels, time_of
-from emulator.sensor.pixels.state import draw
+from emulator.sensor.pixels.method import Capabilities, PixelMethod, time_of
+from emulator.sensor.pixels.state import DEAD_THRESHOLD, draw
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.compiled import entry_of
 
@@ -70,6 +72,23 @@ class Light(NamedTuple):
     a0: float
     a1: float
     h: float
+
+
+@kernel
+def log_light_between(u: tuple[float, float], slopes: tuple[float, float], h: float) -> Light:
+    """Return log light in a step of h seconds, by value and slope (1/s) at both ends; monotone where they are.
+
+    It is a straight line where a slope is NaN. Slopes too steep for a monotone cubic are scaled down (Fritsch and
+    Carlson).
+    """
+    d, a0, a1 = u[1] - u[0], slopes[0] * h, slopes[1] * h
+    if a0 != a0 or a1 != a1:
+        a0 = a1 = d
+    size = a0 * a0 + a1 * a1
+    if a0 * d >= 0 and a1 * d >= 0 and a0 * a1 >= 0 and size > 9 * d * d:
+        less = 3 * abs(d) / math.sqrt(size)
+        a0, a1 = a0 * less, a1 * less
+    return Light(u[0], u[1], a0, a1, h)
 
 
 @kernel
@@ -133,6 +152,7 @@ def rosenbrock(s: State, t: float, h: float, light: Light, c: Circuit) -> tuple[
     return after, error
 
 
+_BISECTIONS = 60
 _TOLERANCE = 2e-6  # ln units a substep
 _AT_REST = 1e-6  # ln units: less than the tolerance
 _MOST_EVENTS = 64
@@ -167,75 +187,68 @@ class _Array(NamedTuple):
 
 
 class _Piece(NamedTuple):
-    """The comparator's signal, leak included, in a substep: a cubic in the share of it; its start and length, s."""
+    """The comparator's signal, leak included, in a substep, as a cubic (see `cubic`); its start and length, s."""
 
-    s0: float
-    s1: float
-    a0: float
-    a1: float
+    g: tuple[float, float, float, float]
     t: float
     h: float
 
 
 @kernel
-def _signal(piece: _Piece, z: float) -> float:
-    d = piece.s1 - piece.s0
-    return piece.s0 + z * (piece.a0 + z * (3 * d - 2 * piece.a0 - piece.a1 + z * (piece.a0 + piece.a1 - 2 * d)))
+def cubic(g: tuple[float, float, float, float], z: float) -> float:
+    """Return the cubic of values g[0], g[1] and slopes g[2], g[3] (a step) at z in [0, 1]."""
+    g0, g1, m0, m1 = g
+    d = g1 - g0
+    return g0 + z * (m0 + z * (3 * d - 2 * m0 - m1 + z * (m0 + m1 - 2 * d)))
 
 
 @kernel
-def _extrema(piece: _Piece) -> tuple[float, float]:
-    """Return the shares at which the cubic turns, in order; 1 where it does not."""
-    d = piece.s1 - piece.s0
-    a, b, c = 3 * (piece.a0 + piece.a1 - 2 * d), 2 * (3 * d - 2 * piece.a0 - piece.a1), piece.a0
-    root = b * b - 4 * a * c
-    if root <= 0:
+def turns(g: tuple[float, float, float, float]) -> tuple[float, float]:
+    """Return the extrema of the cubic inside (0, 1), in rising order; 1 stands for none."""
+    g0, g1, m0, m1 = g
+    d = g1 - g0
+    a, b = 3 * (m0 + m1 - 2 * d), 2 * (3 * d - 2 * m0 - m1)
+    under = b * b - 4 * a * m0
+    if under <= 0:
         return 1.0, 1.0
-    q = -0.5 * (b + math.copysign(math.sqrt(root), b))
-    first = q / a if a != 0 else 1.0
-    second = c / q if q != 0 else 1.0
-    first, second = (first if 0 < first < 1 else 1.0), (second if 0 < second < 1 else 1.0)
-    return min(first, second), max(first, second)
+    half = -0.5 * (b + math.copysign(math.sqrt(under), b))
+    z1 = half / a if a != 0 else 1.0
+    z2 = m0 / half if half != 0 else 1.0
+    z1, z2 = (z1 if 0 < z1 < 1 else 1.0), (z2 if 0 < z2 < 1 else 1.0)
+    return min(z1, z2), max(z1, z2)
 
 
 @kernel
-def _meet(piece: _Piece, level: float, low: float, high: float) -> float:
-    """Return the share at which the signal, monotone from `low` to `high`, meets a level, by bisection."""
-    rising = _signal(piece, high) > _signal(piece, low)
-    for _ in range(45):
-        middle = 0.5 * (low + high)
-        if (_signal(piece, middle) < level) == rising:
-            low = middle
-        else:
-            high = middle
-    return high
-
-
-@kernel
-def _next(piece: _Piece, after: float, up: float, down: float) -> tuple[float, int]:
-    """Return the first share after `after` at which the signal meets a level, and 1 for `up`; 2 if there is none."""
-    turns = _extrema(piece)
-    low = after
-    for k in range(3):
-        high = turns[k] if k < 2 else 1.0
-        if high <= low:
+def first_crossing(g: tuple[float, float, float, float], start: float, low: float, high: float) -> float:
+    """Return the first point from `start` on at which the cubic reaches `high` or `low`; 2 if none in the step."""
+    turn_1, turn_2 = turns(g)
+    a = start
+    for end in (turn_1, turn_2, 1.0):
+        if end <= a:
             continue
-        end = _signal(piece, high)
-        if end >= up:
-            return _meet(piece, up, low, high), 1
-        if end <= down:
-            return _meet(piece, down, low, high), 0
-        low = high
-    return 2.0, 0
+        value = cubic(g, end)
+        if value >= high or value <= low:
+            up = value >= high
+            level = high if up else low
+            b = end
+            for _ in range(_BISECTIONS):
+                middle = 0.5 * (a + b)
+                if (cubic(g, middle) >= level) if up else (cubic(g, middle) <= level):
+                    b = middle
+                else:
+                    a = middle
+            return b
+        a = end
+    return 2.0
 
 
 @kernel
 def _pass_over(piece: _Piece, z: float, reference: float, thresholds: tuple[float, float]) -> tuple[float, int]:
     """Return the reference after all crossings of a substep from share z on, and their number."""
-    turns, lost = _extrema(piece), 0
-    for k in range(3):
-        high = turns[k] if k < 2 else 1.0
-        end = _signal(piece, high)
+    turn_1, turn_2 = turns(piece.g)
+    lost = 0
+    for high in (turn_1, turn_2, 1.0):
+        end = cubic(piece.g, high)
         threshold = thresholds[0] if end > reference else thresholds[1]
         if high > z and abs(end - reference) >= threshold:
             passed, rest = levels_passed(reference, end, threshold)
@@ -257,11 +270,12 @@ def _fire(
             z = (s.refractory_s[pixel] - piece.t) / piece.h
             if z > 1:
                 return pending, n, lost
-            s.reference[pixel] = _signal(piece, z)
+            s.reference[pixel] = cubic(piece.g, z)
         reference = s.reference[pixel]
-        z, on = _next(piece, z, reference + m.on[pixel], reference - m.off[pixel])
+        z = first_crossing(piece.g, z, reference - m.off[pixel], reference + m.on[pixel])
         if z > 1:
             return pending, n, lost
+        on = cubic(piece.g, z) > reference
         if n - begun < _MOST_EVENTS:
             pending = reserve(pending, n, 1)
             pending.t_ns[n] = np.int64((piece.t + z * piece.h) * 1e9)
@@ -314,7 +328,7 @@ def _advance_pixel(
         slope0, slope1 = (d0.w, d1.w) if c.c > 0 else (d0.y, d1.y)
         v0, v1 = (state.w, after.w) if c.c > 0 else (state.y, after.y)
         more = leaked + h * (l0 + l1) / 2
-        piece = _Piece(v0 + leaked, v1 + more, h * (slope0 + l0), h * (slope1 + l1), t, h)
+        piece = _Piece((v0 + leaked, v1 + more, h * (slope0 + l0), h * (slope1 + l1)), t, h)
         pending, n, gone = _fire(pixel, piece, m, s, pending, (begun, n))
         state, t, leaked, lost = after, t + h, more, lost + gone
     s.p[pixel], s.y[pixel], s.w[pixel] = state
@@ -325,60 +339,114 @@ def _advance_pixel(
     return pending, n, lost
 
 
-@kernel
-def _limited(d: float, a0: float, a1: float) -> tuple[float, float]:
-    """Return slopes with which a monotone step stays monotone (Fritsch and Carlson)."""
-    size = a0 * a0 + a1 * a1
-    if a0 * d >= 0 and a1 * d >= 0 and a0 * a1 >= 0 and size > 9 * d * d:
-        less = 3 * abs(d) / math.sqrt(size)
-        return a0 * less, a1 * less
-    return a0, a1
-
-
-@kernel
-def _rests(pixel: int, light: Light, current: float, m: _Model, s: _Array) -> bool:
-    """Move a pixel at rest in still light whose leak does not fire it within the step; return whether it is one."""
-    if light.u0 != light.u1 or light.a0 != 0 or light.a1 != 0 or s.refractory_s[pixel] > 0:
-        return False
-    p, y, w = s.p[pixel], s.y[pixel], s.w[pixel]
-    if max(abs(p), abs(y - light.u0), abs(w - light.u0)) > _AT_REST:
-        return False
-    reference = s.reference[pixel] - (m.leak[pixel] + m.parasitic[pixel] * current) * light.h
-    if w - reference >= m.on[pixel] or w - s.reference[pixel] <= -m.off[pixel]:
-        return False
-    s.reference[pixel] = reference
-    return True
-
-
 @entry_of(*SOURCES, __name__)
 def _advance(
-    u: tuple[_Floats, _Floats, _Floats],
-    slopes: tuple[_Floats, _Floats],
-    h_s: float,
-    m: _Model,
-    s: _Array,
-    pending: Pending,
+    u: tuple[_Floats, _Floats], slopes: tuple[_Floats, _Floats], h_s: float, m: _Model, s: _Array, pending: Pending
 ) -> tuple[Pending, int, int]:
-    """Move all pixels over a step.
-
-    `u` is log light of both frames and the later photocurrent, `slopes` its derivatives, 1/s; NaN: unknown.
-    """
+    """Move all pixels over a step; `u` is log light of both frames, `slopes` its derivatives, 1/s; NaN: unknown."""
     n = lost = 0
     for pixel in range(m.on.size):
-        u0, u1 = u[0][pixel], u[1][pixel]
-        d, a0, a1 = u1 - u0, slopes[0][pixel] * h_s, slopes[1][pixel] * h_s
-        if a0 != a0 or a1 != a1:
-            a0, a1 = d, d
-        a0, a1 = _limited(d, a0, a1)
-        light = Light(u0, u1, a0, a1, h_s)
-        if _rests(pixel, light, u[2][pixel], m, s):
-            continue
+        light = log_light_between((u[0][pixel], u[1][pixel]), (slopes[0][pixel], slopes[1][pixel]), h_s)
         pending, n, gone = _advance_pixel(pixel, light, m, s, pending, n)
         lost += gone
     return pending, n, lost
 
 
-class CircuitPixels(DrawnPixels):
+class LogLightPixels(PixelMethod):
+    """A method in float64 for which log light between two frames is a cubic, or a straight line without derivatives.
+
+    Faults are changes of the arrays of its `_model`, (pixels,) float64 each: thresholds and leaks.
+
+    Attributes
+    ----------
+    quiet_nan : int
+        Pixel-steps whose light was not finite; the last finite light of the pixel is used.
+    """
+
+    _model: Any
+
+    def __init__(self, parameters: SensorParameters, seed: int) -> None:
+        super().__init__(parameters, seed)
+        self.drawn = draw(parameters, seed)
+        self._phase, pixels, dark = self.drawn.phase, self.drawn.on.size, parameters.dark_current_relative
+        self._settled_ns = self._t_ns = 0
+        self._current, self._lit = np.full(pixels, dark), np.zeros(pixels, np.bool_)
+        self._u, self._slope = np.log(self._current), np.full(pixels, np.nan)
+
+    @property
+    def settled_ns(self) -> int:
+        """Stream time up to which all crossings have been returned."""
+        return self._settled_ns
+
+    def reset(self, frame: LightFrame) -> None:
+        """Start at rest on the light of `frame`, at its time, and with counters at zero."""
+        self._u, self._t_ns = self._log(frame.light), int(frame.t_ns)
+        self._slope = self._slopes(frame.rate)
+        self.lost_in_pixel = self.quiet_nan = 0
+        self._start()
+
+    def step(self, frame: LightFrame) -> Crossings:
+        """Move to the time of `frame` and return the crossings up to `settled_ns`; see `PixelArray.step`.
+
+        Raises
+        ------
+        ValueError
+            Time goes back, the step is longer than 8.6 s, or the frame does not have the sensor's size.
+        """
+        t_ns, settled_ns = time_of(frame, self._t_ns), self._settled_ns
+        if t_ns - self._t_ns > _LONGEST_NS:
+            raise ValueError(f"a step of {(t_ns - self._t_ns) * 1e-9:.3g} s: this method takes 8.6 s at most")
+        u, slope, found = self._log(frame.light), self._slopes(frame.rate), NO_CROSSINGS
+        if t_ns > self._t_ns:
+            pending, n, lost = self._move(u, slope, t_ns)
+            self.lost_in_pixel += lost
+            bits = max(1, (u.size - 1).bit_length())
+            keys = pending[0][:n].astype(np.uint64) << np.uint64(bits + 1) | pending[1][:n]
+            found = dataclasses.replace(unpacked(keys, settled_ns, bits), lost_in_pixel=lost)
+        self._u, self._slope, self._t_ns = u, slope, t_ns
+        return found
+
+    def kill(self, pixel: npt.NDArray[np.int64]) -> None:
+        """Set thresholds that no light reaches, and no leak, for pixels, (n,)."""
+        m = self._model
+        m.on[pixel] = m.off[pixel] = DEAD_THRESHOLD
+        m.leak[pixel] = m.parasitic[pixel] = self._phase[pixel] = 0
+
+    def leak_hz(self) -> npt.NDArray[np.float64]:
+        """Return the leak rate of all pixels, (pixels,), without the parasitic leak."""
+        return np.asarray(self._model.leak / self._model.on)
+
+    def set_leak(self, leak_hz: npt.NDArray[np.float64]) -> None:
+        """Set the leak rate of all pixels, (pixels,)."""
+        self._model.leak[:] = leak_hz * self._model.on
+
+    @abstractmethod
+    def _start(self) -> None:
+        """Start at rest on the present light, at the present time."""
+
+    @abstractmethod
+    def _move(self, u: _Floats, slope: _Floats, t_ns: int) -> tuple[Pending, int, int]:
+        """Move to a time with that log light and slope; return the events, counted from `settled_ns`, and lost ones."""
+
+    def _slopes(self, rate: _Float32s | None) -> _Floats:
+        """Return the time derivative of the present log light, 1/s; NaN where unknown."""
+        if rate is None:
+            return np.full(self._u.size, np.nan)
+        slope = np.where(self._lit, self._flat(rate), 0) / self._current
+        return np.where(np.isfinite(slope), slope, np.nan)
+
+    def _log(self, light: _Float32s) -> _Floats:
+        """Return the log of the photocurrent, (pixels,); the last finite one where the light is not finite."""
+        flat = self._flat(light)
+        readable = np.isfinite(flat)
+        self.quiet_nan += int((~readable).sum())
+        current = np.clip(flat, 0, _BRIGHTEST).astype(np.float64) + self.parameters.dark_current_relative
+        self._current = np.where(readable, current, self._current)
+        self._lit = np.where(readable, flat > 0, self._lit)
+        return np.asarray(np.log(self._current))
+
+
+class CircuitPixels(LogLightPixels):
     """An array of event pixels with the photoreceptor's circuit.
 
     Parameters
@@ -392,86 +460,27 @@ class CircuitPixels(DrawnPixels):
     ----------
     lost_in_pixel : int
         Crossings beyond 64 of a pixel in a step.
-    quiet_nan : int
-        Pixel-steps whose light was not finite; the last finite light of the pixel is used.
     """
 
     capabilities: ClassVar = Capabilities(uses_rate=True, has_faults=True, has_circuit=True)
 
     def __init__(self, parameters: SensorParameters, seed: int) -> None:
-        p, drawn = parameters, draw(parameters, seed)
         super().__init__(parameters, seed)
-        self._settled_ns = 0
+        p, drawn = parameters, self.drawn
         hz = p.corner_hz_at_reference, p.corner_max_hz, p.source_follower_hz
         self._model: _Model = _Model(
             drawn.on, drawn.off, drawn.leak, p.parasitic_hz_at_reference * drawn.on,
             Circuit(*(2 * math.pi * one for one in hz)), p.refractory_us * 1e-6,
         )  # fmt: skip
-        self._phase = drawn.phase
-        self._u = np.full(drawn.on.size, math.log(p.dark_current_relative))
-        self._current = np.full(drawn.on.size, p.dark_current_relative)
-        self._light = np.zeros(drawn.on.size, np.float32)
-        self._slope = np.full(drawn.on.size, np.nan)
 
-    @property
-    def settled_ns(self) -> int:
-        """Stream time up to which all crossings have been returned."""
-        return self._settled_ns
-
-    def reset(self, frame: LightFrame) -> None:
-        """Start at rest on the light of `frame`, at its time, and with counters at zero."""
-        self._u, self._settled_ns = self._log(frame.light), int(frame.t_ns)
-        self._slope = self._slopes(frame.rate)
-        u, m = self._u, self._model
+    def _start(self) -> None:
+        u, m, self._settled_ns = self._u, self._model, self._t_ns
         shortest = np.full(u.size, 1e-4)
         self._state = _Array(np.zeros(u.size), u.copy(), u.copy(), u - m.on * self._phase, np.zeros(u.size), shortest)
-        self.lost_in_pixel = self.quiet_nan = 0
 
-    def step(self, frame: LightFrame) -> Crossings:
-        """Move to the time of `frame` and return the crossings on the way; see `PixelArray.step`.
-
-        Raises
-        ------
-        ValueError
-            Time goes back, the step is longer than 8.6 s, or the frame does not have the sensor's size.
-        """
-        t0_ns, t_ns = self.settled_ns, time_of(frame, self.settled_ns)
-        h_ns = t_ns - t0_ns
-        if h_ns > _LONGEST_NS:
-            raise ValueError(f"a step of {h_ns * 1e-9:.3g} s: the photoreceptor's circuit takes 8.6 s at most")
-        u = self._log(frame.light)
-        slope = self._slopes(frame.rate)
-        if h_ns == 0:
-            self._u, self._slope = u, slope
-            return NO_CROSSINGS
-        pending, n, lost = _advance(
-            (self._u, u, self._current), (self._slope, slope), h_ns * 1e-9, self._model, self._state, new_pending()
-        )
-        self._u, self._slope, self._settled_ns = u, slope, t_ns
-        self.lost_in_pixel += lost
-        bits = max(1, (u.size - 1).bit_length())
-        keys = np.minimum(pending[0][:n], h_ns - 1).astype(np.uint64) << np.uint64(bits + 1) | pending[1][:n]
-        found = unpacked(keys, t0_ns, bits)
-        return Crossings(found.t_ns, found.pixel, found.on, lost)
-
-    def _slopes(self, rate: _Float32s | None) -> _Floats:
-        """Return the time derivative of log light, 1/s; NaN where unknown."""
-        if rate is None:
-            return np.full(self._u.size, np.nan)
-        slope = np.where(self._light > 0, self._flat(rate), 0) / self._current
-        return np.where(np.isfinite(slope), slope, np.nan)
-
-    def _log(self, light: _Float32s) -> _Floats:
-        """Return the log of the photocurrent, (pixels,); the last finite one where the light is not finite."""
-        flat = self._flat(light)
-        changed = np.flatnonzero(flat != self._light)
-        new = flat[changed]
-        readable = np.isfinite(new)
-        self.quiet_nan += int((~readable).sum())
-        changed, new = changed[readable], new[readable]
-        u = self._u.copy()
-        self._light[changed] = new
-        current = np.clip(new, 0, _BRIGHTEST).astype(np.float64)
-        self._current[changed] = current + self.parameters.dark_current_relative
-        u[changed] = np.log(self._current[changed])
-        return u
+    def _move(self, u: _Floats, slope: _Floats, t_ns: int) -> tuple[Pending, int, int]:
+        h_ns, self._settled_ns = t_ns - self._t_ns, t_ns
+        light_of = (self._u, u), (self._slope, slope)
+        pending, n, lost = _advance(*light_of, h_ns * 1e-9, self._model, self._state, new_pending())
+        np.minimum(pending[0], h_ns - 1, out=pending[0])
+        return pending, n, lost

@@ -1,19 +1,26 @@
-"""Pixels whose noise voltage is simulated on a fixed grid of times: the reference for `points`.
+"""Pixels whose noise voltage is simulated on a fine grid of times: the independent reference of noise.
 
-Its cost allows some thousand pixels. Arithmetic is float64. The grid's step is a tenth of the shortest time constant of
-the noise, rounded down to a power of two of 1 us, and its times are multiples of it since stream time zero. From one
-grid time to the next, with log light on a straight line between frames,
+It shares no code with the noise of `emulator.sensor`; its cost allows some thousand pixels. Arithmetic is float64. The
+shot noise of the photoreceptor is white; the receptor's pole a1, which follows the light, and a fixed one filter it:
 
-    filter    v in warped time, as in `curve`; behind a second pole w, for a v on a straight line
-    noise     n1 = n0 A + sigma sqrt(1 - A^2) N,  A = e^(-delta / tau_n), N keyed by (seed, pixel, grid time)
-    x - r     the comparator's input: moves by the change of w + n and by the leaks, that of light by its mean
+    dn1 = -a1 n1 dt + rms sqrt(2 a1) dW        a1 = 2 pi f(light): the rms of n1 is the same in any light
+    dn2 = a2 (n1 - n2) dt                      a2 = 2 pi noise.corner_hz, or the signal's source follower
 
-Within a grid step x is a Brownian bridge of variance V = 2 sigma^2 delta / tau_n: a level c above both ends a, b is met
-nevertheless with probability exp(-2 (c - a)(c - b) / V), at a time drawn uniformly; the comparator's value at the end
-of a refractory period is drawn from the bridge.
+From one grid time to the next (n1, n2) moves by its exact Gaussian transition at the rates of the light in the middle,
+with numbers keyed by (seed, pixel, grid time). A step is a twentieth of 1 / sqrt(a1 a2) at the highest corner
+frequency, a quarter of 1 / a2 at most, and a power of two; steps of half that length give the same statistics (see the
+tests). Filters are solved with their input, and their rate, on a straight line between grid times.
 
-All draws are keyed by grid time, and events are known up to the last grid time only (`settled_ns`). So in still light
-the result does not depend on the steps, and in moving light it does so only through the light between frames.
+    two poles     n2 is the cubic through its values and its derivatives a2 (n1 - n2) at both grid times, here as two
+                  straight lines that join at its middle: the noise has a derivative, and no excursion between them
+    one pole      where there is no fixed pole, or no receptor's, n1 at the comparator is a Brownian bridge of variance
+                  V = 2 rms^2 a1 delta: a level c above both ends x, y is met with probability exp(-2(c - x)(c - y) / V)
+
+The time t at which a bridge of length 1 first meets c is exact too: t / (1 - t) is an inverse Gaussian number of mean
+|c - x| / |c - y| and shape (c - x)^2 / V (Borodin and Salminen, Handbook of Brownian Motion, 2002).
+
+Events are known up to the last grid time (`settled_ns`): in still light they do not depend on the steps at all, and in
+moving light only through the light between frames.
 """
 
 from __future__ import annotations
@@ -24,228 +31,290 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.light import LightFrame
 from emulator.sensor.chip.sources import Pending, new_pending, reserve
-from emulator.sensor.noise.law import bandwidth_hz, fixed_corner_hz, noise_scale
 from emulator.sensor.numerics.compiled import SOURCES, kernel, kernel_that_allocates
 from emulator.sensor.numerics.keyed import Purpose, high, low, normal, normal_from, root_of, stream, unit, word
-from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, unpacked
-from emulator.sensor.pixels.event_time import levels_passed
-from emulator.sensor.pixels.method import Capabilities, DrawnPixels, time_of
-from emulator.sensor.pixels.state import draw
+from emulator.sensor.pixels.method import Capabilities
 from emulator.sensor.presets import SensorParameters
 from firmware_protocol.compiled import entry_of
+from laboratory.methods.circuit import LogLightPixels, log_light, log_light_between
 
-_MOST_EVENTS = 16  # of a pixel in a grid step
-_DRAWS = 4 * _MOST_EVENTS + 4  # numbers set apart for a grid step
+_MOST_EVENTS = 16  # of a pixel in a straight piece of its noise
+_DRAWS = 4 * _MOST_EVENTS + 8  # numbers set apart for a grid step
+_MOST_COUNTED = 2.0**40  # of a piece
 _HOPELESS = 40.0
 _FASTEST_HZ = 1e9
-_NO_POLE_HZ = 1e300
+_PER_E_FOLD = 1024  # different lights of the noise's transition
 
 _Floats = npt.NDArray[np.float64]
 
 
+class _Pole(NamedTuple):
+    """A rate that is proportional to the photocurrent, rad/s: at light 1, and its bounds."""
+
+    at_reference: float
+    least: float
+    most: float
+
+
 class _Model(NamedTuple):
-    """Constants; thresholds, leak and parasitic leak at light 1 (ln units per second) are (pixels,) float64."""
+    """Constants; thresholds, leak and parasitic leak at light 1 (ln units per second), noise: (pixels,) float64."""
 
     on: _Floats
     off: _Floats
     leak: _Floats
     parasitic: _Floats
+    rms: _Floats
     voltage_root: np.uint64
     bridge_root: np.uint64
     delta_ns: int
     refractory_ns: int
-    hz_at_reference: float
-    hz_min: float
-    hz_max: float
-    second: float  # rate of the second pole times the grid step; 0: none
-    noise_rms: float
-    noise_corner_hz: float
-    noise_scale: _Floats
+    receptor: _Pole
+    follower: float  # rad/s; 0: none
+    noise: _Pole
+    fixed: float  # pole of the noise behind it, rad/s; 0: none
     large: bool  # whether the photoreceptor has the large-signal law
 
 
 class _State(NamedTuple):
-    """State at the last grid time, (pixels,) each: log light, filter, second pole, noise, x - r (NaN: refractory)."""
+    """State at the last grid time, (pixels,) each: log light, signal and noise behind each pole, comparator."""
 
     u: _Floats
-    v: _Floats
+    v: _Floats  # with the large-signal photoreceptor e^-v, whose equation is linear
     w: _Floats
-    n: _Floats
-    seen: _Floats
+    n1: _Floats  # over its rms
+    n2: _Floats
+    seen: _Floats  # the input over the reference; NaN: refractory
     refractory_until_ns: npt.NDArray[np.int64]
 
 
-class _Span(NamedTuple):
-    """The grid times after `first` up to `last`, and the times of the frames before and after them."""
-
-    first: int
-    last: int
-    t0_ns: int
-    t1_ns: int
-
-
-class _Move(NamedTuple):
-    """Motion of x - r of a pixel in a grid step: start, change, the bridge's variance; stream and next number."""
+class _Piece(NamedTuple):
+    """A piece of a pixel's comparator input, and the pixel's stream of numbers with the next one's index."""
 
     pixel: int
     start_ns: int
+    length_ns: int
     change: float
     variance: float
     base: np.uint64
     draw: int
 
 
+class _Transition(NamedTuple):
+    """n1 -> first n1 + a N, n2 -> second n2 + mixed n1 + b N + c M, with independent normal numbers N and M."""
+
+    first: float
+    second: float
+    mixed: float
+    a: float
+    b: float
+    c: float
+
+
+def _poles_hz(p: SensorParameters) -> tuple[float, float]:
+    """Return the fastest receptor's pole of the noise, and the pole behind it, Hz; 0: none."""
+    fixed = p.noise.corner_hz or p.source_follower_hz
+    if math.isinf(p.corner_hz_at_reference):
+        return fixed, 0.0
+    return min(p.corner_max_hz, _FASTEST_HZ), fixed
+
+
 def grid_ns(p: SensorParameters) -> int:
     """Return the grid's step, ns."""
-    fastest = np.inf if math.isinf(p.corner_hz_at_reference) else min(p.corner_max_hz, _FASTEST_HZ)
-    tau_us = 1e6 / (2 * math.pi * float(bandwidth_hz(p, fastest)))
-    return int(1000 * 2 ** max(0, math.floor(math.log2(0.1 * tau_us))))
+    first, second = (2e-6 * math.pi * hz for hz in _poles_hz(p))
+    step_us = min(0.05 / math.sqrt(first * second), 0.25 / second) if second else 0.05 / first
+    return int(1000 * 2.0 ** max(-3, math.floor(math.log2(step_us))))
 
 
 @kernel
-def _corner_hz(u: float, m: _Model) -> float:
-    hz = m.hz_at_reference * math.exp(u)
-    return min(max(hz, m.hz_min), m.hz_max)
+def _rate(current: float, pole: _Pole) -> float:
+    return min(max(pole.at_reference * current, pole.least), pole.most)
 
 
 @kernel
-def _filtered(u0: float, u1: float, v0: float, m: _Model) -> float:
-    """Return the photoreceptor's output a grid step later."""
-    rate0, rate1 = 2 * math.pi * _corner_hz(u0, m), 2 * math.pi * _corner_hz(u1, m)
-    d = u1 - u0
-    warped = m.delta_ns * 1e-9 * max((rate0 + rate1) / 2 + d * (rate0 - rate1) / 12, min(rate0, rate1))
-    q = -math.expm1(-warped)
-    if m.large:  # the same filter of e^-u (see `pixels.receptor`), relative to its value at the start
-        excess, rise = math.expm1(v0 - u0), math.exp(v0 - u0) * math.expm1(-d)
-        return float(v0 - math.log1p(q * excess + rise * (1 - q / warped)))
-    return float(v0 + q * (u0 - v0) + d * (1 - q / warped))
+def _low_passed(before: float, after: float, output: float, length: float) -> float:
+    """Return a low-pass's output after so many time constants, its input on a straight line."""
+    q = -math.expm1(-length)
+    return float(output + q * (before - output) + (after - before) * (1 - q / length))
 
 
 @kernel
-def _behind_second_pole(v0: float, v1: float, w0: float, m: _Model) -> float:
-    """Return the second pole's output a grid step later."""
-    if m.second == 0:
-        return v1
-    q = -math.expm1(-m.second)
-    return float(w0 + q * (v0 - w0) + (v1 - v0) * (1 - q / m.second))
+def _transition(a1: float, a2: float, h: float) -> _Transition:
+    """Return the transition of the noise over h seconds, for an rms of 1 behind the first pole."""
+    e1 = math.exp(-a1 * h)
+    q11 = -math.expm1(-2 * a1 * h)
+    if a2 == 0:
+        return _Transition(e1, e1, 0.0, math.sqrt(q11), math.sqrt(q11), 0.0)
+    if abs(a2 - a1) < 1e-4 * a1:
+        a2 = a1 * (1 + 1e-4)
+    both, k = -math.expm1(-(a1 + a2) * h) / (a1 + a2), a2 / (a2 - a1)
+    q12 = k * (q11 - 2 * a1 * both)
+    q22 = k * k * (q11 - 4 * a1 * both - a1 / a2 * math.expm1(-2 * a2 * h))
+    e2, b = math.exp(-a2 * h), q12 / math.sqrt(q11)
+    return _Transition(e1, e2, k * (e1 - e2), math.sqrt(q11), b, math.sqrt(max(q22 - b * b, 0.0)))
 
 
 @kernel
-def _leaked(u0: float, u1: float, pixel: int, m: _Model) -> float:
-    """Return the increase of x - r by leaks in a grid step."""
-    by_light = m.parasitic[pixel] * (math.exp(u0) + math.exp(u1)) / 2 if m.parasitic[pixel] > 0 else 0.0
-    return float((m.leak[pixel] + by_light) * m.delta_ns * 1e-9)
+def _next_noise(n1: float, n2: float, step: _Transition, bits: np.uint64) -> tuple[float, float]:
+    """Return the noise behind both poles a transition later, by two normal numbers that are made of `bits`."""
+    radius, angle = math.sqrt(-2 * math.log(unit(high(bits)))), 2 * math.pi * unit(low(bits))
+    a, b = radius * math.cos(angle), radius * math.sin(angle)
+    return step.first * n1 + step.a * a, step.second * n2 + step.mixed * n1 + step.b * a + step.c * b
 
 
 @kernel
-def _noise_figures(u: float, m: _Model) -> tuple[float, float]:
-    """Return sigma and delta / tau_n at a light (see `law`)."""
-    hz = _corner_hz(u, m)
-    passed = m.noise_corner_hz / (m.noise_corner_hz + hz)
-    return m.noise_rms * math.sqrt(passed), 2 * math.pi * hz * passed * m.delta_ns * 1e-9
-
-
-@kernel
-def _next_event(at: float, seen: float, end: float, move: _Move, thresholds: tuple[float, float]) -> tuple[float, int]:
-    """Return the first place after `at` in the grid step where a threshold is met, and 1 for ON; 2 if there is none."""
+def _next_event(
+    at: float, seen: float, end: float, piece: _Piece, thresholds: tuple[float, float]
+) -> tuple[float, int]:
+    """Return the first place after `at` in the piece where a threshold is met, and 1 for ON; 2 if there is none."""
     on, off = thresholds
     left = 1 - at
-    if end >= on or end <= -off:
-        level = on if end >= on else -off
-        share = (level - seen) / (end - seen) if end != seen else 0.0
-        return at + left * min(max(share, 0.0), 1.0), 1 if end >= on else 0
-    bits = word(move.base, move.draw)
-    where = at + left * unit(high(word(move.base, move.draw + 1)))
-    variance = move.variance * left
+    if seen >= on or seen <= -off:
+        return at, 1 if seen >= on else 0
+    if piece.variance == 0:
+        if -off < end < on:
+            return 2.0, 0
+        return at + left * ((on if end >= on else -off) - seen) / (end - seen), 1 if end >= on else 0
+    variance, bits = piece.variance * left, word(piece.base, piece.draw)
     rising, falling = 2 * (on - seen) * (on - end), 2 * (seen + off) * (end + off)
-    if rising < _HOPELESS * variance and unit(high(bits)) < math.exp(-rising / variance):
-        return where, 1
-    if falling < _HOPELESS * variance and unit(low(bits)) < math.exp(-falling / variance):
-        return where, 0
-    return 2.0, 0
+    if end >= on or (rising < _HOPELESS * variance and unit(high(bits)) < math.exp(-rising / variance)):
+        level, up = on, 1
+    elif end <= -off or (falling < _HOPELESS * variance and unit(low(bits)) < math.exp(-falling / variance)):
+        level, up = -off, 0
+    else:
+        return 2.0, 0
+    way, rest = abs(level - seen), max(abs(level - end), 1e-12)
+    # An inverse Gaussian number of mean way / rest and shape way^2 / V (Michael, Schucany and Haas 1976).
+    x = normal_from(word(piece.base, piece.draw + 1)) ** 2 * variance / (way * rest)
+    root = 1 + (x + math.sqrt(x * (4 + x))) / 2
+    y = way / rest * (1 / root if unit(high(word(piece.base, piece.draw + 2))) < root / (1 + root) else root)
+    return at + left * y / (1 + y), up
 
 
 @kernel
-def _bridge(at: float, to: float, seen: float, end: float, move: _Move) -> float:
-    """Return x - r at `to`, on the way from `seen` at `at` to `end` at 1."""
+def _within(at: float, to: float, seen: float, end: float, piece: _Piece) -> float:
+    """Return the comparator's input at `to`, on the way from `seen` at `at` to `end` at 1."""
     share = (to - at) / (1 - at)
-    deviation = math.sqrt(max(move.variance * (1 - at) * share * (1 - share), 0.0))
-    return float(seen + share * (end - seen) + deviation * normal_from(word(move.base, move.draw + 2)))
-
-
-@kernel
-def _later(move: _Move) -> _Move:
-    """Return the same move with fresh numbers."""
-    return _Move(move.pixel, move.start_ns, move.change, move.variance, move.base, move.draw + 4)
+    deviation = math.sqrt(max(piece.variance * (1 - at) * share * (1 - share), 0.0))
+    return float(seen + share * (end - seen) + deviation * normal_from(word(piece.base, piece.draw + 3)))
 
 
 @kernel_that_allocates
-def _fire(move: _Move, m: _Model, s: _State, pending: Pending, n: int) -> tuple[Pending, int, int]:
-    """Move a pixel's comparator over one grid step; add its events to `pending`, and return the number of lost ones."""
-    pixel, events, refractory = move.pixel, 0, m.refractory_ns / m.delta_ns
-    at, seen, end = 0.0, s.seen[pixel], s.seen[pixel] + move.change
+def _fire(piece: _Piece, m: _Model, s: _State, pending: Pending, n: int) -> tuple[Pending, int, int]:
+    """Move a pixel's comparator over a piece; add its events to `pending`; return it, their number, the lost ones."""
+    pixel, events, refractory = piece.pixel, 0, m.refractory_ns / piece.length_ns
+    at, seen, end = 0.0, s.seen[pixel], s.seen[pixel] + piece.change
     if seen != seen:
-        at = max((s.refractory_until_ns[pixel] - move.start_ns) / m.delta_ns, 0.0)
+        at = max((s.refractory_until_ns[pixel] - piece.start_ns) / piece.length_ns, 0.0)
         if at >= 1:
             return pending, n, 0
-        seen, end = 0.0, move.change - _bridge(0.0, at, 0.0, move.change, move)
+        seen, end = 0.0, piece.change - _within(0.0, at, 0.0, piece.change, piece)
     while True:
-        move = _later(move)
+        piece = _Piece(*piece[:6], piece.draw + 4)
         if events >= _MOST_EVENTS and refractory == 0 and (end >= m.on[pixel] or end <= -m.off[pixel]):
-            passed, end = levels_passed(0.0, end, m.on[pixel] if end > 0 else m.off[pixel])
-            events += passed
-        at_event, on = _next_event(at, seen, end, move, (m.on[pixel], m.off[pixel]))
+            level = m.on[pixel] if end > 0 else -m.off[pixel]
+            events, seen, end = events + int(min(end / level, _MOST_COUNTED)), 0.0, end % level
+        at_event, on = _next_event(at, seen, end, piece, (m.on[pixel], m.off[pixel]))
         if at_event > 1:
             s.seen[pixel] = end
-            break
+            return pending, n, max(events - _MOST_EVENTS, 0)
         events += 1
         if events <= _MOST_EVENTS:
             pending = reserve(pending, n, 1)
-            pending.t_ns[n] = move.start_ns + int(at_event * m.delta_ns)
+            pending.t_ns[n] = piece.start_ns + int(at_event * piece.length_ns)
             pending.key[n] = np.uint64(pixel) << np.uint64(1) | np.uint64(on)
             n += 1
         level = m.on[pixel] if on else -m.off[pixel]
         at = at_event + refractory
         if refractory > 0 and at >= 1:
-            s.seen[pixel], s.refractory_until_ns[pixel] = np.nan, move.start_ns + int(at * m.delta_ns)
-            break
-        seen, end = 0.0, end - (_bridge(at_event, at, level, end, move) if refractory > 0 else level)
-    return pending, n, max(events - _MOST_EVENTS, 0)
+            s.seen[pixel], s.refractory_until_ns[pixel] = np.nan, piece.start_ns + int(at * piece.length_ns)
+            return pending, n, max(events - _MOST_EVENTS, 0)
+        seen, end = 0.0, end - (_within(at_event, at, level, end, piece) if refractory > 0 else level)
 
 
-@entry_of(*SOURCES, __name__)
+@kernel
+def _signal(
+    u: tuple[float, float], current: tuple[float, float], v0: float, w0: float, m: _Model
+) -> tuple[float, float]:
+    """Return receptor and source follower a grid step later; log light and photocurrent are those of both its ends."""
+    h = m.delta_ns * 1e-9
+    length = h * (_rate(current[0], m.receptor) + _rate(current[1], m.receptor)) / 2
+    if m.large:
+        v1 = _low_passed(1 / current[0], 1 / current[1], v0, length)
+        x0, x1 = -math.log(v0), -math.log(v1)
+    else:
+        v1 = _low_passed(u[0], u[1], v0, length)
+        x0, x1 = v0, v1
+    return v1, _low_passed(x0, x1, w0, m.follower * h) if m.follower > 0 else x1
+
+
+@kernel
+def _is_far(seen: float, middle: float, end: float, variance: float, thresholds: tuple[float, float]) -> bool:
+    """Return whether a grid step, of two straight pieces or a bridge, meets no threshold."""
+    if seen != seen:
+        return False
+    high, low = thresholds[0] - max(seen, middle, end), thresholds[1] + min(seen, middle, end)
+    if variance == 0:
+        return high > 0 and low > 0
+    return min(high, low) > 0 and 2 * min(high, low) ** 2 > _HOPELESS * variance
+
+
+@entry_of(*SOURCES, __name__, "laboratory.methods.circuit")
 def _advance(
-    light: tuple[_Floats, _Floats],
-    span: _Span,
+    light_of: tuple[tuple[_Floats, _Floats], tuple[_Floats, _Floats]],
+    grid_times: tuple[int, int],
+    frame_ns: tuple[int, int],
     m: _Model,
     s: _State,
     pending: Pending,
 ) -> tuple[Pending, int, int]:
-    """Move all pixels over the grid times of a span; `light` is the log light of its two frames, (pixels,) each."""
-    n = lost = 0
+    """Move all pixels over the grid times after the first of `grid_times` up to the last.
+
+    `light_of` are log light of two frames and its derivatives, 1/s; NaN: unknown.
+    """
+    n, lost, h, half_ns = 0, 0, m.delta_ns * 1e-9, m.delta_ns // 2
     for pixel in range(m.on.size):
+        values, slopes = [(both[0][pixel], both[1][pixel]) for both in light_of]
+        light = log_light_between(values, slopes, (frame_ns[1] - frame_ns[0]) * 1e-9)
         voltage, bridge = stream(m.voltage_root, pixel), stream(m.bridge_root, pixel)
-        for grid in range(span.first + 1, span.last + 1):
-            share = (grid * m.delta_ns - span.t0_ns) / (span.t1_ns - span.t0_ns)
-            u = light[0][pixel] + share * (light[1][pixel] - light[0][pixel])
-            v = _filtered(s.u[pixel], u, s.v[pixel], m)
-            w = _behind_second_pole(s.v[pixel], v, s.w[pixel], m)
-            sigma, delta = _noise_figures(s.u[pixel], m)
-            sigma *= m.noise_scale[pixel]
-            decay = math.exp(-delta)
-            noise = s.n[pixel] * decay + sigma * math.sqrt(-math.expm1(-2 * delta)) * normal_from(word(voltage, grid))
-            change = w - s.w[pixel] + noise - s.n[pixel] + _leaked(s.u[pixel], u, pixel, m)
-            start_ns, variance = (grid - 1) * m.delta_ns, 2 * sigma * sigma * delta
-            move = _Move(pixel, start_ns, change, variance, bridge, grid * _DRAWS)
-            pending, n, more = _fire(move, m, s, pending, n)
+        thresholds, rms = (m.on[pixel], m.off[pixel]), m.rms[pixel]
+        u0, v0, w0, n1, n2 = s.u[pixel], s.v[pixel], s.w[pixel], s.n1[pixel], s.n2[pixel]
+        current0, bend, variance, known, noise = math.exp(u0), 0.0, 0.0, math.nan, _transition(1.0, 0.0, 1.0)
+        rests, is_still = False, light.u0 == light.u1 and light.a0 == 0 and light.a1 == 0
+        for grid in range(grid_times[0] + 1, grid_times[1] + 1):
+            start_ns, change = (grid - 1) * m.delta_ns, 0.0
+            if not rests:
+                u1 = log_light(light, (grid * m.delta_ns - frame_ns[0]) * 1e-9)[0]
+                current1 = math.exp(u1)
+                v1, w1 = _signal((u0, u1), (current0, current1), v0, w0, m)
+                middle = math.floor((u0 + u1) * (_PER_E_FOLD / 2) + 0.5)
+                if middle != known:
+                    a1 = _rate(math.exp(middle / _PER_E_FOLD), m.noise)
+                    known, noise = middle, _transition(a1, m.fixed, h)
+                    variance = 2 * rms * rms * a1 * h if m.fixed == 0 else 0.0
+                leaked = (m.leak[pixel] + m.parasitic[pixel] * (current0 + current1) / 2) * h
+                rests = is_still and u0 == u1 and v0 == v1 and w0 == w1
+                change, u0, v0, w0, current0 = w1 - w0, u1, v1, w1, current1
+            slope, before = n1 - n2, n2
+            n1, n2 = _next_noise(n1, n2, noise, word(voltage, grid))
+            change += rms * (n2 - before) + leaked
+            bend, seen = rms * m.fixed * h * (slope - n1 + n2) / 8, s.seen[pixel]
+            first, length_ns = (change / 2 + bend, half_ns) if m.fixed > 0 else (change, m.delta_ns)
+            if _is_far(seen, seen + first, seen + change, variance, thresholds):
+                s.seen[pixel] = seen + change
+                continue
+            piece = _Piece(pixel, start_ns, length_ns, first, variance, bridge, grid * _DRAWS)
+            pending, n, more = _fire(piece, m, s, pending, n)
             lost += more
-            s.u[pixel], s.v[pixel], s.w[pixel], s.n[pixel] = u, v, w, noise
+            if m.fixed > 0:
+                piece = _Piece(pixel, start_ns + half_ns, half_ns, change - first, 0.0, bridge, grid * _DRAWS)
+                pending, n, more = _fire(piece, m, s, pending, n)
+                lost += more
+        s.u[pixel], s.v[pixel], s.w[pixel], s.n1[pixel], s.n2[pixel] = u0, v0, w0, n1, n2
     return pending, n, lost
 
 
-class NoisyPixels(DrawnPixels):
+class NoisyPixels(LogLightPixels):
     """An array of pixels whose noise is simulated in time.
 
     Parameters
@@ -254,92 +323,54 @@ class NoisyPixels(DrawnPixels):
         The sensor, with `noise.rms` > 0.
     seed : int
         Keys the noise, and the pixels, which are those of a `PixelArray` with that seed.
+    delta_ns : int
+        Step of the grid; 0: `grid_ns`.
 
     Attributes
     ----------
     lost_in_pixel : int
-        Crossings beyond 16 of a pixel in a grid step.
-    quiet_nan : int
-        Pixel-steps whose light was not finite; the last finite light of the pixel is used.
+        Crossings beyond 16 of a pixel in half a grid step.
     """
 
-    capabilities: ClassVar = Capabilities(has_faults=True, has_grid_noise=True, has_large_signal=True)
-    _model: _Model
+    capabilities: ClassVar = Capabilities(uses_rate=True, has_faults=True, has_grid_noise=True, has_large_signal=True)
 
-    def __init__(self, parameters: SensorParameters, seed: int) -> None:
+    def __init__(self, parameters: SensorParameters, seed: int, delta_ns: int = 0) -> None:
         super().__init__(parameters, seed)
-        p, drawn = parameters, draw(parameters, seed)
-        noise_corner_hz = min(fixed_corner_hz(p), _NO_POLE_HZ)
-        self._settled_ns = 0
-        self._phase = drawn.phase
-        no_low_pass = math.isinf(p.corner_hz_at_reference)
-        self._model = _Model(
+        p, drawn = parameters, self.drawn
+        low_pass, (noise_hz, fixed_hz) = math.isfinite(p.corner_hz_at_reference), _poles_hz(p)
+        hz = p.corner_hz_at_reference, p.corner_min_hz, min(p.corner_max_hz, _FASTEST_HZ)
+        self._model: _Model = _Model(
             drawn.on, drawn.off, drawn.leak, p.parasitic_hz_at_reference * drawn.on,
+            p.noise.rms * np.exp(p.noise.spread * normal(seed, Purpose.NOISE_SPREAD, np.arange(drawn.on.size))),
             voltage_root=root_of(seed, Purpose.NOISE_VOLTAGE),
             bridge_root=root_of(seed, Purpose.NOISE_BRIDGE),
-            delta_ns=grid_ns(p),
+            delta_ns=delta_ns or grid_ns(p),
             refractory_ns=round(p.refractory_us * 1000),
-            hz_at_reference=_FASTEST_HZ if no_low_pass else p.corner_hz_at_reference,
-            hz_min=_FASTEST_HZ if no_low_pass else p.corner_min_hz,
-            hz_max=_FASTEST_HZ if no_low_pass else min(p.corner_max_hz, _FASTEST_HZ),
-            second=2 * math.pi * p.source_follower_hz * grid_ns(p) * 1e-9,
-            noise_rms=p.noise.rms * (math.sqrt(1 + _FASTEST_HZ / noise_corner_hz) if no_low_pass else 1.0),
-            noise_corner_hz=noise_corner_hz,
-            noise_scale=noise_scale(p, seed),
+            receptor=_Pole(*(2 * math.pi * one for one in (hz if low_pass else (_FASTEST_HZ,) * 3))),
+            follower=2 * math.pi * p.source_follower_hz,
+            noise=_Pole(*(2 * math.pi * one for one in (hz if low_pass else (noise_hz,) * 3))),
+            fixed=2 * math.pi * fixed_hz,
             large=p.photoreceptor == "large_signal",
         )  # fmt: skip
-        self._u = np.zeros(drawn.on.size)
-        self._t_ns = 0
 
-    @property
-    def settled_ns(self) -> int:
-        """Stream time of the last grid time, up to which all crossings have been returned."""
-        return self._settled_ns
-
-    def reset(self, frame: LightFrame) -> None:
-        """Start at rest on the light of `frame`, at its time, with stationary noise."""
-        m, pixels = self._model, self._u.size
-        self._u[:] = np.log(self.parameters.dark_current_relative)
-        self._u, self._t_ns = self._log(frame.light), int(frame.t_ns)
-        self.lost_in_pixel = self.quiet_nan = 0
+    def _start(self) -> None:
+        """Start with stationary noise, and references that were stored without it."""
+        m, u, pixel = self._model, self._u, np.arange(self._u.size)
         first = -(-self._t_ns // m.delta_ns)
         self._settled_ns = first * m.delta_ns
-        hz = np.clip(m.hz_at_reference * np.exp(self._u), m.hz_min, m.hz_max)
-        sigma = m.noise_rms * m.noise_scale * np.sqrt(m.noise_corner_hz / (m.noise_corner_hz + hz))
-        noise = sigma * normal(self.seed, Purpose.NOISE_VOLTAGE, np.arange(pixels), first)
-        seen = m.on * self._phase + noise
-        self._state = _State(self._u.copy(), self._u.copy(), self._u.copy(), noise, seen, np.zeros(pixels, np.int64))
+        n1, other = (normal(self.seed, one, pixel, first) for one in (Purpose.NOISE_VOLTAGE, Purpose.NOISE_BRIDGE))
+        passed = 1.0
+        if m.fixed:
+            passed = m.fixed / (m.fixed + np.clip(m.noise.at_reference * np.exp(u), m.noise.least, m.noise.most))
+        n2 = passed * n1 + np.sqrt(passed - passed**2) * other
+        v = np.exp(-u) if m.large else u.copy()
+        seen = m.on * self._phase + m.rms * n2
+        self._state = _State(u.copy(), v, u.copy(), n1, n2, seen, np.zeros(pixel.size, np.int64))
 
-    def step(self, frame: LightFrame) -> Crossings:
-        """Move from the last frame to this one; a frame at the time of the last one takes its place.
-
-        Returns
-        -------
-        The crossings between the last `settled_ns` and the new one, the last grid time before the frame.
-
-        Raises
-        ------
-        ValueError
-            Time goes back, or the frame does not have the sensor's size.
-        """
-        light, t_ns, m = frame.light, time_of(frame, self._t_ns), self._model
-        if t_ns == self._t_ns:
-            self._u = self._log(light)
-            return NO_CROSSINGS
-        u, settled = self._log(light), self.settled_ns
-        span = _Span(settled // m.delta_ns, t_ns // m.delta_ns, self._t_ns, t_ns)
-        pending, n, lost = _advance((self._u, u), span, m, self._state, new_pending())
-        self._u, self._t_ns, self._settled_ns = u, t_ns, max(span.last * m.delta_ns, settled)
-        self.lost_in_pixel += lost
-        bits = max(1, (u.size - 1).bit_length())
-        keys = (pending[0][:n] - settled).astype(np.uint64) << np.uint64(bits + 1) | pending[1][:n]
-        found = unpacked(keys, settled, bits)
-        return Crossings(found.t_ns, found.pixel, found.on, lost)
-
-    def _log(self, light: npt.NDArray[np.float32]) -> _Floats:
-        """Return the log of the photocurrent, (pixels,); the last finite one where the light is not finite."""
-        flat = self._flat(light).astype(np.float64)
-        readable = np.isfinite(flat)
-        self.quiet_nan += int((~readable).sum())
-        current = np.maximum(np.where(readable, flat, 0), 0) + self.parameters.dark_current_relative
-        return np.where(readable, np.log(current), self._u)
+    def _move(self, u: _Floats, slope: _Floats, t_ns: int) -> tuple[Pending, int, int]:
+        delta_ns, settled_ns = self._model.delta_ns, self._settled_ns
+        light_of, times = ((self._u, u), (self._slope, slope)), (settled_ns // delta_ns, t_ns // delta_ns)
+        pending, n, lost = _advance(light_of, times, (self._t_ns, t_ns), self._model, self._state, new_pending())
+        pending[0][:n] -= settled_ns
+        self._settled_ns = max(times[1] * delta_ns, settled_ns)
+        return pending, n, lost

@@ -1,1 +1,1 @@
-"""Temporal noise: its law, as a point process, and followed on a grid."""
+"""Temporal noise: hazards of first passages, the random points under them, and references at the start."""

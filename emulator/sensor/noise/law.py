@@ -6,8 +6,9 @@
 so noise events are rare in bright light, and in the dark, where f is low. A sensor without a low-pass (infinite f) has
 the fixed pole alone, and one without a fixed pole the receptor's: sigma = rms for both.
 
-Rates in still light follow from the chain of a pixel's references (see `start`): each stays for an exponential time.
-They are for plans and bounds; the events themselves follow from the hazard of each pixel at each instant.
+Rates in still light follow from a Markov chain of a pixel's references: it stays at one for an exponential time, and
+the next one is the noise at the end of the dead time. They are for plans, bounds and the start of a stream; the events
+themselves follow from the hazard of each pixel at each instant.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.noise.hazard import Distance, hazard, hazard_tables, noise_of, transition
-from emulator.sensor.numerics.compiled import cached_entry
+from emulator.sensor.noise.hazard import Distance, Hazard, Noise, hazard, hazard_tables, noise_of, transition
+from emulator.sensor.numerics.compiled import cached_entry, kernel
 from emulator.sensor.numerics.keyed import high, low, normal_from, stream, unit, word
 from emulator.sensor.presets import SensorParameters
 
@@ -30,6 +31,7 @@ _EVENTS = 4000  # of a chain
 _NODES = 7  # of the differences between the two thresholds of the pixels
 _LONG_S = 1e6
 _FASTEST_HZ = 1e12
+_NO_HZ = 1e-30
 
 
 class Rates(NamedTuple):
@@ -59,28 +61,55 @@ def rms(p: SensorParameters, f_hz: npt.ArrayLike) -> _Floats:
     return np.asarray(p.noise.rms * np.sqrt(passed))
 
 
+@kernel
+def still_hazard(on: float, off: float, noise: Noise, tables: _Float32s) -> Hazard:
+    """Return the hazard of a pixel in still light, which has forgotten its reset, at distances from its thresholds."""
+    h: Hazard = hazard(_LONG_S, Distance(on, off, 0.0, 0.0), 0.0, 0.0, noise, tables)
+    return h
+
+
+class Stay(NamedTuple):
+    """Stay at a reference: its length, s, the polarity of the event that ends it, and the next reference.
+
+    References are relative to the signal, ln units.
+    """
+
+    length_s: float
+    on: bool
+    level: float
+
+
+@kernel
+def stay_at(  # noqa: PLR0913, PLR0917
+    level: float, on: float, off: float, noise: Noise, dead_s: float, number: np.uint64, k: int, tables: _Float32s
+) -> Stay:  # fmt: skip
+    """Draw stay k of a chain of references in still light; `number` is the chain's stream of random numbers."""
+    h = still_hazard(on + level, off - level, noise, tables)
+    bits = word(number, 2 * k)
+    total = max(h.on + h.off, _NO_HZ)
+    is_on = unit(low(bits)) * total < h.on
+    level += on if is_on else -off
+    normal = noise.sigma * normal_from(word(number, 2 * k + 1))
+    if noise.ratio == 0.0:
+        decay = math.exp(-noise.rate * dead_s)
+        level = level * decay + normal * math.sqrt(1 - decay * decay)
+    elif dead_s > 0:
+        m = transition(dead_s, noise)
+        level = level * m.p11 + normal * math.sqrt(m.v)
+    return Stay(-math.log(unit(high(bits))) / total, is_on, level)
+
+
 @cached_entry
 def _chain(on: float, off: float, rate: float, pole: float, rms: float, dead_s: float, tables: _Float32s) -> Rates:  # noqa: PLR0913, PLR0917
     """Return the rates of a pixel with thresholds on and off and a receptor of `rate`, 1/s, from a chain of events."""
-    noise = noise_of(rate, pole, rms)
-    number, level, time_s, ons = stream(np.uint64(1), 0), 0.0, 0.0, 0
+    noise, number = noise_of(rate, pole, rms), stream(np.uint64(1), 0)
+    level = time_s = 0.0
+    ons = 0
     for k in range(_EVENTS):
-        h = hazard(_LONG_S, Distance(on + level, off - level, 0.0, 0.0), 0.0, 0.0, noise, tables)
-        bits = word(number, 2 * k)
-        total = h.on + h.off
-        if total < 1e-12:
-            return Rates(0.0, 0.0)
-        time_s += -math.log(unit(high(bits))) / total + dead_s
-        is_on = unit(low(bits)) * total < h.on
-        ons += is_on
-        level += on if is_on else -off
-        normal = noise.sigma * normal_from(word(number, 2 * k + 1))
-        if noise.ratio == 0.0:
-            decay = math.exp(-noise.rate * dead_s)
-            level = level * decay + normal * math.sqrt(1 - decay * decay)
-        elif dead_s > 0:
-            m = transition(dead_s, noise)
-            level = level * m.p11 + normal * math.sqrt(m.v)
+        stay = stay_at(level, on, off, noise, dead_s, number, k, tables)
+        level = stay.level
+        time_s += stay.length_s + dead_s
+        ons += stay.on
     return Rates(ons / time_s, (_EVENTS - ons) / time_s)
 
 

@@ -1,4 +1,4 @@
-"""Logarithm, decay and exponential in float32 for loops that become vectors; the lowest bit of a word; prefetching.
+"""Logarithm, decay and exponential in float32 for loops that become vectors; the lowest bit of a word.
 
 Calls to the mathematics library stop numba from vectorising a loop; these are plain arithmetic and become 8 or 16
 lanes wide. Two measured effects determine their form:
@@ -27,7 +27,7 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
-from numba import float32, int64, types, uint64
+from numba import float32, types, uint64
 from numba.extending import intrinsic
 
 from emulator.sensor.numerics.compiled import lane
@@ -95,26 +95,6 @@ def _power_of_two_of(typing_context: Any, k: Any) -> _Pair:
     return float32(float32), code
 
 
-_PREFETCH = "llvm.prefetch.p0"
-_INTO_SECOND_CACHE = 0, 2, 1  # to read; how near; data
-
-
-def _fetch_of(typing_context: Any, values: Any, index: Any) -> _Pair:
-    """Request the cache line of an entry of an array from memory, into the second cache."""
-
-    def code(context: Any, builder: ir.IRBuilder, signature: Any, args: Any) -> ir.Value:
-        data = context.make_array(signature.args[0])(context, builder, args[0]).data
-        i32, pointer = ir.IntType(32), ir.IntType(8).as_pointer()
-        function = ir.FunctionType(ir.VoidType(), [pointer, i32, i32, i32])
-        declared = builder.module.globals.get(_PREFETCH)
-        prefetch = ir.Function(builder.module, function, _PREFETCH) if declared is None else declared
-        address = builder.bitcast(builder.gep(data, [args[1]]), pointer)
-        builder.call(prefetch, [address, *(ir.Constant(i32, value) for value in _INTO_SECOND_CACHE)])
-        return context.get_dummy_value()
-
-    return types.none(values, int64), code
-
-
 def _lowest_bit_of(typing_context: Any, word: Any) -> _Pair:
     """Return the index of the lowest bit set in a 64-bit word that is not 0."""
 
@@ -124,9 +104,8 @@ def _lowest_bit_of(typing_context: Any, word: Any) -> _Pair:
     return uint64(uint64), code
 
 
-_exponent, _mantissa, _power_of_two, lowest_bit, fetch = (
-    cast(Callable[..., Any], intrinsic(code))
-    for code in (_exponent_of, _mantissa_of, _power_of_two_of, _lowest_bit_of, _fetch_of)
+_exponent, _mantissa, _power_of_two, lowest_bit = (
+    cast(Callable[..., Any], intrinsic(code)) for code in (_exponent_of, _mantissa_of, _power_of_two_of, _lowest_bit_of)
 )
 
 

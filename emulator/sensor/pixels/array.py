@@ -19,14 +19,14 @@ import numpy.typing as npt
 
 from emulator.light import LightFrame, PixelLight, Region
 from emulator.sensor.noise.hazard import hazard_tables
-from emulator.sensor.noise.start import settle
 from emulator.sensor.numerics.compiled import log_compilation
 from emulator.sensor.numerics.elementary import aligned_zeros
 from emulator.sensor.numerics.keyed import Purpose, root_of, streams
-from emulator.sensor.pixels.crossings import Crossings, EventBuffers, Keys
+from emulator.sensor.pixels.crossings import NO_CROSSINGS, Crossings, EventBuffers, Keys
 from emulator.sensor.pixels.curve import UNSEEN_SHARE
 from emulator.sensor.pixels.idle import Touched, touch, wake
 from emulator.sensor.pixels.method import Capabilities, PixelMethod, time_of
+from emulator.sensor.pixels.noisy import settle
 from emulator.sensor.pixels.refinement import SHORTEST_NS, Refinement
 from emulator.sensor.pixels.state import (
     BLOCK,
@@ -34,7 +34,6 @@ from emulator.sensor.pixels.state import (
     EPOCH_BITS,
     FIELDS,
     MEMORY,
-    NEAR_BLOCKS,
     PARTS,
     Field,
     FlatLight,
@@ -92,6 +91,8 @@ class PixelArray(PixelMethod):
         in a way that the frames do not show (see `interpolation`; known only where the time derivative is given).
     refined : int
         Undersampled pixel-steps that were refined instead; each needed the light of a pixel once.
+    of_noise : Crossings
+        Those of the last step for which the signal had gone less than half of the way to its threshold.
     """
 
     capabilities: ClassVar = Capabilities(
@@ -110,7 +111,8 @@ class PixelArray(PixelMethod):
         self._clear_counters()
         self._whole = Region(0, parameters.height, 0, parameters.width)
         self._pixels = parameters.width * parameters.height
-        self._pixel_bits = max(1, (self._pixels - 1).bit_length())
+        self._flag_bits = int(parameters.noise.rms > 0)  # behind a pixel's number: whether the event is the noise's
+        self._pixel_bits = max(1, (self._pixels - 1).bit_length()) + self._flag_bits
         self._refractory_ns = _refractory_ns(parameters)
         self._light_constants = light_constants(parameters)
         self._noise_root = root_of(seed, Purpose.NOISE_EVENTS)
@@ -133,13 +135,15 @@ class PixelArray(PixelMethod):
         put_field(fields, Field.ON, pixels.on)
         put_field(fields, Field.OFF, pixels.off)
         put_field(fields, Field.LEAK, pixels.leak_hz * take_field(fields, Field.ON, self._pixels))
-        fields[:, Field.UNTIL] = -np.inf
+        for field in (Field.ON_LIMIT, Field.OFF_LIMIT, Field.SPEED_LIMIT, Field.UNTIL):
+            fields[:, field] = np.inf  # of the pixels beyond the sensor's end
         memory = noise_memory(p, self.seed, blocks * BLOCK) if p.noise.rms else np.empty(0, np.float32)
         positions = np.zeros((1 + (p.reset.noise > 0)) * blocks * BLOCK, np.int64)
         return PixelState(fields, positions, 0, 0, False, memory)
 
     def _clear_counters(self) -> None:
         self.lost_in_pixel = self.quiet_nan = self.undersampled = self.candidates = 0
+        self.of_noise = NO_CROSSINGS
         self.refined = 0
 
     @property
@@ -182,7 +186,7 @@ class PixelArray(PixelMethod):
         self.parameters, self._light_constants = after, light_constants(after)
         self._refractory_ns = _refractory_ns(after)
         self._refinement = None
-        self.state.fields[:, Field.UNTIL] = -np.inf  # certificates are those of the parameters before
+        put_field(self.state.fields, Field.UNTIL, np.full(self._pixels, -np.inf))  # their certificates do not hold now
         self.wake()
 
     def _scale_threshold(self, field: Field, ratio: float) -> None:
@@ -197,11 +201,6 @@ class PixelArray(PixelMethod):
         change = leak * np.float32(ratio) - leak
         state.fields[:, Field.REFERENCE] += change * since_epoch_s
         leak += change
-
-    def live_thresholds(self) -> npt.NDArray[np.float64]:
-        """Return each pixel's ON and OFF threshold, (2, pixels), as they are now; infinite for dead pixels."""
-        on, off = (self.field(field).reshape(-1).astype(np.float64) for field in (Field.ON, Field.OFF))
-        return np.where(on < DEAD_THRESHOLD, np.stack([on, off]), np.inf)
 
     def thresholds_of(self, pixel: int) -> tuple[float, float]:
         """Return the ON and OFF threshold of one pixel as they are now; infinite for a dead one."""
@@ -239,7 +238,7 @@ class PixelArray(PixelMethod):
         self.wake()
 
     def compile_part(self, part: str) -> None:
-        """Compile "blocks" or "candidates", large parts of the step that `step` then finds on disk."""
+        """Compile "blocks", "candidates" or "noise", large parts of the step that `step` then finds on disk."""
         pixels = self._flat_state()
         share = Share(0, 1, self._workers.idle, self._touched(None))
         compile_parts(part, pixels, self._workers.buffers(), share, self._constants(0, 1_000_000))
@@ -297,7 +296,7 @@ class PixelArray(PixelMethod):
     def _settle(self, pixels: int) -> None:
         """Let noise act on the references before the start, by all cores, and certify the pixels."""
         state = self.state
-        state.fields[:, Field.UNTIL] = -np.inf
+        put_field(state.fields, Field.UNTIL, np.full(self._pixels, -np.inf))
         state.memory.reshape(-1, MEMORY)[:, :2] = 0
         state.refractory_until_ns[:pixels] = state.t_ns - _LONG_AGO_NS  # the noise has forgotten the last reset
         root, history_s = root_of(self.seed, Purpose.NOISE_BURST), self.parameters.noise.history_s
@@ -337,6 +336,10 @@ class PixelArray(PixelMethod):
         else:
             self._replacing = FlatLight(flat.copy(), slope.copy())
         events = self._buffers
+        if self._flag_bits:
+            flagged = np.flatnonzero(events.pixel[:n] & 1)
+            events.pixel[:n] >>= 1
+            self.of_noise = Crossings(events.t_ns[flagged], events.pixel[flagged], events.on[flagged])
         return Crossings(events.t_ns[:n], events.pixel[:n], events.on[:n], self.lost_in_pixel - lost_before)
 
     def _whole_epochs(self, flat: _Float32s, t_ns: int) -> int:
@@ -485,7 +488,6 @@ class PixelArray(PixelMethod):
             unseen_share=UNSEEN_SHARE,
             refine=False,
             large=p.photoreceptor == "large_signal",
-            exceeds_caches=self.state.fields.shape[0] > NEAR_BLOCKS,
             reset=ResetError(np.float32(p.reset.offset), np.float32(p.reset.noise)),
             on_delay=p.comparator.on_us * 1e-6,
             off_delay=p.comparator.off_us * 1e-6,

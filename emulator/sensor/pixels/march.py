@@ -40,7 +40,7 @@ from emulator.sensor.pixels.state import (
     slot,
     whole_vectors,
 )
-from emulator.sensor.pixels.substeps import SubstepTable, begin, begin_substep
+from emulator.sensor.pixels.substeps import SubstepTable, begin, begin_substep, go_on
 
 _Float32s = npt.NDArray[np.float32]
 
@@ -258,14 +258,7 @@ def _end_substep(pixels: Pixels, table: SubstepTable, n: int, c: StepConstants) 
         if rows[row.Z1 + j] >= _ONE:
             _store(pixels, table, j, c)
             continue
-        rows[row.V + j] = rows[row.V1 + j]
-        rows[row.W + j] = rows[row.W1 + j]
-        rows[row.P + j] = rows[row.P1 + j]
-        rows[row.Z + j] = rows[row.Z1 + j]
-        if remaining < j:
-            table.pixels[remaining] = table.pixels[j]
-            for k in range(row.STEP_ROWS):
-                rows[k * row.CAPACITY + remaining] = rows[k * row.CAPACITY + j]
+        go_on(table, j, remaining)
         remaining += 1
     return remaining
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.light import LightFrame
 from emulator.sensor.pixels.crossings import Crossings
-from emulator.sensor.pixels.state import DEAD_THRESHOLD, Levels
+from emulator.sensor.pixels.state import Levels
 from emulator.sensor.presets import SensorParameters
 
 _Float32s = npt.NDArray[np.float32]
@@ -36,7 +36,7 @@ class Capabilities:
     skips_unchanged : bool
         Resting pixels outside the changed region of a frame are skipped.
     is_adjustable : bool
-        Parameters can change between two steps: `adjust`, `live_thresholds`, `thresholds_of`.
+        Parameters can change between two steps: `adjust`, `thresholds_of`.
     takes_row_reads : bool
         Reads of active pixels can disturb the pixels: `levels`.
     has_faults : bool
@@ -138,10 +138,6 @@ class PixelMethod(ABC):
         """Set one of `adjustable` from the present time on; raises ValueError where the value is not allowed."""
         raise NotImplementedError
 
-    def live_thresholds(self) -> _Floats:
-        """Return each pixel's ON and OFF threshold, (2, pixels), as they are now; infinite for dead pixels."""
-        raise NotImplementedError
-
     def thresholds_of(self, pixel: int) -> tuple[float, float]:
         """Return the ON and OFF threshold of one pixel as they are now; infinite for a dead one."""
         raise NotImplementedError
@@ -179,45 +175,3 @@ def time_of(frame: LightFrame, last_ns: int) -> int:
 
 MakePixels = Callable[[SensorParameters, int], PixelMethod]
 """Factory of a sensor's pixels, from its parameters and a seed."""
-
-
-class _Model(Protocol):
-    """Constants of pixels, (pixels,) float64 each: thresholds, ln units; leak and parasitic leak, ln units a second."""
-
-    @property
-    def on(self) -> _Floats: ...
-    @property
-    def off(self) -> _Floats: ...
-    @property
-    def leak(self) -> _Floats: ...
-    @property
-    def parasitic(self) -> _Floats: ...
-
-
-class DrawnPixels(PixelMethod):
-    """A method in float64 whose faults are changes of its model's arrays.
-
-    Attributes
-    ----------
-    _model
-        Constants of the pixels.
-    _phase : (pixels,) float64
-        Share of the ON threshold by which the first reference lies below the first light.
-    """
-
-    _model: _Model
-    _phase: _Floats
-
-    def kill(self, pixel: _Int64s) -> None:
-        """Set thresholds that no light reaches, and no leak, for pixels, (n,)."""
-        m = self._model
-        m.on[pixel] = m.off[pixel] = DEAD_THRESHOLD
-        m.leak[pixel] = m.parasitic[pixel] = self._phase[pixel] = 0
-
-    def leak_hz(self) -> _Floats:
-        """Return the leak rate of all pixels, (pixels,), without the parasitic leak."""
-        return np.asarray(self._model.leak / self._model.on)
-
-    def set_leak(self, leak_hz: _Floats) -> None:
-        """Set the leak rate of all pixels, (pixels,)."""
-        self._model.leak[:] = leak_hz * self._model.on

@@ -1,4 +1,4 @@
-"""Candidates of a sensor with noise: the pieces of their curves, along which `passage` finds their events.
+"""Candidates of a sensor with noise: the pieces of their curves, along which `passage` finds their events; its start.
 
 The curves are those of pixels without noise: one cubic where the step is smooth (`candidates`), else one a substep
 (`substeps`). The junction's leak is left out of them, and added in float64 by time, so that still light gives the same
@@ -15,37 +15,33 @@ import numpy.typing as npt
 
 import emulator.sensor.pixels.candidates as row
 import emulator.sensor.pixels.substeps as sub
+from emulator.sensor.noise.hazard import noise_of
+from emulator.sensor.noise.law import stay_at, still_hazard
 from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import exponential, use_widest_vectors
+from emulator.sensor.numerics.keyed import stream
 from emulator.sensor.pixels.candidates import Table, enter, make_curves
 from emulator.sensor.pixels.crossings import Keys, reserve
 from emulator.sensor.pixels.curve import photocurrent
 from emulator.sensor.pixels.passage import MOST_PASSAGES, Piece, certify, pass_piece
-from emulator.sensor.pixels.state import BLOCK, Field, Pixels, StepConstants, slot, whole_vectors
-from emulator.sensor.pixels.substeps import STEP_ROWS, SubstepTable, begin, begin_substep
+from emulator.sensor.pixels.state import BLOCK, MEMORY, Field, Pixels, StepConstants, slot, whole_vectors
+from emulator.sensor.pixels.substeps import SubstepTable, begin, begin_substep, go_on
 
 _Float32s = npt.NDArray[np.float32]
 
-_U, _V, _REF, _LEAK, _W, _P = (
-    int(f) * BLOCK
-    for f in (Field.LOG_LIGHT, Field.FILTERED, Field.REFERENCE, Field.LEAK, Field.SECOND, Field.LEAKED)
-)
-_ZERO, _ONE, _TWO, _THREE = (np.float32(x) for x in (0, 1, 2, 3))
+_U, _V, _L, _, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _ = (int(f) * BLOCK for f in Field)
+_ZERO, _ONE, _TWO, _THREE, _NAN = (np.float32(x) for x in (0, 1, 2, 3, np.nan))
 
 
 @vector_kernel
 def _make_pieces(rows: _Float32s, n: int) -> None:
-    """Turn values and slopes of each candidate's curve into a cubic relative to its base."""
+    """Turn values and slopes of each candidate's curve into a cubic relative to its start, exact in float32."""
     use_widest_vectors()
     for j in range(n):
-        # Relative to the reference, or to the start of the step where there is none: small numbers are exact.
-        reference = rows[row.C_REF + j]
-        base = rows[row.C_D0 + j] if reference != reference else reference
-        d0 = rows[row.C_D0 + j] - base
-        rise = (rows[row.C_D1 + j] - base) - d0
+        rise = rows[row.C_D1 + j] - rows[row.C_D0 + j]
         m0, m1 = rows[row.C_C1 + j], rows[row.C_C2 + j]
-        rows[row.C_BASE + j] = base
-        rows[row.C_D0 + j] = d0
+        rows[row.C_BASE + j] = rows[row.C_D0 + j]
+        rows[row.C_D0 + j] = _ZERO
         rows[row.C_C2 + j] = _THREE * rise - _TWO * m0 - m1
         rows[row.C_C3 + j] = m0 + m1 - _TWO * rise
 
@@ -58,11 +54,10 @@ def _finish(pixels: Pixels, pixel: int, piece: Piece, leaked: float, lit: float,
     """
     at = slot(pixel)
     base = piece.base
-    if c.parasitic > _ZERO:
-        if fired > 0:
-            pixels.fields[at + _REF] -= np.float32(leaked)
-            pixels.fields[at + _P] = np.float32(-lit * c.since_epoch_1)
-            base -= leaked
+    if c.parasitic > _ZERO and fired > 0:
+        pixels.fields[at + _REF] -= np.float32(leaked)
+        pixels.fields[at + _P] = np.float32(-lit * c.since_epoch_1)
+        base -= leaked
     leak = np.float64(pixels.fields[at + _LEAK])
     value = base + piece.d0 + piece.c1 + piece.c2 + piece.c3 + leak * (c.since_s + c.h_ns * 1e-9)
     certify(pixels, pixel, value, piece.rate1, c)
@@ -130,14 +125,7 @@ def _end_substep(pixels: Pixels, table: SubstepTable, n: int, c: StepConstants) 
                 pixels.fields[at + _P] = np.float32(leaked - lit * c.since_epoch_1)
             _finish(pixels, pixel, _piece_of(rows, j, c), leaked, lit, int(rows[sub.COUNT + j]), c)
             continue
-        rows[sub.V + j] = rows[sub.V1 + j]
-        rows[sub.W + j] = rows[sub.W1 + j]
-        rows[sub.P + j] = rows[sub.P1 + j]
-        rows[sub.Z + j] = rows[sub.Z1 + j]
-        if remaining < j:
-            table.pixels[remaining] = table.pixels[j]
-            for k in range(STEP_ROWS):
-                rows[k * sub.CAPACITY + remaining] = rows[k * sub.CAPACITY + j]
+        go_on(table, j, remaining)
         remaining += 1
     return int(remaining)
 
@@ -150,6 +138,7 @@ def solve_noisy(
     rows, substeps = table.rows, table.substep_table
     for j in range(n):
         rows[row.C_LEAK + j] = _ZERO
+        rows[row.C_REF + j] = _NAN  # no curve is relative to a reference, which depends on the step
     make_curves(rows, n, c)
     _make_pieces(rows, whole_vectors(n))
     lost = undersampled = in_substeps = NONE
@@ -176,3 +165,40 @@ def solve_noisy(
             lost += lost_now
         n = _end_substep(pixels, substeps, n, c)
     return keys, n_keys, lost, undersampled
+
+
+_STAYS = 3.0  # longest mean stays of a reference that are run
+_MOST_STAYS = 64
+_LEAST_LEAK = 1e-9  # ln units a second
+_LEAST_HZ = 1e-6
+
+
+@cached_entry
+def settle(first: int, last: int, history_s: float, root: np.uint64, pixels: Pixels, c: StepConstants) -> None:
+    """Let noise act on the references of pixels first to last - 1 before the start of a stream, and certify them.
+
+    A sensor that has run for a while has references at which events are rare: those near a threshold have been left.
+    The chain of references (`law`) runs for `history_s`, but no longer than some mean stays at the rarest reference, in
+    which it settles, and than leak takes for half a threshold. The step of `c` ends at the start; nothing moves in it.
+    """
+    fields = pixels.fields
+    for pixel in range(first, last):
+        at = slot(pixel)
+        if not abs(fields[at + _V]) < np.inf:
+            continue
+        on, off = np.float64(fields[at + _ON]), np.float64(fields[at + _OFF])
+        leak, rate = np.float64(fields[at + _LEAK]), np.float64(fields[at + _L])
+        value = np.float64(fields[at + _V]) + leak * c.since_epoch_1
+        noise = noise_of(rate, c.noise_pole, c.noise_rms * pixels.memory[pixel * MEMORY + 2])
+        rarest = still_hazard((on + off) / 2, (on + off) / 2, noise, pixels.tables)
+        left_s = min(history_s, 0.5 * on / max(leak, _LEAST_LEAK), _STAYS / max(rarest.on + rarest.off, _LEAST_HZ))
+        level = np.float64(fields[at + _REF]) - value + leak * left_s
+        number = stream(root, np.int64(pixels.memory[pixel * MEMORY + 3]))
+        for k in range(_MOST_STAYS):
+            stay = stay_at(level, on, off, noise, c.refractory_ns * 1e-9, number, k, pixels.tables)
+            if stay.length_s >= left_s:
+                break
+            left_s -= stay.length_s + c.refractory_ns * 1e-9
+            level = stay.level
+        fields[at + _REF] = np.float32(value + level - leak * max(left_s, 0.0))
+        certify(pixels, pixel, value, rate, c)

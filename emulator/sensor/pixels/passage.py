@@ -1,19 +1,19 @@
 """Events of one pixel with noise along a piece of its curve: first passages of signal plus noise.
 
 A piece is an interval in which the noise-free value of the comparator is a cubic in time. `pass_piece` goes along it in
-windows. It knows the hazard of an event at both ends of a window (`hazard`), from which follows a bound in between, and
-tries the points of the pixel's random field below that bound (`field`) in the order of time: the first one below the
-hazard is an event. The windows do not change the events, because the points do not depend on them.
+windows. The hazard at both ends of a window (`hazard`) gives a bound in between; the points of the pixel's random field
+below that bound (`keyed`) are tried in the order of time, and the first one below the hazard is an event. The windows
+do not change the events, because the points do not depend on them.
 
-    window     the distance to a threshold shrinks by some part of a deviation, or the time since the reset triples;
+    window     the distance to a threshold shrinks by some part of a deviation, or the time since the reset doubles;
                windows end where the curve turns, so that each is monotone
     event      the noise's slope at the passage is drawn; value and slope are carried over the dead time exactly, with
                two normal numbers; the reference is signal plus noise at its end
     no event   at the end of the step the pixel gets a certificate
 
-A certificate says that no event comes before a time while the value stays between two limits and moves no faster than a
-speed: its hazard is below a bound there, and the field has no point below that bound. The quiet pass tests it in place
-of the thresholds, so a pixel that noise does not fire costs as little as one without noise.
+A certificate states that no event comes before a time while the value stays between two limits and moves no faster
+than a speed: its hazard is below a bound there, and the field has no point below that bound. The quiet pass tests it in
+place of the thresholds, so a pixel that noise does not fire costs as little as one without noise.
 
 Times within a step are nanoseconds since its start. All numbers of an event are keyed by pixel and time.
 """
@@ -26,7 +26,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from emulator.sensor.noise.field import NEVER_NS, next_point
 from emulator.sensor.noise.hazard import (
     BEYOND,
     Distance,
@@ -37,8 +36,17 @@ from emulator.sensor.noise.hazard import (
     noise_of,
     transition,
 )
-from emulator.sensor.numerics.compiled import kernel
-from emulator.sensor.numerics.keyed import high, mix_word, normal_from, unit
+from emulator.sensor.numerics.compiled import kernel, lane
+from emulator.sensor.numerics.keyed import (
+    CERTAIN_HZ,
+    NEVER_NS,
+    TOP_HZ,
+    high,
+    mix_word,
+    next_point,
+    normal_from,
+    unit,
+)
 from emulator.sensor.pixels.crossings import Keys, pack
 from emulator.sensor.pixels.event_time import delay_s
 from emulator.sensor.pixels.state import (
@@ -62,20 +70,22 @@ _NAN, _ENDLESS = np.float32(np.nan), np.float32(np.inf)
 _N, _V, _SCALE = range(3)
 
 MOST_PASSAGES = 1024
-"""Most events of a pixel in a step; what comes then in its piece is lost in the pixel."""
+"""Most events of a pixel in a step. The rest of its piece is lost in the pixel, and counted at the rate until then."""
 
 _MORE = 2.0  # bound of the hazard in a window, over that at its ends
 _EXPONENT = 1.5  # by which the hazard's exponent grows in a window near a threshold
 _MOST_POINTS = 4.0  # expected in a window, at the hazard of its start
 _TOO_MANY = 8e9  # points in 1e-9: a window is divided
-_DOUBLES = 1.0  # a window's length over the time since the reset
-_UNREACHED = 7.0  # deviations of the nearer threshold: no passage before the noise has grown to that
+_GROWS = 1.0  # a window's length over the time since the reset ...
+_BURST = 10.0  # ... up to so many time constants of the slower pole
+_UNREACHED = 5.0  # deviations of the nearer threshold: no passage before the noise has grown to that
 _FORGOTTEN = 10.0  # time constants of the slower pole after which the reset is forgotten
 _OVERSHOOT = 0.5  # of the mean of the noise by its slope at the reset, at most, over slope / rate
-_LEAST_CALM, _CALM_POINTS = 2.5, 0.3  # deviations; points expected until the reset is forgotten
+_LEAST_CALM, _CALM_POINTS, _WORTH_IT = 1.0, 1.0, 2.0  # deviations; points expected; times of the noise
 _RARE = 0.15  # hazard below which a ramp is passed in one window, over the speed of the exponent
 _NO_POINT = 1e-3  # expected points in 1e-9
 _SHORTEST_NS = 1e-3
+_MOST_LOST = 1e9
 _STEEPEST = 1e6  # slope of the noise of one pole, which has none, ln units a second
 
 # Of a certificate.
@@ -127,7 +137,7 @@ class _Signal(NamedTuple):
     noise: Noise
 
 
-@kernel
+@lane
 def _signal(t_ns: float, p: Piece, leak: float, scale: float, c: StepConstants) -> _Signal:
     """Return the signal at a time of a piece."""
     x = (t_ns - p.begin_ns) / p.span_ns
@@ -156,7 +166,8 @@ def _first_window_s(now: _Signal, a: _State) -> float:
         until = (1.5 * grown * grown / (k * (noise.a1 + noise.a2))) ** (1 / 3)
         until = min(until, math.sqrt(0.4 * least / (abs(a.n_r) * k + 1e-30)))
         pulled = abs(a.v_r)
-    return min(until, 0.2 * least / (pulled + abs(now.speed) + 1e-30))
+    until_s: float = min(until, 0.2 * least / (pulled + abs(now.speed) + 1e-30))
+    return until_s
 
 
 @kernel
@@ -166,14 +177,14 @@ def _window_s(c_near: float, speed: float, rate: float) -> float:
     The exponent of the hazard may grow by some units. Where the hazard stays rare even much nearer, the window goes on
     to there: the field has few points below such a bound, so that the far part of a ramp is one window.
     """
-    far = abs(c_near)
     step = max(_EXPONENT, 0.25 * c_near * c_near - 2.0) if c_near > 0 else _EXPONENT
-    nearer = step / (far + 1)
+    nearer = step / (abs(c_near) + 1)
     if c_near > 3:
         rare = _RARE * c_near * speed / rate
         if rare < 0.1:
             nearer = max(nearer, c_near - math.sqrt(2 * math.log(0.4 / rare)))
-    return nearer / speed
+    length_s: float = nearer / speed
+    return length_s
 
 
 @kernel
@@ -182,45 +193,51 @@ def _hazard_at(t_ns: float, p: Piece, a: _State, tables: _Float32s, c: StepConst
     now = _signal(t_ns, p, a.leak, a.scale, c)
     distance = Distance(a.reference + a.on - now.value, now.value - a.reference + a.off, now.speed, now.narrowing)
     since_s = max(t_ns - a.reset, _SHORTEST_NS) * 1e-9
-    return now, hazard(since_s, distance, a.n_r, a.v_r, now.noise, tables)
+    h = hazard(since_s, distance, a.n_r, a.v_r, now.noise, tables)
+    if min(h.c_on, h.c_off) < BEYOND:
+        # The signal has passed the threshold faster than the field can show: any next point is the event.
+        is_on = h.c_on < h.c_off
+        on_hz, off_hz = (CERTAIN_HZ, 0.0) if is_on else (0.0, CERTAIN_HZ)
+        h = Hazard(on_hz, off_hz, h.c_on, h.c_off, h.nu_on, h.nu_off, h.mean_slope, h.deviation, h.pull, h.slope)
+    return now, h
 
 
 @kernel
 def _calm_end(t: float, end: float, now: _Signal, a: _State) -> tuple[float, float]:
-    """Return until when a reset cannot fire a pixel soon, and a bound of its hazard until then; t where it can.
+    """Return until when a reset is not likely to fire a pixel, and a bound of its hazard until then; t where it is.
 
     The mean of the noise stays within its value at the reset and what its slope adds. The thresholds are nearest, in
     deviations, when the noise has forgotten the reset: there the hazard is below twice Rice's rate at a speed of 1.
     """
     noise = now.noise
-    until = min(t + _FORGOTTEN / min(noise.a1, noise.a2) * 1e9, end)
-    moved = abs(now.speed) * (until - t) * 1e-9 * 2
-    beyond = abs(a.n_r) + _OVERSHOOT * abs(a.v_r) / noise.rate + moved
+    forgotten_s = min(_FORGOTTEN / min(noise.a1, noise.a2), (end - t) * 1e-9)
+    beyond = abs(a.n_r) + _OVERSHOOT * abs(a.v_r) / noise.rate + 2 * abs(now.speed) * forgotten_s
     c = (min(a.on, a.off) - beyond) / noise.sigma
     if c < _LEAST_CALM:
         return t, 0.0
-    bound_hz = noise.rate * (c + 1) * math.exp(-0.5 * c * c)
-    if bound_hz * (until - t) * 1e-9 > _CALM_POINTS:
-        return t, 0.0
-    return until, bound_hz
+    bound_hz = noise.rate * math.exp(-0.5 * c * c) * (0.5 + 0.25 * c if noise.ratio > 0 else 1 + c)
+    calm_s = min(forgotten_s, _CALM_POINTS / bound_hz)
+    return t + calm_s * 1e9 if calm_s * noise.rate > _WORTH_IT else t, bound_hz
 
 
 @kernel
 def _window_end(t: float, end: float, now: _Signal, h: Hazard, a: _State) -> float:
     """Return the end of the window that begins at t, a time of the piece, with hazard h."""
     since_s, noise = (t - a.reset) * 1e-9, now.noise
+    window_s: float = (end - t) * 1e-9
     if since_s <= 0:
-        return min(t + _first_window_s(now, a) * 1e9, end)
-    window_s = (end - t) * 1e-9
+        window_s = min(_first_window_s(now, a), window_s)
+        return t + window_s * 1e9
     # Shortly after a reset windows grow with the time since then; later the signal decides.
-    if since_s * min(noise.a1, noise.a2) < _FORGOTTEN:
-        window_s = min(window_s, _DOUBLES * since_s)
+    if since_s * min(noise.a1, noise.a2) < _BURST:
+        window_s = min(window_s, _GROWS * since_s)
     speed = abs(now.speed) / noise.sigma
     window_s = min(window_s, _window_s(min(h.c_on, h.c_off), speed, noise.rate))
-    total = h.on + h.off
+    total = min(h.on + h.off, TOP_HZ)
     if total * window_s > _MOST_POINTS:
         window_s = _MOST_POINTS / total
-    return min(t + max(window_s * 1e9, 1.0), end)
+    to: float = min(t + max(window_s * 1e9, 1.0), end)
+    return to
 
 
 class _Event(NamedTuple):
@@ -234,14 +251,16 @@ class _Event(NamedTuple):
 
 
 @kernel
-def _event_at(t_ns: int, on: bool, now: _Signal, h: Hazard, a: _State, tables: _Float32s) -> _Event:  # noqa: PLR0913, PLR0917
+def _event_at(t_ns: int, on: bool, now: _Signal, h: Hazard, a: _State, tables: _Float32s) -> _Event:
     """Return an event with the slope of its noise: its mean by the value, and what the passage adds to it."""
     if now.noise.ratio == 0.0:
         return _Event(t_ns, on, now, h, _STEEPEST if on else -_STEEPEST)
-    nu, far = (h.nu_on, h.c_on) if on else (h.nu_off, h.c_off)
+    nu, c_event = (h.nu_on, h.c_on) if on else (h.nu_off, h.c_off)
+    if c_event < BEYOND:
+        return _Event(t_ns, on, now, h, h.mean_slope)
     share = unit(high(mix_word(a.stream ^ (np.uint64(t_ns) * _SLOPE))))
-    beyond = exit_speed(nu, far, share, now.noise.ratio, tables) - nu
-    outward = now.noise.sigma * h.deviation * (beyond * h.slope + far * h.pull)
+    beyond = exit_speed(nu, c_event, share, now.noise.ratio, tables) - nu
+    outward = now.noise.sigma * h.deviation * (beyond * h.slope + c_event * h.pull)
     return _Event(t_ns, on, now, h, h.mean_slope + (outward if on else -outward))
 
 
@@ -258,7 +277,8 @@ def _first_event(  # noqa: PLR0913, PLR0917
             return none
         now, h = _hazard_at(np.float64(point.t_ns - c.t0_ns), p, a, tables, c)
         if point.hz < h.on + h.off:
-            return _event_at(point.t_ns, point.hz < h.on, now, h, a, tables)
+            event: _Event = _event_at(point.t_ns, point.hz < h.on, now, h, a, tables)
+            return event
         from_ns = point.t_ns
 
 
@@ -268,6 +288,10 @@ def _after_event(e: _Event, dead_s: float, a: _State) -> tuple[float, float]:
     noise = e.signal.noise
     first = mix_word(a.stream ^ (np.uint64(e.t_ns) * _VALUE))
     value = a.reference + (a.on if e.on else -a.off) - e.signal.value
+    c_event = e.hazard.c_on if e.on else e.hazard.c_off
+    if c_event < BEYOND:  # the signal has jumped: the noise is not that of a passage, but any
+        inward = noise.sigma * e.hazard.deviation * (normal_from(mix_word(first ^ _SLOPE)) - c_event)
+        value += inward if e.on else -inward
     if noise.ratio == 0.0:
         decay = math.exp(-noise.rate * dead_s)
         return value * decay + noise.sigma * math.sqrt(1 - decay * decay) * normal_from(first), 0.0
@@ -293,7 +317,8 @@ def _re_armed(pixels: Pixels, pixel: int, now: _Signal, a: _State, c: StepConsta
 @kernel
 def _state_of(pixels: Pixels, pixel: int, c: StepConstants) -> _State:
     """Return a pixel's state."""
-    at, memory, fields = slot(pixel), pixel * MEMORY, pixels.fields
+    at, memory = slot(pixel), pixel * MEMORY
+    fields = pixels.fields
     return _State(
         np.float64(fields[at + _ON]),
         np.float64(fields[at + _OFF]),
@@ -327,7 +352,7 @@ def _turns(p: Piece, leak: float) -> tuple[float, float]:
 
 
 @kernel
-def pass_piece(  # noqa: PLR0913, PLR0917
+def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
     pixels: Pixels, pixel: int, p: Piece, keys: Keys, n_keys: int, fired: int, c: StepConstants
 ) -> tuple[int, int, int]:
     """Find the events of a pixel along a piece, and move its reference and noise.
@@ -346,7 +371,6 @@ def pass_piece(  # noqa: PLR0913, PLR0917
     now, h = _hazard_at(t, p, a, tables, c)
     none = _Event(NEVER_NS, False, now, h, 0.0)
     before = 0.0 if t <= a.reset else h.on + h.off
-    at_once = t > a.reset and min(h.c_on, h.c_off) < BEYOND  # the light has jumped
     while t < end:
         to, calm_hz = t, 0.0
         if t <= a.reset:
@@ -356,30 +380,33 @@ def pass_piece(  # noqa: PLR0913, PLR0917
         to = turn if t < turn < to else to
         to = turn2 if t < turn2 < to else to
         after, at_end = _hazard_at(to, p, a, tables, c)
-        bound_hz = max(_MORE * max(before, at_end.on + at_end.off), calm_hz)
-        while bound_hz * (to - t) > _TOO_MANY and to - t > 1:  # it came nearer than its speed at t allowed for
+        bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), CERTAIN_HZ)
+        while (
+            min(bound_hz, TOP_HZ) * (to - t) > _TOO_MANY and to - t > 1
+        ):  # it came nearer than its speed at t allowed for
             to = t + (to - t) * 0.25
             after, at_end = _hazard_at(to, p, a, tables, c)
-            bound_hz = max(_MORE * max(before, at_end.on + at_end.off), calm_hz)
+            bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), CERTAIN_HZ)
         event = none
-        if at_once:
-            event = _event_at(c.t0_ns + math.ceil(t), h.c_on < h.c_off, now, h, a, tables)
-        elif bound_hz * (to - t) > _NO_POINT:
+        if bound_hz * (to - t) > _NO_POINT:
             event = _first_event(t, to, bound_hz, p, a, tables, none, c)
-        at_once = False
         if event.t_ns == NEVER_NS:
-            t, now, h, before = to, after, at_end, at_end.on + at_end.off
+            t, now = to, after
+            h, before = at_end, at_end.on + at_end.off
             continue
         # The event, and the dead time behind it.
         late_s = delay_s(abs(event.slope + event.signal.speed), event.on, c)
         t_ns = event.t_ns + int(late_s * 1e9)
+        # The event is the noise's where the signal has gone less than half of the way since the reference was set.
+        gone = event.signal.value - (a.reference - a.n_r)
+        of_noise = (gone / a.on if event.on else -gone / a.off) < 0.5
+        keys[n_keys] = pack(t_ns - c.t0_ns, 2 * pixel + of_noise, event.on, c.pixel_bits)
         pixels.memory[pixel * MEMORY + _N], pixels.memory[pixel * MEMORY + _V] = _after_event(
             event, late_s + c.refractory_ns * 1e-9, a
         )
         pixels.fields[slot(pixel) + _REF] = _NAN
         pixels.fields[slot(pixel) + _UNTIL] = -_ENDLESS
         pixels.refractory_until_ns[pixel] = t_ns + c.refractory_ns
-        keys[n_keys] = pack(t_ns - c.t0_ns, pixel, event.on, c.pixel_bits)
         n_keys += 1
         fired += 1
         a = _state_of(pixels, pixel, c)
@@ -390,15 +417,9 @@ def pass_piece(  # noqa: PLR0913, PLR0917
         a = _re_armed(pixels, pixel, now, a, c)
         before = 0.0
         if fired >= MOST_PASSAGES:
-            return n_keys, fired, _lose(pixels, pixel, now, _signal(end, p, a.leak, a.scale, c), a)
+            pixels.fields[slot(pixel) + _REF] = np.float32(_signal(end, p, a.leak, a.scale, c).value)
+            return n_keys, fired, 1 + int(min(fired * (end - t) / max(t, 1.0), _MOST_LOST))
     return n_keys, fired, 0
-
-
-@kernel
-def _lose(pixels: Pixels, pixel: int, now: _Signal, last: _Signal, a: _State) -> int:
-    """Move the reference of a pixel that fires too often to the end of its piece; return the events lost by that."""
-    pixels.fields[slot(pixel) + _REF] = np.float32(last.value)
-    return 1 + int(min(abs(last.value - now.value) / min(a.on, a.off), 1e9))
 
 
 @kernel
@@ -415,10 +436,10 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, c: StepConsta
     if a.reference != a.reference or since_s * min(noise.a1, noise.a2) < _FORGOTTEN:
         return
     on, off = a.reference + a.on - value, value - a.reference + a.off
-    # Light that falls as far as the limits may raise the rms by this share.
+    # Light that falls as c_least as the limits may raise the rms by this share.
     if noise.a1 != noise.a2:
         louder = noise.sigma * (1 + 0.5 * noise.a1 / (noise.a1 + noise.a2) * max(off, 0.0))
-        noise = Noise(louder, noise.a1, noise.a2, noise.rate, noise.ratio, noise.shift)
+        noise = Noise(louder, noise.a1, noise.a2, noise.rate, noise.ratio, noise.apart)
     speed = _SPEED_SHARE * noise.sigma * noise.rate
     c_on, c_off = on / noise.sigma, off / noise.sigma
     if min(c_on, c_off) < _LEAST_FAR:
@@ -429,13 +450,13 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, c: StepConsta
     bound_hz = max(_CERTIFIED * total, _REVISITS / c.h)
     # Limits at which the hazard meets the bound: from its value here, or from the law's largest one anywhere.
     anywhere = (0.5 if noise.ratio > 0 else 5.0) * noise.rate / bound_hz
-    far = math.sqrt(2 * math.log(anywhere)) if anywhere > 1 else _LEAST_FAR
+    c_least = math.sqrt(2 * math.log(anywhere)) if anywhere > 1 else _LEAST_FAR
     growth = 2 * math.log(bound_hz / (_GROWTH * total)) if total > 0 else 0.0
-    limit_on, limit_off = far, far
+    limit_on = limit_off = c_least
     if growth > 0:
-        limit_on = min(far, math.sqrt(max(c_on * c_on - growth, _LEAST_FAR * _LEAST_FAR)))
-        limit_off = min(far, math.sqrt(max(c_off * c_off - growth, _LEAST_FAR * _LEAST_FAR)))
-    limit_on, limit_off = max(limit_on, _LEAST_FAR) + noise.shift, max(limit_off, _LEAST_FAR) + noise.shift
+        limit_on = min(c_least, math.sqrt(max(c_on * c_on - growth, _LEAST_FAR * _LEAST_FAR)))
+        limit_off = min(c_least, math.sqrt(max(c_off * c_off - growth, _LEAST_FAR * _LEAST_FAR)))
+    limit_on, limit_off = max(limit_on, _LEAST_FAR), max(limit_off, _LEAST_FAR)
     if limit_on >= c_on or limit_off >= c_off:
         return
     end_ns = c.t0_ns + c.h_ns

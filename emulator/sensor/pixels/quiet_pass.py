@@ -30,23 +30,17 @@ These measures make it fast, as measured:
   (`elementary`), and `compiled` lists the compiler options that matter.
 - Slopes are stored by warped time, which saves the divisions by the rate.
 - The second pole and parasitic leak, which few sensors have, are loops of their own, entered once a block or never.
-- A state that no cache holds comes from memory: 56 bytes a pixel and step, for which the arithmetic would wait as long
-  as it takes itself. The loops of the usual case then work part by part, and request with each part a share of the next
-  block (`fetch`): 1.5 instead of 2.5 ns a pixel at 1280 x 720. All requests at once, before a block, gain nothing, and
-  in the caches the parts cost 20 %; so there are two loops around each body.
 - The list of candidates is made without a branch, `flagged[k] = i; k += flag`, and only where a word of flags has any.
 - Candidates are collected while their block is in the first cache, and solved in batches (`candidates`).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
 from emulator.sensor.numerics.compiled import Real, kernel, lane, vector_kernel
-from emulator.sensor.numerics.elementary import decay, fetch, lowest_bit, natural_log, use_widest_vectors
+from emulator.sensor.numerics.elementary import decay, lowest_bit, natural_log, use_widest_vectors
 from emulator.sensor.pixels.curve import (
     Course,
     Filtered,
@@ -63,7 +57,7 @@ from emulator.sensor.pixels.receptor import (
     rise_behind_second_pole_of_receptor,
     rise_of_receptor,
 )
-from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, PART, Field, StepConstants
+from emulator.sensor.pixels.state import BEFORE_ROWS, BLOCK, Field, StepConstants
 
 _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
@@ -84,17 +78,6 @@ _WIDER = np.float32(1.08)  # covers the error of S for the largest smooth change
 _MORE = np.float32(1.5)  # the same for the integral of light
 _FASTER = np.float32(1.65)  # slopes behind a filter whose rate changes, over those of its light
 _BULGE = np.float32(1.2)  # ... and for light that is higher inside the step than at its ends: e^x < 1 + 1.2 x
-
-
-class Ahead(NamedTuple):
-    """The state of the block that is moved next, its light and rate; any block where nothing is requested."""
-
-    state: _Float32s
-    light: _Float32s
-    rate: _Float32s
-
-
-_LINE = 16  # values of a cache line
 
 
 @lane
@@ -120,20 +103,6 @@ def _take_light(light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float3
     use_widest_vectors()
     for i in range(BLOCK):
         _light_at(i, light, rate, s, before, c)
-
-
-@vector_kernel
-def _take_far_light(
-    light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, c: StepConstants, ahead: Ahead
-) -> None:
-    use_widest_vectors()
-    for part in range(0, BLOCK, PART):
-        for k in range(part, part + PART, _LINE):
-            fetch(ahead.state, _U + k)
-            fetch(ahead.state, _V + k)
-            fetch(ahead.state, _L + k)
-        for i in range(part, part + PART):
-            _light_at(i, light, rate, s, before, c)
 
 
 @vector_kernel
@@ -171,18 +140,6 @@ def _warp(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
     use_widest_vectors()
     for i in range(BLOCK):
         _warp_at(i, s, before, c)
-
-
-@vector_kernel
-def _warp_far(s: _Float32s, before: _Float32s, c: StepConstants, ahead: Ahead) -> None:
-    use_widest_vectors()
-    for part in range(0, BLOCK, PART):
-        for k in range(part, part + PART, _LINE):
-            fetch(ahead.state, _G + k)
-            fetch(ahead.state, _REF + k)
-            fetch(ahead.state, _ON + k)
-        for i in range(part, part + PART):
-            _warp_at(i, s, before, c)
 
 
 @lane
@@ -250,56 +207,6 @@ def _filter_and_test(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepC
     use_widest_vectors()
     for i in range(BLOCK):
         _filter_and_test_at(i, s, before, may_fire, c)
-
-
-@vector_kernel
-def _filter_and_test_far(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants, ahead: Ahead) -> None:
-    use_widest_vectors()
-    for part in range(0, BLOCK, PART):
-        for k in range(part, part + PART, _LINE):
-            fetch(ahead.state, _OFF + k)
-            fetch(ahead.state, _LEAK + k)
-            fetch(ahead.light, k)
-            fetch(ahead.rate, k)
-        for i in range(part, part + PART):
-            _filter_and_test_at(i, s, before, may_fire, c)
-
-
-@lane
-def _receive_and_test_at(i: int, s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -> None:
-    """Move a pixel with the large-signal law, and write its flag as `_filter_and_test_at` does.
-
-    A pixel far behind its light loses accuracy in one piece, and is solved in substeps.
-    """
-    v0, q = s[_V + i], before[_Q + i]
-    course = _course_at(i, s, before)
-    behind = before[_U0 + i] - v0
-    excess = excess_of(behind)
-    before[_V0 + i] = v0
-    s[_V + i] = v0 + rise_of_receptor(q, excess, course)
-    rise, fall = bounds_of_receptor(q, behind, excess, course.d, before[_A0 + i], before[_A1 + i])
-    quiet = _is_quiet(i, s, before, v0 - s[_REF + i], rise, fall, c)
-    may_fire[i] = 0 if quiet & (behind < MOST_BEHIND) else 1
-
-
-@vector_kernel
-def _receive_and_test(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -> None:
-    use_widest_vectors()
-    for i in range(BLOCK):
-        _receive_and_test_at(i, s, before, may_fire, c)
-
-
-@vector_kernel
-def _receive_and_test_far(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants, ahead: Ahead) -> None:
-    use_widest_vectors()
-    for part in range(0, BLOCK, PART):
-        for k in range(part, part + PART, _LINE):
-            fetch(ahead.state, _OFF + k)
-            fetch(ahead.state, _LEAK + k)
-            fetch(ahead.light, k)
-            fetch(ahead.rate, k)
-        for i in range(part, part + PART):
-            _receive_and_test_at(i, s, before, may_fire, c)
 
 
 @vector_kernel
@@ -417,7 +324,9 @@ def _test_certificates(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: Ste
         a0, a1 = before[_A0 + i], before[_A1 + i]
         d = s[_U + i] - before[_U0 + i]
         behind = abs(before[_U0 + i] - before[_V0 + i])
-        steepest = max(max(abs(a0), abs(a1)), max(abs(_THREE * d - a0 - a1), c.h * before[_L0 + i] * behind * (_ONE + behind)))
+        steepest = max(
+            max(abs(a0), abs(a1)), max(abs(_THREE * d - a0 - a1), c.h * before[_L0 + i] * behind * (_ONE + behind))
+        )
         if_second = c.second * abs(before[_V0 + i] - before[_W0 + i]) if c.second > _ZERO else _ZERO
         slow = _FASTER * max(steepest, if_second) <= s[_SPEED + i] * c.h
         smooth = is_smooth(d, a0, a1, min(s[_ON + i], s[_OFF + i]), c.unseen_share)
@@ -444,25 +353,6 @@ def list_flags(eights: npt.NDArray[np.uint64], flagged: _Int64s) -> int:
 
 
 @kernel
-def move_quietly_from_memory(
-    light: _Float32s,
-    rate: _Float32s,
-    s: _Float32s,
-    before: _Float32s,
-    may_fire: _Bytes,
-    c: StepConstants,
-    ahead: Ahead,
-) -> None:
-    """Move a block as `move_quietly` does in the usual case, and request the next one from memory."""
-    _take_far_light(light, rate, s, before, c, ahead)
-    _warp_far(s, before, c, ahead)
-    if c.large:
-        _receive_and_test_far(s, before, may_fire, c, ahead)
-    else:
-        _filter_and_test_far(s, before, may_fire, c, ahead)
-
-
-@kernel
 def move_quietly(
     light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants
 ) -> None:
@@ -472,11 +362,8 @@ def move_quietly(
     else:
         _take_light(light, rate, s, before, c)
     _warp(s, before, c)
-    if (c.second == _ZERO) & (c.parasitic == _ZERO) & (not c.noisy):
-        if c.large:
-            _receive_and_test(s, before, may_fire, c)
-        else:
-            _filter_and_test(s, before, may_fire, c)
+    if (c.second == _ZERO) & (c.parasitic == _ZERO) & (not (c.noisy | c.large)):
+        _filter_and_test(s, before, may_fire, c)
         return
     if c.large:
         _receive(s, before)

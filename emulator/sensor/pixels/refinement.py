@@ -71,13 +71,18 @@ def _scatter(subset: Pixels, above: Pixels, listed: _Int64s) -> None:
 
 
 @cached_entry
-def _renumbered(keys: Keys, origin: _Int64s, later_ns: int, pixel_bits: int) -> Keys:
-    """Return packed events with the pixel numbers `origin`, and times counted from `later_ns` earlier."""
+def _renumbered(keys: Keys, origin: _Int64s, later_ns: int, pixel_bits: int, flag_bits: int) -> Keys:
+    """Return packed events with the pixel numbers `origin`, and times counted from `later_ns` earlier.
+
+    Behind a pixel's number are `flag_bits` more, which stay.
+    """
     out = np.empty(keys.size, np.uint64)
     shift = np.uint64(pixel_bits + 1)
     mask = np.uint64((1 << pixel_bits) - 1)
     for k in range(keys.size):
-        pixel = np.uint64(origin[(keys[k] >> _ONE) & mask])
+        number = (keys[k] >> _ONE) & mask
+        flags = number & np.uint64((1 << flag_bits) - 1)
+        pixel = (np.uint64(origin[number >> np.uint64(flag_bits)]) << np.uint64(flag_bits)) | flags
         dt = (keys[k] >> shift) + np.uint64(later_ns)
         out[k] = (dt << shift) | (pixel << _ONE) | (keys[k] & _ONE)
     return out
@@ -160,7 +165,9 @@ class Refinement:
         buffers = self._buffers[level + 1]
         self._keys, n_keys, tally = advance(half.end, pixels, buffers, self._keys, self._share, c)
         later_ns = half.t0_ns - self._step.t0_ns
-        self._lists.append(_renumbered(self._keys[:n_keys], half.origin, later_ns, self._step.pixel_bits))
+        self._lists.append(
+            _renumbered(self._keys[:n_keys], half.origin, later_ns, self._step.pixel_bits, int(self._step.noisy))
+        )
         self._tallies.append(tally)
         if tally.refined:
             self._refine(pixels, tally.refined, half, level + 1)

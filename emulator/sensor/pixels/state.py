@@ -45,9 +45,6 @@ PART = 64
 PARTS = BLOCK // PART
 """Parts of a block."""
 
-NEAR_BLOCKS = 1000
-"""Blocks whose state, 20 kB each, stays in a last cache of 32 MB beside what else a run needs."""
-
 EPOCH_BITS = 33
 """Leak is counted from the last multiple of 2^33 ns, 8.6 s."""
 
@@ -172,9 +169,6 @@ class StepConstants(NamedTuple):
     unseen_share: np.float32  # share of a threshold that may stay unseen; more makes a step undersampled
     refine: bool  # undersampled pixels are collected for refinement
     large: bool  # whether the photoreceptor follows the large-signal law (see `receptor`)
-    exceeds_caches: (
-        bool  # the state is larger than the caches: a block is requested from memory while the one before is moved
-    )
     reset: ResetError = ResetError(np.float32(0), np.float32(0))
     on_delay: float = 0.0  # times of the comparators, s; see `comparator`
     off_delay: float = 0.0
@@ -232,10 +226,10 @@ def reset_offset(
 @kernel
 def reset_offset_at(number: np.uint64, t_ns: int, on: float, off: float, error: ResetError) -> float:
     """Return the offset of a reference that is set at a time; `number` is the stream of the pixel's noise."""
-    offset = np.float64(error.offset)
+    offset = float(error.offset)
     if error.noise > _ZERO:
-        offset += error.noise * normal_from(word(number, t_ns))
-    return min(max(offset, -_MOST_OFFSET * on), _MOST_OFFSET * off)
+        offset += float(error.noise) * normal_from(word(number, t_ns))
+    return min(max(offset, -0.9 * on), 0.9 * off)
 
 
 @kernel
@@ -366,17 +360,6 @@ def _levels(pixels: Pixels, selected: _Int64s, since_epoch_s: float, parasitic: 
 
 
 @cached_entry
-def _drifts(pixels: Pixels, selected: _Int64s, parasitic: float) -> _Float32s:
-    out = np.empty(selected.size, np.float32)
-    for k in range(selected.size):
-        at = slot(selected[k])
-        out[k] = pixels.fields[at + _LEAK]
-        if parasitic > 0:
-            out[k] += parasitic * pixels.fields[at + _ON] * np.exp(pixels.fields[at + _U])
-    return out
-
-
-@cached_entry
 def _thresholds(pixels: Pixels, selected: _Int64s, row: int) -> _Float32s:
     out = np.empty(selected.size, np.float32)
     for k in range(selected.size):
@@ -422,10 +405,6 @@ class Levels:
         second = p.source_follower_hz > 0
         levels: _Float32s = _levels(self._pixels, pixel, since_epoch_s, float(p.parasitic_hz_at_reference), second)
         return levels
-
-    def moving(self, pixel: _Int64s) -> tuple[_Float32s, _Float32s]:
-        """Return the levels of pixels (n,), see `of`, and their drifts by leak, ln units a second."""
-        return self.of(pixel), _drifts(self._pixels, pixel, float(self._array.parameters.parasitic_hz_at_reference))
 
     def thresholds(self, pixel: _Int64s) -> tuple[_Float32s, _Float32s]:
         """Return the ON and OFF thresholds of pixels (n,)."""

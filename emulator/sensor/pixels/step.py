@@ -6,6 +6,7 @@
             _move_block     a block with many active parts, in place
             _move_pack      the active parts of blocks with few, together as one block
         solve               all crossings of the candidates (`candidates`)
+        solve_noisy         the same with noise (`noisy`)
 
 The arithmetic of a pixel does not depend on the blocks that are moved with it, their order and their thread, so the
 events are the same to the last bit. The number of threads follows from the work of the last step: counts, no clock.
@@ -49,10 +50,8 @@ from emulator.sensor.pixels.idle import (
 )
 from emulator.sensor.pixels.noisy import solve_noisy
 from emulator.sensor.pixels.quiet_pass import (
-    Ahead,
     list_flags,
     move_quietly,
-    move_quietly_from_memory,
     replace_light_of_block,
 )
 from emulator.sensor.pixels.state import (
@@ -73,9 +72,9 @@ _Float32s = npt.NDArray[np.float32]
 _Int64s = npt.NDArray[np.int64]
 _Bytes = npt.NDArray[np.uint8]
 
-_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _ = (int(f) * BLOCK for f in Field)
+_U, _V, _L, _G, _REF, _ON, _OFF, _LEAK, _W, _P, _, _, _, _UNTIL = (int(f) * BLOCK for f in Field)
 _U0, _V0, _L0, _G0, _A0, _A1, _, _, _W0, _P0, _, _ = BEFORE_ROWS
-_ZERO, _NO_FLAGS = np.float32(0), np.uint64(0)
+_ZERO, _PAST, _NO_FLAGS = np.float32(0), np.float32(-np.inf), np.uint64(0)
 
 RUN = 8 * BLOCK
 """Pixels that a thread moves before it leaves the next ones to another."""
@@ -179,6 +178,7 @@ def _gather_undersampled(  # noqa: PLR0913, PLR0917
             subset.fields[to + row] = s[entry_at(row, i)]
         subset.fields[to + _W] = before[entry_at(_W0, i)] if c.second > _ZERO else s[entry_at(_W, i)]
         subset.fields[to + _P] = before[entry_at(_P0, i)] if c.parasitic > _ZERO else s[entry_at(_P, i)]
+        subset.fields[to + _UNTIL] = _PAST  # it has left its certificate
     return remaining, n
 
 
@@ -276,23 +276,15 @@ def _move_pack(
 
 @kernel
 def _move_block(  # noqa: PLR0913, PLR0917
-    frame: FlatLight, pixels: Pixels, buffers: Buffers, idle: Idle, first: int, following: int, at: _Progress,
-    c: StepConstants,
+    frame: FlatLight, pixels: Pixels, buffers: Buffers, idle: Idle, first: int, at: _Progress, c: StepConstants
 ) -> _Progress:  # fmt: skip
-    """Move the block that begins at pixel `first` in place; the one that begins at `following` is moved next."""
+    """Move the block that begins at pixel `first` in place."""
     scratch = buffers.scratch
     firsts = scratch.indices[_FIRSTS:_PACKED]
     list_all(first, firsts)
     s = pixels.fields[first * FIELDS : (first + BLOCK) * FIELDS]
     block = _of_block(frame, first, scratch, c)
-    usual = (c.second == _ZERO) & (c.parasitic == _ZERO) & (not c.chord) & (not c.noisy)
-    end = following + BLOCK
-    if c.exceeds_caches & usual & (end <= frame.light.size):
-        state = pixels.fields[following * FIELDS : end * FIELDS]
-        ahead = Ahead(state, frame.light[following:end], frame.rate[following:end])
-        move_quietly_from_memory(block.light, block.rate, s, scratch.before, scratch.may_fire, c, ahead)
-    else:
-        move_quietly(block.light, block.rate, s, scratch.before, scratch.may_fire, c)
+    move_quietly(block.light, block.rate, s, scratch.before, scratch.may_fire, c)
     moved: _Progress = _list_and_mark(s, block.light, firsts, pixels, buffers, idle, at, c)
     return moved
 
@@ -348,7 +340,7 @@ def _fill(
             continue
         active = list_active(frame, first, idle, share.touched, scratch.indices[_FIRSTS:_PACKED], c)
         if active > MOST_PACKED:
-            at = _move_block(frame, pixels, buffers, idle, first, _first_of(block + 1, share), at, c)
+            at = _move_block(frame, pixels, buffers, idle, first, at, c)
         elif packed + active > PARTS:
             at = _Progress(block, packed, at.n, at.candidates, at.unreadable, at.refined, at.moved)
             at, packed = _move_pack(frame, pixels, buffers, idle, at, c), NONE
@@ -362,13 +354,14 @@ def _fill(
 
 
 def compile_parts(part: str, pixels: Pixels, buffers: Buffers, share: Share, c: StepConstants) -> None:
-    """Compile "blocks" or "candidates", the two large parts of `advance`, which finds them on disk afterwards."""
+    """Compile "blocks", "candidates" or "noise", the large parts of `advance`, which finds them on disk afterwards."""
     light, keys = np.zeros(BLOCK, np.float32), np.empty(1, np.uint64)
     arguments = {
         "blocks": (FlatLight(light, light), pixels, buffers, share, _Progress(0, 0, 0, 0, 0, 0, 0), c),
         "candidates": (pixels, buffers.table, 0, keys, 0, c),
+        "noise": (pixels, buffers.table, 0, keys, 0, c),
     }
-    kernel_of = {"blocks": _fill, "candidates": solve}
+    kernel_of = {"blocks": _fill, "candidates": solve, "noise": solve_noisy}
     kernel_of[part].compile(tuple(map(numba.typeof, arguments[part])))
 
 

@@ -414,3 +414,17 @@ def begin_substep(rows: _Float32s, n: int, c: StepConstants) -> None:
     if c.parasitic > _ZERO:
         _add_parasitic(rows, n, c)
     _find_turns(rows, n)
+
+
+@kernel
+def go_on(table: SubstepTable, j: int, place: int) -> None:
+    """Begin the next substep of column j where the last one ended, in column `place`, which is not behind it."""
+    rows = table.rows
+    rows[V + j] = rows[V1 + j]
+    rows[W + j] = rows[W1 + j]
+    rows[P + j] = rows[P1 + j]
+    rows[Z + j] = rows[Z1 + j]
+    if place < j:
+        table.pixels[place] = table.pixels[j]
+        for k in range(STEP_ROWS):
+            rows[k * CAPACITY + place] = rows[k * CAPACITY + j]

@@ -42,7 +42,7 @@ SENSOR = dataclasses.replace(
     source_follower_hz=286.0,
     parasitic_hz_at_reference=0.05,
     temperature=TemperatureParameters(celsius=30.0),
-    noise=NoiseParameters(rms=0.05, grade="grid"),
+    noise=NoiseParameters(rms=0.05),
     jitter=JitterParameters(latency_us=10.0, deviation_us=2.0, leak_share=0.2),
     defects=DefectParameters(hot_share=1e-3, dead_share=1e-3),
     imager=ImagerParameters(
@@ -69,7 +69,6 @@ ALL = {
     "mismatch",
     "refractory period",
     "noise",
-    "shift by noise",
     "jitter",
     "comparator",
     "reset offset",
@@ -133,37 +132,9 @@ def test_dropping_takes_an_effect_out_of_the_sensor():
 def test_an_effect_goes_alone(effect):
     bare = without(SENSOR, [dataclasses.replace(decisions(1.0)[effect], kept=False)])
     gone = ALL - set(decisions(1.0, sensor=bare))
-    with_it = {"low-pass": {"bandwidth following the light"}, "noise": {"shift by noise"},
-               "leak": {"leak spread", "leak jitter"}}  # fmt: skip
-    still_named = {"shift by noise"}  # of a point process: left out, which is told
-    assert gone == ({effect} | with_it.get(effect, set())) - ({effect} & still_named)
+    with_it = {"low-pass": {"bandwidth following the light"}, "leak": {"leak spread", "leak jitter"}}
+    assert gone == {effect} | with_it.get(effect, set())
     assert bare != SENSOR
-
-
-def test_a_point_process_leaves_the_shift_out_and_says_so():
-    points = without(SENSOR, [dataclasses.replace(decisions(1.0)["shift by noise"], kept=False)])
-    assert points.noise == NoiseParameters(rms=0.05, grade="points")
-    found = decisions(0.0, sensor=points)["shift by noise"]
-    assert not found.kept
-    assert not found.choice
-    # the corner is 300 Hz, its noise 0.05 (286 / 586)^.5 and 146 Hz wide: rho is .62, .87 and .81 on the table
-    sigma = 0.05 * math.sqrt(286 / 586)
-    rho = 20 / (2 * math.pi * 300 * 286 / 586) / sigma
-    share = math.log(rho / 0.3) / math.log(1 / 0.3)
-    earlier, deviation = 1.32 + share * (0.71 - 1.32), 0.72 + share * (0.86 - 0.72)
-    assert found.cost_us == pytest.approx(sigma / 20 * (earlier + 1.645 * deviation) * 1e6, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("rms", "refractory_us", "contrast_rate", "beyond"),
-    [(0.05, 0.0, 20.0, False), (0.12, 0.0, 50.0, False), (0.3, 0.0, 150.0, True), (0.09, 100.0, 50.0, False),
-     (0.09, 5000.0, 50.0, False), (0.05, 0.0, 5.0, True), (0.05, 0.0, 0.0, True)],
-)  # fmt: skip
-def test_where_a_point_process_ends_the_grid_is_kept(rms, refractory_us, contrast_rate, beyond):
-    """Thresholds are 0.2725; a is 7.8, 3.3, 1.3 and 4.3, and the law begins at 1.5; rho below 0.3 is beyond as well."""
-    sensor = dataclasses.replace(SENSOR, noise=NoiseParameters(rms=rms, grade="grid"), refractory_us=refractory_us)
-    scene = dataclasses.replace(SCENE, contrast_rate=contrast_rate)
-    assert decisions(1e9, 1.0, sensor=sensor, scene=scene)["shift by noise"].kept is beyond
 
 
 def test_a_photoreceptor_of_large_signals_is_dropped_where_it_hardly_matters():

@@ -17,6 +17,7 @@ from emulator.run import kernels as preparation
 from emulator.run.assembly import build_scene
 from emulator.run.kernels import DECODER, EVT, Part, parts_of, prepare, uncompiled
 from emulator.scene.bodies import regolith
+from emulator.sensor.parameters import RadiationParameters
 
 
 @pytest.fixture
@@ -64,8 +65,11 @@ def test_other_numbers_of_a_sensor_need_no_other_kernels_and_other_effects_do():
         return {part.key for part in parts_of(other)}
 
     assert keys() == keys(threshold_on=0.31, readout=dataclasses.replace(rig.camera.sensor.readout, event_ns=300.0))
-    assert keys() != keys(noise=dataclasses.replace(rig.camera.sensor.noise, rms=0.0))
-    assert keys() != keys(noise=dataclasses.replace(rig.camera.sensor.noise, grade="grid"))
+    noise = rig.camera.sensor.noise
+    assert noise.rms
+    assert keys() == keys(noise=dataclasses.replace(noise, rms=0.0))  # noise is a part of every pixel step
+    assert keys() != keys(noise=dataclasses.replace(noise, grade="grid"))
+    assert keys() != keys(radiation=RadiationParameters(hits_per_cm2_s=1.0))
 
 
 def test_steps_under_control_need_the_light_of_single_pixels(monkeypatch):

@@ -12,7 +12,7 @@ from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.presets import PRESETS
 from emulator.sensor.sensor import Sensor
 from laboratory.methods.circuit import CircuitPixels
-from laboratory.methods.grid import NoisyPixels
+from laboratory.methods.grid import NoisyPixels, grid_ns
 from laboratory.methods.other_simulators import Pangu
 
 MS = 1_000_000
@@ -46,7 +46,8 @@ def test_a_step_ends_and_its_crossings_are_the_leak_times_the_light(method, ligh
     before = pixels.lost_in_pixel
     listed = sum(len(pixels.step(LightFrame(k * MS, still(light)))) for k in range(2, 6))
     crossings = PIXELS * 4e-3 * parameters.parasitic_hz_at_reference * light
-    assert listed <= 4 * (64 if method != "grid" else 16 * 40) * PIXELS
+    most = 64 if method != "grid" else 16 * 2 * MS // grid_ns(parameters)  # of a pixel in a step
+    assert listed <= 4 * most * PIXELS
     if light <= 1e12:
         assert listed + pixels.lost_in_pixel - before == pytest.approx(crossings, rel=0.02)
     else:

@@ -164,14 +164,10 @@ class Chords(ClosedLight):
     step_s: float = 1e-3
     dark: float = 1e-4
 
-    def value(self, t_s):
-        t = np.atleast_1d(t_s) / self.step_s
-        k = np.floor(t + 1e-9)
-        a, b = (np.log(self.of.value(n * self.step_s) + self.dark) for n in (k, k + 1))
-        return np.exp(a + (t - k)[:, None] * (b - a)) - self.dark
-
-    def rate(self, t_s):
-        raise NotImplementedError
+    def light(self, t):
+        k = np.floor(t / self.step_s + 1e-9)
+        a, b = (np.log(self.of.light(n * self.step_s)[0] + self.dark) for n in (k, k + 1))
+        return np.exp(a + (t / self.step_s - k) * (b - a)) - self.dark, np.full(1, np.nan)
 
 
 @pytest.mark.parametrize(("contrast", "dt_over_tau"), [(0.3, 0.1), (1.0, 1.0), (3.0, 3.0), (10.0, 0.3)])

@@ -11,6 +11,8 @@ from laboratory.accuracy.scenes import (
     DriftingStar,
     Flash,
     Flicker,
+    LogEdge,
+    LogSine,
     MovingEdge,
     ShadedEdge,
     SineGrating,
@@ -33,6 +35,9 @@ SMOOTH = [
     TexturedDisc(),
     DriftingStar(),
     SlowRamp(),
+    LogSine(),
+    LogSine(amplitude=0.0, level=0.1),
+    LogEdge(width_s=0.01, middle_s=0.1),
     Dark(),
 ]
 TIMES = np.linspace(0.003, 0.397, 41)

@@ -11,6 +11,7 @@ from firmware_protocol.events import EVENT
 from laboratory.accuracy.scores import (
     Stream,
     compare,
+    compare_samples,
     same_time_share,
 )
 
@@ -145,3 +146,42 @@ def test_scores_stay_within_their_bounds(a, b):
         assert score.van_rossum == pytest.approx(back.van_rossum)
     if b:
         assert abs(len(a) - len(b)) / len(b) <= score.wrong_events <= (len(a) + len(b)) / len(b)
+
+
+def test_words_and_intervals_do_not_go_from_pixel_to_pixel():
+    stream = Stream.of([0, 1, 3, 10, 14], [0, 0, 0, 1, 1], [True, True, False, False, True], 3)
+    assert stream.intervals_us().tolist() == [1, 2, 4]
+    np.testing.assert_allclose(stream.words(2), [0, 1 / 3, 1 / 3, 1 / 3])  # OFF OFF, OFF ON, ON OFF, ON ON
+    np.testing.assert_allclose(stream.words(3), np.eye(8)[0b110])
+    assert np.isnan(stream.words(4)).all()
+    assert stream.where(stream.on).intervals_us().tolist() == [1]
+
+
+def poisson(rate_hz, seed, alternate):
+    """100 s of 200 pixels."""
+    random = np.random.default_rng(seed)
+    counts = random.poisson(100 * rate_hz, 200)
+    t_us, pixel = random.uniform(0, 1e8, counts.sum()), np.repeat(np.arange(200), counts)
+    order = np.lexsort((t_us, pixel))
+    on = np.arange(t_us.size) % 2 == 0 if alternate else random.random(t_us.size) < 0.5
+    return Stream.of(t_us[order], pixel[order], on, 200)
+
+
+def test_samples_of_one_distribution_are_alike_and_others_differ_by_what_differs():
+    """The bounds are five standard deviations of 40 000 events."""
+    truth = poisson(2.0, 1, alternate=False)
+    same = compare_samples(poisson(2.0, 2, alternate=False), truth)
+    assert same.right > 1 - 16 * 5 * math.sqrt(2 / 16 / 40_000) / 2
+    assert same.wrong_events < 5 * math.sqrt(4 / 40_000)
+    assert same.earth_mover_us < 0.05 * 5e5
+    more = compare_samples(poisson(2.4, 3, alternate=False), truth)
+    assert more.wrong_events == pytest.approx(0.2, abs=0.05)
+    assert more.earth_mover_us == pytest.approx(5e5 - 5e5 / 1.2, rel=0.1)
+    ordered = compare_samples(poisson(2.0, 4, alternate=True), truth)
+    assert ordered.right == pytest.approx(1 / 8, abs=0.02)  # two of 16 words
+    assert ordered.wrong_events < 0.1
+    with pytest.raises(ValueError, match="same pixels"):
+        compare_samples(truth, TRUTH)
+    silent = compare_samples(Stream.of([], [], [], 200), truth)
+    assert (silent.wrong_events, silent.count) == (1, 0)
+    assert math.isnan(silent.t95_us)

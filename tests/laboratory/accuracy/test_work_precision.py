@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 from emulator.cli.output import LACKING, WRONG_USE, Failure
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import draw
 from laboratory.accuracy import report as charts
 from laboratory.accuracy.harness import (
     CASES,
+    REFERENCE,
     SEED,
     Case,
     Method,
@@ -26,7 +28,7 @@ from laboratory.accuracy.harness import (
 )
 from laboratory.accuracy.report import reading, write_stability, write_work_precision
 from laboratory.accuracy.scenes import BlurredCheckerboard, SineGrating
-from laboratory.accuracy.scores import Scores
+from laboratory.accuracy.scores import Scores, compare_samples
 from laboratory.accuracy.stability import SWEEPS, boundary, cells
 from laboratory.accuracy.sweeps import (
     EFFECTS,
@@ -37,6 +39,7 @@ from laboratory.accuracy.sweeps import (
     settings,
     sweep,
 )
+from laboratory.methods.grid import NoisyPixels
 from laboratory.verbs.accuracy import accuracy
 from tests.laboratory.accuracy.rows import row
 
@@ -103,6 +106,27 @@ def test_a_sweep_has_a_point_for_each_setting():
     assert points[0].row()["t95_us"] == points[0].scores.t95_us
 
 
+def test_scenes_with_noise_are_samples_and_of_our_own_pixels_alone():
+    """The reference is alike to itself with other numbers; pixels without the noise are not.
+
+    Six groups of the reference's pixels give the spread of its count; the bound is 3.9 standard errors of both.
+    """
+    (swept,) = (swept for swept in CASES if swept.case.name == "noise_dim")
+    case = dataclasses.replace(swept.case, duration_s=1.0)
+    small = dataclasses.replace(swept, case=case, steps_ms=(5.0, 20.0))
+    assert [method.name for method in small.fitting(methods())] == ["hermite", "refined", "line"]
+    assert settings([small], methods()) == 6
+    again = events(dataclasses.replace(REFERENCE, make=lambda p, seed: NoisyPixels(p, seed + 1)), case, 1e-3)[0]
+    scores = compare_samples(again, truth(case))
+    counts = truth(case).counts.reshape(6, 10).sum(1)
+    assert abs(scores.count - 1) < 3.9 * 2**0.5 * counts.std() / 5**0.5 / counts.mean()
+    assert scores.right > 0.9
+    quiet = dataclasses.replace(case.parameters, noise=NoiseParameters())
+    silent = compare_samples(events(LINE, dataclasses.replace(case, parameters=quiet), 5e-3)[0], truth(case))
+    assert silent.count < 0.8
+    assert silent.right < 0.8
+
+
 def test_frames_needed_lie_between_points_on_a_line_in_logarithms():
     second_order = [point("line", step, 4.0 * step**2) for step in (0.5, 1.0, 2.0)]
     need = frames_needed(second_order, "c", "line", 8.0)
@@ -148,7 +172,7 @@ def test_each_effect_alone_changes_what_it_should():
     assert rows["junction leak"].scores.wrong_events > 0
     assert rows["event-time jitter"].scores.t50_us == pytest.approx(100, abs=20)
     assert rows["dead pixels"].scores.count < 1
-    for noisy in ("noise as a point process", "hot pixels"):
+    for noisy in ("noise", "hot pixels"):
         assert rows[noisy].scores.count > 1
 
 

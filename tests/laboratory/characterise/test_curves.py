@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from emulator.sensor.noise.law import noise_events, statistics
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.presets import PRESETS
 from laboratory.characterise.measurements import (
@@ -17,7 +16,6 @@ from laboratory.characterise.measurements import (
     leak_light,
     leak_spread,
     leak_temperature,
-    noise_law,
     noise_light,
     s_curve,
     spread,
@@ -190,23 +188,12 @@ def test_a_dead_time_longer_than_the_period_is_counted_over_many():
     assert 1000 < point.y < 1.05 / 500e-6
 
 
-@pytest.mark.sampled
-@pytest.mark.system
-@pytest.mark.parametrize("a", [2.5, 3.0, 3.5])
-def test_noise_events_follow_their_law(a):
-    p = with_(mismatch=0.0, refractory_us=0.0)
-    (point,) = noise_law(p, "x", a, 0.1, 20.0)
-    apart = (p.threshold_on - p.threshold_off) / (p.threshold_on + p.threshold_off)
-    assert point.model == pytest.approx(float(noise_events(a, 2 * apart, 0.0).on), rel=1e-6)
-    assert point.model == pytest.approx(statistics(a * (1 + apart), a * (1 - apart), 0.003).on, rel=0.03)
-    assert point.y == pytest.approx(point.model, rel=0.05)
-
-
 def test_noise_counts_both_polarities_and_fades_in_bright_light():
     p = with_(mismatch=0.0)
     (dim,), (bright,) = (noise_light(p, "x", 0.08, light, 10.0) for light in (0.01, 10.0))
-    assert dim.y == pytest.approx(dim.model, rel=4 * math.sqrt(2 / (dim.model * 10.0 * PIXELS)) + 0.01)
-    # The law gives none. Of references at random phases those near a threshold fire once: with z = 4.2 deviations
+    assert dim.model / 1.3 < dim.y < 1.3 * dim.model  # the law of still light holds within that
+    assert dim.y > 1
+    # References at random phases, those near a threshold fire once: with z = 4.2 deviations
     # passed after 30 s, the next 10 s reach 0.024 ln(40 / 30) / z further at both, 0.0012 of 0.27: 0.0006 Hz.
     assert bright.y < 0.001
 

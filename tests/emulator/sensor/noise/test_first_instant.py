@@ -12,10 +12,10 @@ import math
 import numba
 import numpy as np
 import pytest
+from emulator.sensor.noise.passages import passage_rates, passage_table, rates_between
 from scipy import stats
 
 from emulator.light import LightFrame
-from emulator.sensor.noise.passages import passage_rates, passage_table, rates_between
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.state import draw
 from emulator.sensor.presets import SensorParameters

@@ -8,6 +8,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from emulator.sensor.noise.points import NoiseEvents
 from scipy import stats
 
 from emulator.sensor.noise.law import (
@@ -21,7 +22,6 @@ from emulator.sensor.noise.law import (
     of_array,
     statistics,
 )
-from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.crossings import joined
 from emulator.sensor.presets import SensorParameters

@@ -9,14 +9,14 @@ import math
 
 import numpy as np
 import pytest
+from emulator.sensor.noise.passages import passage_rates
+from emulator.sensor.noise.points import NoiseEvents
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy import stats
 
 from emulator.sensor.chip.sources import SLOT_NS, Pending, Window, release
 from emulator.sensor.noise.law import bandwidth_hz, corner_hz, noise_events, of_array, rms
-from emulator.sensor.noise.passages import passage_rates
-from emulator.sensor.noise.points import NoiseEvents
 from emulator.sensor.numerics import keyed as keyed_kernels
 from emulator.sensor.numerics.keyed import Purpose, normal, root_of, words
 from emulator.sensor.parameters import NoiseParameters
