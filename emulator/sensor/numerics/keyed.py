@@ -37,7 +37,7 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -237,7 +237,8 @@ def next_point(base: np.uint64, from_ns: int, to_ns: int, below_hz: float) -> Po
 
     `base` is the pixel's stream.
     """
-    found_ns, found_hz = NEVER_NS, 0.0
+    found_hz = 0.0
+    found_ns: Any = NEVER_NS
     top_hz = _LEAST_HZ
     base_hz = 0.0
     bits = _CELL_BITS
@@ -255,7 +256,7 @@ def next_point(base: np.uint64, from_ns: int, to_ns: int, below_hz: float) -> Po
                     n += 1
                 for _ in range(n):
                     drawn_word = mix_word(drawn_word + _NEXT_POINT)
-                    t_ns = (cell << bits) + np.int64(drawn_word >> (_WORD - np.uint64(bits)))  # type: ignore[assignment]
+                    t_ns = (cell << bits) + np.int64(drawn_word >> (_WORD - np.uint64(bits)))
                     hz = base_hz + (top_hz - base_hz) * (np.float64(drawn_word & _LOW) + 0.5) * _UNIT
                     if t_ns > from_ns and t_ns <= to_ns and t_ns < found_ns and hz < below_hz:
                         found_ns, found_hz = t_ns, hz
