@@ -133,7 +133,9 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
     record = _record(CAMERA_MODELS, model, (*path, "model"))
     keys = {key: value for key, value in table.items() if key != "sensor"}
     camera = convert(_with_slopes(keys, record), Camera, path)
-    units = {name: p for name, p in PRESETS.items() if (p.width, p.height) == (record.sensor.width, record.sensor.height)}
+    units = {
+        name: p for name, p in PRESETS.items() if (p.width, p.height) == (record.sensor.width, record.sensor.height)
+    }
     if camera.preset and camera.preset not in units:
         raise TableError(unknown(camera.preset, list(units)), (*path, "preset"))
     preset = units[camera.preset] if camera.preset else record.sensor

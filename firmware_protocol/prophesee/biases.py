@@ -61,11 +61,11 @@ class BiasSlopes:
         Of the inverse of the refractory period, likewise.
     """
 
-    diff_on: float = 0.0149
-    diff_off: float = 0.0254
-    diff_off_above: float = 0.0138
+    diff_on: float = 0.0143
+    diff_off: float = 0.0208
+    diff_off_above: float = 0.0136
     most: float = 1.0
-    off_delay: float = 0.042
+    off_delay: float = 0.0445
     fo: float = 0.012
     refr: float = 0.05
 

@@ -231,15 +231,15 @@ def sequences(events: Events, width: int, pixels: int) -> dict[str, _Array]:
 
 
 def evk4(seed: int) -> Findings:
-    """Return the quiet pixels of the recording of an EVK4 beside those of the preset imx636 in still light."""
+    """Return the quiet pixels of the recording of an EVK4 beside those of the preset imx636_quiet in still light."""
     with np.load(DATA / "evk4_quiet.npz") as table:
         halves = [{name: table[f"{name}_{half}"] for name in (*_KINDS, "runs", "counts", "events")} for half in _HALVES]
         seconds = float(table["seconds"])
-    ours = _quiet(PRESETS["imx636"], seconds, seed)
+    ours = _quiet(PRESETS["imx636_quiet"], seconds, seed)
     return Findings(
         "evk4_quiet",
         "EVK4, quiet pixels",
-        "imx636",
+        "imx636_quiet",
         "An EVK4 (IMX636) records for 10.8 s. The pixels whose neighbours fire at 0.02 Hz at most are compared, by the"
         " sequences of events in a pixel, with those of the simulated sensor, chosen in the same way: the whole preset"
         f" in still, even light of {_QUIET_LIGHT:g}, noise, background and read-out on, for the same time. Pixels with"

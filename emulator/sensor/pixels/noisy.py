@@ -10,6 +10,8 @@ registers.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -19,7 +21,7 @@ from emulator.sensor.noise.hazard import noise_of
 from emulator.sensor.noise.law import stay_at, still_hazard
 from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import exponential, use_widest_vectors
-from emulator.sensor.numerics.keyed import stream
+from emulator.sensor.numerics.keyed import high, low, stream, unit, word
 from emulator.sensor.pixels.candidates import Table, enter, make_curves
 from emulator.sensor.pixels.crossings import Keys, reserve
 from emulator.sensor.pixels.curve import photocurrent
@@ -169,6 +171,7 @@ def solve_noisy(
 
 _STAYS = 3.0  # longest mean stays of a reference that are run
 _MOST_STAYS = 64
+_FARTHER = 1.1
 _LEAST_LEAK = 1e-9  # ln units a second
 _LEAST_HZ = 1e-6
 
@@ -200,5 +203,13 @@ def settle(first: int, last: int, history_s: float, root: np.uint64, pixels: Pix
                 break
             left_s -= stay.length_s + c.refractory_ns * 1e-9
             level = stay.level
-        fields[at + _REF] = np.float32(value + level - leak * max(left_s, 0.0))
+        level -= leak * max(left_s, 0.0)
+        if leak > _LEAST_LEAK:  # which carries a reference slowly past distances at which noise fires
+            bits, reach = word(number, 2 * _MOST_STAYS), on + level
+            fate = -math.log(unit(low(bits))) * leak / noise.sigma**2
+            while reach < on and reach * fate < still_hazard(max(reach, 0.0), off, noise, pixels.tables).on:
+                reach = max(reach, 0.01 * on) * _FARTHER
+            if reach > on + level:
+                level = -unit(high(bits)) * max(on - reach, 0.0)
+        fields[at + _REF] = np.float32(value + level)
         certify(pixels, pixel, value, rate, c)
