@@ -211,7 +211,7 @@ def longest_step_ns(p: SensorParameters) -> int:
     if p.noise.rms and p.noise.grade == "grid":
         grids_ns.append(imported("laboratory.methods.grid:grid_ns")(p))
     most_ns = [_MOST_RANDOM / random_hz * 1e9] if random_hz else []
-    most_ns += [MOST_PASSAGES / 4 / noise_hz * 1e9] if noise_hz else []
+    most_ns += [MOST_PASSAGES / 2 / noise_hz * 1e9] if noise_hz else []
     most_ns += [_MOST_MOVED / pixels * step_ns for step_ns in grids_ns]
     return max(round(min(*most_ns, 2.0**62, 2.0**62)), 1000)
 

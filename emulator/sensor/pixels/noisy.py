@@ -10,8 +10,6 @@ registers.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 
@@ -21,7 +19,7 @@ from emulator.sensor.noise.hazard import noise_of
 from emulator.sensor.noise.law import stay_at, still_hazard
 from emulator.sensor.numerics.compiled import NONE, cached_entry, kernel, vector_kernel
 from emulator.sensor.numerics.elementary import exponential, use_widest_vectors
-from emulator.sensor.numerics.keyed import high, low, stream, unit, word
+from emulator.sensor.numerics.keyed import stream
 from emulator.sensor.pixels.candidates import Table, enter, make_curves
 from emulator.sensor.pixels.crossings import Keys, reserve
 from emulator.sensor.pixels.curve import photocurrent
@@ -62,7 +60,8 @@ def _finish(pixels: Pixels, pixel: int, piece: Piece, leaked: float, lit: float,
         base -= leaked
     leak = np.float64(pixels.fields[at + _LEAK])
     value = base + piece.d0 + piece.c1 + piece.c2 + piece.c3 + leak * (c.since_s + c.h_ns * 1e-9)
-    certify(pixels, pixel, value, piece.rate1, c)
+    moves = (piece.c1 != 0.0) | (piece.c2 != 0.0) | (piece.c3 != 0.0)
+    certify(pixels, pixel, value, piece.rate1, moves, c)
 
 
 @kernel
@@ -171,7 +170,6 @@ def solve_noisy(
 
 _STAYS = 3.0  # longest mean stays of a reference that are run
 _MOST_STAYS = 64
-_FARTHER = 1.1
 _LEAST_LEAK = 1e-9  # ln units a second
 _LEAST_HZ = 1e-6
 
@@ -197,19 +195,16 @@ def settle(first: int, last: int, history_s: float, root: np.uint64, pixels: Pix
         left_s = min(history_s, 0.5 * on / max(leak, _LEAST_LEAK), _STAYS / max(rarest.on + rarest.off, _LEAST_HZ))
         level = np.float64(fields[at + _REF]) - value + leak * left_s
         number = stream(root, np.int64(pixels.memory[pixel * MEMORY + 3]))
+        drift_s = 0.5 * noise.sigma / max(leak, _LEAST_LEAK)  # in which leak hardly changes the hazard
         for k in range(_MOST_STAYS):
             stay = stay_at(level, on, off, noise, c.refractory_ns * 1e-9, number, k, pixels.tables)
-            if stay.length_s >= left_s:
+            stays_s = min(left_s, drift_s)
+            if stay.length_s < stays_s:
+                stays_s = stay.length_s
+                level = stay.level
+            level -= leak * stays_s
+            left_s -= stays_s
+            if left_s <= 0:
                 break
-            left_s -= stay.length_s + c.refractory_ns * 1e-9
-            level = stay.level
-        level -= leak * max(left_s, 0.0)
-        if leak > _LEAST_LEAK:  # which carries a reference slowly past distances at which noise fires
-            bits, reach = word(number, 2 * _MOST_STAYS), on + level
-            fate = -math.log(unit(low(bits))) * leak / noise.sigma**2
-            while reach < on and reach * fate < still_hazard(max(reach, 0.0), off, noise, pixels.tables).on:
-                reach = max(reach, 0.01 * on) * _FARTHER
-            if reach > on + level:
-                level = -unit(high(bits)) * max(on - reach, 0.0)
         fields[at + _REF] = np.float32(value + level)
-        certify(pixels, pixel, value, rate, c)
+        certify(pixels, pixel, value, rate, False, c)

@@ -90,7 +90,7 @@ _STEEPEST = 1e6  # slope of the noise of one pole, which has none, ln units a se
 
 # Of a certificate.
 _CERTIFIED = 2.5  # its bound, over the hazard
-_REVISITS = 0.02  # points below the least bound in a step
+_REVISITS, _RESTS_HZ = 0.02, 1e-5  # points below the least bound in a step; that bound of a pixel that rests
 _SPEED_SHARE = 0.3  # largest speed, in units of the noise's own
 _LEAST_FAR = 1.5  # deviations
 _GROWTH = 1.15  # of the hazard, beside that of its Gaussian
@@ -423,10 +423,12 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
 
 
 @kernel
-def certify(pixels: Pixels, pixel: int, value: float, rate: float, c: StepConstants) -> None:
+def certify(pixels: Pixels, pixel: int, value: float, rate: float, moves: bool, c: StepConstants) -> None:
     """Write the certificate of a pixel at the end of the step.
 
-    `value` is the noise-free value of its comparator, leak included, `rate` that of its receptor's pole, 1/s.
+    `value` is the noise-free value of its comparator, leak included, `rate` that of its receptor's pole, 1/s;
+    `moves` whether the value was in motion: a pixel that rests gets a longer certificate with narrower limits, so that
+    its whole block can rest.
     """
     at, a = slot(pixel), _state_of(pixels, pixel, c)
     fields = pixels.fields
@@ -447,7 +449,7 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, c: StepConsta
     h_on = hazard(since_s, Distance(on, off, speed, 0.0), 0.0, 0.0, noise, pixels.tables).on
     h_off = hazard(since_s, Distance(on, off, -speed, 0.0), 0.0, 0.0, noise, pixels.tables).off
     total = h_on + h_off
-    bound_hz = max(_CERTIFIED * total, _REVISITS / c.h)
+    bound_hz = max(_CERTIFIED * total, _REVISITS / c.h if moves else _RESTS_HZ)
     # Limits at which the hazard meets the bound: from its value here, or from the law's largest one anywhere.
     anywhere = (0.5 if noise.ratio > 0 else 5.0) * noise.rate / bound_hz
     c_least = math.sqrt(2 * math.log(anywhere)) if anywhere > 1 else _LEAST_FAR
@@ -460,7 +462,7 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, c: StepConsta
     if limit_on >= c_on or limit_off >= c_off:
         return
     end_ns = c.t0_ns + c.h_ns
-    last_ns = end_ns + min(_LONGEST_NS, _LONGEST_STEPS * c.h_ns)
+    last_ns = end_ns + (min(_LONGEST_NS, _LONGEST_STEPS * c.h_ns) if moves else _LONGEST_NS)
     point = next_point(a.stream, end_ns - 1, last_ns, bound_hz)
     until_ns = min(point.t_ns, last_ns)
     fields[at + _ON_LIMIT] = np.float32(a.on - noise.sigma * limit_on)

@@ -324,13 +324,12 @@ def _test_certificates(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: Ste
         a0, a1 = before[_A0 + i], before[_A1 + i]
         d = s[_U + i] - before[_U0 + i]
         behind = abs(before[_U0 + i] - before[_V0 + i])
-        steepest = max(
-            max(abs(a0), abs(a1)), max(abs(_THREE * d - a0 - a1), c.h * before[_L0 + i] * behind * (_ONE + behind))
-        )
+        lag = behind * (_ONE + behind) if behind < _HALF else _ENDLESS  # farther behind it may be any steeper
+        steepest = max(max(max(abs(a0), abs(a1)), abs(_THREE * d - a0 - a1)), c.h * before[_L0 + i] * lag)
         if_second = c.second * abs(before[_V0 + i] - before[_W0 + i]) if c.second > _ZERO else _ZERO
         slow = _FASTER * max(steepest, if_second) <= s[_SPEED + i] * c.h
         smooth = is_smooth(d, a0, a1, min(s[_ON + i], s[_OFF + i]), c.unseen_share)
-        holds = inside & slow & (behind < _HALF) & (c.since_epoch_1 < s[_UNTIL + i])
+        holds = inside & slow & (c.since_epoch_1 < s[_UNTIL + i])
         may_fire[i] = 0 if holds & smooth else 1
 
 

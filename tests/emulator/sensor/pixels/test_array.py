@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from emulator.light import LightFrame
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import BLOCK, Field
 from emulator.sensor.presets import PRESETS, SensorParameters
@@ -94,26 +95,6 @@ def test_the_same_seed_gives_the_same_events_and_another_seed_others():
     assert not np.array_equal(first, other)
 
 
-def wave_and_rate(parameters, t_ns):
-    y, x = np.mgrid[: parameters.height, : parameters.width]
-    light = wave(parameters, t_ns)
-    return LightFrame(t_ns, light, (light * 1.2 * np.cos(0.3 * x + 0.2 * y + t_ns * 2e-7) * 200).astype(np.float32))
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-def test_a_state_that_comes_from_memory_block_by_block_moves_in_the_same_way(monkeypatch, threads):
-    parameters = sensor(width=300, height=61, refractory_us=100.0, leak_hz=0.1)  # 36 blocks, the last one not full
-    found = []
-    for near_blocks in (1000, 0):
-        monkeypatch.setattr("emulator.sensor.pixels.array.NEAR_BLOCKS", near_blocks)
-        array = PixelArray(parameters, 1, threads)
-        array.reset(wave_and_rate(parameters, 0))
-        crossings = [array.step(wave_and_rate(parameters, t)) for t in range(MS, 20 * MS, MS)]
-        found.append((sum(map(len, crossings)), crossings[-1].t_ns.tobytes(), array.state.fields.tobytes()))
-    assert found[0][0] > 10_000
-    assert found[0] == found[1]
-
-
 def test_a_restart_from_a_pickle_goes_on_with_the_same_events():
     parameters = sensor(mismatch=0.03, leak_hz=5.0, leak_spread=0.3, refractory_us=2000.0)
     times = list(range(3 * MS, 60 * MS, 3 * MS))
@@ -161,7 +142,7 @@ def test_leak_has_its_rate_and_its_phases_are_spread():
     """Means of 89 960 pixels with a spread of 30 %: standard error 0.1 %. Phases: Kolmogorov-Smirnov at 1e-3."""
     parameters = dataclasses.replace(
         PRESETS["davis346"], leak_hz=0.1, leak_spread=0.3, refractory_us=0.0, source_follower_hz=0.0,
-        parasitic_hz_at_reference=0.0,
+        parasitic_hz_at_reference=0.0, noise=NoiseParameters(),
     )  # fmt: skip
     array = PixelArray(parameters, 7)
     still = flat(parameters, 0.3)

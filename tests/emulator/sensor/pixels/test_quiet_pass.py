@@ -93,7 +93,7 @@ def _may_fire(fields, light_and_slope, at_reference, times_s, large):
     f, (h, since) = np.float32, times_s
     rates = f(at_reference), f(at_reference * np.exp(-2.5)), f(at_reference * np.exp(-1.5))
     extras = {"parasitic": f(0), "second": f(0), "refractory_ns": 0, "pixel_bits": 17, "chord": False}
-    extras |= {"unseen_share": f(0.5), "refine": False, "large": large, "exceeds_caches": False}
+    extras |= {"unseen_share": f(0.5), "refine": False, "large": large}
     times = {"h": f(h), "since_epoch_0": f(since), "since_epoch_1": f(since + h), "refractory": f(0)}
     c = StepConstants(f(1e-3), *rates, **times, h_ns=round(h * 1e9), t0_ns=0, **extras)
     s, before = fields.reshape(-1), np.empty(len(BEFORE_ROWS) * BLOCK, np.float32)

@@ -12,6 +12,7 @@ from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.sensor.pixels import array as pixels
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.curve import REFINED_UNSEEN_SHARE
+from emulator.sensor.pixels.state import FIELDS
 from emulator.sensor.presets import PRESETS
 from laboratory.accuracy.scores import Stream, compare
 
@@ -93,7 +94,7 @@ def test_a_pixel_that_is_halved_has_the_events_and_the_state_of_half_the_step(ef
     assert 50 < once.size < 1100
     for one, other in zip(of(found, once), of(finer, once), strict=True):
         np.testing.assert_array_equal(one, other)
-    fields = [array.state.fields.transpose(0, 2, 1).reshape(-1, 10)[once] for array in (halved, twice)]
+    fields = [array.state.fields.transpose(0, 2, 1).reshape(-1, FIELDS)[once, :10] for array in (halved, twice)]
     np.testing.assert_array_equal(*fields)
     refractory = [array.state.refractory_until_ns[once] for array in (halved, twice)]
     np.testing.assert_array_equal(*(np.where(np.isnan(fields[0][:, 4]), until, 0) for until in refractory))

@@ -191,7 +191,6 @@ def constants(on_us, off_us, contrast_per_e=0.0714):
         unseen_share=f(0.5),
         refine=False,
         large=False,
-        exceeds_caches=False,
         on_delay=on_us * 1e-6,
         off_delay=off_us * 1e-6,
         contrast_per_e=contrast_per_e,
