@@ -46,6 +46,8 @@ class Camera:
         Whether a DAVIS346 has its filters of background activity and refractory period. libcaer and
         neuromorphic_drivers switch the former on, and then do not receive events without another event near
         them.
+    preset
+        Preset of another unit of the same chip, such as "imx636_quiet" for an EVK4; without it, the model's own.
     sensor
         Sensor parameters that differ from the preset.
     clock
@@ -68,6 +70,7 @@ class Camera:
     fifo_bytes: Annotated[int, Meta(ge=4096, le=1 << 30)] = 256 * 1024
     start_delay_ms: Annotated[float, Meta(ge=0, le=4000)] = 300.0
     activity_filter: bool = False
+    preset: str = ""
     sensor: SensorParameters = field(default_factory=lambda: PRESETS["davis346"])
     clock: ClockSettings | None = None
     imu: ImuParameters | None = None

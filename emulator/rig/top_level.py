@@ -27,7 +27,7 @@ from emulator.rig.kinds import (
 )
 from emulator.rig.tables import Camera, Run, SecondCamera, Trigger, Verdict
 from emulator.scene.kind import SceneParameters
-from emulator.sensor.presets import SensorParameters
+from emulator.sensor.presets import PRESETS, SensorParameters
 from emulator.tables.typed_table import KeyPath as KeyPath
 from emulator.tables.typed_table import (
     TableError,
@@ -133,7 +133,13 @@ def _camera(table: object, _: Mapping[str, Any]) -> Camera:
     record = _record(CAMERA_MODELS, model, (*path, "model"))
     keys = {key: value for key, value in table.items() if key != "sensor"}
     camera = convert(_with_slopes(keys, record), Camera, path)
-    camera = dataclasses.replace(camera, sensor=_sensor(table.get("sensor", {}), record.sensor))
+    units = {
+        name: p for name, p in PRESETS.items() if (p.width, p.height) == (record.sensor.width, record.sensor.height)
+    }
+    if camera.preset and camera.preset not in units:
+        raise TableError(unknown(camera.preset, list(units)), (*path, "preset"))
+    preset = units[camera.preset] if camera.preset else record.sensor
+    camera = dataclasses.replace(camera, sensor=_sensor(table.get("sensor", {}), preset))
     if camera.bias_slopes is not None and record.bias_slopes is None:
         able = " or ".join(name for name, other in CAMERA_MODELS.usable().items() if other.bias_slopes is not None)
         raise TableError(f"biases of a {model} have no slopes: leave it out, or take {able}", (*path, "bias_slopes"))

@@ -106,6 +106,7 @@ or refractory period, references at the first frame's level, a read-out that tak
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -248,7 +249,7 @@ class SensorParameters:
 IMX636_W_M2 = 0.1644
 """Irradiance on the chip at 680 nm that is light 1 of the preset imx636, W/m2."""
 
-_IMX636_BACKGROUND = BackgroundParameters(
+_QUIET_BACKGROUND = BackgroundParameters(
     hz=0.00334,
     off_share=0.83,
     pair_share=0.036,
@@ -260,6 +261,26 @@ _IMX636_BACKGROUND = BackgroundParameters(
     hot_hz=4.0,
     hot_spread=1.6,
     hot_pair_share=0.9,
+)
+
+_IMX636 = SensorParameters(
+    width=1280,
+    height=720,
+    threshold_on=0.223,
+    threshold_off=0.223,
+    mismatch=0.043,
+    dark_current_relative=0.0016,
+    photoreceptor="large_signal",
+    corner_hz_at_reference=2180.0,
+    corner_max_hz=30_000.0,
+    source_follower_hz=4050.0,
+    leak_hz=0.0009,
+    refractory_us=105.0,
+    readout=ReadoutParameters(event_ns=0.33, row_ns=127),
+    temperature=TemperatureParameters(celsius=45.0),
+    jitter=JitterParameters(latency_us=0.7, off_latency_us=2.5, late_share=0.0005, late_us=3000.0),
+    noise=NoiseParameters(rms=0.0495, spread=0.01, history_s=100.0),
+    background=_QUIET_BACKGROUND,
 )
 
 PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
@@ -274,7 +295,7 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             source_follower_hz=286.0,
             refractory_us=3.4,
             readout=ReadoutParameters(event_ns=80.0, row_ns=80),
-            noise=NoiseParameters(rms=0.01, history_s=100.0),
+            noise=NoiseParameters(rms=0.11, corner_hz=5.0, history_s=100.0),
         ),
         "dvxplorer_micro": SensorParameters(
             width=640,
@@ -285,43 +306,27 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             parasitic_hz_at_reference=0.002,
             refractory_us=100.0,
             readout=ReadoutParameters(event_ns=2.2, row_ns=0, scan_us=197.28),
+            noise=NoiseParameters(rms=0.1, corner_hz=5.0, history_s=100.0),
         ),
-        "imx636": SensorParameters(
-            width=1280,
-            height=720,
-            threshold_on=0.223,
-            threshold_off=0.223,
-            mismatch=0.12,
-            dark_current_relative=0.009,
-            photoreceptor="large_signal",
-            corner_max_hz=30_000.0,
-            source_follower_hz=4350.0,
-            leak_hz=0.0,
-            refractory_us=20.0,
-            readout=ReadoutParameters(event_ns=0.33, row_ns=127),
-            jitter=JitterParameters(latency_us=1.2, off_latency_us=3.1, late_share=0.0005, late_us=3000.0),
-            noise=NoiseParameters(rms=0.045, corner_hz=1900.0, spread=0.15, history_s=100.0),
-            background=_IMX636_BACKGROUND,
+        "imx636": _IMX636,
+        "imx636_quiet": dataclasses.replace(
+            _IMX636, leak_hz=0.0, noise=dataclasses.replace(_IMX636.noise, rms=0.036), background=_QUIET_BACKGROUND
         ),
-        "gen31": SensorParameters(
+        "imx636_noisy": dataclasses.replace(
+            _IMX636,
+            leak_hz=0.0014,
+            background=dataclasses.replace(_QUIET_BACKGROUND, hz=0.0318, off_share=1.0, pair_share=0.0),
+        ),
+        "gen31": dataclasses.replace(
+            _IMX636,
             width=640,
             height=480,
-            threshold_on=0.223,
-            threshold_off=0.223,
-            leak_hz=0.0,
-            refractory_us=100.0,
+            corner_hz_at_reference=3000.0,
             readout=ReadoutParameters(event_ns=15.2, row_ns=50),
-            background=_IMX636_BACKGROUND,
+            jitter=JitterParameters(latency_us=40.0, off_latency_us=180.0),
         ),
-        "genx320": SensorParameters(
-            width=320,
-            height=320,
-            threshold_on=0.223,
-            threshold_off=0.223,
-            leak_hz=0.0,
-            refractory_us=100.0,
-            readout=ReadoutParameters(event_ns=5.0, row_ns=50),
-            background=_IMX636_BACKGROUND,
+        "genx320": dataclasses.replace(
+            _IMX636, width=320, height=320, readout=ReadoutParameters(event_ns=5.0, row_ns=50)
         ),
         "ideal": SensorParameters(
             width=346,

@@ -34,7 +34,7 @@ from firmware_protocol.genx320.selection import Selection
 from firmware_protocol.prophesee.biases import BiasModel, BiasSlopes
 from firmware_protocol.prophesee.usb import BoardIdentity, TreuzellCamera, TreuzellSettings
 
-SLOPES = BiasSlopes(diff_on=0.0298, diff_off=0.0508, diff_off_above=0.0234, off_delay=0.084, fo=1 / 34, refr=0.1)
+SLOPES = BiasSlopes(diff_on=0.0286, diff_off=0.0416, diff_off_above=0.0272, off_delay=0.089, fo=1 / 34, refr=0.1)
 """Effect of one step of each bias."""
 
 _TRAIL = 0xD000, 0xD008, 0xD00C

@@ -1,10 +1,11 @@
 """The effect of the biases on the pixels is a set of factors on the parameters that the factory's biases give:
 
-    threshold_on         e^(diff_on      x steps of diff_on)
-    threshold_off        e^(diff_off     x steps of diff_off); above the factory's value diff_off_above
+    threshold_on         e^(diff_on      x steps of diff_on)                             but at most e^most
+    threshold_off        e^(diff_off     x steps of diff_off); above the factory's value diff_off_above; likewise
     off_latency_us       e^(off_delay    x steps of diff_off)
     refractory_us    1 / max(1 + refr    x steps of refr, refr)
-    corner_max_hz         1 + fo         x steps of fo; source_follower_hz if the sensor has a source follower
+    corner_max_hz         1 + fo         x steps of fo; source_follower_hz if the sensor has a source follower, which
+                                         filters its noise as well, unless that has a pole of its own
 
 `steps` are those away from the factory's value, and the slopes are those of `BiasSlopes`: at the factory's biases all
 factors are 1, and the parameters are those of the sensor's preset or of the rig. Factors end at 0.1 and 1000. The
@@ -16,7 +17,7 @@ No formula is public. Basis of the model:
                     faster changes, a higher refr is a shorter dead time
     diff_on,        fitted to latencies that NIST measured on a camera of this family at seven pairs of biases (doi
     diff_off        10.1109/tim.2025.3623767; digitised, see `evstim validate`), by the law of the photoreceptor:
-                    thresholds by latency, from diff_on -63 to 70 and diff_off -25 to 47; beyond, extrapolated
+                    thresholds by latency. From diff_on 70 and diff_off 95 on they rise no more
     off_delay       the same: the latency of OFF events has a part that does not depend on light, of about 30, 190 and
                     1300 us at diff_off 47, 95 and 142: an exponential. The comparator of OFF events, whose current
                     falls as its threshold rises, explains that
@@ -50,6 +51,8 @@ class BiasSlopes:
         Of the logarithm of the ON and the OFF contrast threshold, 0 to 1; `diff_off` holds below the factory's value.
     diff_off_above
         The same of the OFF contrast threshold above the factory's value.
+    most
+        Largest logarithm of a contrast threshold over the factory's, 0 to 1.
     off_delay
         Of the logarithm of the delay of OFF events, a step of diff_off, where the sensor has such a delay.
     fo
@@ -58,10 +61,11 @@ class BiasSlopes:
         Of the inverse of the refractory period, likewise.
     """
 
-    diff_on: float = 0.0149
-    diff_off: float = 0.0254
-    diff_off_above: float = 0.0117
-    off_delay: float = 0.042
+    diff_on: float = 0.0143
+    diff_off: float = 0.0208
+    diff_off_above: float = 0.0136
+    most: float = 1.0
+    off_delay: float = 0.0445
     fo: float = 0.012
     refr: float = 0.05
 
@@ -94,8 +98,8 @@ class BiasModel:
         slopes, off = self.slopes, steps.get("diff_off", 0)
         faster = max(1 + slopes.refr * steps.get("refr", 0), slopes.refr)
         factors = {
-            "threshold_on": math.exp(slopes.diff_on * steps.get("diff_on", 0)),
-            "threshold_off": math.exp((slopes.diff_off if off < 0 else slopes.diff_off_above) * off),
+            "threshold_on": math.exp(min(slopes.diff_on * steps.get("diff_on", 0), slopes.most)),
+            "threshold_off": math.exp(min((slopes.diff_off if off < 0 else slopes.diff_off_above) * off, slopes.most)),
             "off_latency_us": math.exp(slopes.off_delay * off) if self.has_delay else 1.0,
             "refractory_us": 1 / faster,
             self.low_pass: 1 + slopes.fo * steps.get("fo", 0),

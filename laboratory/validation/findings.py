@@ -1,7 +1,7 @@
 """Values measured on a real camera beside ours, with the distance between them.
 
-An experiment is a function that repeats one public measurement and returns `Findings`. Each value is a `Datum`, which
-has a bound: the distance within which we call it alike. There are four kinds of distance:
+An experiment is a function that repeats one public measurement with a seed and returns `Findings`. Each value is a
+`Datum`, which has a bound: the distance within which we call it alike. There are four kinds of distance:
 
     relative     |ours / real - 1|
     factor       the larger of ours / real and real / ours
@@ -12,11 +12,14 @@ has a bound: the distance within which we call it alike. There are four kinds of
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
+
+import numpy as np
 
 Kind = Literal["relative", "factor", "difference", "statistic"]
 
@@ -33,15 +36,21 @@ class Datum:
     what : str
         The condition, such as "ON at 0.046 W/m2, factory biases".
     real, ours : float
-        The two values, in `unit`; NaN where there is none.
+        The two values, in `unit`; ours is the median over the seeds, NaN where the simulated sensor gives none.
     unit : str
         Unit; "" for a number.
     kind : Kind
         Distance between the two.
     bound : float
-        Largest distance that is alike; NaN: shown, not judged, and `remark` gives the reason.
+        Largest distance that is alike.
+    fitted : bool
+        True: a value of the preset was chosen by this datum, which shows what the model can follow; false: predicted.
+    apart : float
+        The distance, of the same kind, between two real ones, such as two regions of a chip; NaN: not known.
     remark : str
         Doubts about the measurement or the comparison.
+    seeds : tuple of float
+        Ours for each seed; empty: one seed.
     """
 
     what: str
@@ -50,33 +59,39 @@ class Datum:
     unit: str
     kind: Kind
     bound: float
+    fitted: bool
+    apart: float = math.nan
     remark: str = ""
+    seeds: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if math.isnan(self.bound) and not self.remark:
-            raise ValueError(f"{self.what}: a datum without a bound needs a remark that gives the reason")
+        if math.isnan(self.real) or math.isnan(self.bound):
+            raise ValueError(f"{self.what}: real = {self.real}, bound = {self.bound}: a datum needs both")
+
+    @property
+    def distances(self) -> tuple[float, ...]:
+        """Distance from the real value for each seed."""
+        return tuple(self.distance_of(ours) for ours in self.seeds or (self.ours,))
+
+    def distance_of(self, ours: float) -> float:
+        """Return the distance of a value from the real one, by `kind`; infinite where a ratio has no value."""
+        ratio = self.kind in ("relative", "factor")
+        if math.isnan(ours) or (ratio and not (self.real > 0 and ours > 0)):
+            return math.inf
+        if self.kind == "statistic":
+            return ours
+        if self.kind == "difference":
+            return abs(ours - self.real)
+        return abs(ours / self.real - 1) if self.kind == "relative" else max(ours / self.real, self.real / ours)
 
     @property
     def distance(self) -> float:
-        """Distance of ours from the real value, by `kind`; infinite where a ratio has no value."""
-        if self.kind == "statistic":
-            return self.ours
-        if self.kind == "difference":
-            return abs(self.ours - self.real)
-        if not (self.real > 0 and self.ours > 0):
-            return math.inf
-        if self.kind == "relative":
-            return abs(self.ours / self.real - 1)
-        return max(self.ours / self.real, self.real / self.ours)
-
-    @property
-    def judged(self) -> bool:
-        """True: the datum has a bound."""
-        return not math.isnan(self.bound)
+        """Largest distance over the seeds."""
+        return max(self.distances)
 
     @property
     def alike(self) -> bool:
-        """True: within the bound. A distance that is NaN is not alike."""
+        """True: within the bound for every seed."""
         return self.distance <= self.bound
 
     @property
@@ -140,10 +155,18 @@ class Findings:
     remarks: tuple[str, ...] = ()
     draw: Draw | None = field(default=None, compare=False)
 
-    @property
-    def judged(self) -> tuple[Datum, ...]:
-        """The data that have a bound."""
-        return tuple(datum for datum in self.data if datum.judged)
+    def rows(self, fitted: bool) -> tuple[Datum, ...]:
+        """Return the data that are fitted, or those that are predicted."""
+        return tuple(datum for datum in self.data if datum.fitted == fitted)
+
+
+def over_seeds(found: Sequence[Findings]) -> Findings:
+    """Return the findings of one experiment with several seeds as one; pictures and remarks are those of the first."""
+    data = tuple(
+        dataclasses.replace(same[0], ours=float(np.median(ours := tuple(d.ours for d in same))), seeds=ours)
+        for same in zip(*(one.data for one in found), strict=True)
+    )
+    return dataclasses.replace(found[0], data=data)
 
 
 Experiment = Callable[[int], Findings]

@@ -1,4 +1,4 @@
-"""The page of a validation: Markdown, with pictures, CSV and JSON beside it. Disagreement stands first."""
+"""The pages of a validation, in Markdown: what the sensors are worth, and every value; pictures, CSV, JSON beside."""
 
 from __future__ import annotations
 
@@ -6,16 +6,28 @@ import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from statistics import median
 
 from emulator.report.page import write_csv, write_json
 from laboratory.validation.findings import Datum, Findings
 
+_WORTH = """# What it is worth
+
+How close the simulated sensors are to real cameras: public measurements, repeated by `evstim validate --out docs`.
+First what is *predicted*: no value of a preset was chosen by these data. Then what was *fitted*: agreement shows that
+the model can follow a camera, no more. Counts are given for the worst and the best seed.
+[Validation](validation.md) has every value with its source; [Accuracy](accuracy.md) and
+[Physics and numerics](physics.md) judge the solution of the model, [Speed](benchmarks.md) its cost.
+"""
 _INTRODUCTION = """# Validation
 
-How much the simulated sensors are like real cameras: public measurements, repeated by `evstim validate --out docs`.
-What disagrees stands first. All values and their distances are in [validation.csv](validation/validation.csv) and
-[validation.json](validation/validation.json). In a table of light and biases a cell is real/ours; bold: they
-disagree; in brackets: not judged.
+How much the simulated sensors are like real cameras: every value behind [what it is worth](worth.md), with what
+disagrees first. Ours is the median over the seeds with the least and the largest value, and stands in the column
+*fitted* where a value of the preset was chosen by that datum, else in *predicted*; distances are the largest over the
+seeds. *Apart* is the distance between two real ones, where it is known: a bound far above it is lenient, and one below
+it is stricter than two real cameras can meet. In a table of light and biases a cell is real/ours; in italics: fitted;
+bold: they disagree with a seed at least. [validation.csv](validation/validation.csv) and
+[validation.json](validation/validation.json) have all of it; pictures show the first seed.
 """
 
 _MOST_ROWS = 12
@@ -23,72 +35,81 @@ _MOST_ROWS = 12
 
 
 def write(found: Sequence[Findings], out: Path) -> list[Path]:
-    """Write `validation.md` into folder `out`, pictures and tables into `out/validation`; return the files."""
+    """Write `worth.md` and `validation.md` into folder `out`, pictures and tables into `out/validation`."""
     folder = out / "validation"
     folder.mkdir(parents=True, exist_ok=True)
     pictures = {one.name: one.draw(folder / one.name) for one in found if one.draw is not None}
-    page = out / "validation.md"
-    page.write_text("\n".join(_lines(found, pictures)) + "\n")
+    pages = out / "worth.md", out / "validation.md"
+    for page, lines in zip(pages, (_worth(found), _lines(found, pictures)), strict=True):
+        page.write_text("\n".join(lines).rstrip() + "\n")
     rows = [_row(one, datum) for one in found for datum in one.data]
     tables = [write_csv(rows, folder / "validation.csv"), write_json(_document(found), folder / "validation.json")]
-    return [page, *tables, *(path for paths in pictures.values() for path in paths)]
+    return [*pages, *tables, *(path for paths in pictures.values() for path in paths)]
+
+
+def _worth(found: Sequence[Findings]) -> Iterable[str]:
+    yield _WORTH
+    for title, fitted in (("Predicted", False), ("Fitted", True)):
+        yield from (f"## {title}", "", "| measurement | sensor | within the bound | of | median distance | largest |")
+        yield "|---|---|---|---|---|---|"
+        for one in found:
+            if data := one.rows(fitted):
+                yield f"| {one.title} | {one.sensor} | {within(data)} | {len(data)} | {_middle(data)} |"
+        yield ""
+
+
+def within(data: Sequence[Datum]) -> str:
+    """Return how many data are within their bounds: with the worst seed and with the best."""
+    counts = [
+        sum(distance <= datum.bound for distance, datum in zip(distances, data, strict=True))
+        for distances in zip(*(datum.distances for datum in data), strict=True)
+    ]
+    return _from_to(min(counts), max(counts))
+
+
+def _middle(data: Sequence[Datum]) -> str:
+    """Return the cells of the median and the largest distance, where all are of one kind and unit."""
+    if len({(datum.kind, datum.unit) for datum in data}) > 1:
+        return "–|–"
+    typical = median(median(datum.distances) for datum in data)
+    return "|".join(_measure(data[0], value) for value in (typical, max(datum.distance for datum in data)))
+
+
+def _disagreement(found: Sequence[Findings], fitted: bool) -> Iterable[str]:
+    apart = [(one, datum) for one in found for datum in one.rows(fitted) if not datum.alike]
+    apart.sort(key=lambda pair: -pair[1].excess)
+    yield from (f"## What disagrees, {'fitted' if fitted else 'predicted'}", "")
+    if not apart:
+        return (yield from ("Nothing: every value lies within its bound.", ""))
+    yield "| measurement | condition | real | ours | distance | bound | apart |"
+    yield "|---|---|---|---|---|---|---|"
+    for one, datum in apart:
+        yield f"|{one.title}|{datum.what}|{_real(datum)}|{_ours(datum)}|{_distances(datum)}|"
+    yield ""
 
 
 def _lines(found: Sequence[Findings], pictures: dict[str, list[Path]]) -> Iterable[str]:
     yield _INTRODUCTION
-    yield from _summary(found)
-    yield from _disagreement(found)
+    yield from (*_disagreement(found, False), *_disagreement(found, True))
     titles: dict[str, str] = {}
     for one in found:
         yield from _section(one, pictures.get(one.name, []), titles)
 
 
-def _summary(found: Sequence[Findings]) -> Iterable[str]:
-    yield "| measurement | sensor | alike | of |"
-    yield "|---|---|---|---|"
-    for one in found:
-        alike = sum(datum.alike for datum in one.judged)
-        yield f"| {one.title} | {one.sensor} | {alike} | {len(one.judged)} |"
-    yield ""
-
-
-def _disagreement(found: Sequence[Findings]) -> Iterable[str]:
-    apart = [(one, datum) for one in found for datum in one.judged if not datum.alike]
-    apart.sort(key=lambda pair: -pair[1].excess)
-    yield "## What disagrees"
-    yield ""
-    if not apart:
-        yield "Nothing: every value lies within its bound."
-        yield ""
-        return
-    yield "| measurement | condition | real | ours | distance | bound |"
-    yield "|---|---|---|---|---|---|"
-    for one, datum in apart:
-        yield f"|{one.title}|{datum.what}|{_values(datum)}|"
-    yield ""
-
-
 def _section(one: Findings, picture: list[Path], titles: dict[str, str]) -> Iterable[str]:
     """Yield the lines of an experiment; `titles` has the section of each text so far."""
-    yield f"## {one.title}"
-    yield ""
-    yield _once(one.protocol, one.title, titles)
-    yield ""
+    yield from (f"## {one.title}", "", _once(one.protocol, one.title, titles), "")
     for path in picture:
         if path.suffix == ".png":
-            yield f"![{one.title}](validation/{path.name})"
-            yield ""
-    yield from _grid(one.data) or _list(one.data)
-    yield ""
+            yield from (f"![{one.title}](validation/{path.name})", "")
+    yield from (*(_grid(one.data) or _list(one.data)), "")
     remarks = [remark for remark in one.remarks if remark not in titles]
     titles.update(dict.fromkeys(remarks, one.title))
     yield from (f"- {remark}" for remark in remarks)
-    if remarks:
-        yield ""
+    yield from [""] * bool(remarks)
     for source in one.sources:
         text = f"{source.title}, {source.address}; {source.obtained}. {source.licence}"
-        yield f"Source: {_once(text, one.title, titles)}"
-        yield ""
+        yield from (f"Source: {_once(text, one.title, titles)}", "")
 
 
 def _once(text: str, title: str, titles: dict[str, str]) -> str:
@@ -108,11 +129,17 @@ def _grid(data: Sequence[Datum]) -> list[str]:
     if len(data) <= _MOST_ROWS or len(rows) * len(columns) != len(set(split)) or len(columns) == 1:
         return []
     cells = {(row, column): _cell(datum) for (row, _, column), datum in zip(split, data, strict=True)}
-    remarks = dict.fromkeys(datum.remark for datum in data if datum.remark)
-    bounds = dict.fromkeys(_bound(datum) for datum in data if datum.judged)
+    apart = [datum.apart for datum in data if not math.isnan(datum.apart)]
     notes = [f"Unit: {data[0].unit}."] if data[0].unit else []
-    notes += [f"Bound: {', '.join(bounds)}."] if bounds else []
-    notes += [f"Not judged: {'; '.join(remarks)}."] if remarks else []
+    bounds = [_measure(datum, datum.bound) for datum in data]
+    for bound in dict.fromkeys(bounds):
+        remarks = dict.fromkeys(
+            one.remark for one, same in zip(data, bounds, strict=True) if one.remark and same == bound
+        )
+        notes.append(f"Bound: {bound}{' where ' if remarks else ''}{'; '.join(remarks)}.")
+    notes += [
+        f"Apart: {_measure(data[0], median(apart))} in the median, {_measure(data[0], max(apart))} at most."
+    ] * bool(apart)
     return [
         f"|condition|{'|'.join(columns)}|",
         "|---|" + "---|" * len(columns),
@@ -123,28 +150,43 @@ def _grid(data: Sequence[Datum]) -> list[str]:
 
 
 def _cell(datum: Datum) -> str:
-    text = f"{_number(datum.real)}/{_number(datum.ours)}"
-    if not datum.judged:
-        return f"({text})"
-    return text if datum.alike else f"**{text}**"
+    mark = "*" * (datum.fitted + 2 * (not datum.alike))
+    return f"{mark}{_number(datum.real)}/{_from_to(*_range(datum))}{mark}"
 
 
 def _list(data: Sequence[Datum]) -> Iterable[str]:
     """Yield a table of one row a datum; remarks of several stand below it by their number."""
     remarks = [datum.remark for datum in data if datum.remark]
     numbers = {remark: str(n) for n, remark in enumerate(dict.fromkeys(r for r in remarks if remarks.count(r) > 1), 1)}
-    yield "|condition|real|ours|distance|bound|remark|"
-    yield "|---|---|---|---|---|---|"
+    yield "|condition|real|fitted|predicted|distance|bound|apart|remark|"
+    yield "|---|---|---|---|---|---|---|---|"
     for datum in data:
-        yield f"|{datum.what}|{_values(datum)}|{numbers.get(datum.remark, datum.remark)}|"
+        ours = f"{_ours(datum)}|" if datum.fitted else f"|{_ours(datum)}"
+        remark = numbers.get(datum.remark, datum.remark)
+        yield f"|{datum.what}|{_real(datum)}|{ours}|{_distances(datum)}|{remark}|"
     if numbers:
         yield ""
         yield "Remarks: " + "; ".join(f"{number}: {remark}" for remark, number in numbers.items()) + "."
 
 
-def _values(datum: Datum) -> str:
-    unit = f" {datum.unit}" if datum.unit else ""
-    return f"{_number(datum.real)}{unit}|{_number(datum.ours)}{unit}|{_distance(datum)}|{_bound(datum)}"
+def _real(datum: Datum) -> str:
+    return f"{_number(datum.real)} {datum.unit}".strip()
+
+
+def _ours(datum: Datum) -> str:
+    """Return the median over the seeds, and their range."""
+    low, high = _range(datum)
+    return f"{_number(datum.ours)} {datum.unit}".strip() + (f" ({_from_to(low, high)})" if low != high else "")
+
+
+def _range(datum: Datum) -> tuple[float, float]:
+    seeds = datum.seeds or (datum.ours,)
+    return min(seeds), max(seeds)
+
+
+def _from_to(low: float, high: float) -> str:
+    first, last = _number(low), _number(high)
+    return first if first == last else f"{first} to {last}"
 
 
 def _number(value: float) -> str:
@@ -152,12 +194,9 @@ def _number(value: float) -> str:
     return "–" if math.isnan(value) else f"{float(f'{value:.3g}'):g}" if abs(value) < 1e6 else f"{value:.3g}"
 
 
-def _distance(datum: Datum) -> str:
-    return _measure(datum, datum.distance)
-
-
-def _bound(datum: Datum) -> str:
-    return _measure(datum, datum.bound) if datum.judged else "–"
+def _distances(datum: Datum) -> str:
+    """Return the cells of distance, bound, and the distance of two real ones."""
+    return "|".join(_measure(datum, value) for value in (datum.distance, datum.bound, datum.apart))
 
 
 def _measure(datum: Datum, value: float) -> str:
@@ -172,19 +211,19 @@ def _measure(datum: Datum, value: float) -> str:
 
 
 def _row(one: Findings, datum: Datum) -> dict[str, object]:
-    named = {"measurement": one.name, "sensor": one.sensor, **dataclasses.asdict(datum)}
-    return {**named, "distance": datum.distance, "alike": datum.alike if datum.judged else None}
+    """Return a row of the tables: ours in the column of its kind, fitted or predicted, and its range over the seeds."""
+    low, high = _range(datum)
+    values = {"what": datum.what, "real": datum.real, "fitted": None, "predicted": None}
+    values["fitted" if datum.fitted else "predicted"] = datum.ours
+    rest = {name: getattr(datum, name) for name in ("unit", "kind", "distance", "bound", "apart", "alike", "remark")}
+    return {"measurement": one.name, "sensor": one.sensor, **values, "least": low, "largest": high, **rest}
 
 
 def _document(found: Sequence[Findings]) -> list[dict[str, object]]:
     return [
         {
-            "name": one.name,
-            "title": one.title,
-            "sensor": one.sensor,
-            "protocol": one.protocol,
+            **{name: getattr(one, name) for name in ("name", "title", "sensor", "protocol", "remarks")},
             "sources": [dataclasses.asdict(source) for source in one.sources],
-            "remarks": list(one.remarks),
             "data": [_row(one, datum) for datum in one.data],
         }
         for one in found

@@ -2,39 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json, status
 from emulator.light import MachineLacks
-from laboratory.validation.background import background
-from laboratory.validation.findings import Experiment
+from laboratory.validation.background import background, noise2params
+from laboratory.validation.findings import Experiment, over_seeds
 from laboratory.validation.latency import latency, opposite, region, spread
-from laboratory.validation.page import write
+from laboratory.validation.page import within, write
 from laboratory.validation.recordings import davis346, evk4
 from laboratory.validation.stars import stars
 from laboratory.verbs import check_drawing, collected, make_folder
 
-EXPERIMENTS: Mapping[str, Experiment] = {
+EXPERIMENTS: dict[str, Experiment] = {  # in the order of the page
     "latency": latency,
     "region": region,
     "spread": spread,
     "opposite": opposite,
+    "noise2params": noise2params,
     "davis346_street": davis346,
     "evk4_quiet": evk4,
     "background": background,
     "stars": stars,
 }
-"""Experiments by name, in the order of the page. An experiment is one function."""
 
 
-def validate(
-    *names: str,
-    out: Path,
-    seed: int = 1,
-    json: Json = False,
-) -> int:
-    """Repeat public measurements of real cameras on the simulated sensors; write a page, pictures and tables.
+def validate(*names: str, out: Path, seeds: int = 8, json: Json = False) -> int:
+    """Repeat public measurements of real cameras on the simulated sensors; write pages, pictures and tables.
 
     Parameters
     ----------
@@ -42,28 +36,34 @@ def validate(
         Only these experiments; all without a name.
     out
         Folder to write into; created if missing.
-    seed
-        Fixes mismatch, noise and phases.
+    seeds
+        Number of simulated sensors, each with its own mismatch, noise and phases.
     """
     unknown = [name for name in names if name not in EXPERIMENTS]
     if unknown:
         raise Failure(f"{unknown[0]!r} is no experiment: choose from {', '.join(EXPERIMENTS)}", WRONG_USE)
+    if seeds < 1:
+        raise Failure(f"--seeds {seeds}: at least 1", WRONG_USE)
     check_drawing()
     make_folder(out)
-    chosen = names or tuple(EXPERIMENTS)
+    chosen = [EXPERIMENTS[name] for name in names or EXPERIMENTS]
+    runs = (measure(seed) for measure in chosen for seed in range(1, seeds + 1))
     try:
-        findings = collected((EXPERIMENTS[name](seed) for name in chosen), len(chosen), "measuring")
+        done = collected(runs, len(chosen) * seeds, "measuring")
     except MachineLacks as error:
         raise Failure(str(error), LACKING) from error
+    found = [over_seeds(done[k : k + seeds]) for k in range(0, len(done), seeds)]
     with status.status("drawing ..."):
-        files = write(findings, out)
-    judged = {experiment.name: len(experiment.judged) for experiment in findings}
-    alike = {experiment.name: sum(datum.alike for datum in experiment.judged) for experiment in findings}
+        files = write(found, out)
+    alike = {
+        f"{one.title}, {name}": f"{within(rows)} of {len(rows)}"
+        for one in found
+        for name, fitted in (("predicted", False), ("fitted", True))
+        if (rows := one.rows(fitted))
+    }
     if json:
-        print_json({"alike": alike, "judged": judged, "files": files})
-        return GOOD
-    for experiment in findings:
-        console.print(f"{experiment.title}: {alike[experiment.name]} of {judged[experiment.name]} alike")
-    for path in files:
-        console.print(str(path))
+        print_json({"within": alike, "files": files})
+    else:
+        lines = [f"{name}: {count} within the bound" for name, count in alike.items()]
+        console.print("\n".join([*lines, *map(str, files)]))
     return GOOD

@@ -1,4 +1,4 @@
-"""Distances between a real value and ours, by hand, and the page that is made of them."""
+"""Distances between a real value and ours, by hand, over seeds, and the pages that are made of them."""
 
 import dataclasses
 import json
@@ -6,14 +6,14 @@ import math
 
 import pytest
 
-from laboratory.validation.findings import Datum, Findings, Source
-from laboratory.validation.page import write
+from laboratory.validation.findings import Datum, Findings, Source, over_seeds
+from laboratory.validation.page import within, write
 
 SOURCE = Source("A camera", "doi 1", "Free.", "read off")
 
 
-def datum(what="one", real=2.0, ours=3.0, kind="relative", bound=0.1, remark=""):
-    return Datum(what, real, ours, "us", kind, bound, remark)
+def datum(what="one", real=2.0, ours=3.0, kind="relative", bound=0.1, fitted=False, **more):
+    return Datum(what, real, ours, "us", kind, bound, fitted, **more)
 
 
 @pytest.mark.parametrize(
@@ -25,20 +25,35 @@ def test_each_kind_of_distance(kind, distance, excess):
     one = datum(kind=kind)
     assert one.distance == pytest.approx(distance)
     assert one.excess == pytest.approx(excess)
-    assert one.judged
 
 
 def test_a_bound_is_inclusive_and_ratios_need_values():
     assert datum(ours=2.5, bound=0.25).alike
     assert not datum(ours=2.6, bound=0.25).alike
     assert datum(real=0.0).distance == math.inf
-    assert not datum(real=math.nan, kind="difference").alike
+    assert not datum(ours=math.nan, kind="difference").alike
 
 
-def test_a_datum_without_a_bound_gives_the_reason():
-    with pytest.raises(ValueError, match="needs a remark"):
-        datum(bound=math.nan)
-    assert not datum(bound=math.nan, remark="unknown light").judged
+@pytest.mark.parametrize("missing", ["bound", "real"])
+def test_no_datum_comes_without_a_bound_or_a_real_value(missing):
+    with pytest.raises(ValueError, match="needs both"):
+        datum(**{missing: math.nan})
+
+
+def test_each_datum_names_whether_it_was_fitted():
+    with pytest.raises(TypeError, match="fitted"):
+        Datum("one", 1.0, 1.0, "us", "relative", 0.1)
+
+
+def test_a_range_over_seeds_is_judged_by_its_worst():
+    runs = [findings("one", [datum(real=10.0, ours=ours), datum(real=10.0, ours=10.0)]) for ours in (10.4, 9.5, 11.2)]
+    first, second = over_seeds(runs).data
+    assert first.ours == 10.4
+    assert first.seeds == (10.4, 9.5, 11.2)
+    assert first.distance == pytest.approx(0.12)
+    assert not first.alike
+    assert second.alike
+    assert within([first, second]) == "1 to 2"
 
 
 def findings(name, data, draw=None):
@@ -47,26 +62,29 @@ def findings(name, data, draw=None):
     )
 
 
-def test_the_page_begins_with_what_disagrees_most(tmp_path):
+def test_predicted_rows_lead_and_what_disagrees_most_comes_first(tmp_path):
     def draw(stem):
         paths = [stem.with_suffix(suffix) for suffix in (".svg", ".png")]
         for path in paths:
             path.write_text("")
         return paths
 
-    one = findings(
-        "first", [datum("close", ours=2.1), datum("apart", ours=2.5), datum("open", bound=math.nan, remark="r")]
-    )
+    follows = datum("follows", ours=9.9, fitted=True, remark="r")
+    one = findings("first", [datum("close", ours=2.1), datum("apart", ours=2.5, apart=0.03), follows])
     two = findings("second", [datum("far", ours=9.0)], draw)
     files = write([one, two], tmp_path)
+    worth = (tmp_path / "worth.md").read_text()
+    assert worth.index("## Predicted") < worth.index("| Title of second | imx636 | 0 | 1 |") < worth.index("## Fitted")
+    assert "| Title of first | imx636 | 1 | 2 | 15.0 %|25.0 % |" in worth
+    assert "| Title of first | imx636 | 0 | 1 |" in worth[worth.index("## Fitted") :]
     text = (tmp_path / "validation.md").read_text()
-    disagreement = text[text.index("## What disagrees") : text.index("## Title of first")]
-    assert disagreement.index("far") < disagreement.index("apart")
-    assert "close" not in disagreement
-    assert "open" not in disagreement
-    assert "| Title of first | imx636 | 1 | 2 |" in text
-    assert "|apart|2 us|2.5 us|25.0 %|10.0 %||" in text
-    assert "|open|2 us|3 us|50.0 %|–|r|" in text
+    places = [
+        text.index(name) for name in ("|far|", "|apart|", "## What disagrees, fitted", "|follows|", "## Title of")
+    ]
+    assert places == sorted(places)
+    assert "close" not in text[: text.index("## Title of first")]
+    assert "|apart|2 us||2.5 us|25.0 %|10.0 %|3.0 %||" in text
+    assert "|follows|2 us|9.9 us||395.0 %|10.0 %|–|r|" in text
     assert "![Title of second](validation/second.png)" in text
     assert "Source: A camera, doi 1; read off. Free." in text
     assert text.count("Light on, light off.") == text.count("A limit.") == text.count("read off") == 1
@@ -74,26 +92,32 @@ def test_the_page_begins_with_what_disagrees_most(tmp_path):
     assert all(path.exists() for path in files)
     document = json.loads((tmp_path / "validation" / "validation.json").read_text())
     assert [one["name"] for one in document] == ["first", "second"]
-    assert [row["alike"] for row in document[0]["data"]] == [True, False, None]
+    rows = document[0]["data"]
+    assert [(row["fitted"], row["predicted"], row["alike"]) for row in rows[1:]] == [
+        (None, 2.5, False),
+        (9.9, None, False),
+    ]
 
 
 def test_a_page_without_disagreement_states_it(tmp_path):
     write([findings("only", [dataclasses.replace(datum(), ours=2.0)])], tmp_path)
-    assert "Nothing: every value lies within its bound." in (tmp_path / "validation.md").read_text()
+    assert (tmp_path / "validation.md").read_text().count("Nothing: every value lies within its bound.") == 2
 
 
 def test_a_grid_of_conditions_is_one_table(tmp_path):
     data = [datum(f"ON at {light} W/m2, {biases}", ours=2.1) for light in range(5) for biases in ("low", "mid", "high")]
     data[1] = dataclasses.replace(data[1], ours=3.0)
-    data[2] = dataclasses.replace(data[2], bound=math.nan, remark="beyond")
+    data[2] = dataclasses.replace(data[2], bound=0.5, fitted=True, remark="biases are extreme", seeds=(2.0, 2.2))
+    data[3] = dataclasses.replace(data[3], apart=0.02)
     write([findings("only", data)], tmp_path)
     text = (tmp_path / "validation.md").read_text()
-    assert "|condition|low|mid|high|\n|---|---|---|---|\n|ON at 0 W/m2|2/2.1|**2/3**|(2/2.1)|\n" in text
-    assert "Unit: us. Bound: 10.0 %. Not judged: beyond." in text
+    assert "|condition|low|mid|high|\n|---|---|---|---|\n|ON at 0 W/m2|2/2.1|**2/3**|*2/2 to 2.2*|\n" in text
+    assert (
+        "Unit: us. Bound: 10.0 %. Bound: 50.0 % where biases are extreme. Apart: 2.0 % in the median, 2.0 % at" in text
+    )
 
 
 def test_a_remark_of_several_values_stands_once(tmp_path):
-    data = [datum(what, bound=math.nan, remark="dim") for what in ("one", "two")]
-    write([findings("only", data)], tmp_path)
+    write([findings("only", [datum(what, remark="dim") for what in ("one", "two")])], tmp_path)
     text = (tmp_path / "validation.md").read_text()
-    assert "|two|2 us|3 us|50.0 %|–|1|\n\nRemarks: 1: dim." in text
+    assert "|two|2 us||3 us|50.0 %|10.0 %|–|1|\n\nRemarks: 1: dim." in text

@@ -1,5 +1,6 @@
 """NIST's tables and protocol on simulated sensors whose latencies are known."""
 
+import csv
 import dataclasses
 import json
 import math
@@ -26,8 +27,11 @@ from laboratory.verbs.validate import EXPERIMENTS
 
 def test_the_tables_hold_every_condition_and_their_origin():
     rows = table("latency")
-    assert len({(row["polarity"], row["irradiance_w_m2"], row["diff_on"]) for row in rows}) == len(rows) == 70
-    assert {row["side"] for row in table("region")} == {32, 64, 128, 256, 420}
+    conditions = {(row["lens"], row["polarity"], row["irradiance_w_m2"], row["diff_on"]) for row in rows}
+    assert len(conditions) == len(rows) == 140
+    assert {(row["lens"], row["side"]) for row in table("region")} == {
+        (k, s) for k in (0, 1) for s in (32, 64, 128, 256, 420)
+    }
     assert all(row["median_lo"] <= row["median_us"] <= row["median_hi"] for row in rows)
 
 
@@ -70,18 +74,33 @@ def test_latencies_of_a_plain_pixel_are_those_of_its_law():
     assert late_us == pytest.approx(1e6 * math.log(shares) / (2 * math.pi * 3000 * bright), abs=1.5)
 
 
-def test_validate_writes_a_page_and_prints_the_counts(tmp_path, capsys, monkeypatch):
-    quick = EXPERIMENTS["spread"]
+def test_validate_writes_its_pages_over_seeds_and_prints_the_counts(tmp_path, capsys, monkeypatch):
     assert list(EXPERIMENTS)[:2] == ["latency", "region"]
-    monkeypatch.setattr("laboratory.validation.latency.latencies", lambda *condition: (_same(), _same()))
-    assert len(quick(1).data) == 20
-    assert _main(["validate", "spread", "--out", str(tmp_path), "--json"]) == 0
+    monkeypatch.setattr("laboratory.validation.latency.latencies", lambda irradiance, biases, seed: (_same(seed),) * 2)
+    assert _main(["validate", "latency", "spread", "--seeds", "2", "--out", str(tmp_path), "--json"]) == 0
     last = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert last["judged"] == {"spread": 0}
-    assert (tmp_path / "validation.md").exists()
-    assert (tmp_path / "validation" / "spread.png").exists()
+    assert last["within"]["Spread of latencies in a region, predicted"] == "14 of 20"
+    assert last["within"]["Latency over light and biases, fitted"].endswith("of 60")
+    rows = list(csv.DictReader((tmp_path / "validation" / "validation.csv").read_text().splitlines()))
+    assert len(rows) == 140 + 40
+    assert (rows[0]["least"], rows[0]["largest"]) == ("50.0", "51.0")
+    assert (tmp_path / "worth.md").exists()
+    assert (tmp_path / "validation" / "latency.png").exists()
     assert _main(["validate", "nothing", "--out", str(tmp_path)]) == 2
+    assert _main(["validate", "spread", "--seeds", "0", "--out", str(tmp_path)]) == 2
 
 
-def _same():
-    return Statistics(50.0, 25.0, 100.0, 55.0, 111.0, 3.0)
+def test_extreme_biases_and_the_lens_are_predicted_rows_with_bounds(monkeypatch):
+    monkeypatch.setattr("laboratory.validation.latency._simulated", lambda irradiance, biases, seed: (_same(1),) * 2)
+    rows = {datum.what: datum for datum in EXPERIMENTS["latency"](1).data}
+    assert not rows["ON at 0.166 W/m2, biases +105, +142"].fitted
+    assert rows["ON at 0.166 W/m2, biases +35, +47"].fitted
+    assert not rows["OFF at 0.166 W/m2 behind a lens, factory biases"].fitted
+    assert {datum.bound for datum in rows.values()} == {0.1, 0.2, 0.25}
+    assert rows["ON at 0.0457 W/m2, factory biases"].apart == pytest.approx(98.1 / 93.3 - 1)  # of nine regions
+    counts = {datum.what: datum for datum in EXPERIMENTS["opposite"](1).data}
+    assert counts["ON at 0.166 W/m2, factory biases"].apart == pytest.approx(16.2 / 13.1)  # with and without the lens
+
+
+def _same(seed):
+    return Statistics(49.0 + seed, 25.0, 100.0, 55.0, 111.0, 3.0)
