@@ -51,7 +51,9 @@ def test_rates_of_two_poles_in_still_light(tau1_us, tau2_us, dead_us, a, rate_hz
 
 def test_rates_are_means_over_pixels_with_thresholds_of_their_own():
     """Low thresholds fire so often that they make the mean; ON and OFF share the pixels' events."""
-    even = dataclasses.replace(P, threshold_on=0.22, threshold_off=0.18, noise=NoiseParameters(rms=0.15, corner_hz=300.0))
+    even = dataclasses.replace(
+        P, threshold_on=0.22, threshold_off=0.18, noise=NoiseParameters(rms=0.15, corner_hz=300.0)
+    )
     spread = dataclasses.replace(even, mismatch=0.12, width=60, height=40)
     rates = still_hz(spread, 3000.0)
     assert sum(rates) > 1.2 * sum(still_hz(even, 3000.0))
