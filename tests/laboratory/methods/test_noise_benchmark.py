@@ -66,7 +66,7 @@ def test_first_events_are_one_a_pixel():
     ids=["still", "sine", "ramp"],
 )  # fmt: skip
 def test_pixels_have_the_rates_order_and_intervals_of_the_reference(scene, poles):
-    noise = NoiseParameters(0.065, 1900.0 * (poles - 1))  # an rms 3 % larger fails in still light
+    noise = NoiseParameters(0.065, 1900.0 * (poles - 1))  # an rms 6 % larger fails in still light
     case = Case("noise", scene, sensor(0.4, poles, "large_signal", 128, noise=noise), 2.0)
     true = of_reference(case)
     for step_s in (1e-3, 8e-2):
