@@ -198,11 +198,11 @@ class PixelArray(PixelMethod):
         values *= np.where(values < DEAD_THRESHOLD, np.float32(ratio), np.float32(1))
 
     def _limit_rates(self, c: LightConstants) -> None:
-        """Give the photoreceptors the rates of new constants at once, and the light's slopes by warped time with them."""
-        fields, most = self.state.fields, self._light_constants.rate_max
+        """Give the photoreceptors the rates of new constants at once, and the slopes by warped time with them."""
+        fields, highest = self.state.fields, self._light_constants.rate_max
         rate, slope = fields[:, Field.RATE].copy(), fields[:, Field.SLOPE]
         with np.errstate(over="ignore"):
-            unlimited = np.where(rate >= most, c.rate_at_reference * np.exp(fields[:, Field.LOG_LIGHT]), rate)
+            unlimited = np.where(rate >= highest, c.rate_at_reference * np.exp(fields[:, Field.LOG_LIGHT]), rate)
         fields[:, Field.RATE] = np.clip(unlimited, c.rate_min, c.rate_max)
         slope *= rate / fields[:, Field.RATE]
 

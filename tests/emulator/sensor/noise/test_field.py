@@ -3,6 +3,7 @@
 Each statistical test fails a good field with a probability of 1e-4; seeds are fixed.
 """
 
+import itertools
 import math
 
 import numba
@@ -85,7 +86,7 @@ def test_windows_divide_the_points_among_them(cuts, begin_ns, below_hz, pixel):
     """In any division of time: none is lost, none comes twice, and those below a lower hazard are some of them."""
     edges = sorted({begin_ns, begin_ns + 10**9, *(begin_ns + cut for cut in cuts)})
     t_ns, hz = of_pixel(pixel, edges[0], edges[-1], below_hz)
-    parts = [of_pixel(pixel, *ends, below_hz) for ends in zip(edges, edges[1:], strict=False)]
+    parts = [of_pixel(pixel, *ends, below_hz) for ends in itertools.pairwise(edges)]
     assert np.array_equal(np.concatenate([part[0] for part in parts]), t_ns)
     assert np.array_equal(np.concatenate([part[1] for part in parts]), hz)
     assert np.all((t_ns > edges[0]) & (t_ns <= edges[-1]) & (hz < below_hz))

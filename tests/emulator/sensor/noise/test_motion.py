@@ -2,7 +2,8 @@
 
 That followed noise, comparator and dead time as in `test_still_light`. Sines: 192 pixels of evenly spread phases,
 thresholds spread by 12 % and rms by 15 %, those of this generator and seed; dead time 20 us. Without noise the first
-three sines have 4.8, 14.4 and 51.0 events a pixel and second. Ramps: intervals of events over those of thresholds. Edges: a logistic rise of 3.4 thresholds; the time of each pixel's first event after its middle.
+three sines have 4.8, 14.4 and 51.0 events a pixel and second. Ramps: intervals of events over those of thresholds.
+Edges: a logistic rise of 3.4 thresholds; the time of each pixel's first event after its middle.
 
 Rates are compared within 3 %, or 3.9 standard errors of both where that is more; means of ramps and edges within 2 %,
 spreads within 5 %, or that many errors. A solver that is right fails in one of 10 000 cases.

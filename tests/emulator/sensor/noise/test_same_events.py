@@ -154,8 +154,10 @@ def test_steps_do_not_matter_after_a_bias_is_written(name, factor):
     assert not np.array_equal(found[0], unchanged)
 
 
-@pytest.mark.parametrize(("light", "step_ms", "most"), [(ramp(2.0, 0.05), 10, 1e-3), (ramp(-2.0), 40, 0.02),
-                                                        (sine(0.5, 2.0), 1, 1e-3), (sine(0.5, 2.0), 10, 0.02)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("light", "step_ms", "most"),
+    [(ramp(2.0, 0.05), 10, 1e-3), (ramp(-2.0), 40, 0.02), (sine(0.5, 2.0), 1, 1e-3), (sine(0.5, 2.0), 10, 0.02)],
+)
 def test_in_moving_light_nearly_all_events_are_the_same(light, step_ms, most):
     """Those of steps of 0.2 ms; an event that is not the same changes its pixel's next ones, not for long."""
     fine, coarse = (set(events_of(LOUD, light, ends(step, 400)).rows().tolist()) for step in (0.2, step_ms))

@@ -3,8 +3,8 @@
 The noise was followed on a grid of exact transitions, of a fiftieth of its time constant for one pole, with a bridge
 between two grid points; of a twentieth of the geometric mean of both time constants for two, with the cubic between
 them. Comparator, dead time, reference = signal + noise at its end: a pixel of the textbook, which shares nothing with
-the solver. One pole: 64 pixels, 2000 to 16 000 time constants, error of the rates .3 to .5 %. Two: 96 pixels, .3 to 3 s,
-errors below. ON thresholds are 4 % above OFF, of one pole too; references begin at random phases, as here.
+the solver. One pole: 64 pixels, 2000 to 16 000 time constants, error of the rates .3 to .5 %. Two: 96 pixels, .3 to 3
+s, errors below. ON thresholds are 4 % above OFF, of one pole too; references begin at random phases, as here.
 
 Rates are compared within 3 %, or 3.9 standard errors of both where that is more: a solver that is right fails in one
 of 10 000 cases. The share of waits below a quantile is compared within .015, beside the rounding of the quantile.
