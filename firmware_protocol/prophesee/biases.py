@@ -96,12 +96,11 @@ class BiasModel:
     def factors(self, steps: Mapping[str, int]) -> dict[str, float]:
         """Return the factors that are not 1, by parameter, for biases by name in steps from the factory's value."""
         slopes, off = self.slopes, steps.get("diff_off", 0)
+        off_slope = slopes.diff_off if off < 0 else slopes.diff_off_above
         faster = max(1 + slopes.refr * steps.get("refr", 0), slopes.refr)
         factors = {
             "threshold_on": math.exp(min(slopes.diff_on * steps.get("diff_on", 0), slopes.largest_exponent)),
-            "threshold_off": math.exp(
-                min((slopes.diff_off if off < 0 else slopes.diff_off_above) * off, slopes.largest_exponent)
-            ),
+            "threshold_off": math.exp(min(off_slope * off, slopes.largest_exponent)),
             "off_latency_us": math.exp(slopes.off_delay * off) if self.has_delay else 1.0,
             "refractory_us": 1 / faster,
             self.low_pass: 1 + slopes.fo * steps.get("fo", 0),
