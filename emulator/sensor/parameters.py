@@ -133,9 +133,9 @@ class NoiseParameters:
 
     Attributes
     ----------
-    rms : of the noise behind the photoreceptor, natural-log units; 0: none. Measured: 0.04 to 0.07 (Graca 2024, fig. 2.13).
-    corner_hz : second pole of the noise, fixed; 0: the signal's, `source_follower_hz`. The first is the photoreceptor's,
-        of corner frequency f: behind both the variance is rms^2 corner / (corner + f).
+    rms : of the noise behind the photoreceptor, ln units; 0: none. Measured: 0.04 to 0.07 (Graca 2024, fig. 2.13).
+    corner_hz : second pole of the noise, fixed; 0: the signal's, `source_follower_hz`. The first is that of the
+        photoreceptor, of corner frequency f: behind both the variance is rms^2 corner / (corner + f).
     spread : log-normal spread of the rms between pixels, with the median `rms`: a few fire far more often than the
         others, as on real chips.
     history_s : longest time for which noise has acted before the start, in the first light. Without it, references at
