@@ -1,1 +1,1 @@
-"""Temporal noise: its rms and poles, the hazard of a first passage, rates in still light; `pixels.passage` applies it."""
+"""Temporal noise: rms and poles, hazard of a first passage, rates in still light; `pixels.passage` applies it."""
