@@ -1,5 +1,5 @@
 """Sensor: from light to events.
 
-`sensor` runs a step: a pixel method (`methods`, `pixels`), then reads of active pixels (`aps`), latency and read-out
-(`chip`), with `noise` and defects on the way. `presets` are the parameters of known sensors.
+`sensor` runs a step: the pixels (`pixels`, with `noise` inside), then reads of active pixels (`row_kicks`), latency and
+read-out (`chip`). `presets` are the parameters of known sensors.
 """

@@ -239,20 +239,15 @@ class TracedSensor(Sensor):
         leaks = self._leak.step(crossings, self._constant_hz if hz is None else hz, seen, settled_ns)
         codes = np.where(leaks, np.uint8(Origin.LEAK), np.uint8(Origin.SIGNAL))
         if isinstance(self.pixels, PixelArray) and len(self.pixels.of_noise):
-            codes[_is_among(crossings, self.pixels.of_noise)] = Origin.NOISE
+            listed = (crossings, self.pixels.of_noise)
+            keys, of_noise = ((c.t_ns - self._t_ns << _PIXEL_BITS) | c.pixel.astype(np.int64) for c in listed)
+            codes[np.isin(keys, of_noise)] = Origin.NOISE
         return codes
 
     def _leak_hz(self) -> npt.NDArray[np.float64] | None:
         """Return each pixel's leak rate, without the parasitic one; None where unknown or inseparable from noise."""
         capabilities = self.pixels.capabilities
         return None if capabilities.has_grid_noise or not capabilities.has_faults else self.pixels.leak_hz()
-
-
-def _is_among(crossings: Crossings, listed: Crossings) -> npt.NDArray[np.bool_]:
-    """Return which crossings have time and pixel of one that is listed."""
-    first_ns = min(int(crossings.t_ns[0]), int(listed.t_ns[0])) if len(crossings) else 0
-    keys, among = ((c.t_ns - first_ns << _PIXEL_BITS) | c.pixel.astype(np.int64) for c in (crossings, listed))
-    return np.asarray(np.isin(keys, among))
 
 
 def _bits(crossings: Crossings, codes: _Codes) -> list[Crossings]:

@@ -129,20 +129,18 @@ class DefectParameters:
 
 @dataclass(frozen=True, slots=True)
 class NoiseParameters:
-    """Temporal noise at the comparator: a voltage with one pole whose excursions over a threshold are events.
+    """Temporal noise at the comparator: an event is the first passage of signal plus noise through a threshold.
 
     Attributes
     ----------
-    rms : of the noise in dim light, natural-log units; 0: none. Measured: 0.04 to 0.07 (Graca 2024, fig. 2.13).
-    corner_hz : fixed pole behind the photoreceptor; 0: the signal's, `source_follower_hz`. Where the photoreceptor, of
-        corner frequency f, is faster, the pole takes the noise down to rms^2 corner / (corner + f), its bandwidth to f
-        corner / (corner + f).
+    rms : of the noise behind the photoreceptor, natural-log units; 0: none. Measured: 0.04 to 0.07 (Graca 2024, fig. 2.13).
+    corner_hz : second pole of the noise, fixed; 0: the signal's, `source_follower_hz`. The first is the photoreceptor's,
+        of corner frequency f: behind both the variance is rms^2 corner / (corner + f).
     spread : log-normal spread of the rms between pixels, with the median `rms`: a few fire far more often than the
         others, as on real chips.
     history_s : longest time for which noise has acted before the start, in the first light. Without it, references at
         random phases make a burst of events, as after a reset of the whole chip. Passages only.
-    grade : "passages": events are first passages of signal and noise; "grid": the noise on a fine grid of time, for
-        comparison on some thousand pixels.
+    grade : "passages": all pixels, by the hazard of a passage; "grid": some thousand, by a fine grid of time.
     """
 
     rms: Share = 0.0

@@ -388,7 +388,8 @@ class Sensor:
         while (cut_ns := self._next_cut_ns()) < frame.t_ns:
             share = (cut_ns - t0_ns) / (frame.t_ns - t0_ns)
             cut = LightFrame(cut_ns, self._between(frame.light, share), changed=frame.changed)
-            parts.append(_copied(self._move(cut)))
+            moved = self._move(cut)  # of arrays that the next step writes again
+            parts.append(dataclasses.replace(moved, **{k: getattr(moved, k).copy() for k in ("t_ns", "pixel", "on")}))
         parts.append(self._move(frame))
         self._remember(frame.light)
         return self._send(joined(parts), self.pixels.settled_ns)
@@ -510,13 +511,6 @@ class Sensor:
         """Store the last frame, if a step may have to be cut."""
         if self._next_cut_ns() < NEVER_NS:
             self._before[:] = light
-
-
-def _copied(crossings: Crossings) -> Crossings:
-    """Return a copy that stays valid after the next step."""
-    return dataclasses.replace(
-        crossings, t_ns=crossings.t_ns.copy(), pixel=crossings.pixel.copy(), on=crossings.on.copy()
-    )
 
 
 def _leaks(pixels: PixelMethod, p: SensorParameters, seed: int, defects: Defects) -> Leaks | None:

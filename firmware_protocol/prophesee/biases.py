@@ -1,6 +1,6 @@
 """The effect of the biases on the pixels is a set of factors on the parameters that the factory's biases give:
 
-    threshold_on         e^(diff_on      x steps of diff_on)                             but at most e^most
+    threshold_on         e^(diff_on      x steps of diff_on)                             but at most e^largest_exponent
     threshold_off        e^(diff_off     x steps of diff_off); above the factory's value diff_off_above; likewise
     off_latency_us       e^(off_delay    x steps of diff_off)
     refractory_us    1 / max(1 + refr    x steps of refr, refr)
@@ -51,7 +51,7 @@ class BiasSlopes:
         Of the logarithm of the ON and the OFF contrast threshold, 0 to 1; `diff_off` holds below the factory's value.
     diff_off_above
         The same of the OFF contrast threshold above the factory's value.
-    most
+    largest_exponent
         Largest logarithm of a contrast threshold over the factory's, 0 to 1.
     off_delay
         Of the logarithm of the delay of OFF events, a step of diff_off, where the sensor has such a delay.
@@ -64,7 +64,7 @@ class BiasSlopes:
     diff_on: float = 0.0143
     diff_off: float = 0.0208
     diff_off_above: float = 0.0136
-    most: float = 1.0
+    largest_exponent: float = 1.0
     off_delay: float = 0.0445
     fo: float = 0.012
     refr: float = 0.05
@@ -96,10 +96,11 @@ class BiasModel:
     def factors(self, steps: Mapping[str, int]) -> dict[str, float]:
         """Return the factors that are not 1, by parameter, for biases by name in steps from the factory's value."""
         slopes, off = self.slopes, steps.get("diff_off", 0)
+        off_slope = slopes.diff_off if off < 0 else slopes.diff_off_above
         faster = max(1 + slopes.refr * steps.get("refr", 0), slopes.refr)
         factors = {
-            "threshold_on": math.exp(min(slopes.diff_on * steps.get("diff_on", 0), slopes.most)),
-            "threshold_off": math.exp(min((slopes.diff_off if off < 0 else slopes.diff_off_above) * off, slopes.most)),
+            "threshold_on": math.exp(min(slopes.diff_on * steps.get("diff_on", 0), slopes.largest_exponent)),
+            "threshold_off": math.exp(min(off_slope * off, slopes.largest_exponent)),
             "off_latency_us": math.exp(slopes.off_delay * off) if self.has_delay else 1.0,
             "refractory_us": 1 / faster,
             self.low_pass: 1 + slopes.fo * steps.get("fo", 0),

@@ -117,7 +117,7 @@ def noise2params(seed: int) -> Findings:
         title="Noise over light of another EVK4",
         sensor="imx636_noisy",
         protocol="Still, even light for 20 s, 9600 pixels, at thirteen lights from 0.1 to 1000 lux; ON and OFF events "
-        f"of all kinds. Light 1 is {lux_at_reference:.1f} lx of sunlight on the chip. Where the real light was measured "
+        f"of all kinds. Light 1 is {lux_at_reference:.1f} lx of sunlight on the chip. Where real light was measured "
         f"and its spectrum are not stated: one lux is taken for {_SUN_LUX:g} lx of sunlight, a number that was fitted.",
         sources=(_NOISE2PARAMS,),
         data=tuple(

@@ -1,1 +1,1 @@
-"""Temporal noise: hazards of first passages, the random points under them, and references at the start."""
+"""Temporal noise: its rms and poles, the hazard of a first passage, and rates in still light; `pixels.passage` applies it."""

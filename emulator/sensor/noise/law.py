@@ -126,7 +126,8 @@ def still_hz(p: SensorParameters, f_hz: float) -> Rates:
     node, weight = np.polynomial.hermite_e.hermegauss(_NODES)
     on = off = 0.0
     for x, share in zip(node, weight / weight.sum(), strict=True):
-        thresholds = (max(t * (1 + p.mismatch * x), 0.1 * t) for t in (p.threshold_on, p.threshold_off))
+        spread = p.mismatch * math.sqrt(0.5) * x  # of the mean of a pixel's two thresholds, which decides
+        thresholds = (max(t * (1 + spread), 0.1 * t) for t in (p.threshold_on, p.threshold_off))
         fixed = 0.0 if math.isinf(pole) else 2 * math.pi * pole
         rates = _chain(*thresholds, per_s, fixed, p.noise.rms, p.refractory_us * 1e-6, hazard_tables())
         on, off = on + share * rates.on, off + share * rates.off

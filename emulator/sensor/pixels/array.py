@@ -38,6 +38,7 @@ from emulator.sensor.pixels.state import (
     Field,
     FlatLight,
     Levels,
+    LightConstants,
     Pixels,
     PixelState,
     ResetError,
@@ -183,6 +184,8 @@ class PixelArray(PixelMethod):
         elif name == "leak_hz":
             pixels = draw(after, self.seed)
             self.set_leak(pixels.leak / pixels.on)
+        if name == "corner_max_hz":
+            self._limit_rates(light_constants(after))
         self.parameters, self._light_constants = after, light_constants(after)
         self._refractory_ns = _refractory_ns(after)
         self._refinement = None
@@ -193,6 +196,15 @@ class PixelArray(PixelMethod):
         """Multiply a threshold of all pixels that are not dead."""
         values = self.state.fields[:, field]
         values *= np.where(values < DEAD_THRESHOLD, np.float32(ratio), np.float32(1))
+
+    def _limit_rates(self, c: LightConstants) -> None:
+        """Give the photoreceptors the rates of new constants at once, and the slopes by warped time with them."""
+        fields, highest = self.state.fields, self._light_constants.rate_max
+        rate, slope = fields[:, Field.RATE].copy(), fields[:, Field.SLOPE]
+        with np.errstate(over="ignore"):
+            unlimited = np.where(rate >= highest, c.rate_at_reference * np.exp(fields[:, Field.LOG_LIGHT]), rate)
+        fields[:, Field.RATE] = np.clip(unlimited, c.rate_min, c.rate_max)
+        slope *= rate / fields[:, Field.RATE]
 
     def _scale_leak(self, ratio: float) -> None:
         """Multiply the leak of all pixels; the reference moves, so that the comparators' levels stay."""

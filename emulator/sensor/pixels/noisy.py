@@ -170,6 +170,7 @@ def solve_noisy(
 
 _STAYS = 3.0  # longest mean stays of a reference that are run
 _MOST_STAYS = 64
+_HELD = 0.2  # of a deviation
 _LEAST_LEAK = 1e-9  # ln units a second
 _LEAST_HZ = 1e-6
 
@@ -180,7 +181,8 @@ def settle(first: int, last: int, history_s: float, root: np.uint64, pixels: Pix
 
     A sensor that has run for a while has references at which events are rare: those near a threshold have been left.
     The chain of references (`law`) runs for `history_s`, but no longer than some mean stays at the rarest reference, in
-    which it settles, and than leak takes for half a threshold. The step of `c` ends at the start; nothing moves in it.
+    which it settles, and than leak needs for a fifth of a deviation: until then rates at a level hold. The step of `c`
+    ends at the start; nothing moves in it.
     """
     fields = pixels.fields
     for pixel in range(first, last):
@@ -192,19 +194,15 @@ def settle(first: int, last: int, history_s: float, root: np.uint64, pixels: Pix
         value = np.float64(fields[at + _V]) + leak * c.since_epoch_1
         noise = noise_of(rate, c.noise_pole, c.noise_rms * pixels.memory[pixel * MEMORY + 2])
         rarest = still_hazard((on + off) / 2, (on + off) / 2, noise, pixels.tables)
-        left_s = min(history_s, 0.5 * on / max(leak, _LEAST_LEAK), _STAYS / max(rarest.on + rarest.off, _LEAST_HZ))
-        level = np.float64(fields[at + _REF]) - value + leak * left_s
+        left_s = min(history_s, _HELD * noise.sigma / max(leak, _LEAST_LEAK))
+        left_s = min(left_s, _STAYS / max(rarest.on + rarest.off, _LEAST_HZ))
+        level = np.float64(fields[at + _REF]) - value
         number = stream(root, np.int64(pixels.memory[pixel * MEMORY + 3]))
-        drift_s = 0.5 * noise.sigma / max(leak, _LEAST_LEAK)  # in which leak hardly changes the hazard
         for k in range(_MOST_STAYS):
             stay = stay_at(level, on, off, noise, c.refractory_ns * 1e-9, number, k, pixels.tables)
-            stays_s = min(left_s, drift_s)
-            if stay.length_s < stays_s:
-                stays_s = stay.length_s
-                level = stay.level
-            level -= leak * stays_s
-            left_s -= stays_s
-            if left_s <= 0:
+            if stay.length_s >= left_s:
                 break
+            left_s -= stay.length_s + c.refractory_ns * 1e-9
+            level = stay.level
         fields[at + _REF] = np.float32(value + level)
         certify(pixels, pixel, value, rate, False, c)

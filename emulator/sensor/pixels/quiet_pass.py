@@ -80,29 +80,23 @@ _FASTER = np.float32(1.65)  # slopes behind a filter whose rate changes, over th
 _BULGE = np.float32(1.2)  # ... and for light that is higher inside the step than at its ends: e^x < 1 + 1.2 x
 
 
-@lane
-def _light_at(i: int, light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, c: StepConstants) -> None:
-    """Write a pixel's new log light (NaN where the light is not finite), its slope and rate to the state.
-
-    The old ones go to the scratch rows.
-    """
-    e, r = light[i], rate[i]
-    lit = e > _ZERO
-    current = (e if lit else _ZERO) + c.dark
-    before[_U0 + i] = s[_U + i]
-    before[_L0 + i] = s[_L + i]
-    before[_G0 + i] = s[_G + i]
-    rate_after = min(max(c.rate_at_reference * current, c.rate_min), c.rate_max)
-    s[_U + i] = natural_log(current) if abs(e) <= _BRIGHTEST else _NAN
-    s[_L + i] = rate_after
-    s[_G + i] = (r if lit else _ZERO * r) / (current * rate_after)  # d ln i / ds; 0 * r keeps an unknown rate unknown
-
-
 @vector_kernel
 def _take_light(light: _Float32s, rate: _Float32s, s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Write each pixel's new log light (NaN where it is not finite), slope and rate; the old ones to scratch rows."""
     use_widest_vectors()
     for i in range(BLOCK):
-        _light_at(i, light, rate, s, before, c)
+        e, r = light[i], rate[i]
+        lit = e > _ZERO
+        current = (e if lit else _ZERO) + c.dark
+        before[_U0 + i] = s[_U + i]
+        before[_L0 + i] = s[_L + i]
+        before[_G0 + i] = s[_G + i]
+        rate_after = min(max(c.rate_at_reference * current, c.rate_min), c.rate_max)
+        s[_U + i] = natural_log(current) if abs(e) <= _BRIGHTEST else _NAN
+        s[_L + i] = rate_after
+        s[_G + i] = (r if lit else _ZERO * r) / (
+            current * rate_after
+        )  # d ln i / ds; 0 * r keeps an unknown rate unknown
 
 
 @vector_kernel
@@ -125,21 +119,16 @@ def _take_light_alone(light: _Float32s, s: _Float32s, before: _Float32s, c: Step
         s[_G + i] = slope * l0
 
 
-@lane
-def _warp_at(i: int, s: _Float32s, before: _Float32s, c: StepConstants) -> None:
-    """Write a pixel's S, q = 1 - e^-S, and the slopes of u per step."""
-    l0, l1 = before[_L0 + i], s[_L + i]
-    a0, a1 = c.h * l0 * before[_G0 + i], c.h * l1 * s[_G + i]
-    warped = warped_time(c.h, l0, l1, a0, a1, c)
-    before[_A0 + i], before[_A1 + i] = a0, a1
-    before[_S + i], before[_Q + i] = warped, decay(warped)
-
-
 @vector_kernel
 def _warp(s: _Float32s, before: _Float32s, c: StepConstants) -> None:
+    """Write each pixel's S, q = 1 - e^-S, and the slopes of u per step."""
     use_widest_vectors()
     for i in range(BLOCK):
-        _warp_at(i, s, before, c)
+        l0, l1 = before[_L0 + i], s[_L + i]
+        a0, a1 = c.h * l0 * before[_G0 + i], c.h * l1 * s[_G + i]
+        warped = warped_time(c.h, l0, l1, a0, a1, c)
+        before[_A0 + i], before[_A1 + i] = a0, a1
+        before[_S + i], before[_Q + i] = warped, decay(warped)
 
 
 @lane
@@ -169,44 +158,6 @@ def _filter_bounds(q: Real, behind: Real, d: Real, a0: Real, a1: Real) -> tuple[
     top, bottom = max(end, max(first, last)), min(min(d, _ZERO), min(first, last))
     share = min(q * (_WIDER + _BULGE * (top - end)), _ONE)
     return share * max(behind + top, _ZERO), share * min(behind + bottom, _ZERO)
-
-
-@lane
-def _is_quiet(i: int, s: _Float32s, before: _Float32s, above: Real, rise: Real, fall: Real, c: StepConstants) -> Real:
-    """Return whether a pixel cannot fire, and its step is smooth.
-
-    `above` is the filtered value over the reference at the start, `rise` and `fall` bound its change. The leak raises
-    the highest value until the step's end, and the lowest one by what it was at the start.
-    """
-    on, off, leak = s[_ON + i], s[_OFF + i], s[_LEAK + i]
-    high = above + (rise + leak * c.since_epoch_1)
-    low = above + (fall + leak * c.since_epoch_0)
-    quiet = (high < on - _MARGIN) & (low > _MARGIN - off)
-    d = s[_U + i] - before[_U0 + i]
-    return quiet & is_smooth(d, before[_A0 + i], before[_A1 + i], min(on, off), c.unseen_share)
-
-
-@lane
-def _filter_and_test_at(i: int, s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -> None:
-    """Filter a pixel, and write 1 to `may_fire` if it may fire or its step is not smooth, else 0.
-
-    This is the usual case in one loop. NaN in any input gives 1, so pixels in their refractory period, whose reference
-    is NaN, and pixels with unreadable light become candidates and are handled there.
-    """
-    v0, q = s[_V + i], before[_Q + i]
-    course = _course_at(i, s, before)
-    behind = before[_U0 + i] - v0
-    before[_V0 + i] = v0
-    s[_V + i] = v0 + rise_of_filter(q, behind, course)
-    rise, fall = _filter_bounds(q, behind, course.d, before[_A0 + i], before[_A1 + i])
-    may_fire[i] = 0 if _is_quiet(i, s, before, v0 - s[_REF + i], rise, fall, c) else 1
-
-
-@vector_kernel
-def _filter_and_test(s: _Float32s, before: _Float32s, may_fire: _Bytes, c: StepConstants) -> None:
-    use_widest_vectors()
-    for i in range(BLOCK):
-        _filter_and_test_at(i, s, before, may_fire, c)
 
 
 @vector_kernel
@@ -361,9 +312,6 @@ def move_quietly(
     else:
         _take_light(light, rate, s, before, c)
     _warp(s, before, c)
-    if (c.second == _ZERO) & (c.parasitic == _ZERO) & (not (c.noisy | c.large)):
-        _filter_and_test(s, before, may_fire, c)
-        return
     if c.large:
         _receive(s, before)
         if c.second > _ZERO:

@@ -167,8 +167,9 @@ def test_a_pixel_beside_the_sensor_has_no_thresholds(x, y):
 
 
 _NOISY = dataclasses.replace(
-    PRESETS["davis346"], width=40, height=30, leak_hz=0.0, mismatch=0.0, noise=NoiseParameters(rms=0.08)
-)
+    PRESETS["davis346"], width=40, height=30, leak_hz=0.0, mismatch=0.0, refractory_us=0.0, source_follower_hz=0.0,
+    noise=NoiseParameters(rms=0.08),
+)  # fmt: skip
 
 
 def _noise_events(sensor: Sensor, ends_ms: tuple[int, ...]) -> np.ndarray:
@@ -211,10 +212,8 @@ def test_noise_follows_a_changed_threshold(off):
     changed.adjust("threshold_off", off)
     found += [len(_noise_events(changed, tuple(range(1605, end_ms + 1, 100))))]
 
-    hz = _NOISY.corner_hz_at_reference * (0.05 + _NOISY.dark_current_relative)
-    passed = _NOISY.source_follower_hz / (_NOISY.source_follower_hz + hz)
-    sigma, per_s = 0.08 * math.sqrt(passed), 2 * math.pi * hz * passed
-    first, second = ((_NOISY.threshold_on / sigma, one / sigma) for one in (_NOISY.threshold_off, off))
+    per_s = 2 * math.pi * _NOISY.corner_hz_at_reference * (0.05 + _NOISY.dark_current_relative)
+    first, second = ((_NOISY.threshold_on / 0.08, one / 0.08) for one in (_NOISY.threshold_off, off))
     phases = np.random.default_rng(1).random(_NOISY.width * _NOISY.height)
     wanted = _followed(phases, first, second, np.array([1.505, end_ms * 1e-3]) * per_s, np.random.default_rng(3))
     # within 5 %, and 4 standard errors of counts that spread from pixel to pixel as if events came in groups of ten

@@ -1,0 +1,201 @@
+"""The events of noise are those of seed, light and time alone, to the bit: not of steps, threads, skipping or restarts.
+
+Still light and leak give the comparator the same values, in float64, whatever the steps. Values of light that moves
+have float32 between them, and are cubics of the step: there events are compared by number.
+"""
+
+import copy
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from emulator.sensor.parameters import NoiseParameters, ResetParameters
+from emulator.sensor.pixels.array import PixelArray
+from emulator.sensor.presets import PRESETS
+from tests.emulator.sensor.noise.noisy_arrays import (
+    MS,
+    begun,
+    ends,
+    events_of,
+    forget_certificates,
+    frame,
+    one_pole,
+    ramp,
+    run,
+    sine,
+    still,
+    two_poles,
+)
+
+IMX = dataclasses.replace(PRESETS["imx636"], width=24, height=16)
+LOUD = dataclasses.replace(IMX, noise=dataclasses.replace(IMX.noise, rms=0.09))
+SENSORS = {
+    "two poles": LOUD,
+    "quiet": IMX,
+    "one pole": one_pole(3.0, 1e-3, leak_hz=20.0, random_start=True),
+    "poles far apart": two_poles(2.5, 0.03, 84e-6, leak_hz=3.0),
+    "leak": dataclasses.replace(LOUD, leak_hz=100.0, leak_spread=0.5),
+    "leak by light": dataclasses.replace(LOUD, parasitic_hz_at_reference=5.0),
+    "no dead time": dataclasses.replace(LOUD, refractory_us=0.0),
+    "long dead time": dataclasses.replace(LOUD, refractory_us=30_000.0),
+    "errors of resets": dataclasses.replace(LOUD, reset=ResetParameters(offset=0.01, noise=0.02)),
+}
+DIM = dataclasses.replace(LOUD, corner_hz_at_reference=30.0)
+
+
+def same(one, other):
+    return len(one.t_ns) == len(other.t_ns) > 100 and np.array_equal(one.rows(), other.rows())
+
+
+@pytest.mark.parametrize("step_ms", [0.2, 1, 80])
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_steps_do_not_matter(sensor, step_ms):
+    p, until_ms, level = (SENSORS[sensor], 320, 1.0) if sensor != "quiet" else (IMX, 960, 0.1)
+    assert same(events_of(p, still(level), ends(10, until_ms)), events_of(p, still(level), ends(step_ms, until_ms)))
+
+
+@given(steps=st.lists(st.integers(1, 50 * MS), min_size=1, max_size=12), begin_ns=st.integers(-(2**60), 2**60))
+def test_no_division_of_time_matters(steps, begin_ns):
+    """Neither in the far past nor in the far future, nor across an epoch of the leak."""
+    light, until = still(), begin_ns + np.cumsum(steps)
+    parts = events_of(DIM, light, until.tolist(), begin_ns)
+    whole = events_of(DIM, light, [int(until[-1])], begin_ns)
+    assert np.array_equal(parts.rows(), whole.rows())
+    assert np.all((parts.t_ns >= begin_ns) & (parts.t_ns < until[-1]))
+
+
+@pytest.mark.parametrize("leak_hz", [0.0, 0.5])
+def test_an_epoch_does_not_matter(leak_hz):
+    begin_ns = (1 << 33) - 400 * MS
+    p = dataclasses.replace(LOUD, leak_hz=leak_hz)
+    found = [events_of(p, still(), range(begin_ns + step, begin_ns + 800 * MS + 1, step), begin_ns)
+             for step in (10 * MS, 160 * MS, 800 * MS)]  # fmt: skip
+    assert same(found[0], found[1])
+    assert same(found[0], found[2])
+
+
+def test_stream_time_zero_does_not_matter():
+    found = [events_of(LOUD, still(), ends(step, 400, -400), -400 * MS) for step in (10, 800)]
+    assert same(*found)
+    assert found[0].t_ns[0] < 0 < found[0].t_ns[-1]
+
+
+@pytest.mark.parametrize("sensor", ["two poles", "leak"])
+def test_steps_that_end_at_events_lose_none(sensor):
+    whole = events_of(SENSORS[sensor], still(), [30 * MS])
+    times = np.unique(np.concatenate([whole.t_ns, whole.t_ns + 1, [30 * MS]]))
+    assert same(whole, events_of(SENSORS[sensor], still(), times[times <= 30 * MS].tolist()))
+
+
+def test_threads_do_not_matter():
+    """Runs of 4096 pixels go to the threads in turn."""
+    p = dataclasses.replace(LOUD, width=160, height=100)
+    light = sine(0.5, 5.0)
+    one, two = (run(begun(p, light, threads=threads), light, ends(10, 100)) for threads in (1, 2))
+    assert same(one, two)
+
+
+@pytest.mark.parametrize(("light", "step_ms"), [(still(), 2), (sine(0.05, 0.5), 5), (sine(0.5, 2.0, 1.0), 1)])
+def test_certificates_do_not_matter(light, step_ms):
+    """A pixel is left out of a step that its certificate covers; looked at, it has the same events."""
+    usual = events_of(LOUD, light, ends(step_ms, 400))
+    each = run(begun(LOUD, light), light, ends(step_ms, 400), forget_certificates)
+    assert same(usual, each)
+    assert each.array.candidates > 1.2 * usual.array.candidates
+
+
+def test_blocks_at_rest_do_not_matter():
+    usual = events_of(IMX, still(0.3), ends(1, 1000))
+    rests = usual.array._workers.idle.until_ns > 0
+    assert rests.mean() > 0.2
+    assert same(usual, run(begun(IMX, still(0.3)), still(0.3), ends(1, 1000), PixelArray.wake))
+
+
+@pytest.mark.parametrize("sensor", ["two poles", "one pole", "errors of resets", "long dead time"])
+def test_a_copied_state_goes_on_elsewhere(sensor):
+    p, light = SENSORS[sensor], sine(0.3, 3.0)
+    first = begun(p, light)
+    run(first, light, ends(7, 70))
+    other = PixelArray(p, 1)
+    other.state = copy.deepcopy(first.state)
+    assert same(run(first, light, ends(5, 370, 70)), run(other, light, ends(5, 370, 70)))
+
+
+def test_other_pixels_do_not_matter():
+    """A pixel's numbers are keyed by its place; its block's and its batch's other pixels have other light, or none."""
+    light, few = sine(0.5, 3.0), dataclasses.replace(LOUD, height=5)
+    whole, part = events_of(LOUD, light, ends(10, 300)), events_of(few, light, ends(10, 300))
+    below = whole.pixel < few.width * few.height
+    assert np.array_equal(whole.rows()[below], part.rows())
+    array = begun(LOUD, light)
+    array.kill(np.arange(few.width * few.height, LOUD.width * LOUD.height))
+    array.reset(frame(LOUD, light, 0))
+    alone = run(array, light, ends(10, 300))
+    assert np.array_equal(alone.rows(), part.rows())
+
+
+@pytest.mark.parametrize(
+    ("name", "factor"), [("threshold_on", 0.7), ("threshold_off", 1.5), ("refractory_us", 9.0), ("corner_max_hz", 0.05)]
+)
+def test_steps_do_not_matter_after_a_bias_is_written(name, factor):
+    found = []
+    for step_ms in (0.5, 40):
+        array = begun(LOUD, still())
+        parts = [run(array, still(), ends(step_ms, 80))]
+        array.adjust(name, factor * array.adjustable[name])
+        parts.append(run(array, still(), ends(step_ms, 240, 80)))
+        found.append(np.concatenate([part.rows() for part in parts]))
+    assert len(found[0]) > 500
+    assert np.array_equal(*found)
+    unchanged = events_of(LOUD, still(), ends(40, 240)).rows()
+    assert not np.array_equal(found[0], unchanged)
+
+
+@pytest.mark.parametrize(
+    ("light", "step_ms", "most"),
+    [(ramp(2.0, 0.05), 10, 1e-3), (ramp(-2.0), 40, 0.02), (sine(0.5, 2.0), 1, 1e-3), (sine(0.5, 2.0), 10, 0.02)],
+)
+def test_in_moving_light_nearly_all_events_are_the_same(light, step_ms, most):
+    """Those of steps of 0.2 ms; an event that is not the same changes its pixel's next ones, not for long."""
+    fine, coarse = (set(events_of(LOUD, light, ends(step, 400)).rows().tolist()) for step in (0.2, step_ms))
+    assert len(fine) > 5000
+    assert len(fine ^ coarse) < 2 * most * len(fine)
+
+
+def test_the_light_of_single_pixels_between_frames_does_not_matter():
+    """A pixel whose light changes unseen is solved in halves, whoever else is."""
+    p = dataclasses.replace(LOUD, width=32, height=24)
+    phases = np.linspace(0, 6, 32 * 24)
+
+    def light(t_s, among=slice(None)):
+        level = np.exp(0.6 * np.sin(2 * np.pi * 30 * t_s + phases[among]))
+        return level, level * 0.6 * 2 * np.pi * 30 * np.cos(2 * np.pi * 30 * t_s + phases[among])
+
+    def between(t_ns, pixels):
+        return tuple(values.astype(np.float32) for values in light(t_ns * 1e-9, pixels))
+
+    found = []
+    for forgets in (False, True):
+        array, parts = begun(p, light), []
+        for t_ns in ends(5, 300):
+            step = array.step(frame(p, light, t_ns, at=between))
+            parts.append(np.rec.fromarrays([step.t_ns.copy(), step.pixel.copy(), step.on.copy()]))
+            if forgets:
+                forget_certificates(array)
+                array._refinement = None
+        found.append(np.concatenate(parts))
+        assert array.refined > 5000
+    assert len(found[0]) > 20_000
+    assert np.array_equal(*found)
+
+
+def test_without_noise_all_is_as_if_there_were_none():
+    p = dataclasses.replace(LOUD, noise=NoiseParameters())
+    light = sine(1.0, 5.0)
+    found = events_of(p, light, ends(5, 200))
+    assert found.array.state.memory.size == 0
+    spread = dataclasses.replace(LOUD, noise=dataclasses.replace(LOUD.noise, rms=0.0, corner_hz=100.0))
+    assert same(found, events_of(spread, light, ends(5, 200)))
