@@ -170,10 +170,10 @@ class PixelArray(PixelMethod):
                 "source_follower_hz can change between values above 0 only: the pole cannot be added or removed"
             )
         changed: dict[str, Any] = {name: value}
-        if name == "source_follower_hz" and before.noise.corner_hz:  # the noise's pole is of the same transistors
-            corner_hz = before.noise.corner_hz * value / before.source_follower_hz
-            changed["noise"] = dataclasses.replace(before.noise, corner_hz=corner_hz)
         after = dataclasses.replace(before, **changed)
+        if name == "source_follower_hz" and before.noise.corner_hz:  # a pole of the same transistors
+            corner_hz = min(before.noise.corner_hz * value / before.source_follower_hz, 1e6)
+            after = dataclasses.replace(after, noise=dataclasses.replace(before.noise, corner_hz=corner_hz))
         if name == "threshold_on":
             self._scale_threshold(Field.ON, after.threshold_on / before.threshold_on)
             self._scale_leak(after.threshold_on / before.threshold_on)  # events a second stay as they were

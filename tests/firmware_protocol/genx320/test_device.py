@@ -168,8 +168,8 @@ def test_biases_are_absolute_and_act():
     )
     assert camera.biases["diff_on"] == 35
     assert camera.sensor_factors == {
-        "threshold_on": pytest.approx(math.exp(10 * 0.0298)),
-        "threshold_off": pytest.approx(math.exp(-10 * 0.0508)),
+        "threshold_on": pytest.approx(math.exp(10 * 0.0286)),
+        "threshold_off": pytest.approx(math.exp(-10 * 0.0416)),
         "refractory_us": pytest.approx(1 / 3),
         "corner_max_hz": pytest.approx(0.5),
     }

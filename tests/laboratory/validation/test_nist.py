@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from emulator.cli.app import _main
+from emulator.sensor.chip.defects import at_temperature
 from emulator.sensor.parameters import BackgroundParameters, JitterParameters, NoiseParameters
 from emulator.sensor.presets import IMX636_W_M2, PRESETS, ReadoutParameters
 from firmware_protocol.events import EVENT
@@ -37,9 +38,9 @@ def test_the_tables_hold_every_condition_and_their_origin():
 
 def test_biases_change_the_thresholds_and_the_delay_of_off_events_alone():
     p = at_biases(PRESETS["imx636"], -42, 47)
-    assert p.threshold_on == pytest.approx(0.223 * math.exp(-42 * 0.0149))
-    assert p.threshold_off == pytest.approx(0.223 * math.exp(47 * 0.0117))
-    assert p.jitter.off_latency_us == pytest.approx(PRESETS["imx636"].jitter.off_latency_us * math.exp(47 * 0.042))
+    assert p.threshold_on == pytest.approx(0.223 * math.exp(-42 * 0.0143))
+    assert p.threshold_off == pytest.approx(0.223 * math.exp(47 * 0.0136))
+    assert p.jitter.off_latency_us == pytest.approx(PRESETS["imx636"].jitter.off_latency_us * math.exp(47 * 0.0445))
     nominal = dataclasses.replace(p, threshold_on=0.223, threshold_off=0.223, jitter=PRESETS["imx636"].jitter)
     assert nominal == PRESETS["imx636"]
 
@@ -62,7 +63,7 @@ def test_first_events_after_an_edge_count_by_pixel_and_by_key():
 
 def test_latencies_of_a_plain_pixel_are_those_of_its_law():
     p = dataclasses.replace(
-        regions(), mismatch=0.0, source_follower_hz=0.0, jitter=JitterParameters(), background=BackgroundParameters(),
+        at_temperature(regions()), mismatch=0.0, leak_hz=0.0, source_follower_hz=0.0, jitter=JitterParameters(), background=BackgroundParameters(),
         noise=NoiseParameters(), readout=ReadoutParameters(event_ns=0.001, row_ns=0), random_start=False,
     )  # fmt: skip
     edges = pulsed(p, 0.0457, 1, cycles=1)
@@ -71,7 +72,7 @@ def test_latencies_of_a_plain_pixel_are_those_of_its_law():
     dark, bright = p.dark_current_relative, 0.0457 / IMX636_W_M2 + p.dark_current_relative
     # w = e^-V follows w' + K i w = K: from 1 / dark to e^-0.223 / dark
     shares = (1 / dark - 1 / bright) / (math.exp(-0.223) / dark - 1 / bright)
-    assert late_us == pytest.approx(1e6 * math.log(shares) / (2 * math.pi * 3000 * bright), abs=1.5)
+    assert late_us == pytest.approx(1e6 * math.log(shares) / (2 * math.pi * p.corner_hz_at_reference * bright), abs=1.5)
 
 
 def test_validate_writes_its_pages_over_seeds_and_prints_the_counts(tmp_path, capsys, monkeypatch):
@@ -80,7 +81,7 @@ def test_validate_writes_its_pages_over_seeds_and_prints_the_counts(tmp_path, ca
     assert _main(["validate", "latency", "spread", "--seeds", "2", "--out", str(tmp_path), "--json"]) == 0
     last = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert last["within"]["Spread of latencies in a region, predicted"] == "14 of 20"
-    assert last["within"]["Latency over light and biases, fitted"].endswith("of 60")
+    assert last["within"]["Latency over light and biases, fitted"].endswith("of 70")
     rows = list(csv.DictReader((tmp_path / "validation" / "validation.csv").read_text().splitlines()))
     assert len(rows) == 140 + 40
     assert (rows[0]["least"], rows[0]["largest"]) == ("50.0", "51.0")
@@ -90,10 +91,10 @@ def test_validate_writes_its_pages_over_seeds_and_prints_the_counts(tmp_path, ca
     assert _main(["validate", "spread", "--seeds", "0", "--out", str(tmp_path)]) == 2
 
 
-def test_extreme_biases_and_the_lens_are_predicted_rows_with_bounds(monkeypatch):
+def test_extreme_biases_have_bounds_and_the_lens_is_predicted(monkeypatch):
     monkeypatch.setattr("laboratory.validation.latency._simulated", lambda irradiance, biases, seed: (_same(1),) * 2)
     rows = {datum.what: datum for datum in EXPERIMENTS["latency"](1).data}
-    assert not rows["ON at 0.166 W/m2, biases +105, +142"].fitted
+    assert rows["ON at 0.166 W/m2, biases +105, +142"].bound == 0.25
     assert rows["ON at 0.166 W/m2, biases +35, +47"].fitted
     assert not rows["OFF at 0.166 W/m2 behind a lens, factory biases"].fitted
     assert {datum.bound for datum in rows.values()} == {0.1, 0.2, 0.25}

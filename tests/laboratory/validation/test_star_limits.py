@@ -9,7 +9,7 @@ from emulator.rig.kinds import CAMERA_MODELS
 from emulator.rig.loading import load_rig
 from emulator.scene.stars.skies import stars_per_deg2
 from emulator.scene.stars.stars import StarField
-from emulator.sensor.parameters import BackgroundParameters, NoiseParameters
+from emulator.sensor.parameters import BackgroundParameters, NoiseParameters, TemperatureParameters
 from emulator.sensor.presets import PRESETS
 from laboratory.validation.star_fields import FALSE_SOURCES, Observatory, Seen, observe
 from laboratory.validation.stars import AMOS_G, AMOS_SHARE, Limits, amos_found
@@ -60,7 +60,8 @@ def test_the_rigs_drift_as_the_recording_did():
 @pytest.mark.system
 def test_bright_stars_are_found_and_those_below_the_dark_current_are_not():
     background = BackgroundParameters(hz=0.1)
-    effects = {"background": background, "noise": NoiseParameters(), "dark_current_relative": 0.001}
+    effects = {"background": background, "noise": NoiseParameters(), "dark_current_relative": 0.001, "leak_hz": 0.0}
+    effects["temperature"] = TemperatureParameters()
     sensor = dataclasses.replace(PRESETS["imx636"], width=320, height=240, **effects)
     scale = 320 / 1280
     rig = load_rig("stars-limit")
