@@ -54,7 +54,7 @@ def test_the_low_pass_is_the_source_follower_where_there_is_one():
 
 
 def test_the_delay_of_off_events_follows_diff_off_where_there_is_one():
-    """Parts of NIST's latencies that do not depend on light, by straight lines: 222 us at diff_off 95, 1294 us at 142."""
+    """Parts of NIST's latencies that do not depend on light, by straight lines: 222 us at diff_off 95, 1294 at 142."""
     model = BiasModel(has_delay=True)
     late = [model.factors({"diff_off": steps})["off_latency_us"] for steps in (95, 142)]
     assert late[1] / late[0] == pytest.approx(1294 / 222, rel=0.4)

@@ -1,4 +1,4 @@
-"""Noise where it is tiny, huge, or meets light that jumps, is no number or goes past anything: bounded, counted, silent.
+"""Noise where it is tiny, huge, or meets light that jumps, is no number or goes past all: bounded, counted, silent.
 
 Without noise the crossings are known (`pixels/test_accuracy.py`), and small noise moves them by little.
 """
