@@ -63,7 +63,8 @@ def test_first_events_after_an_edge_count_by_pixel_and_by_key():
 
 def test_latencies_of_a_plain_pixel_are_those_of_its_law():
     p = dataclasses.replace(
-        at_temperature(regions()), mismatch=0.0, leak_hz=0.0, source_follower_hz=0.0, jitter=JitterParameters(), background=BackgroundParameters(),
+        at_temperature(regions()), mismatch=0.0, leak_hz=0.0, source_follower_hz=0.0, jitter=JitterParameters(),
+        background=BackgroundParameters(),
         noise=NoiseParameters(), readout=ReadoutParameters(event_ns=0.001, row_ns=0), random_start=False,
     )  # fmt: skip
     edges = pulsed(p, 0.0457, 1, cycles=1)

@@ -117,7 +117,8 @@ def test_light_that_is_no_number_is_silent_and_light_below_zero_dark(level):
     found = run(array, still(lights), ends(10, 500))
     dark = found.pixel < 96
     if math.isfinite(level):
-        zero = run(begun(p, still(np.where(lights > 0, lights, 0.0))), still(np.where(lights > 0, lights, 0.0)), ends(10, 500))
+        lit = still(np.where(lights > 0, lights, 0.0))
+        zero = run(begun(p, lit), lit, ends(10, 500))
         assert np.array_equal(found.rows(), zero.rows())
         assert dark.any()
     else:
@@ -199,7 +200,8 @@ def test_light_that_passes_any_number_of_thresholds_ends_in_bounded_time(name, s
     ({"comparator": ComparatorParameters(on_us=50.0, off_us=400.0)}, 0.1, 1900.0),
 ])  # fmt: skip
 def test_any_noise_that_a_rig_may_ask_for_ends(changes, rms, corner_hz):
-    p = dataclasses.replace(SENSORS["imx636"], **changes, noise=NoiseParameters(rms=rms, corner_hz=corner_hz, spread=1.0))
+    noise = NoiseParameters(rms=rms, corner_hz=corner_hz, spread=1.0)
+    p = dataclasses.replace(SENSORS["imx636"], **changes, noise=noise)
     found = events_of(p, sine(0.5, 20.0), ends(5, 20))
     assert np.all((found.t_ns >= 0) & (found.t_ns < 20 * MS))
     assert np.all(np.diff(found.t_ns) >= 0)
