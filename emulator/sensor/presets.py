@@ -295,7 +295,7 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             source_follower_hz=286.0,
             refractory_us=3.4,
             readout=ReadoutParameters(event_ns=80.0, row_ns=80),
-            noise=NoiseParameters(rms=0.16, corner_hz=2.0, history_s=100.0),
+            noise=NoiseParameters(rms=0.055, history_s=100.0),
         ),
         "dvxplorer_micro": SensorParameters(
             width=640,
@@ -306,7 +306,7 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             parasitic_hz_at_reference=0.002,
             refractory_us=100.0,
             readout=ReadoutParameters(event_ns=2.2, row_ns=0, scan_us=197.28),
-            noise=NoiseParameters(rms=0.15, corner_hz=2.0, history_s=100.0),
+            noise=NoiseParameters(rms=0.055, corner_hz=286.0, history_s=100.0),
         ),
         "imx636": _IMX636,
         "imx636_quiet": dataclasses.replace(

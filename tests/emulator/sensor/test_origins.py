@@ -26,7 +26,7 @@ def with_table(p, table, **changes):
 EVERYTHING = dataclasses.replace(
     PRESETS["davis346"], width=WIDTH, height=HEIGHT, leak_hz=2.0, parasitic_hz_at_reference=1.0
 )
-EVERYTHING = with_table(EVERYTHING, "noise", rms=0.08)
+EVERYTHING = with_table(EVERYTHING, "noise", rms=0.16)
 EVERYTHING = with_table(EVERYTHING, "background", hz=2.0, pair_share=0.3)
 EVERYTHING = with_table(EVERYTHING, "radiation", hits_per_cm2_s=3000.0)
 EVERYTHING = with_table(EVERYTHING, "jitter", latency_us=80.0, deviation_us=30.0, leak_share=0.2)
