@@ -42,7 +42,7 @@ class Capabilities:
     has_faults : bool
         Pixels can be dead, and their leak can change between two steps: `kill`, `leak_hz`, `set_leak`.
     has_comparator : bool
-        The comparator's delay, and the offset and the noise of resets.
+        The comparator's delay, its noise as first passages, and the offset and the noise of resets.
     has_grid_noise, has_large_signal, has_circuit : bool
         The method contains noise of the grade "grid", the large-signal photoreceptor, or its circuit.
     """
@@ -67,10 +67,11 @@ class Capabilities:
         if parameters.noise.rms and parameters.noise.grade == "grid" and not self.has_grid_noise:
             raise ValueError('noise.grade = "grid" is a method of its own: leave it out, or the other method')
         comparator, reset = parameters.comparator, parameters.reset
-        if max(comparator.on_us, comparator.off_us, abs(reset.offset), reset.noise) > 0 and not self.has_comparator:
+        noise = 0.0 if self.has_grid_noise else parameters.noise.rms
+        if max(noise, comparator.on_us, comparator.off_us, abs(reset.offset), reset.noise) and not self.has_comparator:
             raise ValueError(
-                "comparator.on_us, comparator.off_us, reset.offset and reset.noise need evstim's own pixels: leave "
-                "them out, or the other method"
+                "noise.rms, comparator.on_us, comparator.off_us, reset.offset and reset.noise need evstim's own pixels:"
+                " set them to 0, or leave out the method"
             )
 
 

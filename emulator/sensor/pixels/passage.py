@@ -306,9 +306,13 @@ def _after_event(e: _Event, dead_s: float, a: _State) -> tuple[float, float]:
 
 @kernel
 def _re_armed(pixels: Pixels, pixel: int, now: _Signal, a: _State, c: StepConstants) -> _State:
-    """Return a pixel whose dead time ends: its reference is signal plus noise, and the error of the reset."""
+    """Return a pixel whose dead time ends: its reference is signal plus noise, and the error of the reset.
+
+    `a` has the level at which it fired as reference if there was no dead time: that is signal plus noise then, also
+    where the signal jumped past it.
+    """
     offset = reset_offset_at(a.stream, pixels.refractory_until_ns[pixel], a.on, a.off, c.reset)
-    reference = np.float32(now.value + a.n_r + offset)
+    reference = np.float32((a.reference if a.reference == a.reference else now.value + a.n_r) + offset)
     pixels.fields[slot(pixel) + _REF] = reference
     return _State(a.on, a.off, a.leak, a.scale, a.stream, np.float64(reference), a.n_r, a.v_r, a.reset)
 
@@ -403,7 +407,9 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
         pixels.memory[pixel * MEMORY + _N], pixels.memory[pixel * MEMORY + _V] = _after_event(
             event, late_s + c.refractory_ns * 1e-9, a
         )
-        pixels.fields[slot(pixel) + _REF] = _NAN
+        dead_ns = t_ns - event.t_ns + c.refractory_ns
+        level = a.reference + (a.on if event.on else -a.off)
+        pixels.fields[slot(pixel) + _REF] = np.float32(level) if dead_ns == 0 else _NAN
         pixels.fields[slot(pixel) + _UNTIL] = -_ENDLESS
         pixels.refractory_until_ns[pixel] = t_ns + c.refractory_ns
         n_keys += 1
@@ -440,6 +446,7 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moves: bool, 
     # Light that falls as c_least as the limits may raise the rms by this share.
     if noise.a1 != noise.a2:
         louder = noise.sigma * (1 + 0.5 * noise.a1 / (noise.a1 + noise.a2) * max(off, 0.0))
+        louder = min(louder, c.noise_rms * a.scale)
         noise = Noise(louder, noise.a1, noise.a2, noise.rate, noise.ratio, noise.apart)
     speed = _SPEED_SHARE * noise.sigma * noise.rate
     c_on, c_off = on / noise.sigma, off / noise.sigma

@@ -21,9 +21,9 @@ def test_numbers_of_an_imx636_are_those_of_its_registers():
 def test_an_imx636_follows_by_its_slopes_and_tells_what_has_no_effect():
     biases = Imx636Biases(BiasModel())
     assert (biases.factors, biases.without_effect) == ({}, {})
-    biases.set(4, 0x66 + 100)
+    biases.set(4, 0x66 + 50)
     biases.set(3, 1)
-    assert biases.factors == {"threshold_on": pytest.approx(math.exp(1.49))}
+    assert biases.factors == {"threshold_on": pytest.approx(math.exp(50 * 0.0143))}
     assert list(biases.without_effect) == ["hpf"]
 
 

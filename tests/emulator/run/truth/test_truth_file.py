@@ -51,7 +51,7 @@ width = 64
 height = 48
 leak_hz = 5.0
 [camera.sensor.noise]
-rms = 0.05
+rms = 0.07
 [camera.sensor.radiation]
 hits_per_cm2_s = 1000.0
 [run]
