@@ -295,7 +295,7 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             source_follower_hz=286.0,
             refractory_us=3.4,
             readout=ReadoutParameters(event_ns=80.0, row_ns=80),
-            noise=NoiseParameters(rms=0.055, history_s=100.0),
+            noise=NoiseParameters(rms=0.01, history_s=100.0),
         ),
         "dvxplorer_micro": SensorParameters(
             width=640,

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from emulator.light import LightFrame
+from emulator.sensor.parameters import NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.state import Field
 from emulator.sensor.presets import PRESETS
@@ -25,7 +26,7 @@ _MOST = 4000
 PARAMETERS = dataclasses.replace(
     PRESETS["davis346"], width=PIXELS, height=1, threshold_on=0.2, threshold_off=0.2, mismatch=0.03, leak_hz=0.1,
     leak_spread=0.3, refractory_us=0.0, dark_current_relative=DARK, corner_hz_at_reference=300.0, corner_min_hz=1.0,
-    corner_max_hz=3000.0, source_follower_hz=0.0, parasitic_hz_at_reference=0.0,
+    corner_max_hz=3000.0, source_follower_hz=0.0, parasitic_hz_at_reference=0.0, noise=NoiseParameters(),
 )  # fmt: skip
 
 

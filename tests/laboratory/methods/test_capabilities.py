@@ -103,9 +103,12 @@ def test_parameters_change_where_that_is_stated(method):
             pixels.adjust("threshold_on", 0.5)
         return
     assert set(pixels.adjustable) == set(ADJUSTABLE)
-    before = pixels.live_thresholds()
+    everywhere = np.arange(WIDTH * HEIGHT)
+    before = pixels.levels().thresholds(everywhere)
     pixels.adjust("threshold_on", 2 * pixels.parameters.threshold_on)
-    assert pixels.live_thresholds().mean() > 1.2 * before.mean()
+    on, off = pixels.levels().thresholds(everywhere)
+    assert on == pytest.approx(2 * before[0])
+    assert np.array_equal(off, before[1])
 
 
 @ALL

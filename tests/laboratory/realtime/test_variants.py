@@ -5,7 +5,8 @@ import math
 
 import pytest
 
-from emulator.rig.loading import load_rig, parse_rig, shipped_rigs
+from emulator.rig.loading import find_rig, load_rig, parse_rig, read_rig, shipped_rigs
+from emulator.sensor.presets import PRESETS
 from emulator.tables.toml_text import read_toml, toml_of
 from laboratory.realtime.variants import SHIPPED, SIZES, Setting, distinct, settings_of, variant_of
 from laboratory.realtime.wrong_events import middle_of
@@ -34,7 +35,9 @@ def test_every_rig_has_both_sizes_and_its_own_scene(name, size):
     assert "x".join(map(str, rig.camera.size)) == size.name
     assert rig.scene == own.scene
     assert rig.camera.lens == own.camera.lens
-    assert rig.camera.sensor.temperature == own.camera.sensor.temperature
+    stated = read_toml(read_rig(find_rig(name)))["camera"].get("sensor", {}).get("temperature", {})
+    of_model = PRESETS[{"346x260": "davis346", "1280x720": "imx636"}[size.name]].temperature
+    assert rig.camera.sensor.temperature == dataclasses.replace(of_model, **stated)
     assert (rig.run.step_us, rig.run.method, rig.run.seed) == (own.run.step_us, own.run.method, own.run.seed)
     assert [(link.kind, link.port) for link in rig.links] == [("usbip", 4321)]
 

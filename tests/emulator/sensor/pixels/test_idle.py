@@ -74,9 +74,11 @@ SCENES = {
     "nan": broken,
     "sparks": sparks,
 }
+LOUD = NoiseParameters(rms=0.055, history_s=100.0)
 EFFECTS = {
     "preset": {},
-    "ideal": {"leak_hz": 0.0, "mismatch": 0.0, "refractory_us": 0.0},
+    "noise": {"noise": LOUD},
+    "ideal": {"leak_hz": 0.0, "mismatch": 0.0, "refractory_us": 0.0, "noise": NoiseParameters()},
     "leaky": {"leak_hz": 20.0},
     "long refractory period": {"leak_hz": 3.0, "refractory_us": 7000.0},
     "second pole": {"source_follower_hz": 500.0},
@@ -157,7 +159,7 @@ def test_only_parts_of_boxes_are_looked_at():
 @pytest.mark.system
 @pytest.mark.parametrize("kind", ["ragged", "long"])
 @pytest.mark.parametrize("slopes", [True, False])
-@pytest.mark.parametrize("effect", ["preset", "leaky", "all"])
+@pytest.mark.parametrize("effect", ["preset", "noise", "leaky", "all"])
 def test_skipping_changes_nothing_in_steps_of_any_length(effect, slopes, kind):
     p = sensor(**EFFECTS[effect])
     full = run(PixelArray(p, 1), spot, steps(kind), slopes=slopes, full=True)
@@ -166,10 +168,21 @@ def test_skipping_changes_nothing_in_steps_of_any_length(effect, slopes, kind):
 
 @pytest.mark.parametrize("effect", ["preset", "ideal", "second pole", "parasitic leak"])
 def test_a_still_black_picture_is_skipped(effect):
-    array = PixelArray(sensor(**EFFECTS[effect]), 1)
+    array = PixelArray(sensor(**(EFFECTS[effect] | {"noise": NoiseParameters()})), 1)
     run(array, black, steps("even"))
     idle = array._workers.idle.until_ns[: array.state.fields.shape[0]] > 0
     assert idle.mean() > 0.7
+
+
+def test_parts_rest_where_noise_has_fired_no_pixel_for_ten_time_constants():
+    """Of the slower pole: until then the noise remembers the pixel's reset. In the dark that is 0.53 s."""
+    array, n = PixelArray(sensor(noise=LOUD), 1), 600
+    found, *_ = run(array, black, [MS] * n)
+    recent = np.zeros(WIDTH * HEIGHT // PART + 1, np.bool_)
+    recent[found["f1"][found["f0"] > n * MS - 10e9 / (2 * np.pi * 3.0)] // PART] = True
+    idle = array._workers.idle.until_ns[array.state.fields.shape[0] :][: recent.size] > 0
+    assert 0.2 < recent.mean() < 0.8
+    assert idle[~recent].mean() > 0.9
 
 
 def test_of_a_block_with_little_change_only_the_parts_that_changed_are_moved():
