@@ -313,7 +313,6 @@ PRESETS: MappingProxyType[str, SensorParameters] = MappingProxyType(
             _IMX636,
             leak_hz=0.0,
             noise=dataclasses.replace(_IMX636.noise, rms=0.032, history_s=10_000.0),
-            background=_QUIET_BACKGROUND,
         ),
         "imx636_noisy": dataclasses.replace(
             _IMX636,

@@ -43,7 +43,7 @@ _LONGEST_STEP = 1.5  # in time constants; Runge-Kutta is unstable from 2.8
 
 # Without reference counts, which cost more than the arithmetic: no kernel here makes an array (see sensor.compiled).
 compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = entry_of(
-    __name__, "laboratory.methods.circuit", _nrt=False
+    __name__, "laboratory.methods.circuit", "emulator.sensor.numerics.compiled", _nrt=False
 )
 
 

@@ -209,4 +209,4 @@ def settle(first: int, last: int, history_s: float, root: np.uint64, pixels: Pix
             if left_s <= 0:
                 break
         fields[at + _REF] = np.float32(value + level)
-        certify(pixels, pixel, value, rate, False, c)
+        certify(pixels, pixel, value, rate, leak != leak, c)  # no literal, which would be a type of its own

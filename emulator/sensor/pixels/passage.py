@@ -76,8 +76,7 @@ _MORE = 2.0  # bound of the hazard in a window, over that at its ends
 _EXPONENT = 1.5  # by which the hazard's exponent grows in a window near a threshold
 _MOST_POINTS = 4.0  # expected in a window, at the hazard of its start
 _TOO_MANY = 8e9  # points in 1e-9: a window is divided
-_GROWS = 1.0  # a window's length over the time since the reset ...
-_BURST = 10.0  # ... up to so many time constants of the slower pole
+_BURST = 10.0  # time constants of the slower pole for which a window is no longer than the time since the reset
 _UNREACHED = 5.0  # deviations of the nearer threshold: no passage before the noise has grown to that
 _FORGOTTEN = 10.0  # time constants of the slower pole after which the reset is forgotten
 _OVERSHOOT = 0.5  # of the mean of the noise by its slope at the reset, at most, over slope / rate
@@ -226,10 +225,11 @@ def _window_end(t: float, end: float, now: _Signal, h: Hazard, a: _State) -> flo
     since_s, noise = (t - a.reset) * 1e-9, now.noise
     window_s: float = (end - t) * 1e-9
     if since_s <= 0:
-        return min(t + max(_first_window_s(now, a) * 1e9, _SHORTEST_NS), end)
+        first: float = min(t + max(_first_window_s(now, a) * 1e9, _SHORTEST_NS), end)
+        return first
     # Shortly after a reset windows grow with the time since then; later the signal decides.
     if since_s * min(noise.a1, noise.a2) < _BURST:
-        window_s = min(window_s, _GROWS * since_s)
+        window_s = min(window_s, since_s)
     speed = abs(now.speed) / noise.sigma
     window_s = min(window_s, _window_s(min(h.c_on, h.c_off), speed, noise.rate))
     total = min(h.on + h.off, TOP_HZ)
@@ -306,11 +306,7 @@ def _after_event(e: _Event, dead_s: float, a: _State) -> tuple[float, float]:
 
 @kernel
 def _re_armed(pixels: Pixels, pixel: int, now: _Signal, a: _State, c: StepConstants) -> _State:
-    """Return a pixel whose dead time ends: its reference is signal plus noise, and the error of the reset.
-
-    `a` has the level at which it fired as reference if there was no dead time: that is signal plus noise then, also
-    where the signal jumped past it.
-    """
+    """Return a pixel whose dead time ends: its reference is signal plus noise; without dead time, the level passed."""
     offset = reset_offset_at(a.stream, pixels.refractory_until_ns[pixel], a.on, a.off, c.reset)
     reference = np.float32((a.reference if a.reference == a.reference else now.value + a.n_r) + offset)
     pixels.fields[slot(pixel) + _REF] = reference
@@ -384,9 +380,7 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
         to = turn2 if t < turn2 < to else to
         after, at_end = _hazard_at(to, p, a, tables, c)
         bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), CERTAIN_HZ)
-        while (
-            min(bound_hz, TOP_HZ) * (to - t) > _TOO_MANY and to - t > 1
-        ):  # it came nearer than its speed at t allowed for
+        while min(bound_hz, TOP_HZ) * (to - t) > _TOO_MANY and to - t > 1:  # its speed at t was too low
             to = t + (to - t) * 0.25
             after, at_end = _hazard_at(to, p, a, tables, c)
             bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), CERTAIN_HZ)
@@ -443,10 +437,10 @@ def certify(pixels: Pixels, pixel: int, value: float, rate: float, moves: bool, 
     if a.reference != a.reference or since_s * min(noise.a1, noise.a2) < _FORGOTTEN:
         return
     on, off = a.reference + a.on - value, value - a.reference + a.off
-    # Light that falls as c_least as the limits may raise the rms by this share.
+    # Light that falls to the limit may raise the rms by a share, to no more than behind the receptor.
     if noise.a1 != noise.a2:
-        louder = noise.sigma * (1 + 0.5 * noise.a1 / (noise.a1 + noise.a2) * max(off, 0.0))
-        louder = min(louder, c.noise_rms * a.scale)
+        share = 1 + 0.5 * noise.a1 / (noise.a1 + noise.a2) * max(off, 0.0)
+        louder = min(noise.sigma * share, c.noise_rms * a.scale)
         noise = Noise(louder, noise.a1, noise.a2, noise.rate, noise.ratio, noise.apart)
     speed = _SPEED_SHARE * noise.sigma * noise.rate
     c_on, c_off = on / noise.sigma, off / noise.sigma

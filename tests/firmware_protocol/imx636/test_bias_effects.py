@@ -86,7 +86,9 @@ def test_any_registers_and_slopes_give_factors_within_the_range(steps, slope):
     assert all(LEAST_FACTOR <= factor <= MOST_FACTOR for factor in model.factors(steps).values())
 
 
-@pytest.mark.parametrize("name", ["diff_on", "diff_off", "diff_off_above", "largest_exponent", "off_delay", "fo", "refr"])
+@pytest.mark.parametrize(
+    "name", ["diff_on", "diff_off", "diff_off_above", "largest_exponent", "off_delay", "fo", "refr"]
+)
 @pytest.mark.parametrize("value", [-0.001, 1.001, float("nan"), float("inf")])
 def test_slopes_that_cannot_be_are_refused_by_name(name, value):
     with pytest.raises(ValueError, match=f"^{name} must be 0 to 1"):
