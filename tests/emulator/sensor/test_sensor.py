@@ -358,10 +358,11 @@ def test_dose_turns_pixels_hot_and_they_stay_so():
 
 
 def test_other_methods_take_the_pixels_place_but_have_no_defects():
-    found, sensor = run(with_(noise=NoiseParameters(rms=0.06)), scene=drifting, end_ns=50 * MS, make_pixels=Pangu)
+    found, sensor = run(PLAIN, scene=drifting, end_ns=50 * MS, make_pixels=Pangu)
     assert len(found) > 1000
     assert_balance(sensor)
     for effect in (
+        {"noise": NoiseParameters(rms=0.06)},
         {"defects": DefectParameters(dead_share=0.5)},
         {"jitter": JitterParameters(leak_share=0.1)},
         {"radiation": RadiationParameters(dose_krad=1000.0)},

@@ -91,7 +91,13 @@ def test_a_lower_threshold_fires_resting_pixels_at_once():
     assert len(found) == pytest.approx(LIT * (share + in_dark), rel=0.05)
 
 
-@pytest.mark.parametrize("changes", [{"noise": NoiseParameters(rms=0.05, grade="grid")}, {"photoreceptor": "circuit"}])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"noise": NoiseParameters(rms=0.05, grade="grid")},
+        {"photoreceptor": "circuit", "noise": NoiseParameters()},
+    ],
+)
 def test_a_sensor_that_cannot_change_refuses(changes):
     one = sensor("davis346", **changes)
     assert one.adjustable == {}
