@@ -171,8 +171,6 @@ def solve_noisy(
 _STAYS = 3.0  # longest mean stays of a reference that are run
 _MOST_STAYS = 256
 _HELD = 0.2  # of a deviation
-_LEAST_LEAK = 1e-9  # ln units a second
-_LEAST_HZ = 1e-6
 
 
 @cached_entry
@@ -192,15 +190,18 @@ def settle(first: int, last: int, history_s: float, root: np.uint64, pixels: Pix
         on, off = np.float64(fields[at + _ON]), np.float64(fields[at + _OFF])
         leak, rate = np.float64(fields[at + _LEAK]), np.float64(fields[at + _L])
         value = np.float64(fields[at + _V]) + leak * c.since_epoch_1
+        if c.parasitic > _ZERO:
+            leak += np.float64(c.parasitic * fields[at + _ON] * photocurrent(fields[at + _U]))
         noise = noise_of(rate, c.noise_pole, c.noise_rms * pixels.memory[pixel * MEMORY + 2])
         rarest = still_hazard((on + off) / 2, (on + off) / 2, noise, pixels.tables)
-        left_s = min(history_s, 0.5 * on / max(leak, _LEAST_LEAK), _STAYS / max(rarest.on + rarest.off, _LEAST_HZ))
+        left_s = min(history_s, 0.5 * on / leak, _STAYS / (rarest.on + rarest.off))
         level = np.float64(fields[at + _REF]) - value + leak * left_s
-        held_s = _HELD * noise.sigma / max(leak, _LEAST_LEAK)
+        held_s = _HELD * noise.sigma / leak
         number = stream(root, np.int64(pixels.memory[pixel * MEMORY + 3]))
         for k in range(_MOST_STAYS):
-            stay = stay_at(level, on, off, noise, c.refractory_ns * 1e-9, number, k, pixels.tables)
             stays_s = min(left_s, held_s)
+            middle = level - leak * stays_s / 2
+            stay = stay_at(middle, on, off, noise, c.refractory_ns * 1e-9, number, k, pixels.tables)
             if stay.length_s < stays_s:
                 stays_s = stay.length_s
                 level = stay.level
@@ -209,4 +210,4 @@ def settle(first: int, last: int, history_s: float, root: np.uint64, pixels: Pix
             if left_s <= 0:
                 break
         fields[at + _REF] = np.float32(value + level)
-        certify(pixels, pixel, value, rate, leak != leak, c)  # no literal, which would be a type of its own
+        certify(pixels, pixel, value, rate, on != on, c)  # no literal, which would be a type of its own

@@ -225,8 +225,7 @@ def _window_end(t: float, end: float, now: _Signal, h: Hazard, a: _State) -> flo
     since_s, noise = (t - a.reset) * 1e-9, now.noise
     window_s: float = (end - t) * 1e-9
     if since_s <= 0:
-        first: float = min(t + max(_first_window_s(now, a) * 1e9, _SHORTEST_NS), end)
-        return first
+        return float(min(t + max(_first_window_s(now, a) * 1e9, _SHORTEST_NS), end))
     # Shortly after a reset windows grow with the time since then; later the signal decides.
     if since_s * min(noise.a1, noise.a2) < _BURST:
         window_s = min(window_s, since_s)
