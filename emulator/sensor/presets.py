@@ -1,7 +1,7 @@
 """Parameters of a sensor, and the known sensors.
 
 Light is relative to the sensor's reference level: 1.0 is the light at which `corner_hz_at_reference` holds. Thresholds
-are in natural-log units of photocurrent.
+are in natural-log units of photocurrent. Leak and dark current are those at 20 degrees Celsius.
 
 Sources of the presets' values: *estimate* marks values without a source: such a value is not calibrated, is typical of
 the family and is meant to be overridden by a rig. *one recording* marks values that were measured on one public
@@ -10,22 +10,24 @@ recording of one camera, in unknown light.
     parameter                  davis346                     dvxplorer_micro              imx636
     size                       346 x 260 [1]                640 x 480 [2]                1280 x 720 [3]
     thresholds, ln             0.283 / 0.262 [4]            0.25 / 0.25 estimate         0.223 / 0.223 [3], ln 1.25
-    mismatch                   3.5 % [5]                    3.5 % estimate as [5]        12 % [18]
-    dark current, relative     0.001 estimate               0.001 estimate               0.009 [24]
+    mismatch                   3.5 % [5]                    3.5 % estimate as [5]        4.3 % [18]
+    temperature                20 degrees                   20 degrees                   45 degrees estimate [24]
+    dark current, relative     0.001 estimate               0.001 estimate               0.0016, 0.014 at 45 deg [24]
     photoreceptor              one pole                     one pole                     large signals [17]
-    corner at reference        3 kHz at 1 klux [6]          3 kHz estimate as [6]        3 kHz at 0.1644 W/m2 [17]
+    corner at reference        3 kHz at 1 klux [6]          3 kHz estimate as [6]        2.18 kHz at 0.1644 W/m2 [17]
     corner, least and most     3 Hz / 3 kHz [6] [7]         3 Hz / 3 kHz as davis346     3 Hz as davis346 / 30 kHz [17]
-    source follower            286 Hz [8]                   none: no value found         4.35 kHz [17]
-    leak and its spread        0.0007 Hz [9], 30 % [10]     0.001 Hz, 30 % estimate      0: see background
-    parasitic leak             0.0018 Hz at light 1 [9]     0.002 Hz estimate            0: see background
-    noise, rms                 0.01 [11]                    0: no value found            0.045 [24]
-    its pole, spread           286 Hz [8], none             none                         1.9 kHz, 15 % [24]
+    source follower            286 Hz [8]                   none: no value found         4.05 kHz [17]
+    leak and its spread        0.0007 Hz [9], 30 % [10]     0.001 Hz, 30 % estimate      0.0009 Hz estimate, 30 % [10]
+    parasitic leak             0.0018 Hz at light 1 [9]     0.002 Hz estimate            none: no value found
+    noise, rms                 0.01 [11]                    0.055 estimate [11]          0.0495 [24]
+    its pole, spread           286 Hz [8], none             286 Hz as davis346, none     4.05 kHz [17], 1 % estimate
+    its time before the start  100 s estimate               100 s estimate               100 s estimate
     background                 none: leak and noise         none                         0.0033 Hz, tail [12]
-    refractory                 3.4 us [4]                   100 us estimate [13]         20 us [18]
+    refractory                 3.4 us [4]                   100 us estimate [13]         105 us estimate [18]
     read-out                   arbiter                      scan, 197.28 us [14]         arbiter
     time of an event           80 ns (12 Mev/s) [15]        2.2 ns (450 Mev/s) [16]      0.33 ns [19]
     time of a row              80 ns estimate               none                         127 ns [19]
-    delay of an event          none                         none                         1.2 us ON, 3.1 us OFF [17]
+    delay of an event          none                         none                         0.7 us ON, 2.5 us OFF [17]
     late events                none                         none                         0.05 % by 3 ms [20]
 
     [1] libcaer, DAVIS346: 346 x 260.
@@ -44,11 +46,14 @@ recording of one camera, in unknown light.
         has 0.0007 Hz in the dark and 0.0018 Hz a unit of light. Other chips and warmer ones leak at 0.1 to 0.2 Hz
         (Nozaki and Delbruck 2017, from memory; Guo and Delbruck, DND21).
     [10] v2e's usual spread of leak rates between pixels.
-    [11] Recording [9]: noise fires no still pixel, at level 0 to 10 neither (2 events of 1900 pixels, no more than the
-        leak's), so that it is below 0.05; and it takes few events from the row kicks of frames, which come at a steady
-        time in the frame (share .98), so that it is below 0.015: with 0.02, 0.015, 0.01 and 0 at least 11, 13, 15 and
-        15 of the 16 values of `evstim validate davis346_street` are alike, for three seeds. 0.043 to 0.073 were
-        measured at another chip's comparator (Graca 2024, fig. 2.13).
+    [11] An upper bound by recording [9]. Its still pixels at level 0 to 10 have 0.0004 Hz, at most 0.0016 Hz (2 events
+        of 1918 pixels, 95 %), which noise of 0.04 exceeds; leak carries references past the distances at which noise
+        fires. And its events come with the row kicks of frames (share .98), before which noise must not fire: of the 16
+        values of `evstim validate davis346_street` at least 15 are alike with 0.0125 and less, for three seeds, 13 with
+        0.015 and 0.02, 9 with 0.025, 7 with 0.03 and 6 with 0.055. Simulated kicks act on a signal without noise, so
+        the bound by kicks may be too low. 0.043 to 0.073 were measured at another chip's comparator (Graca 2024, fig.
+        2.13): hence the estimate for the DVXplorer, of which no recording shows its noise. It has 0.07 Hz in the dark,
+        0.05 Hz at light 0.1 and leak alone at 1, by simulation.
     [12] One recording (EVK4, 10.8 s, shipped with the sources of the Python package faery), pixels of low activity:
         0.0033 Hz in pixels of at most 4 events, 17 % of first events ON; OFF followed by ON after 1.26 s, ON by OFF
         after 2.6 s (medians); a tail of 1e-4 of the pixels with 5 to 1447 events, half of them ON. Shares and waits of
@@ -59,29 +64,37 @@ recording of one camera, in unknown light.
     [15] iniVation's white paper: about 80 ns an event, 12 Mev/s.
     [16] iniVation's sheet of the DVXplorer Micro, from memory.
 
-    [17] Fitted to latencies that NIST measured on one camera of this family (doi 10.1109/tim.2025.3623767; digitised,
-        `evstim validate`), with a red LED of 680 nm, 0.006 to 0.4 W/m2 on the bare sensor, at seven pairs of biases.
-        ON and OFF latencies follow light, and only the large-signal law has both. Only threshold over corner is
-        determined: the threshold is [3]. No bound of the corner is seen; 30 kHz lies above all that was measured. In
-        bright light latencies depend more on the threshold, and less on the light, than one pole allows: a second pole
-        of 37 us explains that, and leaves 1 us of constant delay to ON events. OFF events have a delay that rises with
-        diff_off as an exponential, to 1.2 ms at 142, in any light: the comparator's, as its current falls. 48 or 49
-        of the 50 medians, by the seed, up to biases (+35, +47) are within 10 %. Its light 1 is `IMX636_W_M2`.
-    [18] The same: latencies spread from 0.4 to 1.8 of the median in a region. The mismatch explains a part of the slow
-        ones; noise before the true event makes fast ones. A wider spread of thresholds would give single pixels much
-        more noise than was seen in bright light, and a spread of the pixels' gains costs a pass over each frame. The
-        refractory period is not determined, but 100 us let all references end at one level, and latencies to OFF
-        events in bright light then have no spread.
-    [19] The same: mean latency over regions of 32 to 420 pixels' side, within 0.6 us. Stamps are set before the output
-        bus, of 1.06 Gev/s [3], limits.
+    [17] Fitted, with the noise on, to latencies that NIST measured on one camera of this family (doi
+        10.1109/tim.2025.3623767; digitised, `evstim validate`), with a red LED of 680 nm, 0.006 to 0.4 W/m2 on the bare
+        sensor, at seven pairs of biases. ON and OFF latencies follow light, and only the large-signal law has both.
+        Only threshold over corner is determined: the threshold is [3]. No bound of the corner is seen; 30 kHz lies
+        above all that was measured. In bright light latencies depend more on the threshold, and less on the light, than
+        one pole allows: a second pole of 39 us explains that, and leaves 0.7 us of constant delay to ON events. OFF
+        events have a delay that rises with diff_off as an exponential, to 1.4 ms at 142, in any light: the
+        comparator's, as its current falls. 44 to 46 of the 50 medians, by the seed, up to biases (+35, +47) are within
+        10 %. Its light 1 is `IMX636_W_M2`.
+    [18] The mismatch is that of another camera [25]; a wider one would give single pixels much more noise than was seen
+        in bright light. The refractory period is not determined; [25] has 79 us. The latencies of [17] spread from 0.4
+        to 1.8 of the median in a region: noise before the true event makes fast ones, here more than there. A spread of
+        the pixels' gains costs a pass over each frame.
+    [19] The same: mean latency over regions of 32 to 420 pixels' side, within 4.2 us for three seeds. Stamps are set
+        before the output bus, of 1.06 Gev/s [3], limits.
     [20] An estimate: the same measurement has a few pixels that come milliseconds late.
-    [24] Fitted to the same camera (column "opposite", `evstim validate`): pixels that fire against the edge within half
-        a second, at 0.006 to 0.4 W/m2 and in the dark between. Noise has the bandwidth of the photoreceptor, so that
-        its rate in the dark gives the dark current: with 0.001 the rate would be a fifteenth of that. One camera, at
-        an unknown temperature that stands for the 20 degrees at which parameters hold: a camera under the night sky
-        agrees better with a chip 32 K colder, so rigs of the night sky have -12 degrees (`evstim validate stars`).
-        Recording [12] has 0.0038 Hz in unknown light, all taken as background: noise adds 0.056 Hz to it at light 1,
-        0.0025 Hz at 2 and 0.0002 Hz from 4 on, by simulation.
+    [24] Fitted to the camera of [17] (column "opposite", `evstim validate`): pixels that fire against the edge within
+        half a second, at 0.006 to 0.4 W/m2 and in the dark between; 61 or 62 of the 70 counts are alike. The bandwidth
+        of noise is that of the photoreceptor, so its rate in the dark gives the dark current. The temperature of that
+        camera is unknown: 45 degrees are an estimate, and the dark current at 20 follows from it. Noise and leak have
+        0.6 Hz in the dark, 1.8 Hz at light 0.1, 0.16 Hz at 1 and leak alone, 0.007 Hz, from 10 on, by simulation. Rigs
+        of the night sky have a colder chip.
+    [25] Noise2Params (Root, Mujo and Xu, arXiv 2605.16317): a model that was fitted to another EVK4.
+
+Two units of the IMX636, which differ from it in these alone:
+
+    imx636_quiet    no leak; noise of 0.032, an estimate: at most 0.003 Hz in any light, so that the background is that
+                    of recording [12] whatever its light; 10 000 s before the start, in which so rare noise settles
+    imx636_noisy    leak of 0.0014 Hz, 0.0096 Hz at 45 degrees, and a background of 0.0318 Hz, all OFF: fitted to the
+                    floor of [25] in bright light, 0.041 Hz with 23 % ON. Rates at all of its 13 lights are within a
+                    factor of 2, one lux taken for 1.4 lx of sunlight, which was fitted too
 
 Other chips of Prophesee, of which less is public:
 
@@ -89,10 +102,13 @@ Other chips of Prophesee, of which less is public:
     size, pitch                640 x 480, 15 um [21]        320 x 320, 6.3 um [22]
     thresholds, ln             0.223 / 0.223 estimate,      0.223 / 0.223 estimate, as imx636
                                as imx636; least ln 1.12 [21]
+    corner at reference        3 kHz estimate as [6]        2.18 kHz estimate, as imx636
     time of an event           15.2 ns (66 Mev/s) [21]      5 ns (200 Mev/s) estimate [23]
     time of a row              50 ns estimate               50 ns estimate
-    background                 that of imx636, estimate     that of imx636, estimate
-    all else                   estimate, as dvxplorer_micro without leak
+    delay of an event          40 us ON, 180 us OFF         as imx636
+                               estimate, within [21]
+    late events                none                         as imx636
+    all else                   estimate, as imx636: noise, dark current, background and temperature among them
 
     [21] Gallego et al., Event-based vision: a survey, IEEE TPAMI 2022, table 1 (Prophesee Gen3 CD), from memory: 15 um,
         fill factor 25 %, latency 40 to 200 us, least contrast 12 %, 66 Mev/s. The size is also in every client.
