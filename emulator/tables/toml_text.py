@@ -7,10 +7,9 @@ bounded length.
 
 from __future__ import annotations
 
-import json
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -98,25 +97,6 @@ def _given_twice(text: str, error: ValueError) -> TomlError:
             return TomlError(f"{repeated} is given twice, first in line {first[path]}: {remedy}", line)
         first[path] = line
     return TomlError(f"not valid TOML: a key or a table is given twice, leave one out: {shortened(error)}")
-
-
-def toml_of(tables: Mapping[str, Any]) -> str:
-    """Return tables, as `read_toml` gives them, as TOML text: a line for each key of the top level."""
-    return "".join(f"{_string(key)} = {_value(value)}\n" for key, value in tables.items())
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_string(key)} = {_value(element)}" for key, element in value.items()) + "}"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_value, value)) + "]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return _string(value) if isinstance(value, str) else str(value)
-
-
-def _string(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def dotted(path: KeyPath) -> str:

@@ -226,11 +226,8 @@ class DescriptorSet:
 
     def find(self, kind: int, index: int) -> bytes | None:
         """Return the bytes of descriptor `kind`, `index`; None if there is no such descriptor."""
-        if kind == DescriptorType.STRING:
-            return self._string(index)
-        return self._only(kind) if index == 0 else None
-
-    def _string(self, index: int) -> bytes | None:
+        if kind != DescriptorType.STRING:
+            return self._only(kind) if index == 0 else None
         if index == 0:
             return language_descriptor() if self.strings else None
         return string_descriptor(self.strings[index]) if index in self.strings else None
