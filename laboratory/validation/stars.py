@@ -198,10 +198,9 @@ _REMARKS = (
     "measurement, 30 K below what NIST's camera is taken to have; dark current, the bandwidth of noise in the dark and "
     "leak follow it. At -12, 8 and 20 degrees half of the matched stars are brighter than 11.2, 9.7 and 8.6. The Gen 3 "
     "rig has -12 degrees, because the noise of its preset is that of another chip: at 8 degrees it would find 6.9.",
-    "The limit is too sharp: nearly all stars to 9 are found and none beyond 10, where the real share falls slowly "
-    "from 8 to 10.5. Noise at the recording's rate, thresholds higher by a quarter, or a sharper lens of higher "
-    "transmission each bring the 90 % limit within the bound; which of these holds is not known. Bright stars are all "
-    "found while the real camera misses some: this is not explained; nights and fields differ.",
+    "The limit is too sharp: of the stars somewhat brighter than it nearly all are found, where the real share falls "
+    "slowly from 8 to 10.5. Bright stars are all found while the real camera misses some: this is not explained; "
+    "nights and fields differ.",
     "Counts of the mean sky stand for those of the nights' fields, which are not stated.",
 )
 

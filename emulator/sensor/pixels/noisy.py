@@ -169,7 +169,7 @@ def solve_noisy(
 
 
 _STAYS = 3.0  # longest mean stays of a reference that are run
-_MOST_STAYS = 256
+_MOST_STAYS, _MOST_HELD = 256, 128  # the second: intervals by leak alone
 _HELD = 0.2  # of a deviation
 
 
@@ -196,7 +196,7 @@ def settle(first: int, last: int, history_s: float, root: np.uint64, pixels: Pix
         rarest = still_hazard((on + off) / 2, (on + off) / 2, noise, pixels.tables)
         left_s = min(history_s, 0.5 * on / leak, _STAYS / (rarest.on + rarest.off))
         level = np.float64(fields[at + _REF]) - value + leak * left_s
-        held_s = _HELD * noise.sigma / leak
+        held_s = max(_HELD * noise.sigma / leak, left_s / _MOST_HELD)
         number = stream(root, np.int64(pixels.memory[pixel * MEMORY + 3]))
         for k in range(_MOST_STAYS):
             stays_s = min(left_s, held_s)

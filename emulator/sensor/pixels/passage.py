@@ -379,7 +379,7 @@ def pass_piece(  # noqa: PLR0913, PLR0915, PLR0917
         to = turn2 if t < turn2 < to else to
         after, at_end = _hazard_at(to, p, a, tables, c)
         bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), CERTAIN_HZ)
-        while min(bound_hz, TOP_HZ) * (to - t) > _TOO_MANY and to - t > 1:  # its speed at t was too low
+        while min(bound_hz, TOP_HZ) * (to - t) > _TOO_MANY and to - t > 1:  # the signal became faster
             to = t + (to - t) * 0.25
             after, at_end = _hazard_at(to, p, a, tables, c)
             bound_hz = min(max(_MORE * max(before, at_end.on + at_end.off), calm_hz), CERTAIN_HZ)

@@ -13,6 +13,7 @@ import pytest
 from emulator.sensor.parameters import ComparatorParameters, NoiseParameters
 from emulator.sensor.pixels.array import PixelArray
 from emulator.sensor.pixels.passage import MOST_PASSAGES
+from emulator.sensor.pixels.state import Field
 from emulator.sensor.presets import PRESETS
 from tests.emulator.sensor.noise.noisy_arrays import (
     MS,
@@ -229,3 +230,24 @@ def test_a_slow_comparator_is_late_by_its_law_and_changes_no_order_of_a_pixel():
     on = rows["f2"][first[0]]
     assert np.all(late_us > 0)
     assert np.median(late_us[~on]) > 3 * np.median(late_us[on])
+
+
+def test_light_that_falls_fast_beside_a_slow_receptor_takes_few_substeps():
+    """A star leaves a pixel of a chip with a time constant of a second: a step costs less than forty short ones."""
+    p = dataclasses.replace(SENSORS["imx636"], width=64, height=64, dark_current_relative=2e-5, corner_min_hz=0.04)
+
+    def leaving(t_s):
+        """Log photocurrent falls by 1.6 within 80 ms along a cubic, as any step has it."""
+        x = t_s / 0.08
+        current = 1.2e-4 * math.exp(-1.6 * x * x * (3 - 2 * x))
+        return current - 2e-5, current * -1.6 * 6 * x * (1 - x) / 0.08
+
+    fine, coarse = begun(p, leaving), begun(p, leaving)
+    spent_s = []
+    for array, step_ms in ((fine, 1), (coarse, 40)):
+        run(array, leaving, ends(step_ms, 40))
+        begun_s = time.process_time()
+        run(array, leaving, ends(step_ms, 80, 40))
+        spent_s.append(time.process_time() - begun_s)
+    assert spent_s[1] < spent_s[0]
+    assert np.abs(fine.field(Field.FILTERED) - coarse.field(Field.FILTERED)).max() < 0.004 * 0.223

@@ -19,8 +19,9 @@ Z = 3.9
 LARGE = {"width": 64, "height": 48, "mismatch": 0.12}
 
 
-def before(p, history_s=1000.0, spread=0.15, **changes):
-    return dataclasses.replace(p, noise=dataclasses.replace(p.noise, history_s=history_s, spread=spread), **changes)
+def before(p, history_s=1000.0, spread=0.15, rms=None, **changes):
+    noise = dataclasses.replace(p.noise, history_s=history_s, spread=spread, rms=p.noise.rms if rms is None else rms)
+    return dataclasses.replace(p, noise=noise, **changes)
 
 
 def counts_in(found, begin_ms, end_ms):
@@ -116,3 +117,13 @@ def test_the_start_of_a_preset_is_quiet():
     p = dataclasses.replace(PRESETS["imx636"], width=128, height=96)
     found = events_of(p, still(0.1), ends(100, 10_100))
     assert_alike(counts_in(found, 0, 1000), counts_in(found, 9100, 10_100), 0.1)
+
+
+@pytest.mark.parametrize("rms", [0.003, 0.01])
+@pytest.mark.parametrize("leaks", [{"leak_hz": 0.03}, {"leak_hz": 0.0, "parasitic_hz_at_reference": 0.03}])
+def test_a_sensor_that_leaks_starts_at_its_rate(rms, leaks):
+    """However quiet its noise is: leak has moved the references of all pixels past many deviations."""
+    p = dataclasses.replace(PRESETS["davis346"], **leaks)
+    found = events_of(before(p, 100.0, rms=rms), still(), ends(100, 6000))
+    assert_alike(counts_in(found, 0, 2000), counts_in(found, 2000, 6000) / 2, 0.1)
+    assert counts_in(found, 0, 6000).mean() == pytest.approx(6 * 0.03, rel=0.1)  # noise fires before the leak does
