@@ -186,7 +186,7 @@ class Frame(NamedTuple):
 MIXED = 2.0
 _WIDE_RAD = 0.05
 _NARROWER = 0.25
-_DUST = 1e-9  # shares below that are rounding
+DUST = 1e-9  # shares below that are rounding
 _NEAREST = 1e-4  # of a triangle's distance: the parts nearer along the axis are cut off
 
 
@@ -234,7 +234,7 @@ def _cut_area(corners: tuple[float, ...], nearest: float) -> float:
 
 
 @kernel
-def _triangle_area(corners: Floats, k: int, px: float, py: float, pz: float, axes: Frame) -> float:
+def triangle_area(corners: Floats, k: int, px: float, py: float, pz: float, axes: Frame) -> float:
     """Return the area of the unit disc that triangle k covers; the axes across the Sun are longer by 1 / tan radius."""
     x0, y0, z0 = corners[k, 0] - px, corners[k, 1] - py, corners[k, 2] - pz
     x1, y1, z1 = corners[k, 3] - px, corners[k, 4] - py, corners[k, 5] - pz
@@ -262,7 +262,7 @@ def _triangle_area(corners: Floats, k: int, px: float, py: float, pz: float, axe
 
 
 @kernel
-def _box_in_cone(
+def box_in_cone(
     boxes: Floats, node: int, px: float, py: float, pz: float, sun: Point, inverse: Point, tangent: float
 ) -> bool:
     """Return whether a box may reach into the cone: widened by the cone's radius at its far side, it meets the axis."""
@@ -280,7 +280,7 @@ def _box_in_cone(
 
 
 @kernel
-def _inverse(x: float) -> float:
+def inverse_of(x: float) -> float:
     return 1.0 / x if abs(x) > 1e-30 else 1e30
 
 
@@ -299,17 +299,17 @@ def covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m
     ux, uy, uz, vx, vy, vz, sx, sy, sz = axes_around(sun[0], sun[1], sun[2])
     k = 1.0 / tangent
     axes = Frame(k * ux, k * uy, k * uz, k * vx, k * vy, k * vz, sx, sy, sz)
-    inverse = (_inverse(sx), _inverse(sy), _inverse(sz))
+    inverse = (inverse_of(sx), inverse_of(sy), inverse_of(sz))
     leaves, node, area = len(starts) - 1, 1, 0.0
     while True:
-        if _box_in_cone(boxes, node, px, py, pz, sun, inverse, tangent):
+        if box_in_cone(boxes, node, px, py, pz, sun, inverse, tangent):
             if node < leaves:
                 node *= 2
                 continue
             for k in range(starts[node - leaves], starts[node - leaves + 1]):
                 # Only from above its plane does a triangle show its outside.
                 if planes[k, 0] * px + planes[k, 1] * py + planes[k, 2] * pz > planes[k, 3] + near_m:
-                    area += _triangle_area(corners, k, px, py, pz, axes)
+                    area += triangle_area(corners, k, px, py, pz, axes)
             if area >= math.pi * enough:
                 return enough
         node = after(node)
@@ -330,8 +330,8 @@ def _place(moved: Floats, x: float, y: float, z: float) -> Point:
 @kernel
 def _hide(tree: TriangleTree, place: Point, moved: Floats, tangent: float, near_m: float) -> float:
     """Return the covered share of the Sun's disc, 0 to 1; `moved` is (3, 5)."""
-    hidden = covered(tree, place, (moved[0, 4], moved[1, 4], moved[2, 4]), tangent, near_m, 1.0 - _DUST)
-    return 0.0 if hidden < _DUST else hidden if hidden < 1.0 - _DUST else 1.0
+    hidden = covered(tree, place, (moved[0, 4], moved[1, 4], moved[2, 4]), tangent, near_m, 1.0 - DUST)
+    return 0.0 if hidden < DUST else hidden if hidden < 1.0 - DUST else 1.0
 
 
 @kernel
@@ -389,7 +389,7 @@ def _remember(
         memory[k, 3] = math.cos(angle)
         layers = covered(tree, point, sun, math.tan(radius + angle), near_m, 1e300)
         complete = round(layers)
-        if abs(layers - complete) < _DUST:  # no edge crosses the disc
+        if abs(layers - complete) < DUST:  # no edge crosses the disc
             memory[k, 4] = 0.0 if complete > 0 else 1.0
             return
 

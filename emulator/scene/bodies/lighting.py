@@ -5,10 +5,10 @@
 with a law of reflection r and the visible share of the Sun's disc. Near a shadow edge mu0 is the mean over the visible
 part of the disc, so the light is smooth in time. Shadows:
 
-    smooth bodies        a table of horizons over all that is rigidly fixed to the body (`horizon_table`)
+    smooth bodies        rays at vertices (`sun_rays`), and polygons on facets that an edge crosses (`shadow_edges`), in
+                         the shadows of all that is rigidly fixed to the body
     flat-shaded ones     polygons over their facets where penumbras are narrow enough (`shadow_polygons`), else covered
-                         areas of the disc, traced (`cast_shadow`); smooth ones are traced too where a table would
-                         lose light under overhangs in more than LOST_AT_MOST of all directions
+                         areas of the disc, traced (`cast_shadow`)
     bodies on others     traced, in the frame of the body that casts the shadow
 
 The rate is that of the material point, a second of stream time: directions of the Sun and positions of the camera and
@@ -22,7 +22,6 @@ Left out: light from one surface onto another, but for the ambient light; the Su
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,14 +30,16 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.attitude import Vector, unit
+from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Sun
 from emulator.photometry.reflection_kernels import Law, law_of, reflect
 from emulator.scene.bodies.cast_shadow import TriangleTree, blank_memory, build_tree, dim, dim_remembering, seen_above
 from emulator.scene.bodies.compiled import entry
-from emulator.scene.bodies.horizon_table import Horizons, dim_below, horizon_table, lost_light
 from emulator.scene.bodies.lit_surface import Surface, shadow_triangles
 from emulator.scene.bodies.mesh import Mesh
+from emulator.scene.bodies.shadow_edges import MARGIN_PX, Lights, ShadowEdges, Suns
 from emulator.scene.bodies.shadow_polygons import Dark, Polygons, SharpShadows, Surroundings, receivers_of
+from emulator.scene.bodies.sun_rays import Window
 from emulator.scene.bodies.table import BodiesParameters
 from emulator.scene.bodies.world import RigidGroup, rigid_groups
 from emulator.threads import ThreadPool
@@ -152,12 +153,10 @@ def write_radiance(
         out[1, k] = (room[1, i] - room[0, i]) / between_s
 
 
-LOST_AT_MOST = 0.002
+_BEYOND = -0.5  # least cosine of incidence of a corner whose facet an edge may cross
 _NEAR = 1e-7  # of a tree's radius: points are above a plane from this height on
 _TURN_RAD = 1e-7  # rotation between the two instants of a rate
 _SIDE_NS = 1_000_000  # of scene time, between the poses for rates
-
-_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,21 +208,22 @@ class _Lit:
     law: Law
     albedo: Floats | None
     group: int
-    table: Horizons | None
     memory: Floats
     middle_m: Vector
     radius_m: float
     sharp: bool = False
+    edges: ShadowEdges | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """A group's surroundings in its own frame, now and an instant later: (2, 3, 3) and (2, 3)."""
+    """A group's surroundings in its own frame, now and an instant later: (2, 3, 3) and (2, 3); the camera's now."""
 
     world_from_group: Floats
     places_m: Floats
     suns: Floats
     eyes_m: Floats
+    camera_from_group: Floats
 
 
 def motion_at(
@@ -244,15 +244,17 @@ class Lighting:
 
     Parameters
     ----------
+    pinhole : the camera: shadow edges outside its frame are left out.
     meshes : of each body, for the shadows that it casts.
     surfaces : of each body, the points at which light is computed.
     sharp : flat-shaded bodies on which the shadows of their own group are polygons, to be drawn over them.
-    threads : number of threads that compute polygons; the light is the same to the last bit.
+    threads : number of threads that compute shadows; the light is the same to the last bit.
     """
 
     def __init__(
         self,
         parameters: BodiesParameters,
+        pinhole: Pinhole,
         meshes: Sequence[Mesh],
         surfaces: Sequence[Surface],
         sharp: Collection[int] = (),
@@ -262,8 +264,9 @@ class Lighting:
         self._towards = unit(parameters.sun.direction)
         self._groups = rigid_groups(parameters.bodies)
         self._trees = [_group_tree(group, parameters, meshes) for group in self._groups]
+        self._pool = ThreadPool(threads)
+        self._pinhole = pinhole
         self._bodies = self._lit(parameters, surfaces, sharp)
-        self._pool = ThreadPool(threads if sharp else 1)
         self._sharp = list(self._sharp_shadows(surfaces))
         points = max(len(body.points) for body in self._bodies)
         self._chosen, self._angles = np.empty(points, np.int32), np.empty((6, points))
@@ -274,15 +277,16 @@ class Lighting:
         self._pool.close()
 
     def light(self, motion: Motion) -> list[Radiance]:
-        """Return the light of each body."""
+        """Return the light of each body at its points."""
         return self.light_and_polygons(motion)[0]
 
     def light_and_polygons(self, motion: Motion) -> tuple[list[Radiance], list[Polygons]]:
         """Return the light of each body, and the shadow polygons to draw over the bodies."""
         step_s = self._step_s(motion)
         seen = [self._seen(motion, group.members[0], step_s) for group in self._groups]
-        radiances = [self._body_light(body, seen, step_s) for body in self._bodies]
-        return radiances, [self._polygons(g, shadows, seen[g], radiances, step_s) for g, shadows in self._sharp]
+        cut: list[Polygons] = []
+        radiances = [self._body_light(body, seen, step_s, cut) for body in self._bodies]
+        return radiances, [*cut, *(self._polygons(g, shadows, seen[g], radiances, step_s) for g, shadows in self._sharp)]
 
     def _polygons(
         self, g: int, shadows: SharpShadows, seen: _Seen, radiances: Sequence[Radiance], step_s: float
@@ -293,11 +297,17 @@ class Lighting:
 
     def _lit(self, parameters: BodiesParameters, surfaces: Sequence[Surface], sharp: Collection[int]) -> list[_Lit]:
         where = {k: (g, pose) for g, group in enumerate(self._groups) for k, pose in zip(*_both(group), strict=True)}
-        lit = [
-            _place(surface, law_of(body.reflectance), *where[k], self._trees[where[k][0]], parameters.sun)
-            for k, (body, surface) in enumerate(zip(parameters.bodies, surfaces, strict=True))
-        ]
-        return [replace(body, sharp=k in sharp) for k, body in enumerate(lit)]
+        lit = []
+        first = 0
+        for k, (body, surface) in enumerate(zip(parameters.bodies, surfaces, strict=True)):
+            placed = _place(surface, law_of(body.reflectance), *where[k])
+            tree, root = self._trees[placed.group], self._groups[placed.group].members[0]
+            edges = None
+            if surface.smooth and tree is not None:
+                edges = ShadowEdges(root, tree, placed.points, placed.normals, surface.faces, first, self._pool)
+            lit.append(replace(placed, sharp=k in sharp, edges=edges))
+            first += len(surface.faces)
+        return lit
 
     def _sharp_shadows(self, surfaces: Sequence[Surface]) -> Iterator[tuple[int, SharpShadows]]:
         """Yield each group that has shadow polygons, with their `SharpShadows`."""
@@ -324,7 +334,8 @@ class Lighting:
     def _seen(self, motion: Motion, root: int, step_s: float) -> _Seen:
         now, before, after = (self._around(poses, root) for poses in (motion.now, motion.before, motion.after))
         share = step_s / motion.between_s
-        return _Seen(*(np.stack([a, a + share * (c - b)]) for a, b, c in zip(now, before, after, strict=True)))
+        both = (np.stack([a, a + share * (c - b)]) for a, b, c in zip(now, before, after, strict=True))
+        return _Seen(*both, np.ascontiguousarray(motion.now.camera.world_from_body.T @ now[0]))
 
     def _around(self, poses: Poses, root: int) -> tuple[Floats, Floats, Floats, Floats]:
         """Return world_from_group, the group's place, and the Sun's direction and the camera's place in its frame."""
@@ -332,28 +343,36 @@ class Lighting:
         turn, place = pose.world_from_body, pose.position_m
         return turn, place, self._towards @ turn, (poses.camera.position_m - place) @ turn
 
-    def _body_light(self, body: _Lit, seen: Sequence[_Seen], step_s: float) -> Radiance:
+    def _body_light(self, body: _Lit, seen: Sequence[_Seen], step_s: float, cut: list[Polygons]) -> Radiance:
+        """Return the light of a body, and append the parts of its facets that a shadow edge crosses to `cut`."""
         group, radius = seen[body.group], self._sun.radius_rad
-        lowest = -2.0 if self._ambient > 0 else -math.sin(radius)
+        lowest = -2.0 if self._ambient > 0 else -math.sin(radius) if body.edges is None else _BEYOND
         chosen, angles, shares, room = self._chosen, self._angles, self._shares, self._room
         count = choose(body.points, body.normals, body.lean, group.suns, group.eyes_m, lowest, chosen, angles)
-        cosines = angles[:2]
-        if body.table is not None:
-            dim_below(body.table, body.normals, chosen, count, group.suns, radius, cosines, shares)
-        else:
-            dim_at_plane(count, radius, cosines, shares)
+        dim_at_plane(count, radius, angles[:2], shares)
         for g, tree in enumerate(self._trees):
-            if tree is not None and (g != body.group or (body.table is None and not body.sharp)):
+            if tree is not None and (g != body.group or (body.edges is None and not body.sharp)):
                 self._cast(body, tree, group, seen[g], count)
         out, dark = np.zeros((2, 2, len(body.points)))
         irradiance = self._sun.irradiance_w_m2
         write_radiance(body.law, irradiance, self._ambient, step_s, chosen, count, angles, shares, room, out)
-        if body.sharp and self._ambient > 0:
+        if (body.sharp or body.edges is not None) and self._ambient > 0:
             write_radiance(body.law, 0.0, self._ambient, step_s, chosen, count, angles, shares, room, dark)
         if body.albedo is not None:
             out *= body.albedo
             dark *= body.albedo
+        if body.edges is not None:
+            window = self._window(group)
+            hidden = body.edges.hidden_from_sun(chosen, count, window, group.suns[0])
+            cut.append(body.edges.cut(Lights(*out, *dark), Suns(*group.suns, step_s, radius), window))
+            out = np.where(hidden == 1, dark, out)
         return Radiance(*out, *dark)
+
+    def _window(self, group: _Seen) -> Window:
+        """Return the part of a group's space that the camera sees."""
+        pinhole = self._pinhole
+        half = [(size / 2 + MARGIN_PX) / pinhole.focal_px for size in pinhole.size]
+        return Window(group.camera_from_group, group.eyes_m[0], half[0], half[1], pinhole.focal_px)
 
     def _cast(self, body: _Lit, tree: TriangleTree, group: _Seen, other: _Seen, count: int) -> None:
         """Dim the chosen points of a body, which is in `group`, by the shadow of another group or of its own."""
@@ -385,24 +404,13 @@ def _group_tree(group: RigidGroup, parameters: BodiesParameters, meshes: Sequenc
     return build_tree(np.concatenate(parts)) if parts else None
 
 
-def _place(surface: Surface, law: Law, group: int, pose: Pose, tree: TriangleTree | None, sun: Sun) -> _Lit:
-    """Return a body's points in the frame of its group, with a table of horizons where it is accurate enough."""
+def _place(surface: Surface, law: Law, group: int, pose: Pose) -> _Lit:
+    """Return a body's points in the frame of its group."""
     turn = pose.world_from_body.T
     points, normals = surface.points @ turn + pose.position_m, surface.normals @ turn
-    table = _table(tree, points, normals, sun) if surface.smooth and tree is not None else None
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    memory = blank_memory(len(points))
-    return _Lit(points, normals, surface.lean, law, surface.albedo, group, table, memory, middle, radius_m)
-
-
-def _table(tree: TriangleTree, points: Floats, normals: Floats, sun: Sun) -> Horizons | None:
-    table = horizon_table(tree, points, normals)
-    lost = lost_light(tree, points, normals, table, math.tan(sun.radius_rad))
-    if lost <= LOST_AT_MOST:
-        return table
-    _LOG.info("a table of horizons would lose light in %.1f %% of directions: shadows are traced", 100 * lost)
-    return None
+    return _Lit(points, normals, surface.lean, law, surface.albedo, group, blank_memory(len(points)), middle, radius_m)
 
 
 def _turned(motion: Motion, k: int) -> float:

@@ -172,7 +172,8 @@ class RasterBodies(WorldScene[BodyWorld]):
         pixel_m = min(map(self._nearest_m, bodies)) / pinhole.focal_px
         self._sharp = with_narrow_penumbras(parameters, world.meshes, LONGEST_PX * pixel_m)
         self._surfaces = [self._surface(k) for k in bodies]
-        self._lighting = Lighting(parameters, world.meshes, self._surfaces, self._sharp, threads)
+        seen = [world.as_seen(k) for k in bodies]
+        self._lighting = Lighting(parameters, pinhole, seen, self._surfaces, self._sharp, threads)
         self._placed = _in_groups(parameters, self._surfaces)
         self._poses = world.arrangement.poses_of({root for root, _ in self._placed})
         parts = [
