@@ -26,7 +26,6 @@ right and needs no stack: after node i comes 2 i, or `after(i)` where i is skipp
 
 Three measures make it fast: the traversal skips boxes beside the cone (a box extended by the cone's radius at its far
 side against the axis), it ends where the disc is covered, and points with a result of 0 or 1 have no second evaluation.
-Within one rigid body most points keep their result while the Sun turns by a degree or more (`dim_remembering`).
 """
 
 from __future__ import annotations
@@ -183,9 +182,6 @@ class Frame(NamedTuple):
     wz: float
 
 
-MIXED = 2.0
-_WIDE_RAD = 0.05
-_NARROWER = 0.25
 DUST = 1e-9  # shares below that are rounding
 _NEAREST = 1e-4  # of a triangle's distance: the parts nearer along the axis are cut off
 
@@ -200,6 +196,14 @@ def axes_around(sx: float, sy: float, sz: float) -> Frame:
     a = -1.0 / (sign + sz)
     b = sx * sy * a
     return Frame(1.0 + sign * sx * sx * a, sign * b, -sign * sx, b, sign + sy * sy * a, -sy, sx, sy, sz)
+
+
+@kernel
+def disc_axes(sun: Point, tangent: float) -> Frame:
+    """Return the frame of a direction with axes across it longer by 1 / tangent: the disc has the radius 1."""
+    ux, uy, uz, vx, vy, vz, sx, sy, sz = axes_around(sun[0], sun[1], sun[2])
+    k = 1.0 / tangent
+    return Frame(k * ux, k * uy, k * uz, k * vx, k * vy, k * vz, sx, sy, sz)
 
 
 @kernel
@@ -281,6 +285,7 @@ def box_in_cone(
 
 @kernel
 def inverse_of(x: float) -> float:
+    """Return 1 / x, or a number beyond all others for 0."""
     return 1.0 / x if abs(x) > 1e-30 else 1e30
 
 
@@ -296,10 +301,8 @@ def covered(tree: TriangleTree, point: Point, sun: Point, tangent: float, near_m
     """
     boxes, starts, corners, planes = tree
     px, py, pz = point
-    ux, uy, uz, vx, vy, vz, sx, sy, sz = axes_around(sun[0], sun[1], sun[2])
-    k = 1.0 / tangent
-    axes = Frame(k * ux, k * uy, k * uz, k * vx, k * vy, k * vz, sx, sy, sz)
-    inverse = (inverse_of(sx), inverse_of(sy), inverse_of(sz))
+    axes = disc_axes(sun, tangent)
+    inverse = (inverse_of(sun[0]), inverse_of(sun[1]), inverse_of(sun[2]))
     leaves, node, area = len(starts) - 1, 1, 0.0
     while True:
         if box_in_cone(boxes, node, px, py, pz, sun, inverse, tangent):
@@ -374,69 +377,3 @@ def dim(
         if shares[0, i] > 0.0 or shares[1, i] > 0.0:
             k = chosen[i]
             _dim_point(tree, (points[k, 0], points[k, 1], points[k, 2]), moved, tangent, near_m, shares, i)
-
-
-@kernel
-def _remember(
-    tree: TriangleTree, point: Point, sun: Point, wide: float, tangent: float, near_m: float, memory: Floats, k: int
-) -> None:
-    """Find how far the Sun may move with the same result, at most `wide` (rad), and write row k of `memory`."""
-    radius = math.atan(tangent)
-    memory[k, 0], memory[k, 1], memory[k, 2] = sun
-    memory[k, 4] = MIXED
-    for part in range(2):
-        angle = wide if part == 0 else wide * _NARROWER
-        memory[k, 3] = math.cos(angle)
-        layers = covered(tree, point, sun, math.tan(radius + angle), near_m, 1e300)
-        complete = round(layers)
-        if abs(layers - complete) < DUST:  # no edge crosses the disc
-            memory[k, 4] = 0.0 if complete > 0 else 1.0
-            return
-
-
-def blank_memory(points: int) -> Floats:
-    """Return an empty memory for `dim_remembering`, (points, 5)."""
-    memory = np.zeros((points, 5))
-    memory[:, 3] = 2.0
-    return memory
-
-
-@entry
-def dim_remembering(
-    tree: TriangleTree,
-    points: Floats,
-    chosen: npt.NDArray[np.int32],
-    count: int,
-    moved: Floats,
-    tangent: float,
-    near_m: float,
-    memory: Floats,
-    shares: Floats,
-) -> None:
-    """Compute the same as `dim` for points in the tree's own frame, and reuse results that cannot have changed.
-
-    A disc larger than the Sun's around its direction shows how far the Sun may move before an edge can reach it: where
-    whole layers cover the large disc, or nothing does, the result is valid until the Sun has moved by that angle. The
-    result is the same as without memory, except for layers whose edges coincide and divide the large disc in halves
-    to within 1e-9.
-
-    Parameters
-    ----------
-    memory : (n, 5), for each point the Sun's direction at the last evaluation, the cosine up to which that is valid,
-        and the share (0, 1 or MIXED: to be computed each time).
-    """
-    x, y, z = moved[0, 0, 4], moved[0, 1, 4], moved[0, 2, 4]
-    for i in range(count):
-        if not (shares[0, i] > 0.0 or shares[1, i] > 0.0):
-            continue
-        k = chosen[i]
-        point = (points[k, 0], points[k, 1], points[k, 2])
-        if not memory[k, 0] * x + memory[k, 1] * y + memory[k, 2] * z > memory[k, 3]:
-            # Another angle for each, so that not all are evaluated again in the same step.
-            wide = _WIDE_RAD * (0.5 + 0.5 * ((k * 0.6180339887) % 1.0))
-            _remember(tree, point, (x, y, z), wide, tangent, near_m, memory, k)
-        if memory[k, 4] == MIXED:
-            _dim_point(tree, point, moved, tangent, near_m, shares, i)
-        else:
-            shares[0, i] *= memory[k, 4]
-            shares[1, i] *= memory[k, 4]

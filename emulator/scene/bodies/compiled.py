@@ -7,12 +7,9 @@ from __future__ import annotations
 
 from firmware_protocol.compiled import entry_of, kernel
 
-__all__ = ["allocating_entry", "entry", "kernel"]
+__all__ = ["entry", "kernel"]
 
 _SOURCES = ("emulator.scene.bodies", "emulator.photometry")
 
 entry = entry_of(*_SOURCES, _nrt=False)
 """Compile a function for calls from Python; it releases the GIL."""
-
-allocating_entry = entry_of(*_SOURCES)
-"""The same for a function that makes arrays."""

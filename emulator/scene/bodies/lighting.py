@@ -31,9 +31,8 @@ import numpy.typing as npt
 
 from emulator.geometry.attitude import Vector, unit
 from emulator.geometry.camera import Pinhole
-from emulator.photometry.reflectance import Sun
 from emulator.photometry.reflection_kernels import Law, law_of, reflect
-from emulator.scene.bodies.cast_shadow import TriangleTree, blank_memory, build_tree, dim, dim_remembering, seen_above
+from emulator.scene.bodies.cast_shadow import TriangleTree, build_tree, dim, seen_above
 from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.lit_surface import Surface, shadow_triangles
 from emulator.scene.bodies.mesh import Mesh
@@ -208,7 +207,6 @@ class _Lit:
     law: Law
     albedo: Floats | None
     group: int
-    memory: Floats
     middle_m: Vector
     radius_m: float
     sharp: bool = False
@@ -286,7 +284,10 @@ class Lighting:
         seen = [self._seen(motion, group.members[0], step_s) for group in self._groups]
         cut: list[Polygons] = []
         radiances = [self._body_light(body, seen, step_s, cut) for body in self._bodies]
-        return radiances, [*cut, *(self._polygons(g, shadows, seen[g], radiances, step_s) for g, shadows in self._sharp)]
+        return radiances, [
+            *cut,
+            *(self._polygons(g, shadows, seen[g], radiances, step_s) for g, shadows in self._sharp),
+        ]
 
     def _polygons(
         self, g: int, shadows: SharpShadows, seen: _Seen, radiances: Sequence[Radiance], step_s: float
@@ -343,12 +344,13 @@ class Lighting:
         turn, place = pose.world_from_body, pose.position_m
         return turn, place, self._towards @ turn, (poses.camera.position_m - place) @ turn
 
-    def _body_light(self, body: _Lit, seen: Sequence[_Seen], step_s: float, cut: list[Polygons]) -> Radiance:
-        """Return the light of a body, and append the parts of its facets that a shadow edge crosses to `cut`."""
+    def _body_light(self, body: _Lit, seen: Sequence[_Seen], step_s: float, polygons: list[Polygons]) -> Radiance:
+        """Return the light of a body, and append the parts of its facets that a shadow edge crosses to `polygons`."""
         group, radius = seen[body.group], self._sun.radius_rad
         lowest = -2.0 if self._ambient > 0 else -math.sin(radius) if body.edges is None else _BEYOND
         chosen, angles, shares, room = self._chosen, self._angles, self._shares, self._room
         count = choose(body.points, body.normals, body.lean, group.suns, group.eyes_m, lowest, chosen, angles)
+        on_horizon = chosen[:count][np.abs(angles[0, :count]) < radius]  # their own surface hides a part of the disc
         dim_at_plane(count, radius, angles[:2], shares)
         for g, tree in enumerate(self._trees):
             if tree is not None and (g != body.group or (body.edges is None and not body.sharp)):
@@ -364,7 +366,8 @@ class Lighting:
         if body.edges is not None:
             window = self._window(group)
             hidden = body.edges.hidden_from_sun(chosen, count, window, group.suns[0])
-            cut.append(body.edges.cut(Lights(*out, *dark), Suns(*group.suns, step_s, radius), window))
+            hidden[on_horizon] = np.minimum(hidden[on_horizon], 0)
+            polygons.append(body.edges.cut(Lights(*out, *dark), Suns(*group.suns, step_s, radius), window))
             out = np.where(hidden == 1, dark, out)
         return Radiance(*out, *dark)
 
@@ -384,9 +387,7 @@ class Lighting:
         tangent = math.tan(self._sun.radius_rad)
         near_m = _NEAR * tree.radius_m
         chosen, shares = self._chosen, self._shares
-        if group is other:
-            dim_remembering(tree, body.points, chosen, count, moved, tangent, near_m, body.memory, shares)
-        elif _may_shade(tree, body, moved[0], tangent):
+        if group is other or _may_shade(tree, body, moved[0], tangent):
             dim(tree, body.points, chosen, count, moved, tangent, near_m, shares)
 
 
@@ -410,7 +411,7 @@ def _place(surface: Surface, law: Law, group: int, pose: Pose) -> _Lit:
     points, normals = surface.points @ turn + pose.position_m, surface.normals @ turn
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    return _Lit(points, normals, surface.lean, law, surface.albedo, group, blank_memory(len(points)), middle, radius_m)
+    return _Lit(points, normals, surface.lean, law, surface.albedo, group, middle, radius_m)
 
 
 def _turned(motion: Motion, k: int) -> float:

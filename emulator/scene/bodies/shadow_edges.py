@@ -31,7 +31,19 @@ import numpy.typing as npt
 from emulator.scene.bodies.cast_shadow import Point, TriangleTree
 from emulator.scene.bodies.compiled import entry, kernel
 from emulator.scene.bodies.shadow_polygons import Polygons, Triangles
-from emulator.scene.bodies.sun_rays import Verdicts, Window, depth_in, first_met, look_to_sun
+from emulator.scene.bodies.sun_rays import (
+    Verdicts,
+    Window,
+    corner,
+    cross,
+    depth_in,
+    dot,
+    first_met,
+    look_to_sun,
+    minus,
+    plus,
+    row,
+)
 from emulator.threads import ThreadPool
 
 Floats = npt.NDArray[np.float64]
@@ -48,6 +60,7 @@ _ROWS, _TRIANGLES = 7, 5  # of the parts of a facet, at most
 _POINTS_A_PART = 4000
 _FIRST_FACETS = 64
 _PARTS = 8
+_LAST_SIDES = 4096
 
 
 class Receiver(NamedTuple):
@@ -85,15 +98,11 @@ class Lights(NamedTuple):
     dark_rate: Floats
 
 
-class _Side(NamedTuple):
-    """A side from its sunlit end, m."""
+class Sides(NamedTuple):
+    """Crossings of the last sides: their ends, (k, 2), lit and dark vertex, and the numbers of `_Crossing`, (k, 4)."""
 
-    x: float
-    y: float
-    z: float
-    dx: float
-    dy: float
-    dz: float
+    ends: Numbers
+    crossings: Floats
 
 
 class _Crossing(NamedTuple):
@@ -108,112 +117,93 @@ class _Crossing(NamedTuple):
 class _Forms(NamedTuple):
     """The linear forms of the Sun's direction whose ratio is s, and the edge."""
 
-    ax: float
-    ay: float
-    az: float
-    bx: float
-    by: float
-    bz: float
-    ex: float
-    ey: float
-    ez: float
+    above: Point  # c x e
+    below: Point  # d x e
+    edge: Point
 
 
 @kernel
-def _forms(corners: Floats, t: int, edge: int, side: _Side) -> _Forms:
-    """Return c x e, d x e and e of an edge of triangle t."""
-    i, j = 3 * edge, 3 * ((edge + 1) % 3)
-    ex, ey, ez = corners[t, j] - corners[t, i], corners[t, j + 1] - corners[t, i + 1], corners[t, j + 2] - corners[t, i + 2]
-    cx, cy, cz = corners[t, i] - side.x, corners[t, i + 1] - side.y, corners[t, i + 2] - side.z
-    return _Forms(
-        cy * ez - cz * ey, cz * ex - cx * ez, cx * ey - cy * ex,
-        side.dy * ez - side.dz * ey, side.dz * ex - side.dx * ez, side.dx * ey - side.dy * ex,
-        ex, ey, ez,
-    )  # fmt: skip
+def _forms(corners: Floats, t: int, edge: int, q: Point, d: Point) -> _Forms:
+    """Return the forms of an edge of triangle t and of the side q + s d."""
+    first = corner(corners, t, edge)
+    e = minus(corner(corners, t, (edge + 1) % 3), first)
+    return _Forms(cross(minus(first, q), e), cross(d, e), e)
 
 
 @kernel
-def _share_at(f: _Forms, x: float, y: float, z: float) -> float:
-    """Return s for the Sun's direction, or the sign of infinity where the plane holds the side."""
-    below = f.bx * x + f.by * y + f.bz * z
-    above: float = f.ax * x + f.ay * y + f.az * z
+def _share_at(forms: _Forms, sun: Point) -> float:
+    """Return s, or the sign of infinity where the side lies in the plane of the edge and the Sun."""
+    above = dot(forms.above, sun)
+    below = dot(forms.below, sun)
     return above / below if below != 0.0 else math.copysign(1e30, above)
 
 
 @kernel
-def _leaving(corners: Floats, t: int, side: _Side, before: float, sun: Floats) -> tuple[float, int]:
-    """Return the last share of a side, up to `before`, at which it enters the shadow of triangle t; through an edge.
+def _leave(corners: Floats, t: int, q: Point, d: Point, before: float, sun: Point) -> tuple[float, int]:
+    """Return the largest s up to `before` at which the side enters the shadow of triangle t, and through which edge.
 
-    The number of the edge is 3 where the side passes through the triangle's own plane.
+    The edge is 3 where the side passes through the triangle's own plane.
     """
     last, through = -1e30, 3
     for edge in range(3):
-        s = _share_at(_forms(corners, t, edge, side), sun[0], sun[1], sun[2])
+        s = _share_at(_forms(corners, t, edge, q, d), sun)
         if last < s <= before:
             last, through = s, edge
-    f = _forms(corners, t, 0, side)
-    vx, vy, vz = corners[t, 6] - corners[t, 0], corners[t, 7] - corners[t, 1], corners[t, 8] - corners[t, 2]
-    nx, ny, nz = f.ey * vz - f.ez * vy, f.ez * vx - f.ex * vz, f.ex * vy - f.ey * vx
-    falls = side.dx * nx + side.dy * ny + side.dz * nz
+    first = corner(corners, t, 0)
+    normal = cross(minus(corner(corners, t, 1), first), minus(corner(corners, t, 2), first))
+    falls = dot(d, normal)
     if falls != 0.0:
-        cx, cy, cz = corners[t, 0] - side.x, corners[t, 1] - side.y, corners[t, 2] - side.z
-        s = (cx * nx + cy * ny + cz * nz) / falls
+        s = dot(minus(first, q), normal) / falls
         if last < s <= before:
             last, through = s, 3
     return last, through
 
 
 @kernel
-def _rims(corners: Floats, t: int, edge: int, side: _Side, s: float, suns: Suns, narrow: float) -> _Crossing:
-    """Return the crossings of both rims of the disc with their rates; of its middle where they are nearer than `narrow`."""
-    f = _forms(corners, t, edge, side)
-    now, later = suns.now, suns.later
-    moved = math.sqrt((later[0] - now[0]) ** 2 + (later[1] - now[1]) ** 2 + (later[2] - now[2]) ** 2)
-    fastest = _STEEPEST * moved / suns.between_s
-    rate = (_share_at(f, later[0], later[1], later[2]) - s) / suns.between_s
-    rate = min(max(rate, -fastest), fastest)
+def _rims(forms: _Forms, s: float, suns: Suns, narrow: float) -> _Crossing:
+    """Return the crossings of both rims of the disc and their rates; that of its middle if they are `narrow` apart."""
+    now = (suns.now[0], suns.now[1], suns.now[2])
+    later = (suns.later[0], suns.later[1], suns.later[2])
+    moved = minus(later, now)
+    fastest = _STEEPEST * math.sqrt(dot(moved, moved))
     # Across the plane through the edge and the Sun.
-    nx, ny, nz = f.ey * now[2] - f.ez * now[1], f.ez * now[0] - f.ex * now[2], f.ex * now[1] - f.ey * now[0]
-    tilt = _DISC * suns.radius_rad / math.sqrt(max(nx * nx + ny * ny + nz * nz, 1e-300))
-    nx, ny, nz = nx * tilt, ny * tilt, nz * tilt
-    s0 = _share_at(f, now[0] - nx, now[1] - ny, now[2] - nz)
-    s1 = _share_at(f, now[0] + nx, now[1] + ny, now[2] + nz)
-    if not narrow < abs(s1 - s0) < 2.0 or not min(s0, s1) <= s <= max(s0, s1):
-        return _Crossing(s, rate, s, rate)
-    later0 = _share_at(f, later[0] - nx, later[1] - ny, later[2] - nz)
-    later1 = _share_at(f, later[0] + nx, later[1] + ny, later[2] + nz)
-    rate0 = min(max((later0 - s0) / suns.between_s, -fastest), fastest)
-    rate1 = min(max((later1 - s1) / suns.between_s, -fastest), fastest)
-    if s1 < s0:
-        s0, rate0, s1, rate1 = s1, rate1, s0, rate0
-    if s0 < 0.0:
-        s0, rate0 = 0.0, 0.0
-    if s1 > 1.0:
-        s1, rate1 = 1.0, 0.0
-    return _Crossing(s0, rate0, s1, rate1)
+    tilt = cross(forms.edge, now)
+    radius = _DISC * suns.radius_rad / math.sqrt(max(dot(tilt, tilt), 1e-300))
+    low = _share_at(forms, plus(now, -radius, tilt))
+    high = _share_at(forms, plus(now, radius, tilt))
+    if high < low:
+        radius = -radius
+        low, high = high, low
+    if not (narrow < high - low < 2.0 and low <= s <= high):
+        radius = 0.0
+        low = high = s
+    low_moved = _share_at(forms, plus(later, -radius, tilt)) - low
+    high_moved = _share_at(forms, plus(later, radius, tilt)) - high
+    low_rate = min(max(low_moved, -fastest), fastest) / suns.between_s if low >= 0.0 else 0.0
+    high_rate = min(max(high_moved, -fastest), fastest) / suns.between_s if high <= 1.0 else 0.0
+    return _Crossing(max(low, 0.0), low_rate, min(high, 1.0), high_rate)
 
 
 @kernel
 def _cross(tree: TriangleTree, receiver: Receiver, lit: int, dark: int, suns: Suns, narrow: float) -> _Crossing:
     """Return where a shadow's edge crosses the side from vertex `lit` to vertex `dark`."""
-    places = receiver.lifted
-    x, y, z = places[lit, 0], places[lit, 1], places[lit, 2]
-    side = _Side(x, y, z, places[dark, 0] - x, places[dark, 1] - y, places[dark, 2] - z)
+    q = row(receiver.lifted, lit)
+    d = minus(row(receiver.lifted, dark), q)
     sun = (suns.now[0], suns.now[1], suns.now[2])
     at = 1.0
     # The hiding triangle is searched for anew: that of an earlier light frame may be another one.
-    t = first_met(tree, (places[dark, 0], places[dark, 1], places[dark, 2]), sun)
+    triangle = first_met(tree, plus(q, at, d), sun)
     for _ in range(_MOST_TRIANGLES):
-        if t < 0:
+        if triangle < 0:
             break
-        s, edge = _leaving(tree.corners, t, side, at, suns.now)
+        s, edge = _leave(tree.corners, triangle, q, d, at, sun)
         at = s - _PAST
         if at <= 0.0:
             return _Crossing(_PAST, 0.0, _PAST, 0.0)
-        before = t
-        t = first_met(tree, (x + at * side.dx, y + at * side.dy, z + at * side.dz), sun)
-        if t < 0 and edge < 3:
-            return _rims(tree.corners, before, edge, side, s, suns, narrow)
+        before = triangle
+        triangle = first_met(tree, plus(q, at, d), sun)
+        if triangle < 0 and edge < 3:
+            return _rims(_forms(tree.corners, before, edge, q, d), s, suns, narrow)
     return _Crossing(at, 0.0, at, 0.0)
 
 
@@ -235,27 +225,42 @@ def _put(  # noqa: PLR0913, PLR0917
 
 @kernel
 def _add_triangle(out: Triangles, number: int, a: int, b: int, c: int, facet: int) -> None:
-    out.faces[number, 0], out.faces[number, 1], out.faces[number, 2] = a, b, c
+    out.faces[number, 0] = a
+    out.faces[number, 1] = b
+    out.faces[number, 2] = c
     out.over[number] = facet
 
 
 @kernel
 def _faces_eye(receiver: Receiver, f: int, eye: Floats) -> bool:
     """Return whether a facet shows its outside to the camera."""
-    v, (a, b, c) = receiver.vertices, (receiver.faces[f, 0], receiver.faces[f, 1], receiver.faces[f, 2])
-    ux, uy, uz = v[b, 0] - v[a, 0], v[b, 1] - v[a, 1], v[b, 2] - v[a, 2]
-    vx, vy, vz = v[c, 0] - v[a, 0], v[c, 1] - v[a, 1], v[c, 2] - v[a, 2]
-    x, y, z = eye[0] - v[a, 0], eye[1] - v[a, 1], eye[2] - v[a, 2]
-    return bool((uy * vz - uz * vy) * x + (uz * vx - ux * vz) * y + (ux * vy - uy * vx) * z > 0.0)
+    first = row(receiver.vertices, receiver.faces[f, 0])
+    u = minus(row(receiver.vertices, receiver.faces[f, 1]), first)
+    v = minus(row(receiver.vertices, receiver.faces[f, 2]), first)
+    return bool(dot(cross(u, v), minus((eye[0], eye[1], eye[2]), first)) > 0.0)
 
 
 @kernel
 def _narrow(receiver: Receiver, a: int, b: int, window: Window) -> float:
     """Return the share of the side from vertex a to vertex b that is as long as a narrow penumbra."""
-    v = receiver.vertices
-    depth = depth_in(window, v[a, 0], v[a, 1], v[a, 2])
-    long2 = (v[b, 0] - v[a, 0]) ** 2 + (v[b, 1] - v[a, 1]) ** 2 + (v[b, 2] - v[a, 2]) ** 2
-    return _NARROW_PX * depth / (window.focal_px * math.sqrt(max(long2, 1e-300)))
+    first = row(receiver.vertices, a)
+    side = minus(row(receiver.vertices, b), first)
+    return _NARROW_PX * depth_in(window, first) / (window.focal_px * math.sqrt(max(dot(side, side), 1e-300)))
+
+
+@kernel
+def _cross_once(  # noqa: PLR0913, PLR0917
+    tree: TriangleTree, receiver: Receiver, lit: int, dark: int, suns: Suns, window: Window, sides: Sides
+) -> _Crossing:
+    """Return `_cross` of a side; the facet on its other side, which comes soon, finds it among the last ones."""
+    k = (lit * 31 + dark) % _LAST_SIDES
+    if sides.ends[k, 0] != lit or sides.ends[k, 1] != dark:
+        sides.ends[k, 0], sides.ends[k, 1] = lit, dark
+        x = _cross(tree, receiver, lit, dark, suns, _narrow(receiver, lit, dark, window))
+        for j in range(4):
+            sides.crossings[k, j] = x[j]
+    at = sides.crossings[k]
+    return _Crossing(at[0], at[1], at[2], at[3])
 
 
 @entry
@@ -267,9 +272,10 @@ def cut_facets(  # noqa: PLR0913, PLR0917
     lights: Lights,
     suns: Suns,
     window: Window,
+    sides: Sides,
     out: Triangles,
-) -> int:
-    """Cut facets that a shadow edge crosses, and write the parts; return the number of those facets.
+) -> tuple[int, int]:
+    """Cut facets that a shadow edge crosses, and write the parts; return the numbers of facets and of triangles.
 
     Facets beyond the room are counted and not cut.
 
@@ -278,7 +284,8 @@ def cut_facets(  # noqa: PLR0913, PLR0917
     part : the first facet, and the one after the last.
     is_hidden : (n,), of each vertex: 1, 0, or -1 where that is not known.
     """
-    count = 0
+    count = number = 0
+    sides.ends[:] = -1
     for f in range(part[0], part[1]):
         a, b, c = receiver.faces[f, 0], receiver.faces[f, 1], receiver.faces[f, 2]
         hidden = is_hidden[a] + is_hidden[b] + is_hidden[c]
@@ -287,7 +294,7 @@ def cut_facets(  # noqa: PLR0913, PLR0917
         if not _faces_eye(receiver, f, window.eye):
             continue
         count += 1
-        row, number, facet = _ROWS * (count - 1), _TRIANGLES * (count - 1), receiver.first_facet + f
+        row, facet = _ROWS * (count - 1), receiver.first_facet + f
         if row + _ROWS > len(out.places):
             continue
         # Corner o differs from p and q.
@@ -297,22 +304,27 @@ def cut_facets(  # noqa: PLR0913, PLR0917
         elif is_hidden[a] == is_hidden[b]:
             o, p, q = c, a, b
         is_lit = is_hidden[o] == 0
+        is_wide = False
         _put(receiver, lights, o, o, 0.0, 0.0, is_lit, out, row)
         for k in range(2):
             other = p if k == 0 else q
             lit, dark = (o, other) if is_lit else (other, o)
-            x = _cross(tree, receiver, lit, dark, suns, _narrow(receiver, lit, dark, window))
+            x = _cross_once(tree, receiver, lit, dark, suns, window, sides)
+            is_wide |= x.dark > x.lit
             _put(receiver, lights, lit, dark, x.lit, x.lit_rate, True, out, row + (1 if is_lit else 3) + k)
             _put(receiver, lights, lit, dark, x.dark, x.dark_rate, False, out, row + (3 if is_lit else 1) + k)
         _put(receiver, lights, p, p, 0.0, 0.0, not is_lit, out, row + 5)
         _put(receiver, lights, q, q, 0.0, 0.0, not is_lit, out, row + 6)
         # Rows: o; near it, on both sides; beyond the penumbra, on both sides; p; q.
         _add_triangle(out, number, row, row + 1, row + 2, facet)
-        _add_triangle(out, number + 1, row + 1, row + 3, row + 4, facet)
-        _add_triangle(out, number + 2, row + 1, row + 4, row + 2, facet)
-        _add_triangle(out, number + 3, row + 3, row + 5, row + 6, facet)
-        _add_triangle(out, number + 4, row + 3, row + 6, row + 4, facet)
-    return count
+        _add_triangle(out, number + 1, row + 3, row + 5, row + 6, facet)
+        _add_triangle(out, number + 2, row + 3, row + 6, row + 4, facet)
+        number += 3
+        if is_wide:
+            _add_triangle(out, number, row + 1, row + 3, row + 4, facet)
+            _add_triangle(out, number + 1, row + 1, row + 4, row + 2, facet)
+            number += 2
+    return count, number
 
 
 class ShadowEdges:
@@ -360,7 +372,9 @@ class ShadowEdges:
         def work(k: int, _: int) -> None:
             part = self._parts[k]
             while not part.has_room_for(
-                cut_facets(self._tree, self._receiver, part.facets, self._is_hidden, lights, suns, window, part.out)
+                *cut_facets(
+                    self._tree, self._receiver, part.facets, self._is_hidden, lights, suns, window, part.sides, part.out
+                )
             ):
                 pass
 
@@ -383,18 +397,19 @@ class _Part:
 
     def __init__(self, first: int, last: int) -> None:
         self.facets = first, last
-        self._cut = 0
+        self._cut = self._triangles = 0
+        self.sides = Sides(np.zeros((_LAST_SIDES, 2), np.int32), np.zeros((_LAST_SIDES, 4)))
         self._make_room(_FIRST_FACETS)
 
     @property
     def written(self) -> Triangles:
         """Return the parts."""
-        rows, triangles = _ROWS * self._cut, _TRIANGLES * self._cut
-        return Triangles(self.out.places[:rows], self.out.light[:rows], self.out.faces[:triangles], self.out.over[:triangles])
+        rows, (places, light, faces, over) = _ROWS * self._cut, self.out
+        return Triangles(places[:rows], light[:rows], faces[: self._triangles], over[: self._triangles])
 
-    def has_room_for(self, cut: int) -> bool:
-        """Take the number of facets that were cut; return whether there was room for their parts, or make it."""
-        self._cut = cut
+    def has_room_for(self, cut: int, triangles: int) -> bool:
+        """Take the numbers of facets that were cut and of triangles; return whether there was room, or make it."""
+        self._cut, self._triangles = cut, triangles
         if _ROWS * cut <= len(self.out.places):
             return True
         self._make_room(2 * cut)

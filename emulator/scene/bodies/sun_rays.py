@@ -20,12 +20,11 @@ import numpy.typing as npt
 
 from emulator.scene.bodies.cast_shadow import (
     DUST,
-    Frame,
     Point,
     TriangleTree,
     after,
-    axes_around,
     box_in_cone,
+    disc_axes,
     inverse_of,
     triangle_area,
 )
@@ -42,43 +41,85 @@ _LASTS = 10  # light frames, at least, for which a cone is worth its search
 
 
 @kernel
+def row(points: Floats, k: int) -> Point:
+    """Return row k of an array, (n, 3)."""
+    return points[k, 0], points[k, 1], points[k, 2]
+
+
+@kernel
+def corner(corners: Floats, k: int, number: int) -> Point:
+    """Return corner 0, 1 or 2 of triangle k."""
+    at = 3 * number
+    return corners[k, at], corners[k, at + 1], corners[k, at + 2]
+
+
+@kernel
+def minus(a: Point, b: Point) -> Point:
+    """Return the vector from b to a."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@kernel
+def plus(a: Point, scale: float, b: Point) -> Point:
+    """Return a + scale b."""
+    return a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]
+
+
+@kernel
+def dot(a: Point, b: Point) -> float:
+    """Return the inner product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def cross(a: Point, b: Point) -> Point:
+    """Return the vector product."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
 def _meets(corners: Floats, k: int, point: Point, sun: Point) -> bool:
     """Return whether a ray meets triangle k, from either side (Moller and Trumbore 1997)."""
-    ax, ay, az = corners[k, 0], corners[k, 1], corners[k, 2]
-    ux, uy, uz = corners[k, 3] - ax, corners[k, 4] - ay, corners[k, 5] - az
-    vx, vy, vz = corners[k, 6] - ax, corners[k, 7] - ay, corners[k, 8] - az
-    px, py, pz = sun[1] * vz - sun[2] * vy, sun[2] * vx - sun[0] * vz, sun[0] * vy - sun[1] * vx
-    volume = ux * px + uy * py + uz * pz
+    first = corner(corners, k, 0)
+    u = minus(corner(corners, k, 1), first)
+    v = minus(corner(corners, k, 2), first)
+    across = cross(sun, v)
+    volume = dot(u, across)
     side = math.copysign(1.0, volume)
     volume *= side
-    tx, ty, tz = point[0] - ax, point[1] - ay, point[2] - az
-    u = (tx * px + ty * py + tz * pz) * side
-    if u < 0.0 or u > volume:
+    away = minus(point, first)
+    along_u = dot(away, across) * side
+    if along_u < 0.0 or along_u > volume:
         return False
-    qx, qy, qz = ty * uz - tz * uy, tz * ux - tx * uz, tx * uy - ty * ux
-    v = (sun[0] * qx + sun[1] * qy + sun[2] * qz) * side
-    if v < 0.0 or u + v > volume:
+    around = cross(away, u)
+    along_v = dot(sun, around) * side
+    if along_v < 0.0 or along_u + along_v > volume:
         return False
-    return bool((vx * qx + vy * qy + vz * qz) * side > 0.0)
+    return bool(dot(v, around) * side > 0.0)
 
 
 @kernel
 def first_met(tree: TriangleTree, point: Point, sun: Point) -> int:
     """Return the first triangle, in the order of the tree, between a point and the Sun's middle; SUNLIT for none."""
-    boxes, starts, corners = tree.boxes, tree.starts, tree.corners
-    ix, iy, iz = inverse_of(sun[0]), inverse_of(sun[1]), inverse_of(sun[2])
-    wx, wy, wz = abs(ix), abs(iy), abs(iz)
+    boxes, starts = tree.boxes, tree.starts
+    ix = inverse_of(sun[0])
+    iy = inverse_of(sun[1])
+    iz = inverse_of(sun[2])
     leaves, node = len(starts) - 1, 1
     while True:
-        # The part of the ray within the box's slabs.
-        tx, ty, tz = (boxes[node, 0] - point[0]) * ix, (boxes[node, 1] - point[1]) * iy, (boxes[node, 2] - point[2]) * iz
-        rx, ry, rz = boxes[node, 3] * wx, boxes[node, 4] * wy, boxes[node, 5] * wz
+        # The part of the ray within the box's slabs: from the middle of each slab by half its length.
+        tx = (boxes[node, 0] - point[0]) * ix
+        ty = (boxes[node, 1] - point[1]) * iy
+        tz = (boxes[node, 2] - point[2]) * iz
+        rx = boxes[node, 3] * abs(ix)
+        ry = boxes[node, 4] * abs(iy)
+        rz = boxes[node, 5] * abs(iz)
         if max(tx - rx, ty - ry, tz - rz, 0.0) <= min(tx + rx, ty + ry, tz + rz):
             if node < leaves:
                 node *= 2
                 continue
             for k in range(starts[node - leaves], starts[node - leaves + 1]):
-                if _meets(corners, k, point, sun):
+                if _meets(tree.corners, k, point, sun):
                     return k
         node = after(node)
         if node == 1:
@@ -88,19 +129,17 @@ def first_met(tree: TriangleTree, point: Point, sun: Point) -> int:
 @kernel
 def _is_clear(tree: TriangleTree, point: Point, sun: Point, tangent: float) -> bool:
     """Return whether no triangle reaches into a cone around the Sun's direction."""
-    boxes, starts, corners = tree.boxes, tree.starts, tree.corners
-    ux, uy, uz, vx, vy, vz, sx, sy, sz = axes_around(sun[0], sun[1], sun[2])
-    k = 1.0 / tangent
-    axes = Frame(k * ux, k * uy, k * uz, k * vx, k * vy, k * vz, sx, sy, sz)
-    inverse = (inverse_of(sx), inverse_of(sy), inverse_of(sz))
+    starts = tree.starts
+    axes = disc_axes(sun, tangent)
+    inverse = (inverse_of(sun[0]), inverse_of(sun[1]), inverse_of(sun[2]))
     leaves, node = len(starts) - 1, 1
     while True:
-        if box_in_cone(boxes, node, point[0], point[1], point[2], sun, inverse, tangent):
+        if box_in_cone(tree.boxes, node, point[0], point[1], point[2], sun, inverse, tangent):
             if node < leaves:
                 node *= 2
                 continue
             for k in range(starts[node - leaves], starts[node - leaves + 1]):
-                if triangle_area(corners, k, point[0], point[1], point[2], axes) > DUST:
+                if triangle_area(tree.corners, k, point[0], point[1], point[2], axes) > DUST:
                     return False
         node = after(node)
         if node == 1:
@@ -145,18 +184,18 @@ class Window(NamedTuple):
 
 
 @kernel
-def depth_in(window: Window, x: float, y: float, z: float) -> float:
+def depth_in(window: Window, point: Point) -> float:
     """Return the depth of a point that the camera may see, m, else 0."""
     turn = window.camera_from_group
-    dx, dy, dz = x - window.eye[0], y - window.eye[1], z - window.eye[2]
-    depth: float = turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
-    right = abs(turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz)
-    down = abs(turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz)
+    away = minus(point, (window.eye[0], window.eye[1], window.eye[2]))
+    depth = dot(row(turn, 2), away)
+    right = abs(dot(row(turn, 0), away))
+    down = abs(dot(row(turn, 1), away))
     return depth if depth > 0.0 and right < window.half_width * depth and down < window.half_height * depth else 0.0
 
 
 @entry
-def look_to_sun(
+def look_to_sun(  # noqa: PLR0913, PLR0917
     tree: TriangleTree,
     points: Floats,
     chosen: Numbers,
@@ -181,15 +220,15 @@ def look_to_sun(
     towards = (sun[0], sun[1], sun[2])
     for i in range(part[0], part[1]):
         k = chosen[i]
-        point = (points[k, 0], points[k, 1], points[k, 2])
-        if depth_in(window, point[0], point[1], point[2]) == 0.0:
+        point = row(points, k)
+        if depth_in(window, point) == 0.0:
             is_hidden[k] = -1
             continue
-        known = hiding[k]
-        if known >= 0 and _meets(tree.corners, known, point, towards):
+        triangle = hiding[k]
+        if triangle >= 0 and _meets(tree.corners, triangle, point, towards):
             is_hidden[k] = 1
             continue
-        if known == SUNLIT and suns[k, 0] * sun[0] + suns[k, 1] * sun[1] + suns[k, 2] * sun[2] > suns[k, 3]:
+        if triangle == SUNLIT and dot(row(suns, k), towards) > suns[k, 3]:
             is_hidden[k] = 0
             continue
         hiding[k] = first_met(tree, point, towards)
@@ -203,6 +242,8 @@ def look_to_sun(
             if wide < _LASTS * moved_rad:
                 break
             if _is_clear(tree, point, towards, math.tan(wide)):
-                suns[k, 0], suns[k, 1], suns[k, 2], suns[k, 3] = sun[0], sun[1], sun[2], math.cos(wide)
+                for j in range(3):
+                    suns[k, j] = sun[j]
+                suns[k, 3] = math.cos(wide)
                 break
             wide *= _NARROWER

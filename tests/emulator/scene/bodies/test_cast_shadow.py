@@ -7,16 +7,13 @@ import pytest
 import trimesh
 
 from emulator.scene.bodies.cast_shadow import (
-    MIXED,
-    blank_memory,
     build_tree,
     covered,
     dim,
-    dim_remembering,
     edge_area,
     seen_above,
 )
-from emulator.scene.bodies.lit_surface import lit_surface, shadow_triangles, subdivide
+from emulator.scene.bodies.lit_surface import lit_surface, shadow_triangles
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
 
 RADIUS = math.radians(0.2666)
@@ -45,12 +42,11 @@ def sampled(tm, points, sun, count=200):
     return free / count
 
 
-def traced(tree, points, sun, kernel=dim, memory=None):
+def traced(tree, points, sun):
     moved = np.stack([np.column_stack([np.eye(3), np.zeros(3), sun])] * 2)
     shares = np.ones((2, len(points)))
     chosen = np.arange(len(points), dtype=np.int32)
-    more = () if memory is None else (memory,)
-    kernel(tree, points, chosen, len(points), moved, TANGENT, 1e-7 * tree.radius_m, *more, shares)
+    dim(tree, points, chosen, len(points), moved, TANGENT, 1e-7 * tree.radius_m, shares)
     return shares[0]
 
 
@@ -155,22 +151,6 @@ def test_eros_under_a_low_sun_does_not_leak(direction):
     clear = (truth == 0) | (truth == 1)
     assert (truth == 0).sum() > 10
     assert (np.abs(share - truth)[clear] > 0.1).mean() <= 0.002
-
-
-def test_what_is_remembered_is_what_would_be_computed():
-    mesh, _ = joined(trimesh.creation.box((2.0, 2.0, 1.0)), _moved(trimesh.creation.icosphere(2, 0.5), (0.3, 0.2, 1.6)))
-    surface = lit_surface(subdivide(mesh, 0.2), smooth=False)
-    tree = build_tree(shadow_triangles(mesh))
-    memory = blank_memory(len(surface.points))
-    partly = 0
-    for k in range(60):
-        sun = unit([math.sin(0.01 * k), 0.3, 1.0])
-        anew = traced(tree, surface.points, sun)
-        remembered = traced(tree, surface.points, sun, dim_remembering, memory)
-        np.testing.assert_allclose(remembered, anew, atol=1e-8)
-        partly += ((anew > 0) & (anew < 1)).sum()
-    assert partly > 100
-    assert (memory[:, 4] != MIXED).mean() > 0.5
 
 
 def test_a_sheet_shades_on_both_sides():

@@ -1,11 +1,13 @@
 """Light of bodies and its rate: closed forms, finite differences, frames, and bodies in each other's shadow."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
+from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Glossy, Hapke, Lambert, LommelSeeliger, LunarLambert, Sun
 from emulator.scene.bodies.lighting import Lighting, Motion, Poses, motion_at
 from emulator.scene.bodies.lit_surface import lit_surface, subdivide
@@ -45,10 +47,12 @@ class World:
     """Bodies with meshes, and what lights them."""
 
     def __init__(self, bodies, meshes, sizes=None, clock=1.0, **more):
+        if isinstance(more.get("camera"), FixedPath):
+            more["camera"] = replace(more["camera"], look_at_m=(0.0, 0.1, 0.0), up=(1.0, 0.0, 0.0))
         self.p = BodiesParameters(bodies=tuple(bodies), time_scale=clock, **more)
         fine = [m if s is None else subdivide(m, s) for m, s in zip(meshes, sizes or [None] * len(meshes), strict=True)]
         self.surfaces = [lit_surface(m, smooth=b.smooth) for b, m in zip(bodies, fine, strict=True)]
-        self.lighting = Lighting(self.p, meshes, self.surfaces)
+        self.lighting = Lighting(self.p, Pinhole(400, 400, 0.1), meshes, self.surfaces)  # sees nearly all before it
         self.paths = [build_trajectory(b.path) for b in bodies]
         self.camera, self.clock = build_trajectory(self.p.camera), Timescale(clock)
 

@@ -1,0 +1,194 @@
+"""Shadow edges on smooth surfaces: areas, velocities and penumbras in closed form, rays beside embree, no history."""
+
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+from emulator.geometry.camera import Pinhole
+from emulator.photometry.reflectance import Sun
+from emulator.scene.bodies.cast_shadow import build_tree
+from emulator.scene.bodies.lit_surface import subdivide
+from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
+from emulator.scene.bodies.raster_bodies import RasterBodies
+from emulator.scene.bodies.shadow_edges import Lights, ShadowEdges, Suns
+from emulator.scene.bodies.sun_rays import UNKNOWN, Verdicts, Window, first_met, look_to_sun
+from emulator.scene.bodies.table import BodiesParameters, BodyTable
+from emulator.threads import ThreadPool
+from emulator.trajectory.parameters import FixedPath, SpinPath
+
+RADIUS = Sun().radius_rad
+ABOVE = Window(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 500.0]), 10.0, 10.0, 1e5)
+
+
+def unit(v):
+    return np.asarray(v, float) / np.linalg.norm(v)
+
+
+class Plate:
+    """The plate z = 0 of facets of about 0.4 m, 20 m wide, below a caster of shadows."""
+
+    def __init__(self, caster, threads=1, focal_px=1.0):
+        flat = trimesh.creation.box((20.0, 20.0, 0.2))
+        flat.apply_translation((0.013, 0.007, -0.1))  # no vertex lies on an edge by its round numbers
+        plate = subdivide(build_mesh(flat.vertices, flat.faces), 0.4)
+        top = (plate.vertices[plate.faces][:, :, 2] > -1e-9).all(axis=1)
+        self.faces, self.vertices = np.ascontiguousarray(plate.faces[top]), plate.vertices
+        caster = build_mesh(caster.vertices, caster.faces)
+        self.tree = build_tree(np.concatenate([m.vertices[m.faces] for m in (plate, caster)]))
+        normals = np.zeros_like(self.vertices)
+        normals[:, 2] = 1.0
+        self.window = ABOVE._replace(focal_px=focal_px)
+        self.edges = ShadowEdges(0, self.tree, self.vertices, normals, self.faces, 0, ThreadPool(threads))
+
+    def cast(self, sun, turning=(0.0, 0.0, 0.0), radius=RADIUS):
+        """Return what is hidden at vertices, and the parts of facets, lit by 1 + x / 100 and dark at 0."""
+        chosen, step_s = np.arange(len(self.vertices), dtype=np.int32), 1e-7
+        hidden = self.edges.hidden_from_sun(chosen, len(chosen), self.window, sun).copy()
+        none, lit = np.zeros(len(chosen)), 1 + self.vertices[:, 0] / 100
+        suns = Suns(sun, unit(sun + step_s * np.asarray(turning)), step_s, radius)
+        return hidden, self.edges.cut(Lights(lit, none, none, none), suns, self.window)
+
+
+def dark_part(plate, hidden, parts, at_s=0.0):
+    """Return area and middle of dark facets and dark parts, when the corners of parts have moved on."""
+    whole = plate.vertices[plate.faces[(hidden[plate.faces] == 1).all(axis=1)]]
+    places = (parts.places_m + at_s * parts.velocities_m_s)[parts.faces]
+    dark = places[(parts.radiance[parts.faces] == 0).all(axis=1)]
+    triangles = np.concatenate([whole, dark])
+    sides = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    areas = np.cross(*sides)[:, 2] / 2
+    return areas.sum(), (areas[:, None] * triangles.mean(axis=1)).sum(axis=0) / areas.sum()
+
+
+def bar():
+    """A bar of 2 x 3 x 0.5 m above the plate."""
+    made = trimesh.creation.box((2.0, 3.0, 0.5))
+    made.apply_translation((0.3, -0.2, 2.0))
+    return made
+
+
+@pytest.mark.parametrize("azimuth", [0.1, 0.8, 2.0, 4.4])
+def test_the_shadow_of_a_bar_has_its_area(azimuth):
+    """The edges are straight, so only the facets at the six corners of the shadow differ from the closed form."""
+    sun = unit([0.7 * math.cos(azimuth), 0.7 * math.sin(azimuth), 1.0])
+    plate = Plate(bar())
+    hidden, parts = plate.cast(sun)
+    area, middle = dark_part(plate, hidden, parts)
+    assert area == pytest.approx(6.0 + 0.5 * (3.0 * abs(sun[0]) + 2.0 * abs(sun[1])) / sun[2], rel=0.01)
+    np.testing.assert_allclose(middle[:2], np.array([0.3, -0.2]) - 2.0 * sun[:2] / sun[2], atol=0.01)
+    assert np.abs(parts.places_m[:, 2]).max() < 1e-9
+    a, b, c = (parts.places_m[parts.faces[:, k]] for k in range(3))
+    assert (np.cross(b - a, c - a)[:, 2] > -1e-12).all()  # counter-clockwise
+
+
+def test_edges_move_as_the_shadow_does():
+    """The middle of a bar 2 m above the plate moves by 2 m times the change of the Sun's tangent."""
+    sun, later_s = unit([0.5, 0.3, 1.0]), 1e-3
+    turning = np.array([0.3, -0.2, 0.0])
+    turning -= sun * (turning @ sun)
+    plate = Plate(bar())
+    hidden, parts = plate.cast(sun, turning)
+    moved = dark_part(plate, hidden, parts, later_s)[1] - dark_part(plate, hidden, parts)[1]
+    after = unit(sun + later_s * turning)
+    expected = 2.0 * (sun[:2] / sun[2] - after[:2] / after[2])
+    np.testing.assert_allclose(moved[:2], expected, rtol=0.03)
+
+
+def test_a_penumbra_is_as_wide_as_the_disc():
+    """A straight edge 10 m above, and the Sun at the zenith: 0.866 of its diameter times the height."""
+    wall = trimesh.creation.box((30.0, 30.0, 0.002))
+    wall.apply_translation((-15.1, 0.0, 10.0))  # its edge is at x = -0.1
+    plate = Plate(wall, focal_px=1e5)
+    _, parts = plate.cast(np.array([0.0, 0.0, 1.0]))
+    x, lit = parts.places_m[:, 0], parts.radiance > 0
+    on_side = np.isin(np.arange(len(x)) % 7, (1, 2, 3, 4))  # a facet has seven corners, three of them its own
+    edge = on_side & (np.abs(parts.places_m[:, 1]) < 8)
+    half = math.sqrt(3) / 2 * RADIUS * 10.0
+    np.testing.assert_allclose(x[edge & lit], -0.1 + half, atol=0.01 * half)
+    np.testing.assert_allclose(x[edge & ~lit], -0.1 - half, atol=0.01 * half)
+    narrow = Plate(wall, focal_px=1.0).cast(np.array([0.0, 0.0, 1.0]))[1]
+    assert len(narrow.faces) < len(parts.faces)  # no penumbra below half a pixel
+
+
+def eros():
+    return load_mesh(find_shape("eros007790"), 1.0)
+
+
+def test_verdicts_are_those_of_embree():
+    pytest.importorskip("embreex", reason="the ray caster of the test group")
+    mesh = eros()
+    tree = build_tree(mesh.vertices[mesh.faces])
+    points = mesh.vertices + 0.02 * 100.0 * mesh.normals
+    other = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    for sun in (unit([1.0, 0.2, 0.1]), unit([-0.1, 0.9, -0.5]), unit([0.3, 0.3, 1.0])):
+        hidden = look(tree, points, sun, Verdicts.unknown(len(points)))
+        truth = other.ray.intersects_any(points, np.tile(sun, (len(points), 1)))
+        assert 0.2 < truth.mean() < 0.8
+        assert (hidden != truth).sum() <= 2  # embree's rays are float32
+
+
+def look(tree, points, sun, verdicts, moved_rad=0.0):
+    chosen, hidden = np.arange(len(points), dtype=np.int32), np.full(len(points), -1, np.int8)
+    all_around = Window(np.eye(3), np.array([0.0, 0.0, -1e9]), 10.0, 10.0, 1.0)
+    look_to_sun(tree, points, chosen, (0, len(points)), all_around, sun, moved_rad, verdicts, hidden)
+    return hidden
+
+
+def test_earlier_results_change_nothing():
+    """A Sun that wanders for a while by small and large steps: each result equals that of a fresh search."""
+    mesh = eros()
+    tree, points = build_tree(mesh.vertices[mesh.faces]), mesh.vertices + 2.0 * mesh.normals
+    verdicts, random, sun = Verdicts.unknown(len(points)), np.random.default_rng(5), unit([1.0, 0.1, 0.2])
+    used = 0
+    for step in (0.0, 1e-4, 1e-4, 1e-3, 1e-3, 0.02, 1e-4, 0.5, 1e-3, 1e-3):
+        sun = unit(sun + step * random.normal(size=3))
+        used += int((verdicts.suns[:, 3] < verdicts.suns[:, :3] @ sun).sum())
+        found = look(tree, points, sun, verdicts, step)
+        np.testing.assert_array_equal(found, look(tree, points, sun, Verdicts.unknown(len(points))))
+    assert used > len(points)  # most results came from cones
+    assert (verdicts.hiding != UNKNOWN).all()
+
+
+def test_a_ray_stops_at_either_side_of_a_triangle():
+    corners = np.array([[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 1.0, 1.0]]])
+    for triangle in (corners, corners[:, ::-1]):
+        tree = build_tree(np.ascontiguousarray(triangle))
+        assert first_met(tree, (0.2, 0.2, 0.0), (0.0, 0.0, 1.0)) == 0
+        assert first_met(tree, (0.2, 0.2, 2.0), (0.0, 0.0, 1.0)) < 0
+        assert first_met(tree, (0.6, 0.6, 0.0), (0.0, 0.0, 1.0)) < 0
+
+
+def scene(threads=1, **more):
+    path = SpinPath(spin_deg_s=0.01)
+    table = BodyTable(shape="itokawa_49152", units_m=1000.0, path=path)
+    camera = FixedPath((0.0, -3000.0, 0.0), look_at_m=(0.0, 0.0, 0.0))
+    parameters = BodiesParameters(bodies=(table,), camera=camera, sun=Sun((1.0, -0.3, 0.1)), time_scale=300.0, **more)
+    return RasterBodies(parameters, Pinhole.of_field((120, 90), 14.0), threads)
+
+
+def frame(bodies, t_ns):
+    light, rate = np.zeros((2, 90, 120), np.float32)
+    bodies.light_and_rate(t_ns, light, rate)
+    return light, rate
+
+
+def test_light_does_not_depend_on_threads_or_on_frames_before():
+    times = [0, 10_000_000, 20_000_000, 3_000_000_000, 15_000_000]
+    one, three = scene(), scene(3)
+    for t_ns in times:
+        fresh = frame(scene(), t_ns)
+        np.testing.assert_array_equal(frame(one, t_ns), fresh)
+        np.testing.assert_array_equal(frame(three, t_ns), fresh)
+    assert fresh[0].max() > 0
+
+
+def test_the_night_side_is_dark():
+    """Facets that no ray of the Sun's disc reaches have no light at all."""
+    bodies = scene()
+    light, _ = frame(bodies, 0)
+    towards = scene(shadows=False)
+    without, _ = frame(towards, 0)
+    assert (light <= without + 1e-3).all()
+    assert (light < 0.5 * without).sum() > 30  # the head's shadow on the body
