@@ -335,8 +335,10 @@ class Lighting:
     def _seen(self, motion: Motion, root: int, step_s: float) -> _Seen:
         now, before, after = (self._around(poses, root) for poses in (motion.now, motion.before, motion.after))
         share = step_s / motion.between_s
-        both = (np.stack([a, a + share * (c - b)]) for a, b, c in zip(now, before, after, strict=True))
-        return _Seen(*both, np.ascontiguousarray(motion.now.camera.world_from_body.T @ now[0]))
+        turns, places, suns, eyes = (
+            np.stack([a, a + share * (c - b)]) for a, b, c in zip(now, before, after, strict=True)
+        )
+        return _Seen(turns, places, suns, eyes, np.ascontiguousarray(motion.now.camera.world_from_body.T @ now[0]))
 
     def _around(self, poses: Poses, root: int) -> tuple[Floats, Floats, Floats, Floats]:
         """Return world_from_group, the group's place, and the Sun's direction and the camera's place in its frame."""
@@ -367,7 +369,9 @@ class Lighting:
             window = self._window(group)
             hidden = body.edges.hidden_from_sun(chosen, count, window, group.suns[0])
             hidden[on_horizon] = np.minimum(hidden[on_horizon], 0)
-            polygons.append(body.edges.cut(Lights(*out, *dark), Suns(*group.suns, step_s, radius), window))
+            polygons.append(
+                body.edges.cut(Lights(*out, *dark), Suns(group.suns[0], group.suns[1], step_s, radius), window)
+            )
             out = np.where(hidden == 1, dark, out)
         return Radiance(*out, *dark)
 

@@ -106,7 +106,7 @@ class Sides(NamedTuple):
 
 
 class _Crossing(NamedTuple):
-    """Where an edge crosses a side, as shares of it from the sunlit end: lit up to `lit`, dark from `dark` on."""
+    """Places at which an edge crosses a side, shares of it from its sunlit end: lit up to `lit`, dark from `dark` on."""
 
     lit: float
     lit_rate: float
