@@ -1,10 +1,10 @@
 """Accuracy of the events of drawn scenes against drawing time: false and missed events, times, traces of frame rates.
 
 A rig's scene is drawn in several ways, at the size in the rig, and each time the same sensor, without leak and noise,
-observes it for the same stretch of time. The truth is the same scene by 16 x 16 point samples a pixel at a sixteenth of
-the step (terrain: 8 x 8 at an eighth), joined by straight lines, from code that shares nothing with the renderers but
-the surface (facets, normals, albedo, the map), the paths and the laws of reflection (`sampled_scenes`). For each pixel
-the two sequences of polarities are aligned:
+observes it for the same stretch of time. The truth is the same scene by rays, to the eye and to the Sun, through up to
+8 x 8 points of each pixel at an eighth of the step (terrain: a quarter), joined by straight lines. Code and data shared
+with the renderers are shapes with their detail, maps, paths and laws of reflection alone (`sampled_scenes`). For each
+pixel the two sequences of polarities are aligned:
 
     false          events that cannot be paired in order with one of the truth         both over the events of the truth
     missed         events of the truth that cannot be paired
@@ -46,8 +46,7 @@ from emulator.sensor.presets import SensorParameters
 from emulator.sensor.sensor import Sensor
 from firmware_protocol.events import empty_events
 from laboratory.accuracy.sampled_scenes import SampledBodies, SampledTerrain
-from laboratory.accuracy.scores import PixelEvents as Sequences
-from laboratory.accuracy.scores import Stream, common_subsequences, compare
+from laboratory.accuracy.scores import Scores, Stream, compare
 
 _BINS_A_STEP = 64
 _HARMONICS = 8
@@ -93,19 +92,22 @@ class Stretch:
     ----------
     start_s : of the stream.
     steps : of the rig; a multiple of four.
-    samples : of the truth, along each side of a pixel.
+    samples : of the truth, along each side of a pixel with an edge.
     finer : light frames of the truth in a step of the rig.
+    windows : parts of the light frame with rows of their own: name, left, top, right, bottom, in pixels.
     """
 
     start_s: float = 0.0
     steps: int = 12
-    samples: int = 16
-    finer: int = 16
+    samples: int = 8
+    finer: int = 8
+    windows: tuple[tuple[str, int, int, int, int], ...] = ()
 
 
 _STRETCHES = {
-    "rendezvous": (Stretch(steps=4),),  # its truth has the most facets, and casts rays from each
-    "malapert": tuple(Stretch(start_s, samples=8, finer=8) for start_s in (20.0, 40.0, 120.0, 150.0)),
+    "itokawa": tuple(map(Stretch, (0.0, 10.0, 50.0))),
+    "eros-flyover": (Stretch(windows=(("terminator", 0, 110, 150, 260),)),),
+    "malapert": tuple(Stretch(start_s, steps=4, finer=4) for start_s in (2.0, 20.0, 45.0, 70.0, 150.0)),
 }
 
 
@@ -233,22 +235,36 @@ def fits(rig: Rig) -> bool:
     return isinstance(rig.scene, BodiesParameters | TerrainParameters)
 
 
-def rendering_rows(rigs: Sequence[Rig], stretch: Stretch | None = None) -> Iterator[Drawn]:
-    """Yield a row for each rig, stretch and setting; of each rig `stretch` alone, where it is given."""
+def rendering_rows(rigs: Sequence[Rig], stretch: Stretch | None = None, *, as_shipped: bool = False) -> Iterator[Drawn]:
+    """Yield a row for each rig, stretch, setting and window; of each rig `stretch` alone, where it is given.
+
+    `as_shipped` leaves out all settings but the first.
+    """
     for look in looks_of(rigs, stretch):
         rig, start_s = look.rig, look.stretch.start_s
         name = f"{rig.name}, {start_s:g} s" if start_s else rig.name
         truth = look.truth()
-        for setting in _settings_of(rig):
+        for setting in _settings_of(rig)[: 1 if as_shipped else None]:
             own_ns = round(look.step_ns * setting.step_share)
             with look.scene(_builder(rig, setting)) as scene:
                 stream, ms = look.events(scene, own_ns, with_rate=setting.with_rate)
             yield _compared((name, setting.name), stream, truth, ms, own_ns)
+            for part, *window in look.stretch.windows:
+                inside = [_inside(each, rig.camera.size, window) for each in (stream, truth)]
+                yield _compared((f"{name}, {part}", setting.name), inside[0], inside[1], ms, own_ns)
 
 
-def rows_of(rigs: Sequence[Rig], stretch: Stretch | None = None) -> int:
+def _inside(stream: Stream, size: tuple[int, int], window: Sequence[int]) -> Stream:
+    """Return the events in a window: left, top, right, bottom."""
+    rows, columns = np.divmod(stream.pixel, size[0])
+    left, top, right, bottom = window
+    return stream.where((left <= columns) & (columns < right) & (top <= rows) & (rows < bottom))
+
+
+def rows_of(rigs: Sequence[Rig], stretch: Stretch | None = None, *, as_shipped: bool = False) -> int:
     """Return how many rows there will be."""
-    return sum(len(_settings_of(look.rig)) for look in looks_of(rigs, stretch))
+    looks = [(_settings_of(look.rig), look.stretch.windows) for look in looks_of(rigs, stretch)]
+    return sum((1 if as_shipped else len(settings)) * (1 + len(windows)) for settings, windows in looks)
 
 
 def looks_of(rigs: Sequence[Rig], stretch: Stretch | None) -> Iterator[Look]:
@@ -275,10 +291,15 @@ def _builder(rig: Rig, setting: Setting) -> Callable[..., Scene]:
     return lambda parameters, pinhole: drawn(dataclasses.replace(parameters, samples=samples), pinhole)
 
 
+def false_and_missed(scores: Scores) -> tuple[float, float]:
+    """Return false and missed events over those of the truth, from the sum of both and the numbers of events."""
+    total = max(scores.true_events, 1)
+    wrong = scores.wrong_events * total if scores.true_events else scores.events
+    more = scores.events - scores.true_events
+    return (wrong + more) / 2 / total, (wrong - more) / 2 / total
+
+
 def _compared(names: tuple[str, str], stream: Stream, truth: Stream, ms: float, step_ns: int) -> Drawn:
-    ours, known = (Sequences(s.t_us, s.on, s.first) for s in (stream, truth))
-    common, total = int(common_subsequences(ours, known).sum()), max(1, len(truth))
     scores, comb = compare(stream, truth), comb_of(stream.t_us, step_ns / 1000)
-    false, missed = (len(stream) - common) / total, (len(truth) - common) / total
     times = scores.t50_us / 1000, scores.t95_us / 1000
-    return Drawn(*names, ms, false, missed, *times, comb.middle_share, comb.line, len(truth))
+    return Drawn(*names, ms, *false_and_missed(scores), *times, comb.middle_share, comb.line, len(truth))

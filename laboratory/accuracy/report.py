@@ -342,9 +342,7 @@ def _bounds(cells: Sequence[Cell], sweeps: Sequence[Sweep]) -> list[dict[str, An
 
 def _short(point: Point) -> dict[str, Any]:
     row = point.row()
-    wanted = (
-        "case method step_ms us_per_frame right t50_us t95_us count wrong_events van_rossum earth_mover_us same_time"
-    )
+    wanted = "case method step_ms us_per_frame right t50_us t95_us count wrong_events earth_mover_us same_time"
     return {name: row[name] for name in wanted.split()}
 
 

@@ -1,27 +1,36 @@
-"""Light by point samples: a z-buffer with many samples a pixel, in float64. The reference for renderers.
+"""Light by rays through points of each pixel, in float64: the truth that renderers and shadows are judged by.
 
-The sampler shares no code with the renderers, has no rates and no coverage, and is slow: each facet is tested against
-every sample in its box, and the light of a pixel is the mean of its samples. Depth and light are interpolated linearly
-in 1/z, as perspective requires. Facets are visible from both sides.
+A pixel has `samples` x `samples` points where an edge of an outline or of a shadow crosses it, or its light varies by a
+quarter; others have half as many along each side. From each point one ray goes to the scene, and from the place that it
+hits one ray to a point of the Sun's disc. The law of reflection is evaluated there, in float64, and the light of a
+pixel is the mean of its points. There are no facets of a renderer, no coverage, no shadows at vertices, no rates.
 
-Bodies (`SampledBodies`) are drawn from every facet. Of the scene's own code this uses the shape models, the paths and
-the laws of reflection in float64. Shadows are rays of an independent library (embree through trimesh) from each corner
-to points of the Sun's disc. Light is linear over a facet, from corner to corner; flat facets are divided until they are
-small: at the closest range no longer than five pixels. Of these only facets in the frame are drawn.
+Of the scene's own code this uses shape models with their detail, maps, paths and the laws of reflection.
 
-Ground (`SampledTerrain`) is drawn from every facet of its finest grids. Of the scene's own code this uses heights, the
-visible share of the Sun at each post, paths, and the laws of reflection in float64. No block is coarser than the map,
-nothing is filtered or cached. Light is linear over a facet, from post to post; the normal of a post comes from the
-differences of heights over two posts. Facets that hold no sample are skipped in advance.
+The surface of each scene, by which it is judged:
+
+    smooth bodies    the vertices and normals of the shape with its detail, before facets are merged; between them each
+                     facet is a curved triangle (Vlachos et al. 2001, Curved PN triangles), cut into n x n flat ones
+                     whose sides are a third of a pixel at the closest, n at least 4, within _MOST_FACETS. Normals are
+                     interpolated over the facet of the shape, as the scene defines them, and do not depend on n
+    flat bodies      their facets, which are exact
+    ground           the heights of the finest grid at a place, bilinear between posts; slopes are differences over two
+                     posts, bilinear as well
+
+Rays to bodies are those of embree, an independent library (embreex), in float32; the point on the facet is computed in
+float64. Rays over ground follow its heights cell by cell, and skip what lies below the ray by the maxima of larger
+cells. A ray to the Sun starts _LIFT of a small facet's side above it: nearer it would hit the flat parts beside, and
+farther up it would miss low shadows. Over ground, which is met in float64, it starts _GROUND_LIFT of the distance of
+posts above it: a shadow's edge moves by that over the tangent of the Sun's elevation.
 
 A board (`SampledBoard`) along the rows of pixels is the product of two square waves, each sampled along its axis.
 """
 
 from __future__ import annotations
 
+import importlib
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -30,290 +39,289 @@ import numpy.typing as npt
 from emulator.geometry.attitude import unit
 from emulator.geometry.camera import Pinhole
 from emulator.light import Light, MachineLacks, Scene, SceneError
+from emulator.photometry.reflectance import Sun
 from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
-from emulator.scene.bodies.world import Arrangement, BodyWorld, PlacedBody
+from emulator.scene.bodies.world import BodyWorld
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.world import TerrainWorld
-from emulator.trajectory.building import build_trajectory
-from emulator.trajectory.pose import Pose, Timescale
+from emulator.scene.world import WorldScene
+from emulator.trajectory.pose import Pose
 from firmware_protocol.compiled import entry_of
 
 _Floats = npt.NDArray[np.float64]
+_Float32s = npt.NDArray[np.float32]
+_Ints = npt.NDArray[np.int64]
 _compiled: Callable[[Callable[..., Any]], Callable[..., Any]] = entry_of(__name__)
 
-
-class PointSampler:
-    """Draws triangles by `samples` x `samples` points a pixel.
-
-    Parameters
-    ----------
-    size : (width, height), pixels.
-    focal_px : focal length over pixel pitch; the boresight is the middle of the light frame.
-    """
-
-    def __init__(self, size: tuple[int, int], focal_px: float, samples: int) -> None:
-        self._size, self._samples = size, samples
-        self._focal = focal_px * samples
-        shape = size[1] * samples, size[0] * samples
-        self._nearness, self._light = np.zeros(shape), np.zeros(shape)
-
-    def draw(self, parts: Iterable[tuple[_Floats, _Floats]]) -> npt.NDArray[np.float32]:
-        """Return the mean light of each pixel, (height, width) float32.
-
-        Parameters
-        ----------
-        parts : of the scene, each as corners, (facets, 3, 3) m in camera axes (x right, y down, z along the boresight),
-            and light at the corners, (facets, 3).
-        """
-        middle = self._size[0] * self._samples / 2, self._size[1] * self._samples / 2
-        self._nearness[:] = 0.0
-        self._light[:] = 0.0
-        for corners_m, light in parts:
-            _fill(*clipped(corners_m, light), (self._focal, *middle), self._nearness, self._light)
-        out = np.empty((self._size[1], self._size[0]), np.float32)
-        _average(self._light, self._samples, out)
-        return out
+_LIFT, _GROUND_LIFT = 0.02, 1e-3
+_FLAT_LIFT = 2e-6  # of a flat body's radius
+_LEAST_CUTS, _MOST_FACETS, _SIDES_A_PIXEL = 4, 3_000_000, 3.0
+_UNEVEN = 0.25  # of the mean light of a pixel
+_AT_ONCE = 1_000_000  # points
+_GRAZING = 0.02  # least cosine of emission for which the laws of ground are used, as in the scene
 
 
-def clipped(corners_m: _Floats, light: _Floats, nearest_m: float = 1e-3) -> tuple[_Floats, _Floats]:
-    """Return the parts of facets beyond `nearest_m` along the boresight, (n, 3, 3), and the light at their corners."""
-    before = corners_m[:, :, 2] > nearest_m
-    whole = before[:, 0] & before[:, 1] & before[:, 2]
-    cut = (before[:, 0] | before[:, 1] | before[:, 2]) & ~whole
-    if whole.all():
-        return corners_m, light
-    parts = [_cut(*facet, nearest_m) for facet in zip(corners_m[cut], light[cut], strict=True)]
-    more = [part for one in parts for part in one]
-    if not more:
-        return corners_m[whole], light[whole]
-    corners, lights = (np.array(values) for values in zip(*more, strict=True))
-    return np.concatenate((corners_m[whole], corners)), np.concatenate((light[whole], lights))
+class SampledScene(WorldScene[Any]):
+    """A world as its camera sees it, by at most `samples` x `samples` points a pixel."""
 
-
-def _cut(corners: _Floats, light: _Floats, nearest_m: float) -> list[tuple[_Floats, _Floats]]:
-    """Return the triangles of the remaining part of one facet, after Sutherland and Hodgman."""
-    polygon: list[_Floats] = []
-    points = np.column_stack((corners, light))
-    for a, b in zip(points, np.roll(points, -1, axis=0), strict=True):
-        if a[2] > nearest_m:
-            polygon.append(a)
-        if (a[2] > nearest_m) != (b[2] > nearest_m):
-            polygon.append(a + (b - a) * (nearest_m - a[2]) / (b[2] - a[2]))
-    fan = [np.array([polygon[0], polygon[k], polygon[k + 1]]) for k in range(1, len(polygon) - 1)]
-    return [(part[:, :3], part[:, 3]) for part in fan]
-
-
-@_compiled
-def _fill(corners: _Floats, light: _Floats, screen: tuple[float, float, float], nearest: _Floats, out: _Floats) -> None:
-    rows, columns = nearest.shape
-    focal, middle_x, middle_y = screen
-    for f in range(corners.shape[0]):
-        wa, wb, wc = 1 / corners[f, 0, 2], 1 / corners[f, 1, 2], 1 / corners[f, 2, 2]
-        ax, ay = corners[f, 0, 0] * wa * focal + middle_x, corners[f, 0, 1] * wa * focal + middle_y
-        bx, by = corners[f, 1, 0] * wb * focal + middle_x, corners[f, 1, 1] * wb * focal + middle_y
-        cx, cy = corners[f, 2, 0] * wc * focal + middle_x, corners[f, 2, 1] * wc * focal + middle_y
-        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-        if area == 0.0 or not math.isfinite(area):
-            continue
-        top, bottom = max(0, math.ceil(min(ay, by, cy) - 0.5)), min(rows - 1, math.floor(max(ay, by, cy) - 0.5))
-        left, right = max(0, math.ceil(min(ax, bx, cx) - 0.5)), min(columns - 1, math.floor(max(ax, bx, cx) - 0.5))
-        for row in range(top, bottom + 1):
-            y = row + 0.5
-            for column in range(left, right + 1):
-                x = column + 0.5
-                a = ((bx - x) * (cy - y) - (by - y) * (cx - x)) / area
-                b = ((cx - x) * (ay - y) - (cy - y) * (ax - x)) / area
-                c = 1.0 - a - b
-                if a < 0.0 or b < 0.0 or c < 0.0:
-                    continue
-                near = a * wa + b * wb + c * wc
-                if near > nearest[row, column]:
-                    nearest[row, column] = near
-                    seen = a * wa * light[f, 0] + b * wb * light[f, 1] + c * wc * light[f, 2]
-                    out[row, column] = seen / near
-
-
-@_compiled
-def _average(samples: _Floats, side: int, out: npt.NDArray[np.float32]) -> None:
-    for row in range(out.shape[0]):
-        for column in range(out.shape[1]):
-            total = 0.0
-            for i in range(row * side, (row + 1) * side):
-                for j in range(column * side, (column + 1) * side):
-                    total += samples[i, j]
-            out[row, column] = total / (side * side)
-
-
-_DISC_POINTS = 16
-_LIFT = 2e-6  # of the body's radius: height at which rays to the Sun start; 1e-4 is above low shadows
-_FACET_PX = 5.0  # at the closest range: flat facets are divided to this size
-_LARGEST_SHARE, _SMALLEST_SHARE = 32, 512  # of a body's radius, bounds of that size
-_BESIDE = 1.1  # of half the frame: facets with a corner within are drawn
-
-
-@dataclass(frozen=True, eq=False)
-class _Body:
-    """A body's points, (n, 3) m in its own frame, their normals and albedo, and those of each facet, (facets, 3)."""
-
-    table: BodyTable
-    points_m: _Floats
-    normals: _Floats
-    albedo: _Floats
-    facets: npt.NDArray[np.int64]
-    lift_m: float
-    rays: Any
-
-
-class SampledBodies(Scene):
-    """Bodies in sunlight as `pinhole` sees them, by `samples` x `samples` points a pixel; raises MachineLacks."""
-
-    def __init__(self, parameters: BodiesParameters, pinhole: Pinhole, samples: int = 16) -> None:
-        self._p, self._pinhole = parameters, pinhole
-        self._time = Timescale(parameters.time_scale)
-        meshes = _meshes(parameters, pinhole)
-        self._camera = build_trajectory(parameters.camera)
-        names = [table.name for table in parameters.bodies]
-        placed = [
-            PlacedBody(build_trajectory(t.path), names.index(t.fixed_to) if t.fixed_to else None, mesh.radius_m)
-            for t, mesh in zip(parameters.bodies, meshes, strict=True)
-        ]
-        self._arrangement = Arrangement(self._camera, placed, self._time)
-        facet_m = _FACET_PX * self._arrangement.distance_m / pinhole.focal_px
-        self._bodies = [_body(t, mesh, facet_m) for t, mesh in zip(parameters.bodies, meshes, strict=True)]
-        self._to_sun = _disc(unit(parameters.sun.direction), parameters.sun.radius_rad)
-        self._sampler = PointSampler(pinhole.size, pinhole.focal_px, samples)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._pinhole.size
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """Infinite: the reference is drawn at given steps."""
-        return math.inf
-
-    @property
-    def distance_m(self) -> float:
-        """The closest range of any body, less its radius."""
-        return self._arrangement.distance_m
+    def __init__(self, world: BodyWorld | TerrainWorld, sun: _Floats, sun_radius_rad: float, samples: int) -> None:
+        super().__init__(world)
+        self._patterns = _pattern(max(samples // 2, 1)), _pattern(samples)
+        across = unit(np.cross(sun, np.eye(3)[np.abs(sun).argmin()]))
+        self._sun, self._across = sun, sun_radius_rad * np.stack([across, np.cross(sun, across)])
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32."""
-        scene_ns = self._time.scene_ns(t_ns)
-        camera, poses = self._camera.pose(scene_ns), self._arrangement.poses(scene_ns)
-        out[:] = self._sampler.draw(self._seen(k, camera, poses) for k in range(len(poses)))
+        shade, (width, height) = self._shader(t_ns), self.size
+        light, kind = self._sampled(shade, np.arange(width * height), *self._patterns[0])
+        mixed = _at_edges(light, kind, (height, width))
+        mean = light.mean(axis=1)
+        mean[mixed] = self._sampled(shade, mixed, *self._patterns[1])[0].mean(axis=1)
+        out[:] = mean.reshape(height, width)
 
-    def close(self) -> None:
-        """Do nothing: it holds memory only."""
+    def _shader(self, t_ns: int) -> Callable[[_Floats, _Floats], tuple[_Floats, _Ints]]:
+        """Return the function of rays that gives their light and what they meet.
 
-    def _seen(self, k: int, camera: Pose, poses: list[Pose]) -> tuple[_Floats, _Floats]:
-        """Return one body's corners in camera axes, (facets, 3, 3), and the radiance at each, (facets, 3)."""
-        body, pose = self._bodies[k], poses[k]
-        points = body.points_m @ pose.world_from_body.T + pose.position_m
-        normals = body.normals @ pose.world_from_body.T
-        from_eye = points - camera.position_m
-        eye = -from_eye / np.linalg.norm(from_eye, axis=1, keepdims=True)
-        sun = unit(self._p.sun.direction)
-        mu0, mu, phase = normals @ sun, (normals * eye).sum(axis=1), np.arccos(np.clip(eye @ sun, -1, 1))
-        law = body.table.reflectance
-        lit = np.where(mu0 > 0, law.reflect(np.maximum(mu0, 0), mu, phase), 0.0)
-        around = np.abs(mu)
-        in_camera = from_eye @ camera.world_from_body
-        near = self._in_frame(in_camera) | body.table.smooth  # facets that are not divided may be larger than the frame
-        facets = body.facets[near[body.facets].any(axis=1)]
-        wanted = np.zeros(len(points), bool)
-        wanted[facets] = True
-        sunlit = self._sunlit(points + normals * body.lift_m, wanted & (lit > 0), poses)
-        radiance = self._p.sun.irradiance_w_m2 * lit * sunlit
-        radiance += self._p.ambient_w_m2 * law.reflect(around, around, 0.0)
-        return in_camera[facets], (body.albedo * radiance)[facets]
+        Its arguments are directions in camera axes, 1 along the boresight, and directions to points of the Sun, (n, 3)
+        each; what they meet, (n,), differs across an edge.
+        """
+        raise NotImplementedError
 
-    def _in_frame(self, points_m: _Floats) -> npt.NDArray[np.bool_]:
-        """Return whether points in camera axes, (n, 3), are in the frame, or close beside it."""
-        x, y, z = points_m.T
-        half = [_BESIDE * side / 2 / self._pinhole.focal_px for side in self._pinhole.size]
-        return np.asarray((np.abs(x) <= half[0] * z) & (np.abs(y) <= half[1] * z))
-
-    def _sunlit(self, starts_m: _Floats, wanted: npt.NDArray[np.bool_], poses: list[Pose]) -> _Floats:
-        """Return the visible share of the Sun's disc at each point, (n,); 1 for points that are not wanted."""
-        share = np.ones(len(starts_m))
-        starts = starts_m[wanted]
-        if not self._p.shadows or not len(starts):
-            return share
-        hidden = np.zeros((len(self._to_sun), len(starts)), bool)
-        for other, pose in zip(self._bodies, poses, strict=True):
-            if other.table.throws_shadow:
-                own = (starts - pose.position_m) @ pose.world_from_body
-                for i, direction in enumerate(self._to_sun @ pose.world_from_body):
-                    hidden[i] |= other.rays.intersects_any(own, np.broadcast_to(direction, own.shape))
-        share[wanted] = 1 - hidden.mean(axis=0)
-        return share
+    def _sampled(
+        self, shade: Callable[[_Floats, _Floats], tuple[_Floats, _Ints]], pixels: _Ints, within: _Floats, disc: _Floats
+    ) -> tuple[_Floats, _Ints]:
+        """Return the light of pixels at places within them, and what is met there, (pixels, places) each."""
+        places, (width, height), focal_px = len(within), self.size, self._world.pinhole.focal_px
+        light, kind = np.zeros((len(pixels), places)), np.zeros((len(pixels), places), np.int64)
+        to_sun = self._sun + disc @ self._across
+        to_sun /= np.linalg.norm(to_sun, axis=1, keepdims=True)
+        for first in range(0, len(pixels), max(_AT_ONCE // places, 1)):
+            part = slice(first, first + max(_AT_ONCE // places, 1))
+            rows, columns = np.divmod(pixels[part], width)
+            x = (columns[:, None] + within[:, 0] - width / 2) / focal_px
+            y = (rows[:, None] + within[:, 1] - height / 2) / focal_px
+            rays = np.stack([x, y, np.ones(x.shape)], axis=-1).reshape(-1, 3)
+            found = shade(rays, np.tile(to_sun, (len(rows), 1)))
+            light[part], kind[part] = (values.reshape(-1, places) for values in found)
+        return light, kind
 
 
-def _meshes(parameters: BodiesParameters, pinhole: Pinhole) -> list[Mesh]:
-    """Return the shape of each body, with its detail."""
-    world = BodyWorld(parameters, pinhole)
-    world.close()
-    return world.meshes
+def _pattern(side: int) -> tuple[_Floats, _Floats]:
+    """Return places in a pixel, (n, 2) from 0 to 1, and points of a disc of radius 1, (n, 2), for n = side^2.
 
-
-def _body(table: BodyTable, mesh: Mesh, facet_m: float) -> _Body:
-    lift_m, rays = _LIFT * mesh.radius_m, _rays(mesh)
-    if table.smooth:
-        return _Body(table, mesh.vertices, mesh.normals, mesh.vertex_albedo, mesh.faces.astype(np.int64), lift_m, rays)
-    albedo = np.ones(mesh.faces.shape) if mesh.albedo is None else mesh.albedo
-    both = np.concatenate([mesh.vertices[mesh.faces], albedo[:, :, None]], axis=2)
-    facet_m = min(max(facet_m, mesh.radius_m / _SMALLEST_SHARE), mesh.radius_m / _LARGEST_SHARE)
-    both = _divided(both, facet_m)
-    corners, albedo = both[:, :, :3], both[:, :, 3]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    facets = np.arange(3 * len(corners)).reshape(-1, 3)
-    return _Body(table, corners.reshape(-1, 3), np.repeat(across, 3, axis=0), albedo.ravel(), facets, lift_m, rays)
-
-
-def _divided(corners: _Floats, size_m: float) -> _Floats:
-    """Return facets cut in halves across their longest sides until none is longer than `size_m`.
-
-    `corners` are (facets, 3, 4): places, and values that are linear between them.
+    Each place has a cell of the pixel, a row and a column of its own: an edge along the rows is met n times. The points
+    of the disc are Vogel's spiral in an order without relation to the places.
     """
-    done = []
-    while len(corners):
-        sides = np.linalg.norm((np.roll(corners, -1, axis=1) - corners)[:, :, :3], axis=2)
-        long = sides.max(axis=1) > size_m
-        done.append(corners[~long])
-        turned = (
-            np.stack([np.roll(c, -s, axis=0) for c, s in zip(corners[long], sides[long].argmax(axis=1), strict=True)])
-            if long.any()
-            else corners[:0]
+    i, j = np.divmod(np.arange(side * side), side)
+    within = np.stack([j + (i + 0.5) / side, i + (j + 0.5) / side], axis=1) / side
+    k = np.random.default_rng(side).permutation(side * side) + 0.5
+    radius, turn = np.sqrt(k) / side, k * math.pi * (3 - math.sqrt(5))
+    disc = np.stack([radius * np.cos(turn), radius * np.sin(turn)], axis=1)
+    return within, disc - disc.mean(axis=0)
+
+
+def _at_edges(light: _Floats, kind: _Ints, shape: tuple[int, int]) -> _Ints:
+    """Return the pixels with an edge: two neighbouring places meet different things, or their light is uneven."""
+    side = math.isqrt(kind.shape[1])
+    mixed = (np.ptp(light, axis=1) > _UNEVEN * light.mean(axis=1)).reshape(shape)
+    whole = kind.reshape(*shape, side, side).transpose(0, 2, 1, 3).reshape(shape[0] * side, shape[1] * side)
+    for axis in (0, 1):
+        at = [np.array(place) // side for place in np.nonzero(np.diff(whole, axis=axis))]
+        mixed[tuple(at)] = True
+        at[axis] = (np.nonzero(np.diff(whole, axis=axis))[axis] + 1) // side
+        mixed[tuple(at)] = True
+    return np.flatnonzero(mixed)
+
+
+def _angle(a: _Floats, b: _Floats) -> _Floats:
+    """Return the angles between unit vectors, (n,)."""
+    return np.asarray(np.arccos(np.clip((a * b).sum(axis=1), -1, 1)))
+
+
+class _Body:
+    """A body's surface for rays, in its own frame, lengths over its radius; raises MachineLacks.
+
+    Attributes
+    ----------
+    table : of the rig.
+    radius_m : of a sphere about the origin, around it.
+    """
+
+    def __init__(self, table: BodyTable, mesh: Mesh, pixel_m: float) -> None:
+        try:
+            triangles = importlib.import_module("embreex.mesh_construction").TriangleMesh
+            self._scene = importlib.import_module("embreex.rtcore_scene").EmbreeScene()
+        except ImportError as error:
+            raise MachineLacks("the reference casts rays by embree:  pip install embreex") from error
+        self.table, self.radius_m = table, mesh.radius_m
+        corners = mesh.vertices[mesh.faces] / mesh.radius_m
+        flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        side = np.sqrt(2 * np.linalg.norm(flat, axis=1))
+        if table.smooth:
+            wanted = math.ceil(_SIDES_A_PIXEL * float(side.mean()) * mesh.radius_m / pixel_m)
+            self.cuts = max(min(wanted, math.isqrt(_MOST_FACETS // len(corners))), _LEAST_CUTS)
+            self._lift, albedo = _LIFT * side / self.cuts, mesh.vertex_albedo[mesh.faces]
+            normals = mesh.normals[mesh.faces]
+        else:
+            self.cuts, self._lift = 1, np.full(len(corners), _FLAT_LIFT)
+            albedo = np.ones(mesh.faces.shape) if mesh.albedo is None else mesh.albedo
+            normals = np.repeat((flat / np.linalg.norm(flat, axis=1, keepdims=True))[:, None], 3, axis=1)
+        self._values = np.concatenate([normals, albedo[:, :, None]], axis=2)
+        self._shares, self._parts = _lattice(self.cuts)
+        self._points = np.round(_curved(corners, normals, self._shares) * 2**22) / 2**22  # exact in float32
+        faces = (self._parts + len(self._shares) * np.arange(len(corners))[:, None, None]).reshape(-1, 3)
+        self._mesh = triangles(self._scene, self._points.reshape(-1, 3).astype(np.float32), faces.astype(np.int32))
+
+    def met(self, eye: _Floats, rays: _Floats) -> _Ints:
+        """Return the small facet that each ray meets first, (n,); -1: none."""
+        starts = np.broadcast_to(eye.astype(np.float32), rays.shape)
+        return np.asarray(self._scene.run(np.ascontiguousarray(starts), rays.astype(np.float32)), np.int64)
+
+    def hides(self, starts: _Floats, rays: _Floats) -> npt.NDArray[np.bool_]:
+        """Return whether each ray meets the surface, (n,)."""
+        hit = self._scene.run(starts.astype(np.float32), rays.astype(np.float32), query="OCCLUDED")
+        return np.asarray(hit >= 0)
+
+    def at(self, facets: _Ints, eye: _Floats, rays: _Floats) -> _Floats:
+        """Return of each ray that meets a small facet: its length, normal, albedo and lift there, (n, 6)."""
+        out = np.empty((len(facets), 6))
+        _at_hits(facets, eye, rays, (self._points, self._shares, self._parts, self._values), out)
+        out[:, 5] = self._lift[facets // len(self._parts)]
+        return out
+
+
+def _lattice(cuts: int) -> tuple[_Floats, _Ints]:
+    """Return the shares of the corners at the points of a facet cut `cuts` times along each side, and its parts."""
+    places = [(i, j) for i in range(cuts + 1) for j in range(cuts + 1 - i)]
+    number = {place: k for k, place in enumerate(places)}
+    up = [((i, j), (i + 1, j), (i, j + 1)) for i, j in places if i + j < cuts]
+    down = [((i + 1, j), (i + 1, j + 1), (i, j + 1)) for i, j in places if i + j < cuts - 1]
+    shares = np.array([(cuts - i - j, i, j) for i, j in places]) / cuts
+    return shares, np.array([[number[place] for place in part] for part in up + down])
+
+
+def _curved(corners: _Floats, normals: _Floats, shares: _Floats) -> _Floats:
+    """Return points of curved facets, (facets, places, 3): Bezier triangles through corners, along their planes."""
+    b, out = shares.T[:, None, :, None], np.zeros((len(corners), len(shares), 3))
+    middle = np.zeros((len(corners), 3))
+    for i in range(3):
+        out += b[i] ** 3 * corners[:, None, i]
+        middle -= corners[:, i] / 6
+        for j in range(3):
+            if i != j:
+                along = corners[:, j] - corners[:, i]
+                point = corners[:, i] + (along - (along * normals[:, i]).sum(axis=1, keepdims=True) * normals[:, i]) / 3
+                out += 3 * b[i] ** 2 * b[j] * point[:, None]
+                middle += point / 4
+    return np.asarray(out + 6 * b[0] * b[1] * b[2] * middle[:, None])
+
+
+@_compiled
+def _at_hits(
+    facets: _Ints, eye: _Floats, rays: _Floats, surface: tuple[_Floats, _Floats, _Ints, _Floats], out: _Floats
+) -> None:
+    """Write length, normal and albedo of rays at small facets that they meet.
+
+    Parameters
+    ----------
+    surface : points of facets, (facets, places, 3); shares of the corners at these, (places, 3); places at the corners
+        of each part, (parts, 3); normals and albedo at the corners of facets, (facets, 3, 4).
+    """
+    points, shares, parts, values = surface
+    for k in range(len(facets)):
+        f, part = facets[k] // len(parts), parts[facets[k] % len(parts)]
+        a, b, c = points[f, part[0]], points[f, part[1]], points[f, part[2]]
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        dx, dy, dz = rays[k, 0], rays[k, 1], rays[k, 2]
+        ax, ay, az = a[0] - eye[0], a[1] - eye[1], a[2] - eye[2]
+        along = nx * dx + ny * dy + nz * dz
+        t = (nx * ax + ny * ay + nz * az) / along if along != 0.0 else 0.0
+        px, py, pz = t * dx - ax, t * dy - ay, t * dz - az
+        size = nx * nx + ny * ny + nz * nz
+        s = ((py * vz - pz * vy) * nx + (pz * vx - px * vz) * ny + (px * vy - py * vx) * nz) / size
+        r = ((uy * pz - uz * py) * nx + (uz * px - ux * pz) * ny + (ux * py - uy * px) * nz) / size
+        s = min(max(s, 0.0), 1.0)  # the ray that embree meets it with is rounded
+        r = min(max(r, 0.0), 1.0 - s)
+        out[k, 0] = ((ax + s * ux + r * vx) * dx + (ay + s * uy + r * vy) * dy + (az + s * uz + r * vz) * dz) / (
+            dx * dx + dy * dy + dz * dz
         )
-        a, b, c = turned[:, 0], turned[:, 1], turned[:, 2]
-        middle = (a + b) / 2
-        corners = np.concatenate((np.stack((a, middle, c), axis=1), np.stack((middle, b, c), axis=1)))
-    return np.concatenate(done)
+        for i in range(1, 5):
+            out[k, i] = 0.0
+        for corner in range(3):
+            own = shares[part[0], corner] * (1.0 - s - r) + shares[part[1], corner] * s + shares[part[2], corner] * r
+            for i in range(4):
+                out[k, 1 + i] += own * values[f, corner, i]
+        length = math.sqrt(out[k, 1] ** 2 + out[k, 2] ** 2 + out[k, 3] ** 2)
+        for i in range(1, 4):
+            out[k, i] /= max(length, 1e-12)
 
 
-def _rays(mesh: Mesh) -> Any:
-    """Return an embree ray caster of a mesh; raises MachineLacks."""
-    try:
-        import trimesh
-        from trimesh.ray.ray_pyembree import RayMeshIntersector
-    except ImportError as error:
-        raise MachineLacks("the reference casts rays by embree:  pip install embreex") from error
-    return RayMeshIntersector(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False), scale_to_box=True)
+class SampledBodies(SampledScene):
+    """Bodies in sunlight as `pinhole` sees them; raises SceneError, and MachineLacks without embree."""
 
+    def __init__(self, parameters: BodiesParameters, pinhole: Pinhole, samples: int = 8) -> None:
+        world = BodyWorld(parameters, pinhole)
+        self._p = world.parameters
+        super().__init__(world, unit(self._p.sun.direction), self._p.sun.radius_rad, samples)
+        self._bodies = [
+            _Body(table, mesh, world.metres_a_pixel(k))
+            for k, (table, mesh) in enumerate(zip(self._p.bodies, world.meshes, strict=True))
+        ]
 
-def _disc(sun: _Floats, radius_rad: float) -> _Floats:
-    """Return directions to points spread evenly over the Sun's disc, (points, 3): Vogel's spiral."""
-    k = np.arange(_DISC_POINTS) + 0.5
-    radius, turn = radius_rad * np.sqrt(k / _DISC_POINTS), k * math.pi * (3 - math.sqrt(5))
-    across = unit(np.cross(sun, np.eye(3)[np.abs(sun).argmin()]))
-    up = np.cross(sun, across)
-    around = np.outer(radius * np.cos(turn), across) + np.outer(radius * np.sin(turn), up)
-    return np.asarray((sun + around) / np.linalg.norm(sun + around, axis=1, keepdims=True))
+    def _shader(self, t_ns: int) -> Callable[[_Floats, _Floats], tuple[_Floats, _Ints]]:
+        scene_ns = self._world.time.scene_ns(t_ns)
+        camera, poses = self._world.camera.pose(scene_ns), self._world.arrangement.poses(scene_ns)
+        eyes = [(camera.position_m - pose.position_m) @ pose.world_from_body for pose in poses]
+
+        def shade(rays: _Floats, to_sun: _Floats) -> tuple[_Floats, _Ints]:
+            light, kind = np.zeros(len(rays)), np.zeros(len(rays), np.int64)
+            nearest = np.full(len(rays), np.inf)
+            rays = rays @ camera.world_from_body.T
+            for k, (body, pose) in enumerate(zip(self._bodies, poses, strict=True)):
+                eye, own = eyes[k] / body.radius_m, rays @ pose.world_from_body
+                facets = body.met(eye, own)
+                hit = np.flatnonzero(facets >= 0)
+                there = body.at(facets[hit], eye, own[hit])
+                nearer = there[:, 0] * body.radius_m < nearest[hit]
+                hit, there = hit[nearer], there[nearer]
+                nearest[hit] = there[:, 0] * body.radius_m
+                light[hit], lit = self._radiance(k, there, own[hit], eye, to_sun[hit], poses)
+                kind[hit] = 2 * k + 2 + lit
+            return light, kind
+
+        return shade
+
+    def _radiance(
+        self, k: int, there: _Floats, rays: _Floats, eye: _Floats, to_sun: _Floats, poses: list[Pose]
+    ) -> tuple[_Floats, npt.NDArray[np.bool_]]:
+        """Return the radiance of body k where rays meet it, (n,), and whether the Sun is seen there."""
+        body, pose = self._bodies[k], poses[k]
+        normals, toward, sun = there[:, 1:4], -rays, to_sun @ pose.world_from_body
+        toward = toward / np.linalg.norm(toward, axis=1, keepdims=True)
+        mu0, mu, phase = ((normals * sun).sum(axis=1), (normals * toward).sum(axis=1), _angle(toward, sun))
+        lit = mu0 > 0
+        starts = eye + there[:, :1] * rays + there[:, 5:] * normals
+        if self._p.shadows:
+            lit[lit] = ~self._hidden(starts[lit] * body.radius_m, sun[lit], pose, poses)
+        law = body.table.reflectance
+        radiance = np.where(lit, self._p.sun.irradiance_w_m2 * law.reflect(np.maximum(mu0, 0), mu, phase), 0.0)
+        radiance += self._p.ambient_w_m2 * law.reflect(np.abs(mu), np.abs(mu), 0.0)
+        return there[:, 4] * radiance, lit
+
+    def _hidden(self, starts_m: _Floats, to_sun: _Floats, pose: Pose, poses: list[Pose]) -> npt.NDArray[np.bool_]:
+        """Return whether a body stands before the Sun, (n,), for places and directions in the frame at `pose`."""
+        hidden = np.zeros(len(starts_m), bool)
+        for other, at in zip(self._bodies, poses, strict=True):
+            if other.table.throws_shadow:
+                turn = pose.world_from_body.T @ at.world_from_body
+                shift = (pose.position_m - at.position_m) @ at.world_from_body
+                left = np.flatnonzero(~hidden)
+                hidden[left] = other.hides((starts_m[left] @ turn + shift) / other.radius_m, to_sun[left] @ turn)
+        return hidden
 
 
 class SampledBoard(Scene):
@@ -352,184 +360,202 @@ class SampledBoard(Scene):
         return np.asarray(np.where(even, 1.0, -1.0).reshape(pixels, -1).mean(axis=1))
 
 
-_Ints = npt.NDArray[np.int64]
+class SampledTerrain(SampledScene):
+    """Ground as `pinhole` sees it; raises SceneError."""
 
-_GRAZING = 0.02  # least cosine of emission for which the laws are used, as in the scene
+    def __init__(self, parameters: TerrainParameters, pinhole: Pinhole, samples: int = 8) -> None:
+        world, sun = TerrainWorld(parameters, pinhole), Sun(distance_au=parameters.sun_distance_au)
+        super().__init__(world, world.sun, sun.radius_rad, samples)
+        self._irradiance_w_m2 = sun.irradiance_w_m2
+        heights = world.ground.heights_m
+        albedo = np.ones_like(heights) if world.ground.albedo is None else world.ground.albedo
+        self._ground = heights, np.ascontiguousarray(albedo), *_peaks(heights), world.ground.unit_m
+        relief_m, radius_m = float(np.ptp(heights)), parameters.body_radius_m
+        self._lowest = -math.sqrt(2 * relief_m / radius_m) if radius_m else -math.inf  # of the Sun beyond the map
 
-
-class SampledTerrain(Scene):
-    """Ground as `pinhole` sees it, by `samples` x `samples` points a pixel; raises SceneError."""
-
-    def __init__(self, parameters: TerrainParameters, pinhole: Pinhole, samples: int = 16) -> None:
-        self._world = TerrainWorld(parameters, pinhole)
-        self._sunlit = self._world.sunlit()
-        self._samples = samples
-        self._sampler = PointSampler(pinhole.size, pinhole.focal_px, samples)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
-        return self._world.pinhole.size
-
-    @property
-    def motion_bound_px_s(self) -> float:
-        """As of the world."""
-        return self._world.motion_bound_px_s
-
-    @property
-    def distance_m(self) -> float:
-        """As of the world."""
-        return self._world.distance_m
-
-    def light(self, t_ns: int, out: Light) -> None:
-        """Write the radiance at `t_ns` into `out`, (height, width) float32."""
+    def _shader(self, t_ns: int) -> Callable[[_Floats, _Floats], tuple[_Floats, _Ints]]:
         pose = self._world.camera.pose(self._world.time.scene_ns(t_ns))
-        out[:] = self._sampler.draw(self._facets(grid, pose) for grid in range(self._world.ground.grids))
+        p, eye = self._world.parameters, np.asarray(pose.position_m, np.float64)
 
-    def close(self) -> None:
-        """Close the ports of live poses."""
-        self._world.close()
+        def shade(rays: _Floats, to_sun: _Floats) -> tuple[_Floats, _Ints]:
+            light, kind, there = np.zeros(len(rays)), np.zeros(len(rays), np.int64), np.empty((len(rays), 8))
+            rays = np.ascontiguousarray(rays @ pose.world_from_body.T)
+            _over_ground(self._ground, eye, rays, to_sun, there)
+            hit = np.flatnonzero(np.isfinite(there[:, 0]))
+            normals, sun, toward = there[hit, 1:4], to_sun[hit], -rays[hit]
+            toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+            mu0, mu = (normals * sun).sum(axis=1), np.maximum((normals * toward).sum(axis=1), _GRAZING)
+            lit = (there[hit, 5] > 0) & (sun[:, 2] > self._lowest)
+            direct = p.reflectance.reflect(np.maximum(mu0, 1e-9), mu, _angle(toward, sun))
+            level = np.clip(toward[:, 2], _GRAZING, 1)
+            light[hit] = p.ambient_w_m2 * p.reflectance.reflect(level, level, 0.0)
+            light[hit] += np.where(lit, self._irradiance_w_m2 * there[hit, 4] * direct, 0.0)
+            kind[hit] = 1 + lit
+            return light, kind
 
-    def _facets(self, grid: int, pose: Pose) -> tuple[_Floats, _Floats]:
-        """Return corners in camera axes and light, of the facets with samples of one grid where no finer one lies."""
-        i, j = self._quads(grid, pose)
-        number = np.full(self._world.ground.shape, -1, np.int32)
-        for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
-            number[i + down, j + right] = 0
-        rows, columns = np.nonzero(number == 0)
-        number[rows, columns] = np.arange(len(rows), dtype=np.int32)
-        rays = self._rays(grid, rows, columns, pose)
-        light, ahead = self._radiance(grid, rows, columns, rays), rays @ pose.world_from_body
-        quads = [number[c] for c in ((i, j), (i, j + 1), (i + 1, j + 1), (i + 1, j))]
-        facets = np.stack([quads[k] for k in (0, 1, 2, 0, 2, 3)], axis=1).reshape(-1, 3)
-        return ahead[facets], light[facets]
-
-    def _quads(self, grid: int, pose: Pose) -> tuple[_Ints, _Ints]:
-        """Return rows and columns of the quads that may hold a sample."""
-        ground, pinhole = self._world.ground, self._world.pinhole
-        focal_px = pinhole.focal_px * self._samples
-        size = np.array(pinhole.size) * self._samples
-        first = np.array(ground.first(grid)) * ground.unit_m
-        return tuple(
-            _holding(
-                ground.heights_m[grid],
-                (*first, ground.post_m(grid)),
-                np.asarray(pose.position_m, np.float64),
-                np.ascontiguousarray(pose.world_from_body),
-                (focal_px, int(size[0]), int(size[1])),
-                grid > 0,
-            )
-        )
-
-    def _rays(self, grid: int, rows: _Ints, columns: _Ints, pose: Pose) -> _Floats:
-        """Return posts from the camera, (n, 3) in the world."""
-        ground = self._world.ground
-        x0, y0 = ground.first(grid)
-        x, y = ((first + at * 2**grid) * ground.unit_m for first, at in ((x0, columns), (y0, rows)))
-        return np.asarray(np.stack([x, y, ground.heights_m[grid][rows, columns]], axis=-1) - pose.position_m)
-
-    def _radiance(self, grid: int, rows: _Ints, columns: _Ints, rays: _Floats) -> _Floats:
-        """Return the radiance of posts, (n,)."""
-        world = self._world
-        z, post_m = world.ground.heights_m[grid].astype(np.float64), world.ground.post_m(grid)
-        down, right = (_slopes(z, rows, columns, axis) / post_m for axis in (0, 1))
-        normals = np.stack([-right, -down, np.ones(len(rows))], axis=-1)
-        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-        eye = -rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-        mu0, mu = normals @ world.sun, np.maximum((normals * eye).sum(axis=-1), _GRAZING)
-        law = world.parameters.reflectance
-        direct = law.reflect(np.maximum(mu0, 1e-9), mu, np.arccos(np.clip(eye @ world.sun, -1, 1)))
-        level = np.clip(eye[:, 2], _GRAZING, 1)
-        around = world.parameters.ambient_w_m2 * law.reflect(level, level, 0.0)
-        lit = np.where(mu0 > 0, direct, 0) * self._sunlit[grid][rows, columns]
-        return np.asarray(world.irradiance_w_m2 * lit + around)
+        return shade
 
 
-def _slopes(z: _Floats, rows: _Ints, columns: _Ints, axis: int) -> _Floats:
-    """Return differences of heights over two posts, or one at the border, a post."""
-    at = [rows, columns]
-    before, after = list(at), list(at)
-    before[axis], after[axis] = np.maximum(at[axis] - 1, 0), np.minimum(at[axis] + 1, z.shape[axis] - 1)
-    return np.asarray((z[tuple(after)] - z[tuple(before)]) / (after[axis] - before[axis]))
+_Ground = tuple[_Float32s, _Float32s, _Floats, _Ints, float]
+"""Heights, m, and albedo of the posts of all grids; `_peaks`; distance of the finest posts, m."""
+
+
+def _peaks(heights: _Float32s) -> tuple[_Floats, _Ints]:
+    """Return the greatest height in cells of all levels, and a table of levels: first cell, rows, columns, first x, y.
+
+    A cell of level l has 2^l of the finest posts to a side: those of grid l, and above the last grid four cells of the
+    level below.
+    """
+    grids, rows, columns = heights.shape
+    levels: list[_Floats] = []
+    table = []
+    while len(levels) < grids or levels[-1].size > 1:
+        grid = min(len(levels), grids - 1)
+        finer = _quarters(levels[-1]) if levels else np.empty((0, 0))
+        if len(levels) < grids:
+            z = heights[grid].astype(np.float64)
+            peak = np.maximum(np.maximum(z[1:, 1:], z[1:, :-1]), np.maximum(z[:-1, 1:], z[:-1, :-1]))
+            if levels:
+                top, left = (rows - 1) // 4, (columns - 1) // 4
+                inner = peak[top : top + len(finer), left : left + finer.shape[1]]
+                np.maximum(inner, finer, out=inner)
+        else:
+            peak = finer
+        first = sum(level.size for level in levels)
+        table.append((first, *peak.shape, -((columns - 1) // 2) << grid, -((rows - 1) // 2) << grid))
+        levels.append(peak)
+    return np.concatenate([level.ravel() for level in levels]), np.array(table)
+
+
+def _quarters(peak: _Floats) -> _Floats:
+    """Return the greatest of two by two."""
+    even = np.pad(peak, [(0, n % 2) for n in peak.shape], constant_values=-np.inf)
+    return np.asarray(even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2).max(axis=(1, 3)))
 
 
 @_compiled
-def _holding(
-    z: npt.NDArray[np.float32],
-    lattice: tuple[float, float, float],
-    place: _Floats,
-    world_from_camera: _Floats,
-    screen: tuple[float, int, int],
-    is_outer: bool,
-) -> tuple[_Ints, _Ints]:
-    """Return the quads whose boxes on the screen hold a sample, or that reach behind the camera.
+def _over_ground(ground: _Ground, eye: _Floats, rays: _Floats, to_sun: _Floats, out: _Floats) -> None:
+    """Write of each ray its length to the ground, inf for none, the normal, albedo there, and 1 where it sees the Sun.
 
     Parameters
     ----------
-    lattice : x and y of the first post, and the distance of posts, m.
-    screen : focal length, width and height, in samples.
-    is_outer : True: a finer grid lies in the middle.
+    out : (n, 8), of which two are room.
     """
-    rows, columns = z.shape
-    focal, width, height = screen
-    x, y = np.empty((2, columns)), np.empty((2, columns))
-    i_found, j_found = np.empty(rows * columns, np.int64), np.empty(rows * columns, np.int64)
-    n = 0
-    top, left = (rows - 1) // 4, (columns - 1) // 4
-    for i in range(rows):
-        line = i % 2
-        for j in range(columns):
-            rx, ry = lattice[0] + j * lattice[2] - place[0], lattice[1] + i * lattice[2] - place[1]
-            rz = z[i, j] - place[2]
-            ahead = rx * world_from_camera[0, 2] + ry * world_from_camera[1, 2] + rz * world_from_camera[2, 2]
-            right = rx * world_from_camera[0, 0] + ry * world_from_camera[1, 0] + rz * world_from_camera[2, 0]
-            down = rx * world_from_camera[0, 1] + ry * world_from_camera[1, 1] + rz * world_from_camera[2, 1]
-            if ahead > 1e-3:
-                x[line, j], y[line, j] = right / ahead * focal + 0.5 * width, down / ahead * focal + 0.5 * height
-            else:
-                x[line, j] = y[line, j] = math.nan
-        if i == 0:
+    for k in range(len(rays)):
+        dx, dy, dz = rays[k, 0], rays[k, 1], rays[k, 2]
+        t = _first_hit(ground, (eye[0], eye[1], eye[2]), (dx, dy, dz))
+        out[k, 0] = t
+        if not math.isfinite(t):
             continue
-        for j in range(columns - 1):
-            if is_outer and top < i <= 3 * top and left <= j < 3 * left:
-                continue
-            x0, x1 = min(x[0, j], x[0, j + 1], x[1, j], x[1, j + 1]), max(x[0, j], x[0, j + 1], x[1, j], x[1, j + 1])
-            y0, y1 = min(y[0, j], y[0, j + 1], y[1, j], y[1, j + 1]), max(y[0, j], y[0, j + 1], y[1, j], y[1, j + 1])
-            total = x[0, j] + x[0, j + 1] + x[1, j] + x[1, j + 1]
-            if total == total:
-                x0, x1, y0, y1 = max(x0, 0.0), min(x1, float(width)), max(y0, 0.0), min(y1, float(height))
-                if math.ceil(x0 - 0.5) > math.floor(x1 - 0.5) or math.ceil(y0 - 0.5) > math.floor(y1 - 0.5):
-                    continue
-            elif not _is_seen(z, i - 1, j, lattice, place, world_from_camera, screen):
-                continue
-            i_found[n], j_found[n] = i - 1, j
-            n += 1
-    return i_found[:n].copy(), j_found[:n].copy()
+        x, y = eye[0] + t * dx, eye[1] + t * dy
+        _write_surface(ground, x, y, out[k])
+        sx, sy, sz = to_sun[k, 0], to_sun[k, 1], to_sun[k, 2]
+        is_day = out[k, 1] * sx + out[k, 2] * sy + out[k, 3] * sz > 0.0
+        start = x, y, out[k, 6] + _GROUND_LIFT * out[k, 7]
+        out[k, 5] = 1.0 if is_day and _first_hit(ground, start, (sx, sy, sz)) == math.inf else 0.0
 
 
 @_compiled
-def _is_seen(
-    z: npt.NDArray[np.float32],
-    i: int,
-    j: int,
-    lattice: tuple[float, float, float],
-    place: _Floats,
-    world_from_camera: _Floats,
-    screen: tuple[float, int, int],
-) -> bool:
-    """Return whether a quad is not wholly beyond one of the planes around the view."""
-    x, y = 0.5 * screen[1] / screen[0], 0.5 * screen[2] / screen[0]
-    for plane in ((1.0, 0.0, x), (-1.0, 0.0, x), (0.0, 1.0, y), (0.0, -1.0, y), (0.0, 0.0, 1.0)):
-        inside = False
-        for k in range(4):
-            row, column = i + k // 2, j + k % 2
-            rx, ry = lattice[0] + column * lattice[2] - place[0], lattice[1] + row * lattice[2] - place[1]
-            rz = z[row, column] - place[2]
-            ahead = 0.0
-            for axis in range(3):
-                along = rx * world_from_camera[0, axis] + ry * world_from_camera[1, axis]
-                ahead += plane[axis] * (along + rz * world_from_camera[2, axis])
-            inside = inside or ahead > 0.0
-        if not inside:
-            return False
-    return True
+def _first_hit(ground: _Ground, start: tuple[float, float, float], ray: tuple[float, float, float]) -> float:
+    """Return the length at which a ray first meets the ground; inf: it does not."""
+    heights, peaks, table, unit_m = ground[0], ground[2], ground[3], ground[4]
+    grids, rows, columns = heights.shape
+    ox, oy, oz = start[0] / unit_m, start[1] / unit_m, start[2]  # posts of the finest grid, and metres
+    dx, dy, dz = ray[0] / unit_m, ray[1] / unit_m, ray[2]
+    last = len(table) - 1
+    fastest = max(abs(dx), abs(dy), 1e-12)
+    nudge = 1e-6 / fastest  # that a place lies clearly in a cell
+    t, level = 0.0, last
+    for axis in range(2):  # to the edge of the map
+        o, d = (ox, dx) if axis == 0 else (oy, dy)
+        low = float(table[grids - 1, 3 + axis])
+        high = low + float(((columns if axis == 0 else rows) - 1) << (grids - 1))
+        if o < low or o > high:
+            if d == 0.0:
+                return math.inf
+            t = max(t, ((low if o < low else high) - o) / d)
+            if (o < low) != (d > 0.0):
+                return math.inf
+    while True:
+        x, y = ox + dx * (t + nudge), oy + dy * (t + nudge)
+        size = float(1 << level)
+        j, i = math.floor((x - table[level, 3]) / size), math.floor((y - table[level, 4]) / size)
+        if i < 0 or j < 0 or i >= table[level, 1] or j >= table[level, 2]:
+            if level >= grids - 1:
+                return math.inf
+            level += 1
+            continue
+        left, low = table[level, 3] + j * size, table[level, 4] + i * size
+        end = math.inf
+        if dx != 0.0:
+            end = min(end, (left + (size if dx > 0.0 else 0.0) - ox) / dx)
+        if dy != 0.0:
+            end = min(end, (low + (size if dy > 0.0 else 0.0) - oy) / dy)
+        end = max(end, t + nudge)
+        lowest = oz + dz * (t if dz >= 0.0 else end)
+        if lowest > peaks[table[level, 0] + i * table[level, 2] + j]:
+            t = end
+            level = min(level + 1, last)
+            continue
+        within = (rows - 1) // 4 <= i < 3 * ((rows - 1) // 4) and (columns - 1) // 4 <= j < 3 * ((columns - 1) // 4)
+        if level >= grids or (level > 0 and within):
+            level -= 1
+            continue
+        z = heights[level]
+        u, v, du, dv = (ox + dx * t - left) / size, (oy + dy * t - low) / size, dx / size, dy / size
+        a, b, c = z[i, j], z[i, j + 1] - z[i, j], z[i + 1, j] - z[i, j]
+        d = z[i + 1, j + 1] - z[i + 1, j] - b
+        above = oz + dz * t - (a + b * u + c * v + d * u * v)
+        if above <= 0.0:
+            return t
+        step = _first_root(-d * du * dv, dz - (b * du + c * dv + d * (u * dv + v * du)), above)
+        if step <= end - t:
+            return float(t + step)
+        t = end
+        level = min(level + 1, last)
+
+
+@_compiled
+def _first_root(a: float, b: float, c: float) -> float:
+    """Return the least s > 0 with a s^2 + b s + c = 0, c > 0; inf: there is none."""
+    square = b * b - 4.0 * a * c
+    if square < 0.0:
+        return math.inf
+    q = -0.5 * (b + math.copysign(math.sqrt(square), b))
+    least = math.inf
+    if q != 0.0 and c / q > 0.0:
+        least = c / q
+    if a != 0.0 and q / a > 0.0:
+        least = min(least, q / a)
+    return least
+
+
+@_compiled
+def _write_surface(ground: _Ground, x_m: float, y_m: float, out: _Floats) -> None:
+    """Write normal, albedo, height and the distance of posts at a place on the map into numbers 1 to 4, 6 and 7."""
+    heights, albedo, _, table, unit_m = ground
+    grids, rows, columns = heights.shape
+    grid, x, y = 0, 0.0, 0.0
+    for g in range(grids):
+        grid = g
+        x = (x_m / unit_m - table[g, 3]) / (1 << g)
+        y = (y_m / unit_m - table[g, 4]) / (1 << g)
+        if 0.0 <= x <= columns - 1.0 and 0.0 <= y <= rows - 1.0:
+            break
+    x, y = min(max(x, 0.0), columns - 1.0), min(max(y, 0.0), rows - 1.0)
+    i, j = min(int(y), rows - 2), min(int(x), columns - 2)
+    post_m = unit_m * (1 << grid)
+    z = heights[grid]
+    east = north = height = bright = 0.0
+    for k in range(4):
+        row, column = i + k // 2, j + k % 2
+        share = (y - i if k // 2 else 1.0 - (y - i)) * (x - j if k % 2 else 1.0 - (x - j))
+        west_, east_ = max(column - 1, 0), min(column + 1, columns - 1)
+        south_, north_ = max(row - 1, 0), min(row + 1, rows - 1)
+        east += share * (z[row, east_] - z[row, west_]) / ((east_ - west_) * post_m)
+        north += share * (z[north_, column] - z[south_, column]) / ((north_ - south_) * post_m)
+        height += share * z[row, column]
+        bright += share * albedo[grid, row, column]
+    length = math.sqrt(1.0 + east * east + north * north)
+    out[1], out[2], out[3] = -east / length, -north / length, 1.0 / length
+    out[4], out[6], out[7] = bright, height, post_m

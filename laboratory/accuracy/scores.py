@@ -6,9 +6,6 @@
     count               events over true events
     wrong events        events that must be deleted or inserted to make each pixel's sequence of polarities the true
                         one, over the true events: 0 is perfect, a silent sensor has 1, an invented event adds to it
-    van Rossum          each event becomes a decaying exponential (van Rossum, Neural Computation 13, 2001), ON and OFF
-                        of a pixel apart; root of the integral of the squared difference, over the root of its value for
-                        two streams with nothing in common: 0 the same, 1 nothing
     earth mover         mean distance by which events must be moved in time, each pixel and polarity for itself as a
                         distribution of mass one, weighted by its true events; trains that are empty on either side
                         count in the wrong events only, us
@@ -26,7 +23,6 @@ A `Stream` is an event stream for comparison: times of any resolution, sorted by
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -93,39 +89,6 @@ def _train(events: PixelEvents, p: int, up: bool) -> _Float64s:
             out[n] = events.t_us[k]
             n += 1
     return out[:n]
-
-
-@compiled
-def _square(a: _Float64s, b: _Float64s, tau: float) -> float:
-    """Return sum over all pairs of sign sign' exp(-|t - t'| / tau), in one pass over both trains by time."""
-    i = j = 0
-    total = trace = last = 0.0
-    while i < a.size or j < b.size:
-        from_a = j == b.size or (i < a.size and a[i] <= b[j])
-        t = a[i] if from_a else b[j]
-        sign = 1.0 if from_a else -1.0
-        trace = trace * math.exp(-(t - last) / tau) if i + j else 0.0
-        total += 1.0 + 2.0 * sign * trace
-        trace += sign
-        last = t
-        if from_a:
-            i += 1
-        else:
-            j += 1
-    return total
-
-
-@compiled
-def van_rossum_products(a: PixelEvents, b: PixelEvents, tau_us: float) -> tuple[float, float]:
-    """Return the squared distance and the squared norms of both, summed over pixels and polarities."""
-    apart = whole = 0.0
-    nothing = np.empty(0)
-    for p in range(a.first.size - 1):
-        for up in (False, True):
-            x, y = _train(a, p, up), _train(b, p, up)
-            apart += max(_square(x, y, tau_us), 0.0)
-            whole += _square(x, nothing, tau_us) + _square(nothing, y, tau_us)
-    return apart, whole
 
 
 @compiled
@@ -248,7 +211,7 @@ class Scores:
 
     Attributes
     ----------
-    right, wrong_events, count, van_rossum, same_time : float
+    right, wrong_events, count, same_time : float
         Ratios.
     t50_us, t95_us, earth_mover_us : float
         Times, us.
@@ -261,31 +224,15 @@ class Scores:
     t95_us: float
     count: float
     wrong_events: float
-    van_rossum: float
     earth_mover_us: float
     same_time: float
     events: int
     true_events: int
 
 
-def compare(stream: Stream, truth: Stream, tau_us: float = 1000.0) -> Scores:
-    """Compare a stream with the truth.
-
-    Parameters
-    ----------
-    stream, truth : Stream
-        Two streams of the same pixels.
-    tau_us : float
-        Time constant of van Rossum's distance, > 0.
-
-    Raises
-    ------
-    ValueError
-        They have different numbers of pixels, or `tau_us` is not positive.
-    """
+def compare(stream: Stream, truth: Stream) -> Scores:
+    """Compare a stream with the truth; raises ValueError where they have different numbers of pixels."""
     _check_pixels(stream, truth)
-    if not tau_us > 0:
-        raise ValueError(f"tau_us = {tau_us}: must be above 0")
     ours, known = (PixelEvents(s.t_us, s.on, s.first) for s in (stream, truth))
     common = common_subsequences(ours, known)
     active = (stream.counts > 0) | (truth.counts > 0)
@@ -294,14 +241,12 @@ def compare(stream: Stream, truth: Stream, tau_us: float = 1000.0) -> Scores:
     t50, t95 = np.quantile(errors, [0.5, 0.95]) if errors.size else (np.nan, np.nan)
     n, m = len(stream), len(truth)
     moved, trains = moved_us(ours, known)
-    apart, whole = van_rossum_products(ours, known, float(tau_us))
     return Scores(
         right=_ratio(right.sum(), active.sum()),
         t50_us=float(t50),
         t95_us=float(t95),
         count=_ratio(n, m),
         wrong_events=_ratio(n + m - 2 * common.sum(), m),
-        van_rossum=float(np.sqrt(_ratio(apart, whole))),
         earth_mover_us=_ratio(moved, trains),
         same_time=same_time_share(stream.t_us),
         events=n,
@@ -331,7 +276,6 @@ def compare_samples(stream: Stream, truth: Stream) -> Scores:
         t95_us=float(np.quantile(moved, 0.95)),
         count=_ratio(len(stream), n),
         wrong_events=_ratio(abs(ons) + abs(len(stream) - n - ons), n),
-        van_rossum=float("nan"),
         earth_mover_us=float(moved.mean()),
         same_time=same_time_share(stream.t_us),
         events=len(stream),

@@ -21,7 +21,7 @@ from laboratory.accuracy.rendering import Stretch
 from laboratory.bench.streams import BenchFailed
 from laboratory.realtime.program import Span, Speed, measure_speed
 from laboratory.realtime.variants import SHIPPED, Size, Variant, settings_of, variant_of
-from laboratory.realtime.wrong_events import Truth, Wrong, has_truth, truth_of, wrong_events
+from laboratory.realtime.wrong_events import TRUTH, Truth, Wrong, has_truth, truth_of, wrong_events
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class Measurements:
         return self.store.get(self._key(one))
 
     def _key(self, one: Measurement) -> str:
-        extent = self._span(one.variant) if one.kind == "speed" else self.extent.stretch
+        extent = self._span(one.variant) if one.kind == "speed" else (TRUTH, self.extent.stretch)
         text = f"{version('evstim')} {one.kind} {extent} {one.variant.size.name}\n{one.variant.text(0)}"
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

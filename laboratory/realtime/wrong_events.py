@@ -1,4 +1,4 @@
-"""Wrong events of a variant, false and missed, beside the truth of its scene by point samples.
+"""Wrong events of a variant, false and missed, beside the truth of its scene by rays.
 
 Bodies and terrain have the truth of `accuracy.rendering`, at the stretches of the stream that stand there; a board has
 its own square waves, sampled. Stars and videos have no truth that shares nothing with their renderer, and no result.
@@ -25,12 +25,13 @@ from emulator.rig.loading import Rig
 from emulator.run.assembly import build_frames, build_scene, build_sensor, build_steps, planned_sensor
 from emulator.scene.checkerboard.table import CheckerboardParameters
 from firmware_protocol.events import empty_events
-from laboratory.accuracy.rendering import Look, Stretch, comb_of, fits, looks_of, quiet
+from laboratory.accuracy.rendering import Look, Stretch, comb_of, false_and_missed, fits, looks_of, quiet
 from laboratory.accuracy.sampled_scenes import SampledBoard
 from laboratory.accuracy.scores import Stream, compare
 from laboratory.realtime.variants import Variant
 
 _MOST_PX = (346, 260)
+TRUTH = "rays to the eye and to the Sun"  # in the keys of stored results: others are not used
 _BOARD = Stretch(steps=40)
 
 
@@ -84,7 +85,7 @@ def truth_of(variant: Variant, stretch: Stretch | None = None, folder: Path | No
 
 
 def _digest(variant: Variant, look: Look) -> str:
-    text = f"{version('evstim')} {_MOST_PX} {look.stretch}\n{variant.text(0)}"
+    text = f"{version('evstim')} {TRUTH} {_MOST_PX} {look.stretch}\n{variant.text(0)}"
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -157,12 +158,10 @@ def _joined(streams: Sequence[Stream]) -> Stream:
 
 
 def _compared(stream: Stream, truth: Stream, step_ns: int) -> Wrong:
-    scores, total = compare(stream, truth), len(truth)
-    wrong = scores.wrong_events * total if total else len(stream)
-    common = (total + len(stream) - wrong) / 2
-    shares = (len(stream) - common) / max(total, 1), (total - common) / max(total, 1)
-    middle = comb_of(stream.t_us, step_ns / 1000).middle_share
-    return Wrong(*shares, total, *map(_finite, (scores.t50_us / 1000, scores.t95_us / 1000, middle)))
+    scores, middle = compare(stream, truth), comb_of(stream.t_us, step_ns / 1000).middle_share
+    return Wrong(
+        *false_and_missed(scores), len(truth), *map(_finite, (scores.t50_us / 1000, scores.t95_us / 1000, middle))
+    )
 
 
 def _finite(value: float) -> float | None:

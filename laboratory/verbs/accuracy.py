@@ -47,6 +47,7 @@ def accuracy(
     *,
     out: Path,
     rig: Annotated[tuple[str, ...], Parameter(negative="")] = (),
+    as_shipped: Flag = False,
     quick: Flag = False,
     json: Json = False,
 ) -> int:
@@ -62,16 +63,15 @@ def accuracy(
         Folder to write into; created if missing.
     rig
         For "rendering": only these rigs, shipped or files; give it once for each. All shipped ones take an hour.
+    as_shipped
+        For "rendering": only the first way to draw, that of a run.
     quick
         Fewer scenes and steps; takes seconds.
     """
     check_drawing()
     make_folder(out)
-    ways: dict[str, Callable[[Path, bool], list[Path]]] = {
-        "chart": _chart,
-        "stability": _stability,
-        "rendering": partial(_rendering, rig),
-    }
+    ways: dict[str, Callable[[Path, bool], list[Path]]] = {"chart": _chart, "stability": _stability}
+    ways["rendering"] = partial(_rendering, rig, as_shipped=as_shipped)
     files = ways[what](out, quick)
     if json:
         print_json({"files": files})
@@ -99,13 +99,11 @@ def _stability(out: Path, quick: bool) -> list[Path]:
     return _written(lambda: [*write_stability(found, chosen, out), *write_against_line(against, out)])
 
 
-def _rendering(names: tuple[str, ...], out: Path, quick: bool) -> list[Path]:
+def _rendering(names: tuple[str, ...], out: Path, quick: bool, *, as_shipped: bool) -> list[Path]:
     with failures():
-        rigs = _rigs(names)
-        stretch = _QUICK_STRETCH if quick else None
-        if quick:
-            rigs = rigs[:1]
-        rows = collected(rendering_rows(rigs, stretch), rows_of(rigs, stretch), "settings")
+        rigs, stretch = _rigs(names)[: 1 if quick else None], _QUICK_STRETCH if quick else None
+        count = rows_of(rigs, stretch, as_shipped=as_shipped)
+        rows = collected(rendering_rows(rigs, stretch, as_shipped=as_shipped), count, "settings")
     return _written(lambda: write_rendering(rows, out))
 
 

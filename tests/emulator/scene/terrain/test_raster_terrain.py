@@ -195,21 +195,6 @@ def test_sides_of_facets_through_the_middles_of_pixels_are_no_outlines():
         assert (scene._owners.coverage < 0.999).sum() <= 2
 
 
-def test_the_reference_leaves_out_only_facets_without_samples(monkeypatch):
-    p = parameters()
-    light = sampled(p, 40 * 10**9, samples=4)
-
-    def every(self, grid, pose):
-        rows, columns = (n - 1 for n in self._world.ground.shape)
-        quads = np.ones((rows, columns), bool)
-        if grid > 0:
-            quads[rows // 4 : 3 * rows // 4, columns // 4 : 3 * columns // 4] = False
-        return np.nonzero(quads)
-
-    monkeypatch.setattr(SampledTerrain, "_quads", every)
-    np.testing.assert_array_equal(light, sampled(p, 40 * 10**9, samples=4))
-
-
 @pytest.mark.system
 def test_light_goes_on_where_blocks_change():
     """All the way down three pictures 2 ms apart lie on a line: levels pass into each other unseen."""
