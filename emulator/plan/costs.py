@@ -212,7 +212,7 @@ def _noise(p: SensorParameters, scene: Probe) -> Decision | None:
         return None
     darkest, brightest = _corner_hz(p, p.dark_current_relative), _corner_hz(p, _largest(scene))
     f = np.geomspace(darkest, brightest, 20) if math.isfinite(brightest) else np.full(1, math.inf)
-    share = over(max(sum(still_hz(p, float(hz))) for hz in np.unique(f)) * threshold(p), scene)
+    share = over(max(0.0, *(sum(still_hz(p, float(hz))) - p.leak_hz for hz in np.unique(f))) * threshold(p), scene)
     jitter_us = over(p.noise.rms, scene) * 1e6
     return Decision("noise", "jitter of events, and noise events", jitter_us, share, {"noise": {"rms": 0.0}})
 

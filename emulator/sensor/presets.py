@@ -52,8 +52,7 @@ recording of one camera, in unknown light.
         values of `evstim validate davis346_street` at least 15 are alike with 0.0125 and less, for three seeds, 13 with
         0.015 and 0.02, 9 with 0.025, 7 with 0.03 and 6 with 0.055. Simulated kicks act on a signal without noise, so
         the bound by kicks may be too low. 0.043 to 0.073 were measured at another chip's comparator (Graca 2024, fig.
-        2.13): hence the estimate for the DVXplorer, of which no recording shows its noise. It has 0.07 Hz in the dark,
-        0.05 Hz at light 0.1 and leak alone at 1, by simulation.
+        2.13): hence the estimate for the DVXplorer, of which no recording shows its noise.
     [12] One recording (EVK4, 10.8 s, shipped with the sources of the Python package faery), pixels of low activity:
         0.0033 Hz in pixels of at most 4 events, 17 % of first events ON; OFF followed by ON after 1.26 s, ON by OFF
         after 2.6 s (medians); a tail of 1e-4 of the pixels with 5 to 1447 events, half of them ON. Shares and waits of
@@ -84,8 +83,7 @@ recording of one camera, in unknown light.
         half a second, at 0.006 to 0.4 W/m2 and in the dark between; 61 or 62 of the 70 counts are alike. The bandwidth
         of noise is that of the photoreceptor, so its rate in the dark gives the dark current. The temperature of that
         camera is unknown: 45 degrees are an estimate, and the dark current at 20 follows from it. Noise and leak have
-        0.6 Hz in the dark, 1.8 Hz at light 0.1, 0.16 Hz at 1 and leak alone, 0.007 Hz, from 10 on, by simulation. Rigs
-        of the night sky have a colder chip.
+        0.6 Hz in the dark, 1.8 Hz at light 0.1 and 0.16 Hz at 1, by simulation. Rigs of the night sky are colder.
     [25] Noise2Params (Root, Mujo and Xu, arXiv 2605.16317): a model that was fitted to another EVK4.
 
 Two units of the IMX636, which differ from it in these alone:

@@ -6,16 +6,14 @@ leak event of a still pixel comes at a read, and events of a rising light come i
 with fewer after them.
 
 Source: one recording of a DAVIS346 (2.36 s, 59 frames). In still pixels 373 of 376 events lie within 22 us of a read of
-their own row, 302 at signal and 74 at reset reads; 10.4 % of all ON events within 20 us. They begin 12 us before the
-reset read and 28 us before the signal read of their row, where reads take 35.25 us from the exposure on, and they
-end 35 us later, when the next row is read. Within this time those of still pixels are spread evenly, those of active
-ones decay. Here a pixel that needs the share s of the kick has its event at an even chance between the kick and s times
-35 us later: a still pixel drifts towards its threshold so slowly that it needs nearly all of a kick (s = 1), an active
-one has any s, which gives the density -ln(t / 35 us). The added value is 0.10 of the ON threshold; that of signal reads
-is a little larger in most pixels, because in stillness the larger one always comes first. The still pixels' events of a
-frame vary as numbers with Fano factor 1.9, in bright and in dim pixels together: the drift from frame to frame is 1e-4
-of a threshold, so a common variation of the kick (or of the light) of that size makes events come in some frames and
-not in others.
+their own row; 10.4 % of all ON events within 20 us. They begin 12 us before the reset read and 28 us before the signal
+read of their row, and end 35 us later, when the next row is read. Within this time those of still pixels are spread
+evenly, those of active ones decay. Here a pixel that needs the share s of the kick has its event at an even chance
+between the kick and s times 35 us later: a still pixel drifts towards its threshold so slowly that it needs nearly all
+of a kick (s = 1), an active one has any s, which gives the density -ln(t / 35 us). The added value is 0.10 of the ON
+threshold; that of signal reads is a little larger, because in stillness the larger one always comes first. The still
+pixels' events of a frame vary with Fano factor 1.9, in bright and in dim pixels together: the drift from frame to frame
+is 1e-4 of a threshold, so a common variation of the kick of that size makes events come in some frames only.
 
 Levels at a kick lie on the straight line between those at both ends of the step. Pixels that start within reach of a
 kick have been kicked by the frames before the start: their first kick sends no event.

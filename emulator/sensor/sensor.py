@@ -49,11 +49,9 @@ class Source(Protocol):
 
     def add_to(self, crossings: Crossings, light: _Float32s, t_ns: int) -> Crossings:
         """Return a step's crossings with the source's events up to `t_ns`; `light`, (pixels,), is the step's last."""
-        ...
 
     def step(self, light: _Float32s, t_ns: int) -> Crossings:
         """Return the source's events up to `t_ns` alone."""
-        ...
 
 
 def own_pixels(p: SensorParameters, seed: int, threads: int = 0) -> PixelMethod:
@@ -120,27 +118,22 @@ class EventSource(Protocol):
     @property
     def raised(self) -> int:
         """Events raised since `reset`."""
-        ...
 
     @property
     def lost_in_pixel(self) -> int:
         """Of these, lost in their pixel."""
-        ...
 
     @property
     def lost_at_readout(self) -> int:
         """Of these, lost at the arbiter."""
-        ...
 
     @property
     def read_out(self) -> int:
         """Of these, returned."""
-        ...
 
     @property
     def undersampled_share(self) -> float | None:
         """Share of the solved pixel-steps whose light changed too quickly between two frames; None where unknown."""
-        ...
 
     def with_kicks(self, kicks: KickParameters) -> Callable[[LineReads], None] | None:
         """Return the receiver of reads of active pixels, which disturb the events from then on; None where they cannot.
@@ -156,11 +149,9 @@ class EventSource(Protocol):
 
     def expose(self, frame: LightFrame) -> Events:
         """Move to the time of `frame` and return the events that leave before it; see `Sensor.expose`."""
-        ...
 
     def finish(self) -> Events:
         """Return the events that have not left yet."""
-        ...
 
 
 @runtime_checkable
@@ -170,12 +161,10 @@ class AdjustableSource(Protocol):
     @property
     def longest_step_ns(self) -> int:
         """Longest step whose work and memory are bounded; see `longest_step_ns`."""
-        ...
 
     @property
     def adjustable(self) -> dict[str, float]:
         """Fields of SensorParameters that can change, with their present values."""
-        ...
 
     def adjust(self, name: str, value: float) -> None:
         """Set one of them from now on; raises ValueError."""
@@ -187,7 +176,6 @@ class ThresholdSource(Protocol):
 
     def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
         """Return the ON and OFF threshold of a pixel; raises ValueError where there is none."""
-        ...
 
 
 _MOST_RANDOM = 1 << 25  # events of a step: 3 GB
@@ -202,8 +190,8 @@ def longest_step_ns(p: SensorParameters) -> int:
     the worst light, and the pixels that are moved where the sensor has a grid of times of its own.
     """
     pixels = p.width * p.height
-    b, r, noise_hz = p.background, p.radiation, _noise_hz(p)
-    each_hz = p.leak_hz + p.parasitic_hz_at_reference + b.hz + b.hot_share * b.hot_hz + noise_hz
+    b, r, most_hz = p.background, p.radiation, _most_still_hz(p)
+    each_hz = most_hz + p.parasitic_hz_at_reference + b.hz + b.hot_share * b.hot_hz
     hot_hz = p.defects.hot_hz * math.exp(p.defects.hot_spread**2 / 2)
     track = (1 + r.off_share) * min(1 + 2 * r.depth_um / r.pixel_pitch_um, p.width + p.height)
     random_hz = pixels * (each_hz + p.defects.hot_share * hot_hz) + hits_per_second(p) * track
@@ -211,28 +199,19 @@ def longest_step_ns(p: SensorParameters) -> int:
     if p.noise.rms and p.noise.grade == "grid":
         grids_ns.append(imported("laboratory.methods.grid:grid_ns")(p))
     most_ns = [_MOST_RANDOM / random_hz * 1e9] if random_hz else []
-    most_ns += [MOST_PASSAGES / 2 / noise_hz * 1e9] if noise_hz else []
+    most_ns += [MOST_PASSAGES / 2 / most_hz * 1e9] if p.noise.rms else []
     most_ns += [_MOST_MOVED / pixels * step_ns for step_ns in grids_ns]
     return max(round(min(*most_ns, 2.0**62, 2.0**62)), 1000)
 
 
-def _noise_hz(p: SensorParameters) -> float:
-    """Return the rate of a pixel's noise events in the light where they are most frequent."""
+def _most_still_hz(p: SensorParameters) -> float:
+    """Return the rate of a pixel's events by noise and leak in the light where noise is most frequent."""
     if not p.noise.rms:
-        return 0.0
+        return p.leak_hz
     f = corner_hz(p, _LIGHTS)
     deviations = min(p.threshold_on, p.threshold_off) / rms(p, f)
     noisiest = np.argmax(np.log(np.minimum(f, fixed_corner_hz(p))) - deviations**2 / 2)
     return sum(still_hz(p, float(f[noisiest])))
-
-
-def _load_rare_kernels() -> None:
-    """Load the kernels that a flash at a few pixels does not reach: loading one takes 10 ms, which a run has not.
-
-    They merge the events of two threads.
-    """
-    key = np.zeros(1, np.uint64)
-    EventBuffers().add([key, key], 0, 10, 0)
 
 
 class Sensor:
@@ -354,7 +333,8 @@ class Sensor:
         everything = Region(0, 16, 0, 16, np.array([[0, 16, 0, 16]]))
         flashed.expose(LightFrame(1_000_000, bright, dark, changed=everything))
         flashed.finish()
-        _load_rare_kernels()
+        key = np.zeros(1, np.uint64)  # such a flash does not reach the merger of two threads' events
+        EventBuffers().add([key, key], 0, 10, 0)
 
     def reset(self, frame: LightFrame) -> None:
         """Start at rest on the light of `frame`, at its time; nothing is pending, all counters are zero."""

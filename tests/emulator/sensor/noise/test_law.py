@@ -52,12 +52,12 @@ def test_rates_of_two_poles_in_still_light(tau1_us, tau2_us, dead_us, a, rate_hz
 def test_rates_are_means_over_pixels_with_thresholds_of_their_own():
     """Low thresholds fire so often that they make the mean; ON and OFF share the pixels' events."""
     even = dataclasses.replace(
-        P, threshold_on=0.22, threshold_off=0.18, noise=NoiseParameters(rms=0.15, corner_hz=300.0)
+        P, threshold_on=0.22, threshold_off=0.18, leak_hz=0.0, noise=NoiseParameters(rms=0.15, corner_hz=300.0)
     )
     spread = dataclasses.replace(even, mismatch=0.12, width=60, height=40)
     rates = still_hz(spread, 3000.0)
     assert sum(rates) > 1.2 * sum(still_hz(even, 3000.0))
-    p = dataclasses.replace(spread, leak_hz=0.0, noise=dataclasses.replace(spread.noise, history_s=20.0))
+    p = dataclasses.replace(spread, noise=dataclasses.replace(spread.noise, history_s=20.0))
     found = events_of(p, still(), ends(500, 4000))
     assert 1 / WITHIN < statistics_of(found, 4.0).rate_hz / sum(rates) < WITHIN
     assert found.on.mean() == pytest.approx(rates.on / sum(rates), abs=0.02)
@@ -66,10 +66,28 @@ def test_rates_are_means_over_pixels_with_thresholds_of_their_own():
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("noise_rms", [0.0, 1e-12, 2e-3])
 def test_noise_far_below_the_thresholds_is_silent(noise_rms):
-    p = dataclasses.replace(P, noise=NoiseParameters(rms=noise_rms, corner_hz=300.0))
+    p = dataclasses.replace(P, leak_hz=0.0, random_start=False, noise=NoiseParameters(rms=noise_rms, corner_hz=300.0))
     assert sum(still_hz(p, 1000.0)) < 1e-20
-    quiet = dataclasses.replace(p, leak_hz=0.0, random_start=False)
-    assert len(events_of(quiet, still(), [10**9]).t_ns) == 0
+    assert len(events_of(p, still(), [10**9]).t_ns) == 0
+    leaking = dataclasses.replace(p, leak_hz=0.3)
+    assert still_hz(leaking, 1000.0) == pytest.approx((0.3, 0.0), rel=0.01)
+
+
+@pytest.mark.parametrize("deviations", [5.0, 6.0])
+def test_leak_carries_references_to_where_noise_is_frequent(deviations):
+    """The sum of leak and of the rate of noise without it is much too low.
+
+    The law's 1.2 is more than five standard errors of the rate that the array has, which is asserted.
+    """
+    p = two_poles(deviations, 1e-3, 1e-4, leak_hz=0.1, leak_spread=0.0)
+    p = dataclasses.replace(p, noise=dataclasses.replace(p.noise, history_s=100.0))
+    found = events_of(p, still(), ends(500, 20_000))
+    true, rates = statistics_of(found, 20.0), still_hz(p, p.corner_hz_at_reference)
+    assert true.error < 0.04
+    assert 1 / 1.2 < sum(rates) / true.rate_hz < 1.2
+    assert found.on.mean() == pytest.approx(rates.on / sum(rates), abs=0.03)
+    apart = sum(still_hz(dataclasses.replace(p, leak_hz=0.0), p.corner_hz_at_reference)) + p.leak_hz
+    assert apart < true.rate_hz / 2
 
 
 @pytest.mark.parametrize("name", PRESETS)
