@@ -31,6 +31,7 @@ see socket(7). `SceneClock` turns the stamps into the scene's time.
 
 from __future__ import annotations
 
+import math
 import socket
 import struct
 import time
@@ -46,6 +47,7 @@ from emulator.trajectory.pose import (
     AT_REST,
     FARTHEST_M,
     STILL,
+    Bounds,
     Motion,
     Pose,
     Trajectory,
@@ -108,15 +110,7 @@ class _Known:
 class ComingPoses(Trajectory):
     """A path whose poses are still coming: their bounds are not known."""
 
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Infinite: poses to come are not known."""
-        return float("inf")
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Infinite: poses to come are not known."""
-        return float("inf")
+    bounds = Bounds(math.inf, math.inf)
 
 
 class LivePoses(ComingPoses):
@@ -393,7 +387,7 @@ class PoseReceiver:
         return True
 
 
-class ReceivedPath(Trajectory):
+class ReceivedPath(ComingPoses):
     """The path of one body whose poses a receiver gets."""
 
     def __init__(self, receiver: PoseReceiver, body: int, poses: LivePoses) -> None:
@@ -417,16 +411,6 @@ class ReceivedPath(Trajectory):
     def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
         """Return both from the poses that have come."""
         return self._poses.pose_and_motion(t_ns)
-
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Infinite: poses to come are not known."""
-        return self._poses.speed_bound_m_s
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Infinite: poses to come are not known."""
-        return self._poses.turn_bound_rad_s
 
 
 def close_receivers(*paths: Trajectory) -> None:
