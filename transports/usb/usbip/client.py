@@ -15,7 +15,6 @@ import contextlib
 import socket
 import time
 from collections import deque
-from types import TracebackType
 from typing import Self
 
 from firmware_protocol.usb.device import Identity, SetupPacket
@@ -217,9 +216,7 @@ class UsbipHost:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     # Methods for streams.
