@@ -249,7 +249,7 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
                     ready.send({name: link.address for name, link in now.links.items()})
                 faults.serve(now)
                 if reporting:
-                    reporting.renew(now)
+                    reporting.seen.renew(now)
                 if page:
                     page.renew(now)
                 if live:
@@ -258,7 +258,7 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
             def take(events: Events) -> None:
                 t_us = session.t_ns // 1000
                 if reporting:
-                    reporting.take(events, session.light, t_us)
+                    reporting.seen.take(events, session.light, t_us)
                 if page:
                     page.show(events, session.light, t_us, session.last_readings)
                 if simulation is not None:

@@ -29,14 +29,14 @@ from emulator.cli.run import NO_FILES, Files, print_summary, rig_with_options, r
 from emulator.cli.run_summary import quantile_text
 from emulator.report.pictures import check_png, grey_png
 from emulator.rig.loading import Rig, load_rig
-from emulator.run.basilisk import BasiliskRun, Server, camera_differs, connected
+from emulator.run.basilisk import BasiliskRun, camera_differs, connected
 from emulator.run.outcome import RunResult, good, judge
 from emulator.trajectory.basilisk import ConnectedPath
 from firmware_protocol.vizard import Update
 from transports.link.pacing import MonotonicClock
 from transports.needs import install_command
 from transports.network import check_allow
-from transports.vizard import ForwardingServer, Other, VizardServer
+from transports.vizard import ForwardingServer, Other, Server, VizardServer
 
 
 @dataclass(frozen=True)

@@ -318,7 +318,7 @@ class PoseReceiver:
     def __init__(
         self, host: str, port: int, allow: Iterable[str] = (), clock: Callable[[], int] = time.time_ns
     ) -> None:
-        self._allow, self._clock = frozenset(allow), clock
+        self.allow, self._clock = frozenset(allow), clock
         self._bodies: dict[int, LivePoses] = {}
         self._scene = SceneClock()
         self._picture_ns, self._left = -1, 0
@@ -330,11 +330,6 @@ class PoseReceiver:
         """Host and port that it listens on."""
         host, port = self._socket.getsockname()
         return str(host), int(port)
-
-    @property
-    def allow(self) -> frozenset[str]:
-        """Addresses whose datagrams are used."""
-        return self._allow
 
     def register(self, body: int, poses: LivePoses) -> None:
         """Give the poses of `body` to `poses` from now on."""
@@ -354,7 +349,7 @@ class PoseReceiver:
 
     def take(self, data: bytes, sender: str, arrival_ns: int) -> None:
         """Use one datagram that arrived at the wall's time `arrival_ns`, or count the reason; after `receive`."""
-        if self._allow and sender not in self._allow:
+        if self.allow and sender not in self.allow:
             self.counters.not_allowed += 1
             return
         try:

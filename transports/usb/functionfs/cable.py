@@ -261,18 +261,14 @@ class Cable:
         # Requests and events of the port that are not processed yet, oldest first.
         self._orders: deque[Request | Sent | EventKind] = deque()
         self._on_the_way: dict[InThread, _InProgress] = {}
-        self._is_attached = self._is_configured = self._is_enabled = self._is_closing = False
+        self._is_attached = self._is_configured = self._is_closing = False
+        self.enabled = False  # True while a host has selected the configuration
         self.attend: Callable[[], None] = lambda: None
-
-    @property
-    def enabled(self) -> bool:
-        """True while a host has selected the configuration."""
-        return self._is_enabled
 
     @property
     def idle(self) -> bool:
         """True when there is no host, and no work left."""
-        return not self._on_the_way and not self._orders and not self._is_enabled
+        return not self._on_the_way and not self._orders and not self.enabled
 
     def start(self) -> None:
         """Start the threads."""
@@ -283,7 +279,7 @@ class Cable:
         """Process the pending requests, and let idle endpoints send the data that the device has now."""
         self._process()
         self._give_up()
-        if self._is_enabled and not self._orders and not self._is_closing:
+        if self.enabled and not self._orders and not self._is_closing:
             for thread in self._ins:
                 if thread not in self._on_the_way:
                     self._carry(thread)
@@ -363,7 +359,7 @@ class Cable:
 
     def _port_changed(self, turn: EventKind) -> bool:
         """Attach or detach a host when no transfer is in progress; those to a lost host have failed."""
-        self._is_enabled = False
+        self.enabled = False
         if self._on_the_way:
             return False
         if turn is not EventKind.ENABLE or self._is_configured:
@@ -371,7 +367,7 @@ class Cable:
         if turn is EventKind.ENABLE:
             self._attach()
             self._device.control(SetupPacket(0, StandardRequest.SET_CONFIGURATION, 1, 0, 0), b"")
-            self._is_enabled = self._is_configured = True
+            self.enabled = self._is_configured = True
             for thread in self._outs:
                 thread.enable()
         return True
@@ -411,7 +407,7 @@ class Cable:
         if error is not None:
             log.debug("endpoint %d: %s", thread.pipe.number, error)
             # The port reports the next host.
-            self._is_enabled &= error.errno not in _NO_HOST
+            self.enabled &= error.errno not in _NO_HOST
         self.pump()
 
     def _give_up(self) -> None:
