@@ -185,11 +185,6 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         self._frame_ns: int | None = None
 
     @property
-    def facets_drawn(self) -> int:
-        """Number of facets in the last light frame."""
-        return len(self._renderer.topology.faces)
-
-    @property
     def changed(self) -> Region | None:
         """The part of the last light frame that may differ from the one before it in the same arrays."""
         return self._changed

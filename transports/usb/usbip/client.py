@@ -19,8 +19,6 @@ from typing import Self
 
 from firmware_protocol.usb.device import Identity, SetupPacket
 from firmware_protocol.usb.usbip import (
-    DeviceListReply,
-    DeviceListRequest,
     DeviceRecord,
     HostParser,
     ImportReply,
@@ -111,21 +109,6 @@ class Wire:
 
 # Linux itself sets this flag for IN transfers (URB_DIR_IN).
 _FLAG_IN = 0x200
-
-
-def list_devices(host: str = "127.0.0.1", port: int = 3240, timeout_s: float = 5.0) -> tuple[DeviceRecord, ...]:
-    """List what a server offers. Raises PeerGone, PeerBroken, TransferTimeout."""
-    wire = Wire(connect(host, port, timeout_s))
-    try:
-        wire.send(bytes(DeviceListRequest()))
-        reply = wire.receive(_deadline(timeout_s))
-    finally:
-        wire.close()
-    if reply is None:
-        raise TransferTimeout(f"{host}:{port} did not list its devices within {timeout_s:g} s")
-    if not isinstance(reply, DeviceListReply):
-        raise PeerBroken(f"{host}:{port} answered a device list request with {reply}")
-    return reply.devices
 
 
 class UsbipHost:
