@@ -44,7 +44,7 @@ from typing import ParamSpec
 from firmware_protocol.usb.control import Feature, Recipient, StandardRequest
 from firmware_protocol.usb.device import NotReady, SetupPacket, Stall, Transfer, UsbDevice
 from firmware_protocol.usb.functionfs import EventKind
-from transports.usb.functionfs.files import ControlPipe, DataPipe, Function
+from transports.usb.functionfs.files import ControlFile, EndpointFile, FunctionFiles
 
 log = logging.getLogger(__name__)
 
@@ -74,7 +74,7 @@ class Sent:
 class ControlThread(threading.Thread):
     """Thread for endpoint 0: `post` receives each Request, which must be answered, and each event of the port."""
 
-    def __init__(self, pipe: ControlPipe, post: Callable[[Request | EventKind], None]) -> None:
+    def __init__(self, pipe: ControlFile, post: Callable[[Request | EventKind], None]) -> None:
         super().__init__(name="usb gadget ep0", daemon=True)
         self._pipe = pipe
         self._post = post
@@ -133,7 +133,7 @@ class InThread(threading.Thread):
         Called in this thread at each transfer's end: with None, or with the error that ended it.
     """
 
-    def __init__(self, pipe: DataPipe, done: Callable[[InThread, OSError | None], None]) -> None:
+    def __init__(self, pipe: EndpointFile, done: Callable[[InThread, OSError | None], None]) -> None:
         super().__init__(name=f"usb gadget IN {pipe.number}", daemon=True)
         self.pipe = pipe
         self._done = done
@@ -179,7 +179,7 @@ class InThread(threading.Thread):
 class OutThread(threading.Thread):
     """Thread that receives transfers from the host: `post` gets each as a Sent, which must be answered."""
 
-    def __init__(self, pipe: DataPipe, post: Callable[[Sent], None]) -> None:
+    def __init__(self, pipe: EndpointFile, post: Callable[[Sent], None]) -> None:
         super().__init__(name=f"usb gadget OUT {pipe.number}", daemon=True)
         self._pipe = pipe
         self._post = post
@@ -251,7 +251,7 @@ class Cable:
         Function that is called before a request is processed.
     """
 
-    def __init__(self, device: UsbDevice, function: Function, grace_s: float = _GRACE_S) -> None:
+    def __init__(self, device: UsbDevice, function: FunctionFiles, grace_s: float = _GRACE_S) -> None:
         self._device = device
         self._loop = asyncio.get_running_loop()
         self._grace_s = grace_s
