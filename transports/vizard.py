@@ -135,15 +135,21 @@ _LOOK_MS = 50
 _REACH_S = 5.0
 
 
-class _Server(Protocol):
+class Server(Protocol):
+    """Socket of one simulation."""
+
     @property
-    def peer_gone(self) -> bool: ...
+    def peer_gone(self) -> bool:
+        """True when the simulation has closed its connection."""
 
-    def receive(self, timeout_ms: int) -> list[bytes] | None: ...
+    def receive(self, timeout_ms: int) -> list[bytes] | None:
+        """Return the parts of the next request; None when none came in time."""
 
-    def send(self, parts: Sequence[bytes]) -> None: ...
+    def send(self, parts: Sequence[bytes]) -> None:
+        """Answer it."""
 
-    def forget_peer(self) -> None: ...
+    def forget_peer(self) -> None:
+        """Serve the next peer."""
 
 
 class Other:
@@ -204,7 +210,7 @@ class ForwardingServer:
         Reason for missing replies of the other one; empty if it replies.
     """
 
-    def __init__(self, server: _Server, other: Other) -> None:
+    def __init__(self, server: Server, other: Other) -> None:
         self._server, self._other = server, other
         self.lost = ""
 

@@ -25,7 +25,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 from scipy.stats import binomtest
 
@@ -321,7 +321,6 @@ def with_worker(table: Any, worker: int) -> Any:
 
 
 _MOST_BYTES = 1 << 22
-T = TypeVar("T")
 
 
 class CampaignError(Exception):

@@ -112,7 +112,7 @@ def _main(tokens: list[str]) -> int:
     boxed = break_lines() and not as_json
     if "--quiet" in tokens:
         tokens = [token for token in tokens if token != "--quiet"]
-        _be_quiet()
+        status.quiet = True  # no progress, notices and warnings on stderr; errors and results stay
     try:
         return _exit_code(tokens, as_json, boxed)
     except CycloptsError as error:
@@ -141,11 +141,6 @@ def _exit_code(tokens: list[str], as_json: bool, boxed: bool) -> int:
     if sys.stdout is not None:
         sys.stdout.flush()
     return code
-
-
-def _be_quiet() -> None:
-    """Leave out progress, notices and warnings on stderr; errors and results stay."""
-    status.quiet = True
 
 
 def _fail(message: str, exit_code: int, as_json: bool, printed: bool = False) -> int:

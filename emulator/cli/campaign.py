@@ -43,7 +43,18 @@ from emulator.campaign.table import (
 )
 from emulator.campaign.workers import LocalWorkers, WarmWorker, Workers, cores, part_of, remaining, run_campaign
 from emulator.cli.checks import check_recording, failures, prepared
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json, status
+from emulator.cli.output import (
+    BAD_VERDICT,
+    GOOD,
+    LACKING,
+    WRONG_USE,
+    Failure,
+    Json,
+    console,
+    failing,
+    print_json,
+    status,
+)
 from emulator.cli.signals import interrupt_on_stop_signals, stop_on_signals
 from emulator.run.kernels import parts_of
 
@@ -367,10 +378,8 @@ def _wanted(loaded: Campaign, share: Share) -> Sequence[int]:
     if share.only is not None:
         loaded.values(share.only)  # raises CampaignError for a run that there is not
         return [share.only]
-    try:
+    with failing(WRONG_USE, ValueError, at="--part"):
         return range(loaded.runs) if share.part is None else part_of(share.part).indices(loaded.runs)
-    except ValueError as error:
-        raise Failure(f"--part: {error}", WRONG_USE) from error
 
 
 def _begun(loaded: Campaign, folder: Path, indices: Sequence[int]) -> list[int]:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from emulator.cli.output import LACKING, WRONG_USE, Failure, status
+from emulator.cli.output import LACKING, WRONG_USE, Failure, failing, status
 from emulator.light import MachineLacks, SceneError
 from emulator.rig.loading import RigError
 from emulator.run.kernels import Part, Preparation, prepare, uncompiled
@@ -42,12 +42,10 @@ def check_output(option: str, path: Path | None, suffix: str = "") -> None:
         raise Failure(f"{option}: {path} must end in {suffix}, the one format that is written", WRONG_USE)
     if not path.parent.is_dir():
         raise Failure(f"{option}: the folder {path.parent} does not exist", WRONG_USE)
-    try:
+    with failing(WRONG_USE, OSError, at=f"{option}: {path}"):
         if path.is_dir():
             raise Failure(f"{option}: {path} is a folder; name a file", WRONG_USE)
         _open_once(path)
-    except OSError as error:
-        raise Failure(f"{option}: {path}: {error.strerror}", WRONG_USE) from error
 
 
 def _open_once(path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from emulator.cli.checks import failures
-from emulator.cli.output import GOOD, WRONG_USE, Failure, Json, console, print_json
+from emulator.cli.output import GOOD, WRONG_USE, Json, console, failing, print_json
 from emulator.rig.loading import load_rig
 from firmware_protocol.can_frames.dbc import CanMessage, can_messages
 from firmware_protocol.ground.cosmos import CosmosPorts, cosmos_files
@@ -97,8 +97,6 @@ def _frames(can: CanLink) -> tuple[tuple[int, CanMessage], ...]:
 
 
 def _write(path: Path, text: str) -> None:
-    try:
+    with failing(WRONG_USE, OSError, at=str(path)):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise Failure(f"{path}: {error.strerror}", WRONG_USE) from error

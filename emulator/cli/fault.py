@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console, failing, print_json
 from emulator.cli.run_summary import fault_line
 from emulator.run.control import NoAnswer, send_request, sockets
 from transports.faults.script import FaultRecord
@@ -130,10 +130,8 @@ def _keys(keys: tuple[str, ...]) -> dict[str, Any]:
 
 def answer_of(path: Path, message: dict[str, Any]) -> dict[str, Any]:
     """Return the answer of a run to a request; raises Failure where there is none."""
-    try:
+    with failing(LACKING, NoAnswer):
         return send_request(path, message)
-    except NoAnswer as error:
-        raise Failure(str(error), LACKING) from error
 
 
 def _follow(path: Path, injected: dict[str, Any], kind: str, for_s: float) -> FaultRecord:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import App, Parameter
 
-from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console, failing, print_json
 from emulator.rig.kinds import CAMERA_MODELS, UsbSettings
 from emulator.rig.tables import Camera
 from firmware_protocol.usb.descriptors import DescriptorSet
@@ -66,11 +66,9 @@ def up(
         user_id = None if user is None else pwd.getpwnam(user).pw_uid
     except KeyError as error:
         raise Failure(f"this machine has no user {user!r}", WRONG_USE) from error
-    try:
+    with failing(LACKING, GadgetError):
         controller = controller_of(udc, Places())
         gadget.make(descriptors, user_id)
-    except GadgetError as error:
-        raise Failure(str(error), LACKING) from error
     if json:
         print_json({"gadget": name, "udc": controller, "mount": gadget.mount})
     else:
@@ -88,10 +86,8 @@ def down(*, name: str = "evstim", json: Json = False) -> int:
     """
     gadget = _gadget(name)
     was_there = gadget.exists
-    try:
+    with failing(LACKING, GadgetError):
         gadget.remove()
-    except GadgetError as error:
-        raise Failure(str(error), LACKING) from error
     if json:
         print_json({"gadget": name, "removed": was_there})
     else:
@@ -100,10 +96,8 @@ def down(*, name: str = "evstim", json: Json = False) -> int:
 
 
 def _gadget(name: str) -> Gadget:
-    try:
+    with failing(WRONG_USE, ValueError):
         return Gadget(name)
-    except ValueError as error:
-        raise Failure(str(error), WRONG_USE) from error
 
 
 def _descriptors(plug: UsbCameraOptions) -> DescriptorSet:
@@ -114,11 +108,9 @@ def _descriptors(plug: UsbCameraOptions) -> DescriptorSet:
             name for name, camera_model in CAMERA_MODELS.usable().items() if camera_model.usb is not None
         )
         raise Failure(f"there is no USB camera {plug.model!r}; there are: {usb_models}", WRONG_USE)
-    try:
+    with failing(WRONG_USE, ValueError):
         camera = Camera(model=plug.model, serial=plug.serial, speed=plug.speed)
         device = model.usb.device(camera, UsbSettings(start_delay_ms=0.0))()
-    except ValueError as error:
-        raise Failure(str(error), WRONG_USE) from error
     return device.descriptors(device.identity.speed)
 
 

@@ -20,6 +20,7 @@ import logging
 import os
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -64,6 +65,16 @@ class Failure(Exception):
     def __init__(self, message: str, exit_code: int) -> None:
         super().__init__(message)
         self.exit_code = exit_code
+
+
+@contextmanager
+def failing(exit_code: int, *errors: type[Exception], at: str = "") -> Iterator[None]:
+    """Turn errors into Failure; with `at`, an option or a file, it is named before the reason."""
+    try:
+        yield
+    except errors as error:
+        reason = getattr(error, "strerror", None) or error
+        raise Failure(f"{at}: {reason}" if at else str(error), exit_code) from error
 
 
 def print_json(value: object) -> None:

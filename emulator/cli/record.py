@@ -10,10 +10,10 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from emulator.cli.checks import check_recording, failures, prepared
-from emulator.cli.output import BAD_VERDICT, GOOD, WRONG_USE, Failure, Json, console, print_json
-from emulator.cli.run import print_summary, run_rig, summary
+from emulator.cli.output import BAD_VERDICT, GOOD, Json, console, print_json
+from emulator.cli.run import print_summary, rig_with_options, run_rig, summary
 from emulator.cli.signals import ignore_stop_signals
-from emulator.rig.loading import Rig, load_rig, with_options
+from emulator.rig.loading import Rig, load_rig
 from emulator.run.kernels import parts_of
 from emulator.run.outcome import RunResult, good, judge
 from transports.file import FileLink
@@ -72,10 +72,7 @@ def record(
         link = FileLink(str(file), form, f"{loaded.camera.model.upper()}_{loaded.camera.serial}")
         trigger = None if loaded.trigger is None or loaded.trigger.source else loaded.trigger
         loaded = dataclasses.replace(loaded, links=(link,), faults=(), trigger=trigger, second_camera=None)
-        try:
-            loaded = with_options(loaded, course.seconds, course.seed, course.pace)
-        except ValueError as error:
-            raise Failure(f"--{error}", WRONG_USE) from error
+        loaded = rig_with_options(loaded, course.seconds, course.seed, course.pace)
         prepared(parts_of(loaded))
         result = run_rig(loaded, show=not json)
     ignore_stop_signals()

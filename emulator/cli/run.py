@@ -15,7 +15,18 @@ from cyclopts import Parameter
 
 from emulator.cli import restore_collection
 from emulator.cli.checks import check_output, check_recording, failures, prepared
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json, status
+from emulator.cli.output import (
+    BAD_VERDICT,
+    GOOD,
+    LACKING,
+    WRONG_USE,
+    Failure,
+    Json,
+    console,
+    failing,
+    print_json,
+    status,
+)
 from emulator.cli.run_display import LiveTable, OptionalPage, begin_report, check_serving, end_report
 from emulator.cli.run_summary import (
     Truth,
@@ -90,10 +101,8 @@ class Files:
         """Empty the fault log, to which every link appends; raises Failure where it cannot be written."""
         if self.fault_log is None:
             return
-        try:
+        with failing(WRONG_USE, OSError, at=f"--fault-log: {self.fault_log}"):
             self.fault_log.write_bytes(b"")
-        except OSError as error:
-            raise Failure(f"--fault-log: {self.fault_log}: {error.strerror}", WRONG_USE) from error
 
 
 NO_FILES = Files()
@@ -236,13 +245,11 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
             ready = ReadySignal(files.ready_file)
 
             def report(now: RunStatus) -> None:
-                try:
+                with failing(LACKING, OSError, at="--ready-file"):
                     ready.send({name: link.address for name, link in now.links.items()})
-                except OSError as error:
-                    raise Failure(f"--ready-file: {error.strerror or error}", LACKING) from error
                 faults.serve(now)
                 if reporting:
-                    reporting.renew(now)
+                    reporting.seen.renew(now)
                 if page:
                     page.renew(now)
                 if live:
@@ -251,7 +258,7 @@ def run_rig(rig: Rig, files: Files = NO_FILES, parts: RunParts | None = None, *,
             def take(events: Events) -> None:
                 t_us = session.t_ns // 1000
                 if reporting:
-                    reporting.take(events, session.light, t_us)
+                    reporting.seen.take(events, session.light, t_us)
                 if page:
                     page.show(events, session.light, t_us, session.last_readings)
                 if simulation is not None:

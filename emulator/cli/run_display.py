@@ -10,14 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from emulator.cli.output import LACKING, WRONG_USE, Failure, console, status
+from emulator.cli.output import LACKING, WRONG_USE, console, failing, status
 from emulator.cli.run_summary import quantile_text
 from emulator.light import MachineLacks
 from emulator.rig.loading import Rig
@@ -53,9 +52,7 @@ class LiveTable:
             self._live.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._live:
             self._live.stop()
 
@@ -92,10 +89,8 @@ def begin_report(rig: Rig, folder: Path | None) -> RunReporter | None:
         return None
     from emulator.run.report.files import RunReporter
 
-    try:
+    with failing(WRONG_USE, OSError, at=f"--report: {folder}"):
         return RunReporter(rig, folder)
-    except OSError as error:
-        raise Failure(f"--report: {folder}: {error.strerror or error}", WRONG_USE) from error
 
 
 def end_report(reporter: RunReporter, result: RunResult, summary: Mapping[str, Any], truth_trouble: str) -> None:
@@ -141,10 +136,8 @@ class OptionalPage:
         viewer = Operator(session, "live page")
         inject = FaultInjection(self._rig, viewer, None).answer
         commands = ViewerCommands(viewer, inject, self._button(viewer), can_pause=can_pause, repeats=self._repeats)
-        try:
+        with failing(LACKING, OSError, at=f"--serve: {self._address.host}:{self._address.port}"):
             page = LivePage(self._rig, self._address, commands, self._repeats)
-        except OSError as error:
-            raise Failure(f"--serve: {_shown(self._address)}: {error.strerror or error}", LACKING) from error
         with page:
             status.print(f"live page: {page.url}", markup=False, soft_wrap=True)
             yield page
@@ -170,10 +163,8 @@ def check_serving(requested: str | bool | None) -> None:
         return
     from emulator.live_page.page import check_ui
 
-    try:
+    with failing(LACKING, MachineLacks):
         check_ui()
-    except MachineLacks as error:
-        raise Failure(str(error), LACKING) from error
 
 
 def _address(requested: str | bool | None) -> Address | None:
@@ -181,11 +172,5 @@ def _address(requested: str | bool | None) -> Address | None:
         return None
     from emulator.live_page.messages import Address, parse_address
 
-    try:
+    with failing(WRONG_USE, ValueError, at="--serve"):
         return Address() if requested is True else parse_address(requested)
-    except ValueError as error:
-        raise Failure(f"--serve: {error}", WRONG_USE) from error
-
-
-def _shown(address: Address) -> str:
-    return f"{address.host}:{address.port}"

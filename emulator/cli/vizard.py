@@ -13,19 +13,30 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from emulator.cli.checks import failures, parsed_address
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, WRONG_USE, Failure, Json, console, print_json, status
+from emulator.cli.output import (
+    BAD_VERDICT,
+    GOOD,
+    LACKING,
+    WRONG_USE,
+    Failure,
+    Json,
+    console,
+    failing,
+    print_json,
+    status,
+)
 from emulator.cli.run import NO_FILES, Files, print_summary, rig_with_options, run_with_files, summary
 from emulator.cli.run_summary import quantile_text
 from emulator.report.pictures import check_png, grey_png
 from emulator.rig.loading import Rig, load_rig
-from emulator.run.basilisk import BasiliskRun, Server, camera_differs, connected
+from emulator.run.basilisk import BasiliskRun, camera_differs, connected
 from emulator.run.outcome import RunResult, good, judge
 from emulator.trajectory.basilisk import ConnectedPath
 from firmware_protocol.vizard import Update
 from transports.link.pacing import MonotonicClock
 from transports.needs import install_command
 from transports.network import check_allow
-from transports.vizard import ForwardingServer, Other, VizardServer
+from transports.vizard import ForwardingServer, Other, Server, VizardServer
 
 
 @dataclass(frozen=True)
@@ -117,10 +128,8 @@ def _server(connection: ConnectionOptions) -> Iterator[VizardServer]:
     host = "127.0.0.1" if host == "localhost" else host
     if not connection.white > 0:
         raise Failure(f"--white is {connection.white:g}: it must be above 0", WRONG_USE)
-    try:
+    with failing(WRONG_USE, ValueError):
         check_allow(host, connection.allow, "--at")
-    except ValueError as error:
-        raise Failure(str(error), WRONG_USE) from error
     try:
         server = VizardServer(host, port, connection.allow)
     except OSError as error:

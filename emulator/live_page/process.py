@@ -114,7 +114,7 @@ class SharedView:
 
     def __init__(self, size: tuple[int, int]) -> None:
         context = multiprocessing.get_context("spawn")
-        self._size, self._ring = size, EventRing(_RING_EVENTS)
+        self.size, self._ring = size, EventRing(_RING_EVENTS)
         self._by = reduction(size)
         shape = tuple(-(-side // self._by) for side in reversed(size))
         self._memory = context.RawArray("f", shape[0] * shape[1]), context.RawArray("q", _CELLS), shape
@@ -132,11 +132,6 @@ class SharedView:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._map()
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(width, height) of the sensor, pixels."""
-        return self._size
 
     @property
     def viewers(self) -> int:

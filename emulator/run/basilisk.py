@@ -18,7 +18,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -49,26 +49,10 @@ from firmware_protocol.vizard import (
 )
 from transports.link.deliveries import LatencyHistogram
 from transports.link.pacing import Clock
+from transports.vizard import Server
 
 _LOOK_MS = 50
 _LAST_LOOKS = 20
-
-
-class Server(Protocol):
-    """Socket of one simulation; see `transports.vizard`."""
-
-    @property
-    def peer_gone(self) -> bool:
-        """Return whether the simulation has closed its connection."""
-
-    def receive(self, timeout_ms: int) -> list[bytes] | None:
-        """Return the parts of the next request; None when none came in time."""
-
-    def send(self, parts: Sequence[bytes]) -> None:
-        """Answer it."""
-
-    def forget_peer(self) -> None:
-        """Serve the next peer."""
 
 
 @dataclass

@@ -34,14 +34,16 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from emulator.rig.kinds import convert_fault, faults_of
 from emulator.rig.loading import Rig
 from emulator.run.outcome import RunStatus
 from emulator.tables.typed_table import TableError
 from firmware_protocol.events import EdgeKind
-from transports.faults.kinds import Fault
+
+if TYPE_CHECKING:
+    from emulator.run.session import Operator
 
 _MOST_LINE_BYTES = 1 << 16
 _MOST_ANSWER_BYTES = 1 << 20
@@ -234,17 +236,6 @@ def _parsed(line: bytes) -> Message:
 _EDGES = {"pulse": EdgeKind.PULSE, "rising": EdgeKind.RISING, "falling": EdgeKind.FALLING, "reset": None}
 
 
-class _Session(Protocol):
-    def inject(self, fault: Fault) -> None:
-        """Begin a fault on the link that it names."""
-
-    def end_fault(self, link: str, number: int) -> None:
-        """End the fault with this number on a link."""
-
-    def happen(self, link: str, kind: EdgeKind | None) -> None:
-        """Give the input of a link's camera an edge, or reset its clock."""
-
-
 class FaultInjection:
     """Answers to the requests for one run; without a socket it does nothing.
 
@@ -254,7 +245,7 @@ class FaultInjection:
         Reason why there is no socket; "" where there is one, or none is needed.
     """
 
-    def __init__(self, rig: Rig, session: _Session, socket: ControlSocket | None, trouble: str = "") -> None:
+    def __init__(self, rig: Rig, session: Operator, socket: ControlSocket | None, trouble: str = "") -> None:
         self._rig = rig
         self._session = session
         self._socket = socket
@@ -324,7 +315,7 @@ class FaultInjection:
 
 
 @contextmanager
-def fault_injection(rig: Rig, session: _Session) -> Iterator[FaultInjection]:
+def fault_injection(rig: Rig, session: Operator) -> Iterator[FaultInjection]:
     """Open the socket of a run that has links; if that fails, `trouble` contains the reason and the run goes on."""
     if not rig.links:
         yield FaultInjection(rig, session, None)

@@ -144,13 +144,13 @@ class Session:
         self._drive: Drive | None = None
         self._on_events: Callable[[Events], None] = lambda _: None
         self._steps = 0
-        self._t_ns = 0
+        self.t_ns = 0
         self._lateness = Lateness()
-        self._stopping = False
+        self.stopping = False
         self._may_interrupt = True
         self._cut_off: Ledger | None = None
         self._scene_trouble = ""
-        self._last_readings: Sequence[tuple[ReadingKind, Readings]] = ()
+        self.last_readings: Sequence[tuple[ReadingKind, Readings]] = ()
 
     def join(self, second: CameraView) -> None:
         """Add a second camera on the same clock, before the run; its scene is closed at the end."""
@@ -160,7 +160,7 @@ class Session:
 
     def stop(self) -> None:
         """End the run after the present step; for `on_status`, and for a signal handler."""
-        self._stopping = True
+        self.stopping = True
         self._first.frames.scene.stop()
 
     def interrupt(self) -> None:
@@ -169,29 +169,14 @@ class Session:
         Light and events of the step are discarded. Before the first step it interrupts the start; while events are
         handed over and after the last step, which have bounds of their own, it does nothing: every event has a fate.
         """
-        self._stopping = True
+        self.stopping = True
         if self._may_interrupt:
             raise _StepInterrupted
-
-    @property
-    def stopping(self) -> bool:
-        """True after `stop`."""
-        return self._stopping
-
-    @property
-    def t_ns(self) -> int:
-        """Stream time of the last step's end."""
-        return self._t_ns
 
     @property
     def light(self) -> Light:
         """The light that the sensor sees, (height, width) float32; the next step draws over it."""
         return self._first.frames.last.light
-
-    @property
-    def last_readings(self) -> Sequence[tuple[ReadingKind, Readings]]:
-        """Frames and inertial samples of the last step, by their kind."""
-        return self._last_readings
 
     @property
     def changes(self) -> tuple[Change, ...]:
@@ -213,7 +198,7 @@ class Session:
             raise ValueError(f"{name} cannot be changed: a recording stands in the sensor's place")
         before = sensor.adjustable.get(name)
         sensor.adjust(name, value)
-        self.record(Change(self._t_ns, by, name, before=before, after=value))
+        self.record(Change(self.t_ns, by, name, before=before, after=value))
 
     def thresholds_of(self, x: int, y: int) -> tuple[float, float]:
         """Return the ON and OFF threshold of a pixel of the sensor; raises ValueError where there is none."""
@@ -271,7 +256,7 @@ class Session:
             reports = self._stop_links(schedule.drain_s)
         scene = self._first.frames.scene
         return RunResult(
-            sim_seconds=self._t_ns * 1e-9,
+            sim_seconds=self.t_ns * 1e-9,
             wall_seconds=wall_seconds,
             frames=self._first.frames.count,
             steps=self._steps,
@@ -313,14 +298,14 @@ class Session:
             link.start(origin_ns)
         rule = StepRule(self._step_source)
         goes_on = self._reporting(on_status, start_ns)
-        while self._goes_on() and (schedule.duration_ns is None or self._t_ns < schedule.duration_ns):
+        while self._goes_on() and (schedule.duration_ns is None or self.t_ns < schedule.duration_ns):
             lead_ns = max(schedule.lead_ns, rule.step_ns)
             if schedule.paced:
-                if self._t_ns:  # the first step begins at once
-                    self._clock.sleep_until(origin_ns + self._t_ns - lead_ns)
-            elif self._drive is not None and self._drive.wait(self._t_ns, goes_on) <= self._t_ns:
+                if self.t_ns:  # the first step begins at once
+                    self._clock.sleep_until(origin_ns + self.t_ns - lead_ns)
+            elif self._drive is not None and self._drive.wait(self.t_ns, goes_on) <= self.t_ns:
                 break
-            due_ns, begun_ns = origin_ns + self._t_ns, self._clock.now_ns()
+            due_ns, begun_ns = origin_ns + self.t_ns, self._clock.now_ns()
             try:
                 self._step(rule, goes_on)
             except (SceneError, _StepInterrupted) as error:  # the events so far have their fates
@@ -336,7 +321,7 @@ class Session:
 
     def _goes_on(self) -> bool:
         """Return False when the run was stopped, or it has links and all of them are gone."""
-        return not self._stopping and (not self._links or any(not link.gone for link in self._links))
+        return not self.stopping and (not self._links or any(not link.gone for link in self._links))
 
     def _locked(self) -> Lockstep | None:
         """Return the lockstep with a bus, where a bus drives the run."""
@@ -349,14 +334,14 @@ class Session:
 
     def _trouble_of(self, error: BaseException) -> str:
         """Return the reason for the verdict; "" for a regular end of the scene where a run has none, or was stopped."""
-        t_s = self._t_ns * 1e-9
+        t_s = self.t_ns * 1e-9
         if isinstance(error, _StepInterrupted):
             return f"interrupted within the step after {t_s:g} s, which is discarded"
         log.info("the scene ends at %g s: %s", t_s, error)
         if not isinstance(error, SceneEnded):
             return str(error)
         duration_ns = self._schedule.duration_ns
-        return "" if duration_ns is None or self._stopping else f"{error} after {t_s:g} of {duration_ns * 1e-9:g} s"
+        return "" if duration_ns is None or self.stopping else f"{error} after {t_s:g} of {duration_ns * 1e-9:g} s"
 
     def _reporting(self, on_status: Callable[[RunStatus], None], start_ns: int | None) -> Callable[[], bool]:
         """Return a function that reports the status now and then, and returns whether the run goes on.
@@ -381,7 +366,7 @@ class Session:
         with self._interruptible():
             frame = first.frames.draw(t1_ns)
         self._follow_cameras(goes_on)
-        readings = self._last_readings = first.readings.read(frame)
+        readings = self.last_readings = first.readings.read(frame)
         if is_paced:  # they may leave while the events are computed
             self._push_readings(readings, self._links_of(first))
         self._cut_off = first.ledger_if_it_ends()
@@ -389,7 +374,7 @@ class Session:
             events = first.sensor.expose(frame)
         self._cut_off = None
         self._step_source.observe(frame)
-        t0_ns, self._t_ns = self._t_ns, t1_ns
+        t0_ns, self.t_ns = self.t_ns, t1_ns
         self._steps += 1
         self._hand_over(StepOutput(events, () if is_paced else readings), t0_ns, first)
         self._on_events(events)
@@ -398,14 +383,14 @@ class Session:
 
     def _end_of_step(self, step_ns: int) -> int:
         """Return the stream time at which a step of at most this length ends."""
-        t1_ns = self._t_ns + step_ns
+        t1_ns = self.t_ns + step_ns
         if isinstance(self._first.sensor, AdjustableSource):
-            t1_ns = min(t1_ns, self._t_ns + self._first.sensor.longest_step_ns)
+            t1_ns = min(t1_ns, self.t_ns + self._first.sensor.longest_step_ns)
         if self._drive is not None:
             t1_ns = min(t1_ns, self._drive.limit_ns)
         period_ns = self._schedule.lockstep_ns
         if period_ns:  # steps end with each period, however many SYNCs have come
-            t1_ns = min(t1_ns, (self._t_ns // period_ns + 1) * period_ns)
+            t1_ns = min(t1_ns, (self.t_ns // period_ns + 1) * period_ns)
         return t1_ns if self._schedule.duration_ns is None else min(t1_ns, self._schedule.duration_ns)
 
     @contextmanager
@@ -422,7 +407,7 @@ class Session:
 
         A run that is not paced waits until the cameras are there too, so that no such change is still to come.
         """
-        now_us = self._t_ns // 1000
+        now_us = self.t_ns // 1000
         for link in self._links if not self._schedule.paced else ():
             link.wait_settled(now_us, goes_on)
         for link in self._links:
@@ -434,9 +419,9 @@ class Session:
             t_us, fault = change.t_us, change.fault
             self.record(Change(t_us * 1000, change.by, change.what, link, taken_us=t_us, fault=fault))
             return
-        self._first.follow(link, change, self._t_ns)
+        self._first.follow(link, change, self.t_ns)
         if self._second is not None:
-            self._second.follow(link, change, self._t_ns)
+            self._second.follow(link, change, self.t_ns)
 
     def _links_of(self, camera: CameraView) -> list[LinkProcess]:
         return [link for link in self._links if link.name in camera.links]
@@ -448,7 +433,7 @@ class Session:
         """
         links, is_paced = self._links_of(camera), self._schedule.paced
         is_sliced = not is_paced and any(len(records) for _, records in output.readings)
-        pieces = output.pieces(t0_ns // 1000, self._t_ns // 1000, _SLICE_US if is_sliced else None)
+        pieces = output.pieces(t0_ns // 1000, self.t_ns // 1000, _SLICE_US if is_sliced else None)
         for until_us, piece in pieces:
             self._push_readings(piece.readings, links, None if is_paced else self._goes_on)
             for link in links:
@@ -471,15 +456,15 @@ class Session:
         """Hand over the events that the read-outs still hold."""
         if self._cut_off is None:
             events = self._first.sensor.finish()
-            self._hand_over(StepOutput(events), self._t_ns, self._first)
+            self._hand_over(StepOutput(events), self.t_ns, self._first)
             self._on_events(events)
         if self._second is not None:
-            self._hand_over(StepOutput(self._second.sensor.finish()), self._t_ns, self._second)
+            self._hand_over(StepOutput(self._second.sensor.finish()), self.t_ns, self._second)
 
     def _status(self, start_ns: int) -> RunStatus:
         sensor = self._first.sensor
         return RunStatus(
-            sim_seconds=self._t_ns * 1e-9,
+            sim_seconds=self.t_ns * 1e-9,
             wall_seconds=(self._clock.now_ns() - start_ns) * 1e-9,
             frames=self._first.frames.count,
             read_out=sensor.read_out,

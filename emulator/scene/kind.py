@@ -76,6 +76,9 @@ class SceneKind:
 class Blank(Scene):
     """Darkness."""
 
+    motion_bound_px_s = 0.0
+    has_rate = True
+
     def __init__(self, size: tuple[int, int]) -> None:
         self._size = size
         self._arrays = LastArrays()
@@ -86,19 +89,9 @@ class Blank(Scene):
         """(width, height) in pixels."""
         return self._size
 
-    @property
-    def motion_bound_px_s(self) -> float:
-        """Nothing moves."""
-        return 0.0
-
     def light(self, t_ns: int, out: Light) -> None:
         """Write zeros."""
         self._clear(out, None)
-
-    @property
-    def has_rate(self) -> bool:
-        """True: nothing changes."""
-        return True
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write zeros."""

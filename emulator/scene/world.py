@@ -106,14 +106,11 @@ class WorldScene(Scene, Generic[W]):
 class GlScene(WorldScene[W]):
     """A scene of `world`, drawn by GL into `render_target`."""
 
+    painter: Painter = "gl"
+
     def __init__(self, world: W, render_target: RenderTarget) -> None:
         super().__init__(world)
         self._render_target = render_target
-
-    @property
-    def painter(self) -> Painter:
-        """GL."""
-        return "gl"
 
     @property
     def renderer(self) -> str:

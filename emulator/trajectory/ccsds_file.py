@@ -50,6 +50,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import date, datetime, timedelta
 from fractions import Fraction
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -60,6 +61,7 @@ from emulator.trajectory.pose import (
     AT_REST,
     FARTHEST_M,
     STILL,
+    Bounds,
     Motion,
     Pose,
     Trajectory,
@@ -176,7 +178,6 @@ class PolynomialPath(Trajectory):
         if len(times_ns) < self._used:
             raise TrajectoryError(f"degree {degree} needs {self._used} samples, and there are {len(times_ns)}")
         self._at: tuple[int, KroghInterpolator] | None = None
-        self._bounds: tuple[float, float] | None = None
 
     @property
     def span_ns(self) -> tuple[int, int]:
@@ -206,17 +207,10 @@ class PolynomialPath(Trajectory):
             self._at = first, self._through(first)
         return self._at
 
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Measured, see `measured`."""
-        if self._bounds is None:
-            self._bounds = measured_bounds(self.pose, instants_between(self._times_ns))
-        return self._bounds[0]
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Zero: it does not turn."""
-        return 0.0
+    @cached_property
+    def bounds(self) -> Bounds:
+        """Measured bounds; it does not turn."""
+        return measured_bounds(self.pose, instants_between(self._times_ns))
 
     def _through(self, first: int) -> KroghInterpolator:
         from scipy.interpolate import (
@@ -294,15 +288,11 @@ class Segmented(Trajectory):
     def _segment(self, t_ns: int) -> Segment:
         return self._segments[max(0, bisect_right(self._starts_ns, t_ns) - 1)]
 
-    @property
-    def speed_bound_m_s(self) -> float:
+    @cached_property
+    def bounds(self) -> Bounds:
         """The greatest of the segments; jumps from one to the next are left out."""
-        return max(segment.path.speed_bound_m_s for segment in self._segments)
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """The greatest of the segments; jumps from one to the next are left out."""
-        return max(segment.path.turn_bound_rad_s for segment in self._segments)
+        speeds_m_s, turns_rad_s = zip(*(segment.path.bounds for segment in self._segments), strict=True)
+        return Bounds(max(speeds_m_s), max(turns_rad_s))
 
 
 _KEYWORD = re.compile(r"([A-Z][A-Z0-9_]*)\s*=\s*(.*)$")

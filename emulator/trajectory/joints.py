@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from emulator.trajectory.pose import Pose, Trajectory, instants_between, measured_bounds
+from emulator.trajectory.pose import Bounds, Pose, Trajectory, instants_between, measured_bounds
 
 _Floats = npt.NDArray[np.float64]
 _ALMOST_EQUAL = 1 - 1e-12
@@ -119,7 +119,7 @@ class Jointed(Trajectory):
         self._p = p
         tracks = [track for joint in p.joints for track in (joint.translation, joint.rotation)]
         times_ns = np.unique(np.concatenate([np.round(track.times_s * 1e9) for track in tracks])).astype(np.int64)
-        self._bounds = measured_bounds(self._once, instants_between(times_ns)) if len(times_ns) > 1 else (0.0, 0.0)
+        self.bounds = measured_bounds(self._once, instants_between(times_ns)) if len(times_ns) > 1 else Bounds()
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose of the last joint."""
@@ -131,13 +131,3 @@ class Jointed(Trajectory):
         for joint in self._p.joints:
             pose = pose.after(joint.pose(t_ns * 1e-9))
         return pose
-
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Measured, see `measured_bounds`."""
-        return self._bounds[0]
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Measured, see `measured_bounds`."""
-        return self._bounds[1]

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +25,7 @@ import numpy.typing as npt
 from emulator.geometry.attitude import multiply, quaternion_of_vector
 from emulator.trajectory.pose import (
     AT_REST,
+    Bounds,
     Motion,
     Pose,
     Trajectory,
@@ -74,22 +76,16 @@ class Keyframes(Trajectory):
         self._curve, self._vectors = _splines(self._seconds, self._places, velocities, self._turns)
         self._velocity, self._acceleration = self._curve.derivative(), self._curve.derivative(2)
         self._vector_rates = self._vectors.derivative()
-        self._bounds: tuple[float, float] | None = None
 
     @property
     def span_ns(self) -> tuple[int, int]:
         """Time of the first keyframe and of the last."""
         return int(self._times_ns[0]), int(self._times_ns[-1])
 
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Measured, see `measured`."""
-        return self._measured()[0]
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Measured, see `measured`."""
-        return self._measured()[1]
+    @cached_property
+    def bounds(self) -> Bounds:
+        """Measured bounds."""
+        return measured_bounds(self.pose, instants_between(self._times_ns))
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at `t_ns`."""
@@ -110,11 +106,6 @@ class Keyframes(Trajectory):
         t_s = (int(t_ns) - first) * 1e-9
         turn = rate_of_vector(self._vectors(t_s), self._vector_rates(t_s))
         return Motion(self._velocity(t_s), self._acceleration(t_s), turn)
-
-    def _measured(self) -> tuple[float, float]:
-        if self._bounds is None:
-            self._bounds = measured_bounds(self.pose, instants_between(self._times_ns))
-        return self._bounds
 
 
 def _require_narrow(quaternions: _Floats, times_ns: npt.NDArray[np.int64]) -> None:

@@ -41,7 +41,16 @@ import numpy.typing as npt
 from emulator.geometry.attitude import Matrix, Quaternion, Vector, quaternion_of
 from emulator.trajectory.keyframes import Keyframes
 from emulator.trajectory.mounting import looking_along
-from emulator.trajectory.pose import STILL, Motion, Pose, Trajectory, TrajectoryError, instants_between, measured_bounds
+from emulator.trajectory.pose import (
+    STILL,
+    Bounds,
+    Motion,
+    Pose,
+    Trajectory,
+    TrajectoryError,
+    instants_between,
+    measured_bounds,
+)
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
@@ -102,6 +111,7 @@ class Orbit(Trajectory):
 
     def __init__(self, elements: Elements) -> None:
         self._elements = elements
+        self.bounds = Bounds(elements.periapsis_speed_m_s)
         self._world_from_plane = _plane(elements)
 
     def pose(self, t_ns: int) -> Pose:
@@ -126,16 +136,6 @@ class Orbit(Trajectory):
         k = self._elements
         mean = math.radians(k.anomaly_deg) + math.fmod(k.mean_motion_rad_s * (t_ns * 1e-9), 2 * math.pi)
         return eccentric_anomaly(mean, k.eccentricity)
-
-    @property
-    def speed_bound_m_s(self) -> float:
-        """The speed at the nearest point."""
-        return self._elements.periapsis_speed_m_s
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Zero: it does not turn."""
-        return 0.0
 
 
 def eccentric_anomaly(mean_rad: float, eccentricity: float) -> float:
@@ -222,7 +222,8 @@ class Descent(Trajectory):
         self._path = Keyframes(times_ns, [Pose(place, STILL.q_world_from_body) for place in places], velocities)
         self._ahead, self._depression_rad = ahead, _depression(gates)
         self._depression_rate = self._depression_rad.derivative()
-        self._turn_rad_s = measured_bounds(self.pose, instants_between(np.array(times_ns, np.int64)))[1]
+        measured = measured_bounds(self.pose, instants_between(np.array(times_ns, np.int64)))
+        self.bounds = Bounds(self._path.speed_bound_m_s, measured.turn_rad_s)
         self._require_above(float(site[2]))
 
     def pose(self, t_ns: int) -> Pose:
@@ -242,16 +243,6 @@ class Descent(Trajectory):
     def span_ns(self) -> tuple[int, int]:
         """Time of the first gate and of the last."""
         return self._path.span_ns
-
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Measured, see `measured`."""
-        return self._path.speed_bound_m_s
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Measured, see `measured`."""
-        return self._turn_rad_s
 
     def _require_above(self, ground_m: float) -> None:
         first, last = self.span_ns

@@ -31,6 +31,7 @@ see socket(7). `SceneClock` turns the stamps into the scene's time.
 
 from __future__ import annotations
 
+import math
 import socket
 import struct
 import time
@@ -46,6 +47,7 @@ from emulator.trajectory.pose import (
     AT_REST,
     FARTHEST_M,
     STILL,
+    Bounds,
     Motion,
     Pose,
     Trajectory,
@@ -108,15 +110,7 @@ class _Known:
 class ComingPoses(Trajectory):
     """A path whose poses are still coming: their bounds are not known."""
 
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Infinite: poses to come are not known."""
-        return float("inf")
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Infinite: poses to come are not known."""
-        return float("inf")
+    bounds = Bounds(math.inf, math.inf)
 
 
 class LivePoses(ComingPoses):
@@ -324,7 +318,7 @@ class PoseReceiver:
     def __init__(
         self, host: str, port: int, allow: Iterable[str] = (), clock: Callable[[], int] = time.time_ns
     ) -> None:
-        self._allow, self._clock = frozenset(allow), clock
+        self.allow, self._clock = frozenset(allow), clock
         self._bodies: dict[int, LivePoses] = {}
         self._scene = SceneClock()
         self._picture_ns, self._left = -1, 0
@@ -336,11 +330,6 @@ class PoseReceiver:
         """Host and port that it listens on."""
         host, port = self._socket.getsockname()
         return str(host), int(port)
-
-    @property
-    def allow(self) -> frozenset[str]:
-        """Addresses whose datagrams are used."""
-        return self._allow
 
     def register(self, body: int, poses: LivePoses) -> None:
         """Give the poses of `body` to `poses` from now on."""
@@ -360,7 +349,7 @@ class PoseReceiver:
 
     def take(self, data: bytes, sender: str, arrival_ns: int) -> None:
         """Use one datagram that arrived at the wall's time `arrival_ns`, or count the reason; after `receive`."""
-        if self._allow and sender not in self._allow:
+        if self.allow and sender not in self.allow:
             self.counters.not_allowed += 1
             return
         try:
@@ -393,7 +382,7 @@ class PoseReceiver:
         return True
 
 
-class ReceivedPath(Trajectory):
+class ReceivedPath(ComingPoses):
     """The path of one body whose poses a receiver gets."""
 
     def __init__(self, receiver: PoseReceiver, body: int, poses: LivePoses) -> None:
@@ -417,16 +406,6 @@ class ReceivedPath(Trajectory):
     def pose_and_motion(self, t_ns: int) -> tuple[Pose, Motion]:
         """Return both from the poses that have come."""
         return self._poses.pose_and_motion(t_ns)
-
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Infinite: poses to come are not known."""
-        return self._poses.speed_bound_m_s
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Infinite: poses to come are not known."""
-        return self._poses.turn_bound_rad_s
 
 
 def close_receivers(*paths: Trajectory) -> None:

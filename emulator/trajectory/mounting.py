@@ -22,13 +22,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
 from emulator.geometry.attitude import Matrix, Vector, cross, quaternion_of, spin, unit
 from emulator.geometry.camera import Cycle
-from emulator.trajectory.pose import Motion, Pose, Trajectory, TrajectoryError, measured_bounds, rate_of_frame
+from emulator.trajectory.pose import Bounds, Motion, Pose, Trajectory, TrajectoryError, measured_bounds, rate_of_frame
 
 _ALONG = 1e-9
 
@@ -46,7 +47,7 @@ class Looking(Trajectory):
         self._place = place
         self._target_m = np.asarray(target_m, np.float64)
         self._up = unit(up)
-        self._turn_rad_s = measured_bounds(self.pose, times_ns)[1]
+        self.bounds = Bounds(place.speed_bound_m_s, measured_bounds(self.pose, times_ns).turn_rad_s)
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose; raises TrajectoryError when the camera is at the target itself."""
@@ -69,16 +70,6 @@ class Looking(Trajectory):
         y_rate = cross(z_rate, x) + cross(z, x_rate)
         rates = np.column_stack([x_rate, y_rate, z_rate])
         return Motion(place.velocity_m_s, place.acceleration_m_s2, rate_of_frame(axes, rates))
-
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Bound of the path."""
-        return self._place.speed_bound_m_s
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Measured, see `measured`."""
-        return self._turn_rad_s
 
 
 def looking_along(sight: npt.ArrayLike, up: npt.ArrayLike) -> Matrix:
@@ -116,6 +107,8 @@ class Spinning(Trajectory):
         self._position_m = np.asarray(position_m, np.float64)
         self._momentum = unit(momentum)
         self._turned, self._tilt = turned, tilt
+        # The greatest rate is that of both, when the axes lie along each other.
+        self.bounds = Bounds(0.0, 2 * math.pi * float(abs(turned.rate_hz) + abs(tilt.precession.rate_hz)))
 
     def pose(self, t_ns: int) -> Pose:
         """Return the pose at `t_ns`."""
@@ -132,16 +125,6 @@ class Spinning(Trajectory):
         spin_rad_s, precession_rad_s = (2 * math.pi * float(c.rate_hz) for c in (self._turned, self._tilt.precession))
         momentum = self.pose(t_ns).world_from_body.T @ self._momentum
         return Motion(np.zeros(3), np.zeros(3), precession_rad_s * momentum + [0.0, 0.0, spin_rad_s])
-
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Zero: it does not move."""
-        return 0.0
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Sum of both rates, reached when the axes lie along each other."""
-        return 2 * math.pi * float(abs(self._turned.rate_hz) + abs(self._tilt.precession.rate_hz))
 
 
 class PlaceAndAttitude(Trajectory):
@@ -170,15 +153,10 @@ class PlaceAndAttitude(Trajectory):
         turn = self._attitudes.motion(t_ns + self._attitudes_zero_ns).turn_rad_s
         return Motion(place.velocity_m_s, place.acceleration_m_s2, turn)
 
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Bound of the places."""
-        return self._places.speed_bound_m_s
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Bound of the attitudes."""
-        return self._attitudes.turn_bound_rad_s
+    @cached_property
+    def bounds(self) -> Bounds:
+        """Bounds of the places, and of the attitudes."""
+        return Bounds(self._places.speed_bound_m_s, self._attitudes.turn_bound_rad_s)
 
 
 class Mounted(Trajectory):
@@ -200,13 +178,8 @@ class Mounted(Trajectory):
         carried = self._path.pose(t_ns).world_from_body @ cross(path.turn_rad_s, arm_m)
         return Motion(path.velocity_m_s + carried, super().motion(t_ns).acceleration_m_s2, turn_rad_s)
 
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Bound of the path, and of turning about it."""
-        arm_m = float(np.linalg.norm(self._mounting.position_m))
-        return self._path.speed_bound_m_s + (arm_m * self._path.turn_bound_rad_s if arm_m else 0.0)
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Bound of the path."""
-        return self._path.turn_bound_rad_s
+    @cached_property
+    def bounds(self) -> Bounds:
+        """Bounds of the path, and of turning about it."""
+        path, arm_m = self._path.bounds, float(np.linalg.norm(self._mounting.position_m))
+        return Bounds(path.speed_m_s + (arm_m * path.turn_rad_s if arm_m else 0.0), path.turn_rad_s)

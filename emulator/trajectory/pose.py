@@ -48,6 +48,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -191,6 +192,13 @@ STILL = Pose(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 """At the origin, turned with the world's axes."""
 
 
+class Bounds(NamedTuple):
+    """Upper bounds of the speed, m/s, and of the rate of turning, rad/s; infinite where none is known."""
+
+    speed_m_s: float = 0.0
+    turn_rad_s: float = 0.0
+
+
 class Trajectory(ABC):
     """A pose at every instant."""
 
@@ -206,15 +214,20 @@ class Trajectory(ABC):
         """Return both at `t_ns`, not for a light frame: poses from outside are neither read nor counted."""
         return self.pose(t_ns), self.motion(t_ns)
 
-    @property
-    @abstractmethod
-    def speed_bound_m_s(self) -> float:
-        """Upper bound of the speed, m/s; infinite where none is known."""
+    @cached_property
+    def bounds(self) -> Bounds:
+        """Bounds of its motion; a subclass defines them, or sets them as an attribute."""
+        raise NotImplementedError
 
     @property
-    @abstractmethod
+    def speed_bound_m_s(self) -> float:
+        """Upper bound of the speed."""
+        return self.bounds.speed_m_s
+
+    @property
     def turn_bound_rad_s(self) -> float:
-        """Upper bound of the rate of turning, rad/s; infinite where none is known."""
+        """Upper bound of the rate of turning."""
+        return self.bounds.turn_rad_s
 
 
 class Fixed(Trajectory):
@@ -222,6 +235,7 @@ class Fixed(Trajectory):
 
     def __init__(self, pose: Pose = STILL) -> None:
         self._pose = pose
+        self.bounds = Bounds()
 
     def pose(self, t_ns: int) -> Pose:
         """Return the one pose."""
@@ -230,16 +244,6 @@ class Fixed(Trajectory):
     def motion(self, t_ns: int) -> Motion:
         """Return rest."""
         return AT_REST
-
-    @property
-    def speed_bound_m_s(self) -> float:
-        """Zero: it does not move."""
-        return 0.0
-
-    @property
-    def turn_bound_rad_s(self) -> float:
-        """Zero: it does not turn."""
-        return 0.0
 
 
 CAMERA_FROM_MSI: Matrix = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -316,8 +320,8 @@ def instants_between(times_ns: npt.NDArray[np.int64]) -> list[int]:
 _MORE = 1.25
 
 
-def measured_bounds(pose: Callable[[int], Pose], times_ns: Sequence[int]) -> tuple[float, float]:
-    """Return the speed, m/s, and the rate of turning, rad/s, that are not exceeded between `times_ns`, increasing."""
+def measured_bounds(pose: Callable[[int], Pose], times_ns: Sequence[int]) -> Bounds:
+    """Return the bounds of the motion between `times_ns`, increasing."""
     speed = turn = 0.0
     before, t0_ns = pose(times_ns[0]), times_ns[0]
     for t_ns in times_ns[1:]:
@@ -325,7 +329,7 @@ def measured_bounds(pose: Callable[[int], Pose], times_ns: Sequence[int]) -> tup
         speed = max(speed, float(np.linalg.norm(after.position_m - before.position_m)) / dt)
         turn = max(turn, turn_rad(before, after) / dt)
         before, t0_ns = after, t_ns
-    return _MORE * speed, _MORE * turn
+    return Bounds(_MORE * speed, _MORE * turn)
 
 
 def turn_rad(a: Pose, b: Pose) -> float:

@@ -29,7 +29,6 @@ import asyncio
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from types import TracebackType
 from typing import Self
 
 import can
@@ -136,9 +135,7 @@ class FakeCanBus:
     def __enter__(self) -> FakeCanBus:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.shutdown()
 
     def show(self, events: Events, until_us: int | None = None) -> None:

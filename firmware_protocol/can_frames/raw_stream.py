@@ -221,16 +221,11 @@ class RawReceiver:
         self._clock_id = clock
         self._clocked = clock is None
         self._tick_us = 1
-        self._near_us: int | None = None
+        self.now_us: int | None = None  # time of the last frame that had one
         self._epoch: Epoch | None = None
         self._since_epoch = 0
         self._last: tuple[int, bytes] | None = None
         self.counters = RawCounters()
-
-    @property
-    def now_us(self) -> int | None:
-        """Time of the last frame that had one; None before the first epoch or clock frame."""
-        return self._near_us
 
     def push(self, frame: Frame) -> Events:
         """Return the events of a frame, shape (n,); none of a frame of another kind."""
@@ -240,7 +235,7 @@ class RawReceiver:
             if frame.identifier == self._epoch_id:
                 self._take_epoch(Epoch.parse(frame.data))
             elif frame.identifier == self._clock_id:
-                self._near_us, self._clocked = unpack_clock(frame.data), True
+                self.now_us, self._clocked = unpack_clock(frame.data), True
             elif frame.identifier == self._events_id:
                 return self._take_events(frame)
         except RawError:
@@ -248,21 +243,21 @@ class RawReceiver:
         return empty_events()
 
     def _take_epoch(self, epoch: Epoch) -> None:
-        expected_ticks = epoch.ticks if self._near_us is None else self._near_us // epoch.tick_us
+        expected_ticks = epoch.ticks if self.now_us is None else self.now_us // epoch.tick_us
         before, self._epoch = self._epoch, epoch
         self._tick_us = epoch.tick_us
-        self._near_us = unwrapped(epoch.ticks, 30, expected_ticks) * epoch.tick_us
+        self.now_us = unwrapped(epoch.ticks, 30, expected_ticks) * epoch.tick_us
         if before is not None:
             sent = (epoch.sent - before.sent + 0x8000 & 0xFFFF) - 0x8000  # below 0 where a later frame came before
             self._count(lost=sent - self._since_epoch, dropped=(epoch.dropped - before.dropped) & 0xFFFF)
         self._since_epoch = 0
 
     def _take_events(self, frame: Frame) -> Events:
-        if self._epoch is None or self._near_us is None:
+        if self._epoch is None or self.now_us is None:
             self._count(before_epoch=1)
             return empty_events()
         unpack = unpack_fd_events if frame.fd else unpack_events
-        unpacked = unpack(frame.data, self._tick_us, self._near_us)
+        unpacked = unpack(frame.data, self._tick_us, self.now_us)
         if self._last == (unpacked.seq, frame.data):
             self._count(repeated=1)
             return empty_events()
@@ -271,7 +266,7 @@ class RawReceiver:
             self._count(gaps=1)
         self._last = unpacked.seq, frame.data
         if len(unpacked.events):
-            self._near_us = int(unpacked.events["t"][-1])
+            self.now_us = int(unpacked.events["t"][-1])
         self._since_epoch += len(unpacked.events)
         self._count(events=len(unpacked.events), before_clock=int(not self._clocked))
         return unpacked.events

@@ -197,21 +197,11 @@ class Decoder:
         self._columns, self._rows = (size[1], size[0]) if turned else size
         self._turned = turned
         self._odd = b""
-        self._time_us = 0
-        self._row = 0
+        self.time_us = 0  # of the last timestamp or wrap
+        self.row = 0  # of the last row word
         self._frames = FrameReader(turned)
         self._imu = ImuReader()
         self.faults = WordFaults()
-
-    @property
-    def time_us(self) -> int:
-        """Device time of the last timestamp or wrap."""
-        return self._time_us
-
-    @property
-    def row(self) -> int:
-        """Address of the last row word."""
-        return self._row
 
     @property
     def frames_incomplete(self) -> int:
@@ -256,7 +246,7 @@ class Decoder:
         if len(seldom):
             frames.extend(self._frames.feed(seldom, seldom_us))
             imu.append(self._imu.feed(seldom, seldom_us))
-        self._time_us, self._row = int(time_us[-1]), int(rows[-1])
+        self.time_us, self.row = int(time_us[-1]), int(rows[-1])
         return len(at), specials
 
     def _columns_in(self, words: Words) -> tuple[Index, Words]:
@@ -278,7 +268,7 @@ class Decoder:
             self.faults += WordFaults(row_outside=_count(outside))
             good[np.flatnonzero(good)[outside]] = False
             rows = rows[~outside]
-        return np.cumsum(good), np.concatenate([np.array([self._row], WORD), rows])
+        return np.cumsum(good), np.concatenate([np.array([self.row], WORD), rows])
 
     def _timeline(self, words: Words, rare: Index) -> tuple[Index, Index]:
         """Return for each word the index of the time in force, and those times (us), first that of the last piece."""
@@ -288,13 +278,13 @@ class Decoder:
         moves[turns] = True
         stamps = np.compress(moves, words)
         time_us = np.empty(len(stamps) + 1, np.int64)
-        time_us[0] = self._time_us
+        time_us[0] = self.time_us
         if len(turns):
             time_us[1:] = np.where(stamps >= TIMESTAMP, stamps & LOW_BITS, 0)
             time_us[1:] += self._bases(stamps)
         else:
             time_us[1:] = stamps & LOW_BITS
-            time_us[1:] += self._time_us >> WRAP_BITS << WRAP_BITS
+            time_us[1:] += self.time_us >> WRAP_BITS << WRAP_BITS
         steady = time_us[1:] > time_us[:-1]
         if not steady.all():
             self.faults += WordFaults(time_not_increasing=_count(~steady & (stamps != _TIME_RESET)))
@@ -304,7 +294,7 @@ class Decoder:
         """Return the multiple of 32768 us in force at each timestamp, wrap or reset, itself included."""
         reset = stamps == _TIME_RESET
         steps = np.where(stamps & KIND == WRAP, stamps & MAX_STEPS, 0)
-        total = np.cumsum(steps, dtype=np.int64) + (self._time_us >> WRAP_BITS)
+        total = np.cumsum(steps, dtype=np.int64) + (self.time_us >> WRAP_BITS)
         total -= np.maximum.accumulate(np.where(reset, total, 0))
         base: Index = total << WRAP_BITS
         return base

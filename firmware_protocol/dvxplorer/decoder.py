@@ -64,7 +64,6 @@ _KIND, _RESET = KIND, 1
 
 _INPUT_MARKS = (2, 3, 4, 16, 17)
 _KNOWN_SPECIALS = (1, *_INPUT_MARKS, 5, 7)
-_MISC10 = 0x6000
 
 
 @entry

@@ -211,8 +211,6 @@ _KIND_OF_CODE[Special.INPUT_PULSE] = EdgeKind.PULSE
 _KIND_OF_CODE[Special.GENERATOR_FALLING] = GENERATOR_FALLING
 _KIND_OF_CODE[Special.GENERATOR_RISING] = GENERATOR_RISING
 
-Times = npt.NDArray[np.int64]
-
 
 def no_marks(n: int = 0) -> Marks:
     """Return an array of `n` zeroed marks."""

@@ -57,7 +57,6 @@ CHIPS: Mapping[tuple[int, int], str] = {
 }
 """jAER's class of a chip, by (width, height)."""
 
-LIMIT_PX = (1 << 10, 1 << 9)
 _RECORD = np.dtype([("address", ">u4"), ("t", ">i4")])
 _PINS = {EdgeKind.FALLING: 2, EdgeKind.RISING: 3, EdgeKind.PULSE: 4}
 _EXTERNAL = 1 << 10

@@ -35,7 +35,7 @@ class ControlSockets:
     """
 
     def __init__(self, host: str, port: int, allow: Iterable[str]) -> None:
-        self._host, self._port = host, port
+        self._host, self.port = host, port
         self._allow = AllowList(allow)
         self._sockets: list[socket.socket] = []
         self.refused = 0
@@ -43,19 +43,14 @@ class ControlSockets:
     def open(self) -> None:
         """Open the sockets; raises OSError, with the remedy, if another program uses the port."""
         try:
-            self._sockets.append(_bound(self._host, self._port, shared=False))
-            self._port = self._sockets[0].getsockname()[1]
-            self._sockets.append(_bound(_BROADCAST, self._port, shared=True))
+            self._sockets.append(_bound(self._host, self.port, shared=False))
+            self.port = self._sockets[0].getsockname()[1]
+            self._sockets.append(_bound(_BROADCAST, self.port, shared=True))
         except OSError as error:
             self.close()
-            failure = f"cannot listen on {self._host} port {self._port} (UDP): {error.strerror}"
+            failure = f"cannot listen on {self._host} port {self.port} (UDP): {error.strerror}"
             cure = "another camera may be there: give this one an address of its own, such as 127.0.0.2"
             raise OSError(error.errno, f"{failure}; {cure}") from error
-
-    @property
-    def port(self) -> int:
-        """Port at which hosts find the camera."""
-        return self._port
 
     @property
     def descriptors(self) -> list[int]:

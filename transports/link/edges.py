@@ -150,17 +150,12 @@ class PeriodicEdges:
         self._period_us = period_us
         self._timing = timing
         self._number = 0
-        self._next_us = self._time_us(0)
+        self.next_us = self._time_us(0)
 
     @property
     def refused(self) -> int:
         """Number of refused edges: always 0, because this source has no queue."""
         return 0
-
-    @property
-    def next_us(self) -> int:
-        """Stream time of the next edge."""
-        return self._next_us
 
     def _time_us(self, after_us: int) -> int:
         at_ns = (self._number + 1) * self._period_us * 1000
@@ -168,13 +163,13 @@ class PeriodicEdges:
 
     def take(self, until_us: int) -> Edges:
         """Return the edges up to `until_us` that have not been taken, (n,) EDGE in time order."""
-        if self._next_us > until_us:
+        if self.next_us > until_us:
             return empty_edges()
         edges = [empty_edges()]
-        while self._next_us <= until_us:
-            edges.append(self._timing.edge(self._next_us, self._number))
+        while self.next_us <= until_us:
+            edges.append(self._timing.edge(self.next_us, self._number))
             self._number += 1
-            self._next_us = self._time_us(self._next_us)
+            self.next_us = self._time_us(self.next_us)
         return np.concatenate(edges)
 
 

@@ -69,7 +69,7 @@ class BaudClock:
         self._start_ns = 0
         self._sent = 0  # bytes since _start_ns
         self._began_ns: int | None = None
-        self._carried = 0
+        self.carried = 0  # bytes that have left
         self._second = 0
         self._in_second = 0
         self._busiest = 0
@@ -80,11 +80,6 @@ class BaudClock:
         return self._baud2 / self._half_bits
 
     @property
-    def carried(self) -> int:
-        """Number of bytes that have left."""
-        return self._carried
-
-    @property
     def busiest_share(self) -> float:
         """Share of the line's time in the busiest whole second, 0 to 1."""
         return min(1.0, self._busiest / self.bytes_per_s)
@@ -93,7 +88,7 @@ class BaudClock:
         """Share of the line's time used since the first byte, 0 to 1."""
         if self._began_ns is None or now_ns <= self._began_ns:
             return 0.0
-        return min(1.0, self._carried / self.bytes_per_s / ((now_ns - self._began_ns) * 1e-9))
+        return min(1.0, self.carried / self.bytes_per_s / ((now_ns - self._began_ns) * 1e-9))
 
     def free_ns(self) -> int:
         """Time at which the line is free for the next byte."""
@@ -114,7 +109,7 @@ class BaudClock:
         if self._began_ns is None:
             self._began_ns = self.free_ns()
         self._sent += count
-        self._carried += count
+        self.carried += count
         second = now_ns // 1_000_000_000
         if second != self._second:
             self._second, self._in_second = second, 0
@@ -164,13 +159,8 @@ class Transmitter(Generic[_Tag]):
         self._ahead_ns = ahead_ns
         self._frames: deque[Frame[_Tag]] = deque()
         self._gone = 0  # bytes of the first frame that have left
-        self._waiting = 0
+        self.waiting = 0  # bytes that have been pulled and not sent
         self.held = 0
-
-    @property
-    def waiting(self) -> int:
-        """Number of bytes that have been pulled and not sent."""
-        return self._waiting
 
     @property
     def begun(self) -> bytes:
@@ -195,17 +185,17 @@ class Transmitter(Generic[_Tag]):
         """Discard all frames, including the one on the line, and return their tags."""
         tags = [frame.tag for frame in self._frames]
         self._frames.clear()
-        self._gone = self._waiting = 0
+        self._gone = self.waiting = 0
         return tags
 
     def _fill(self, now_ns: int) -> bool:
         """Pull until the line has enough for the next time; return True if there is anything to send."""
-        while self._clock.free_ns() + self._clock.duration_ns(self._waiting) < now_ns + self._ahead_ns:
+        while self._clock.free_ns() + self._clock.duration_ns(self.waiting) < now_ns + self._ahead_ns:
             frame = self._pull()
             if frame is None:
                 break
             self._frames.append(frame)
-            self._waiting += len(frame.data)
+            self.waiting += len(frame.data)
         if not self._frames:
             self._clock.restart(now_ns)
         return bool(self._frames)
@@ -215,7 +205,7 @@ class Transmitter(Generic[_Tag]):
         data = self._next_bytes(due)
         taken = write(data)
         self._clock.leave(taken, now_ns)
-        self._waiting -= taken
+        self.waiting -= taken
         self._gone += taken
         while self._frames and self._gone >= len(self._frames[0].data):
             frame = self._frames.popleft()

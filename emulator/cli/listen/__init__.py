@@ -77,15 +77,6 @@ class Source(Generic[_R]):
     gone: str = ""
 
 
-@contextmanager
-def lacking(*errors: type[Exception]) -> Iterator[None]:
-    """Turn errors of a transport into a Failure with the exit code of a missing requirement."""
-    try:
-        yield
-    except errors as error:
-        raise Failure(str(error), LACKING) from error
-
-
 def listen_to(source: Source[Any], limits: Limits, *, json: bool) -> int:
     """Receive until a limit, Ctrl-C or the end of the other side; print the summary and return the exit code."""
     goes_on = _until(limits)

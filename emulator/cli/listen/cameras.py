@@ -8,8 +8,8 @@ from typing import Annotated
 from cyclopts import App, Parameter
 
 from emulator.cli.checks import parsed_address
-from emulator.cli.listen import Limits, Source, lacking, listen_to
-from emulator.cli.output import WRONG_USE, Failure, Json, status
+from emulator.cli.listen import Limits, Source, listen_to
+from emulator.cli.output import LACKING, WRONG_USE, Failure, Json, failing, status
 from emulator.rig.kinds import LINKS
 from firmware_protocol.gige.gvcp import GVCP_PORT
 from firmware_protocol.gige.gvsp import LEAST_PACKET, MOST_PACKET
@@ -43,12 +43,12 @@ def listen(
         Limits of the reception, and the file for the received events.
     """
     limits.check()
-    with lacking(UsbHostError):
+    with failing(LACKING, UsbHostError):
         if usbip is None:
             host: UsbHost = first_on_the_bus()
         else:
             host = UsbipHost.attach(*parsed_address("--usbip", usbip), busid, timeout_s=5.0)
-    with lacking(UsbHostError), closing(driver_of(host)) as camera:
+    with failing(LACKING, UsbHostError), closing(driver_of(host)) as camera:
         status.print(f"{camera.model} serial {camera.info.serial}, {camera.info.size[0]}x{camera.info.size[1]} pixels")
 
         def summary(reception: CameraReception) -> list[str]:
@@ -87,7 +87,7 @@ def gige(
         raise Failure(f"--packet-size must be even, {LEAST_PACKET} to {MOST_PACKET}, got {packet_size}", WRONG_USE)
     host, port = parsed_address("AT", at if ":" in at else f"{at}:{GVCP_PORT}")
     clock = MonotonicClock()
-    with lacking(GigeHostError), closing(GigeHost(host, port, now_ns=clock.now_ns)) as camera:
+    with failing(LACKING, GigeHostError), closing(GigeHost(host, port, now_ns=clock.now_ns)) as camera:
         about = camera.identity
         status.print(f"{about.manufacturer} {about.model} serial {about.serial}")
 

@@ -11,8 +11,8 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from emulator.cli.checks import failures, prepared
-from emulator.cli.listen import Limits, Source, lacking, listen_to
-from emulator.cli.output import GOOD, WRONG_USE, Failure, Json, console, status
+from emulator.cli.listen import Limits, Source, listen_to
+from emulator.cli.output import GOOD, LACKING, WRONG_USE, Failure, Json, console, failing, status
 from emulator.cli.run_summary import quantile_text
 from emulator.rig.loading import Rig, load_rig
 from emulator.run.kernels import DECODER
@@ -62,7 +62,7 @@ def can(
     status.print(f"CAN bus {parameters.channel} by {parameters.interface}, {parameters.bitrate} bit/s")
 
     def receive(goes_on: Callable[[CanReception], bool], recorder: Recorder | None) -> CanReception:
-        with lacking(BusDown):
+        with failing(LACKING, BusDown):
             return asyncio.run(listen_can(parameters, goes_on, MonotonicClock(), recorder))
 
     return listen_to(Source(receive, _summary, _GONE), limits, json=json)
@@ -101,10 +101,8 @@ def dbc(
     if output is None:
         console.print(text, end="", markup=False)
         return GOOD
-    try:
+    with failing(WRONG_USE, OSError, at=str(output)):
         output.write_text(text, encoding="ascii")
-    except OSError as error:
-        raise Failure(f"{output}: {error.strerror}", WRONG_USE) from error
     return GOOD
 
 

@@ -11,8 +11,8 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from emulator.cli.checks import parsed_address, prepared
-from emulator.cli.listen import Limits, Source, lacking, listen_to
-from emulator.cli.output import WRONG_USE, Failure, Flag, Json, status
+from emulator.cli.listen import Limits, Source, listen_to
+from emulator.cli.output import LACKING, WRONG_USE, Failure, Flag, Json, failing, status
 from emulator.cli.run_summary import quantile_text
 from emulator.run.kernels import DECODER
 from firmware_protocol.packets.telecommands import (
@@ -135,16 +135,14 @@ def serial(
         Limits of the reception, and the file for the received events.
     """
     limits.check()
-    try:
+    with failing(WRONG_USE, ValueError):
         parameters = SerialLink(port=port, **dataclasses.asdict(line))
         telecommands = orders.telecommands()
-    except ValueError as error:
-        raise Failure(str(error), WRONG_USE) from error
     if port == "pty":
         raise Failure("give the path that `evstim run` prints: a receiver does not make a pty", WRONG_USE)
 
     def receive(goes_on: _GoesOn, recorder: Recorder | None) -> InstrumentReception:
-        with lacking(OSError):
+        with failing(LACKING, OSError):
             return listen_serial(parameters, _with_answers(goes_on), MonotonicClock(), recorder, telecommands)
 
     prepared([DECODER])
@@ -179,14 +177,12 @@ def udp(
     limits.check()
     host, port = parsed_address("AT", at)
     ports = Ports(host, port, *parsed_address("--camera", camera), allow)
-    try:
+    with failing(WRONG_USE, ValueError):
         check_allow(host, allow, "HOST")
         telecommands = orders.telecommands()
-    except ValueError as error:
-        raise Failure(str(error), WRONG_USE) from error
 
     def receive(goes_on: _GoesOn, recorder: Recorder | None) -> InstrumentReception:
-        with lacking(OSError):
+        with failing(LACKING, OSError):
             return listen_udp(ports, _with_answers(goes_on), MonotonicClock(), recorder, telecommands)
 
     prepared([DECODER])

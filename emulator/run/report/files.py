@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from emulator.light import Light, Scene
+from emulator.light import Scene
 from emulator.report.charts import printable
 from emulator.report.document import Column, Document, Section, signature, swatch_legend
 from emulator.report.page import write_json
 from emulator.rig.loading import Rig
-from emulator.run.outcome import Judgement, RunResult, RunStatus, judge, undersampled_advice, undersampled_text
+from emulator.run.outcome import Judgement, RunResult, judge, undersampled_advice, undersampled_text
 from emulator.run.report.content import (
     SCHEMA,
     Circumstances,
@@ -45,7 +45,6 @@ from emulator.run.report.figures import (
 )
 from emulator.run.report.modelled import modelled
 from emulator.run.report.observation import Observation
-from firmware_protocol.events import Events
 
 _MOST_FILE_CHARACTERS = 30_000
 _LEAST_SHARE = 1e-9
@@ -99,7 +98,7 @@ class RunReporter:
     def __init__(self, rig: Rig, folder: Path) -> None:
         self.folder = folder
         self._rig = rig
-        self._seen = Observation(rig.camera.size)
+        self.seen = Observation(rig.camera.size)
         began = datetime.now(UTC)
         self._circumstances = Circumstances(began)
         folder.mkdir(parents=True, exist_ok=True)
@@ -109,19 +108,11 @@ class RunReporter:
         """Record what the run models, before it begins; raises SceneError."""
         self._circumstances = replace(self._circumstances, modelled=modelled(self._rig, scene, is_driven=is_driven))
 
-    def take(self, events: Events, light: Light, t_us: int) -> None:
-        """Count the events of a step, which ends at `t_us` with this light, and sometimes take a picture."""
-        self._seen.take(events, light, t_us)
-
-    def renew(self, status: RunStatus) -> None:
-        """Record the state of the run."""
-        self._seen.renew(status)
-
     def write(self, result: RunResult, summary: Mapping[str, Any], truth_trouble: str = "") -> Path:
         """Write the report and return its page; a `truth_trouble` makes the run bad. Raises OSError."""
         judgements = judge(self._rig.verdict, result)
         circumstances = replace(self._circumstances, ended=datetime.now(UTC), truth_trouble=truth_trouble)
-        content = ReportContent(self._rig, result, self._seen, judgements, summary, version("evstim"), circumstances)
+        content = ReportContent(self._rig, result, self.seen, judgements, summary, version("evstim"), circumstances)
         return write_report(content, self.folder)[0]
 
 

@@ -78,6 +78,8 @@ class _Board(NamedTuple):
 class Checkerboard(Scene):
     """The board of `parameters` on light frames of `size` = (width, height) pixels."""
 
+    has_rate = True
+
     def __init__(self, parameters: CheckerboardParameters, size: tuple[int, int]) -> None:
         if min(size) < 1:
             raise ValueError(f"size is {size[0]} x {size[1]}: a light frame needs at least one pixel")
@@ -131,11 +133,6 @@ class Checkerboard(Scene):
             _outer(along_x, along_y * self._half, self._middle, out)
         else:
             _turned(board, out)
-
-    @property
-    def has_rate(self) -> bool:
-        """True: the light is in closed form."""
-        return True
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light at `t_ns` and its time derivative, per second, both in closed form."""

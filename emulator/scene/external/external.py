@@ -227,6 +227,8 @@ class External(Scene):
     threads : number of threads that draw; 0: by the machine.
     """
 
+    has_rate = True
+
     def __init__(self, images: ImageQueue, pinhole: Pinhole, white_w_m2_sr: float, threads: int = 0) -> None:
         self._pinhole, self._images = pinhole, images
         self._joined = Joined(pinhole.size, white_w_m2_sr, threads)
@@ -259,11 +261,6 @@ class External(Scene):
         """Write the light at `t_ns`; raises SceneError."""
         self._joined.write(self._images.around(t_ns), t_ns, out)
 
-    @property
-    def has_rate(self) -> bool:
-        """True: the light between two images is in closed form."""
-        return True
-
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light at `t_ns` and its time derivative; raises SceneError."""
         self._joined.write(self._images.around(t_ns), t_ns, light, rate)
@@ -286,27 +283,17 @@ class ExternalOnPath(External):
         self, images: ImageQueue, pinhole: Pinhole, p: ExternalParameters, path: Trajectory, threads: int = 0
     ) -> None:
         super().__init__(images, pinhole, p.white_w_m2_sr, threads)
-        self._path, self._time = path, Timescale(p.time_scale)
-
-    @property
-    def camera_path(self) -> Trajectory:
-        """The camera's path, on the scene's time."""
-        return self._path
-
-    @property
-    def path_time(self) -> Timescale:
-        """Stream time to scene time."""
-        return self._time
+        self.camera_path, self.path_time = path, Timescale(p.time_scale)
 
     @property
     def counts(self) -> Mapping[str, int]:
         """Images received, and poses where the path is live."""
-        return {**super().counts, **live_counts(self._path)}
+        return {**super().counts, **live_counts(self.camera_path)}
 
     def close(self) -> None:
         """End the connection and the threads, and close the port of a live path."""
         super().close()
-        close_receivers(self._path)
+        close_receivers(self.camera_path)
 
 
 def open_external(p: ExternalParameters, pinhole: Pinhole, threads: int = 0) -> External:

@@ -113,18 +113,20 @@ class StarField(Scene):
         A path cannot be used.
     """
 
+    has_rate = True
+
     def __init__(self, parameters: StarsParameters, size: tuple[int, int], lens: LensParameters, chip: Chip) -> None:
         self._p = parameters
         self._size, self._lens = size, lens
         self._pinhole = lens.pinhole(size)
         self._sigma_px = max(_SHARPEST_PX, lens.blur_sigma_px(chip, self._pinhole.focal_px))
         self._bend = Distortion.of(lens)
-        self._time = Timescale(parameters.time_scale)
+        self.path_time = Timescale(parameters.time_scale)
         try:
             paths = build_trajectories([parameters.camera, *(point.path for point in parameters.points)])
         except (TrajectoryError, OSError) as error:
             raise SceneError(f"scene: {error}") from error
-        self._camera = paths[0]
+        self.camera_path = paths[0]
         self._paths: Sequence[Trajectory] = paths[1:]
         stars = stars_of(parameters)
         self._directions = stars.directions
@@ -142,43 +144,28 @@ class StarField(Scene):
         return self._size
 
     @property
-    def camera_path(self) -> Trajectory:
-        """The camera's path, on the scene's time."""
-        return self._camera
-
-    @property
-    def path_time(self) -> Timescale:
-        """Stream time to scene time."""
-        return self._time
-
-    @property
     def motion_bound_px_s(self) -> float:
         """Bound from the camera's turning; infinite where points or live poses move."""
         if self._paths or isinstance(self._p.camera, LivePath | BasiliskPath):
             return math.inf
         stretch = 1 + math.tan(self._pinhole.widest_rad) ** 2
-        return self._camera.turn_bound_rad_s * self._time.factor * self._pinhole.focal_px * stretch
+        return self.camera_path.turn_bound_rad_s * self.path_time.factor * self._pinhole.focal_px * stretch
 
     @property
     def counts(self) -> Mapping[str, int]:
         """Counts of poses received from outside."""
-        return live_counts(self._camera, *self._paths)
+        return live_counts(self.camera_path, *self._paths)
 
     def geometry(self, rays: Rays | None = None) -> StarsGeometry:
         """Return the flow of the sky, with the positions of the moving points."""
         if rays is None:
             columns, rows = straight_columns_and_rows(self._bend, self._pinhole)
             rays = bent_rays(self._bend, columns, rows, self._pinhole)
-        return StarsGeometry(Sky(self._camera, self._paths, self._time), self._pinhole, self._sigma_px, rays)
+        return StarsGeometry(Sky(self.camera_path, self._paths, self.path_time), self._pinhole, self._sigma_px, rays)
 
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at `t_ns`."""
         self._draw(t_ns, out, _NO_RATE)
-
-    @property
-    def has_rate(self) -> bool:
-        """True: the light is in closed form."""
-        return True
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light and its time derivative, both in closed form."""
@@ -191,14 +178,14 @@ class StarField(Scene):
 
     def stars_at(self, t_ns: int) -> tuple[Floats, Floats]:
         """Return columns and rows, (n, 2), and magnitudes, (n,), of the stars in or near the light frame of `t_ns`."""
-        camera = self._camera.pose(self._time.scene_ns(t_ns))
+        camera = self.camera_path.pose(self.path_time.scene_ns(t_ns))
         in_view = self._near(camera)
         seen = self._seen(self._directions[in_view], camera)
         return np.array(self._size) / 2 + self._pinhole.focal_px * seen[:, :2], self._magnitudes[in_view]
 
     def close(self) -> None:
         """Close the sockets of live poses."""
-        close_receivers(self._camera, *self._paths)
+        close_receivers(self.camera_path, *self._paths)
 
     def _draw(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write light and rate: only the boxes of points, if they are the arrays of the last call."""
@@ -220,8 +207,8 @@ class StarField(Scene):
 
         They come from two instants, before and after: the mean is the position, the difference the speed.
         """
-        before_ns, after_ns = (self._time.scene_ns(t_ns + d) for d in (-_APART_NS, _APART_NS))
-        before, after = self._camera.pose(before_ns), self._camera.pose(after_ns)
+        before_ns, after_ns = (self.path_time.scene_ns(t_ns + d) for d in (-_APART_NS, _APART_NS))
+        before, after = self.camera_path.pose(before_ns), self.camera_path.pose(after_ns)
         stars = self._near(before)
         moving_before, shine = self._moving(before_ns, before)
         moving_after, _ = self._moving(after_ns, after)

@@ -146,6 +146,8 @@ class RasterTerrain(WorldScene[TerrainWorld]):
     threads : number of threads that draw; the light frames are the same to the last bit.
     """
 
+    has_rate = True
+
     def __init__(self, parameters: TerrainParameters, pinhole: Pinhole, threads: int = 1) -> None:
         world = TerrainWorld(parameters, pinhole)
         super().__init__(world)
@@ -183,11 +185,6 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         self._frame_ns: int | None = None
 
     @property
-    def facets_drawn(self) -> int:
-        """Number of facets in the last light frame."""
-        return len(self._renderer.topology.faces)
-
-    @property
     def changed(self) -> Region | None:
         """The part of the last light frame that may differ from the one before it in the same arrays."""
         return self._changed
@@ -205,11 +202,6 @@ class RasterTerrain(WorldScene[TerrainWorld]):
     def light(self, t_ns: int, out: Light) -> None:
         """Write the radiance at `t_ns` into `out`, (height, width) float32; raises SceneError below the ground."""
         self._draw(t_ns, out, self._spare, with_rate=False)
-
-    @property
-    def has_rate(self) -> bool:
-        """True: that of the light of the fine map, as footprints move over it."""
-        return True
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the radiance at `t_ns` and its rate, a second, both (height, width) float32."""

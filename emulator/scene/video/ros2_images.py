@@ -21,7 +21,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -197,23 +197,11 @@ ROS2_IMAGES = SceneKind(
 )
 
 
-class ImageSource(Protocol):
-    """Source of messages."""
-
-    def take(self) -> list[Message]:
-        """Return the messages received so far, without waiting."""
-        ...
-
-    def close(self) -> None:
-        """Leave the topic."""
-        ...
-
-
 class Ros2Images(JoinedFrames):
     """The images of `source` on a sensor of `size` = (width, height); `clock` is the wall's, ns."""
 
     def __init__(
-        self, parameters: Ros2ImageParameters, size: tuple[int, int], source: ImageSource,
+        self, parameters: Ros2ImageParameters, size: tuple[int, int], source: _Topic,
         clock: Callable[[], int] = time.time_ns,
     ) -> None:  # fmt: skip
         super().__init__(size)
@@ -292,9 +280,11 @@ class _Topic:
         return self._reader.writers
 
     def take(self) -> list[Message]:
+        """Return the messages received so far, without waiting."""
         return self._reader.take()
 
     def close(self) -> None:
+        """Leave the topic."""
         self._reader.close()
         self._participant.close()
 

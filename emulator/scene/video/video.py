@@ -263,6 +263,9 @@ class Around:
 class JoinedFrames(Scene):
     """Frames with times on a sensor of `size` = (width, height), joined by straight lines in log light."""
 
+    motion_bound_px_s = math.inf
+    has_rate = True
+
     def __init__(self, size: tuple[int, int]) -> None:
         self._size = size
 
@@ -275,19 +278,9 @@ class JoinedFrames(Scene):
         """(width, height) in pixels."""
         return self._size
 
-    @property
-    def motion_bound_px_s(self) -> float:
-        """Infinite: frames carry no motion bound."""
-        return math.inf
-
     def light(self, t_ns: int, out: Light) -> None:
         """Write the light at `t_ns`."""
         self._around(t_ns).light(out)
-
-    @property
-    def has_rate(self) -> bool:
-        """True: the light between two frames is in closed form."""
-        return True
 
     def light_and_rate(self, t_ns: int, light: Light, rate: Light) -> None:
         """Write the light and its time derivative, both exact for a straight line in log."""

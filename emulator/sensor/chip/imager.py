@@ -40,7 +40,6 @@ _ARRAY_SHARE = 0.01  # of the dark current, given to the array when counting can
 _ZERO, _ONE, _HALF = (np.float32(x) for x in (0, 1, 0.5))
 
 _Float32s = npt.NDArray[np.float32]
-_Floats = npt.NDArray[np.float64]
 
 
 class _Pattern(NamedTuple):

@@ -6,8 +6,8 @@ import signal
 
 import pytest
 
-from emulator.cli.listen import Limits, Source, lacking, listen_to
-from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure
+from emulator.cli.listen import Limits, Source, listen_to
+from emulator.cli.output import BAD_VERDICT, GOOD, LACKING, Failure, failing
 from transports.usb.cameras import CameraReception
 
 NO_LIMITS = Limits()
@@ -81,8 +81,8 @@ def test_a_record_that_cannot_be_written_is_refused_before_the_reception(tmp_pat
 
 
 def test_errors_of_a_transport_get_the_exit_code_of_a_missing_requirement():
-    with pytest.raises(Failure, match="no port") as failure, lacking(OSError):
+    with pytest.raises(Failure, match="no port") as failure, failing(LACKING, OSError):
         raise OSError("no port")
     assert failure.value.exit_code == LACKING
-    with pytest.raises(ValueError, match="other"), lacking(OSError):
+    with pytest.raises(ValueError, match="other"), failing(LACKING, OSError):
         raise ValueError("other")

@@ -188,7 +188,7 @@ class PortPipe:
 
 
 class Port:
-    """A port of a device with these descriptors; see `Function`."""
+    """A port of a device with these descriptors; see `FunctionFiles`."""
 
     def __init__(self, descriptors: DescriptorSet) -> None:
         self.descriptors = descriptors

@@ -2,15 +2,25 @@
 
 import socket
 import struct
+import time
 
 from firmware_protocol.usb.device import SetupPacket
-from firmware_protocol.usb.usbip import ImportRequest, Submit
-from transports.usb.usbip.client import UsbipHost
+from firmware_protocol.usb.usbip import DeviceListRequest, DeviceRecord, ImportRequest, Submit
+from transports.usb.usbip.client import UsbipHost, Wire, connect
 
 GET_DEVICE = SetupPacket(0x80, 0x06, 0x0100, 0, 18)
 SET_REGISTER = SetupPacket(0x40, 0xBF, 6, 0, 4)
 IMPORT_REPLY_BYTES = 320
 HEADER = 48
+
+
+def list_devices(port: int) -> tuple[DeviceRecord, ...]:
+    """Return the devices that a server on this machine offers."""
+    wire = Wire(connect("127.0.0.1", port, 120.0))
+    wire.send(bytes(DeviceListRequest()))
+    reply = wire.receive(time.monotonic() + 120.0)
+    wire.close()
+    return reply.devices
 
 
 def read(sock: socket.socket, n: int) -> bytes:

@@ -19,7 +19,7 @@ from firmware_protocol.usb.usbip import (
     Unlinked,
 )
 from transports.usb.host import DeviceAbsent, DeviceBusy, PeerBroken, PeerGone, TransferTimeout
-from transports.usb.usbip.client import UsbipHost, list_devices
+from transports.usb.usbip.client import UsbipHost
 
 RECORD = DeviceRecord("1-1", 1, 2, Identity(0x152A, 0x841A, 0x0206, Speed.SUPER))
 IMPORTED = bytes(ImportReply(OpStatus.OK, RECORD))
@@ -163,10 +163,4 @@ def test_no_server_at_the_address():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     with pytest.raises(PeerGone, match="is the emulator running"):
-        list_devices(port=port)
-
-
-@pytest.mark.socket
-def test_server_that_does_not_list():
-    with socket.create_server(("127.0.0.1", 0)) as listener, pytest.raises(TransferTimeout, match="within"):
-        list_devices(port=listener.getsockname()[1], timeout_s=0.05)
+        UsbipHost.attach(port=port)

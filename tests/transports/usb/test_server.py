@@ -6,8 +6,9 @@ import pytest
 import usbip as other
 
 from firmware_protocol.usb.device import SetupPacket
+from tests.transports.usb.raw_host import list_devices
 from transports.usb.host import DeviceAbsent, DeviceBusy, StallError
-from transports.usb.usbip.client import UsbipHost, list_devices
+from transports.usb.usbip.client import UsbipHost
 
 pytestmark = pytest.mark.socket
 
@@ -25,7 +26,7 @@ def host(request, served):
 
 def test_lists_every_device(bench, new_device):
     bench.start({"1-1": new_device(), "2-3": new_device()})
-    records = list_devices(port=bench.server.port, timeout_s=120)
+    records = list_devices(bench.server.port)
     assert [(r.busid, r.busnum, r.devnum) for r in records] == [("1-1", 1, 2), ("2-3", 2, 4)]
     assert records[0].identity == new_device().identity
 

@@ -44,7 +44,7 @@ from typing import ParamSpec
 from firmware_protocol.usb.control import Feature, Recipient, StandardRequest
 from firmware_protocol.usb.device import NotReady, SetupPacket, Stall, Transfer, UsbDevice
 from firmware_protocol.usb.functionfs import EventKind
-from transports.usb.functionfs.files import ControlPipe, DataPipe, Function
+from transports.usb.functionfs.files import ControlFile, EndpointFile, FunctionFiles
 
 log = logging.getLogger(__name__)
 
@@ -74,7 +74,7 @@ class Sent:
 class ControlThread(threading.Thread):
     """Thread for endpoint 0: `post` receives each Request, which must be answered, and each event of the port."""
 
-    def __init__(self, pipe: ControlPipe, post: Callable[[Request | EventKind], None]) -> None:
+    def __init__(self, pipe: ControlFile, post: Callable[[Request | EventKind], None]) -> None:
         super().__init__(name="usb gadget ep0", daemon=True)
         self._pipe = pipe
         self._post = post
@@ -133,7 +133,7 @@ class InThread(threading.Thread):
         Called in this thread at each transfer's end: with None, or with the error that ended it.
     """
 
-    def __init__(self, pipe: DataPipe, done: Callable[[InThread, OSError | None], None]) -> None:
+    def __init__(self, pipe: EndpointFile, done: Callable[[InThread, OSError | None], None]) -> None:
         super().__init__(name=f"usb gadget IN {pipe.number}", daemon=True)
         self.pipe = pipe
         self._done = done
@@ -179,7 +179,7 @@ class InThread(threading.Thread):
 class OutThread(threading.Thread):
     """Thread that receives transfers from the host: `post` gets each as a Sent, which must be answered."""
 
-    def __init__(self, pipe: DataPipe, post: Callable[[Sent], None]) -> None:
+    def __init__(self, pipe: EndpointFile, post: Callable[[Sent], None]) -> None:
         super().__init__(name=f"usb gadget OUT {pipe.number}", daemon=True)
         self._pipe = pipe
         self._post = post
@@ -251,7 +251,7 @@ class Cable:
         Function that is called before a request is processed.
     """
 
-    def __init__(self, device: UsbDevice, function: Function, grace_s: float = _GRACE_S) -> None:
+    def __init__(self, device: UsbDevice, function: FunctionFiles, grace_s: float = _GRACE_S) -> None:
         self._device = device
         self._loop = asyncio.get_running_loop()
         self._grace_s = grace_s
@@ -261,18 +261,14 @@ class Cable:
         # Requests and events of the port that are not processed yet, oldest first.
         self._orders: deque[Request | Sent | EventKind] = deque()
         self._on_the_way: dict[InThread, _InProgress] = {}
-        self._is_attached = self._is_configured = self._is_enabled = self._is_closing = False
+        self._is_attached = self._is_configured = self._is_closing = False
+        self.enabled = False  # True while a host has selected the configuration
         self.attend: Callable[[], None] = lambda: None
-
-    @property
-    def enabled(self) -> bool:
-        """True while a host has selected the configuration."""
-        return self._is_enabled
 
     @property
     def idle(self) -> bool:
         """True when there is no host, and no work left."""
-        return not self._on_the_way and not self._orders and not self._is_enabled
+        return not self._on_the_way and not self._orders and not self.enabled
 
     def start(self) -> None:
         """Start the threads."""
@@ -283,7 +279,7 @@ class Cable:
         """Process the pending requests, and let idle endpoints send the data that the device has now."""
         self._process()
         self._give_up()
-        if self._is_enabled and not self._orders and not self._is_closing:
+        if self.enabled and not self._orders and not self._is_closing:
             for thread in self._ins:
                 if thread not in self._on_the_way:
                     self._carry(thread)
@@ -363,7 +359,7 @@ class Cable:
 
     def _port_changed(self, turn: EventKind) -> bool:
         """Attach or detach a host when no transfer is in progress; those to a lost host have failed."""
-        self._is_enabled = False
+        self.enabled = False
         if self._on_the_way:
             return False
         if turn is not EventKind.ENABLE or self._is_configured:
@@ -371,7 +367,7 @@ class Cable:
         if turn is EventKind.ENABLE:
             self._attach()
             self._device.control(SetupPacket(0, StandardRequest.SET_CONFIGURATION, 1, 0, 0), b"")
-            self._is_enabled = self._is_configured = True
+            self.enabled = self._is_configured = True
             for thread in self._outs:
                 thread.enable()
         return True
@@ -411,7 +407,7 @@ class Cable:
         if error is not None:
             log.debug("endpoint %d: %s", thread.pipe.number, error)
             # The port reports the next host.
-            self._is_enabled &= error.errno not in _NO_HOST
+            self.enabled &= error.errno not in _NO_HOST
         self.pump()
 
     def _give_up(self) -> None:

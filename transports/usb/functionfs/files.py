@@ -11,8 +11,7 @@ Calls go to libc: `os.write` would restart by itself after a signal.
     endpoint            a call in the wrong direction halts it
     ioctl 0x82          the endpoint's descriptor in use (9 bytes), linux/usb/functionfs.h
 
-`ControlPipe` and `DataPipe` are the interfaces of these files: one control pipe, and one pipe for each endpoint. Their
-calls block, so each pipe is used by its own thread.
+Calls of a file block, so each is used by its own thread.
 
 `with_spares` assigns endpoint numbers. Drivers of cameras name endpoints by number, but the USB device controller
 assigns the numbers in the order in which endpoints are declared. Most controllers count 1, 2, 3 ... in each direction.
@@ -35,7 +34,6 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 from firmware_protocol.usb.descriptors import Endpoint, Interface, TransferType
 from firmware_protocol.usb.functionfs import EVENT_BYTES, Event
@@ -82,7 +80,7 @@ def _expected(number: int) -> Iterator[None]:
 
 
 class ControlFile:
-    """Implementation of `ControlPipe`; `fd` is ep0, opened O_NONBLOCK."""
+    """Endpoint 0; `fd` is ep0, opened O_NONBLOCK. Data stages raise OSError when the host aborted the request."""
 
     def __init__(self, fd: int) -> None:
         self._fd = fd
@@ -112,7 +110,7 @@ class ControlFile:
         _write(self._fd, data)
 
     def receive(self, length: int) -> bytes:
-        """Receive the data stage of an OUT request."""
+        """Receive the data stage of an OUT request, or acknowledge one without."""
         return _read(self._fd, length)
 
     def refuse(self, *, is_in: bool) -> None:
@@ -130,7 +128,7 @@ class ControlFile:
 
 
 class EndpointFile:
-    """Implementation of `DataPipe`.
+    """Endpoint other than 0, for one thread's transfers; they raise OSError, InterruptedError after `interrupt`.
 
     Parameters
     ----------
@@ -174,12 +172,15 @@ class EndpointFile:
             return _read(self._fd, most_bytes)
 
     def interrupt(self) -> None:
-        """End the call in which another thread is blocked."""
+        """End the call in which another thread is blocked; a later call is not affected."""
         if (thread := self._thread) is not None:
             signal.pthread_kill(thread, WAKE_SIGNAL)
 
     def halt(self) -> None:
-        """Halt the endpoint by a transfer in the wrong direction, which the kernel answers with EBADMSG."""
+        """Halt the endpoint until the host clears it.
+
+        A transfer in the wrong direction does it, which the kernel answers with EBADMSG.
+        """
         with _expected(errno.EBADMSG):
             if self.is_in:
                 _read(self._fd, 0)
@@ -243,67 +244,6 @@ class FunctionFiles:
         for pipe in self.pipes:
             pipe.close()
         self.control.close()
-
-
-class ControlPipe(Protocol):
-    """Interface of endpoint 0."""
-
-    def next_event(self) -> Event | None:
-        """Wait for the next event; None after `wake`."""
-
-    def wake(self) -> None:
-        """End the wait in `next_event`, from another thread."""
-
-    def send(self, data: bytes) -> None:
-        """Execute the data stage of an IN request; raises OSError when the host aborted it."""
-
-    def receive(self, length: int) -> bytes:
-        """Execute the data stage of an OUT request, or acknowledge one without.
-
-        Raises OSError when the host aborted it.
-        """
-
-    def refuse(self, *, is_in: bool) -> None:
-        """Stall the request, before its data stage; raises OSError when the host aborted it."""
-
-
-class DataPipe(Protocol):
-    """Interface of one endpoint other than 0."""
-
-    @property
-    def number(self) -> int:
-        """Number of the camera's endpoint, without the direction bit."""
-
-    @property
-    def is_in(self) -> bool:
-        """True if data go to the host."""
-
-    def packet_bytes(self) -> int:
-        """Length of a full packet at the current speed."""
-
-    def write(self, data: bytes) -> None:
-        """Send data to the host; returns when it has them. Raises OSError."""
-
-    def read(self, most_bytes: int) -> bytes:
-        """Read one transfer of the host. Raises OSError."""
-
-    def halt(self) -> None:
-        """Halt the endpoint: the host's transfers fail until it clears the halt. Raises OSError."""
-
-    def interrupt(self) -> None:
-        """End the current blocking call of another thread, with InterruptedError; a later call is not affected."""
-
-
-class Function(Protocol):
-    """Interface of a function at a USB device controller."""
-
-    @property
-    def control(self) -> ControlPipe:
-        """Endpoint 0."""
-
-    @property
-    def pipes(self) -> Sequence[DataPipe]:
-        """Other endpoints that the camera uses."""
 
 
 _IN_ORDER = tuple(range(1, 16))

@@ -15,13 +15,10 @@ import contextlib
 import socket
 import time
 from collections import deque
-from types import TracebackType
 from typing import Self
 
 from firmware_protocol.usb.device import Identity, SetupPacket
 from firmware_protocol.usb.usbip import (
-    DeviceListReply,
-    DeviceListRequest,
     DeviceRecord,
     HostParser,
     ImportReply,
@@ -114,21 +111,6 @@ class Wire:
 _FLAG_IN = 0x200
 
 
-def list_devices(host: str = "127.0.0.1", port: int = 3240, timeout_s: float = 5.0) -> tuple[DeviceRecord, ...]:
-    """List what a server offers. Raises PeerGone, PeerBroken, TransferTimeout."""
-    wire = Wire(connect(host, port, timeout_s))
-    try:
-        wire.send(bytes(DeviceListRequest()))
-        reply = wire.receive(_deadline(timeout_s))
-    finally:
-        wire.close()
-    if reply is None:
-        raise TransferTimeout(f"{host}:{port} did not list its devices within {timeout_s:g} s")
-    if not isinstance(reply, DeviceListReply):
-        raise PeerBroken(f"{host}:{port} answered a device list request with {reply}")
-    return reply.devices
-
-
 class UsbipHost:
     """Device attached over USB/IP.
 
@@ -217,9 +199,7 @@ class UsbipHost:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     # Methods for streams.

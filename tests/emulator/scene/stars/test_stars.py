@@ -210,7 +210,7 @@ def test_a_camera_and_a_point_are_flown_over_one_port():
         scene.light(0, light)
         assert light.max() == 0
         for body, place in ((0, (0.0, 0.0, -1e5)), (1, (0.0, 0.0, 9e5)), (2, (0.0, 0.0, 0.0))):
-            sender.sendto(bytes(PoseMessage(NOW, place, still, body)), scene._camera.receiver.address)
+            sender.sendto(bytes(PoseMessage(NOW, place, still, body)), scene.camera_path.receiver.address)
         scene.light(10_000_000, light)
         scene.light(20_000_000, light)
         counts = scene.counts
