@@ -23,6 +23,7 @@ Source of the method: none; that of the crossing: Blinn 1988, Me and my (fake) s
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -58,9 +59,8 @@ _NARROW_PX = 0.5  # penumbras narrower than this are edges
 MARGIN_PX = 24.0  # around the light frame, within which the corners of its facets lie
 _ROWS, _TRIANGLES = 7, 5  # of the parts of a facet, at most
 _POINTS_A_PART = 4000
-_FIRST_FACETS = 64
-_PARTS = 8
-_LAST_SIDES = 4096
+_FACETS_A_PART = 256
+_LAST_SIDES = 1024
 
 
 class Receiver(NamedTuple):
@@ -106,7 +106,7 @@ class Sides(NamedTuple):
 
 
 class _Crossing(NamedTuple):
-    """Places at which an edge crosses a side, shares of it from its sunlit end: lit up to `lit`, dark from `dark` on."""
+    """Places where an edge crosses a side, shares of it from the sunlit end: lit up to `lit`, dark from `dark` on."""
 
     lit: float
     lit_rate: float
@@ -264,9 +264,30 @@ def _cross_once(  # noqa: PLR0913, PLR0917
 
 
 @entry
+def list_crossed(receiver: Receiver, is_hidden: npt.NDArray[np.int8], eye: Floats, crossed: Numbers) -> int:
+    """List facets before the camera of which one or two corners are hidden; return how many.
+
+    Parameters
+    ----------
+    is_hidden : (n,), of each vertex: 1, 0, or -1 where that is not known.
+    crossed : (m,), numbers of facets.
+    """
+    count = 0
+    for f in range(len(receiver.faces)):
+        a = is_hidden[receiver.faces[f, 0]]
+        b = is_hidden[receiver.faces[f, 1]]
+        c = is_hidden[receiver.faces[f, 2]]
+        if min(a, b, c) == 0 and max(a, b, c) == 1 and _faces_eye(receiver, f, eye):
+            crossed[count] = f
+            count += 1
+    return count
+
+
+@entry
 def cut_facets(  # noqa: PLR0913, PLR0917
     tree: TriangleTree,
     receiver: Receiver,
+    crossed: Numbers,
     part: tuple[int, int],
     is_hidden: npt.NDArray[np.int8],
     lights: Lights,
@@ -274,35 +295,26 @@ def cut_facets(  # noqa: PLR0913, PLR0917
     window: Window,
     sides: Sides,
     out: Triangles,
-) -> tuple[int, int]:
-    """Cut facets that a shadow edge crosses, and write the parts; return the numbers of facets and of triangles.
-
-    Facets beyond the room are counted and not cut.
+) -> None:
+    """Cut facets along the shadow edge that crosses them, and write the parts.
 
     Parameters
     ----------
-    part : the first facet, and the one after the last.
-    is_hidden : (n,), of each vertex: 1, 0, or -1 where that is not known.
+    crossed, part : numbers of facets, and the first of them to cut and the one after the last.
+    out : with _ROWS corners and _TRIANGLES triangles for each of `crossed`; `over` of those left out stays as it is.
     """
-    count = number = 0
     sides.ends[:] = -1
-    for f in range(part[0], part[1]):
-        a, b, c = receiver.faces[f, 0], receiver.faces[f, 1], receiver.faces[f, 2]
-        hidden = is_hidden[a] + is_hidden[b] + is_hidden[c]
-        if hidden < 1 or hidden > 2 or min(is_hidden[a], is_hidden[b], is_hidden[c]) < 0:
-            continue
-        if not _faces_eye(receiver, f, window.eye):
-            continue
-        count += 1
-        row, facet = _ROWS * (count - 1), receiver.first_facet + f
-        if row + _ROWS > len(out.places):
-            continue
+    for i in range(part[0], part[1]):
+        f = crossed[i]
+        row = _ROWS * i
+        number = _TRIANGLES * i
+        facet = receiver.first_facet + f
         # Corner o differs from p and q.
-        o, p, q = a, b, c
-        if is_hidden[a] == is_hidden[c]:
-            o, p, q = b, c, a
-        elif is_hidden[a] == is_hidden[b]:
-            o, p, q = c, a, b
+        o, p, q = receiver.faces[f, 0], receiver.faces[f, 1], receiver.faces[f, 2]
+        if is_hidden[o] == is_hidden[q]:
+            o, p, q = p, q, o
+        elif is_hidden[o] == is_hidden[p]:
+            o, p, q = q, o, p
         is_lit = is_hidden[o] == 0
         is_wide = False
         _put(receiver, lights, o, o, 0.0, 0.0, is_lit, out, row)
@@ -319,12 +331,9 @@ def cut_facets(  # noqa: PLR0913, PLR0917
         _add_triangle(out, number, row, row + 1, row + 2, facet)
         _add_triangle(out, number + 1, row + 3, row + 5, row + 6, facet)
         _add_triangle(out, number + 2, row + 3, row + 6, row + 4, facet)
-        number += 3
         if is_wide:
-            _add_triangle(out, number, row + 1, row + 3, row + 4, facet)
-            _add_triangle(out, number + 1, row + 1, row + 4, row + 2, facet)
-            number += 2
-    return count, number
+            _add_triangle(out, number + 3, row + 1, row + 3, row + 4, facet)
+            _add_triangle(out, number + 4, row + 1, row + 4, row + 2, facet)
 
 
 class ShadowEdges:
@@ -350,72 +359,40 @@ class ShadowEdges:
         self._body, self._tree, self._pool = body, tree, pool
         self._verdicts = Verdicts.unknown(len(vertices))
         self._is_hidden = np.full(len(vertices), -1, np.int8)
+        self._crossed = np.zeros(len(faces), np.int32)
         self._before = np.zeros(3)
-        self._parts = [_Part(len(faces) * k // _PARTS, len(faces) * (k + 1) // _PARTS) for k in range(_PARTS)]
+        self._sides = [
+            Sides(np.zeros((_LAST_SIDES, 2), np.int32), np.zeros((_LAST_SIDES, 4))) for _ in range(pool.threads)
+        ]
 
     def hidden_from_sun(self, chosen: Numbers, count: int, window: Window, sun: Floats) -> npt.NDArray[np.int8]:
         """Return for each vertex whether the Sun's middle is hidden: 0 or 1, else -1; `chosen` are to be tested."""
         self._is_hidden.fill(-1)
         moved_rad, self._before = float(np.linalg.norm(sun - self._before)), sun
 
-        def work(k: int, _: int) -> None:
-            part = k * _POINTS_A_PART, min((k + 1) * _POINTS_A_PART, count)
+        def work(part: tuple[int, int], _: int) -> None:
             points = self._receiver.lifted
             look_to_sun(self._tree, points, chosen, part, window, sun, moved_rad, self._verdicts, self._is_hidden)
 
-        self._pool.each(work, -(-count // _POINTS_A_PART))
+        self._share(work, count, _POINTS_A_PART)
         return self._is_hidden
 
     def cut(self, lights: Lights, suns: Suns, window: Window) -> Polygons:
         """Return the parts of facets that an edge crosses, by the results of `hidden_from_sun`."""
+        crossed, hidden = self._crossed, self._is_hidden
+        count = list_crossed(self._receiver, hidden, window.eye, crossed)
+        places, light = np.zeros((_ROWS * count, 6)), np.zeros((_ROWS * count, 2))
+        faces, over = np.zeros((_TRIANGLES * count, 3), np.int32), np.full(_TRIANGLES * count, -1, np.int32)
+        out = Triangles(places, light, faces, over)
 
-        def work(k: int, _: int) -> None:
-            part = self._parts[k]
-            while not part.has_room_for(
-                *cut_facets(
-                    self._tree, self._receiver, part.facets, self._is_hidden, lights, suns, window, part.sides, part.out
-                )
-            ):
-                pass
+        def work(part: tuple[int, int], thread: int) -> None:
+            sides = self._sides[thread]
+            cut_facets(self._tree, self._receiver, crossed, part, hidden, lights, suns, window, sides, out)
 
-        self._pool.each(work, len(self._parts))
-        parts = [part.written for part in self._parts]
-        rows = np.cumsum([0, *(len(part.places) for part in parts)])
-        light = np.concatenate([part.light for part in parts])
-        return Polygons(
-            self._body,
-            np.concatenate([part.places for part in parts]),
-            light[:, 0],
-            light[:, 1],
-            np.concatenate([part.faces + np.int32(row) for part, row in zip(parts, rows, strict=False)]),
-            np.concatenate([part.over for part in parts]),
-        )
+        self._share(work, count, _FACETS_A_PART)
+        written = over >= 0
+        return Polygons(self._body, places, light[:, 0], light[:, 1], faces[written], over[written])
 
-
-class _Part:
-    """Some facets of a body, and the parts of those that an edge crosses."""
-
-    def __init__(self, first: int, last: int) -> None:
-        self.facets = first, last
-        self._cut = self._triangles = 0
-        self.sides = Sides(np.zeros((_LAST_SIDES, 2), np.int32), np.zeros((_LAST_SIDES, 4)))
-        self._make_room(_FIRST_FACETS)
-
-    @property
-    def written(self) -> Triangles:
-        """Return the parts."""
-        rows, (places, light, faces, over) = _ROWS * self._cut, self.out
-        return Triangles(places[:rows], light[:rows], faces[: self._triangles], over[: self._triangles])
-
-    def has_room_for(self, cut: int, triangles: int) -> bool:
-        """Take the numbers of facets that were cut and of triangles; return whether there was room, or make it."""
-        self._cut, self._triangles = cut, triangles
-        if _ROWS * cut <= len(self.out.places):
-            return True
-        self._make_room(2 * cut)
-        return False
-
-    def _make_room(self, facets: int) -> None:
-        rows, triangles = _ROWS * facets, _TRIANGLES * facets
-        faces, over = np.zeros((triangles, 3), np.int32), np.zeros(triangles, np.int32)
-        self.out = Triangles(np.zeros((rows, 6)), np.zeros((rows, 2)), faces, over)
+    def _share(self, work: Callable[[tuple[int, int], int], None], count: int, size: int) -> None:
+        """Let the threads do a work in parts of `size`."""
+        self._pool.each(lambda k, thread: work((k * size, min((k + 1) * size, count)), thread), -(-count // size))

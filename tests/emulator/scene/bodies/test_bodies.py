@@ -11,7 +11,6 @@ from emulator.geometry.camera import Pinhole
 from emulator.gl.context import QUICK_LOOK
 from emulator.light import SceneError
 from emulator.photometry.reflectance import SUN_W_M2, Lambert, LommelSeeliger, Sun
-from emulator.scene.bodies.facets import Cells
 from emulator.scene.bodies.gl_bodies import GlBodies
 from emulator.scene.bodies.mesh import build_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
@@ -187,24 +186,6 @@ def test_a_body_may_be_told_to_throw_no_shadow(shapes):
         for throws in (False, True)
     }
     assert light[True].sum() < 0.95 * light[False].sum()
-
-
-def test_cells_leave_out_only_what_turns_its_back():
-    mesh = build_mesh(*(lambda s: (s.vertices * [3, 2, 1], s.faces))(trimesh.creation.icosphere(3)))
-    cells = Cells(mesh)
-    corners = mesh.vertices[cells.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    for eye in np.random.default_rng(1).normal(size=(20, 3)) * 6:
-        asked = np.zeros(len(normals), bool)
-        for count, _, first, _, _ in cells.seen_from(eye):
-            asked[first // 3 : (first + count) // 3] = True
-        facing = ((eye - corners[:, 0]) * normals).sum(axis=1) > 0
-        assert not (facing & ~asked).any()
-        assert asked.mean() < 0.85 or np.linalg.norm(eye) < 3.5
-        away = np.zeros(len(normals), bool)
-        for count, _, first, _, _ in cells.turned_from(eye / np.linalg.norm(eye)):
-            away[first // 3 : (first + count) // 3] = True
-        assert not ((normals @ eye < 0) & ~away).any()
 
 
 def test_detail_that_nobody_sees_is_left_out_and_told(shapes):
