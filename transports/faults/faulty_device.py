@@ -37,15 +37,7 @@ from firmware_protocol.fx3.decoded import Decoded
 from firmware_protocol.fx3.registers import Module
 from firmware_protocol.fx3.words import MAX_ADDRESS, Special, Words, is_column
 from firmware_protocol.usb.control import Feature, Recipient, StandardRequest
-from firmware_protocol.usb.device import (
-    Identity,
-    RequestKind,
-    SetupPacket,
-    Stall,
-    Transfer,
-    UsbCamera,
-    UsbDevice,
-)
+from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
 from transports.faults.kinds import USB_LINK, Fault, Stage
 from transports.faults.script import FaultPlan, Faulty
 from transports.faults.usb import ControlStage, RegisterFlip, UsbStage, UsbUnplugged, WrongVersion
