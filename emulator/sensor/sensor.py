@@ -202,7 +202,8 @@ def longest_step_ns(p: SensorParameters) -> int:
     the worst light, and the pixels that are moved where the sensor has a grid of times of its own.
     """
     pixels = p.width * p.height
-    b, r, noise_hz = p.background, p.radiation, _noise_hz(p)
+    b, r = p.background, p.radiation
+    noise_hz = _noise_hz(p)
     each_hz = p.leak_hz + p.parasitic_hz_at_reference + b.hz + b.hot_share * b.hot_hz + noise_hz
     hot_hz = p.defects.hot_hz * math.exp(p.defects.hot_spread**2 / 2)
     track = (1 + r.off_share) * min(1 + 2 * r.depth_um / r.pixel_pitch_um, p.width + p.height)

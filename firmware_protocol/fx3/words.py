@@ -302,7 +302,8 @@ class ImuReader:
 
     def _ended(self, time_us: int) -> list[tuple[int, int, list[int]]]:
         """Return the sample that ends now, if it is complete."""
-        scale, data, was_open = self._scale, bytes(self._data), self._open
+        scale, was_open = self._scale, self._open
+        data = bytes(self._data)
         self._begin(False)
         if was_open and scale is not None:
             groups = [group for _, group in _present(scale)]

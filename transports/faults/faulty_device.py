@@ -364,11 +364,11 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
         return self._device.accepts(setup)
 
     def name_request(self, setup: SetupPacket, data: bytes) -> str:
-        """See `UsbDevice.name_request`."""
+        """Return the device's name of a request: no fault changes it."""
         return self._device.name_request(setup, data)
 
     def name_answer(self, setup: SetupPacket, data: bytes) -> str:
-        """See `UsbDevice.name_answer`."""
+        """Return the device's name of an answer: no fault changes it."""
         return self._device.name_answer(setup, data)
 
     def flushes(self, endpoint: int) -> int:
