@@ -53,7 +53,7 @@ class Region:
         return Region(first_row, last_row, first_column, last_column)
 
     def grown(self, by_px: int, size: tuple[int, int]) -> Region:
-        """Return it with `by_px` more pixels on each side, within a frame of `size` = (width, height); no boxes."""
+        """Return the region with `by_px` more pixels a side, within a frame of `size` = (width, height); no boxes."""
         if self.empty:
             return self
         rows = max(0, self.first_row - by_px), min(size[1], self.last_row + by_px)

@@ -40,11 +40,11 @@ class ThreadPool:
                 work(item, thread)
 
         helpers = range(1, min(self.threads, count))
-        others = [self._pool.submit(take, thread) for thread in helpers] if self._pool else []
+        tasks = [self._pool.submit(take, thread) for thread in helpers] if self._pool else []
         try:
             take(0)
         finally:
-            errors = [other.exception() for other in others if not other.cancel()]  # no wait for one that has not begun
+            errors = [task.exception() for task in tasks if not task.cancel()]  # no wait for one that has not begun
         for error in errors:
             if error is not None:
                 raise error

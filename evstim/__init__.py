@@ -78,7 +78,6 @@ if TYPE_CHECKING:
     from emulator.trajectory.pose import from_spice as attitude_from_spice
     from evstim.deliveries import Delivery
     from evstim.frames import events_from_frames, events_from_video, reconstruct
-    from evstim.recordings import iter_events, read_events
     from evstim.running import LiveRun, run
     from evstim.sensor import Sensor, SensorOptions
     from firmware_protocol.can_frames.canopen import SelectorSettings
@@ -141,6 +140,7 @@ if TYPE_CHECKING:
     from transports.gige.kind import GigeLink
     from transports.gige.packet_faults import IpChange, LinkDown, LostHeartbeat, RefusedResends
     from transports.network_streams.kind import TcpLink, UdpLink
+    from transports.recording.files import iter_events, read_events
     from transports.recording.part import RecordingError
     from transports.recording.record import load_record
     from transports.ros2.kind import Ros2Link

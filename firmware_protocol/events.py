@@ -40,6 +40,16 @@ def empty_events(n: int = 0) -> Events:
     return np.zeros(n, EVENT)
 
 
+def make_events(t: npt.ArrayLike, x: npt.ArrayLike, y: npt.ArrayLike, on: npt.ArrayLike) -> Events:
+    """Return (n,) EVENT with these fields, t (n,) us."""
+    events = empty_events(np.size(t))
+    events["t"] = t
+    events["x"] = x
+    events["y"] = y
+    events["on"] = on
+    return events
+
+
 _RECORD = f"V{EVENT.itemsize}"
 
 
@@ -83,6 +93,16 @@ class EdgeKind(IntEnum):
 def empty_edges(n: int = 0) -> Edges:
     """Return an array of `n` zeroed edges."""
     return np.zeros(n, EDGE)
+
+
+def make_edges(t: npt.ArrayLike, kind: npt.ArrayLike, channel: npt.ArrayLike = 0, seq: npt.ArrayLike = 0) -> Edges:
+    """Return (n,) EDGE with these fields, t us, (n,) or a number: one edge."""
+    edges = empty_edges(np.size(t))
+    edges["t"] = t
+    edges["kind"] = kind
+    edges["channel"] = channel
+    edges["seq"] = seq
+    return edges
 
 
 def level_changes(edges: Edges, pulse_us: int) -> Edges:

@@ -26,7 +26,7 @@ VALUES = {
     "firmware_protocol.compiled", "firmware_protocol.events", "firmware_protocol.frames",
     "firmware_protocol.imu_samples", "firmware_protocol.recordings.part",
     "transports.connections", "transports.faults.kinds", "transports.faults.script", "transports.needs",
-    "transports.network", "transports.output_file", "transports.priority", "transports.registry",
+    "transports.network", "transports.output_file", "transports.registry",
 }  # fmt: skip
 
 

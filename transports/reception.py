@@ -123,9 +123,9 @@ class Arrivals:
         if len(self._delays_us) < _MOST_DELAYS:
             self._delays_us.append(t_ns / 1000 - float(events["t"][-1]))
 
-    def reception(self, kind: type[_R], **more: Any) -> _R:
-        """Return a reception of a kind with the counts so far, and `more` values of it."""
-        return kind(self.events, self.edges, self.seconds, self.last_t_us, self.digest, **more)
+    def reception(self, kind: type[_R], **values: Any) -> _R:
+        """Return a reception of a kind with the counts so far, and further `values` of it."""
+        return kind(self.events, self.edges, self.seconds, self.last_t_us, self.digest, **values)
 
     def jitter(self) -> LatencySummary:
         """Return the delay of each arrival relative to the fastest one, us: the camera's own clock is not known."""

@@ -28,14 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 from emulator.light import Scene, SceneFrames
 from emulator.plan.step_control import ControlledSteps, FixedSteps, RefinementModel, StepSource
-from emulator.rig.kinds import (
-    CAMERA_MODELS,
-    IMU_UNITS,
-    LINKS,
-    SCENES,
-    UsbSettings,
-    usb_model,
-)
+from emulator.rig.kinds import CAMERA_MODELS, IMU_UNITS, LINKS, SCENES, UsbSettings, usb_model
 from emulator.rig.loading import Rig, RigError, Run, carries_second, second_rig
 from emulator.rig.tables import OWN_METHODS, Trigger
 from emulator.run.camera import CameraView, ReadingSource, ReadingSources

@@ -190,7 +190,8 @@ def longest_step_ns(p: SensorParameters) -> int:
     the worst light, and the pixels that are moved where the sensor has a grid of times of its own.
     """
     pixels = p.width * p.height
-    b, r, most_hz = p.background, p.radiation, _most_still_hz(p)
+    b, r = p.background, p.radiation
+    most_hz = _most_still_hz(p)
     each_hz = most_hz + p.parasitic_hz_at_reference + b.hz + b.hot_share * b.hot_hz
     hot_hz = p.defects.hot_hz * math.exp(p.defects.hot_spread**2 / 2)
     track = (1 + r.off_share) * min(1 + 2 * r.depth_um / r.pixel_pitch_um, p.width + p.height)

@@ -28,7 +28,7 @@ from emulator.rig.loading import Rig
 from emulator.rig.tables import Camera
 from emulator.run.assembly import link_setups
 from emulator.run.link_process import LinkProcess
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import Events, make_events
 from transports.link.deliveries import digest_of
 from transports.link.kind import LinkParameters
 from transports.link.pacing import MonotonicClock
@@ -63,12 +63,9 @@ class NoReader:
 def event_stream(count: int, start_us: int = 0, size: tuple[int, int] = (346, 260)) -> Events:
     """Return (count,) EVENT, 3 us apart from `start_us`, at random places of a sensor of `size` = (width, height)."""
     rng = np.random.default_rng(start_us)
-    events = np.zeros(count, EVENT)
-    events["t"] = start_us + np.arange(count) * _SPACING_US
-    events["x"] = rng.integers(0, size[0], count)
-    events["y"] = rng.integers(0, size[1], count)
-    events["on"] = rng.integers(0, 2, count)
-    return events
+    x = rng.integers(0, size[0], count)
+    y = rng.integers(0, size[1], count)
+    return make_events(start_us + np.arange(count) * _SPACING_US, x, y, rng.integers(0, 2, count))
 
 
 class LinkContract:

@@ -58,7 +58,7 @@ import numpy.typing as npt
 
 from firmware_protocol.can_frames.canopen import ObjectError
 from firmware_protocol.can_frames.frame import fd_length
-from firmware_protocol.events import Edges, Events, empty_edges, empty_events
+from firmware_protocol.events import Edges, Events, empty_events, make_edges
 
 TICKS_US = (1, 10, 100, 1000)
 """Ticks, us, by their code."""
@@ -295,6 +295,4 @@ def unpack_mark(data: bytes, near_us: int) -> Edges:
     if len(data) != _MARK.size:
         raise ObjectError(f"a mark has {_MARK.size} bytes, not {len(data)}")
     t, kind, channel, seq = _MARK.unpack(data)
-    edges = empty_edges(1)
-    edges[0] = unwrapped(t, 32, near_us), kind, channel, seq
-    return edges
+    return make_edges(unwrapped(t, 32, near_us), kind, channel, seq)

@@ -112,7 +112,8 @@ class GeneratorSettings:
         begins, ends = Special.GENERATOR_RISING, Special.GENERATOR_FALLING
         report_begin, report_end = self.report_rising, self.report_falling
         if not self.active_high:
-            begins, ends, report_begin, report_end = ends, begins, report_end, report_begin
+            begins, ends = ends, begins
+            report_begin, report_end = report_end, report_begin
         parts = []
         for code, reported, offset in ((begins, report_begin, 0), (ends, report_end, self.length)):
             if reported:

@@ -167,7 +167,9 @@ class Batch:
         words = self.encoded.words[self.words_taken : self.words_taken + max_words]
         blocks_before = self.encoded.blocks_in(self.words_taken) if self.blocks else 0
         self.words_taken += len(words)
-        events, marks, blocks = self.events, self.marks, self.blocks
+        events = self.events
+        marks = self.marks
+        blocks = self.blocks
         if not self.is_empty:
             events = events[: self.encoded.events_in(words)]
             marks = marks[: np.count_nonzero(is_mark(words))] if len(marks) else marks

@@ -73,7 +73,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.device.items import Reading, ReadingKind, Readings
-from firmware_protocol.events import EDGE, EdgeKind, Edges
+from firmware_protocol.events import EdgeKind, Edges, make_edges
 from firmware_protocol.frames import LineKind
 from firmware_protocol.imu_samples import IMU_SAMPLE, ImuSamples
 
@@ -225,10 +225,7 @@ def join_marks(parts: list[Marks]) -> Marks:
 
 def edges_of(times_us: npt.NDArray[np.uint64], codes: Words) -> Edges:
     """Return the (n,) EDGE records that a reader makes of marks at `times_us` (n,) with stream codes `codes` (n,)."""
-    edges = np.zeros(len(codes), EDGE)
-    edges["t"] = times_us
-    edges["kind"] = _KIND_OF_CODE[codes]
-    return edges
+    return make_edges(times_us, _KIND_OF_CODE[codes])
 
 
 IMU_READ = np.dtype([("sample", IMU_SAMPLE), ("resets", "<u4")])
@@ -305,7 +302,8 @@ class ImuReader:
 
     def _ended(self, time_us: int) -> list[tuple[int, int, list[int]]]:
         """Return the sample that ends now, if it is complete."""
-        scale, data, was_open = self._scale, bytes(self._data), self._open
+        scale, was_open = self._scale, self._open
+        data = bytes(self._data)
         self._begin(False)
         if was_open and scale is not None:
             groups = [group for _, group in _present(scale)]

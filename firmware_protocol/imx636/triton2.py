@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.device.items import Items
-from firmware_protocol.events import EdgeKind, Edges, Events, empty_edges
+from firmware_protocol.events import EdgeKind, Edges, Events, make_edges
 from firmware_protocol.evt.evt3 import Evt3Encoder
 from firmware_protocol.gige.control import (
     EDGE_EVENT,
@@ -298,8 +298,7 @@ class Triton2(PropheseeCamera[BlockOutflow]):
     def _pulse(self) -> None:
         """Apply the pulses that are due."""
         while self._scheduled_us and self._scheduled_us[0] <= self._now_us:
-            pulse = empty_edges(1)
-            pulse["t"], pulse["kind"] = heappop(self._scheduled_us), EdgeKind.PULSE
+            pulse = make_edges(heappop(self._scheduled_us), EdgeKind.PULSE)
             self._fates.edges.added += 1
             self._put_edges(pulse)
 

@@ -30,14 +30,7 @@ from firmware_protocol.instrument.queue import OwnTime, Selection
 from firmware_protocol.instrument.settings import DavisBiases, InstrumentSettings, SensorBiases
 from firmware_protocol.packets.addresses import Message, MessageKind
 from firmware_protocol.packets.ccsds import Acknowledge
-from firmware_protocol.packets.housekeeping import (
-    EdgeCounts,
-    EventCounts,
-    Housekeeping,
-    LinkCounts,
-    Mode,
-    TimeReport,
-)
+from firmware_protocol.packets.housekeeping import EdgeCounts, EventCounts, Housekeeping, LinkCounts, Mode, TimeReport
 from firmware_protocol.packets.profile import ReceivedCommand
 from firmware_protocol.packets.telecommands import (
     CommandRefused,

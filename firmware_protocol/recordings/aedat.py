@@ -47,7 +47,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.events import EDGE, EVENT, EdgeKind, Edges, Events, empty_edges
+from firmware_protocol.events import EDGE, EdgeKind, Edges, Events, empty_edges, make_events
 from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, Part, ten_bits
 
 CHIPS: Mapping[tuple[int, int], str] = {
@@ -209,10 +209,7 @@ class Aedat2Decoder:
         y = self._size[1] - 1 - ((address >> 22) & 0x1FF)
         inside = (x >= 0) & (y >= 0)
         self.outside += int(np.count_nonzero(~inside))
-        events = np.zeros(int(np.count_nonzero(inside)), EVENT)
-        events["t"], events["x"], events["y"] = t[inside], x[inside], y[inside]
-        events["on"] = (address[inside] >> 11) & 1
-        return events
+        return make_events(t[inside], x[inside], y[inside], (address[inside] >> 11) & 1)
 
 
 def _edges(address: np.ndarray, t: np.ndarray, selected: np.ndarray) -> Edges:
@@ -380,10 +377,7 @@ def _body_bytes(head: np.void) -> int:
 
 
 def _events(data: np.ndarray, t: np.ndarray) -> Events:
-    events = np.zeros(len(t), EVENT)
-    events["t"], events["x"], events["y"] = t, data >> 17, (data >> 2) & 0x7FFF
-    events["on"] = (data >> 1) & 1
-    return events
+    return make_events(t, data >> 17, (data >> 2) & 0x7FFF, (data >> 1) & 1)
 
 
 def _imu(records: np.ndarray, t: np.ndarray) -> ImuRecords:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from firmware_protocol.compiled import kernel
-from firmware_protocol.events import EVENT, EdgeKind, Edges, Events, empty_edges, empty_events
+from firmware_protocol.events import EVENT, EdgeKind, Edges, Events, empty_edges, empty_events, make_edges
 from firmware_protocol.telemetry.layout import (
     EDGE_RECORD,
     ESCAPE_ONES,
@@ -346,8 +346,4 @@ def _edges(data: bytes, header: Header, start_us: int) -> Edges:
         raise BlockError("edges do not start with the block, go back in time, or span more than 35 minutes")
     if not np.isin(records["kind"], list(EdgeKind)).all():
         raise BlockError("an edge is of a kind that does not exist")
-    edges = empty_edges(header.count)
-    edges["t"] = start_us + since_us
-    for name in ("kind", "channel", "seq"):
-        edges[name] = records[name]
-    return edges
+    return make_edges(start_us + since_us, records["kind"], records["channel"], records["seq"])

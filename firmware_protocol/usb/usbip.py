@@ -265,8 +265,8 @@ class Limits:
     devices: int = 240
 
 
-class ServerParser:
-    """The device's end: operations first, URBs after `begin_urbs`."""
+class _Parser:
+    """Bytes of the other end: operations first, URBs after `begin_urbs`."""
 
     def __init__(self, limits: Limits = Limits()) -> None:
         self._limits = limits
@@ -278,8 +278,12 @@ class ServerParser:
         self._buffer += data
 
     def begin_urbs(self) -> None:
-        """Note that an import was granted: URBs follow."""
+        """Note that an import was granted: URBs, or replies to them, follow."""
         self._urbs = True
+
+
+class ServerParser(_Parser):
+    """The device's end: requests."""
 
     def next_message(self) -> Request | None:
         """Return the next complete message, None if more bytes are needed; raises UsbipError on an invalid one."""
@@ -330,26 +334,16 @@ class ServerParser:
         _check_length(length, self._limits.in_bytes if direction else self._limits.out_bytes)
 
 
-class HostParser:
-    """The host's end: replies to operations first, URB replies after `begin_urbs`.
+class HostParser(_Parser):
+    """The host's end: replies.
 
     The layout of a RET_SUBMIT depends on the direction of its URB, which the reply does not contain: call `expect` for
     each URB that is sent.
     """
 
     def __init__(self, limits: Limits = Limits()) -> None:
-        self._limits = limits
-        self._buffer = bytearray()
-        self._urbs = False
+        super().__init__(limits)
         self._lengths: dict[int, tuple[bool, int]] = {}
-
-    def receive(self, data: bytes | memoryview) -> None:
-        """Append bytes as received."""
-        self._buffer += data
-
-    def begin_urbs(self) -> None:
-        """Note that an import was granted: URB replies follow."""
-        self._urbs = True
 
     def expect(self, urb: Submit) -> None:
         """Store the direction of a URB that was sent."""

@@ -37,15 +37,7 @@ from firmware_protocol.fx3.decoded import Decoded
 from firmware_protocol.fx3.registers import Module
 from firmware_protocol.fx3.words import MAX_ADDRESS, Special, Words, is_column
 from firmware_protocol.usb.control import Feature, Recipient, StandardRequest
-from firmware_protocol.usb.device import (
-    Identity,
-    RequestKind,
-    SetupPacket,
-    Stall,
-    Transfer,
-    UsbCamera,
-    UsbDevice,
-)
+from firmware_protocol.usb.device import Identity, RequestKind, SetupPacket, Stall, Transfer, UsbCamera, UsbDevice
 from transports.faults.kinds import USB_LINK, Fault, Stage
 from transports.faults.script import FaultPlan, Faulty
 from transports.faults.usb import ControlStage, RegisterFlip, UsbStage, UsbUnplugged, WrongVersion
@@ -372,11 +364,11 @@ class FaultyDevice(Faulty[Stage], UsbDevice):
         return self._device.accepts(setup)
 
     def name_request(self, setup: SetupPacket, data: bytes) -> str:
-        """See `UsbDevice.name_request`."""
+        """Return the device's name of a request: no fault changes it."""
         return self._device.name_request(setup, data)
 
     def name_answer(self, setup: SetupPacket, data: bytes) -> str:
-        """See `UsbDevice.name_answer`."""
+        """Return the device's name of an answer: no fault changes it."""
         return self._device.name_answer(setup, data)
 
     def flushes(self, endpoint: int) -> int:

@@ -32,7 +32,7 @@ from firmware_protocol.imx636.triton2_registers import Triton2Settings
 from firmware_protocol.ptp.slave import Slave, Timebase
 from transports.gige.ptp_port import PtpPort, ptp_slave
 from transports.gige.sockets import ControlSockets
-from transports.priority import MOST_NICE, run_before_others
+from transports.link.pacing import MOST_NICE, run_before_others
 
 TIME_CELLS = 7
 """Number of 64-bit values in the shared memory.

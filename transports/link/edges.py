@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from firmware_protocol.device.clock import Draw, normal
-from firmware_protocol.events import EDGE, EdgeKind, Edges, empty_edges
+from firmware_protocol.events import EDGE, EdgeKind, Edges, empty_edges, make_edges
 from transports.link.rings import FOREVER_US, FREE_RUNNING, EventRing, SharedRing
 
 
@@ -69,12 +69,7 @@ class EdgeTiming:
 
     def edge(self, t_us: int, seq: int) -> Edges:
         """Return one EDGE, shape (1,)."""
-        edge = empty_edges(1)
-        edge["t"] = t_us
-        edge["kind"] = self.kind
-        edge["channel"] = self.channel
-        edge["seq"] = seq & 0xFFFF
-        return edge
+        return make_edges(t_us, self.kind, self.channel, seq & 0xFFFF)
 
 
 class EdgeRing(SharedRing):

@@ -22,7 +22,7 @@ import numpy as np
 from firmware_protocol.device.clock import ClockSettings, DeviceClock
 from firmware_protocol.device.event_device import EventDevice, HasClockInput, StartsSilent, TakesReadings
 from firmware_protocol.device.items import ReadingKind
-from firmware_protocol.events import EdgeKind, Edges, Events, copy_events, empty_edges
+from firmware_protocol.events import EdgeKind, Edges, Events, copy_events, empty_edges, make_edges
 from transports.link.edges import EdgeRing, EdgeSource
 from transports.link.rings import FOREVER_US, EventRing, ReadingRing
 from transports.output_file import OutputFile
@@ -279,10 +279,8 @@ class Feed:
             if isinstance(self._device, HasClockInput):
                 self._device.restart_clock()
             return
-        edge = empty_edges(1)
-        edge["t"], edge["kind"] = self._device.now_us, kind
         self._taken += 1
-        self._device.offer_edges(edge)
+        self._device.offer_edges(make_edges(self._device.now_us, kind))
 
     def _synchronise(self) -> None:
         """Send resets to a slave, or apply those of a master that this device's time has reached."""
@@ -356,11 +354,7 @@ class Feed:
         first, self._last_mark = self._last_mark + 1, max(self._last_mark, last)
         numbers = np.arange(first, last + 1)
         self._marks += len(numbers)
-        marks = empty_edges(len(numbers))
-        marks["t"] = numbers * self._period_us
-        marks["kind"] = EdgeKind.PULSE
-        marks["seq"] = numbers & 0xFFFF
-        return marks
+        return make_edges(numbers * self._period_us, EdgeKind.PULSE, seq=numbers & 0xFFFF)
 
     def edge_report(self, *, final: bool = False) -> EdgeReport:
         """Return the counts of edges before the device; at the end, edges still to come count as left."""

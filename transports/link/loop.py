@@ -38,11 +38,10 @@ from firmware_protocol.events import EdgeKind
 from transports.faults.kinds import Fault
 from transports.link.background_log import log_in_background
 from transports.link.endpoint import LinkBroken
-from transports.link.pacing import Clock, FineSelector, MonotonicClock
+from transports.link.pacing import LINK_NICE, Clock, FineSelector, MonotonicClock, run_before_others
 from transports.link.process import Link, LinkSetup
 from transports.link.report import LinkReport
 from transports.link.rings import FOREVER_US
-from transports.priority import LINK_NICE, run_before_others
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end a run: to the session alone or to its whole process group."""

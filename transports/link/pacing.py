@@ -1,4 +1,4 @@
-"""Clocks that can be passed in, ticks on absolute deadlines, and a selector for short waits.
+"""Clocks that can be passed in, ticks on absolute deadlines, a selector for short waits, and the priority of a process.
 
 Deadlines are absolute (start + k * period), so a late tick does not delay the next one. Wake-up errors of a plain sleep
 on an idle machine are around 0.1 ms at the median and a few milliseconds at the 99th percentile. They move the delivery
@@ -7,14 +7,30 @@ of an event, never its time.
 `FineSelector` combines epoll's number of descriptors with select's resolution. `select` fails above 1023 file
 descriptors, and epoll waits for whole milliseconds only, which would double a tick of half a millisecond. An epoll set
 is itself a file descriptor with a low number: `select` waits for that one.
+
+A link must wait neither for the session that feeds it nor for other programs (`run_before_others`). Linux divides
+processors by session first (autogroup), and by nice value within a session. A process that sleeps most of the time, in
+a session of its own, runs as soon as it is ready, whatever the others do. Both values need a permission (root, or
+'nice' in /etc/security/limits.conf); a session of its own needs none.
 """
 
 from __future__ import annotations
 
+import os
 import select
 import selectors
 import time
+from contextlib import suppress
+from pathlib import Path
 from typing import Protocol
+
+MOST_NICE = -20
+"""Nice value of a process that answers within milliseconds."""
+
+LINK_NICE = -10
+"""Nice value of a link's process."""
+
+_AUTOGROUP = Path("/proc/self/autogroup")
 
 
 class Clock(Protocol):
@@ -70,3 +86,13 @@ class FineSelector(selectors.DefaultSelector):
         if (timeout is None or timeout > 0) and not select.select([self.fileno()], [], [], timeout)[0]:
             return []
         return super().select(0)
+
+
+def run_before_others(nice: int) -> None:
+    """Set a nice value and that of the session, as far as permitted; a process that leads none gets one of its own."""
+    with suppress(PermissionError):  # it leads a group of processes, and so has its session
+        os.setsid()
+    with suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, nice)
+        with suppress(OSError):  # a kernel that divides processors by process has no such file
+            _AUTOGROUP.write_text(str(nice))

@@ -15,7 +15,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from firmware_protocol.events import EVENT
+from firmware_protocol.events import make_events
 from transports.recording.part import Facts, Part, RecordingError, Size
 
 _CHUNK = 1 << 16
@@ -87,9 +87,4 @@ class DsecReader:
         with self._file:
             for start in range(0, self._sets[0].shape[0], _CHUNK):
                 x, y, t, p = (data[start : start + _CHUNK] for data in self._sets)
-                events = np.zeros(len(t), EVENT)
-                events["x"] = x
-                events["y"] = y
-                events["t"] = t
-                events["on"] = p > 0
-                yield Part(events)
+                yield Part(make_events(t, x, y, p > 0))

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from faery.extension import aedat, csv, dat, es
 
-from firmware_protocol.events import EDGE, EVENT, EdgeKind, Edges, Events
+from firmware_protocol.events import EDGE, EVENT, EdgeKind, Edges, Events, make_events
 from firmware_protocol.recordings.aedat4 import Aedat4Head, aedat4_picture
 from transports.recording.part import IMU, Facts, Frame, Part, RecordingError, Size
 
@@ -111,11 +111,7 @@ class DatReader(_Decoded):
         super().__init__(decoder, decoder.dimensions, decoder.version)
 
     def _events(self, packet: Any) -> Events:
-        events = np.zeros(len(packet), EVENT)
-        for name in ("t", "x", "y"):
-            events[name] = packet[name]
-        events["on"] = packet["payload"] > 0
-        return events
+        return make_events(packet["t"], packet["x"], packet["y"], packet["payload"] > 0)
 
 
 class EsReader(_Decoded):

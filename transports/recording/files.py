@@ -13,7 +13,8 @@ by NAME-clock2.aedat4.
 
 A recording is read part by part in a child process (see `guarded_reader`), whose memory does not grow with the file.
 Damaged data become a RecordingError, after all data before them. Events that go back in time or lie outside the sensor
-are damage in every format, because none of them has such events.
+are damage in every format, because none of them has such events. `read_events` returns the events of a
+recording, `iter_events` yields them.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.events import EDGE, EVENT, EdgeKind, join_events
+from firmware_protocol.events import EDGE, EVENT, EdgeKind, Events, join_events
 from transports.guarded_reader import ForeignFileError, GuardedReader, Limits
 from transports.recording.format import FORMATS, Format, format_to_read, reason, with_addition
 from transports.recording.part import (
@@ -406,3 +407,46 @@ def read_messages(path: Path, form: str, size: list[int] | None) -> Iterator[dic
 
 def _message(pieces: list[bytes]) -> dict[str, Any]:
     return {"messages": np.frombuffer(b"".join(pieces), np.uint8)}
+
+
+def read_events(path: str | Path, *, size: Size | None = None, strict: bool = True) -> Events:
+    """Return all events of a recording.
+
+    Parameters
+    ----------
+    path : file, or folder of a ROS 2 bag, in any format of docs/recordings.md. Its first bytes decide which one.
+    size : (width, height) of the sensor, for a format that does not contain it.
+    strict : False: return the events of a damaged file that go back in time or lie outside the sensor, too.
+
+    Returns
+    -------
+    (n,) EVENT, sorted unless `strict` is False, t in us since the start of the recording; of a `.npz` record, those
+    since the last restart of the camera's clock (`load_record` returns the others too).
+
+    Raises
+    ------
+    RecordingError
+        The file is damaged or in none of the formats, or the library that reads its format is missing. A file whose
+        events go back in time or lie outside its sensor is damaged.
+    OSError
+        It cannot be opened.
+    """
+    return join_events(list(iter_events(path, size=size, strict=strict))).copy()
+
+
+def iter_events(path: str | Path, *, size: Size | None = None, strict: bool = True) -> Iterator[Events]:
+    """Yield the events of a recording piece by piece, so that memory does not grow with the file.
+
+    Arguments and errors are those of `read_events`. A damaged file raises RecordingError after the events before the
+    damage. Another process reads the file; closing the iterator ends it.
+
+    Yields
+    ------
+    (n,) EVENT, n > 0, read-only.
+    """
+    file = Path(path)
+    try:
+        with OpenRecording(file, size, strict=strict) as recording:
+            yield from (part.events for part in recording.parts() if len(part.events))
+    except RecordingError as error:
+        raise type(error)(f"{file}: {error}") from error

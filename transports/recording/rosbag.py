@@ -38,7 +38,7 @@ from rosbags.rosbag1 import Writer as Bag1
 from rosbags.rosbag2 import Writer as Bag2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from firmware_protocol.events import EVENT, Events
+from firmware_protocol.events import EVENT, Events, make_events
 from firmware_protocol.evt.evt3 import Evt3Decoder, Evt3Encoder
 from firmware_protocol.recordings.part import IMU, Frame, ImuRecords, ten_bits
 from transports.recording.part import Facts, Part, RecordingError, Size
@@ -119,12 +119,8 @@ def _cdr_events(message: bytes) -> tuple[Events, tuple[int, int]]:
 
 
 def _events(records: np.ndarray) -> Events:
-    events = np.zeros(len(records), EVENT)
-    events["x"] = records["x"]
-    events["y"] = records["y"]
-    events["on"] = records["on"] != 0
-    events["t"] = records["s"].astype(np.uint64) * np.uint64(1_000_000) + records["ns"] // np.uint32(1000)
-    return events
+    time_us = records["s"].astype(np.uint64) * np.uint64(1_000_000) + records["ns"] // np.uint32(1000)
+    return make_events(time_us, records["x"], records["y"], records["on"] != 0)
 
 
 IMAGE, SAMPLE = "sensor_msgs/msg/Image", "sensor_msgs/msg/Imu"
@@ -406,9 +402,7 @@ def _later(part: Part, by_us: int) -> Part:
 
 def _mono(data: bytes, base_ns: int) -> Events:
     words = np.frombuffer(data, "<u8", len(data) // 8)
-    events = np.zeros(len(words), EVENT)
-    events["t"] = (np.uint64(base_ns) + (words & np.uint64(0xFFFFFFFF))) // np.uint64(1000)
-    events["x"] = (words >> np.uint64(32)) & np.uint64(0xFFFF)
-    events["y"] = (words >> np.uint64(48)) & np.uint64(0x7FFF)
-    events["on"] = words >> np.uint64(63) != 0
-    return events
+    time_us = (np.uint64(base_ns) + (words & np.uint64(0xFFFFFFFF))) // np.uint64(1000)
+    x = (words >> np.uint64(32)) & np.uint64(0xFFFF)
+    y = (words >> np.uint64(48)) & np.uint64(0x7FFF)
+    return make_events(time_us, x, y, words >> np.uint64(63) != 0)

@@ -21,13 +21,7 @@ from firmware_protocol.imx636.evk4 import BOARDS
 from firmware_protocol.imx636.registers import GEN41, IMX636, SIZE, Address
 from firmware_protocol.prophesee.treuzell import FAILED, MOST_ANSWER_BYTES, UNKNOWN, Frame, Property
 from firmware_protocol.prophesee.usb import ANSWER_ENDPOINT, DATA_ENDPOINT, REQUEST_ENDPOINT
-from transports.usb.host import (
-    CameraHost,
-    PeerBroken,
-    StreamSettings,
-    UnsuitableDevice,
-    UsbHost,
-)
+from transports.usb.host import CameraHost, PeerBroken, StreamSettings, UnsuitableDevice, UsbHost
 
 EVK4_IDS = frozenset(board.usb_id for board in (*BOARDS.values(), genx320.BOARD))
 """(vendor, product) of an EVK4, of its siblings, and of the board with a GenX320."""

@@ -34,15 +34,7 @@ from emulator.run.report.content import (
     rig_file,
     verdict_words,
 )
-from emulator.run.report.figures import (
-    fate_bars,
-    interval_chart,
-    latency_chart,
-    letters,
-    pixel_maps,
-    strip,
-    timeline,
-)
+from emulator.run.report.figures import fate_bars, interval_chart, latency_chart, letters, pixel_maps, strip, timeline
 from emulator.run.report.modelled import modelled
 from emulator.run.report.observation import Observation
 

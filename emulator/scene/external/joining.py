@@ -201,7 +201,8 @@ def sampled(image: _Floats, y: float, x: float) -> tuple[float, float, float]:
     last_row, last_column = image.shape[0] - 1, image.shape[1] - 1
     row, column = bounded(y, last_row), bounded(x, last_column)
     fy, fx = min(max(y - row, 0.0), 1.0), min(max(x - column, 0.0), 1.0)
-    ty, tx, dy, dx = _taps(fy), _taps(fx), _slopes(fy), _slopes(fx)
+    ty, dy = _taps(fy), _slopes(fy)
+    tx, dx = _taps(fx), _slopes(fx)
     value = down = across = 0.0
     low, high = math.inf, -math.inf
     dark, bright = math.inf, -math.inf
@@ -309,7 +310,9 @@ def _parts(edge: Any, low: Any, size: Any, f: Any) -> tuple[float, float, float]
     The rectangle begins at `low` and has the height and width `size`.
     """
     _, dark, bright, ny, nx, d = edge
-    (v, u), (tall, wide), (at_v, at_u) = low, size, f
+    v, u = low
+    tall, wide = size
+    at_v, at_u = f
     if bright == dark:
         return dark * tall * wide, dark * wide, dark * tall
     if ny < 0.0:

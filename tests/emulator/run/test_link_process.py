@@ -9,10 +9,9 @@ import pytest
 from emulator.run.link_process import LinkProcess
 from evstim.testing.link_contract import event_stream
 from firmware_protocol.davis346 import Davis346, Davis346Settings
-from transports.link.pacing import MonotonicClock
+from transports.link.pacing import LINK_NICE, MonotonicClock
 from transports.link.process import LinkSetup
 from transports.link.rings import FREE_RUNNING, EventRing
-from transports.priority import LINK_NICE
 from transports.usb.davis_host import DavisHost
 from transports.usb.usbip.client import UsbipHost
 from transports.usb.usbip.endpoint import UsbipFactory

@@ -230,7 +230,9 @@ class _Words:
 
 def transfer_types(device: UsbDevice) -> dict[int, int]:
     """Return usbmon's transfer type of each endpoint (address with direction bit), from the device's descriptors."""
-    data, types, at = device.control(_CONFIGURATION, b""), {}, 0
+    data = device.control(_CONFIGURATION, b"")
+    types = {}
+    at = 0
     while at + 2 <= len(data) and data[at] >= 2:
         if data[at + 1] == _ENDPOINT_DESCRIPTOR and at + 4 <= len(data):
             types[data[at + 2]] = _KIND_OF_ATTRIBUTES[data[at + 3] & 3]
