@@ -105,7 +105,7 @@ def spread(seed: int) -> Findings:
         "pixels that come milliseconds late.",
         "Beyond noise, pixels differ by the position of their reference, up to one threshold of the other polarity "
         "away from the light, and by the mismatch of the thresholds, "
-        f"{PRESETS['imx636'].mismatch:.1%}: that of another camera.",
+        f"{100 * PRESETS['imx636'].mismatch:.1f} %: that of another camera.",
         "Apart are the nine regions, as for the medians.",
     )
     return Findings("spread", "Spread of latencies in a region", "imx636", _PROTOCOL, (NIST,), data, remarks)
