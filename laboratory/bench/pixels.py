@@ -214,7 +214,7 @@ def noisy_sensor(events_hz: float) -> SensorParameters:
     low, high = 0.01, 0.3
     while high / low > 1.001:
         p = _with_rms(math.sqrt(low * high))
-        is_less = sum(still_hz(p, float(corner_hz(p, _LIGHT)))) - p.leak_hz < events_hz
+        is_less = sum(still_hz(dataclasses.replace(p, leak_hz=0.0), float(corner_hz(p, _LIGHT)))) < events_hz
         low, high = (p.noise.rms, high) if is_less else (low, p.noise.rms)
     return _with_rms(low)
 
