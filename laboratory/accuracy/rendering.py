@@ -2,9 +2,9 @@
 
 A rig's scene is drawn in several ways, at the size in the rig, and each time the same sensor, without leak and noise,
 observes it for the same stretch of time. The truth is the same scene by rays, to the eye and to the Sun, through up to
-8 x 8 points of each pixel at an eighth of the step (terrain: a quarter), joined by straight lines. Code and data shared
-with the renderers are shapes with their detail, maps, paths and laws of reflection alone (`sampled_scenes`). For each
-pixel the two sequences of polarities are aligned:
+8 x 8 points of each pixel in light frames 7.5 to 20 ms apart, joined by straight lines. Code and data shared with the
+renderers are shapes with their detail, maps, paths and laws of reflection alone (`sampled_scenes`). For each pixel
+the two sequences of polarities are aligned:
 
     false          events that cannot be paired in order with one of the truth         both over the events of the truth
     missed         events of the truth that cannot be paired
@@ -100,14 +100,14 @@ class Stretch:
     start_s: float = 0.0
     steps: int = 12
     samples: int = 8
-    finer: int = 8
+    finer: int = 4
     windows: tuple[tuple[str, int, int, int, int], ...] = ()
 
 
 _STRETCHES = {
-    "itokawa": tuple(map(Stretch, (0.0, 10.0, 50.0))),
+    "itokawa": tuple(Stretch(start_s, finer=8) for start_s in (0.0, 10.0, 50.0)),  # whose step is the longest
     "eros-flyover": (Stretch(windows=(("terminator", 0, 110, 150, 260),)),),
-    "malapert": tuple(Stretch(start_s, steps=4, finer=4) for start_s in (2.0, 20.0, 45.0, 70.0, 150.0)),
+    "malapert": tuple(Stretch(start_s, steps=4) for start_s in (2.0, 20.0, 45.0, 70.0, 150.0)),
 }
 
 

@@ -59,7 +59,7 @@ _LIFT, _GROUND_LIFT = 0.02, 1e-3
 _FLAT_LIFT = 2e-6  # of a flat body's radius
 _LEAST_CUTS, _MOST_FACETS, _SIDES_A_PIXEL = 4, 3_000_000, 3.0
 _UNEVEN = 0.25  # of the mean light of a pixel
-_AT_ONCE = 1_000_000  # points
+_AT_ONCE = 20_000  # points: their arrays stay in the cache of a processor
 _GRAZING = 0.02  # least cosine of emission for which the laws of ground are used, as in the scene
 
 
@@ -319,8 +319,7 @@ class SampledBodies(SampledScene):
             if other.table.throws_shadow:
                 turn = pose.world_from_body.T @ at.world_from_body
                 shift = (pose.position_m - at.position_m) @ at.world_from_body
-                left = np.flatnonzero(~hidden)
-                hidden[left] = other.hides((starts_m[left] @ turn + shift) / other.radius_m, to_sun[left] @ turn)
+                hidden |= other.hides((starts_m @ turn + shift) / other.radius_m, to_sun @ turn)
         return hidden
 
 
