@@ -180,7 +180,7 @@ def test_parts_of_a_pixel_with_heights_of_their_own_are_nearer_to_every_facet():
     errors = []
     for samples in (1, 3):
         p = parameters(ground=rough, camera=slanting, samples=samples, sun_elevation_deg=8.0)
-        light, truth = looked_at(p, 0), sampled(p, 0)
+        light, truth = looked_at(p, 0), sampled(p, 0, samples=32)  # fewer points would add half of the error
         errors.append(float(np.abs(light - truth).mean() / truth.mean()))
     assert errors[1] < 0.7 * errors[0]
     assert errors[1] < 0.015
