@@ -7,8 +7,8 @@ so noise events are rare in bright light, and in the dark, where f is low. A sen
 the fixed pole alone, and one without a fixed pole the receptor's: sigma = rms for both.
 
 Rates in still light follow from a Markov chain of a pixel's references: it stays at one for an exponential time, while
-leak moves it towards the ON threshold, and the next one is the noise at the end of the dead time. They are for plans,
-bounds and the start of a stream; the events themselves follow from the hazard of each pixel at each instant.
+leak moves it towards the ON threshold, and the next one is the noise at the end of the dead time. They are for plans
+and bounds; the events themselves follow from the hazard of each pixel at each instant.
 """
 
 from __future__ import annotations
@@ -29,8 +29,7 @@ _Float32s = npt.NDArray[np.float32]
 
 _LEVELS, _BLUR = 96, 0.35  # of a grid of references: places; steps
 _NODES = 5, 8  # of the sums and differences of a pixel's two thresholds; with an even number none are equal
-_LONG_S = 1e6
-_FASTEST_HZ = 1e12
+_LONG_S, _FASTEST_HZ = 1e6, 1e12
 _NO_HZ = 1e-30
 
 
@@ -69,10 +68,7 @@ def still_hazard(on: float, off: float, noise: Noise, tables: _Float32s) -> Haza
 
 
 class Stay(NamedTuple):
-    """Stay at a reference: its length, s, the polarity of the event that ends it, and the next reference.
-
-    References are relative to the signal, ln units.
-    """
+    """Stay at a reference: its length, s, the polarity of the event at its end, and the next reference less the signal."""
 
     length_s: float
     on: bool
@@ -100,12 +96,15 @@ def stay_at(  # noqa: PLR0913, PLR0917
 
 
 @cached_entry
-def _rates(on: float, off: float, leak_hz: float, noise: Noise, dead_s: float, tables: _Float32s) -> Rates:
+def _rates(  # noqa: PLR0913, PLR0917
+    on: float, off: float, leak_hz: float, rate: float, pole: float, rms: float, dead_s: float, tables: _Float32s
+) -> Rates:  # fmt: skip
     """Return the rates of a pixel with thresholds on and off, from the shares of time that its references have.
 
-    References lie on a grid. The equations of their shares are solved without a subtraction (Grassmann, Taksar and
-    Heyman 1985), because the rates at which they are left differ by many orders of magnitude.
+    The shares on a grid of references are solved without a subtraction (Grassmann, Taksar and Heyman 1985), because the
+    rates at which they are left differ by many orders of magnitude.
     """
+    noise = noise_of(rate, pole, rms)
     grid = np.linspace(-on - noise.sigma, off + noise.sigma, _LEVELS)  # a reset may lead beyond a threshold
     kept, beyond = math.exp(-noise.rate * dead_s), 0.0
     step, lost = grid[1] - grid[0], 1 - kept * kept
@@ -142,17 +141,16 @@ def _rates(on: float, off: float, leak_hz: float, noise: Noise, dead_s: float, t
 def still_hz(p: SensorParameters, f_hz: float) -> Rates:
     """Return the rates of a pixel's events by noise and leak in still light, averaged over mismatch of its thresholds.
 
-    `f_hz` is the corner frequency of the photoreceptor. The parasitic leak, which the light makes, is left out. Rates
-    are those after a long time, within a factor of 1.4 for the presets; without leak and mismatch for thresholds of 1.6
-    to 3 deviations, and too low beyond, because the chain's hazard is that of noise which has forgotten its reset.
+    `f_hz` is the photoreceptor's corner frequency. The parasitic leak is left out. Rates are those after a long time;
+    beyond 3 deviations without leak or mismatch they are too low, because noise is taken to have forgotten its reset.
     """
     if not p.noise.rms:
         return Rates(p.leak_hz, 0.0)
-    a1, a2 = 2 * math.pi * min(float(f_hz), _FASTEST_HZ), 2 * math.pi * fixed_corner_hz(p)
-    noise = noise_of(a1, 0.0 if math.isinf(a2) else a2, p.noise.rms)
+    rate, pole = 2 * math.pi * min(float(f_hz), _FASTEST_HZ), 2 * math.pi * fixed_corner_hz(p)
+    noise = rate, 0.0 if math.isinf(pole) else pole, p.noise.rms
     (sums, w0), (differences, w1) = (np.polynomial.hermite_e.hermegauss(n) for n in _NODES)
-    spread, tables = p.mismatch * math.sqrt(0.5), hazard_tables()
+    spread, dead_s = p.mismatch * math.sqrt(0.5), p.refractory_us * 1e-6
     on = p.threshold_on * np.maximum(1 + spread * np.add.outer(sums, differences), 0.1).reshape(-1)
     off = p.threshold_off * np.maximum(1 + spread * np.subtract.outer(sums, differences), 0.1).reshape(-1)
-    rates = [_rates(x, y, p.leak_hz, noise, p.refractory_us * 1e-6, tables) for x, y in zip(on, off, strict=True)]
+    rates = [_rates(x, y, p.leak_hz, *noise, dead_s, hazard_tables()) for x, y in zip(on, off, strict=True)]
     return Rates(*np.average(rates, axis=0, weights=np.outer(w0, w1).reshape(-1)).tolist())
