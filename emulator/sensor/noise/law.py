@@ -68,7 +68,7 @@ def still_hazard(on: float, off: float, noise: Noise, tables: _Float32s) -> Haza
 
 
 class Stay(NamedTuple):
-    """Stay at a reference: its length, s, the polarity of the event at its end, and the next reference less the signal."""
+    """Stay at a reference: its length, s; polarity of the event at its end; and the next reference less the signal."""
 
     length_s: float
     on: bool
