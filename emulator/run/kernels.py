@@ -201,14 +201,10 @@ def _draw_pixel(rig: Rig) -> None:
 
 
 def _size(rig: Rig) -> tuple[int, int]:
-    """Return a small width and height; the rig's own for bodies without shadows: a run finds their detail in the cache.
-
-    Tables for shadows take longer than the compilation, and a run shows the progress of them.
-    """
+    """Return a small width and height; the rig's own for bodies: a run finds their detail in the cache."""
     from emulator.scene.bodies.table import BodiesParameters
 
-    alone = isinstance(rig.scene, BodiesParameters) and not rig.scene.shadows
-    return rig.camera.size if alone else (_WIDTH, _HEIGHT)
+    return rig.camera.size if isinstance(rig.scene, BodiesParameters) else (_WIDTH, _HEIGHT)
 
 
 def _use_scene(rig: Rig, use: Callable[[Scene], None]) -> None:

@@ -137,7 +137,7 @@ def test_each_line_of_progress_in_a_pipe_has_the_time_left(monkeypatch, capsys):
     assert lines[1:] == ["compiled: first (1 of 2), about 5 s left", "compiled: second (2 of 2)"]
 
 
-def test_the_detail_of_bodies_without_shadows_is_in_the_cache_for_the_run(tmp_path, monkeypatch):
+def test_the_detail_of_bodies_is_in_the_cache_for_the_run(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     rig, made = load_rig("eros"), []
     detail = regolith._with_detail
