@@ -48,7 +48,7 @@ LINE = Method("line", PixelArray)
 
 
 def point(method, step_ms, t95_us, right=1.0, case="c"):
-    scores = Scores(right, t95_us / 2, t95_us, 1.0, 0.0, 0.0, 0.0, 0.0, 10, 10)
+    scores = Scores(right, t95_us / 2, t95_us, 1.0, 0.0, 0.0, 0.0, 10, 10)
     return Point(case, method, step_ms, 1e3 / step_ms, 10.0, 10.0 / step_ms, scores)
 
 
