@@ -7,7 +7,6 @@ import signal
 import socket
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -157,16 +156,13 @@ def test_doctor_begins_with_the_next_step_of_the_readme(monkeypatch, capsys, com
 
 
 @pytest.mark.system
-def test_doctor_prepares_the_tables_of_a_rig(monkeypatch, tmp_path):
+def test_doctor_prepares_the_relief_of_a_rig(monkeypatch, tmp_path):
     prepared = []
     monkeypatch.setattr(doctor, "prepared", prepared.append)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    rig = Path(__file__).parents[3] / "examples" / "tutorial" / "asteroid.toml"
-    rough = tmp_path / "rough.toml"
-    rough.write_text(rig.read_text().replace("eros022540", "eros007790"))
-    assert _main(["doctor", "--prepare", str(rough)]) == 0
+    assert _main(["doctor", "--prepare", "eros"]) == 0
     assert len(prepared) == 1
-    assert list((tmp_path / "evstim").glob("horizons-*.npy"))
+    assert list((tmp_path / "evstim").glob("detail-*.npy"))
 
 
 @pytest.mark.sampled
