@@ -49,6 +49,7 @@ from emulator.threads import ThreadPool
 
 Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int32]
+Longs = npt.NDArray[np.int64]
 
 _LIFT = 0.005  # of the mean length of sides: rays begin as high above the surface; .02 loses low shadows, .001 is rough
 _MOST_TRIANGLES = 32  # left one after the other on a side
@@ -58,8 +59,7 @@ _DISC = math.sqrt(3) / 2
 _NARROW_PX = 0.5  # penumbras narrower than this are edges
 MARGIN_PX = 24.0  # around the light frame, within which the corners of its facets lie
 _ROWS, _TRIANGLES = 7, 5  # of the parts of a facet, at most
-_POINTS_A_PART = 4000
-_FACETS_A_PART = 256
+_POINTS_A_PART, _FACETS_A_PART = 4000, 256
 _LAST_SIDES = 1024
 
 
@@ -76,7 +76,7 @@ class Receiver(NamedTuple):
 
     vertices: Floats
     lifted: Floats
-    faces: Numbers
+    faces: Longs
     first_facet: int
 
 
@@ -264,7 +264,7 @@ def _cross_once(  # noqa: PLR0913, PLR0917
 
 
 @entry
-def list_crossed(receiver: Receiver, is_hidden: npt.NDArray[np.int8], eye: Floats, crossed: Numbers) -> int:
+def list_crossed(receiver: Receiver, is_hidden: npt.NDArray[np.int8], eye: Floats, crossed: Longs) -> int:
     """List facets before the camera of which one or two corners are hidden; return how many.
 
     Parameters
@@ -287,7 +287,7 @@ def list_crossed(receiver: Receiver, is_hidden: npt.NDArray[np.int8], eye: Float
 def cut_facets(  # noqa: PLR0913, PLR0917
     tree: TriangleTree,
     receiver: Receiver,
-    crossed: Numbers,
+    crossed: Longs,
     part: tuple[int, int],
     is_hidden: npt.NDArray[np.int8],
     lights: Lights,
@@ -316,6 +316,7 @@ def cut_facets(  # noqa: PLR0913, PLR0917
         elif is_hidden[o] == is_hidden[p]:
             o, p, q = q, o, p
         is_lit = is_hidden[o] == 0
+        lit_row, dark_row = (row + 1, row + 3) if is_lit else (row + 3, row + 1)
         is_wide = False
         _put(receiver, lights, o, o, 0.0, 0.0, is_lit, out, row)
         for k in range(2):
@@ -323,8 +324,8 @@ def cut_facets(  # noqa: PLR0913, PLR0917
             lit, dark = (o, other) if is_lit else (other, o)
             x = _cross_once(tree, receiver, lit, dark, suns, window, sides)
             is_wide |= x.dark > x.lit
-            _put(receiver, lights, lit, dark, x.lit, x.lit_rate, True, out, row + (1 if is_lit else 3) + k)
-            _put(receiver, lights, lit, dark, x.dark, x.dark_rate, False, out, row + (3 if is_lit else 1) + k)
+            _put(receiver, lights, lit, dark, x.lit, x.lit_rate, is_hidden[lit] == 0, out, lit_row + k)
+            _put(receiver, lights, lit, dark, x.dark, x.dark_rate, is_hidden[dark] == 0, out, dark_row + k)
         _put(receiver, lights, p, p, 0.0, 0.0, not is_lit, out, row + 5)
         _put(receiver, lights, q, q, 0.0, 0.0, not is_lit, out, row + 6)
         # Rows: o; near it, on both sides; beyond the penumbra, on both sides; p; q.
@@ -355,11 +356,11 @@ class ShadowEdges:
         sides = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
         lift_m = _LIFT * float(np.linalg.norm(sides, axis=2).mean())
         lifted = np.ascontiguousarray(vertices + lift_m * normals)
-        self._receiver = Receiver(np.ascontiguousarray(vertices), lifted, faces, first_facet)
+        self._receiver = Receiver(np.ascontiguousarray(vertices), lifted, faces.astype(np.int64), first_facet)
         self._body, self._tree, self._pool = body, tree, pool
         self._verdicts = Verdicts.unknown(len(vertices))
         self._is_hidden = np.full(len(vertices), -1, np.int8)
-        self._crossed = np.zeros(len(faces), np.int32)
+        self._crossed = np.zeros(len(faces), np.int64)
         self._before = np.zeros(3)
         self._sides = [
             Sides(np.zeros((_LAST_SIDES, 2), np.int32), np.zeros((_LAST_SIDES, 4))) for _ in range(pool.threads)

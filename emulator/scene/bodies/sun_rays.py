@@ -13,7 +13,7 @@ minutes; those near a shadow edge get a ray each time.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -33,8 +33,7 @@ from emulator.scene.bodies.compiled import entry, kernel
 Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int32]
 
-SUNLIT = -1
-UNKNOWN = -2
+SUNLIT, UNKNOWN = -1, -2
 _WIDE_RAD, _NARROWER, _CONES = 0.03, 0.1, 3  # half angle of the widest cone, and of each of the next ones over it
 _NO_CONE = 2.0  # a cosine that none exceeds
 _LASTS = 10  # light frames, at least, for which a cone is worth its search
@@ -118,7 +117,7 @@ def first_met(tree: TriangleTree, point: Point, sun: Point) -> int:
             if node < leaves:
                 node *= 2
                 continue
-            for k in range(starts[node - leaves], starts[node - leaves + 1]):
+            for k in range(np.int64(starts[node - leaves]), np.int64(starts[node - leaves + 1])):
                 if _meets(tree.corners, k, point, sun):
                     return k
         node = after(node)
@@ -151,11 +150,11 @@ class Verdicts(NamedTuple):
 
     Attributes
     ----------
-    hiding : (n,) int32, a triangle that hides the Sun, SUNLIT, or UNKNOWN where no light frame needed the point yet.
+    hiding : (n,) int64, a triangle that hides the Sun, SUNLIT, or UNKNOWN where no light frame needed the point yet.
     suns : (n, 4), the Sun's direction at the last ray of a sunlit point, and the cosine up to which it is sunlit.
     """
 
-    hiding: Numbers
+    hiding: npt.NDArray[np.int64]
     suns: Floats
 
     @classmethod
@@ -163,7 +162,7 @@ class Verdicts(NamedTuple):
         """Return room for the results of `points` points."""
         suns = np.zeros((points, 4))
         suns[:, 3] = _NO_CONE
-        return cls(np.full(points, UNKNOWN, np.int32), suns)
+        return cls(np.full(points, UNKNOWN, np.int64), suns)
 
 
 class Window(NamedTuple):
@@ -219,7 +218,7 @@ def look_to_sun(  # noqa: PLR0913, PLR0917
     hiding, suns = verdicts
     towards = (sun[0], sun[1], sun[2])
     for i in range(part[0], part[1]):
-        k = chosen[i]
+        k: Any = np.int64(chosen[i])
         point = row(points, k)
         if depth_in(window, point) == 0.0:
             is_hidden[k] = -1
