@@ -284,10 +284,8 @@ class Lighting:
         seen = [self._seen(motion, group.members[0], step_s) for group in self._groups]
         cut: list[Polygons] = []
         radiances = [self._body_light(body, seen, step_s, cut) for body in self._bodies]
-        return radiances, [
-            *cut,
-            *(self._polygons(g, shadows, seen[g], radiances, step_s) for g, shadows in self._sharp),
-        ]
+        cut += [self._polygons(g, shadows, seen[g], radiances, step_s) for g, shadows in self._sharp]
+        return radiances, cut
 
     def _polygons(
         self, g: int, shadows: SharpShadows, seen: _Seen, radiances: Sequence[Radiance], step_s: float

@@ -17,7 +17,7 @@ the other, until a ray from just beyond the last one meets none. The facet becom
 Light falls linearly through a penumbra as wide as a uniform distribution of the disc's own variance, .866 of the disc.
 It ends at the facet's corners. Edges inside a facet whose corners all see the Sun, or none of them, are left out.
 
-Source of the method: none; that of the crossing: Blinn 1988, Me and my (fake) shadow, IEEE CG&A 8 (1).
+Source of the crossing: Blinn 1988, Me and my (fake) shadow, IEEE CG&A 8 (1).
 """
 
 from __future__ import annotations
