@@ -77,60 +77,6 @@ def join(topologies: Sequence[Topology]) -> Topology:
     )
 
 
-class Patches:
-    """Topologies of the same surfaces with other patches for each light frame, in arrays that are used again."""
-
-    def __init__(self, surfaces: Topology) -> None:
-        self._surfaces = self._room = surfaces
-
-    def on(self, faces: Ints, over: Ints) -> Topology:
-        """Return the topology with patches at the end; it is valid until the next call.
-
-        Parameters
-        ----------
-        faces : (n, 3), corners of patches, numbered from 0; their vertices and radiances follow those of the surfaces.
-        over : (n,), the facet on which each lies.
-        """
-        t = self._surfaces
-        m, n = len(t.faces), len(faces)
-        if m + n > len(self._room.faces):
-            self._room = _with_room(t, 2 * n)
-        room, end = self._room, m + n
-        np.add(faces, np.int32(t.vertices), out=room.faces[m:end])
-        np.add(faces, np.int32(t.entries), out=room.shades[m:end])
-        room.over[m:end] = over
-        count = int(faces.max()) + 1 if n else 0
-        return Topology(
-            room.faces[:end],
-            room.shades[:end],
-            room.across[:end],
-            room.smooth[:end],
-            room.two_sided[:end],
-            t.vertices + count,
-            t.entries + count,
-            room.over[:end],
-        )
-
-
-def with_patches(topology: Topology, faces: Ints, over: Ints) -> Topology:
-    """Return a topology with patches at the end, in arrays of its own; see `Patches`."""
-    return Patches(topology).on(faces, over)
-
-
-def _with_room(topology: Topology, n: int) -> Topology:
-    """Return a topology with n facets more at the end, which have no neighbours and are seen from one side."""
-    return Topology(
-        np.concatenate([topology.faces, np.zeros((n, 3), np.int32)]),
-        np.concatenate([topology.shades, np.zeros((n, 3), np.int32)]),
-        np.concatenate([topology.across, np.full((n, 3), -1, np.int32)]),
-        np.concatenate([topology.smooth, np.zeros((n, 3), np.uint8)]),
-        np.concatenate([topology.two_sided, np.zeros(n, np.uint8)]),
-        topology.vertices,
-        topology.entries,
-        np.concatenate([topology.over, np.full(n, -1, np.int32)]),
-    )
-
-
 def _stack(parts: list[npt.NDArray[np.integer]]) -> Ints:
     return np.ascontiguousarray(np.concatenate(parts), np.int32)
 

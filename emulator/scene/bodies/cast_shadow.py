@@ -31,7 +31,7 @@ side against the axis), it ends where the disc is covered, and points with a res
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -123,21 +123,60 @@ def build_tree(triangles: Floats) -> TriangleTree:
     depth = max(0, math.ceil(math.log2(max(len(triangles) / _LEAF, 1.0))))
     starts = np.array([round(k * len(triangles) / 2**depth) for k in range(2**depth + 1)], np.int32)
     order = np.arange(len(triangles))
-    middles = triangles.mean(axis=1)
-    for level in range(depth):
-        step = 2 ** (depth - level)
-        for first in range(0, 2**depth, step):
-            low, split, high = starts[[first, first + step // 2, first + step]]
-            order[low:high] = _halved(middles, order[low:high], split - low)
+    sort_by_leaves(triangles.mean(axis=1), starts, depth, order)
     ordered = np.ascontiguousarray(triangles[order])
     return TriangleTree(_boxes(ordered, starts), starts, ordered.reshape(-1, 9), _planes(ordered))
 
 
-def _halved(middles: Floats, part: npt.NDArray[np.intp], split: int) -> npt.NDArray[np.intp]:
-    """Return a part of the order with its `split` lowest first, along the longest side."""
-    where = middles[part]
-    along = where[:, int(np.argmax(np.ptp(where, axis=0)))]
-    return part[np.argpartition(along, split)] if 0 < split < len(part) else part
+@kernel
+def _select(places: Floats, axis: int, order: npt.NDArray[np.int64], low: int, high: int, middle: int) -> None:
+    """Reorder entries low to high - 1 so that the lowest along an axis come before `middle`: Hoare's selection."""
+    last = high - 1
+    while low < last:
+        pivot = places[order[(low + last) // 2], axis]
+        i, j = low, last
+        while i <= j:
+            while places[order[i], axis] < pivot:
+                i += 1
+            while places[order[j], axis] > pivot:
+                j -= 1
+            if i <= j:
+                order[i], order[j] = order[j], order[i]
+                i += 1
+                j -= 1
+        if middle <= j:
+            last = j
+        elif middle >= i:
+            low = i
+        else:
+            return
+
+
+@entry
+def sort_by_leaves(middles: Floats, starts: npt.NDArray[np.int32], depth: int, order: npt.NDArray[np.int64]) -> None:
+    """Sort triangles by the leaves of their tree: at each node the lower half along the longest side comes first.
+
+    Parameters
+    ----------
+    middles : (m, 3), of the triangles.
+    starts, depth : of the leaves, see `TriangleTree`; levels of nodes above them.
+    order : (m,), the triangles, sorted in place.
+    """
+    for level in range(depth):
+        step = 1 << (depth - level)
+        for first in range(0, 1 << depth, step):
+            low: Any = np.int64(starts[first])
+            split: Any = np.int64(starts[first + step // 2])
+            high: Any = np.int64(starts[first + step])
+            widest, axis = -1.0, 0
+            for k in range(3):
+                least = most = middles[order[low], k]
+                for i in range(low + 1, high):
+                    least, most = min(least, middles[order[i], k]), max(most, middles[order[i], k])
+                if most - least > widest:
+                    widest, axis = most - least, k
+            if low < split < high:
+                _select(middles, axis, order, low, high, split)
 
 
 def _boxes(triangles: Floats, starts: npt.NDArray[np.int32]) -> Floats:
@@ -146,9 +185,12 @@ def _boxes(triangles: Floats, starts: npt.NDArray[np.int32]) -> Floats:
     low[0] = high[0] = 0.0
     low[leaves:] = np.minimum.reduceat(triangles.min(axis=1), starts[:-1])
     high[leaves:] = np.maximum.reduceat(triangles.max(axis=1), starts[:-1])
-    for node in range(leaves - 1, 0, -1):
-        low[node] = np.minimum(low[2 * node], low[2 * node + 1])
-        high[node] = np.maximum(high[2 * node], high[2 * node + 1])
+    first = leaves
+    while first > 1:  # the nodes above those from `first` on
+        parents, below = slice(first // 2, first), slice(first, 2 * first)
+        low[parents] = low[below].reshape(-1, 2, 3).min(axis=1)
+        high[parents] = high[below].reshape(-1, 2, 3).max(axis=1)
+        first //= 2
     return np.hstack([(low + high) / 2, (high - low) / 2])
 
 

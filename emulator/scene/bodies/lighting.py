@@ -6,7 +6,7 @@ with a law of reflection r and the visible share of the Sun's disc. Near a shado
 part of the disc, so the light is smooth in time. Shadows:
 
     smooth bodies        rays at vertices (`sun_rays`), and polygons on facets that an edge crosses (`shadow_edges`), in
-                         the shadows of all that is rigidly fixed to the body
+                         the shadows of all that is rigidly fixed to the body; sides are cut before (`curved_sides`)
     flat-shaded ones     polygons over their facets where penumbras are narrow enough (`shadow_polygons`), else covered
                          areas of the disc, traced (`cast_shadow`)
     bodies on others     traced, in the frame of the body that casts the shadow
@@ -32,11 +32,13 @@ import numpy.typing as npt
 from emulator.geometry.attitude import Vector, unit
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflection_kernels import Law, law_of, reflect
+from emulator.raster import Facets, join, prepare
 from emulator.scene.bodies.cast_shadow import TriangleTree, build_tree, dim, seen_above
 from emulator.scene.bodies.compiled import entry
-from emulator.scene.bodies.lit_surface import Surface, shadow_triangles
+from emulator.scene.bodies.curved_sides import Sides, mark
+from emulator.scene.bodies.lit_surface import Surface, mean_side_m, shadow_triangles
 from emulator.scene.bodies.mesh import Mesh
-from emulator.scene.bodies.shadow_edges import MARGIN_PX, Lights, ShadowEdges, Suns
+from emulator.scene.bodies.shadow_edges import MARGIN_PX, Drawn, Lights, ShadowEdges, Suns
 from emulator.scene.bodies.shadow_polygons import Dark, Polygons, SharpShadows, Surroundings, receivers_of
 from emulator.scene.bodies.sun_rays import Window
 from emulator.scene.bodies.table import BodiesParameters
@@ -46,6 +48,7 @@ from emulator.trajectory.pose import Pose, Timescale, Trajectory
 
 Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int32]
+Bytes = npt.NDArray[np.uint8]
 
 
 @entry
@@ -53,6 +56,7 @@ def choose(
     points: Floats,
     normals: Floats,
     lean: Floats,
+    marked: Bytes,
     suns: Floats,
     eyes: Floats,
     lowest: float,
@@ -64,6 +68,7 @@ def choose(
     Parameters
     ----------
     points, normals, lean : of a `Surface`.
+    marked : (n,), 0 for points in the middle of sides that are not cut: they are left out.
     suns, eyes : (2, 3) unit directions, and m, now and an instant later.
     lowest : points with a cosine of incidence that is not above this are left out.
     chosen : (n,), numbers of points.
@@ -72,7 +77,7 @@ def choose(
     count = 0
     for k in range(len(points)):
         nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
-        if not nx * suns[0, 0] + ny * suns[0, 1] + nz * suns[0, 2] > lowest:
+        if marked[k] == 0 or not nx * suns[0, 0] + ny * suns[0, 1] + nz * suns[0, 2] > lowest:
             continue
         x, y, z = points[k, 0], points[k, 1], points[k, 2]
         dx, dy, dz = eyes[0, 0] - x, eyes[0, 1] - y, eyes[0, 2] - z
@@ -199,7 +204,10 @@ class Radiance:
 
 @dataclass(frozen=True, eq=False)
 class _Lit:
-    """A body's points in the frame of its group."""
+    """A body's points in the frame of its group.
+
+    `first_point` and `facets` are among those of all bodies, `marked` a view of theirs.
+    """
 
     points: Floats
     normals: Floats
@@ -209,8 +217,12 @@ class _Lit:
     group: int
     middle_m: Vector
     radius_m: float
+    marked: Bytes
+    first_point: int = 0
+    facets: tuple[int, int] = (0, 0)
     sharp: bool = False
     edges: ShadowEdges | None = None
+    sides: Sides | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,11 +252,17 @@ def motion_at(
 class Lighting:
     """The light of the bodies of a scene. Not for several threads at once.
 
+    Attributes
+    ----------
+    facets : of the last light frame.
+    marked : of each body, (points,), 0 for those that are in no facet of it.
+
     Parameters
     ----------
     pinhole : the camera: shadow edges outside its frame are left out.
     meshes : of each body, for the shadows that it casts.
     surfaces : of each body, the points at which light is computed.
+    sides : those of each smooth body that may be cut, by number; see `curved_sides`.
     sharp : flat-shaded bodies on which the shadows of their own group are polygons, to be drawn over them.
     threads : number of threads that compute shadows; the light is the same to the last bit.
     """
@@ -257,14 +275,17 @@ class Lighting:
         surfaces: Sequence[Surface],
         sharp: Collection[int] = (),
         threads: int = 1,
+        sides: Mapping[int, Sides] | None = None,
     ) -> None:
+        self.facets = facets_of(surfaces, meshes)
+        self.marked = [np.ones(len(surface.points), np.uint8) for surface in surfaces]
         self._sun, self._ambient = parameters.sun, parameters.ambient_w_m2
         self._towards = unit(parameters.sun.direction)
         self._groups = rigid_groups(parameters.bodies)
         self._trees = [_group_tree(group, parameters, meshes) for group in self._groups]
         self._pool = ThreadPool(threads)
         self._pinhole = pinhole
-        self._bodies = self._lit(parameters, surfaces, sharp)
+        self._bodies = self._lit(parameters, surfaces, sharp, sides or {})
         self._sharp = list(self._sharp_shadows(surfaces))
         points = max(len(body.points) for body in self._bodies)
         self._chosen, self._angles = np.empty(points, np.int32), np.empty((6, points))
@@ -282,10 +303,20 @@ class Lighting:
         """Return the light of each body, and the shadow polygons to draw over the bodies."""
         step_s = self._step_s(motion)
         seen = [self._seen(motion, group.members[0], step_s) for group in self._groups]
+        self._cut_sides(seen)
         cut: list[Polygons] = []
         radiances = [self._body_light(body, seen, step_s, cut) for body in self._bodies]
         cut += [self._polygons(g, shadows, seen[g], radiances, step_s) for g, shadows in self._sharp]
         return radiances, cut
+
+    def _cut_sides(self, seen: Sequence[_Seen]) -> None:
+        """Select the sides to cut, and cut the facets."""
+        for body in self._bodies:
+            if body.sides is not None:
+                group = seen[body.group]
+                window = self._window(group)
+                mark(body.points, body.normals, body.sides, group.suns[0], window, self._angles[:2], body.marked)
+        self.facets.cut(np.concatenate(self.marked))
 
     def _polygons(
         self, g: int, shadows: SharpShadows, seen: _Seen, radiances: Sequence[Radiance], step_s: float
@@ -294,18 +325,28 @@ class Lighting:
         members = [radiances[k] for k in self._groups[g].members if self._bodies[k].sharp]
         return shadows.cast([Dark(light.dark, light.dark_rate) for light in members], around)
 
-    def _lit(self, parameters: BodiesParameters, surfaces: Sequence[Surface], sharp: Collection[int]) -> list[_Lit]:
+    def _lit(
+        self,
+        parameters: BodiesParameters,
+        surfaces: Sequence[Surface],
+        sharp: Collection[int],
+        sides: Mapping[int, Sides],
+    ) -> list[_Lit]:
         where = {k: (g, pose) for g, group in enumerate(self._groups) for k, pose in zip(*_both(group), strict=True)}
         lit = []
-        first = 0
+        point = facet = 0
         for k, (body, surface) in enumerate(zip(parameters.bodies, surfaces, strict=True)):
-            placed = _place(surface, law_of(body.reflectance), *where[k])
+            placed = _place(surface, law_of(body.reflectance), *where[k], self.marked[k])
             tree, root = self._trees[placed.group], self._groups[placed.group].members[0]
             edges = None
             if surface.smooth and tree is not None:
-                edges = ShadowEdges(root, tree, placed.points, placed.normals, surface.faces, first, self._pool)
-            lit.append(replace(placed, sharp=k in sharp, edges=edges))
-            first += len(surface.faces)
+                side_m = mean_side_m(placed.points, surface.faces)
+                edges = ShadowEdges(root, tree, placed.points, placed.normals, side_m, point, self._pool)
+            facets = facet, facet + len(surface.faces)
+            lit.append(
+                replace(placed, first_point=point, facets=facets, sharp=k in sharp, edges=edges, sides=sides.get(k))
+            )
+            point, facet = point + len(surface.points), facets[1]
         return lit
 
     def _sharp_shadows(self, surfaces: Sequence[Surface]) -> Iterator[tuple[int, SharpShadows]]:
@@ -349,7 +390,9 @@ class Lighting:
         group, radius = seen[body.group], self._sun.radius_rad
         lowest = -2.0 if self._ambient > 0 else -math.sin(radius) if body.edges is None else _BEYOND
         chosen, angles, shares, room = self._chosen, self._angles, self._shares, self._room
-        count = choose(body.points, body.normals, body.lean, group.suns, group.eyes_m, lowest, chosen, angles)
+        count = choose(
+            body.points, body.normals, body.lean, body.marked, group.suns, group.eyes_m, lowest, chosen, angles
+        )
         on_horizon = chosen[:count][np.abs(angles[0, :count]) < radius]  # their own surface hides a part of the disc
         dim_at_plane(count, radius, angles[:2], shares)
         for g, tree in enumerate(self._trees):
@@ -367,9 +410,9 @@ class Lighting:
             window = self._window(group)
             hidden = body.edges.hidden_from_sun(chosen, count, window, group.suns[0])
             hidden[on_horizon] = np.minimum(hidden[on_horizon], 0)
-            polygons.append(
-                body.edges.cut(Lights(*out, *dark), Suns(group.suns[0], group.suns[1], step_s, radius), window)
-            )
+            drawn = Drawn(self.facets.shades, body.facets, self.facets.parts_of(*body.facets))
+            suns = Suns(group.suns[0], group.suns[1], step_s, radius)
+            polygons.append(body.edges.cut(Lights(*out, *dark), suns, window, drawn))
             out = np.where(hidden == 1, dark, out)
         return Radiance(*out, *dark)
 
@@ -407,13 +450,31 @@ def _group_tree(group: RigidGroup, parameters: BodiesParameters, meshes: Sequenc
     return build_tree(np.concatenate(parts)) if parts else None
 
 
-def _place(surface: Surface, law: Law, group: int, pose: Pose) -> _Lit:
+def facets_of(surfaces: Sequence[Surface], meshes: Sequence[Mesh]) -> Facets:
+    """Return the facets of all bodies, one after another."""
+    parts = [
+        replace(
+            prepare(surface.faces, shades=surface.shades, two_sided=mesh.open_edges > 0), entries=len(surface.points)
+        )
+        for surface, mesh in zip(surfaces, meshes, strict=True)
+    ]
+    firsts = np.cumsum([0, *(len(surface.points) for surface in surfaces)])
+    middles = [
+        np.where(surface.middles >= 0, surface.middles + first, -1)
+        if surface.middles is not None
+        else np.full(surface.faces.shape, -1)
+        for surface, first in zip(surfaces, firsts, strict=False)
+    ]
+    return Facets(join(parts), np.concatenate(middles).astype(np.int32))
+
+
+def _place(surface: Surface, law: Law, group: int, pose: Pose, marked: Bytes) -> _Lit:
     """Return a body's points in the frame of its group."""
     turn = pose.world_from_body.T
     points, normals = surface.points @ turn + pose.position_m, surface.normals @ turn
     low, high = points.min(axis=0), points.max(axis=0)
     middle, radius_m = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
-    return _Lit(points, normals, surface.lean, law, surface.albedo, group, middle, radius_m)
+    return _Lit(points, normals, surface.lean, law, surface.albedo, group, middle, radius_m, marked)
 
 
 def _turned(motion: Motion, k: int) -> float:

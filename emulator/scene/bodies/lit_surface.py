@@ -40,6 +40,7 @@ class Surface:
         that are not lower than this under its tangent plane.
     smooth : True: normals are interpolated.
     albedo : (e,) of each radiance, relative to the body's law of reflection; None: 1 everywhere.
+    middles : (m, 3) int32, the vertex in the middle of each side that may be cut, see `curved_sides`; None: no side.
     """
 
     vertices: Floats
@@ -50,6 +51,7 @@ class Surface:
     lean: Floats
     smooth: bool
     albedo: Floats | None = None
+    middles: Faces | None = None
 
 
 def lit_surface(mesh: Mesh, *, smooth: bool) -> Surface:
@@ -62,7 +64,7 @@ def _smooth(mesh: Mesh) -> Surface:
     least = np.ones(len(mesh.vertices))
     np.minimum.at(least, mesh.faces, cosines)
     lean = np.where(least > 0, np.sqrt(np.maximum(1 - least * least, 0)), 1.0) + 1e-9
-    points = mesh.vertices + _LIFT * _side_m(mesh) * mesh.normals
+    points = mesh.vertices + _LIFT * mean_side_m(mesh.vertices, mesh.faces) * mesh.normals
     albedo = None if mesh.albedo is None else mesh.vertex_albedo
     return Surface(mesh.vertices, mesh.faces, mesh.faces, points, mesh.normals, lean, True, albedo)
 
@@ -145,16 +147,26 @@ def _ends(faces: Faces) -> tuple[Faces, Faces]:
     return np.minimum(faces, after), np.maximum(faces, after)
 
 
+def middles_of(mesh: Mesh, split: npt.NDArray[np.bool_]) -> tuple[Faces, npt.NDArray[np.intp]]:
+    """Return the sides of `split`, (m, 3), each once: their ends, (n, 2), and the number of each chosen one among them.
+
+    The second array has an entry for each True in `split`, row after row.
+    """
+    low, high = _ends(mesh.faces)
+    count = len(mesh.vertices)
+    sides, number = np.unique(low[split].astype(np.int64) * count + high[split], return_inverse=True)
+    return np.stack(np.divmod(sides, count), axis=1).astype(np.int32), number
+
+
 def split_sides(mesh: Mesh, split: npt.NDArray[np.bool_]) -> Mesh:
     """Return a mesh with a vertex in the middle of the sides of `split`, (m, 3), and the facets cut there.
 
     Both facets of a side must have the same value. Normals and albedo of new vertices are means of the side's ends.
     """
     vertices, faces, normals = mesh.vertices, mesh.faces, mesh.normals
-    low, high = _ends(faces)
-    sides, number = np.unique(np.column_stack([low[split], high[split]]), axis=0, return_inverse=True)
+    sides, number = middles_of(mesh, split)
     middle = np.full(faces.shape, -1, np.int64)
-    middle[split] = len(vertices) + number.ravel()
+    middle[split] = len(vertices) + number
     new_normals = normals[sides].sum(axis=1)
     length = np.linalg.norm(new_normals, axis=1, keepdims=True)
     new_normals = np.where(length > 1e-6, new_normals / np.maximum(length, 1e-6), normals[sides[:, 0]])
@@ -209,6 +221,7 @@ def _facet_normals(mesh: Mesh) -> Floats:
     return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
 
 
-def _side_m(mesh: Mesh) -> float:
-    sides = mesh.vertices[mesh.faces] - mesh.vertices[np.roll(mesh.faces, 1, axis=1)]
+def mean_side_m(vertices: Floats, faces: Faces) -> float:
+    """Return the mean length of the sides of facets."""
+    sides = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
     return float(np.linalg.norm(sides, axis=2).mean())

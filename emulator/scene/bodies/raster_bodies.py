@@ -27,10 +27,12 @@ import numpy.typing as npt
 from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, ScenePoses, Seen
 from emulator.light import NOTHING, LastArrays, Light, PixelLight, Region, SceneError
 from emulator.photometry.reflectance import Glossy, Lambert
-from emulator.raster import Patches, Renderer, Screen, View, join, prepare
+from emulator.raster import Renderer, Screen, View
 from emulator.scene.bodies.compiled import entry
+from emulator.scene.bodies.curved_sides import BEND_PX, Sides, with_middles
 from emulator.scene.bodies.lighting import Lighting, Motion, Poses, motion_at
 from emulator.scene.bodies.lit_surface import Surface, lit_surface, near_in_memory, subdivide
+from emulator.scene.bodies.mesh import Mesh
 from emulator.scene.bodies.shadow_polygons import with_narrow_penumbras
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.scene.bodies.world import BodyWorld, rigid_groups
@@ -171,21 +173,17 @@ class RasterBodies(WorldScene[BodyWorld]):
         bodies = range(len(world.meshes))
         pixel_m = min(map(self._nearest_m, bodies)) / pinhole.focal_px
         self._sharp = with_narrow_penumbras(parameters, world.meshes, LONGEST_PX * pixel_m)
-        self._surfaces = [self._surface(k) for k in bodies]
-        seen = [world.as_seen(k) for k in bodies]
-        self._lighting = Lighting(parameters, pinhole, seen, self._surfaces, self._sharp, threads)
+        self._sides: dict[int, Sides] = {}
+        casters = [world.as_seen(k) for k in bodies]
+        self._surfaces = [self._surface(k, casters) for k in bodies]
+        self._lighting = Lighting(parameters, pinhole, casters, self._surfaces, self._sharp, threads, self._sides)
         self._placed = _in_groups(parameters, self._surfaces)
-        self._poses = world.arrangement.poses_of({root for root, _ in self._placed})
-        parts = [
-            prepare(surface.faces, shades=surface.shades, two_sided=mesh.open_edges > 0)
-            for surface, mesh in zip(self._surfaces, world.meshes, strict=True)
-        ]
+        self._poses = world.arrangement.poses_of({root for root, *_ in self._placed})
         width, height = pinhole.size
         middle = width / 2, height / 2
         screen = Screen(width, height, pinhole.focal_px, middle, _NEAREST_SHARE * self.distance_m)
-        topology = join(parts)
-        self._patches = Patches(topology)
-        self._renderer = Renderer(topology, screen, threads)
+        nothing = np.zeros((0, 3), np.int32), np.zeros(0, np.int32)
+        self._renderer = Renderer(self._lighting.facets.on(*nothing), screen, threads)
         self._spare = np.zeros((height, width), np.float32)
         self._drawn = NOTHING
         self._changed: Region | None = None
@@ -234,13 +232,20 @@ class RasterBodies(WorldScene[BodyWorld]):
     def _pixels(self, t_ns: int, pixels: npt.NDArray[np.int64]) -> tuple[Light, Light]:
         return self._renderer.query(self._view(t_ns), pixels)
 
-    def _surface(self, k: int) -> Surface:
-        """Return the lit surface of body k: facets that are large in the light frame are divided, within a limit."""
+    def _surface(self, k: int, casters: list[Mesh]) -> Surface:
+        """Return the lit surface of body k: facets that are large in the light frame are divided, within a limit.
+
+        Of a smooth one all sides that may be cut are cut in `casters`, for its shadows.
+        """
         world = self._world
-        mesh, smooth = world.as_seen(k), world.parameters.bodies[k].smooth
+        mesh, smooth = casters[k], world.parameters.bodies[k].smooth
         if len(mesh.faces) < _MOST_DIVIDED:
             mesh = subdivide(mesh, max(self._longest_m(k), math.sqrt(2 * mesh.area_m2 / _MOST_DIVIDED)))
-        return lit_surface(near_in_memory(mesh), smooth=smooth)
+        mesh = near_in_memory(mesh)
+        if not smooth or mesh.open_edges:  # a sheet is seen from both sides, its parts are not
+            return lit_surface(mesh, smooth=smooth)
+        surface, self._sides[k], casters[k] = with_middles(mesh, BEND_PX * world.metres_a_pixel(k))
+        return surface
 
     def _longest_m(self, k: int) -> float:
         """Return the longest allowed side of body k's facets."""
@@ -264,14 +269,21 @@ class RasterBodies(WorldScene[BodyWorld]):
         world = self._world
         motion = motion_at(t_ns, world.camera, self._poses, world.time)
         surface_lights, shadows = self._lighting.light_and_polygons(motion)
-        bodies = [(root, vertices, 1.0) for root, vertices in self._placed]
+        bodies = [(root, vertices, 1.0) for root, vertices, _ in self._placed]
+        middles = [
+            (root, points[marked[-len(points) :] != 0], 1.0)
+            for (root, _, points), marked in zip(self._placed, self._lighting.marked, strict=True)
+            if len(points)
+        ]
         over = [(polygons.body, polygons.corners, 1.0 - _LIFT) for polygons in shadows]
-        places, velocities = _in_camera_axes([*bodies, *over], motion)
-        if shadows:
-            firsts = np.cumsum([0, *(len(shadow.corners) for shadow in shadows)], dtype=np.int32)
-            faces = [shadow.faces + first for shadow, first in zip(shadows, firsts, strict=False)]
-            below = np.concatenate([shadow.over for shadow in shadows])
-            self._renderer.topology = self._patches.on(np.concatenate(faces), below)
+        places, velocities = _in_camera_axes([*bodies, *middles, *over], motion)
+        firsts = np.cumsum([0, *(len(shadow.corners) for shadow in shadows)], dtype=np.int32)
+        faces = [shadow.faces + first for shadow, first in zip(shadows, firsts, strict=False)]
+        below = [shadow.over for shadow in shadows]
+        none = np.zeros((0, 3), np.int32), np.zeros(0, np.int32)
+        self._renderer.topology = self._lighting.facets.on(
+            np.concatenate([none[0], *faces]), np.concatenate([none[1], *below])
+        )
         return View(
             places,
             velocities,
@@ -280,15 +292,19 @@ class RasterBodies(WorldScene[BodyWorld]):
         )
 
 
-def _in_groups(parameters: BodiesParameters, surfaces: Sequence[Surface]) -> list[tuple[int, _Floats]]:
-    """Return for each body the first body of its rigid group, and the body's vertices in the frame of that one."""
+def _in_groups(parameters: BodiesParameters, surfaces: Sequence[Surface]) -> list[tuple[int, _Floats, _Floats]]:
+    """Return for each body the first body of its rigid group, and in the frame of that one its vertices.
+
+    Apart are those in the middle of sides, which are drawn where the side is cut.
+    """
     placed = {}
     for group in rigid_groups(parameters.bodies):
         for k, pose in zip(group.members, group.poses, strict=True):
             vertices = surfaces[k].vertices
             if k != group.members[0]:
                 vertices = vertices @ pose.world_from_body.T + pose.position_m
-            placed[k] = (group.members[0], vertices)
+            whole = int(surfaces[k].faces.max()) + 1
+            placed[k] = (group.members[0], np.ascontiguousarray(vertices[:whole]), vertices[whole:])
     return [placed[k] for k in range(len(surfaces))]
 
 

@@ -47,7 +47,7 @@ import numpy as np
 import numpy.typing as npt
 
 from emulator.scene.bodies.albedo import clouded, fractal_noise, with_albedo
-from emulator.scene.bodies.lit_surface import split_sides
+from emulator.scene.bodies.curved_sides import split_round
 from emulator.scene.bodies.mesh import Mesh, facet_vectors, vertex_normals
 from emulator.scene.bodies.smooth_ground import smooth_ground
 from emulator.scene.bodies.table import Clouds, Detail, Regolith
@@ -255,24 +255,8 @@ def _without(group: Features, smooth: Floats) -> Features:
 def _evenly_divided(mesh: Mesh, p: Regolith, pixel_m: float) -> Mesh:
     """Return the body with all facets cut in four, as often as they are large in the light frame and not too many."""
     while 4 * len(mesh.faces) <= p.most_facets and facet_size_m(mesh) > 2 * p.facet_px * pixel_m:
-        mesh = _split_round(mesh, np.ones(mesh.faces.shape, bool))
+        mesh = split_round(mesh, np.ones(mesh.faces.shape, bool))
     return mesh
-
-
-def _split_round(mesh: Mesh, split: Bools) -> Mesh:
-    """Return the mesh with the sides of `split` cut, the new vertices on the curve of the normals at the ends.
-
-    The middle of a cubic side (Vlachos et al. 2001, Curved PN triangles): flat parts would show the model's facets.
-    """
-    low, high = np.sort(np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)]), axis=0)[:, split]
-    sides = np.unique(np.column_stack([low, high]), axis=0)
-    ends, normals = mesh.vertices[sides], mesh.normals[sides]
-    along = (ends[:, 1] - ends[:, 0])[:, None]
-    bends = (along * normals).sum(axis=2, keepdims=True) * normals
-    cut = split_sides(mesh, split)
-    vertices = cut.vertices.copy()
-    vertices[len(mesh.vertices) :] += (bends[:, 1] - bends[:, 0]) / 8
-    return dataclasses.replace(cut, vertices=vertices)
 
 
 def _roughness(places: Floats, p: Regolith, size_m: float, finest_m: float) -> Floats:
@@ -339,7 +323,7 @@ def _divided(mesh: Mesh, kinds: dict[int, Features]) -> Mesh:
         split = sides_m > wanted_m
         if not split.any():
             break
-        fine = _split_round(fine, split)
+        fine = split_round(fine, split)
     return fine
 
 

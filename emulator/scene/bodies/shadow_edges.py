@@ -69,15 +69,29 @@ class Receiver(NamedTuple):
     Attributes
     ----------
     vertices : (n, 3) m.
+    normals : (n, 3) unit.
     lifted : (n, 3) m, from where rays begin.
-    faces : (m, 3).
-    first_facet : number of the first facet among those of all bodies.
+    first : the radiance of the first vertex among those of all bodies.
     """
 
     vertices: Floats
+    normals: Floats
     lifted: Floats
-    faces: Longs
-    first_facet: int
+    first: int
+
+
+class Drawn(NamedTuple):
+    """Facets of this light frame.
+
+    Attributes
+    ----------
+    corners : (rows, 3), the radiance of each corner among those of all bodies.
+    whole, parts : rows of the body's facets and of parts of these: the first one and the one after the last.
+    """
+
+    corners: Numbers
+    whole: tuple[int, int]
+    parts: tuple[int, int]
 
 
 class Suns(NamedTuple):
@@ -99,19 +113,23 @@ class Lights(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """Crossings of the last sides: their ends, (k, 2), lit and dark vertex, and the numbers of `_Crossing`, (k, 4)."""
+    """Crossings of the last sides: their ends, (k, 2), lit and dark vertex, and the numbers of `_Crossing`, (k, 5)."""
 
     ends: Numbers
     crossings: Floats
 
 
 class _Crossing(NamedTuple):
-    """Places where an edge crosses a side, shares of it from the sunlit end: lit up to `lit`, dark from `dark` on."""
+    """Places where an edge crosses a side, shares of it from the sunlit end: lit up to `lit`, dark from `dark` on.
+
+    `fades` is 1 where the surface turns away from the Sun: the light falls to that of the dark part, else 0.
+    """
 
     lit: float
     lit_rate: float
     dark: float
     dark_rate: float
+    fades: float
 
 
 class _Forms(NamedTuple):
@@ -181,7 +199,7 @@ def _rims(forms: _Forms, s: float, suns: Suns, narrow: float) -> _Crossing:
     high_moved = _share_at(forms, plus(later, radius, tilt)) - high
     low_rate = min(max(low_moved, -fastest), fastest) / suns.between_s if low >= 0.0 else 0.0
     high_rate = min(max(high_moved, -fastest), fastest) / suns.between_s if high <= 1.0 else 0.0
-    return _Crossing(max(low, 0.0), low_rate, min(high, 1.0), high_rate)
+    return _Crossing(max(low, 0.0), low_rate, min(high, 1.0), high_rate, 0.0)
 
 
 @kernel
@@ -190,6 +208,15 @@ def _cross(tree: TriangleTree, receiver: Receiver, lit: int, dark: int, suns: Su
     q = row(receiver.lifted, lit)
     d = minus(row(receiver.lifted, dark), q)
     sun = (suns.now[0], suns.now[1], suns.now[2])
+    high = dot(row(receiver.normals, lit), sun)
+    low = dot(row(receiver.normals, dark), sun)
+    if low <= 0.0 < high:  # the surface turns away in between
+        after = (suns.later[0], suns.later[1], suns.later[2])
+        high_after = dot(row(receiver.normals, lit), after)
+        low_after = dot(row(receiver.normals, dark), after)
+        s = high / (high - low)
+        s_rate = (high_after / (high_after - low_after) - s) / suns.between_s
+        return _Crossing(s, s_rate, s, s_rate, 1.0)
     at = 1.0
     # The hiding triangle is searched for anew: that of an earlier light frame may be another one.
     triangle = first_met(tree, plus(q, at, d), sun)
@@ -199,12 +226,12 @@ def _cross(tree: TriangleTree, receiver: Receiver, lit: int, dark: int, suns: Su
         s, edge = _leave(tree.corners, triangle, q, d, at, sun)
         at = s - _PAST
         if at <= 0.0:
-            return _Crossing(_PAST, 0.0, _PAST, 0.0)
+            return _Crossing(_PAST, 0.0, _PAST, 0.0, 0.0)
         before = triangle
         triangle = first_met(tree, plus(q, at, d), sun)
         if triangle < 0 and edge < 3:
             return _rims(_forms(tree.corners, before, edge, q, d), s, suns, narrow)
-    return _Crossing(at, 0.0, at, 0.0)
+    return _Crossing(at, 0.0, at, 0.0, 0.0)
 
 
 @kernel
@@ -232,11 +259,17 @@ def _add_triangle(out: Triangles, number: int, a: int, b: int, c: int, facet: in
 
 
 @kernel
-def _faces_eye(receiver: Receiver, f: int, eye: Floats) -> bool:
+def _corners(corners: Numbers, f: int, receiver: Receiver) -> tuple[int, int, int]:
+    """Return the vertices at the corners of a facet."""
+    return corners[f, 0] - receiver.first, corners[f, 1] - receiver.first, corners[f, 2] - receiver.first
+
+
+@kernel
+def _faces_eye(receiver: Receiver, a: int, b: int, c: int, eye: Floats) -> bool:
     """Return whether a facet shows its outside to the camera."""
-    first = row(receiver.vertices, receiver.faces[f, 0])
-    u = minus(row(receiver.vertices, receiver.faces[f, 1]), first)
-    v = minus(row(receiver.vertices, receiver.faces[f, 2]), first)
+    first = row(receiver.vertices, a)
+    u = minus(row(receiver.vertices, b), first)
+    v = minus(row(receiver.vertices, c), first)
     return bool(dot(cross(u, v), minus((eye[0], eye[1], eye[2]), first)) > 0.0)
 
 
@@ -257,29 +290,30 @@ def _cross_once(  # noqa: PLR0913, PLR0917
     if sides.ends[k, 0] != lit or sides.ends[k, 1] != dark:
         sides.ends[k, 0], sides.ends[k, 1] = lit, dark
         x = _cross(tree, receiver, lit, dark, suns, _narrow(receiver, lit, dark, window))
-        for j in range(4):
+        for j in range(5):
             sides.crossings[k, j] = x[j]
     at = sides.crossings[k]
-    return _Crossing(at[0], at[1], at[2], at[3])
+    return _Crossing(at[0], at[1], at[2], at[3], at[4])
 
 
 @entry
-def list_crossed(receiver: Receiver, is_hidden: npt.NDArray[np.int8], eye: Floats, crossed: Longs) -> int:
+def list_crossed(receiver: Receiver, drawn: Drawn, is_hidden: npt.NDArray[np.int8], eye: Floats, crossed: Longs) -> int:
     """List facets before the camera of which one or two corners are hidden; return how many.
 
     Parameters
     ----------
     is_hidden : (n,), of each vertex: 1, 0, or -1 where that is not known.
-    crossed : (m,), numbers of facets.
+    crossed : (facets,), numbers of rows.
     """
     count = 0
-    for f in range(len(receiver.faces)):
-        a = is_hidden[receiver.faces[f, 0]]
-        b = is_hidden[receiver.faces[f, 1]]
-        c = is_hidden[receiver.faces[f, 2]]
-        if min(a, b, c) == 0 and max(a, b, c) == 1 and _faces_eye(receiver, f, eye):
-            crossed[count] = f
-            count += 1
+    for rows in (drawn.whole, drawn.parts):
+        for f in range(rows[0], rows[1]):
+            a, b, c = _corners(drawn.corners, f, receiver)
+            least = min(is_hidden[a], is_hidden[b], is_hidden[c])
+            most = max(is_hidden[a], is_hidden[b], is_hidden[c])
+            if least == 0 and most == 1 and _faces_eye(receiver, a, b, c, eye):
+                crossed[count] = f
+                count += 1
     return count
 
 
@@ -287,6 +321,7 @@ def list_crossed(receiver: Receiver, is_hidden: npt.NDArray[np.int8], eye: Float
 def cut_facets(  # noqa: PLR0913, PLR0917
     tree: TriangleTree,
     receiver: Receiver,
+    corners: Numbers,
     crossed: Longs,
     part: tuple[int, int],
     is_hidden: npt.NDArray[np.int8],
@@ -300,7 +335,8 @@ def cut_facets(  # noqa: PLR0913, PLR0917
 
     Parameters
     ----------
-    crossed, part : numbers of facets, and the first of them to cut and the one after the last.
+    corners : of `Drawn`.
+    crossed, part : numbers of rows, and the first of them to cut and the one after the last.
     out : with _ROWS corners and _TRIANGLES triangles for each of `crossed`; `over` of those left out stays as it is.
     """
     sides.ends[:] = -1
@@ -308,9 +344,8 @@ def cut_facets(  # noqa: PLR0913, PLR0917
         f = crossed[i]
         row = _ROWS * i
         number = _TRIANGLES * i
-        facet = receiver.first_facet + f
         # Corner o differs from p and q.
-        o, p, q = receiver.faces[f, 0], receiver.faces[f, 1], receiver.faces[f, 2]
+        o, p, q = _corners(corners, f, receiver)
         if is_hidden[o] == is_hidden[q]:
             o, p, q = p, q, o
         elif is_hidden[o] == is_hidden[p]:
@@ -324,17 +359,19 @@ def cut_facets(  # noqa: PLR0913, PLR0917
             lit, dark = (o, other) if is_lit else (other, o)
             x = _cross_once(tree, receiver, lit, dark, suns, window, sides)
             is_wide |= x.dark > x.lit
-            _put(receiver, lights, lit, dark, x.lit, x.lit_rate, is_hidden[lit] == 0, out, lit_row + k)
+            _put(
+                receiver, lights, lit, dark, x.lit, x.lit_rate, is_hidden[lit] == 0 and x.fades == 0.0, out, lit_row + k
+            )
             _put(receiver, lights, lit, dark, x.dark, x.dark_rate, is_hidden[dark] == 0, out, dark_row + k)
         _put(receiver, lights, p, p, 0.0, 0.0, not is_lit, out, row + 5)
         _put(receiver, lights, q, q, 0.0, 0.0, not is_lit, out, row + 6)
         # Rows: o; near it, on both sides; beyond the penumbra, on both sides; p; q.
-        _add_triangle(out, number, row, row + 1, row + 2, facet)
-        _add_triangle(out, number + 1, row + 3, row + 5, row + 6, facet)
-        _add_triangle(out, number + 2, row + 3, row + 6, row + 4, facet)
+        _add_triangle(out, number, row, row + 1, row + 2, f)
+        _add_triangle(out, number + 1, row + 3, row + 5, row + 6, f)
+        _add_triangle(out, number + 2, row + 3, row + 6, row + 4, f)
         if is_wide:
-            _add_triangle(out, number + 3, row + 1, row + 3, row + 4, facet)
-            _add_triangle(out, number + 4, row + 1, row + 4, row + 2, facet)
+            _add_triangle(out, number + 3, row + 1, row + 3, row + 4, f)
+            _add_triangle(out, number + 4, row + 1, row + 4, row + 2, f)
 
 
 class ShadowEdges:
@@ -344,26 +381,25 @@ class ShadowEdges:
     ----------
     body : number of the first body of its group, in whose frame all is.
     tree : triangles that cast shadows.
-    vertices, normals, faces : of the surface, (n, 3) m, (n, 3) unit, (m, 3).
-    first_facet : its number among those of all bodies.
+    vertices, normals : of the surface, (n, 3) m and unit.
+    side_m : mean length of its sides.
+    first : the radiance of its first vertex among those of all bodies.
     pool : threads that share the work; the edges are the same to the last bit.
     """
 
     def __init__(  # noqa: PLR0913, PLR0917
-        self, body: int, tree: TriangleTree, vertices: Floats, normals: Floats, faces: Numbers, first_facet: int,
+        self, body: int, tree: TriangleTree, vertices: Floats, normals: Floats, side_m: float, first: int,
         pool: ThreadPool,
     ) -> None:  # fmt: skip
-        sides = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
-        lift_m = _LIFT * float(np.linalg.norm(sides, axis=2).mean())
-        lifted = np.ascontiguousarray(vertices + lift_m * normals)
-        self._receiver = Receiver(np.ascontiguousarray(vertices), lifted, faces.astype(np.int64), first_facet)
+        lifted = np.ascontiguousarray(vertices + _LIFT * side_m * normals)
+        self._receiver = Receiver(np.ascontiguousarray(vertices), np.ascontiguousarray(normals), lifted, first)
         self._body, self._tree, self._pool = body, tree, pool
         self._verdicts = Verdicts.unknown(len(vertices))
         self._is_hidden = np.full(len(vertices), -1, np.int8)
-        self._crossed = np.zeros(len(faces), np.int64)
+        self._crossed = np.zeros(0, np.int64)
         self._before = np.zeros(3)
         self._sides = [
-            Sides(np.zeros((_LAST_SIDES, 2), np.int32), np.zeros((_LAST_SIDES, 4))) for _ in range(pool.threads)
+            Sides(np.zeros((_LAST_SIDES, 2), np.int32), np.zeros((_LAST_SIDES, 5))) for _ in range(pool.threads)
         ]
 
     def hidden_from_sun(self, chosen: Numbers, count: int, window: Window, sun: Floats) -> npt.NDArray[np.int8]:
@@ -378,17 +414,22 @@ class ShadowEdges:
         self._share(work, count, _POINTS_A_PART)
         return self._is_hidden
 
-    def cut(self, lights: Lights, suns: Suns, window: Window) -> Polygons:
+    def cut(self, lights: Lights, suns: Suns, window: Window, drawn: Drawn) -> Polygons:
         """Return the parts of facets that an edge crosses, by the results of `hidden_from_sun`."""
-        crossed, hidden = self._crossed, self._is_hidden
-        count = list_crossed(self._receiver, hidden, window.eye, crossed)
+        hidden, facets = self._is_hidden, drawn.whole[1] - drawn.whole[0] + drawn.parts[1] - drawn.parts[0]
+        if facets > len(self._crossed):
+            self._crossed = np.zeros(2 * facets, np.int64)
+        crossed = self._crossed
+        count = list_crossed(self._receiver, drawn, hidden, window.eye, crossed)
         places, light = np.zeros((_ROWS * count, 6)), np.zeros((_ROWS * count, 2))
         faces, over = np.zeros((_TRIANGLES * count, 3), np.int32), np.full(_TRIANGLES * count, -1, np.int32)
         out = Triangles(places, light, faces, over)
 
         def work(part: tuple[int, int], thread: int) -> None:
             sides = self._sides[thread]
-            cut_facets(self._tree, self._receiver, crossed, part, hidden, lights, suns, window, sides, out)
+            cut_facets(
+                self._tree, self._receiver, drawn.corners, crossed, part, hidden, lights, suns, window, sides, out
+            )
 
         self._share(work, count, _FACETS_A_PART)
         written = over >= 0

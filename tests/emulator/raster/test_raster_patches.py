@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from emulator.light import NOTHING
-from emulator.raster import Patches, Renderer, Screen, View, join, prepare, with_patches
+from emulator.raster import Facets, Renderer, Screen, View, join, prepare
 
 SCREEN = Screen(24, 18, 100.0, (12.0, 9.0))
 LIFT = 1e-6
@@ -29,7 +29,7 @@ def patched(topology, view, corners, faces, over, radiance, velocities=None):
     """Return a scene with patches at camera places `corners`, m, a little lifted."""
     speeds = still(corners) if velocities is None else velocities
     values = np.full(len(corners), radiance)
-    return with_patches(topology, np.asarray(faces, np.int32), np.asarray(over, np.int32)), View(
+    return Facets(topology).on(np.asarray(faces, np.int32), np.asarray(over, np.int32)), View(
         np.concatenate([view.positions_m, (1 - LIFT) * corners]),
         np.concatenate([view.velocities_m_s, (1 - LIFT) * speeds]),
         np.concatenate([view.radiance, values]),
@@ -133,7 +133,7 @@ def test_a_patch_on_a_facet_that_the_camera_cuts_is_drawn_on_what_is_left(pictur
 
 def test_a_picture_without_patches_is_as_before(picture):
     topology, view = ground()
-    none = with_patches(topology, np.zeros((0, 3), np.int32), np.zeros(0, np.int32))
+    none = Facets(topology).on(np.zeros((0, 3), np.int32), np.zeros(0, np.int32))
     assert (picture(Renderer(none, SCREEN), view)[0] == picture(Renderer(topology, SCREEN), view)[0]).all()
     assert (
         Renderer(none, SCREEN)
@@ -145,10 +145,10 @@ def test_a_picture_without_patches_is_as_before(picture):
 def test_patches_in_arrays_that_are_used_again_are_those_of_fresh_ones():
     """More of them, fewer, none: nothing of an earlier picture is left."""
     topology, _ = ground()
-    kept, random = Patches(topology), np.random.default_rng(3)
+    kept, random = Facets(topology), np.random.default_rng(3)
     for n in (2, 40, 3, 0, 90, 5):
         faces, over = random.integers(0, 3 * n + 1, (n, 3)).astype(np.int32), random.integers(0, 2, n).astype(np.int32)
-        found, fresh = kept.on(faces, over), with_patches(topology, faces, over)
+        found, fresh = kept.on(faces, over), Facets(topology).on(faces, over)
         for name in ("faces", "shades", "across", "smooth", "two_sided", "over"):
             np.testing.assert_array_equal(getattr(found, name), getattr(fresh, name))
         assert (found.vertices, found.entries) == (fresh.vertices, fresh.entries)

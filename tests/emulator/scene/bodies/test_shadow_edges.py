@@ -9,10 +9,10 @@ import trimesh
 from emulator.geometry.camera import Pinhole
 from emulator.photometry.reflectance import Sun
 from emulator.scene.bodies.cast_shadow import build_tree
-from emulator.scene.bodies.lit_surface import subdivide
+from emulator.scene.bodies.lit_surface import mean_side_m, subdivide
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
-from emulator.scene.bodies.shadow_edges import Lights, ShadowEdges, Suns
+from emulator.scene.bodies.shadow_edges import Drawn, Lights, ShadowEdges, Suns
 from emulator.scene.bodies.sun_rays import UNKNOWN, Verdicts, Window, first_met, look_to_sun
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.threads import ThreadPool
@@ -41,7 +41,9 @@ class Plate:
         normals = np.zeros_like(self.vertices)
         normals[:, 2] = 1.0
         self.window = ABOVE._replace(focal_px=focal_px)
-        self.edges = ShadowEdges(0, self.tree, self.vertices, normals, self.faces, 0, ThreadPool(threads))
+        side_m = mean_side_m(self.vertices, self.faces)
+        self.edges = ShadowEdges(0, self.tree, self.vertices, normals, side_m, 0, ThreadPool(threads))
+        self.drawn = Drawn(self.faces, (0, len(self.faces)), (0, 0))
 
     def cast(self, sun, turning=(0.0, 0.0, 0.0), radius=RADIUS):
         """Return what is hidden at vertices, and the parts of facets, lit by 1 + x / 100 and dark at 0."""
@@ -49,7 +51,7 @@ class Plate:
         hidden = self.edges.hidden_from_sun(chosen, len(chosen), self.window, sun).copy()
         none, lit = np.zeros(len(chosen)), 1 + self.vertices[:, 0] / 100
         suns = Suns(sun, unit(sun + step_s * np.asarray(turning)), step_s, radius)
-        return hidden, self.edges.cut(Lights(lit, none, none, none), suns, self.window)
+        return hidden, self.edges.cut(Lights(lit, none, none, none), suns, self.window, self.drawn)
 
 
 def dark_part(plate, hidden, parts, at_s=0.0):
