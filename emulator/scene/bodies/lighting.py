@@ -315,7 +315,7 @@ class Lighting:
             if body.sides is not None:
                 group = seen[body.group]
                 window = self._window(group)
-                mark(body.points, body.normals, body.sides, group.suns[0], window, self._angles[:2], body.marked)
+                mark(body.points, body.normals, body.sides, group.suns[0], window, self._angles[:3], body.marked)
         self.facets.cut(np.concatenate(self.marked))
 
     def _polygons(

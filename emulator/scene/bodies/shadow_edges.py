@@ -56,6 +56,7 @@ _MOST_TRIANGLES = 32  # left one after the other on a side
 _PAST = 2e-3  # of a side: the place behind a triangle's shadow at which the next ray begins
 _STEEPEST = 1e5  # sides a radian of the Sun's motion: shadows that graze the surface are no faster
 _DISC = math.sqrt(3) / 2
+_LEAST_PX = 0.2  # area of a facet that is cut: smaller ones have the light between their corners
 _NARROW_PX = 0.5  # penumbras narrower than this are edges
 MARGIN_PX = 24.0  # around the light frame, within which the corners of its facets lie
 _ROWS, _TRIANGLES = 7, 5  # of the parts of a facet, at most
@@ -265,12 +266,14 @@ def _corners(corners: Numbers, f: int, receiver: Receiver) -> tuple[int, int, in
 
 
 @kernel
-def _faces_eye(receiver: Receiver, a: int, b: int, c: int, eye: Floats) -> bool:
-    """Return whether a facet shows its outside to the camera."""
+def _area_px(receiver: Receiver, a: int, b: int, c: int, window: Window) -> float:
+    """Return the area of a facet in the light frame, below 0 where it turns its outside away from the camera."""
     first = row(receiver.vertices, a)
     u = minus(row(receiver.vertices, b), first)
     v = minus(row(receiver.vertices, c), first)
-    return bool(dot(cross(u, v), minus((eye[0], eye[1], eye[2]), first)) > 0.0)
+    away = minus((window.eye[0], window.eye[1], window.eye[2]), first)
+    range2 = max(dot(away, away), 1e-300)
+    return dot(cross(u, v), away) * window.focal_px * window.focal_px / (2.0 * range2 * math.sqrt(range2))
 
 
 @kernel
@@ -297,7 +300,9 @@ def _cross_once(  # noqa: PLR0913, PLR0917
 
 
 @entry
-def list_crossed(receiver: Receiver, drawn: Drawn, is_hidden: npt.NDArray[np.int8], eye: Floats, crossed: Longs) -> int:
+def list_crossed(
+    receiver: Receiver, drawn: Drawn, is_hidden: npt.NDArray[np.int8], window: Window, crossed: Longs
+) -> int:
     """List facets before the camera of which one or two corners are hidden; return how many.
 
     Parameters
@@ -311,7 +316,7 @@ def list_crossed(receiver: Receiver, drawn: Drawn, is_hidden: npt.NDArray[np.int
             a, b, c = _corners(drawn.corners, f, receiver)
             least = min(is_hidden[a], is_hidden[b], is_hidden[c])
             most = max(is_hidden[a], is_hidden[b], is_hidden[c])
-            if least == 0 and most == 1 and _faces_eye(receiver, a, b, c, eye):
+            if least == 0 and most == 1 and _area_px(receiver, a, b, c, window) > _LEAST_PX:
                 crossed[count] = f
                 count += 1
     return count
@@ -420,7 +425,7 @@ class ShadowEdges:
         if facets > len(self._crossed):
             self._crossed = np.zeros(2 * facets, np.int64)
         crossed = self._crossed
-        count = list_crossed(self._receiver, drawn, hidden, window.eye, crossed)
+        count = list_crossed(self._receiver, drawn, hidden, window, crossed)
         places, light = np.zeros((_ROWS * count, 6)), np.zeros((_ROWS * count, 2))
         faces, over = np.zeros((_TRIANGLES * count, 3), np.int32), np.full(_TRIANGLES * count, -1, np.int32)
         out = Triangles(places, light, faces, over)

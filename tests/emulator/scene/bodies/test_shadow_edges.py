@@ -30,7 +30,7 @@ def unit(v):
 class Plate:
     """The plate z = 0 of facets of about 0.4 m, 20 m wide, below a caster of shadows."""
 
-    def __init__(self, caster, threads=1, focal_px=1.0):
+    def __init__(self, caster, threads=1, focal_px=2000.0):  # facets of a pixel, penumbras far below
         flat = trimesh.creation.box((20.0, 20.0, 0.2))
         flat.apply_translation((0.013, 0.007, -0.1))  # no vertex lies on an edge by its round numbers
         plate = subdivide(build_mesh(flat.vertices, flat.faces), 0.4)
@@ -111,8 +111,49 @@ def test_a_penumbra_is_as_wide_as_the_disc():
     half = math.sqrt(3) / 2 * RADIUS * 10.0
     np.testing.assert_allclose(x[edge & lit], -0.1 + half, atol=0.01 * half)
     np.testing.assert_allclose(x[edge & ~lit], -0.1 - half, atol=0.01 * half)
-    narrow = Plate(wall, focal_px=1.0).cast(np.array([0.0, 0.0, 1.0]))[1]
+    narrow = Plate(wall).cast(np.array([0.0, 0.0, 1.0]))[1]
     assert len(narrow.faces) < len(parts.faces)  # no penumbra below half a pixel
+
+
+def edges_of(tree, vertices, normals):
+    return ShadowEdges(0, tree, vertices, normals, 0.4, 0, ThreadPool(1))
+
+
+def test_the_edge_is_where_the_surface_turns_away():
+    """Normals that turn along x, and a Sun that turns: the terminator has its place, its speed and no light."""
+    plate = Plate(bar())
+    slope, sun, turning, step_s = 0.1, unit([-0.3, 0.0, 1.0]), np.array([0.02, 0.0, 0.0]), 1e-7
+    x = plate.vertices[:, 0]
+    normals = np.stack([np.sin(slope * x + 1.5), 0 * x, np.cos(slope * x + 1.5)], axis=1)
+    edges, later = edges_of(plate.tree, plate.vertices, normals), unit(sun + step_s * turning)
+    hidden = (normals @ sun <= 0).astype(np.int8)
+    edges._is_hidden[:] = hidden
+    lights = Lights(np.maximum(normals @ sun, 0), 0 * x, 0 * x, 0 * x)
+    parts = edges.cut(lights, Suns(sun, later, step_s, RADIUS), plate.window, plate.drawn)
+    on_side = np.isin(np.arange(len(parts.places_m)) % 7, (1, 2, 3, 4))
+    at, moves = parts.places_m[on_side], parts.velocities_m_s[on_side]
+    expected = [(math.atan2(s[0], s[2]) + math.pi / 2 - 1.5) / slope for s in (sun, later)]
+    assert len(at) > 100
+    np.testing.assert_allclose(at[:, 0], expected[0], atol=1e-4)
+    sides = np.abs(moves[:, 0]) > 0
+    np.testing.assert_allclose(moves[sides, 0], (expected[1] - expected[0]) / step_s, rtol=1e-3)
+    assert (parts.radiance[on_side] == 0).all()
+
+
+def test_sides_with_one_place_in_the_cache_are_crossed_each():
+    """A facet whose hidden corners have numbers 1024 apart."""
+    wall = trimesh.creation.box((30.0, 30.0, 1.0))
+    wall.apply_translation((-15.0, 0.0, 5.0))
+    vertices, normals = np.zeros((1026, 3)), np.tile([0.0, 0.0, 1.0], (1026, 1))
+    vertices[[0, 1, 1025]] = [1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [-3.0, -1.0, 0.0]
+    edges, sun = edges_of(build_tree(np.array(wall.triangles)), vertices, normals), np.array([0.0, 0.0, 1.0])
+    edges._is_hidden[[0, 1, 1025]] = 0, 1, 1
+    none = np.zeros(1026)
+    drawn = Drawn(np.array([[0, 1, 1025]], np.int32), (0, 1), (0, 0))
+    parts = edges.cut(
+        Lights(none + 1, none, none, none), Suns(sun, sun, 1e-7, RADIUS), ABOVE._replace(focal_px=2e3), drawn
+    )
+    np.testing.assert_allclose(parts.places_m[1:5, 0], 0.0, atol=1e-9)
 
 
 def eros():

@@ -1,0 +1,116 @@
+"""Sides cut on their curves: points on a ball, where they are cut, and the light of a ball against its closed form."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+from emulator.geometry.camera import Pinhole
+from emulator.photometry.reflectance import Lambert, Sun
+from emulator.scene.bodies import raster_bodies
+from emulator.scene.bodies.curved_sides import mark, split_round, with_middles
+from emulator.scene.bodies.mesh import build_mesh
+from emulator.scene.bodies.raster_bodies import RasterBodies
+from emulator.scene.bodies.sun_rays import Window
+from emulator.scene.bodies.table import BodiesParameters, BodyTable
+from emulator.trajectory.parameters import FixedPath
+
+
+def ball(subdivisions=3):
+    made = trimesh.creation.icosphere(subdivisions=subdivisions)
+    mesh = build_mesh(made.vertices, made.faces)
+    return dataclasses.replace(mesh, normals=mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True))
+
+
+def test_middles_lie_on_a_ball():
+    mesh = ball()
+    cut = split_round(mesh, np.ones(mesh.faces.shape, bool))
+    beside = np.abs(np.linalg.norm(cut.vertices[len(mesh.vertices) :], axis=1) - 1)
+    chord = 1 - np.linalg.norm(mesh.vertices[mesh.faces].mean(axis=1), axis=1).min()
+    assert beside.max() < 0.02 * chord
+
+
+def test_only_sides_that_bend_get_a_middle():
+    mesh = ball()
+    surface, sides, fine = with_middles(mesh, 1.0)
+    assert len(sides.bends_m) == 0
+    assert len(surface.vertices) == len(mesh.vertices)
+    assert len(fine.faces) == len(mesh.faces)
+    surface, sides, fine = with_middles(mesh, 1e-4)
+    assert len(fine.faces) == 4 * len(mesh.faces)
+    assert len(surface.vertices) == len(fine.vertices) == len(mesh.vertices) + len(sides.bends_m)
+    longest = math.sqrt(((mesh.vertices[mesh.faces[:, 0]] - mesh.vertices[mesh.faces[:, 1]]) ** 2).sum(axis=1).max())
+    assert sides.bends_m.max() == pytest.approx(longest**2 / 8, rel=0.02)  # the sagitta of a chord of a unit circle
+
+
+@pytest.mark.parametrize(
+    ("sun", "eye"), [((1.0, 0.0, 0.0), (0.0, 0.0, -50.0)), ((0.2, 0.5, -0.8), (30.0, 10.0, -40.0))]
+)
+def test_sides_are_cut_at_the_terminator_and_on_the_lit_outline(sun, eye):
+    sun, eye = np.array(sun) / np.linalg.norm(sun), np.array(eye)
+    surface, sides, _ = with_middles(ball(), 1e-4)
+    whole = len(surface.points) - len(sides.bends_m)
+    marked = np.ones(len(surface.points), np.uint8)
+    forward = -eye / np.linalg.norm(eye)
+    across = np.cross(forward, [0.0, 1.0, 0.0])
+    turn = np.stack([across / np.linalg.norm(across), np.cross(forward, across), forward])
+    window = Window(turn, eye, 1.0, 1.0, 1e5)
+    mark(surface.points, surface.normals, sides, sun, window, np.empty((3, len(surface.points))), marked)
+    middles = surface.vertices[whole:]
+    towards = (eye - middles) / np.linalg.norm(eye - middles, axis=1, keepdims=True)
+    incidence, emission = middles @ sun, (middles * towards).sum(axis=1)
+    at_edge = (np.abs(incidence) < 0.05) | ((np.abs(emission) < 0.05) & (incidence > 0.2))
+    far = ((np.abs(incidence) > 0.4) & (np.abs(emission) > 0.4)) | (emission < -0.4)
+    is_cut = marked[whole:] == 1
+    assert at_edge.sum() > 50
+    assert is_cut[at_edge & (emission > -0.05)].all()
+    assert far.sum() > 500
+    assert not is_cut[far].any()
+    window = window._replace(focal_px=1e-2)  # so small that no bend is seen
+    mark(surface.points, surface.normals, sides, sun, window, np.empty((3, len(surface.points))), marked)
+    assert not marked[whole:].any()
+
+
+def picture(tmp_path, size, monkeypatch, bend_px):
+    file = tmp_path / "ball.obj"
+    if not file.exists():
+        trimesh.creation.icosphere(subdivisions=3).export(file)
+    monkeypatch.setattr(raster_bodies, "BEND_PX", bend_px)
+    parameters = BodiesParameters(
+        bodies=(BodyTable(shape=str(file), path=FixedPath(), reflectance=Lambert(1.0), smooth=True),),
+        camera=FixedPath((0.0, 0.0, -50.0)),
+        sun=Sun(direction=(1.0, 0.2, 0.3)),
+        detail_px=0.0,
+    )
+    light = np.zeros((size, size), np.float32)
+    with RasterBodies(parameters, Pinhole(size, size, 0.5 * size / 0.0215)) as scene:
+        scene.light(0, light)
+    return light
+
+
+def closed_form(size, samples=8):
+    """Return the light of the ball by points of each pixel."""
+    side = (np.arange(size * samples) + 0.5) / samples
+    x, y = np.meshgrid((side - size / 2) * 0.0215 / (0.5 * size), (side - size / 2) * 0.0215 / (0.5 * size))
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1)
+    a, b = (rays**2).sum(axis=-1), -50.0 * rays[..., 2]
+    root = b * b - a * (50.0**2 - 1)
+    hit = root > 0
+    t = (-b - np.sqrt(np.where(hit, root, 0))) / a
+    places = np.array([0.0, 0.0, -50.0]) + t[..., None] * rays
+    sun = np.array([1.0, 0.2, 0.3]) / np.linalg.norm([1.0, 0.2, 0.3])
+    light = np.where(hit, np.maximum(places @ sun, 0), 0)
+    return light.reshape(size, samples, size, samples).mean(axis=(1, 3)) * Sun().irradiance_w_m2 / math.pi
+
+
+def test_the_light_of_a_ball_is_nearer_to_its_closed_form(tmp_path, monkeypatch):
+    truth, size = closed_form(120), 120
+    rms = {}
+    for bend_px in (0.05, 1e9):
+        light = picture(tmp_path, size, monkeypatch, bend_px)
+        dim = (truth > 0) & (truth < 0.1 * truth.max())  # along the terminator and the outline
+        rms[bend_px] = math.sqrt(float(((light - truth)[dim] ** 2).mean())) / truth.max()
+    assert rms[0.05] < 0.5 * rms[1e9]
+    assert rms[0.05] < 8e-3
