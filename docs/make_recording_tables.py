@@ -16,7 +16,7 @@ import numpy as np
 from emulator.playback.recording import read_events, read_frames
 from laboratory.characterise.recordings import still_pixels
 from laboratory.characterise.still_light import still_light
-from laboratory.validation.recordings import DATA, QUIET_HZ, kick_lags, sequences
+from laboratory.validation.recordings import DATA, QUIET_HZ, QUIET_TILES, kick_lags, quiet_tiles, sequences
 
 
 def street(path: Path) -> None:
@@ -44,14 +44,20 @@ def street(path: Path) -> None:
 
 
 def evk4(path: Path) -> None:
-    """Write the statistics of the quiet pixels of the EVK4's recording, for its left and its right half."""
+    """Write the statistics of the quiet pixels of the EVK4's recording, of its halves and of its quiet tiles."""
     events, size = read_events(path)
     if size is None:
         raise SystemExit(f"{path}: has no size")
     seconds = float(events["t"][-1] - events["t"][0]) * 1e-6
     quiet = still_pixels(events, size, seconds, QUIET_HZ)
+    begin_us = events["t"][0]
     events = events[quiet[events["y"], events["x"]]]
+    events["t"] -= begin_us
     tables = {}
+    for pixels in QUIET_TILES:
+        of_tiles = quiet_tiles(events, quiet, pixels, seconds)
+        columns = [of_tiles.rows, of_tiles.columns, of_tiles.values]
+        tables[f"tiles_{pixels}"] = np.column_stack(columns).astype(np.float32)
     for half, side in (("left", slice(0, size[0] // 2)), ("right", slice(size[0] // 2, size[0]))):
         columns = np.arange(size[0])[side]
         part = events[np.isin(events["x"], columns)]

@@ -48,7 +48,7 @@ recording of one camera, in unknown light.
     [10] v2e's usual spread of leak rates between pixels.
     [11] An upper bound by recording [9]. Its still pixels at level 0 to 10 have 0.0004 Hz, at most 0.0016 Hz (2 events
         of 1918 pixels, 95 %), which noise of 0.04 exceeds; leak carries references past the distances at which noise
-        fires. And its events come with the row kicks of frames (share .98), before which noise must not fire: of the 16
+        fires. And its events come with the row kicks of frames (share .98), before which noise must not fire: of 16
         values of `evstim validate davis346_street` at least 15 are alike with 0.0125 and less, for three seeds, 13 with
         0.015 and 0.02, 9 with 0.025, 7 with 0.03 and 6 with 0.055. Simulated kicks act on a signal without noise, so
         the bound by kicks may be too low. 0.043 to 0.073 were measured at another chip's comparator (Graca 2024, fig.

@@ -1,6 +1,6 @@
 """Does the memory of `evstim convert` grow with the file? Resident memory, sampled while a generated file is converted.
 
-    python -m laboratory.benchmarks.conversion_memory [EVENTS [TARGET ...]]
+    python -m tests.hostile.conversion_memory [EVENTS [TARGET ...]]
 
 The source is an EVT3 file in vectors of twelve columns, as cameras with EVT3 write them: whole rows of a 346 x 260
 sensor one after another, a fifth of a byte an event, so that 10^9 events are 0.2 GB (10^9 events and .dat are the

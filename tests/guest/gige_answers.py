@@ -1,6 +1,6 @@
 """Time until a GigE Vision camera answers while it streams on a busy machine.
 
-    python -m laboratory.benchmarks.gige_answers [REQUESTS] [BUSY_LOOPS] [FIFO_PRIORITY]
+    python -m tests.guest.gige_answers [REQUESTS] [BUSY_LOOPS] [FIFO_PRIORITY]
 
 A rig plays 3 million events a second to a host that has control and reads a register every 2 ms. BUSY_LOOPS
 processes do nothing but compute. The time of an answer is the kernel's own stamp of its arrival at the host's socket,
