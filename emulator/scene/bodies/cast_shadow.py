@@ -170,11 +170,12 @@ def sort_by_leaves(middles: Floats, starts: npt.NDArray[np.int32], depth: int, o
             high: Any = np.int64(starts[first + step])
             widest, axis = -1.0, 0
             for k in range(3):
-                least = most = middles[order[low], k]
+                first_m = last_m = middles[order[low], k]
                 for i in range(low + 1, high):
-                    least, most = min(least, middles[order[i], k]), max(most, middles[order[i], k])
-                if most - least > widest:
-                    widest, axis = most - least, k
+                    first_m = min(first_m, middles[order[i], k])
+                    last_m = max(last_m, middles[order[i], k])
+                if last_m - first_m > widest:
+                    widest, axis = last_m - first_m, k
             if low < split < high:
                 _select(middles, axis, order, low, high, split)
 

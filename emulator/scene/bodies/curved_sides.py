@@ -17,6 +17,7 @@ triangles.
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +26,7 @@ import numpy.typing as npt
 from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.lit_surface import Surface, lit_surface, middles_of, split_sides
 from emulator.scene.bodies.mesh import Mesh
-from emulator.scene.bodies.sun_rays import Window, depth_in
+from emulator.scene.bodies.sun_rays import Window, depth_in, dot, minus, row
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -84,8 +85,8 @@ def with_middles(mesh: Mesh, least_m: float) -> tuple[Surface, Sides, Mesh]:
     sides, number = middles_of(mesh, split)
     middles = np.full(mesh.faces.shape, -1, np.int32)
     middles[split] = len(mesh.vertices) + number
-    whole, fine = lit_surface(mesh, smooth=True), lit_surface(cut, smooth=True)
-    fine.lean[: len(whole.lean)] = np.maximum(fine.lean[: len(whole.lean)], whole.lean)
+    uncut, fine = lit_surface(mesh, smooth=True), lit_surface(cut, smooth=True)
+    fine.lean[: len(uncut.lean)] = np.maximum(fine.lean[: len(uncut.lean)], uncut.lean)
     surface = dataclasses.replace(fine, faces=mesh.faces, shades=mesh.faces, middles=middles)
     return surface, Sides(mesh.faces, middles, np.linalg.norm(_bends(mesh, sides), axis=1)), cut
 
@@ -106,16 +107,20 @@ def mark(  # noqa: PLR0913, PLR0917
     marked : (vertices and sides,), of which those of sides are written.
     """
     first = len(points) - len(sides.bends_m)
+    to_sun = (sun[0], sun[1], sun[2])
+    eye = (window.eye[0], window.eye[1], window.eye[2])
     for k in range(first):
-        x, y, z = points[k, 0], points[k, 1], points[k, 2]
-        nx, ny, nz = normals[k, 0], normals[k, 1], normals[k, 2]
-        dx, dy, dz = window.eye[0] - x, window.eye[1] - y, window.eye[2] - z
-        at[0, k] = nx * sun[0] + ny * sun[1] + nz * sun[2]
-        at[1, k] = (nx * dx + ny * dy + nz * dz) / np.sqrt(max(dx * dx + dy * dy + dz * dz, 1e-300))
-        at[2, k] = depth_in(window, (x, y, z))
+        point = row(points, k)
+        normal = row(normals, k)
+        away = minus(eye, point)
+        at[0, k] = dot(normal, to_sun)
+        at[1, k] = dot(normal, away) / math.sqrt(max(dot(away, away), 1e-300))
+        at[2, k] = depth_in(window, point)
     marked[first:] = 0
     for f in range(len(sides.faces)):
-        a, b, c = sides.faces[f, 0], sides.faces[f, 1], sides.faces[f, 2]
+        a = sides.faces[f, 0]
+        b = sides.faces[f, 1]
+        c = sides.faces[f, 2]
         depth = max(at[2, a], at[2, b], at[2, c])  # 0: out of the light frame
         lowest, highest = min(at[0, a], at[0, b], at[0, c]), max(at[0, a], at[0, b], at[0, c])
         away, towards = min(at[1, a], at[1, b], at[1, c]), max(at[1, a], at[1, b], at[1, c])
@@ -125,6 +130,6 @@ def mark(  # noqa: PLR0913, PLR0917
         on_outline = away < towards - away and highest > _DARKEST
         if at_terminator or on_outline:
             for k in range(3):
-                point = sides.middles[f, k]
-                if point >= 0 and sides.bends_m[point - first] * window.focal_px > BEND_PX * depth:
-                    marked[point] = 1
+                middle = sides.middles[f, k]
+                if middle >= 0 and sides.bends_m[middle - first] * window.focal_px > BEND_PX * depth:
+                    marked[middle] = 1

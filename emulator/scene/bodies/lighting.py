@@ -38,7 +38,7 @@ from emulator.scene.bodies.compiled import entry
 from emulator.scene.bodies.curved_sides import Sides, mark
 from emulator.scene.bodies.lit_surface import Surface, mean_side_m, shadow_triangles
 from emulator.scene.bodies.mesh import Mesh
-from emulator.scene.bodies.shadow_edges import MARGIN_PX, Drawn, Lights, ShadowEdges, Suns
+from emulator.scene.bodies.shadow_edges import MARGIN_PX, FrameFacets, Lights, ShadowEdges, Suns
 from emulator.scene.bodies.shadow_polygons import Dark, Polygons, SharpShadows, Surroundings, receivers_of
 from emulator.scene.bodies.sun_rays import Window
 from emulator.scene.bodies.table import BodiesParameters
@@ -410,9 +410,9 @@ class Lighting:
             window = self._window(group)
             hidden = body.edges.hidden_from_sun(chosen, count, window, group.suns[0])
             hidden[on_horizon] = np.minimum(hidden[on_horizon], 0)
-            drawn = Drawn(self.facets.shades, body.facets, self.facets.parts_of(*body.facets))
+            facets = FrameFacets(self.facets.shades, body.facets, self.facets.parts_of(*body.facets))
             suns = Suns(group.suns[0], group.suns[1], step_s, radius)
-            polygons.append(body.edges.cut(Lights(*out, *dark), suns, window, drawn))
+            polygons.append(body.edges.cut(Lights(*out, *dark), suns, window, facets))
             out = np.where(hidden == 1, dark, out)
         return Radiance(*out, *dark)
 

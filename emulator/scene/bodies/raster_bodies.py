@@ -303,8 +303,8 @@ def _in_groups(parameters: BodiesParameters, surfaces: Sequence[Surface]) -> lis
             vertices = surfaces[k].vertices
             if k != group.members[0]:
                 vertices = vertices @ pose.world_from_body.T + pose.position_m
-            whole = int(surfaces[k].faces.max()) + 1
-            placed[k] = (group.members[0], np.ascontiguousarray(vertices[:whole]), vertices[whole:])
+            corners = int(surfaces[k].faces.max()) + 1
+            placed[k] = (group.members[0], np.ascontiguousarray(vertices[:corners]), vertices[corners:])
     return [placed[k] for k in range(len(surfaces))]
 
 

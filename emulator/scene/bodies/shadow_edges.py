@@ -81,17 +81,17 @@ class Receiver(NamedTuple):
     first: int
 
 
-class Drawn(NamedTuple):
+class FrameFacets(NamedTuple):
     """Facets of this light frame.
 
     Attributes
     ----------
     corners : (rows, 3), the radiance of each corner among those of all bodies.
-    whole, parts : rows of the body's facets and of parts of these: the first one and the one after the last.
+    uncut, parts : rows of the body's facets and of parts of these: the first one and the one after the last.
     """
 
     corners: Numbers
-    whole: tuple[int, int]
+    uncut: tuple[int, int]
     parts: tuple[int, int]
 
 
@@ -301,7 +301,7 @@ def _cross_once(  # noqa: PLR0913, PLR0917
 
 @entry
 def list_crossed(
-    receiver: Receiver, drawn: Drawn, is_hidden: npt.NDArray[np.int8], window: Window, crossed: Longs
+    receiver: Receiver, facets: FrameFacets, is_hidden: npt.NDArray[np.int8], window: Window, crossed: Longs
 ) -> int:
     """List facets before the camera of which one or two corners are hidden; return how many.
 
@@ -311,12 +311,15 @@ def list_crossed(
     crossed : (facets,), numbers of rows.
     """
     count = 0
-    for rows in (drawn.whole, drawn.parts):
+    for rows in (facets.uncut, facets.parts):
         for f in range(rows[0], rows[1]):
-            a, b, c = _corners(drawn.corners, f, receiver)
-            least = min(is_hidden[a], is_hidden[b], is_hidden[c])
-            most = max(is_hidden[a], is_hidden[b], is_hidden[c])
-            if least == 0 and most == 1 and _area_px(receiver, a, b, c, window) > _LEAST_PX:
+            a, b, c = _corners(facets.corners, f, receiver)
+            lowest = min(is_hidden[a], is_hidden[b], is_hidden[c])
+            if (
+                lowest == 0
+                and max(is_hidden[a], is_hidden[b], is_hidden[c]) == 1
+                and _area_px(receiver, a, b, c, window) > _LEAST_PX
+            ):
                 crossed[count] = f
                 count += 1
     return count
@@ -340,7 +343,7 @@ def cut_facets(  # noqa: PLR0913, PLR0917
 
     Parameters
     ----------
-    corners : of `Drawn`.
+    corners : of `FrameFacets`.
     crossed, part : numbers of rows, and the first of them to cut and the one after the last.
     out : with _ROWS corners and _TRIANGLES triangles for each of `crossed`; `over` of those left out stays as it is.
     """
@@ -419,13 +422,14 @@ class ShadowEdges:
         self._share(work, count, _POINTS_A_PART)
         return self._is_hidden
 
-    def cut(self, lights: Lights, suns: Suns, window: Window, drawn: Drawn) -> Polygons:
+    def cut(self, lights: Lights, suns: Suns, window: Window, facets: FrameFacets) -> Polygons:
         """Return the parts of facets that an edge crosses, by the results of `hidden_from_sun`."""
-        hidden, facets = self._is_hidden, drawn.whole[1] - drawn.whole[0] + drawn.parts[1] - drawn.parts[0]
-        if facets > len(self._crossed):
-            self._crossed = np.zeros(2 * facets, np.int64)
+        hidden = self._is_hidden
+        rows = facets.uncut[1] - facets.uncut[0] + facets.parts[1] - facets.parts[0]
+        if rows > len(self._crossed):
+            self._crossed = np.zeros(2 * rows, np.int64)
         crossed = self._crossed
-        count = list_crossed(self._receiver, drawn, hidden, window, crossed)
+        count = list_crossed(self._receiver, facets, hidden, window, crossed)
         places, light = np.zeros((_ROWS * count, 6)), np.zeros((_ROWS * count, 2))
         faces, over = np.zeros((_TRIANGLES * count, 3), np.int32), np.full(_TRIANGLES * count, -1, np.int32)
         out = Triangles(places, light, faces, over)
@@ -433,7 +437,7 @@ class ShadowEdges:
         def work(part: tuple[int, int], thread: int) -> None:
             sides = self._sides[thread]
             cut_facets(
-                self._tree, self._receiver, drawn.corners, crossed, part, hidden, lights, suns, window, sides, out
+                self._tree, self._receiver, facets.corners, crossed, part, hidden, lights, suns, window, sides, out
             )
 
         self._share(work, count, _FACETS_A_PART)

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from emulator.raster import Facets, Renderer, Screen, View, prepare
-from emulator.raster.facets import PARTS
+from emulator.raster.topology import PARTS
 
 BALL = trimesh.creation.icosphere(subdivisions=2)
 FACES = np.asarray(BALL.faces, np.int32)

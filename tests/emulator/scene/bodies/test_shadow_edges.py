@@ -12,7 +12,7 @@ from emulator.scene.bodies.cast_shadow import build_tree
 from emulator.scene.bodies.lit_surface import mean_side_m, subdivide
 from emulator.scene.bodies.mesh import build_mesh, find_shape, load_mesh
 from emulator.scene.bodies.raster_bodies import RasterBodies
-from emulator.scene.bodies.shadow_edges import Drawn, Lights, ShadowEdges, Suns
+from emulator.scene.bodies.shadow_edges import FrameFacets, Lights, ShadowEdges, Suns
 from emulator.scene.bodies.sun_rays import UNKNOWN, Verdicts, Window, first_met, look_to_sun
 from emulator.scene.bodies.table import BodiesParameters, BodyTable
 from emulator.threads import ThreadPool
@@ -43,7 +43,7 @@ class Plate:
         self.window = ABOVE._replace(focal_px=focal_px)
         side_m = mean_side_m(self.vertices, self.faces)
         self.edges = ShadowEdges(0, self.tree, self.vertices, normals, side_m, 0, ThreadPool(threads))
-        self.drawn = Drawn(self.faces, (0, len(self.faces)), (0, 0))
+        self.drawn = FrameFacets(self.faces, (0, len(self.faces)), (0, 0))
 
     def cast(self, sun, turning=(0.0, 0.0, 0.0), radius=RADIUS):
         """Return what is hidden at vertices, and the parts of facets, lit by 1 + x / 100 and dark at 0."""
@@ -149,7 +149,7 @@ def test_sides_with_one_place_in_the_cache_are_crossed_each():
     edges, sun = edges_of(build_tree(np.array(wall.triangles)), vertices, normals), np.array([0.0, 0.0, 1.0])
     edges._is_hidden[[0, 1, 1025]] = 0, 1, 1
     none = np.zeros(1026)
-    drawn = Drawn(np.array([[0, 1, 1025]], np.int32), (0, 1), (0, 0))
+    drawn = FrameFacets(np.array([[0, 1, 1025]], np.int32), (0, 1), (0, 0))
     parts = edges.cut(
         Lights(none + 1, none, none, none), Suns(sun, sun, 1e-7, RADIUS), ABOVE._replace(focal_px=2e3), drawn
     )
