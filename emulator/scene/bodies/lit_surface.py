@@ -9,6 +9,7 @@ on flat ones inside their plane's facets, so that at the foot of a wall each cor
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,6 +25,7 @@ _ONE_PLANE = 1e-6  # normals that differ by less are one
 
 Floats = npt.NDArray[np.float64]
 Faces = npt.NDArray[np.int32]
+Bools = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,14 +95,17 @@ def shadow_triangles(mesh: Mesh) -> Floats:
     return np.concatenate([triangles, triangles[:, ::-1]]) if mesh.open_edges else triangles
 
 
-def subdivide(mesh: Mesh, size_m: float) -> Mesh:
-    """Return a mesh without a side longer than `size_m`; no vertex is put on a side of one facet alone."""
+def subdivide(mesh: Mesh, size_m: float, cut: Callable[[Mesh, Bools], Mesh] | None = None) -> Mesh:
+    """Return a mesh without a side longer than `size_m`, cut by `cut` or else in the middle of chords.
+
+    No vertex is put on a side of one facet alone.
+    """
     if not size_m > 0:
         raise ValueError(f"a size of {size_m} m: sides can be made no longer than a length above 0")
     if mesh.area_m2 / size_m**2 > _MOST_FACETS:
         raise ValueError(f"a size of {size_m} m: sides as short would need more than {_MOST_FACETS:g} facets")
     while (split := _long_sides(mesh.vertices, mesh.faces, size_m)).any():
-        mesh = split_sides(mesh, split)
+        mesh = (cut or split_sides)(mesh, split)
     return mesh
 
 
@@ -136,7 +141,7 @@ def _interleaved(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     return out
 
 
-def _long_sides(vertices: Floats, faces: Faces, size_m: float) -> npt.NDArray[np.bool_]:
+def _long_sides(vertices: Floats, faces: Faces, size_m: float) -> Bools:
     """Return the mask of sides, (m, 3), from corner k to k + 1, that are too long; equal for both facets of a side."""
     low, high = _ends(faces)
     return np.asarray(((vertices[low] - vertices[high]) ** 2).sum(axis=2) > size_m * size_m)
@@ -147,7 +152,7 @@ def _ends(faces: Faces) -> tuple[Faces, Faces]:
     return np.minimum(faces, after), np.maximum(faces, after)
 
 
-def middles_of(mesh: Mesh, split: npt.NDArray[np.bool_]) -> tuple[Faces, npt.NDArray[np.intp]]:
+def middles_of(mesh: Mesh, split: Bools) -> tuple[Faces, npt.NDArray[np.intp]]:
     """Return the sides of `split`, (m, 3), each once: their ends, (n, 2), and the number of each chosen one among them.
 
     The second array has an entry for each True in `split`, row after row.
@@ -158,7 +163,7 @@ def middles_of(mesh: Mesh, split: npt.NDArray[np.bool_]) -> tuple[Faces, npt.NDA
     return np.stack(np.divmod(sides, count), axis=1).astype(np.int32), number
 
 
-def split_sides(mesh: Mesh, split: npt.NDArray[np.bool_]) -> Mesh:
+def split_sides(mesh: Mesh, split: Bools) -> Mesh:
     """Return a mesh with a vertex in the middle of the sides of `split`, (m, 3), and the facets cut there.
 
     Both facets of a side must have the same value. Normals and albedo of new vertices are means of the side's ends.
@@ -185,7 +190,7 @@ def split_sides(mesh: Mesh, split: npt.NDArray[np.bool_]) -> Mesh:
     )
 
 
-def cut_facets(corners: npt.NDArray[Any], middle: npt.NDArray[Any], split: npt.NDArray[np.bool_]) -> npt.NDArray[Any]:
+def cut_facets(corners: npt.NDArray[Any], middle: npt.NDArray[Any], split: Bools) -> npt.NDArray[Any]:
     """Return the entries at the corners of facets, (n, 3), that `split_sides` makes.
 
     `corners` and `middle`, (m, 3), are the entries at corners and in the middle of sides from corner k to k + 1.
@@ -194,7 +199,7 @@ def cut_facets(corners: npt.NDArray[Any], middle: npt.NDArray[Any], split: npt.N
 
 
 def _cut(
-    faces: npt.NDArray[Any], middle: npt.NDArray[Any], split: npt.NDArray[np.bool_], count: int
+    faces: npt.NDArray[Any], middle: npt.NDArray[Any], split: Bools, count: int
 ) -> npt.NDArray[Any]:
     """Return the parts of the facets of which `count` sides are split; the first side that differs is turned first.
 

@@ -29,7 +29,7 @@ from emulator.light import NOTHING, LastArrays, Light, PixelLight, Region, Scene
 from emulator.photometry.reflectance import Glossy, Lambert
 from emulator.raster import Renderer, Screen, View
 from emulator.scene.bodies.compiled import entry
-from emulator.scene.bodies.curved_sides import BEND_PX, Sides, with_middles
+from emulator.scene.bodies.curved_sides import BEND_PX, Sides, split_round, with_middles
 from emulator.scene.bodies.lighting import Lighting, Motion, Poses, motion_at
 from emulator.scene.bodies.lit_surface import Surface, lit_surface, near_in_memory, subdivide
 from emulator.scene.bodies.mesh import Mesh
@@ -240,7 +240,8 @@ class RasterBodies(WorldScene[BodyWorld]):
         world = self._world
         mesh, smooth = casters[k], world.parameters.bodies[k].smooth
         if len(mesh.faces) < _MOST_DIVIDED:
-            mesh = subdivide(mesh, max(self._longest_m(k), math.sqrt(2 * mesh.area_m2 / _MOST_DIVIDED)))
+            size_m = max(self._longest_m(k), math.sqrt(2 * mesh.area_m2 / _MOST_DIVIDED))
+            mesh = subdivide(mesh, size_m, split_round if smooth else None)
         mesh = near_in_memory(mesh)
         if not smooth or mesh.open_edges:  # a sheet is seen from both sides, its parts are not
             return lit_surface(mesh, smooth=smooth)
