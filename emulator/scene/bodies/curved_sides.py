@@ -97,7 +97,8 @@ def mark(  # noqa: PLR0913, PLR0917
 ) -> None:  # fmt: skip
     """Mark the sides that are to be cut: those of facets that the terminator or the outline may pass through.
 
-    The cosines of incidence, or of emission, at a facet's corners then include 0, or are as near to it as they differ.
+    The cosines of incidence, or of emission, at a facet's corners then include 0, or are as near to it as they differ;
+    where none of incidence is above 0, the facet is dark.
 
     Parameters
     ----------
@@ -126,7 +127,7 @@ def mark(  # noqa: PLR0913, PLR0917
         away, towards = min(at[1, a], at[1, b], at[1, c]), max(at[1, a], at[1, b], at[1, c])
         if depth == 0.0 or towards < away - towards:
             continue
-        at_terminator = lowest < highest - lowest and highest > lowest - highest
+        at_terminator = lowest < highest - lowest and highest > 0.0
         on_outline = away < towards - away and highest > _DARKEST
         if at_terminator or on_outline:
             for k in range(3):
