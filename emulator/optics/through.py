@@ -299,7 +299,8 @@ class Through(OtherLight):
         places = _places(lens, camera)
         inner = camera if places is None else camera.widened(_margin_px(*places, camera))
         super().__init__(build(inner))
-        self._bent = None if places is None else _within(*places, inner)
+        middle = inner.width / 2, inner.height / 2
+        self._bent = None if places is None else Bilinear(places[0] + middle[0], places[1] + middle[1], inner.size)
         self._rays = None if places is None else bent_rays(Distortion.of(lens), *places, inner)
         self._factor = _factor(lens, camera, places)
         sigma_px = lens.blur_sigma_px(chip, camera.focal_px, self.scene.distance_m)
@@ -411,10 +412,6 @@ def _margin_px(columns: npt.NDArray[np.float64], rows: npt.NDArray[np.float64], 
     """Return the margin on each side by which the frame without distortion must be wider to contain the bent one."""
     beyond = max(float(np.abs(columns).max()) - camera.width / 2, float(np.abs(rows).max()) - camera.height / 2)
     return max(0, math.ceil(beyond)) + 1
-
-
-def _within(columns: npt.NDArray[np.float64], rows: npt.NDArray[np.float64], inner: Pinhole) -> Bilinear:
-    return Bilinear(columns + inner.width / 2, rows + inner.height / 2, inner.size)
 
 
 def _factor(lens: LensParameters, camera: Pinhole, places: _Places | None) -> npt.NDArray[np.float32]:

@@ -60,27 +60,9 @@ def _spread(builder: ir.IRBuilder, number: Any, lanes: int) -> Any:
     return builder.shuffle_vector(first, none, ir.Constant(ir.VectorType(_INT32, lanes), [0] * lanes))
 
 
-def _lane(builder: ir.IRBuilder, vector: Any, k: int) -> Any:
-    """Return one number of a vector."""
-    return builder.extract_element(vector, ir.Constant(_INT32, k))
-
-
 def _product_sum(builder: ir.IRBuilder, a: Any, b: Any, c: Any) -> Any:
     """Return a b + c."""
     return builder.fadd(builder.fmul(a, b, flags=_FUSED), c, flags=_FUSED)
-
-
-def _within(builder: ir.IRBuilder, vector: Any, low: Any, high: Any) -> Any:
-    """Return the numbers, none beyond the bounds; `low` where bounds cross or a number is NaN."""
-    lowered = builder.select(builder.fcmp_ordered("<", vector, high), vector, high)
-    return builder.select(builder.fcmp_ordered(">", lowered, low), lowered, low)
-
-
-def _magnitude(builder: ir.IRBuilder, vector: Any) -> Any:
-    """Return the numbers without their signs."""
-    kind = ir.FunctionType(vector.type, [vector.type])
-    function = _code.get_or_insert_function(builder.module, kind, f"llvm.fabs.v{vector.type.count}f32")
-    return builder.call(function, [vector])
 
 
 @_intrinsic
@@ -156,7 +138,10 @@ def _add(builder: ir.IRBuilder, data: Any, place_of: Any, out: Any) -> None:
         chosen.add_case(ir.Constant(wide.type, n), cases[case])
     for n, case in zip(_COLUMNS, cases, strict=True):
         builder.position_at_end(case)
-        spreads = [[_spread(builder, _lane(builder, shares, k), MOMENTS) for k in range(n)] for shares in across]
+        spreads = [
+            [_spread(builder, builder.extract_element(shares, ir.Constant(_INT32, k)), MOMENTS) for k in range(n)]
+            for shares in across
+        ]
         with _code.for_range_slice(builder, _int(0), high, _int(_ROWS), _INT) as (first_row, _):
             sums = [builder.load(total) for total in totals]
             for further in range(_ROWS):
@@ -196,9 +181,14 @@ def _weights(builder: ir.IRBuilder, low: Any, high: Any, move: list[Any]) -> lis
     posts = _constant([float(k) for k in range(_LANES)])
     plus_1, minus_1 = _constant([1.0] * _LANES), _constant([-1.0] * _LANES)
     ends, heights = [], []
+    kind = ir.FunctionType(posts.type, [posts.type])
+    magnitude = _code.get_or_insert_function(builder.module, kind, f"llvm.fabs.v{_LANES}f32")
     for end in (low, high):
-        u = _within(builder, builder.fsub(_spread(builder, end, _LANES), posts), minus_1, plus_1)
-        heights.append(_magnitude(builder, u))
+        # Within -1 to 1; -1 for NaN.
+        away = builder.fsub(_spread(builder, end, _LANES), posts)
+        lowered = builder.select(builder.fcmp_ordered("<", away, plus_1), away, plus_1)
+        u = builder.select(builder.fcmp_ordered(">", lowered, minus_1), lowered, minus_1)
+        heights.append(builder.call(magnitude, [u]))
         ends.append(_product_sum(builder, builder.fmul(u, _constant([-0.5] * _LANES)), heights[-1], u))
     rates = [builder.fmul(builder.fsub(*heights), _spread(builder, speed, _LANES)) for speed in move]
     return [builder.fsub(ends[1], ends[0]), *rates]

@@ -14,13 +14,16 @@ The vertices of blocks of any level come from a `Pyramid`. Its level l has the p
 multiples of 2^l, l as in `Quadtree`. A post has
 
     height      of the ground, the same on all levels
-    b           cosine of incidence x visible share of the Sun
+    b           cosine of incidence x visible share of the Sun x albedo
     b p, b q    slopes east and north, weighted by b: dark slopes send no light
 
-On the finest level that has a post these are the ground's own: slopes are differences over two posts. For each coarser
-level they are filtered by (-1, 2, 6, 2, -1) / 8 along both axes, the low pass of the 5/3 wavelet (Le Gall and Tabatabai
-1988). It preserves means, and the linear function between the coarse posts stays as close to the fine map as such a
-short filter allows. A mean over a square would blur it by as much again.
+Slopes p and q are differences over two posts. Between posts slopes, albedo and the height of the Sun over the horizon
+are linear, and b is not: the edge of a shadow lies where the Sun crosses the horizon, which b at the posts alone would
+move and blur by half their distance. So b is computed half way between posts too, and filtered to the posts of the
+finest level there. This filter is that from each level to the next coarser one, (-1, 2, 6, 2, -1) / 8 along both axes,
+the low pass of the 5/3 wavelet (Le Gall and Tabatabai 1988). It preserves means, and the linear function between the
+coarse posts stays as close to the fine map as such a short filter allows. A mean over a square would blur it by as much
+again.
 """
 
 from __future__ import annotations
@@ -103,15 +106,11 @@ class Ground:
             at = [c / self.unit_m - first for c, first in zip((x_m, y_m), self.first(grid), strict=True)]
             column, row = (a / (1 << grid) for a in at)
             if 0 <= column <= self.shape[1] - 1 and 0 <= row <= self.shape[0] - 1:
-                return _between(self.heights_m[grid], row, column)
+                z, i, j = self.heights_m[grid], min(int(row), self.shape[0] - 2), min(int(column), self.shape[1] - 2)
+                down, across = row - i, column - j
+                low, high = (z[k, j] * (1 - across) + z[k, j + 1] * across for k in (i, i + 1))
+                return float(low * (1 - down) + high * down)
         return None
-
-
-def _between(heights: Heights, row: float, column: float) -> float:
-    i, j = min(int(row), len(heights) - 2), min(int(column), heights.shape[1] - 2)
-    down, across = row - i, column - j
-    low, high = (heights[k, j] * (1 - across) + heights[k, j + 1] * across for k in (i, i + 1))
-    return float(low * (1 - down) + high * down)
 
 
 def nested(
@@ -163,14 +162,12 @@ class Pyramid:
         return dataclasses.replace(ground, heights_m=self.heights[: math.prod(shape)].reshape(shape))
 
 
-def build_pyramid(
-    ground: Ground, sunlit: npt.NDArray[np.float32], sun: npt.NDArray[np.float64], levels: int
-) -> Pyramid:
+def build_pyramid(ground: Ground, sun_radii: Heights, sun: npt.NDArray[np.float64], levels: int) -> Pyramid:
     """Return `levels` levels of `ground`.
 
     Parameters
     ----------
-    sunlit : (grids, rows, columns), visible share of the Sun's disc at each post.
+    sun_radii : (grids, rows, columns), height of the Sun's middle over the horizon of each post, in its radii.
     sun : (3,) unit, towards it.
     """
     table = _table(ground, levels)
@@ -181,7 +178,11 @@ def build_pyramid(
     for level, (first, rows, columns) in enumerate(table[:, :3]):
         if level < ground.grids:
             z = ground.heights_m[level]
-            posts_moments = _own(z, sunlit[level], ground.post_m(level), sun)
+            albedo = (
+                np.ones((1, 1), np.float32) if ground.albedo is None else ground.albedo[level] / ground.albedo.max()
+            )
+            north, east = np.gradient(z, ground.post_m(level))
+            posts_moments = _own(north, east, sun_radii[level], albedo, sun)
             if level:
                 top, left = ((n - 1) // 4 for n in ground.shape)
                 inner = posts_moments[top:, left:][: (len(finer) + 1) // 2, : (finer.shape[1] + 1) // 2]
@@ -216,44 +217,81 @@ def _table(ground: Ground, levels: int) -> Ints:
 
 
 @map_entry
-def _own(
-    heights: npt.NDArray[np.float32], sunlit: npt.NDArray[np.float32], post_m: float, sun: npt.NDArray[np.float64]
-) -> _Moments:
-    """Return the moments of a grid's posts, (rows, columns, MOMENTS)."""
-    rows, columns = heights.shape
-    out = np.empty((rows, columns, MOMENTS), np.float32)
-    for i in range(rows):
-        above, below = max(i - 1, 0), min(i + 1, rows - 1)
+def share_above(radii: float) -> float:
+    """Return the share of a disc above a straight horizon, from the height of its middle above that in its radii."""
+    if abs(radii) >= 1.0:
+        return 1.0 if radii > 0.0 else 0.0
+    return 0.5 + (radii * math.sqrt(1.0 - radii * radii) + math.asin(radii)) / math.pi
+
+
+_FIT = np.array([-0.125, 0.25, 0.75, 0.25, -0.125], np.float32)
+_LIT = 6  # moments that light weights: the first ones
+
+
+@map_entry
+def _own(north: Heights, east: Heights, sun_radii: Heights, albedo: Heights, sun: npt.NDArray[np.float64]) -> _Moments:
+    """Return the moments of a grid's posts, (rows, columns, MOMENTS), from light at the posts and half way between.
+
+    `north` and `east` are the slopes, an albedo of one post is that of all.
+    """
+    rows, columns = north.shape
+    out = np.zeros((rows, columns, MOMENTS), np.float32)
+    out[:, :, P], out[:, :, Q] = east, north
+    posts, light = np.ones((4, columns), np.float32), np.empty((2, _LIT, columns + 1), np.float32)
+    fitted = np.empty((_LIT, columns), np.float32)
+    for line in range(-2, 2 * rows + 1):  # two lines a row; beyond the border the first and the last one go on
+        i = min(max(line, 0), 2 * rows - 2) // 2
+        below = i if line < 0 else min(i + line % 2, rows - 1)
         for j in range(columns):
-            left, right = max(j - 1, 0), min(j + 1, columns - 1)
-            p = (heights[i, right] - heights[i, left]) / (post_m * max(right - left, 1))
-            q = (heights[below, j] - heights[above, j]) / (post_m * max(below - above, 1))
-            length = math.sqrt(1.0 + p * p + q * q)
-            b = max(sun[2] - p * sun[0] - q * sun[1], 0.0) / length * sunlit[i, j]
-            out[i, j, B], out[i, j, BP], out[i, j, BQ] = b, b * p, b * q
-            out[i, j, BPP], out[i, j, BPQ], out[i, j, BQQ] = b * p * p, b * p * q, b * q * q
-            out[i, j, P], out[i, j, Q] = p, q
+            posts[0, j] = np.float32(0.5) * (east[i, j] + east[below, j])
+            posts[1, j] = np.float32(0.5) * (north[i, j] + north[below, j])
+            posts[2, j] = np.float32(0.5) * (sun_radii[i, j] + sun_radii[below, j])
+            if albedo.size > 1:
+                posts[3, j] = np.float32(0.5) * (albedo[i, j] + albedo[below, j])
+        _write_light(posts, sun, light)
+        _fit(light, fitted)
+        for row in range(max((line - 1) // 2, 0), min((line + 2) // 2, rows - 1) + 1):
+            weight = _FIT[line - 2 * row + 2]
+            for j in range(columns):
+                for k in range(_LIT):
+                    out[row, j, k] += weight * fitted[k, j]
     return out
 
 
 @map_entry
+def _write_light(posts: Heights, sun: npt.NDArray[np.float64], out: _Moments) -> None:
+    """Write b and its moments on a line, at the posts and half way to the next, (2, moments, posts)."""
+    last = posts.shape[1] - 1
+    for j in range(last + 1):
+        for after in range(2):
+            n = min(j + after, last)
+            p, q = np.float32(0.5) * (posts[0, j] + posts[0, n]), np.float32(0.5) * (posts[1, j] + posts[1, n])
+            radii, albedo = 0.5 * (posts[2, j] + posts[2, n]), 0.5 * (posts[3, j] + posts[3, n])
+            facing = max(sun[2] - p * sun[0] - q * sun[1], 0.0) / math.sqrt(1.0 + p * p + q * q)
+            b = np.float32(albedo * facing * share_above(radii))
+            out[after, B, j], out[after, BP, j], out[after, BQ, j] = b, b * p, b * q
+            out[after, BPP, j], out[after, BPQ, j], out[after, BQQ, j] = b * p * p, b * p * q, b * q * q
+
+
+@map_entry
+def _fit(light: _Moments, out: _Moments) -> None:
+    """Write the moments at the posts of a line, filtered from those at the posts and after each."""
+    columns = out.shape[1]
+    for k in range(_LIT):
+        for j in range(columns):
+            before, next_ = max(j - 1, 0), min(j + 1, columns - 1)
+            between = light[1, k, before] if j else light[0, k, 0]
+            out[k, j] = (
+                _FIT[2] * light[0, k, j]
+                + _FIT[1] * (between + light[1, k, j])
+                + _FIT[0] * (light[0, k, before] + light[0, k, next_])
+            )
+
+
 def _coarsened(fine: _Moments) -> _Moments:
     """Return the moments of the posts of the next level, filtered along both axes."""
-    weights = np.array([-0.125, 0.25, 0.75, 0.25, -0.125], np.float32)
-    rows, columns, fields = fine.shape
-    line = np.empty((columns, fields), np.float32)
-    out = np.empty((rows // 2 + 1, columns // 2 + 1, fields), np.float32)
-    for i in range(out.shape[0]):
-        line[:] = 0.0
-        for a in range(5):
-            row = min(max(2 * i + a - 2, 0), rows - 1)
-            for j in range(columns):
-                for k in range(fields):
-                    line[j, k] += weights[a] * fine[row, j, k]
-        for j in range(out.shape[1]):
-            out[i, j] = 0.0
-            for a in range(5):
-                column = min(max(2 * j + a - 2, 0), columns - 1)
-                for k in range(fields):
-                    out[i, j, k] += weights[a] * line[column, k]
-    return out
+    for axis, posts in enumerate(fine.shape[:2]):
+        middle = 2 * np.arange(posts // 2 + 1)
+        parts = (w * fine.take(np.clip(middle + k - 2, 0, posts - 1), axis) for k, w in enumerate(_FIT))
+        fine = np.asarray(sum(parts), np.float32)
+    return fine

@@ -5,9 +5,7 @@ the corner's direction, d = 1 along the boresight, and n . X = 1 the facet's pla
 meets the plane at X = s d, s = 1 / (n . d). The map's height z above X moves it along d to the point on the plane
 lifted by z - X_z; a secant from there, as the ground under the moved point has another height.
 
-This finds an intersection near the facet, which need not be the first one. For rays near the ground `meet_first` looks
-at places along the ray, as many metres above the facet as below, in equal steps from the camera, and takes the first
-step that ends below ground.
+This finds an intersection near the facet, which need not be the first one; that is found by `first_hits`.
 """
 
 from __future__ import annotations
@@ -80,9 +78,6 @@ class Fields(NamedTuple):
 _TINY = np.float32(1e-12)
 _LEAST, _MOST = np.float32(0.5), np.float32(2.0)  # slope of a secant
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
-_NO_HIT = np.float32(-2.0)
-_STEPS = 16
-_STEP = np.float32(2.0 / _STEPS)
 MARGIN = 16.0  # posts between a level's border and the last place for which it is taken
 
 
@@ -228,82 +223,11 @@ def meet_map(heights: Floats32, up: float, s: Floats32, places: Ints32) -> None:
         _move(lifted, k, s)
     _heights(heights, s, places)
     for k in range(TILE):
-        _move(_secant_step(up, k, s), k, s)
-
-
-@vector_kernel
-def meet_first(heights: Floats32, up: float, s: Floats32, places: Ints32) -> None:
-    """Move places to where their rays first meet the map, within REACH of their facets; else as `meet_map` does."""
-    # From REACH above the facet, nearer to the camera, to as much below it. A ray that begins below ground has no hit.
-    for k in range(TILE):
-        s[t.PAST * TILE + k], s[t.LAST * TILE + k] = _NO_HIT, _ONE
-        _move(s[t.REACH * TILE + k], k, s)
-    for step in range(_STEPS + 1):
-        _heights(heights, s, places)
-        _search(_ONE - np.float32(step) * _STEP, up, s)
-    # Back to the facet, then to the hit if ground were linear over the step, and from the height there once more.
-    for k in range(TILE):
-        _move((_ONE + _STEP) * s[t.REACH * TILE + k], k, s)
-        s[t.LIFTED * TILE + k] = _ZERO
-        if s[t.PAST * TILE + k] > _NO_HIT:
-            s[t.LIFTED * TILE + k] = _within(k, s)
-        _move(s[t.LIFTED * TILE + k], k, s)
-    _heights(heights, s, places)
-    _narrow(up, s)
-    _heights(heights, s, places)
-    _finish(up, s)
-
-
-@vector_kernel
-def _search(lift: float, up: float, s: Floats32) -> None:
-    """Write the step in which each ray first meets the map, if it ends here at `lift`; move on."""
-    for k in range(TILE):
-        above, before = _above(up, k, s), s[t.LAST * TILE + k]
-        met = (above >= _ZERO) & (before < _ZERO) & (s[t.PAST * TILE + k] <= _NO_HIT)
-        s[t.PAST * TILE + k] = lift if met else s[t.PAST * TILE + k]
-        s[t.ABOVE * TILE + k] = above if met else s[t.ABOVE * TILE + k]
-        s[t.BELOW * TILE + k] = before if met else s[t.BELOW * TILE + k]
-        s[t.LAST * TILE + k] = above
-        _move(-_STEP * s[t.REACH * TILE + k], k, s)
-
-
-@lane
-def _within(k: int, s: Floats32) -> Real:
-    """Return the lift at which a ray meets ground that is linear over the step of its first hit."""
-    share = s[t.ABOVE * TILE + k] / (s[t.ABOVE * TILE + k] - s[t.BELOW * TILE + k])
-    return s[t.REACH * TILE + k] * (s[t.PAST * TILE + k] + share * _STEP)
-
-
-@vector_kernel
-def _narrow(up: float, s: Floats32) -> None:
-    """Move to the hit in the part of the step in which the ground is met; a first guess where there was no hit."""
-    for k in range(TILE):
-        # The profile is taken to be linear from the step's end above ground to here, and from here to its end below.
-        above = _above(up, k, s)
-        high, low = s[t.ABOVE * TILE + k], s[t.BELOW * TILE + k]
-        share = high / (high - low)  # of the step, from its end to the place
-        back = share * above / (above - high if above < _ZERO else _TINY)
-        ahead = (_ONE - share) * above / (above - low if above >= _ZERO else _ONE)
-        step = _STEP * s[t.REACH * TILE + k] * (ahead if above >= _ZERO else back)
-        s[t.LIFTED * TILE + k] = above
-        _move(step if s[t.PAST * TILE + k] > _NO_HIT else above, k, s)
-
-
-@lane
-def _secant_step(up: float, k: int, s: Floats32) -> Real:
-    """Return the lift to the map by a secant: through the height above the place before the last move, and that now."""
-    lifted, height = s[t.LIFTED * TILE + k], _above(up, k, s)
-    apart = lifted - height
-    slope = lifted / (apart if apart != _ZERO else _TINY)
-    return height * min(max(slope, _LEAST), _MOST)
-
-
-@vector_kernel
-def _finish(up: float, s: Floats32) -> None:
-    """Move by a secant where there was no hit."""
-    for k in range(TILE):
-        step = _secant_step(up, k, s)
-        _move(_ZERO if s[t.PAST * TILE + k] > _NO_HIT else step, k, s)
+        # By a secant through the height above the place before this move, and that now.
+        lifted, height = s[t.LIFTED * TILE + k], _above(up, k, s)
+        apart = lifted - height
+        slope = lifted / (apart if apart != _ZERO else _TINY)
+        _move(height * min(max(slope, _LEAST), _MOST), k, s)
 
 
 @vector_kernel

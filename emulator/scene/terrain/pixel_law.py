@@ -45,7 +45,6 @@ import numpy.typing as npt
 from emulator.photometry.reflection_kernels import reflect
 from emulator.raster.layout import Bytes, Float32s, W, WHighest, WLowest
 from emulator.scene.terrain import tile as t
-from emulator.scene.terrain.block_vertices import Sunlight, around
 from emulator.scene.terrain.ground import BP, BPP, BPQ, BQ, BQQ, MOMENTS, B, P, Q, entry
 from emulator.scene.terrain.pixel_hits import Sight
 from emulator.scene.terrain.tile import RATES, TILE, Floats32, Tile, set_triple, triple
@@ -53,7 +52,6 @@ from emulator.sensor.numerics.compiled import lane, vector_kernel
 
 _f = np.float32
 _TINY, _ZERO, _QUARTER, _HALF, _ONE, _TWO = (_f(v) for v in (1e-9, 0.0, 0.25, 0.5, 1.0, 2.0))
-_LEAST = _f(0.02)
 _SMALLEST, _LARGEST = _f(0.3), _f(3.0)
 _STEEPEST = _f(10.0)
 _SHARE = _f(1.0 / 16.0)  # of the footprint's shorter side, moved in the moment
@@ -62,6 +60,38 @@ _LONGEST_S = _f(0.01)
 _NEAR, _NEXT, _FAR = 3.0 / 4.0, -3.0 / 20.0, 1.0 / 60.0  # differences over 2, 4 and 6 pixels
 
 Floats = npt.NDArray[np.float64]
+
+
+GRAZING = 0.02
+"""Least cosine of emission: the laws of reflection are not valid for smaller ones."""
+
+_GRAZING = _f(GRAZING)
+
+
+class Sunlight(NamedTuple):
+    """Light on the ground.
+
+    Attributes
+    ----------
+    towards : the Sun, (3,) unit.
+    irradiance_w_m2 : on a surface that faces it.
+    law, law_parameters : a `reflection_kernels.Law`.
+    ambient : radiance of the ambient light by the height of the eye's direction.
+    """
+
+    towards: Floats
+    irradiance_w_m2: float
+    law: int
+    law_parameters: Floats
+    ambient: Floats
+
+
+@lane
+def around(table: Floats, height: float) -> float:
+    """Return the radiance of the ambient light from a table by the height of the eye's direction."""
+    at = min(max(height, GRAZING), 1.0) * (len(table) - 1)
+    low = min(int(at), len(table) - 2)
+    return float(table[low] + (table[low + 1] - table[low]) * (at - low))
 
 
 class Motion(NamedTuple):
@@ -99,10 +129,10 @@ def _angles(towards: Floats, s: Floats32, sums: Floats32, inputs: Floats) -> Non
         qq = max(sums[k * MOMENTS + BQQ] * per_b - q * q, _ZERO)
         pq = sums[k * MOMENTS + BPQ] * per_b - p * q
         n = math.sqrt(_ONE + p * p + q * q)
-        wl = max(ez - ex * p - ey * q, _LEAST * n)
+        wl = max(ez - ex * p - ey * q, _GRAZING * n)
         lit = max(sz - sx * p - sy * q, _ZERO)
         lit_and_seen = lit + wl  # G
-        wb = max(ez - ex * sums[k * MOMENTS + P] - ey * sums[k * MOMENTS + Q], _LEAST)
+        wb = max(ez - ex * sums[k * MOMENTS + P] - ey * sums[k * MOMENTS + Q], _GRAZING)
         # var(G) and cov(wl, G), as G and wl are linear in the slopes, and with them w1.
         gx, gy = sx + ex, sy + ey
         variance = gx * gx * pp + _TWO * gx * gy * pq + gy * gy * qq
@@ -114,7 +144,7 @@ def _angles(towards: Floats, s: Floats32, sums: Floats32, inputs: Floats) -> Non
         mu0 = max(lit / n, b, _TINY)
         cx, cy, cz = ex - sx, ey - sy, ez - sz
         inputs[t.MU0, k] = mu0
-        inputs[t.MU, k] = max(lit_and_seen * wl / (n * w1) - mu0, _LEAST)
+        inputs[t.MU, k] = max(lit_and_seen * wl / (n * w1) - mu0, _GRAZING)
         inputs[t.CHORD2, k] = cx * cx + cy * cy + cz * cz
         inputs[t.SUNLIGHT, k] = b / mu0
 

@@ -12,6 +12,12 @@ point is X = s d, s = 1 / (n . d). Its light is computed in these steps:
                     cosines of incidence and emission of the square's slope
 
 The law of reflection is evaluated once, at the mu0 of the mean slope and the mu at which b / (mu0 + mu) has its mean.
+
+Where outlines pass, or footprints fail, parts are where rays through the pixel first meet the map. A ray crosses the
+blocks of a `Quadtree`. It passes one whose highest post lies below it whole, then tries a block twice as large, and
+looks into the others: down to blocks of the finest grid there, whose cells between four posts it crosses one by one.
+Heights are bilinear over a cell, so the height of the ray over the ground is quadratic along it, and its first root the
+place.
 """
 
 from __future__ import annotations
@@ -23,14 +29,33 @@ import numpy as np
 
 from emulator.raster.layout import Floats, W, WHighest, WLowest
 from emulator.scene.terrain import tile as t
-from emulator.scene.terrain.block_vertices import GRAZING
 from emulator.scene.terrain.ground import BP, BQ, MOMENTS, B
 from emulator.scene.terrain.pixel_boxes import box_means
-from emulator.scene.terrain.pixel_hits import Fields, Posts, Sight, meet_first, meet_map, write_levels
+from emulator.scene.terrain.pixel_hits import Fields, Posts, Sight, Table, meet_map, write_levels
+from emulator.scene.terrain.pixel_law import GRAZING
+from emulator.scene.terrain.quadtree import BLOCK
 from emulator.scene.terrain.tile import TILE, Floats32, Tile, set_triple, triple
 from emulator.sensor.numerics.compiled import NONE, kernel, lane, vector_kernel
 
 Triple = tuple[float, float, float]
+
+
+class Peaks(NamedTuple):
+    """Highest posts of blocks, and a row for each level: rows, columns, first x and y, number of the first block."""
+
+    heights: Floats
+    levels: Table
+
+
+class _Ray(NamedTuple):
+    """A ray: its start and its change along it, in posts of the finest grid east and north, and in metres up."""
+
+    x: float
+    y: float
+    z: float
+    dx: float
+    dy: float
+    dz: float
 
 
 class _Parts(NamedTuple):
@@ -44,7 +69,7 @@ class _Parts(NamedTuple):
     right, down : change of the middle for a pixel to the right and for one down.
     half_m : half the side of a part's square on the ground.
     columns, rows : number of parts across and down.
-    reach_m : lifts of the facet within which the first hit is searched.
+    from_depth : at which rays begin.
     """
 
     middle: Triple
@@ -55,17 +80,22 @@ class _Parts(NamedTuple):
     half_m: float
     columns: float
     rows: float
-    reach_m: float
+    from_depth: float
 
 
-COLUMN, SHARE, MEAN_B, MEAN_BP, MEAN_BQ, MEAN_REFLECTED = range(6)
-LINE_FIELDS = 6
+COLUMN, SHARE, MEAN_B, MEAN_BP, MEAN_BQ, MEAN_REFLECTED, SEEN = range(7)
+LINE_FIELDS = 7
 
 _LONGEST = 6.0  # times the shorter side, the footprint's longer one
 _SPARED = 0.9  # of a part: a footprint that is longer by less has no more of them
-_REACH, _FARTHEST = 1.0, 24.0  # pixels: lifts of a facet within which first hits are searched, along the ground
+_FROM = 0.95  # of the least depth around: where rays begin
+_RAYS, _STRIDE = 4.0, 5  # rays of a pixel over `samples`; columns from one ray to the next, prime to their number
 _SQUARE_POSTS = 4.0  # along the side of a part's square
 _TINY, _ZERO, _GRAZING = np.float32(1e-30), np.float32(0.0), np.float32(GRAZING)
+
+_INSIDE = 1e-6  # posts: how far a place is moved along its ray to lie clearly in a cell
+_FAR = 1e30
+_FIRST = 2  # level at which blocks are tried first
 
 
 @lane
@@ -89,34 +119,25 @@ def shorter_side(ax: float, ay: float, bx: float, by: float, ratio: float) -> fl
 
 @kernel
 def part_means(
-    row: int,
-    first: int,
-    last: int,
-    edge_on: bool,
-    sight: Sight,
-    posts: Posts,
-    top: int,
-    samples: float,
-    towards: Floats,
-    tile: Tile,
-    line: Floats,
-) -> None:
-    """Write the means of b, b p, b q and b / (mu0 + mu) over the parts of a row's listed pixels.
+    row: int, first: int, last: int, by_rays: bool, sight: Sight, posts: Posts, peaks: Peaks, top: int, samples: float,
+    towards: Floats, tile: Tile, line: Floats,
+) -> None:  # fmt: skip
+    """Write the means over the parts of a row's listed pixels, see the module docstring, and the share that is ground.
 
     Parameters
     ----------
     first, last : of the columns listed in `line`, and the one after the last.
-    edge_on : the first hits of rays are searched; else one near the facet is taken.
+    by_rays : parts are where rays through the pixel first meet the map; else near its facet.
     top : coarsest level.
     samples : parts of a pixel along the shorter side of its footprint.
     """
     per_m = 2.0 / (_SQUARE_POSTS * posts.grids.unit_m)
     filled: int = NONE
     for k in range(first, last):
-        for field in (MEAN_B, MEAN_BP, MEAN_BQ, MEAN_REFLECTED):
+        for field in (MEAN_B, MEAN_BP, MEAN_BQ, MEAN_REFLECTED, SEEN):
             line[field, k] = 0.0
         column = int(line[COLUMN, k])
-        parts = _divided(row, column, sight, samples)
+        parts = _by_rays(row, column, sight, samples) if by_rays else _divided(row, column, sight, samples)
         count = parts.columns * parts.rows
         line[SHARE, k] = 1.0 / count
         # Parts of one pixel after another fill tiles; a full tile is added to its pixels.
@@ -124,9 +145,9 @@ def part_means(
             _put(filled, k, part, parts, per_m, tile)
             filled += 1
             if filled == TILE:
-                _finish(filled, edge_on, posts, top, sight.place, towards, tile, line)
+                _finish(filled, by_rays, posts, peaks, top, sight.place, towards, tile, line)
                 filled = NONE
-    _finish(filled, edge_on, posts, top, sight.place, towards, tile, line)
+    _finish(filled, by_rays, posts, peaks, top, sight.place, towards, tile, line)
 
 
 @lane
@@ -157,8 +178,43 @@ def _divided(row: int, column: int, sight: Sight, samples: float) -> _Parts:
         0.5 * shorter * step / samples,
         max(math.ceil(parts * math.sqrt(a[0] * a[0] + a[1] * a[1]) - _SPARED), 1.0),
         max(math.ceil(parts * math.sqrt(b[0] * b[0] + b[1] * b[1]) - _SPARED), 1.0),
-        step * min(_REACH, _FARTHEST / max(abs(lift) * math.sqrt(dx * dx + dy * dy), 1e-9)),
+        0.0,
     )
+
+
+@lane
+def _by_rays(row: int, column: int, sight: Sight, samples: float) -> _Parts:
+    """Return the rays through a pixel, each in a row and a column of its own, as parts at depth 1."""
+    turn = sight.turn
+    focal, middle_column, middle_row = sight.projection
+    x, y = (column + 0.5 - middle_column) / focal, (row + 0.5 - middle_row) / focal
+    dx, dy, dz = into_world(turn, x, y, 1.0)
+    per_d, per_px = -1.0 / math.sqrt(1.0 + x * x + y * y), 1.0 / focal
+    return _Parts(
+        (dx, dy, dz),
+        (dx * per_d, dy * per_d, dz * per_d),
+        (0.0, 0.0, 0.0),
+        (turn[0, 0] * per_px, turn[0, 1] * per_px, turn[0, 2] * per_px),
+        (turn[1, 0] * per_px, turn[1, 1] * per_px, turn[1, 2] * per_px),
+        0.5 * per_px / samples,
+        1.0,
+        _RAYS * samples,
+        _FROM * _nearest(row, column, sight),
+    )
+
+
+@lane
+def _nearest(row: int, column: int, sight: Sight) -> float:
+    """Return the least depth at a pixel's middle of the facets that it and its neighbours have."""
+    height, width = sight.owner.shape
+    highest = 1e-12
+    for i in range(max(row - 1, 0), min(row + 2, height)):
+        for j in range(max(column - 1, 0), min(column + 2, width)):
+            if sight.owner[i, j] >= 0:
+                facet = sight.facets[sight.owner[i, j]]
+                w = facet[W] + facet[W + 1] * (column + 0.5) + facet[W + 2] * (row + 0.5)
+                highest = max(highest, min(max(w, facet[WLowest]), facet[WHighest]))
+    return 1.0 / highest
 
 
 @lane
@@ -167,6 +223,8 @@ def _put(n: int, k: int, part: int, parts: _Parts, per_m: float, tile: Tile) -> 
     s, middle, a, b = tile.fields, parts.middle, parts.right, parts.down
     line = part // int(parts.columns)
     right, down = (part - line * parts.columns + 0.5) / parts.columns - 0.5, (line + 0.5) / parts.rows - 0.5
+    if parts.from_depth > 0.0:
+        right = ((_STRIDE * line + 2) % int(parts.rows) + 0.5) / parts.rows - 0.5
     s[t.X * TILE + n] = middle[0] + right * a[0] + down * b[0]
     s[t.Y * TILE + n] = middle[1] + right * a[1] + down * b[1]
     s[t.Z * TILE + n] = middle[2] + right * a[2] + down * b[2]
@@ -174,7 +232,7 @@ def _put(n: int, k: int, part: int, parts: _Parts, per_m: float, tile: Tile) -> 
     set_triple(s, t.EYE_X, n, parts.eye[0], parts.eye[1], parts.eye[2])
     s[t.HALF_X * TILE + n] = s[t.HALF_Y * TILE + n] = parts.half_m
     s[t.SIZE * TILE + n] = parts.half_m * per_m
-    s[t.REACH * TILE + n] = parts.reach_m
+    s[t.LIFTED * TILE + n] = parts.from_depth
     s[t.TAPS * TILE + n] = 1.0
     s[t.TAP_X * TILE + n] = s[t.TAP_Y * TILE + n] = 0.0
     s[t.DOUBT * TILE + n] = 0.0
@@ -183,16 +241,16 @@ def _put(n: int, k: int, part: int, parts: _Parts, per_m: float, tile: Tile) -> 
 
 @kernel
 def _finish(
-    count: int, edge_on: bool, posts: Posts, top: int, place: Floats, towards: Floats, tile: Tile, line: Floats
-) -> None:
+    count: int, by_rays: bool, posts: Posts, peaks: Peaks, top: int, place: Floats, towards: Floats, tile: Tile,
+    line: Floats,
+) -> None:  # fmt: skip
     """Add the means over the squares around the first `count` parts of a tile to their pixels."""
     s, places, sums = tile.fields, tile.places, tile.sums
-    write_levels(count, posts, top, place, Fields(t.X, t.Y, t.SIZE), s, places)
-    up = np.float32(place[2])
-    if edge_on:
-        meet_first(posts.heights, up, s, places)
+    if by_rays:
+        first_hits(count, posts, peaks, place, s)
     else:
-        meet_map(posts.heights, up, s, places)
+        write_levels(count, posts, top, place, Fields(t.X, t.Y, t.SIZE), s, places)
+        meet_map(posts.heights, np.float32(place[2]), s, places)
     for k in range(TILE):
         s[t.MIDDLE_X * TILE + k], s[t.MIDDLE_Y * TILE + k] = s[t.X * TILE + k], s[t.Y * TILE + k]
         s[t.BOX_SIZE * TILE + k] = s[t.SIZE * TILE + k]
@@ -205,6 +263,7 @@ def _finish(
         line[MEAN_BP, k] += share * sums[n * MOMENTS + BP]
         line[MEAN_BQ, k] += share * sums[n * MOMENTS + BQ]
         line[MEAN_REFLECTED, k] += share * s[t.FAST * TILE + n]
+        line[SEEN, k] += share * s[t.TAPS * TILE + n]
 
 
 @vector_kernel
@@ -219,3 +278,115 @@ def _reflected(towards: Floats, s: Floats32, sums: Floats32) -> None:
         lit = max(b * sz - bp * sx - bq * sy, _ZERO)
         seen = b * ez - bp * ex - bq * ey
         s[t.FAST * TILE + k] = b * n / max(lit + max(seen, _GRAZING * n), _TINY)
+
+
+@kernel
+def first_hits(count: int, posts: Posts, peaks: Peaks, place: Floats, s: Floats32) -> None:
+    """Move places, given as directions from the camera at `place`, to where their rays first meet the map.
+
+    Rays begin LIFTED from the camera; those below ground there begin at the camera. Half sides and sizes are multiplied
+    by the way to the hit. Rays that meet nothing get no box.
+    """
+    per_m = 1.0 / posts.grids.unit_m
+    for k in range(count):
+        x, y, z = triple(s, t.X, k)
+        ray = _Ray(place[0] * per_m, place[1] * per_m, place[2], x * per_m, y * per_m, float(z))
+        start = float(s[t.LIFTED * TILE + k])
+        along = _way(ray, start, posts, peaks)
+        if along <= start:
+            along = _way(ray, 0.0, posts, peaks)
+        s[t.TAPS * TILE + k] = 1.0 if along < _FAR else 0.0
+        along = along if along < _FAR else 1.0
+        for field in (t.X, t.Y, t.Z, t.HALF_X, t.HALF_Y, t.SIZE):
+            s[field * TILE + k] *= along
+
+
+@lane
+def _side_end(start: float, change: float, low: float, high: float) -> float:
+    """Return where a ray leaves the range from low to high along an axis."""
+    return ((high if change > 0.0 else low) - start) / change if change != 0.0 else _FAR
+
+
+@kernel
+def _way(ray: _Ray, along: float, posts: Posts, peaks: Peaks) -> float:
+    """Return how far along a ray the ground is first met from `along` on, _FAR for nowhere."""
+    levels, grids = peaks.levels, posts.grids.grids
+    last = len(levels) - 1
+    inside = _INSIDE / max(abs(ray.dx), abs(ray.dy), 1e-12)
+    level = min(_FIRST, last)
+    while along < _FAR:
+        x, y = ray.x + ray.dx * (along + inside), ray.y + ray.dy * (along + inside)
+        size = float(BLOCK << level)
+        i, j = math.floor((y - levels[level, 3]) / size), math.floor((x - levels[level, 2]) / size)
+        if i < 0 or j < 0 or i >= levels[level, 0] or j >= levels[level, 1]:
+            if level >= grids - 1:
+                return _FAR
+            level += 1
+            continue
+        left, low = levels[level, 2] + j * size, levels[level, 3] + i * size
+        end = min(_side_end(ray.x, ray.dx, left, left + size), _side_end(ray.y, ray.dy, low, low + size))
+        end = max(end, along + inside)
+        if (
+            ray.z + ray.dz * (end if ray.dz < 0.0 else along)
+            <= peaks.heights[levels[level, 4] + i * levels[level, 1] + j]
+        ):
+            finer = max(level - 1, 0)
+            right, up = left + 0.5 * size - posts.levels[finer, 3], low + 0.5 * size - posts.levels[finer, 4]
+            is_within = 0.0 < right < posts.levels[finer, 5] and 0.0 < up < posts.levels[finer, 6]
+            if level >= grids or (level > 0 and is_within):
+                level -= 1
+                continue
+            hit = _in_cells(ray, along, end, level, posts)
+            if hit < _FAR:
+                return float(hit)
+        along = end
+        level = min(level + 1, last)
+    return _FAR
+
+
+@kernel
+def _in_cells(ray: _Ray, along: float, end: float, grid: int, posts: Posts) -> float:
+    """Return how far along a ray the ground is met from `along` to `end`, where the ray is over cells of one grid."""
+    first, rows, columns = posts.levels[grid, 0], posts.levels[grid, 1], posts.levels[grid, 2]
+    # In posts of the grid, and the ways to the next sides of cells.
+    per_post = 1.0 / (1 << grid)
+    du, dv = ray.dx * per_post, ray.dy * per_post
+    u0, v0 = (ray.x - posts.levels[grid, 3]) * per_post, (ray.y - posts.levels[grid, 4]) * per_post
+    inside = _INSIDE / max(abs(ray.dx), abs(ray.dy), 1e-12)
+    j, i = math.floor(u0 + du * (along + inside)), math.floor(v0 + dv * (along + inside))
+    to_x, to_y = _side_end(u0, du, float(j), j + 1.0), _side_end(v0, dv, float(i), i + 1.0)
+    per_x, per_y = abs(1.0 / du) if du != 0.0 else _FAR, abs(1.0 / dv) if dv != 0.0 else _FAR
+    east, north = 1 if du > 0.0 else -1, 1 if dv > 0.0 else -1
+    while along < end and 0 <= i < rows - 1 and 0 <= j < columns - 1:
+        out = max(min(to_x, to_y), along)
+        at = first + i * columns + j
+        a, b = float(posts.heights[at]), float(posts.heights[at + 1])
+        c, d = float(posts.heights[at + columns]), float(posts.heights[at + columns + 1])
+        if min(ray.z + ray.dz * along, ray.z + ray.dz * out) <= max(max(a, b), max(c, d)):
+            # The height over the ground is quadratic in the along from here.
+            u, v, twist = u0 + du * along - j, v0 + dv * along - i, a - b - c + d
+            above = ray.z + ray.dz * along - (a + (b - a) * u + (c - a) * v + twist * u * v)
+            if above <= 0.0:
+                return along
+            rise = (b - a) * du + (c - a) * dv + twist * (u * dv + v * du)
+            hit = _first_root(-twist * du * dv, ray.dz - rise, above)
+            if hit <= out - along:
+                return float(along + hit)
+        along = out
+        if to_x < to_y:
+            j, to_x = j + east, to_x + per_x
+        else:
+            i, to_y = i + north, to_y + per_y
+    return _FAR
+
+
+@lane
+def _first_root(c: float, b: float, above: float) -> float:
+    """Return the least s > 0 at which above + b s + c s^2 is 0, above > 0; _FAR if there is none."""
+    square = b * b - 4.0 * c * above
+    if square < 0.0:
+        return _FAR
+    # Both roots without differences of like numbers: q / c and above / q.
+    q = -0.5 * (b + math.copysign(math.sqrt(square), b))
+    first, second = above / q if q != 0.0 else _FAR, q / c if c != 0.0 else _FAR
+    return min(first if first > 0.0 else _FAR, second if second > 0.0 else _FAR)

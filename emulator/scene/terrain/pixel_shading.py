@@ -5,12 +5,9 @@
     means                   light, and as they move its time derivative             `pixel_law`
     doubtful pixels         light from parts of their own                           `pixel_parts`
 
-Doubtful are pixels that `pixel_boxes` finds, and those around which light changes by more than its mean: at borders of
+Doubtful are pixels that `pixel_boxes` finds, and those with an outline of facets in them or beside them: facets have
+other outlines than the map. Parts have also those around which light changes by more than its mean: at borders of
 shadows the heights within the pixel decide.
-
-Where an outline passes through the pixel, the exact light of the facets is used, and the difference between fine and
-facet's light at the middle is added in proportion to the distance of the outline from the middle (`Owners.coverage`),
-so that light is continuous in time. So is the difference of the derivatives.
 """
 
 from __future__ import annotations
@@ -21,14 +18,13 @@ from typing import NamedTuple
 import numpy as np
 
 from emulator.photometry.reflection_kernels import reflect
-from emulator.raster.layout import Bytes, Float32s, Floats, G, Ints, L, Owners
+from emulator.raster.layout import Bytes, Float32s, Floats, Ints
 from emulator.scene.terrain import tile as t
-from emulator.scene.terrain.block_vertices import Sunlight, around, grazing
 from emulator.scene.terrain.box_moments import MOST_POSTS
 from emulator.scene.terrain.ground import entry
 from emulator.scene.terrain.pixel_boxes import box_means, footprints, mismatches
 from emulator.scene.terrain.pixel_hits import Posts, Sight, Table, corner_hits, keep_row
-from emulator.scene.terrain.pixel_law import Motion, footprint_moves, light_rate, mean_light
+from emulator.scene.terrain.pixel_law import GRAZING, Motion, Sunlight, around, footprint_moves, light_rate, mean_light
 from emulator.scene.terrain.pixel_parts import (
     COLUMN,
     LINE_FIELDS,
@@ -36,6 +32,8 @@ from emulator.scene.terrain.pixel_parts import (
     MEAN_BP,
     MEAN_BQ,
     MEAN_REFLECTED,
+    SEEN,
+    Peaks,
     into_world,
     part_means,
 )
@@ -49,8 +47,8 @@ _STEEPEST = 10.0
 _TINY = 1e-9
 
 _MU0, _MU, _CHORD2, _SUNLIGHT, _AROUND = range(5)
-_LOW, _HIGH, _TOTAL, _RANGE, _MEAN, _VALUE = range(5, 11)
-ROW_FIELDS = 11
+_LOW, _HIGH, _TOTAL, _RANGE, _MEAN, _VALUE, _LEAST = range(5, 12)
+ROW_FIELDS = 12
 LONGEST = MOST_POSTS - 2.0
 
 
@@ -99,43 +97,29 @@ def shade_rows(
             mean_light(sun, tile)
             if moving:
                 light_rate(sun, tile)
-            _keep(row, first, columns, sight.owner, sight.facets, s, out)
+            _keep(row, first, columns, sight.owner, s, out)
 
 
 @lane
-def _keep(row: int, first: int, columns: int, owner: Ints, facets: Floats, s: Floats32, out: Smooth) -> None:
-    """Write a row's light, for doubtful pixels that of their facets, and its rate, not for these."""
+def _keep(row: int, first: int, columns: int, owner: Ints, s: Floats32, out: Smooth) -> None:
+    """Write a row's light, which pixels are doubtful, and the rate of light where it is right."""
     for k in range(columns):
-        column = first + k
-        f = owner[row, column]
-        doubtful = f >= 0 and s[t.DOUBT * TILE + k] > 0.0
-        value = s[t.FAST * TILE + k]
-        if f < 0:
-            value = np.float32(0.0)
-        elif doubtful:
-            value = np.float32(facets[f, L] + facets[f, L + 1] * (column + 0.5) + facets[f, L + 2] * (row + 0.5))
-        out.light[row, column], out.doubtful[row, column] = value, doubtful
+        seen = owner[row, first + k] >= 0
+        doubtful = seen and s[t.DOUBT * TILE + k] > 0.0
+        out.light[row, first + k] = s[t.FAST * TILE + k] if seen else np.float32(0.0)
+        out.doubtful[row, first + k] = doubtful
         if out.rate.size > 0:
-            out.rate[row, column] = s[t.RATE * TILE + k] if f >= 0 and not doubtful else np.float32(0.0)
+            out.rate[row, first + k] = s[t.RATE * TILE + k] if seen and not doubtful else np.float32(0.0)
 
 
 @entry
 def shade_doubtful(
-    rows: tuple[int, int],
-    sight: Sight,
-    coverage: Float32s,
-    posts: Posts,
-    samples: float,
-    least: float,
-    sun: Sunlight,
-    tile: Tile,
-    s: Floats,
-    line: Floats,
-    smooth: Smooth,
-    light: Float32s,
-    rate: Float32s,
-) -> None:
+    rows: tuple[int, int], sight: Sight, coverage: Float32s, posts: Posts, peaks: Peaks, samples: float, least: float,
+    sun: Sunlight, tile: Tile, s: Floats, line: Floats, smooth: Smooth, light: Float32s, rate: Float32s,
+) -> None:  # fmt: skip
     """Write the light frame's rows first to last, doubtful pixels from parts, and the others' rate of light.
+
+    Pixels with an outline in them or beside them become doubtful.
 
     Parameters
     ----------
@@ -144,25 +128,26 @@ def shade_doubtful(
     least : mean of the light frame from which changes count.
     s, line : (ROW_FIELDS, width + 2), (LINE_FIELDS, width + 2), room.
     smooth : from `shade_rows`.
-    light, rate : of facets; that of the ground is written over it.
     """
-    owners = Owners(sight.owner, coverage)
     top = top_level(posts.levels)
     for row in range(rows[0], rows[1]):
         _changes(row, smooth.light, s)
-        doubtful = _list_doubtful(row, sight.owner, smooth.doubtful[row], line)
+        _add_outlines(row, coverage, s[_LEAST], smooth.doubtful[row])
+        doubtful = _list_doubtful(smooth.doubtful[row], line)
         count = _list_changing(row, doubtful, sight.owner, smooth.doubtful[row], least, s, line)
-        # Only where footprints fail, the first hit of a ray may be another one than that near the facet.
+        # Elsewhere the first hit of a ray is the one near the facet.
         for first, last in ((NONE, doubtful), (doubtful, count)):
-            edge_on = first < doubtful
-            part_means(row, first, last, edge_on, sight, posts, top, samples, sun.towards, tile, line)
+            by_rays = first < doubtful
+            part_means(row, first, last, by_rays, sight, posts, peaks, top, samples, sun.towards, tile, line)
         _angles(row, count, sight, sun, line, s)
         reflect(sun.law, sun.law_parameters, s[_MU0], s[_MU], s[_CHORD2], count, s[_MU0])
         for k in range(count):
             s[_VALUE, int(line[COLUMN, k])] = s[_MU0, k] * s[_SUNLIGHT, k] + s[_AROUND, k]
-        _write(row, owners, sight.facets, s, light)
-        if smooth.rate.size > 0:
-            _write_rate(row, owners, sight.facets, smooth.rate, rate)
+        for column in range(sight.owner.shape[1]):
+            if sight.owner[row, column] >= 0 or smooth.doubtful[row, column] > 0:
+                light[row, column] = s[_VALUE, column]
+            if smooth.rate.size > 0:
+                rate[row, column] = smooth.rate[row, column]
 
 
 @vector_kernel
@@ -186,12 +171,24 @@ def _changes(row: int, values: Float32s, s: Floats) -> None:
 
 
 @lane
-def _list_doubtful(row: int, owner: Ints, doubtful: Bytes, line: Floats) -> int:
+def _add_outlines(row: int, coverage: Float32s, least: Floats, doubtful: Bytes) -> None:
+    """Make the pixels of a row doubtful that have an outline in them or in a neighbour; `least` is room."""
+    height, width = coverage.shape
+    above, below = coverage[max(row - 1, 0)], coverage[min(row + 1, height - 1)]
+    for k in range(width):
+        least[k] = min(min(above[k], below[k]), coverage[row, k])
+    for k in range(width):
+        if min(min(least[max(k - 1, 0)], least[min(k + 1, width - 1)]), least[k]) < 1.0:
+            doubtful[k] = 1
+
+
+@lane
+def _list_doubtful(doubtful: Bytes, line: Floats) -> int:
     """List the columns of a row's doubtful pixels; return how many."""
     count: int = NONE
-    for column in range(owner.shape[1]):
+    for column in range(len(doubtful)):
         line[COLUMN, count] = column
-        count += (doubtful[column] > 0) & (owner[row, column] >= 0)
+        count += doubtful[column] > 0
     return count
 
 
@@ -224,37 +221,7 @@ def _angles(row: int, count: int, sight: Sight, sun: Sunlight, line: Floats, s: 
         mu0 = max((sun_z - p * sun_x - q * sun_y) * up, b, 1e-6)
         gx, gy, gz = ex - sun_x, ey - sun_y, ez - sun_z
         s[_MU0, k] = mu0
-        s[_MU, k] = grazing(b / max(line[MEAN_REFLECTED, k], _TINY) - mu0)
+        s[_MU, k] = max(b / max(line[MEAN_REFLECTED, k], _TINY) - mu0, GRAZING)
         s[_CHORD2, k] = gx * gx + gy * gy + gz * gz
         s[_SUNLIGHT, k] = b / mu0 * sun.irradiance_w_m2
-        s[_AROUND, k] = around(sun.ambient, ez)
-
-
-@lane
-def _write(row: int, owners: Owners, facets: Floats, s: Floats, light: Float32s) -> None:
-    """Write the light of a row."""
-    for column in range(owners.facets.shape[1]):
-        f, share = owners.facets[row, column], owners.coverage[row, column]
-        if f < 0 or share <= 0.0:
-            continue
-        value = s[_VALUE, column]
-        if share < 1.0:
-            x, y = column + 0.5, row + 0.5
-            exact = light[row, column]
-            value = exact + share * (value - facets[f, L] - facets[f, L + 1] * x - facets[f, L + 2] * y)
-            value = max(value, (1.0 - share) * exact)  # a pixel with an outline contains the light behind it too
-        light[row, column] = value
-
-
-@lane
-def _write_rate(row: int, owners: Owners, facets: Floats, rates: Float32s, rate: Float32s) -> None:
-    """Write the rate of a row's light; wrong for doubtful pixels."""
-    for column in range(owners.facets.shape[1]):
-        f, share = owners.facets[row, column], owners.coverage[row, column]
-        if f < 0 or share <= 0.0:
-            continue
-        value = np.float64(rates[row, column])
-        if share < 1.0:
-            x, y = column + 0.5, row + 0.5
-            value = rate[row, column] + share * (value - facets[f, G] - facets[f, G + 1] * x - facets[f, G + 2] * y)
-        rate[row, column] = value
+        s[_AROUND, k] = line[SEEN, k] * around(sun.ambient, ez)

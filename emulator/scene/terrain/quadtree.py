@@ -63,6 +63,8 @@ class Quadtree:
     Attributes
     ----------
     crowd : see the module docstring; 0 for a single grid.
+    highest : height of the highest post of each block, level by level, row by row.
+    levels : a row for each level: rows, columns, first x and y, number of the first block.
     """
 
     def __init__(self, ground: Ground, reach: float) -> None:
@@ -72,8 +74,8 @@ class Quadtree:
         self.crowd = 1.002 * reach / half if ground.grids > 1 else 0.0
         bounds = _bounds(ground)
         self._low = np.concatenate([low.ravel() for low, _ in bounds])
-        self._high = np.concatenate([high.ravel() for _, high in bounds])
-        self._levels = self._table([low.shape for low, _ in bounds])
+        self.highest = np.concatenate([high.ravel() for _, high in bounds])
+        self.levels = self._table([low.shape for low, _ in bounds])
 
     def blocks(self, camera_m: Floats, planes: Floats) -> list[npt.NDArray[np.int32]]:
         """Return the blocks to draw of each grid: (n, 3) first column and row, posts from vertex to vertex; near first.
@@ -96,7 +98,7 @@ class Quadtree:
         level = grid + np.round(np.log2(stride)).astype(np.int64)
         # First posts on the lattice, from the first post of the level.
         x, y = (
-            ((chosen[:, 1 + axis] - (self._ground.shape[1 - axis] - 1) // 2) << grid) - self._levels[level, 2 + axis]
+            ((chosen[:, 1 + axis] - (self._ground.shape[1 - axis] - 1) // 2) << grid) - self.levels[level, 2 + axis]
             for axis in (0, 1)
         )
         return np.stack([level, x >> level, y >> level], axis=1)
@@ -105,7 +107,7 @@ class Quadtree:
         """Return (n, 4) grid, column, row, posts from vertex to vertex; near first."""
         ground = self._ground
         split = _Split(ground.unit_m, self._reach_m, self.crowd, ground.grids, *ground.shape)
-        blocks, distance = _select(self._levels, self._low, self._high, split, camera_m, planes)
+        blocks, distance = _select(self.levels, self._low, self.highest, split, camera_m, planes)
         return blocks[np.argsort(distance, kind="stable")]
 
     def _table(self, shapes: list[tuple[int, ...]]) -> Ints:

@@ -1,13 +1,13 @@
 """Ground under a low Sun drawn by the CPU: light of each pixel by exact coverage and the fine map, and its rate; no GL.
 
-    pose --> blocks in view (`quadtree`) --> their vertices (`block_vertices`) --> `raster` --> light of facets
-                                             fine map --> `pixel_shading` --> light of pixels
+    pose --> blocks in view (`quadtree`) --> their vertices (`block_vertices`) --> `raster` --> facets of pixels
+                                             fine map, facets --> `pixel_shading` --> light of pixels
 
 Light is radiance, W m-2 sr-1, 400 to 700 nm: sunlight by the ground's law of reflection, with the shadows that the
 ground casts on itself and their penumbra, and an even light from all around. The ground curves with the body. Not
 modelled: light from slope to slope, and ground beyond the map, where the light frame is black. The time derivative is
-that of the shading, as footprints move over the map (`pixel_law`); at outlines, that of facets. There is no light of
-single pixels between light frames: light frames at an eighth of the step made as many wrong events (docs/accuracy.md).
+that of the shading, as footprints move over the map (`pixel_law`). There is no light of single pixels between light
+frames: light frames at an eighth of the step made as many wrong events (docs/accuracy.md).
 
 Depth, optical flow and labels come from the facets of the light frame. Their corners are posts of the map, as fine as
 they are drawn; between them the ground is flat, as it is drawn. `camera_motion` gives the rates of the camera's pose
@@ -28,10 +28,11 @@ from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, SceneP
 from emulator.light import NOTHING, LastArrays, Light, Region
 from emulator.photometry.reflection_kernels import law_of
 from emulator.raster import Owners, Renderer, Screen, Topology, View, join, prepare
-from emulator.scene.terrain.block_vertices import CORNERS, Camera, Sunlight, Vertices, block_vertices
+from emulator.scene.terrain.block_vertices import CORNERS, Camera, Vertices, block_vertices
 from emulator.scene.terrain.ground import build_pyramid
 from emulator.scene.terrain.pixel_hits import Grids, Posts, Projection, Sight
-from emulator.scene.terrain.pixel_law import Motion, rate_of_doubtful
+from emulator.scene.terrain.pixel_law import Motion, Sunlight, rate_of_doubtful
+from emulator.scene.terrain.pixel_parts import Peaks
 from emulator.scene.terrain.pixel_shading import LINE_FIELDS, ROW_FIELDS, Smooth, shade_doubtful, shade_rows
 from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets, level_count
 from emulator.scene.terrain.table import TerrainParameters
@@ -152,12 +153,11 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         world = TerrainWorld(parameters, pinhole)
         super().__init__(world)
         self._reach = max(pinhole.focal_px / _facet_px(parameters, pinhole), LEAST_REACH)
-        sunlit = world.sunlit()
+        self._pyramid = build_pyramid(world.ground, world.sun_radii(), world.sun, level_count(world.ground) + 1)
         world.ground = dataclasses.replace(world.ground, albedo=None)  # it is part of the light now; a map is large
-        self._pyramid = build_pyramid(world.ground, sunlit, world.sun, level_count(world.ground) + 1)
-        del sunlit
         world.ground = self._pyramid.shared(world.ground)
         self._tree = Quadtree(world.ground, self._reach)
+        self._peaks = Peaks(self._tree.highest, self._tree.levels)
         heights = np.linspace(0, 1, _HEIGHTS)
         law = parameters.reflectance
         ambient = parameters.ambient_w_m2 * law.reflect(heights, heights, 0.0)
@@ -169,7 +169,6 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         self._renderer = Renderer(self._blocks.topology(0), screen, threads)
         self._pool = ThreadPool(threads)
         self._threads = threads
-        self._scratches = [np.zeros((10, CORNERS)) for _ in range(threads)]
         self._tiles = [new_tile() for _ in range(threads)]
         self._lines = [(np.zeros((ROW_FIELDS, width + 2)), np.zeros((LINE_FIELDS, width + 2))) for _ in range(threads)]
         pyramid, ground = self._pyramid, world.ground
@@ -208,7 +207,7 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         self._draw(t_ns, light, rate, with_rate=True)
 
     def _draw(self, t_ns: int, light: Light, rate: Light, *, with_rate: bool) -> None:
-        """Write the light, and its rate if wanted; else that of facets."""
+        """Write the light, and its rate if wanted."""
         before = self._drawn if self._arrays.are(light, rate if with_rate else None) else None
         motion = camera_motion(t_ns, self._world.camera, self._world.time)
         self._drawn = self._renderer.draw(self._view(t_ns, motion), light, rate, None, self._owners)
@@ -228,35 +227,26 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         projection = Projection(self._world.pinhole.focal_px, width / 2, height / 2)
         sight = Sight(self._owners.facets, self._renderer.facets, projection, motion.camera.place, motion.turn)
         smooth = self._smooth if with_rate else self._smooth._replace(rate=np.zeros((0, 0), np.float32))
-        samples, faint = float(self._world.parameters.samples), _FAINT * float(light.mean())
-        posts, sun = self._posts, self._sun
+        samples, posts, sun = float(self._world.parameters.samples), self._posts, self._sun
 
         def shade(band: int, thread: int) -> None:
             shade_rows(_rows(band, height), sight, motion.of_directions, posts, sun, self._tiles[thread], smooth)
 
+        self._pool.each(shade, -(-height // _BAND))
+        faint = _FAINT * float(smooth.light.mean())
+
         def refine(band: int, thread: int) -> None:
             tile, (values, listed) = self._tiles[thread], self._lines[thread]
             coverage = self._owners.coverage
+            rows, peaks = _rows(band, height), self._peaks
             shade_doubtful(
-                _rows(band, height),
-                sight,
-                coverage,
-                posts,
-                samples,
-                faint,
-                sun,
-                tile,
-                values,
-                listed,
-                smooth,
-                light,
-                rate,
+                rows, sight, coverage, posts, peaks, samples, faint, sun, tile, values, listed, smooth, light, rate
             )
 
         def follow(band: int, thread: int) -> None:
             rate_of_doubtful(_rows(band, height), sight, motion.of_ground, smooth.doubtful, light, rate)
 
-        for work in (shade, refine, follow) if with_rate else (shade, refine):
+        for work in (refine, follow) if with_rate else (refine,):
             self._pool.each(work, -(-height // _BAND))
 
     def _view(self, t_ns: int, motion: CameraMotion) -> View:
@@ -274,20 +264,10 @@ class RasterTerrain(WorldScene[TerrainWorld]):
         unit_m, posts = self._world.ground.unit_m, self._posts
 
         def fill(k: int) -> None:
+            first, last = k * share, min((k + 1) * share, len(chosen))
+            reach_m, crowd, room = self._reach * unit_m, self._tree.crowd, self._blocks.vertices
             block_vertices(
-                chosen,
-                k * share,
-                min((k + 1) * share, len(chosen)),
-                posts.heights,
-                posts.moments,
-                posts.levels,
-                unit_m,
-                self._reach * unit_m,
-                self._tree.crowd,
-                motion.camera,
-                self._sun,
-                self._scratches[k],
-                self._blocks.vertices,
+                chosen, first, last, posts.heights, posts.levels, unit_m, reach_m, crowd, motion.camera, room
             )
 
         self._pool.each(lambda k, _: fill(k), self._threads)
@@ -303,7 +283,7 @@ class _Blocks:
     def _grow(self, count: int) -> None:
         n = count * CORNERS
         self._all = join([self._block] * count)
-        self.vertices = Vertices(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n), np.zeros(n))
+        self.vertices, self._dark = Vertices(np.zeros((n, 3)), np.zeros((n, 3))), np.zeros(n)
 
     def topology(self, count: int) -> Topology:
         """Return the facets of `count` blocks; call it before the arrays are written."""
@@ -314,8 +294,9 @@ class _Blocks:
         return Topology(a.faces[:m], a.shades[:m], a.across[:m], a.smooth[:m], a.two_sided[:m], n, n)
 
     def view(self, count: int) -> View:
-        """Return the first `count` blocks."""
-        return View(*(array[: count * CORNERS] for array in self.vertices))
+        """Return the first `count` blocks, without light."""
+        positions, velocities = (array[: count * CORNERS] for array in self.vertices)
+        return View(positions, velocities, self._dark[: count * CORNERS], self._dark[: count * CORNERS])
 
 
 def _facet_px(p: TerrainParameters, pinhole: Pinhole) -> float:

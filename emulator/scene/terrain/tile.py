@@ -40,13 +40,10 @@ TAPS, TAP_X, TAP_Y, HALF_X, HALF_Y, BOX_SIZE, DOUBT = range(39, 46)
 EYE_X, EYE_Y, EYE_Z, FAST = range(46, 50)
 # Boxes in posts of their level: middle of the first one, half sides, steps, weight of each; share of the next level.
 BOX_U, BOX_V, HALF_U, HALF_V, STEP_U, STEP_V, WEIGHT, NEXT = range(50, 58)
-# Rays: half the range of lifts that is searched; in it the lift past the first hit, heights above the ray there and
-# before, and at the last place.
-REACH, PAST, ABOVE, BELOW, LAST = range(58, 63)
 # Pixels: rates of the footprint's middle on the ground and of the direction to the eye, a second; a short time; the
 # rate of light.
-MOVE_X, MOVE_Y, EYE_RATE_X, EYE_RATE_Y, EYE_RATE_Z, MOMENT_S, RATE = range(63, 70)
-FIELDS = 70
+MOVE_X, MOVE_Y, EYE_RATE_X, EYE_RATE_Y, EYE_RATE_Z, MOMENT_S, RATE = range(58, 65)
+FIELDS = 65
 
 # Whole numbers: a level, its first post, posts in its rows, rows; a post; a pixel.
 LEVEL, LEVEL_FIRST, LEVEL_COLUMNS, LEVEL_ROWS, POST, PIXEL = range(6)

@@ -17,7 +17,6 @@ which is the penumbra: behind a 10 m rock under a Sun 2 degrees high it is about
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping
 
@@ -32,6 +31,7 @@ from emulator.scene.terrain.ground import Ground, map_entry
 from emulator.scene.terrain.heightmap import load_heightmap
 from emulator.scene.terrain.relief import make_albedo, make_ridge
 from emulator.scene.terrain.table import Ridge, TerrainParameters
+from emulator.threads import ThreadPool, available_threads
 from emulator.trajectory.building import build_trajectory
 from emulator.trajectory.live import close_receivers, live_counts
 from emulator.trajectory.pose import Pose, Timescale, TrajectoryError, measured_bounds
@@ -54,21 +54,17 @@ def horizon_slopes(ground: Ground, azimuth_deg: float) -> Slopes:
         heights = heights[:, ::-1]
     walked = np.ascontiguousarray(heights)
     length_m = ground.unit_m * math.hypot(across, along) / abs(along)
-    out = np.stack([_sweep(walked, grid, across / abs(along), length_m) for grid in range(len(walked))])
+    out, pool = np.empty_like(walked), ThreadPool(available_threads())
+    pool.each(lambda grid, _: _sweep(walked, grid, across / abs(along), length_m, out[grid]), len(walked))
+    pool.close()
     if along < 0:
         out = out[:, ::-1]
     return np.ascontiguousarray(out.transpose(0, 2, 1) if swapped else out)
 
 
-def sunlit_share(slopes: Slopes, elevation_rad: float, radius_rad: float) -> Slopes:
-    """Return the share of the Sun's disc, of `radius_rad`, above horizons of the given slopes."""
-    x = np.clip((np.float32(elevation_rad) - np.arctan(slopes)) / np.float32(radius_rad), -1, 1)
-    return np.asarray(0.5 + (x * np.sqrt(1 - x * x) + np.arcsin(x)) / np.float32(math.pi), np.float32)
-
-
 @map_entry
-def _sweep(heights: npt.NDArray[np.float32], grid: int, drift: float, length_m: float) -> Slopes:
-    """Return the horizons' slopes on one grid, (rows, columns); the Sun is towards higher rows.
+def _sweep(heights: npt.NDArray[np.float32], grid: int, drift: float, length_m: float, out: Slopes) -> None:
+    """Write the horizons' slopes on one grid, (rows, columns); the Sun is towards higher rows.
 
     Parameters
     ----------
@@ -84,14 +80,12 @@ def _sweep(heights: npt.NDArray[np.float32], grid: int, drift: float, length_m: 
     place, height = np.empty(room), np.empty(room)
     for line in range(lines):
         _follow(heights, grid, line - before, drift, length_m, place, height, sheared[:, line])
-    out = np.empty((rows, columns), np.float32)
     for i in range(rows):
         for j in range(columns):
             at = j - drift * i + before
             low = min(int(at), lines - 2)
             part = np.float32(at - low)
             out[i, j] = sheared[i, low] * (1 - part) + sheared[i, low + 1] * part
-    return out
 
 
 @map_entry
@@ -202,7 +196,9 @@ class TerrainWorld:
         self.distance_m = max(min(self.height_m(t, self.camera.pose(t)) for t in looks), 1e-3)  # refuses a path below
         self.motion_bound_px_s = max(map(self._moving_px_s, looks))
         self._sun = Sun(distance_au=p.sun_distance_au)
-        self.sun = _towards(p.sun_azimuth_deg, p.sun_elevation_deg)
+        azimuth, elevation = math.radians(p.sun_azimuth_deg), math.radians(p.sun_elevation_deg)
+        flat = math.cos(elevation)
+        self.sun = np.array([flat * math.sin(azimuth), flat * math.cos(azimuth), math.sin(elevation)])
         albedo = self.ground.albedo
         self._brightest = 1.0 if albedo is None else float(albedo.max())
         self.irradiance_w_m2 = self._sun.irradiance_w_m2 * self._brightest
@@ -238,21 +234,26 @@ class TerrainWorld:
             )
         return z - ground_m
 
-    def sunlit(self) -> npt.NDArray[np.float32]:
+    def sunlit(self) -> Slopes:
         """Return the share of `irradiance_w_m2` that reaches each post, times its albedo, (grids, rows, columns).
 
         The irradiance is that of the Sun on the brightest ground, so the share is at most 1.
+        """
+        x, albedo = np.clip(self.sun_radii(), -1, 1), self.ground.albedo
+        share = np.asarray(0.5 + (x * np.sqrt(1 - x * x) + np.arcsin(x)) / np.float32(math.pi), np.float32)
+        return share if albedo is None else share * (albedo / np.float32(self._brightest))
+
+    def sun_radii(self) -> Slopes:
+        """Return the height of the Sun's middle over the horizon of each post, in its radii, (grids, rows, columns).
+
         Beyond the map the body continues at the height of the map's lowest ground, which gives the least horizon.
         """
         p, ground = self.parameters, self.ground
-        digest = hashlib.sha256(np.ascontiguousarray(ground.heights_m).data).hexdigest()
-        azimuth = p.sun_azimuth_deg
-        slopes = cached_array("horizon", (digest, ground.unit_m, azimuth), lambda: horizon_slopes(ground, azimuth))
+        slopes = horizon_slopes(ground, p.sun_azimuth_deg)
         relief_m = float(np.ptp(ground.heights_m))
         dip = math.sqrt(2 * relief_m / p.body_radius_m) if p.body_radius_m else 0.0
-        slopes = np.maximum(slopes, np.float32(-dip))
-        share = sunlit_share(slopes, math.radians(p.sun_elevation_deg), self._sun.radius_rad)
-        return share if ground.albedo is None else share * (ground.albedo / np.float32(self._brightest))
+        slopes = np.arctan(np.maximum(slopes, np.float32(-dip)))
+        return (np.float32(math.radians(p.sun_elevation_deg)) - slopes) / np.float32(self._sun.radius_rad)
 
     def planes(self, pose: Pose) -> Floats:
         """Return the inward normals of the four planes through the frame's edges and of the one behind, (5, 3)."""
@@ -285,10 +286,3 @@ def build_ground(p: TerrainParameters) -> Ground:
     else:
         ground = load_heightmap(p.ground, p.body_radius_m)
     return ground.curved(p.body_radius_m) if p.body_radius_m else ground
-
-
-def _towards(azimuth_deg: float, elevation_deg: float) -> Floats:
-    """Return the unit vector towards the Sun, (3,)."""
-    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
-    flat = math.cos(elevation)
-    return np.array([flat * math.sin(azimuth), flat * math.cos(azimuth), math.sin(elevation)])

@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 import trimesh
 
-from emulator.scene.terrain.ground import nested
+from emulator.scene.terrain.ground import MOMENTS, B, build_pyramid, nested, share_above
 from emulator.scene.terrain.relief import make_ridge
 from emulator.scene.terrain.table import Ridge
-from emulator.scene.terrain.world import horizon_slopes, sunlit_share
+from emulator.scene.terrain.world import horizon_slopes
 
 POSTS = 65
+
+
+def sunlit_share(slopes, elevation_rad, radius_rad):
+    return np.vectorize(share_above)((elevation_rad - np.arctan(slopes.astype(float))) / radius_rad)
 
 
 def wall(side):
@@ -107,3 +111,28 @@ def test_a_rock_s_penumbra_is_as_wide_as_the_reference_says():
     assert np.ptp(inside) == pytest.approx(
         10 / math.tan(math.radians(1.7334)) - 10 / math.tan(math.radians(2.2666)), abs=3
     )
+
+
+@pytest.mark.parametrize("edge", [20.0, 20.2, 20.5, 20.7, 20.9])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_shadow_s_edge_between_posts_is_where_the_sun_crosses_the_horizon(edge, axis):
+    """Level ground, lit beyond a straight edge with a penumbra of one post: the lit posts have its sunlight in all."""
+    ground, sun = nested(1.0, [np.zeros((41, 41))]), np.array([0.6, 0.0, 0.8])
+    place = np.arange(41.0)[:, None] if axis == 0 else np.arange(41.0)
+    radii = np.broadcast_to(2 * (place - edge), (41, 41)).astype(np.float32)
+    b = build_pyramid(ground, radii[None], sun, 1).moments.view(np.float16)[B : 41 * 41 * MOMENTS : MOMENTS]
+    profile = b.reshape(41, 41).astype(float)[:, 5] if axis == 0 else b.reshape(41, 41).astype(float)[5]
+    assert (profile[:-1].sum() + 0.5 * profile[-1]) / 0.8 == pytest.approx(40 - edge, abs=0.02)
+    assert profile[: int(edge) - 1] == pytest.approx(0, abs=1e-3)
+    assert profile[int(edge) + 3 :] == pytest.approx(0.8, abs=1e-3)
+
+
+def test_light_between_posts_is_that_of_the_horizon_there():
+    """A Sun smaller than the change of the horizon between posts: light at the posts alone misses half of the edge."""
+    rows, columns = np.mgrid[:65, :65].astype(float)
+    radii = (6 * (columns - 30.3 - 4 * np.sin(rows / 7))).astype(np.float32)
+    ground, sun = nested(1.0, [np.zeros((65, 65))]), np.array([0.6, 0.0, 0.8])
+    b = build_pyramid(ground, radii[None], sun, 1).moments.view(np.float16)[B : 65 * 65 * MOMENTS : MOMENTS]
+    lit = b.reshape(65, 65)[:, :-1].astype(float).sum(axis=1) / 0.8 + 0.5
+    edges = 64 - lit
+    assert np.abs(edges - (30.3 + 4 * np.sin(np.arange(65) / 7)))[2:-2].mean() < 0.1

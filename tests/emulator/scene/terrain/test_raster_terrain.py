@@ -186,6 +186,22 @@ def test_parts_of_a_pixel_with_heights_of_their_own_are_nearer_to_every_facet():
     assert errors[1] < 0.015
 
 
+def test_light_at_outlines_is_that_of_rays():
+    """Over crests: facets of some pixels have other outlines than the map, and change places as the camera moves."""
+    rough = dataclasses.replace(RIDGE, crater_density=0.2)
+    p = parameters(ground=rough, camera=FixedPath((0.0, -300.0, 140.0), look_at_m=(0.0, 0.0, 90.0)), most_facets=2000)
+    truth = sampled(p, 0)
+    with RasterTerrain(p, CAMERA) as scene:
+        light = np.zeros_like(truth)
+        scene.light(0, light)
+        outlines = scene._owners.coverage < 1
+    assert outlines.sum() > 50
+    errors = np.abs(light - truth)[outlines] / truth.mean()
+    assert errors.mean() < 0.12
+    assert np.isfinite(light).all()
+    assert (light >= 0).all()
+
+
 def test_sides_of_facets_through_the_middles_of_pixels_are_no_outlines():
     """An odd number of columns above the line on which blocks meet, looking straight down."""
     camera, above = Pinhole.of_field((97, 65), 60.0), FixedPath((0.0, 0.37, 300.0), DOWN)
