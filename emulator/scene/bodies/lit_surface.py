@@ -198,9 +198,7 @@ def cut_facets(corners: npt.NDArray[Any], middle: npt.NDArray[Any], split: Bools
     return np.concatenate([_cut(corners, middle, split, count) for count in range(4)])
 
 
-def _cut(
-    faces: npt.NDArray[Any], middle: npt.NDArray[Any], split: Bools, count: int
-) -> npt.NDArray[Any]:
+def _cut(faces: npt.NDArray[Any], middle: npt.NDArray[Any], split: Bools, count: int) -> npt.NDArray[Any]:
     """Return the parts of the facets of which `count` sides are split; the first side that differs is turned first.
 
     `faces` and `middle` are the entries at corners and in the middle of sides: numbers of vertices, or values there.

@@ -1,6 +1,6 @@
 """Ground under a low Sun drawn by the CPU: light of each pixel by exact coverage and the fine map, and its rate; no GL.
 
-    pose --> blocks in view (`quadtree`) --> their vertices (`block_vertices`) --> `raster` --> facets of pixels
+    pose --> blocks in view (`quadtree`) --> their vertices (`quadtree`) --> `raster` --> facets of pixels
                                              fine map, facets --> `pixel_shading` --> light of pixels
 
 Light is radiance, W m-2 sr-1, 400 to 700 nm: sunlight by the ground's law of reflection, with the shadows that the
@@ -28,13 +28,21 @@ from emulator.geometry.camera import Given, Pinhole, Rays, SceneGeometry, SceneP
 from emulator.light import NOTHING, LastArrays, Light, Region
 from emulator.photometry.reflection_kernels import law_of
 from emulator.raster import Owners, Renderer, Screen, Topology, View, join, prepare
-from emulator.scene.terrain.block_vertices import CORNERS, Camera, Vertices, block_vertices
 from emulator.scene.terrain.ground import build_pyramid
 from emulator.scene.terrain.pixel_hits import Grids, Posts, Projection, Sight
 from emulator.scene.terrain.pixel_law import Motion, Sunlight, rate_of_doubtful
 from emulator.scene.terrain.pixel_parts import Peaks
 from emulator.scene.terrain.pixel_shading import LINE_FIELDS, ROW_FIELDS, Smooth, shade_doubtful, shade_rows
-from emulator.scene.terrain.quadtree import LEAST_REACH, Quadtree, block_facets, level_count
+from emulator.scene.terrain.quadtree import (
+    CORNERS,
+    LEAST_REACH,
+    Camera,
+    Quadtree,
+    Vertices,
+    block_facets,
+    block_vertices,
+    level_count,
+)
 from emulator.scene.terrain.table import TerrainParameters
 from emulator.scene.terrain.tile import new_tile
 from emulator.scene.terrain.world import TerrainWorld
