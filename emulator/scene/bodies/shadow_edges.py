@@ -70,13 +70,11 @@ class Receiver(NamedTuple):
     Attributes
     ----------
     vertices : (n, 3) m.
-    normals : (n, 3) unit.
     lifted : (n, 3) m, from where rays begin.
     first : the radiance of the first vertex among those of all bodies.
     """
 
     vertices: Floats
-    normals: Floats
     lifted: Floats
     first: int
 
@@ -114,23 +112,19 @@ class Lights(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """Crossings of the last sides: their ends, (k, 2), lit and dark vertex, and the numbers of `_Crossing`, (k, 5)."""
+    """Crossings of the last sides: their ends, (k, 2), lit and dark vertex, and the numbers of `_Crossing`, (k, 4)."""
 
     ends: Numbers
     crossings: Floats
 
 
 class _Crossing(NamedTuple):
-    """Places where an edge crosses a side, shares of it from the sunlit end: lit up to `lit`, dark from `dark` on.
-
-    `fades` is 1 where the surface turns away from the Sun: the light falls to that of the dark part, else 0.
-    """
+    """Places where an edge crosses a side, shares of it from the sunlit end: lit up to `lit`, dark from `dark` on."""
 
     lit: float
     lit_rate: float
     dark: float
     dark_rate: float
-    fades: float
 
 
 class _Forms(NamedTuple):
@@ -200,7 +194,7 @@ def _rims(forms: _Forms, s: float, suns: Suns, narrow: float) -> _Crossing:
     high_moved = _share_at(forms, plus(later, radius, tilt)) - high
     low_rate = min(max(low_moved, -fastest), fastest) / suns.between_s if low >= 0.0 else 0.0
     high_rate = min(max(high_moved, -fastest), fastest) / suns.between_s if high <= 1.0 else 0.0
-    return _Crossing(max(low, 0.0), low_rate, min(high, 1.0), high_rate, 0.0)
+    return _Crossing(max(low, 0.0), low_rate, min(high, 1.0), high_rate)
 
 
 @kernel
@@ -209,15 +203,6 @@ def _cross(tree: TriangleTree, receiver: Receiver, lit: int, dark: int, suns: Su
     q = row(receiver.lifted, lit)
     d = minus(row(receiver.lifted, dark), q)
     sun = (suns.now[0], suns.now[1], suns.now[2])
-    high = dot(row(receiver.normals, lit), sun)
-    low = dot(row(receiver.normals, dark), sun)
-    if low <= 0.0 < high:  # the surface turns away in between
-        after = (suns.later[0], suns.later[1], suns.later[2])
-        high_after = dot(row(receiver.normals, lit), after)
-        low_after = dot(row(receiver.normals, dark), after)
-        s = high / (high - low)
-        s_rate = (high_after / (high_after - low_after) - s) / suns.between_s
-        return _Crossing(s, s_rate, s, s_rate, 1.0)
     at = 1.0
     # The hiding triangle is searched for anew: that of an earlier light frame may be another one.
     triangle = first_met(tree, plus(q, at, d), sun)
@@ -227,12 +212,12 @@ def _cross(tree: TriangleTree, receiver: Receiver, lit: int, dark: int, suns: Su
         s, edge = _leave(tree.corners, triangle, q, d, at, sun)
         at = s - _PAST
         if at <= 0.0:
-            return _Crossing(_PAST, 0.0, _PAST, 0.0, 0.0)
+            return _Crossing(_PAST, 0.0, _PAST, 0.0)
         before = triangle
         triangle = first_met(tree, plus(q, at, d), sun)
         if triangle < 0 and edge < 3:
             return _rims(_forms(tree.corners, before, edge, q, d), s, suns, narrow)
-    return _Crossing(at, 0.0, at, 0.0, 0.0)
+    return _Crossing(at, 0.0, at, 0.0)
 
 
 @kernel
@@ -293,10 +278,10 @@ def _cross_once(  # noqa: PLR0913, PLR0917
     if sides.ends[k, 0] != lit or sides.ends[k, 1] != dark:
         sides.ends[k, 0], sides.ends[k, 1] = lit, dark
         x = _cross(tree, receiver, lit, dark, suns, _narrow(receiver, lit, dark, window))
-        for j in range(5):
+        for j in range(4):
             sides.crossings[k, j] = x[j]
     at = sides.crossings[k]
-    return _Crossing(at[0], at[1], at[2], at[3], at[4])
+    return _Crossing(at[0], at[1], at[2], at[3])
 
 
 @entry
@@ -367,9 +352,7 @@ def cut_facets(  # noqa: PLR0913, PLR0917
             lit, dark = (o, other) if is_lit else (other, o)
             x = _cross_once(tree, receiver, lit, dark, suns, window, sides)
             is_wide |= x.dark > x.lit
-            _put(
-                receiver, lights, lit, dark, x.lit, x.lit_rate, is_hidden[lit] == 0 and x.fades == 0.0, out, lit_row + k
-            )
+            _put(receiver, lights, lit, dark, x.lit, x.lit_rate, is_hidden[lit] == 0, out, lit_row + k)
             _put(receiver, lights, lit, dark, x.dark, x.dark_rate, is_hidden[dark] == 0, out, dark_row + k)
         _put(receiver, lights, p, p, 0.0, 0.0, not is_lit, out, row + 5)
         _put(receiver, lights, q, q, 0.0, 0.0, not is_lit, out, row + 6)
@@ -400,14 +383,14 @@ class ShadowEdges:
         pool: ThreadPool,
     ) -> None:  # fmt: skip
         lifted = np.ascontiguousarray(vertices + _LIFT * side_m * normals)
-        self._receiver = Receiver(np.ascontiguousarray(vertices), np.ascontiguousarray(normals), lifted, first)
+        self._receiver = Receiver(np.ascontiguousarray(vertices), lifted, first)
         self._body, self._tree, self._pool = body, tree, pool
         self._verdicts = Verdicts.unknown(len(vertices))
         self._is_hidden = np.full(len(vertices), -1, np.int8)
         self._crossed = np.zeros(0, np.int64)
         self._before = np.zeros(3)
         self._sides = [
-            Sides(np.zeros((_LAST_SIDES, 2), np.int32), np.zeros((_LAST_SIDES, 5))) for _ in range(pool.threads)
+            Sides(np.zeros((_LAST_SIDES, 2), np.int32), np.zeros((_LAST_SIDES, 4))) for _ in range(pool.threads)
         ]
 
     def hidden_from_sun(self, chosen: Numbers, count: int, window: Window, sun: Floats) -> npt.NDArray[np.int8]:

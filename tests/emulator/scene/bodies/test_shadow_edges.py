@@ -119,27 +119,6 @@ def edges_of(tree, vertices, normals):
     return ShadowEdges(0, tree, vertices, normals, 0.4, 0, ThreadPool(1))
 
 
-def test_the_edge_is_where_the_surface_turns_away():
-    """Normals that turn along x, and a Sun that turns: the terminator has its place, its speed and no light."""
-    plate = Plate(bar())
-    slope, sun, turning, step_s = 0.1, unit([-0.3, 0.0, 1.0]), np.array([0.02, 0.0, 0.0]), 1e-7
-    x = plate.vertices[:, 0]
-    normals = np.stack([np.sin(slope * x + 1.5), 0 * x, np.cos(slope * x + 1.5)], axis=1)
-    edges, later = edges_of(plate.tree, plate.vertices, normals), unit(sun + step_s * turning)
-    hidden = (normals @ sun <= 0).astype(np.int8)
-    edges._is_hidden[:] = hidden
-    lights = Lights(np.maximum(normals @ sun, 0), 0 * x, 0 * x, 0 * x)
-    parts = edges.cut(lights, Suns(sun, later, step_s, RADIUS), plate.window, plate.drawn)
-    on_side = np.isin(np.arange(len(parts.places_m)) % 7, (1, 2, 3, 4))
-    at, moves = parts.places_m[on_side], parts.velocities_m_s[on_side]
-    expected = [(math.atan2(s[0], s[2]) + math.pi / 2 - 1.5) / slope for s in (sun, later)]
-    assert len(at) > 100
-    np.testing.assert_allclose(at[:, 0], expected[0], atol=1e-4)
-    sides = np.abs(moves[:, 0]) > 0
-    np.testing.assert_allclose(moves[sides, 0], (expected[1] - expected[0]) / step_s, rtol=1e-3)
-    assert (parts.radiance[on_side] == 0).all()
-
-
 def test_sides_with_one_place_in_the_cache_are_crossed_each():
     """A facet whose hidden corners have numbers 1024 apart."""
     wall = trimesh.creation.box((30.0, 30.0, 1.0))
