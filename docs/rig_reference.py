@@ -18,7 +18,8 @@ from msgspec import Meta
 
 from emulator.rig.top_level import TOP_LEVEL
 from emulator.sensor.presets import PRESETS
-from emulator.tables.typed_table import RigFile, bounds_of, field_types, item_type, kinds_of, table_type
+from emulator.tables.typed_table import RigFile, field_types, item_type, kinds_of, table_type
+from firmware_protocol.bounds import bounds_of
 
 PAGE = Path(__file__).with_name("rigs.md")
 MARKER = "<!-- from here on written by docs/rig_reference.py -->"

@@ -153,8 +153,9 @@ class LinkKind(Generic[P]):
         The device behind it: "usb", the USB device of the camera's model; "gige", a GigE Vision device; "instrument",
         the camera without USB; "plain", no electronics: events go out as the sensor sends them.
     endpoint
-        Import path, "module:name", of the function that returns the `EndpointFactory` for the parameters and a Wiring;
-        imported when a link is set up.
+        Import path, "module:name", imported when a link is set up: of the class of its `Endpoint`, which is called with
+        the parameters, a Wiring, the device and `Deliveries`; or of a function that returns an `EndpointFactory` for
+        the parameters and a Wiring.
     has_sync
         True if its bus has a SYNC, which can trigger the camera.
     carrier
