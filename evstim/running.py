@@ -292,11 +292,7 @@ class LiveRun(Generic[Batch]):
             log.warning("compiling, once on this machine: %s", ", ".join(part.name for part in missing))
             prepare(missing)
         setups = link_setups(self.rig, self._record)
-        with (
-            build_scene(self.rig) as scene,
-            self._opened_truth() as truth,
-            self._forwarding(setups) as links,
-        ):
+        with build_scene(self.rig) as scene, self._opened_truth() as truth, self._forwarding(setups) as links:
             session = build_session(self.rig, scene, links, MonotonicClock(), truth)
             with self._changed:
                 self._session = session

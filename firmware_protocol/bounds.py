@@ -16,12 +16,6 @@ from msgspec import Meta
 Share = Annotated[float, Meta(ge=0, le=1)]
 """A part of a whole."""
 
-PartOfWhole = Annotated[float, Meta(gt=0, le=1)]
-"""A part of a whole that is not nothing."""
-
-Port = Annotated[int, Meta(ge=0, le=65535)]
-"""A port of UDP or TCP to listen on; 0: any free one."""
-
 
 @cache
 def bounds_of(target: type) -> Mapping[str, Meta]:

@@ -323,29 +323,17 @@ _CRC_BYTE_TABLE: list[int] = _CRC_TABLES[-1].tolist()
 _CRC_PLACES = np.arange(_CRC_ROW)
 
 
-def _crc32c_of_few(data: bytes) -> int:
-    """Return the CRC-32C of less than a register's worth of data, byte by byte."""
-    register = 0xFFFFFFFF
-    for byte in data:
-        register = _CRC_BYTE_TABLE[(register ^ byte) & 0xFF] ^ (register >> 8)
-    return register ^ 0xFFFFFFFF
-
-
 def crc32c(data: bytes) -> int:
     """Return the CRC-32C (Castagnoli) of `data`, as libcsp and iSCSI compute it.
 
-    It is computed 64 bytes at a time: the remainder of a row of bytes is the exclusive or of one table entry per byte
-    and place, which numpy gathers for all rows at once; only the register passed from row to row is a loop.
+    Whole rows of 64 bytes go at once: the remainder of a row is the exclusive or of one table entry per byte and place,
+    which numpy gathers for all rows; only the register passed from row to row is a loop.
     """
-    if len(data) < 4:
-        return _crc32c_of_few(data)
-    # Leading zeros leave a register of zero unchanged, so the start value goes into the first four bytes instead.
-    padding = -len(data) % _CRC_ROW
-    rows = np.zeros(padding + len(data), np.uint8)
-    rows[padding:] = np.frombuffer(data, np.uint8)
-    rows[padding : padding + 4] ^= 0xFF
+    register, begun = 0xFFFFFFFF, len(data) % _CRC_ROW
+    for byte in data[:begun]:
+        register = _CRC_BYTE_TABLE[(register ^ byte) & 0xFF] ^ (register >> 8)
+    rows = np.frombuffer(data, np.uint8, offset=begun) if len(data) > begun else np.empty(0, np.uint8)
     remainders = np.bitwise_xor.reduce(_CRC_TABLES[_CRC_PLACES, rows.reshape(-1, _CRC_ROW)], axis=1)
-    register = 0
     for remainder in remainders.tolist():
         register = (
             remainder

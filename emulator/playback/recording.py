@@ -64,10 +64,7 @@ def _needs(parameters: RecordingParameters) -> tuple[Need, ...]:
 
 
 RECORDING = SceneKind(
-    RecordingParameters,
-    "emulator.playback.replay:blank",
-    events="emulator.playback.replay:replay",
-    needs=_needs,
+    RecordingParameters, "emulator.playback.replay:blank", events="emulator.playback.replay:replay", needs=_needs
 )
 
 

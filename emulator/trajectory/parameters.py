@@ -16,10 +16,11 @@ from msgspec import Meta
 
 from emulator.tables.typed_table import NO_FILE, RigFile
 from emulator.trajectory.laws import LANDING, Elements, Gate
-from firmware_protocol.bounds import Port, check_bounds
+from firmware_protocol.bounds import check_bounds
 
 _Triple = tuple[float, float, float]
 _Quaternion = tuple[float, float, float, float]
+_Port = Annotated[int, Meta(ge=0, le=65535)]
 _Wait = Annotated[float, Meta(ge=0, le=60_000)]
 _UP: _Triple = (0.0, 0.0, 1.0)
 _AS_THE_WORLD: _Quaternion = (1.0, 0.0, 0.0, 0.0)
@@ -251,7 +252,7 @@ class LivePath(_Checked):
 
     kind: ClassVar[str] = "live"
     host: str = "127.0.0.1"
-    port: Port = 10364
+    port: _Port = 10364
     allow: tuple[str, ...] = ()
     position_m: _Triple = (0.0, 0.0, 0.0)
     q_world_from_body: _Quaternion = _AS_THE_WORLD

@@ -24,15 +24,7 @@ from transports.can_bus.node import Node
 from transports.can_bus.served import ServedBus
 from transports.faults.bus import QueuedFrame, Tracker
 from transports.link.deliveries import Deliveries
-from transports.link.endpoint import (
-    BUSY_NS,
-    HOSTED_NS,
-    REST_NS,
-    Endpoint,
-    EndpointReport,
-    LineUse,
-    Reopening,
-)
+from transports.link.endpoint import BUSY_NS, HOSTED_NS, REST_NS, Endpoint, EndpointReport, LineUse, Reopening
 from transports.link.kind import Wiring
 from transports.link.pacing import Clock
 
@@ -42,13 +34,6 @@ _MAKE_UP_NS = 5_000_000  # bus time that a late tick may catch up
 _NAMES = ("A", "B")
 _MOST_ANSWERS = 1024  # limit of the urgent frames that wait while other nodes occupy the bus
 _DRAIN_TURNS, _DRAIN_TURN_S = 1000, 0.001  # at the end, queued frames get one second to leave
-
-
-def _buses(link: CanLink, clock: Clock) -> Sequence[CanBus]:
-    """Return the buses of a link, not open yet."""
-    if link.interface == "served":
-        return [ServedBus(link, clock)]
-    return [PythonCanBus(link, channel) for channel in (link.channel, link.channel_b) if channel]
 
 
 @dataclass
@@ -70,9 +55,11 @@ class CanEndpoint(Endpoint):
     ) -> None:
         p, clock = link, deliveries.clock
         self.faulty = faults = BusFaults(wiring.faults, p.rates, deliveries)
-        self._slots = [
-            _slot(FaultyBus(bus, index, faults), clock) for index, bus in enumerate(buses or _buses(link, clock))
-        ]
+        if not buses and p.interface == "served":
+            buses = [ServedBus(p, clock)]
+        elif not buses:
+            buses = [PythonCanBus(p, channel) for channel in (p.channel, p.channel_b) if channel]
+        self._slots = [_slot(FaultyBus(bus, index, faults), clock) for index, bus in enumerate(buses)]
         self._instrument = device
         self._node = Node(p, device, deliveries, wiring.sink)
         self._sources = sources(device, deliveries, p)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from firmware_protocol.bounds import Port, check_bounds
+from firmware_protocol.bounds import check_bounds
 from firmware_protocol.can_frames.canopen import SelectorSettings
 from firmware_protocol.can_frames.dbc import Identifiers
 from firmware_protocol.can_frames.frame import BitRates
@@ -18,7 +18,7 @@ from firmware_protocol.can_frames.transport import IsoTpSettings
 from firmware_protocol.instrument.settings import InstrumentSettings
 from firmware_protocol.receiver.can import CanReceiverSettings
 from transports.faults.kinds import CAN_BUS
-from transports.link.kind import CameraFacts, InstrumentLink, LinkKind, Listener, Unsuitable, check_region
+from transports.link.kind import CameraFacts, InstrumentLink, LinkKind, Listener, Port, Unsuitable, check_region
 from transports.needs import Need, network_interface
 from transports.network import check_allow
 

@@ -16,13 +16,22 @@ from typing import Annotated, ClassVar, Literal, Protocol
 import numpy as np
 from msgspec import Meta
 
-from firmware_protocol.bounds import PartOfWhole
 from firmware_protocol.can_frames.frame import BitRates, Frame, frame_bits
 from firmware_protocol.events import Edges, Events, empty_edges, empty_events
 from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.addresses import Received
 from transports.faults.faulty_line import ReferenceReceiver
-from transports.faults.kinds import CAN_BUS, Delay, HitFault, HitStage, ItemStage, LastingFault, Repetition, Stage
+from transports.faults.kinds import (
+    CAN_BUS,
+    Delay,
+    HitFault,
+    HitStage,
+    ItemStage,
+    LastingFault,
+    PartOfWhole,
+    Repetition,
+    Stage,
+)
 
 _PROTOCOL_ERROR = 0x88  # CAN_ERR_PROT | CAN_ERR_BUSERROR of linux/can/error.h
 _BUSES = {"A": 0, "B": 1}

@@ -21,7 +21,7 @@ from typing import Annotated, Any, ClassVar, Generic, TypeVar
 import numpy as np
 from msgspec import Meta
 
-from firmware_protocol.bounds import PartOfWhole, check_bounds
+from firmware_protocol.bounds import check_bounds
 from transports.registry import Registry
 
 SERIAL_LINE = "a serial line"
@@ -36,6 +36,7 @@ StreamSeconds = Annotated[float, Meta(ge=0, le=_LONGEST_S)]
 Length = Annotated[float, Meta(gt=0, le=_LONGEST_S)]
 """Length of a fault that lasts for a while, seconds of stream time."""
 
+PartOfWhole = Annotated[float, Meta(gt=0, le=1)]
 Count = Annotated[int, Meta(ge=1)]
 """Number of effects after which a fault ends."""
 

@@ -8,10 +8,10 @@ from typing import Annotated, ClassVar
 
 from msgspec import Meta
 
-from firmware_protocol.bounds import Port, check_bounds
+from firmware_protocol.bounds import check_bounds
 from firmware_protocol.gige.gvcp import GVCP_PORT
 from transports.faults.kinds import GIGE_STREAM
-from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Unsuitable
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Port, Unsuitable
 from transports.network import check_allow
 
 

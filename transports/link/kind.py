@@ -9,12 +9,17 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar
+from typing import Annotated, Any, ClassVar, Generic, Literal, Protocol, TypeVar
+
+from msgspec import Meta
 
 from transports.faults.kinds import FAULTS, Fault
 from transports.faults.script import FaultPlan
 from transports.link.edges import EdgeSink
 from transports.needs import Need
+
+Port = Annotated[int, Meta(ge=0, le=65535)]
+"""A port of UDP or TCP to listen on; 0: any free one."""
 
 
 class LinkParameters:

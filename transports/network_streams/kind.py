@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 
 from msgspec import Meta
 
-from firmware_protocol.bounds import Port, check_bounds
+from firmware_protocol.bounds import check_bounds
 from firmware_protocol.network_streams.coders import (
     CaerConnectionCoder,
     CaerDatagramCoder,
@@ -22,7 +22,7 @@ from firmware_protocol.network_streams.coders import (
     SpifCoder,
 )
 from firmware_protocol.network_streams.pictures import DisplayCoder, EventImageCoder
-from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Unsuitable
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Port, Unsuitable
 from transports.needs import Need, package
 from transports.network import DatagramRate, DestinationPort, check_allow, check_destination
 

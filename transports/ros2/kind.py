@@ -188,9 +188,4 @@ def _check(link: Ros2Link, camera: CameraFacts) -> None:
                          "encoding")  # fmt: skip
 
 
-ROS2 = LinkKind(
-    Ros2Link,
-    serves="plain",
-    endpoint="transports.ros2.endpoint:Ros2Endpoint",
-    check=_check,
-)
+ROS2 = LinkKind(Ros2Link, serves="plain", endpoint="transports.ros2.endpoint:Ros2Endpoint", check=_check)

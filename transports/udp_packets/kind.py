@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from firmware_protocol.bounds import Port, check_bounds
+from firmware_protocol.bounds import check_bounds
 from firmware_protocol.instrument.settings import InstrumentSettings
 from transports.faults.kinds import DATAGRAMS
-from transports.link.kind import InstrumentLink, LinkKind, Listener, check_region
+from transports.link.kind import InstrumentLink, LinkKind, Listener, Port, check_region
 from transports.network import DatagramRate, DestinationPort, check_allow, check_destination
 
 

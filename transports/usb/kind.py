@@ -6,9 +6,9 @@ import re
 from dataclasses import dataclass
 from typing import ClassVar
 
-from firmware_protocol.bounds import Port, check_bounds
+from firmware_protocol.bounds import check_bounds
 from transports.faults.kinds import USB_LINK
-from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Unsuitable
+from transports.link.kind import CameraFacts, LinkKind, LinkParameters, Listener, Port, Unsuitable
 from transports.needs import UDC, VHCI, Need
 from transports.network import check_allow
 
@@ -136,8 +136,5 @@ class LoopbackLink(LinkParameters):
 
 # A DAVIS346 can have any size. This host loses no data at the start, so the camera need not wait.
 LOOPBACK = LinkKind(
-    LoopbackLink,
-    serves="usb",
-    endpoint="transports.usb.loopback:LoopbackEndpoint",
-    usb_model="davis346",
+    LoopbackLink, serves="usb", endpoint="transports.usb.loopback:LoopbackEndpoint", usb_model="davis346"
 )

@@ -75,13 +75,7 @@ def _summary(reception: CanReception) -> list[str]:
     return lines + [f"{name}: {count}" for name, count in reception.counts.items()]
 
 
-def dbc(
-    rig: str,
-    /,
-    *,
-    link: str | None = None,
-    output: Annotated[Path | None, Parameter(alias="-o")] = None,
-) -> int:
+def dbc(rig: str, /, *, link: str | None = None, output: Annotated[Path | None, Parameter(alias="-o")] = None) -> int:
     """Write the DBC file of a rig's CAN link: its identifiers and the layouts of its frames.
 
     Parameters
