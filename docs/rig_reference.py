@@ -115,7 +115,8 @@ def _lines_of_kind(place: str, cls: Any, common: dict[str, Row]) -> list[str]:
         if key not in common or row.meaning != common[key].meaning:
             distinct.append(row)
         else:
-            parts.append(f"`{key}`" if value == common[key].values[0] else f"`{key} = {value.strip('`')}`")
+            text = value if value.startswith("`") else f"`{value}`"
+            parts.append(f"`{key}`" if value == common[key].values[0] else f"`{key} = {text[1:]}")
     inner = {name: annotation for name, annotation in field_types(cls).items() if _tables(annotation)}
     parts += [f"`[{_inner_path(place, name, annotation)}]`" for name, annotation in inner.items()]
     name = f'<h3 id="{place}-{cls.kind}"><code>kind = "{cls.kind}"</code></h3>'
