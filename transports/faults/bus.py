@@ -21,17 +21,7 @@ from firmware_protocol.events import Edges, Events, empty_edges, empty_events
 from firmware_protocol.instrument.instrument import Outgoing
 from firmware_protocol.packets.addresses import Received
 from transports.faults.faulty_line import ReferenceReceiver
-from transports.faults.kinds import (
-    CAN_BUS,
-    Delay,
-    HitFault,
-    HitStage,
-    ItemStage,
-    LastingFault,
-    PartOfWhole,
-    Repetition,
-    Stage,
-)
+from transports.faults.kinds import CAN_BUS, Delay, HitFault, HitStage, ItemStage, LastingFault, Repetition, Stage
 
 _PROTOCOL_ERROR = 0x88  # CAN_ERR_PROT | CAN_ERR_BUSERROR of linux/can/error.h
 _BUSES = {"A": 0, "B": 1}
@@ -260,7 +250,7 @@ class BabblingIdiot(_OfBus):
     carriers = (CAN_BUS,)
     effect: ClassVar[type[Stage]] = Babbler
     identifier: Annotated[int, Meta(ge=0, le=2047)] = 0
-    load: PartOfWhole = 1.0
+    load: Annotated[float, Meta(gt=0, le=1)] = 1.0
 
 
 @dataclass(frozen=True)

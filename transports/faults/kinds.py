@@ -36,7 +36,6 @@ StreamSeconds = Annotated[float, Meta(ge=0, le=_LONGEST_S)]
 Length = Annotated[float, Meta(gt=0, le=_LONGEST_S)]
 """Length of a fault that lasts for a while, seconds of stream time."""
 
-PartOfWhole = Annotated[float, Meta(gt=0, le=1)]
 Count = Annotated[int, Meta(ge=1)]
 """Number of effects after which a fault ends."""
 
@@ -123,7 +122,7 @@ class HitFault(Fault):
         Number of hits after which it ends; 0: no limit, then `for_s` sets its end.
     """
 
-    rate: PartOfWhole = 1.0
+    rate: Annotated[float, Meta(gt=0, le=1)] = 1.0
     count: Annotated[int, Meta(ge=0)] = 1
 
     def __post_init__(self) -> None:

@@ -66,7 +66,7 @@ def test_what_usb_cannot_have_is_refused(faulty):
         faulty.inject(LostBytes())
     with pytest.raises(ValueError, match="most_bytes must be even"):
         ShortTransfers(most_bytes=3)
-    with pytest.raises(ValueError, match="count must be 1"):
+    with pytest.raises(ValueError, match="count must be at least 1"):
         UsbStall(count=0)
 
 
